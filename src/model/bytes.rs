@@ -1,0 +1,147 @@
+//! Fixed-size byte strings, each with a name of its own, written in lower-case hex.
+
+use std::fmt;
+use std::str::FromStr;
+
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+/// Why a text is not the hex of a fixed-size byte string.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("expected {expected} hex characters, found {found}; write all bytes in hex, with or without 0x")]
+pub struct HexError {
+    /// Hex characters wanted.
+    pub expected: usize,
+    /// Characters found (or the offset of the first that is not hex).
+    pub found: usize,
+}
+
+/// Lower-case hex of `bytes`.
+pub fn hex(bytes: &[u8]) -> String {
+    const DIGITS: &[u8; 16] = b"0123456789abcdef";
+    let mut text = String::with_capacity(bytes.len() * 2);
+    for byte in bytes {
+        text.push(char::from(DIGITS[usize::from(byte >> 4)]));
+        text.push(char::from(DIGITS[usize::from(byte & 15)]));
+    }
+    text
+}
+
+/// Bytes of a hex text, with or without `0x`; `None` where it is not hex of whole bytes.
+pub fn unhex(text: &str) -> Option<Vec<u8>> {
+    let text = text.strip_prefix("0x").unwrap_or(text).as_bytes();
+    if !text.len().is_multiple_of(2) {
+        return None;
+    }
+    text.chunks_exact(2).map(|pair| Some(nibble(pair[0])? << 4 | nibble(pair[1])?)).collect()
+}
+
+fn nibble(character: u8) -> Option<u8> {
+    char::from(character).to_digit(16).and_then(|digit| u8::try_from(digit).ok())
+}
+
+macro_rules! fixed_bytes {
+    ($($(#[$doc:meta])* $name:ident($size:literal);)*) => {$(
+        $(#[$doc])*
+        #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+        pub struct $name(pub [u8; $size]);
+
+        impl $name {
+            /// Length in bytes.
+            pub const LENGTH: usize = $size;
+
+            /// From a slice of exactly [`Self::LENGTH`] bytes.
+            pub fn from_slice(bytes: &[u8]) -> Option<Self> {
+                bytes.try_into().ok().map(Self)
+            }
+
+            /// The bytes.
+            pub fn as_bytes(&self) -> &[u8] {
+                &self.0
+            }
+
+            /// Lower-case hex, no prefix.
+            pub fn to_hex(&self) -> String {
+                hex(&self.0)
+            }
+        }
+
+        impl fmt::Display for $name {
+            fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+                formatter.write_str(&self.to_hex())
+            }
+        }
+
+        impl fmt::Debug for $name {
+            fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+                write!(formatter, concat!(stringify!($name), "({})"), self.to_hex())
+            }
+        }
+
+        impl FromStr for $name {
+            type Err = HexError;
+
+            fn from_str(text: &str) -> Result<Self, HexError> {
+                let found = text.strip_prefix("0x").unwrap_or(text).len();
+                unhex(text)
+                    .and_then(|bytes| Self::from_slice(&bytes))
+                    .ok_or(HexError { expected: $size * 2, found })
+            }
+        }
+
+        impl Serialize for $name {
+            fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+                serializer.serialize_str(&self.to_hex())
+            }
+        }
+
+        impl<'de> Deserialize<'de> for $name {
+            fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+                let text = String::deserialize(deserializer)?;
+                text.parse().map_err(serde::de::Error::custom)
+            }
+        }
+    )*};
+}
+
+fixed_bytes! {
+    /// SM3 of a record's stored bytes: what the chain keeps.
+    Digest(32);
+    /// Public commitment to an epoch's key; selects an epoch, authenticates nobody.
+    Token(32);
+    /// Binds every signed, derived or hashed structure to one chain and contract.
+    Domain(32);
+    /// A 32-byte hash that is not a record digest: transactions, blocks, code, genesis.
+    Hash(32);
+    /// Pseudonym of a topic, computable only by readers.
+    TopicId(16);
+    /// Pseudonym of a type or tag, for queries.
+    FilterId(8);
+    /// One ledger file's life; new per ledger and per restore.
+    RecorderId(16);
+    /// SM3 of a signer's public key.
+    SignerId(32);
+    /// Fresh randomness of one record.
+    Salt(24);
+    /// Commitment of a record to its keys.
+    Commit(32);
+    /// An SM2 public key, affine x || y.
+    PublicKey(64);
+    /// A raw SM2 signature, r || s.
+    Signature(64);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn hex_round_trips_and_refuses_odd_and_foreign() {
+        let id = TopicId([0xa5; 16]);
+        assert_eq!(id.to_hex().parse::<TopicId>(), Ok(id));
+        assert_eq!(format!("0x{id}").parse::<TopicId>(), Ok(id));
+        assert!("a5".parse::<TopicId>().is_err());
+        assert_eq!(unhex("abc"), None);
+        assert_eq!(unhex("zz"), None);
+        assert_eq!(unhex("é0"), None);
+    }
+}

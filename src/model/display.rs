@@ -1,0 +1,68 @@
+//! The one sanitiser: every untrusted text passes it before screen, log or JSON.
+
+/// The most combining marks kept in a row; more only pile up over other cells.
+const MOST_MARKS: usize = 4;
+
+/// Text that is safe to show: no control characters, no bidirectional controls, no zero-width
+/// or invisible characters, at most `width` characters (an ellipsis marks a cut).
+///
+/// What is taken out is replaced by `�`, so that a hostile name cannot pose as a clean one.
+pub fn clean(text: &str, width: usize) -> String {
+    let mut out = String::with_capacity(text.len().min(width * 4));
+    let mut marks = 0;
+    for (count, character) in text.chars().enumerate() {
+        if count == width {
+            out.pop();
+            out.push('…');
+            break;
+        }
+        marks = if is_mark(character) { marks + 1 } else { 0 };
+        out.push(if is_shown(character) && marks <= MOST_MARKS { character } else { '\u{fffd}' });
+    }
+    out
+}
+
+/// [`clean`] for each line of a longer text; lines stay lines.
+pub fn clean_lines(text: &str, width: usize) -> String {
+    text.lines().map(|line| clean(line, width)).collect::<Vec<_>>().join("\n")
+}
+
+fn is_mark(character: char) -> bool {
+    matches!(character, '\u{300}'..='\u{36f}' | '\u{1ab0}'..='\u{1aff}' | '\u{1dc0}'..='\u{1dff}'
+        | '\u{20d0}'..='\u{20ff}' | '\u{fe20}'..='\u{fe2f}')
+}
+
+fn is_shown(character: char) -> bool {
+    !(character.is_control()
+        || matches!(character,
+            '\u{ad}' | '\u{34f}' | '\u{61c}' | '\u{115f}' | '\u{1160}' | '\u{17b4}' | '\u{17b5}'
+            | '\u{180b}'..='\u{180f}' | '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}'
+            | '\u{2060}'..='\u{206f}' | '\u{3164}' | '\u{fe00}'..='\u{fe0f}' | '\u{feff}' | '\u{ffa0}'
+            | '\u{fff0}'..='\u{fffb}' | '\u{1d173}'..='\u{1d17a}' | '\u{e0000}'..='\u{e0fff}'))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn hostile_text_is_defused() {
+        assert_eq!(clean("\u{1b}[2Jx", 80), "\u{fffd}[2Jx");
+        assert_eq!(clean("a\u{202e}b\u{200b}c\u{9b}d", 80), "a\u{fffd}b\u{fffd}c\u{fffd}d");
+        assert_eq!(clean("/robot1/odom", 80), "/robot1/odom");
+        assert_eq!(clean("abcdef", 4), "abc…");
+        assert_eq!(clean("abcd", 4), "abcd");
+        assert_eq!(clean("机器人", 10), "机器人");
+    }
+
+    proptest! {
+        #[test]
+        fn never_a_control_byte_and_never_too_wide(text in any::<String>(), width in 1usize..60) {
+            let shown = clean(&text, width);
+            prop_assert!(shown.chars().count() <= width);
+            prop_assert!(!shown.chars().any(char::is_control));
+            prop_assert_eq!(clean(&shown, width), shown);
+        }
+    }
+}

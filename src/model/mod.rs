@@ -1,0 +1,33 @@
+//! Words only, no I/O: the vocabulary every other room speaks.
+//!
+//! Identities, topics, record headers, digests, grants, states, kinds of error and the
+//! sanitiser for untrusted text live here. Nothing here touches a key, a file or a socket.
+
+pub mod address;
+pub mod bytes;
+pub mod display;
+pub mod error_kind;
+pub mod grant;
+pub mod head;
+pub mod header;
+pub mod identity;
+pub mod instant;
+pub mod profile;
+pub mod state;
+pub mod topic;
+pub mod wire;
+
+pub use address::Address;
+pub use bytes::{
+    Commit, Digest, Domain, FilterId, Hash, PublicKey, RecorderId, Salt, Signature, SignerId, Token, TopicId,
+};
+pub use display::clean;
+pub use error_kind::ErrorKind;
+pub use grant::{GrantTerms, Scope};
+pub use head::Head;
+pub use header::{Header, RecordKind};
+pub use identity::Identity;
+pub use instant::Timestamp;
+pub use profile::ProfileName;
+pub use state::{RecordState, Verdict};
+pub use topic::{TopicName, TypeName};

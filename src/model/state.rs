@@ -1,0 +1,125 @@
+//! The life line of a record.
+
+use serde::{Deserialize, Serialize};
+
+/// Where a record stands. Every edge is a compare-and-set in the ledger.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RecordState {
+    /// In memory, not yet sealed.
+    Captured,
+    /// Sealed and fsynced in the ledger: acknowledged.
+    Sealed,
+    /// In the vault.
+    Stored,
+    /// In a closed batch.
+    Batched,
+    /// Its transaction was sent.
+    Submitted,
+    /// Its transaction is in a block.
+    Mined,
+    /// The block is deep enough.
+    Confirmed,
+    /// Re-read from the vault, digest equal to the chain, signature valid.
+    Verified,
+    /// Held back: its publisher is not the pinned one.
+    Quarantined,
+    /// Never acknowledged, counted.
+    Dropped,
+    /// The vault's bytes differ from the anchored digest.
+    Tampered,
+}
+
+impl RecordState {
+    /// All states, in life-line order.
+    pub const ALL: [Self; 11] = [
+        Self::Captured,
+        Self::Sealed,
+        Self::Stored,
+        Self::Batched,
+        Self::Submitted,
+        Self::Mined,
+        Self::Confirmed,
+        Self::Verified,
+        Self::Quarantined,
+        Self::Dropped,
+        Self::Tampered,
+    ];
+
+    /// One word for screens, JSON and the ledger.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Captured => "captured",
+            Self::Sealed => "sealed",
+            Self::Stored => "stored",
+            Self::Batched => "batched",
+            Self::Submitted => "submitted",
+            Self::Mined => "mined",
+            Self::Confirmed => "confirmed",
+            Self::Verified => "verified",
+            Self::Quarantined => "quarantined",
+            Self::Dropped => "dropped",
+            Self::Tampered => "tampered",
+        }
+    }
+
+    /// The number in the ledger.
+    pub fn code(self) -> u8 {
+        self as u8
+    }
+
+    /// From the number in the ledger.
+    pub fn from_code(code: u8) -> Option<Self> {
+        Self::ALL.get(usize::from(code)).copied()
+    }
+
+    /// Whether work on the record is still to be done.
+    pub fn is_pending(self) -> bool {
+        self < Self::Verified
+    }
+}
+
+/// What a check of a record found, in words.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Verdict {
+    /// Digest equals a confirmed anchor, signature valid, opened.
+    Verified,
+    /// All checks but the chain's pass; the digest is not anchored (yet).
+    Unanchored,
+    /// The stored bytes are not the ones anchored or signed.
+    Tampered,
+    /// The stored bytes are gone.
+    Missing,
+    /// No key of this profile opens it.
+    NoKey,
+}
+
+impl Verdict {
+    /// The word shown.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Verified => "verified",
+            Self::Unanchored => "unanchored",
+            Self::Tampered => "tampered",
+            Self::Missing => "missing",
+            Self::NoKey => "no key",
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn codes_and_words_are_distinct_and_stable() {
+        for (index, state) in RecordState::ALL.into_iter().enumerate() {
+            assert_eq!(usize::from(state.code()), index);
+            assert_eq!(RecordState::from_code(state.code()), Some(state));
+        }
+        assert!(RecordState::Confirmed.is_pending());
+        assert!(!RecordState::Verified.is_pending());
+        assert!(!RecordState::Tampered.is_pending());
+    }
+}

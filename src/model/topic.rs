@@ -1,0 +1,116 @@
+//! ROS graph names: topics and message types.
+
+use std::fmt;
+use std::str::FromStr;
+
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+/// The longest topic or type name accepted, in bytes.
+pub const LONGEST_NAME: usize = 255;
+
+/// Why a text is not a ROS name.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum NameError {
+    /// Not a topic name.
+    #[error(
+        "'{0}' is not a topic name; it begins with / and its parts are letters, digits and _, \
+         each beginning with a letter, as in /robot1/odom"
+    )]
+    Topic(String),
+    /// Not a type name.
+    #[error("'{0}' is not a message type; write package/Type, as in nav_msgs/Odometry")]
+    Type(String),
+}
+
+fn is_part(part: &str) -> bool {
+    let mut bytes = part.bytes();
+    bytes.next().is_some_and(|b| b.is_ascii_alphabetic() || b == b'_')
+        && bytes.all(|b| b.is_ascii_alphanumeric() || b == b'_')
+}
+
+/// A resolved, absolute ROS topic name such as `/robot1/odom`.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct TopicName(String);
+
+impl TopicName {
+    /// The name with its leading slash.
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+}
+
+impl FromStr for TopicName {
+    type Err = NameError;
+
+    fn from_str(text: &str) -> Result<Self, NameError> {
+        let valid = text.len() <= LONGEST_NAME
+            && text.strip_prefix('/').is_some_and(|rest| rest.split('/').all(is_part));
+        if valid { Ok(Self(text.to_owned())) } else { Err(NameError::Topic(super::clean(text, 80))) }
+    }
+}
+
+/// A message type, `package/Type`.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct TypeName(String);
+
+impl TypeName {
+    /// The name, `package/Type`.
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+}
+
+impl FromStr for TypeName {
+    type Err = NameError;
+
+    fn from_str(text: &str) -> Result<Self, NameError> {
+        let valid = text.len() <= LONGEST_NAME
+            && text.split_once('/').is_some_and(|(package, name)| is_part(package) && is_part(name));
+        if valid { Ok(Self(text.to_owned())) } else { Err(NameError::Type(super::clean(text, 80))) }
+    }
+}
+
+macro_rules! name_traits {
+    ($($name:ident)*) => {$(
+        impl fmt::Display for $name {
+            fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+                formatter.write_str(&self.0)
+            }
+        }
+        impl Serialize for $name {
+            fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+                serializer.serialize_str(&self.0)
+            }
+        }
+        impl<'de> Deserialize<'de> for $name {
+            fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+                String::deserialize(deserializer)?.parse().map_err(serde::de::Error::custom)
+            }
+        }
+    )*};
+}
+name_traits!(TopicName TypeName);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn topic_names() {
+        for good in ["/odom", "/robot1/camera/compressed", "/a/_hidden/b2"] {
+            assert!(good.parse::<TopicName>().is_ok(), "{good}");
+        }
+        for bad in ["", "/", "odom", "/1x", "/a//b", "/a/", "/a b", "/a\u{202e}b", "~x"] {
+            assert!(bad.parse::<TopicName>().is_err(), "{bad}");
+        }
+        assert!(format!("/{}", "a".repeat(300)).parse::<TopicName>().is_err());
+    }
+
+    #[test]
+    fn type_names() {
+        assert!("nav_msgs/Odometry".parse::<TypeName>().is_ok());
+        for bad in ["Odometry", "a/b/c", "/a/b", "*", "a/"] {
+            assert!(bad.parse::<TypeName>().is_err(), "{bad}");
+        }
+    }
+}

@@ -1,0 +1,231 @@
+//! What can be asked of a site.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+use zeroize::{Zeroize, ZeroizeOnDrop};
+
+use crate::model::{Address, ProfileName, RecordKind, RecordState, Timestamp, TopicName, TypeName};
+
+/// A secret text on its way to the site of the same user: a passphrase. Never in Debug.
+#[derive(Clone, Serialize, Deserialize, Zeroize, ZeroizeOnDrop)]
+#[serde(transparent)]
+pub struct SecretText(String);
+
+impl SecretText {
+    /// Takes the text over.
+    pub fn new(text: String) -> Self {
+        Self(text)
+    }
+
+    /// The text itself.
+    pub fn expose(&self) -> &str {
+        &self.0
+    }
+}
+
+impl fmt::Debug for SecretText {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str("SecretText(…)")
+    }
+}
+
+/// Secret bytes on their way to or from the site of the same user: a key file. Never in Debug.
+#[derive(Clone, Serialize, Deserialize, Zeroize, ZeroizeOnDrop)]
+#[serde(transparent)]
+pub struct SecretBytes(Vec<u8>);
+
+impl SecretBytes {
+    /// Takes the bytes over.
+    pub fn new(bytes: Vec<u8>) -> Self {
+        Self(bytes)
+    }
+
+    /// The bytes themselves.
+    pub fn expose(&self) -> &[u8] {
+        &self.0
+    }
+}
+
+impl fmt::Debug for SecretBytes {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str("SecretBytes(…)")
+    }
+}
+
+/// Which key a key file holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum KeyKind {
+    /// K_C: 16 bytes.
+    Sm4,
+    /// d_C: the SM2 signing key.
+    Sm2,
+    /// The secp256k1 key of the EOA.
+    Eoa,
+}
+
+/// Which epochs a grant opens.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Epochs {
+    /// From the current epoch on.
+    #[default]
+    Current,
+    /// Also every earlier one.
+    All,
+}
+
+/// Which records to list.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct UploadQuery {
+    /// Only of this owner (shared records).
+    pub owner: Option<Address>,
+    /// Only of this topic.
+    pub topic: Option<TopicName>,
+    /// Only of this kind; `None` = captured messages.
+    pub kind: Option<RecordKind>,
+    /// Only in this state.
+    pub state: Option<RecordState>,
+    /// Captured at or after.
+    pub since: Option<Timestamp>,
+    /// Captured before.
+    pub until: Option<Timestamp>,
+    /// Continue behind this cursor (`next` of the page before).
+    pub after: Option<String>,
+    /// At most so many, 1 to 1,000.
+    pub limit: usize,
+    /// Newest first (console) instead of oldest first.
+    pub newest_first: bool,
+}
+
+/// One thing asked of the site, for one profile.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", tag = "command")]
+pub enum Command {
+    /// Make a profile's keys and keyring.
+    CreateIdentity {
+        /// Protects the keyring.
+        passphrase: SecretText,
+    },
+    /// Show the profile's public identity; needs no passphrase.
+    ShowIdentity,
+    /// Open the keyring for this session of the site.
+    Unlock {
+        /// The keyring's.
+        passphrase: SecretText,
+    },
+    /// Put the identity on the chain.
+    Register,
+    /// Keys with fingerprints and epochs.
+    ListKeys,
+    /// Replace one key by a loaded one.
+    LoadKey {
+        /// Which key.
+        kind: KeyKind,
+        /// The file's bytes.
+        material: SecretBytes,
+        /// Passphrase of a V3 keystore file.
+        passphrase: Option<SecretText>,
+    },
+    /// Begin a new epoch.
+    RotateKeys,
+    /// Hand one key out.
+    ExportKey {
+        /// Which key.
+        kind: KeyKind,
+        /// Passphrase for the V3 keystore written (EOA only).
+        passphrase: Option<SecretText>,
+    },
+    /// All topics of the ROS graph.
+    ListTopics,
+    /// Capture a topic until it is unwatched, over restarts.
+    WatchTopic {
+        /// The topic.
+        topic: TopicName,
+        /// Refuse other types.
+        type_name: Option<TypeName>,
+    },
+    /// Stop capturing a topic.
+    UnwatchTopic {
+        /// The topic.
+        topic: TopicName,
+    },
+    /// Capture topics until a count or time is reached; answers when all captured is verified.
+    Capture {
+        /// The topics.
+        topics: Vec<TopicName>,
+        /// Refuse other types.
+        type_name: Option<TypeName>,
+        /// So many messages of each topic.
+        count: Option<u64>,
+        /// So many milliseconds.
+        milliseconds: Option<u64>,
+        /// Tags for the sealed head.
+        tags: Vec<(String, String)>,
+    },
+    /// End the running captures of this profile now (their answers follow).
+    StopCapture,
+    /// Own records.
+    ListUploads(UploadQuery),
+    /// One own record with its provenance.
+    ShowUpload {
+        /// Its id, or the beginning of its digest.
+        id: String,
+    },
+    /// One own record's files for others to check.
+    ExportUpload {
+        /// Its id.
+        id: String,
+    },
+    /// Share with another account.
+    Grant {
+        /// Who may read.
+        grantee: Address,
+        /// Only these topics; empty = all.
+        topics: Vec<TopicName>,
+        /// Which epochs.
+        epochs: Epochs,
+        /// When the grant ends.
+        expires: Option<Timestamp>,
+    },
+    /// Stop sharing with an account; begins a new epoch.
+    Revoke {
+        /// Who may no longer read.
+        grantee: Address,
+    },
+    /// Grants given and received.
+    ListGrants,
+    /// Records others share with this profile.
+    ListShared(UploadQuery),
+    /// The paper's Data_Check of one record: digest against the chain, signature.
+    CheckShared {
+        /// Its id.
+        id: String,
+    },
+    /// Check, decrypt and decode one record (shared or own).
+    OpenShared {
+        /// Its id.
+        id: String,
+    },
+    /// The chain as seen by this profile.
+    ChainStatus,
+    /// Health, counts and alerts of the whole site.
+    SiteStatus,
+    /// The newest audit lines.
+    ListAudit {
+        /// At most so many.
+        limit: usize,
+    },
+    /// Claims the profile for a console, until the connection ends; refused where one is open already.
+    OpenConsole,
+}
+
+/// A command with the profile it is for.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct Request {
+    /// Whose keys and records.
+    pub profile: ProfileName,
+    /// What to do.
+    pub command: Command,
+}

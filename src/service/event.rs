@@ -1,0 +1,55 @@
+//! What a site tells without being asked: small notes; the data is then pulled by a command.
+
+use serde::{Deserialize, Serialize};
+
+use crate::model::Timestamp;
+
+/// Which part of the site's data changed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Part {
+    /// Topics, their rates or their watching (`ListTopics`).
+    Topics,
+    /// Records or their states (`ListUploads`, `SiteStatus`).
+    Uploads,
+    /// Grants given or received (`ListGrants`, `ListShared`).
+    Grants,
+    /// The chain (`ChainStatus`).
+    Chain,
+    /// Health of a part (`SiteStatus`).
+    Health,
+    /// Keys, registration (`ShowIdentity`, `ListKeys`).
+    Identity,
+}
+
+/// How urgent a notice is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum NoticeLevel {
+    /// Shown for 3 s.
+    Info,
+    /// Something waits or was counted.
+    Warning,
+    /// Stays until seen.
+    Error,
+}
+
+/// Told to every console and follower of the site.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", tag = "event")]
+pub enum Event {
+    /// Pull this part again. Sent at most four times a second per part.
+    Changed {
+        /// What changed.
+        part: Part,
+    },
+    /// Something an operator should know; the text is already cleaned.
+    Notice {
+        /// When.
+        at: Timestamp,
+        /// How urgent.
+        level: NoticeLevel,
+        /// What happened, to what, what to do.
+        text: String,
+    },
+}

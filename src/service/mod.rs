@@ -1,0 +1,14 @@
+//! Command in, Event out: everything the product can do, and the owner of all background tasks.
+//!
+//! The console and the command line speak only through [`Client`]: with the site of this
+//! process, or over the home's socket with the site of another. Nothing here draws or prints.
+
+pub mod client;
+pub mod command;
+pub mod event;
+pub mod reply;
+
+pub use client::{Call, Client};
+pub use command::{Command, Epochs, KeyKind, Request, SecretBytes, SecretText, UploadQuery};
+pub use event::{Event, NoticeLevel, Part};
+pub use reply::{Failure, Reply};

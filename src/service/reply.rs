@@ -1,0 +1,416 @@
+//! What a site answers: the very structures that `--json` prints.
+
+use serde::{Deserialize, Serialize};
+
+use super::command::SecretBytes;
+use crate::model::{Address, Digest, ErrorKind, Hash, ProfileName, PublicKey, Timestamp, Token, Verdict};
+
+/// Why a command failed, as a person reads it.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
+#[error("{message}")]
+pub struct Failure {
+    /// Decides the exit code.
+    pub kind: ErrorKind,
+    /// What happened, to what, and what to do next. Cleaned.
+    pub message: String,
+}
+
+impl Failure {
+    /// A failure of `kind`.
+    pub fn new(kind: ErrorKind, message: impl Into<String>) -> Self {
+        Self { kind, message: message.into() }
+    }
+}
+
+/// The public side of a profile.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct IdentityView {
+    /// Its name on this machine.
+    pub profile: ProfileName,
+    /// Whether it has keys yet.
+    pub exists: bool,
+    /// Whether its keyring is open in this site.
+    pub unlocked: bool,
+    /// Whether it is registered on the chain in use.
+    pub registered: bool,
+    /// Its EOA.
+    pub address: Option<Address>,
+    /// Current epoch on the chain.
+    pub epoch: Option<u64>,
+    /// P_C.
+    pub signing_key: Option<PublicKey>,
+    /// P_C for the eye.
+    pub fingerprint: Option<String>,
+    /// P_E.
+    pub envelope_key: Option<PublicKey>,
+}
+
+/// One epoch of a profile's keys.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct EpochView {
+    /// Its number.
+    pub epoch: u64,
+    /// Its token on the chain.
+    pub token: Token,
+    /// Whether new records are sealed under it.
+    pub current: bool,
+}
+
+/// A profile's keys, without any secret.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct KeysView {
+    /// EOA.
+    pub address: Address,
+    /// P_C.
+    pub signing_key: PublicKey,
+    /// P_C for the eye.
+    pub signing_fingerprint: String,
+    /// P_E.
+    pub envelope_key: PublicKey,
+    /// P_E for the eye.
+    pub envelope_fingerprint: String,
+    /// Epochs on the chain in use.
+    pub epochs: Vec<EpochView>,
+}
+
+/// One topic of the graph.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct TopicRow {
+    /// Its name, cleaned.
+    pub topic: String,
+    /// Its type, cleaned, where known.
+    #[serde(rename = "type")]
+    pub type_name: Option<String>,
+    /// Node names, cleaned.
+    pub publishers: Vec<String>,
+    /// Whether this profile watches it.
+    pub watched: bool,
+    /// Whether a simulated robot of this site publishes it.
+    pub simulated: bool,
+    /// Messages a second over the last 5 s; `None` = not measured.
+    pub hz: Option<f64>,
+    /// Bytes a second over the last 5 s; `None` = not measured.
+    pub bytes_per_second: Option<f64>,
+    /// Messages captured since it is watched.
+    pub messages: u64,
+    /// Lost before capture (header.seq gaps).
+    pub lost_in_transport: u64,
+    /// Dropped by the recorder.
+    pub lost_in_recorder: u64,
+    /// Arrival of the last message.
+    pub last_message: Option<Timestamp>,
+}
+
+/// One record in a list.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RecordView {
+    /// Short stable id (beginning of the digest).
+    pub id: String,
+    /// Whose it is (shared lists).
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub owner: Option<Address>,
+    /// Per recorder and topic, from 1.
+    pub seq: u64,
+    /// Topic name, cleaned.
+    pub topic: String,
+    /// Message type, cleaned.
+    #[serde(rename = "type")]
+    pub type_name: String,
+    /// Kind of record in one word.
+    pub kind: String,
+    /// State in one word.
+    pub state: String,
+    /// SM3 of the stored bytes.
+    pub digest: Digest,
+    /// Length of the message, bytes.
+    pub bytes: u64,
+    /// When it was captured.
+    pub captured_at: Timestamp,
+    /// The epoch that seals it.
+    pub epoch: u64,
+    /// Sent by a simulated robot.
+    pub simulated: bool,
+    /// The anchoring transaction.
+    pub transaction: Option<Hash>,
+    /// Its block.
+    pub block: Option<u64>,
+}
+
+/// A page of records.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RecordPage {
+    /// The records.
+    pub records: Vec<RecordView>,
+    /// Cursor of the next page.
+    pub next: Option<String>,
+}
+
+/// One record with where it came from and where it stands.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Provenance {
+    /// The record.
+    #[serde(flatten)]
+    pub record: RecordView,
+    /// Steps from message to verified, each with a word and its evidence.
+    pub steps: Vec<(String, String)>,
+}
+
+/// A file to be written by the caller.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ExportedFile {
+    /// Its name, no path.
+    pub name: String,
+    /// Its bytes.
+    pub bytes: Vec<u8>,
+}
+
+/// What the opening of a record showed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct OpenedView {
+    /// The record.
+    #[serde(flatten)]
+    pub record: RecordView,
+    /// What the checks found; nothing below is filled unless it is `verified` or `unanchored`.
+    pub verdict: Verdict,
+    /// The publisher's node name, cleaned.
+    pub caller_id: String,
+    /// Tags, cleaned.
+    pub tags: Vec<(String, String)>,
+    /// Field paths and values in order, cleaned, for screens.
+    pub fields: Vec<(String, String)>,
+    /// The message as JSON; long arrays summarised.
+    pub message: serde_json::Value,
+    /// The message's bytes as captured.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub body: Option<Vec<u8>>,
+    /// A picture's own bytes (JPEG, PNG) where the message is one.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub picture: Option<Vec<u8>>,
+}
+
+/// What a check of one record found.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct CheckView {
+    /// The record's id.
+    pub id: String,
+    /// What was found.
+    pub verdict: Verdict,
+    /// SM3 of the vault's bytes.
+    pub digest: Digest,
+    /// The anchoring transaction.
+    pub transaction: Option<Hash>,
+    /// Its block.
+    pub block: Option<u64>,
+}
+
+/// One grant, given or received.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct GrantRow {
+    /// `given` or `received`.
+    pub direction: String,
+    /// Who shares.
+    pub owner: Address,
+    /// Who reads.
+    pub grantee: Address,
+    /// From this epoch on (or the only epochs it opens, once revoked).
+    pub epoch: u64,
+    /// When it ends.
+    pub expires: Option<Timestamp>,
+    /// Topic names where known, else ids; empty = all topics.
+    pub topics: Vec<String>,
+    /// `active`, `revoked` or `expired`.
+    pub state: String,
+    /// Block of the grant.
+    pub block: u64,
+    /// Its transaction.
+    pub transaction: Hash,
+}
+
+/// The chain as seen from here.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ChainView {
+    /// `embedded` or `node`.
+    pub kind: String,
+    /// `poa`, `pow`, `unknown`.
+    pub consensus: String,
+    /// EIP-155 chain id.
+    pub chain_id: u64,
+    /// Hash of block 0.
+    pub genesis: Hash,
+    /// Newest block.
+    pub block: u64,
+    /// The contract, once deployed or configured.
+    pub contract: Option<Address>,
+    /// The profile's balance in wei, decimal.
+    pub balance: String,
+    /// The profile's next nonce.
+    pub nonce: u64,
+    /// Own transactions not yet in a block.
+    pub pending: u64,
+    /// The node's own name, cleaned.
+    pub client: String,
+}
+
+/// How a part of the site is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum HealthLevel {
+    /// Working.
+    Ok,
+    /// Starting, or trying again.
+    Waiting,
+    /// Not working; an operator is needed.
+    Failed,
+    /// Not part of this site.
+    Absent,
+}
+
+/// Health of one part.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PartHealth {
+    /// `ros`, `chain`, `vault` or `gateway`.
+    pub part: String,
+    /// How it is.
+    pub level: HealthLevel,
+    /// In words: `embedded master http://127.0.0.1:4711`, `retry in 4 s`.
+    pub text: String,
+}
+
+/// How many records passed each station of the life line (data records of one profile).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct LifeLine {
+    /// Taken from the topic.
+    pub captured: u64,
+    /// Sealed and fsynced.
+    pub sealed: u64,
+    /// In the vault.
+    pub stored: u64,
+    /// In a block.
+    pub anchored: u64,
+    /// Deep enough.
+    pub confirmed: u64,
+    /// Re-read and checked.
+    pub verified: u64,
+    /// Not yet verified.
+    pub pending: u64,
+    /// Held back.
+    pub quarantined: u64,
+    /// Dropped before acknowledgement, counted.
+    pub dropped: u64,
+    /// Differ from the chain.
+    pub tampered: u64,
+    /// Never arrived here (header.seq gaps).
+    pub lost_in_transport: u64,
+}
+
+/// The whole site at a glance.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SiteView {
+    /// Parts and how they are.
+    pub health: Vec<PartHealth>,
+    /// This profile's records.
+    pub life: LifeLine,
+    /// Simulated robots running.
+    pub robots: u16,
+    /// Profiles open in this site.
+    pub profiles: Vec<ProfileName>,
+}
+
+/// Figures of one topic in a capture's summary.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct TopicSummary {
+    /// Topic.
+    pub topic: String,
+    /// Type, where a message was seen.
+    #[serde(rename = "type")]
+    pub type_name: Option<String>,
+    /// Messages captured.
+    pub captured: u64,
+    /// Of these verified.
+    pub verified: u64,
+    /// Lost in transport or in the recorder.
+    pub lost: u64,
+}
+
+/// What a capture did.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct CaptureSummary {
+    /// Messages captured.
+    pub captured: u64,
+    /// Of these verified: re-read from the vault, digest equal to the chain, signature valid.
+    pub verified: u64,
+    /// Lost in transport or in the recorder.
+    pub lost: u64,
+    /// Left out on purpose (bag import).
+    pub skipped: u64,
+    /// Per topic.
+    pub topics: Vec<TopicSummary>,
+}
+
+/// What a transaction of the profile did (register, grant, revoke, rotate).
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TransactionView {
+    /// Its hash; `None` = nothing had to be sent.
+    pub transaction: Option<Hash>,
+    /// Its block.
+    pub block: Option<u64>,
+    /// The profile's epoch after it.
+    pub epoch: u64,
+    /// What was done, in words.
+    pub text: String,
+}
+
+/// One line of the audit log.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct AuditView {
+    /// Its number.
+    pub line: u64,
+    /// When.
+    pub at: Timestamp,
+    /// Which profile.
+    pub profile: String,
+    /// What was done.
+    pub action: String,
+    /// To what, cleaned.
+    pub subject: String,
+    /// How it ended.
+    pub outcome: String,
+}
+
+/// The answer to a command.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", tag = "reply", content = "with")]
+pub enum Reply {
+    /// Done, nothing to tell.
+    Done,
+    /// To identity commands.
+    Identity(IdentityView),
+    /// To `ListKeys` and `LoadKey`.
+    Keys(KeysView),
+    /// To `ExportKey`.
+    Key(SecretBytes),
+    /// To `ListTopics`.
+    Topics(Vec<TopicRow>),
+    /// To `Capture`.
+    Captured(CaptureSummary),
+    /// To lists of records.
+    Records(RecordPage),
+    /// To `ShowUpload`.
+    Provenance(Provenance),
+    /// To `ExportUpload`.
+    Files(Vec<ExportedFile>),
+    /// To commands that send a transaction.
+    Transaction(TransactionView),
+    /// To `ListGrants`.
+    Grants(Vec<GrantRow>),
+    /// To `CheckShared`.
+    Check(CheckView),
+    /// To `OpenShared`.
+    Opened(Box<OpenedView>),
+    /// To `ChainStatus`.
+    Chain(ChainView),
+    /// To `SiteStatus`.
+    Site(SiteView),
+    /// To `ListAudit`.
+    Audit(Vec<AuditView>),
+}
