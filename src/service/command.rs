@@ -123,8 +123,8 @@ pub enum Command {
     LoadKey {
         /// Which key.
         kind: KeyKind,
-        /// The file's bytes.
-        material: SecretBytes,
+        /// The file, absolute; 0600. Read by the site, which is of the same user.
+        path: std::path::PathBuf,
         /// Passphrase of a V3 keystore file.
         passphrase: Option<SecretText>,
     },

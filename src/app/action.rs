@@ -1,0 +1,197 @@
+//! What comes into `update` and what goes out of it.
+
+use zeroize::Zeroizing;
+
+use super::feed::Feed;
+use super::key::Key;
+use super::verb::Verb;
+use crate::model::{Address, Timestamp};
+use crate::service::reply::ExportedFile;
+use crate::service::{Command, Event, Failure, KeyKind, Reply};
+
+/// Everything that can happen to the console.
+#[derive(Debug)]
+pub enum Action {
+    /// The operator wants this done (palette, keymap, tests).
+    Do(Verb),
+    /// A key was pressed.
+    Key(Key),
+    /// Text was pasted.
+    Paste(Zeroizing<String>),
+    /// The terminal has a new size, in cells.
+    Resize {
+        /// Columns.
+        columns: u16,
+        /// Rows.
+        rows: u16,
+    },
+    /// What time it is.
+    Tick(Timestamp),
+    /// The site answered.
+    Answered {
+        /// Which question.
+        tag: Tag,
+        /// Its answer.
+        result: Result<Reply, Failure>,
+    },
+    /// The site tells something.
+    Told(Event),
+    /// Events were missed; everything is asked for again.
+    Missed,
+    /// A key file was read, or why not.
+    KeyFileRead {
+        /// Which key it should hold.
+        kind: KeyKind,
+        /// Passphrase of a V3 keystore, if one was given.
+        passphrase: Option<Zeroizing<String>>,
+        /// Its bytes.
+        result: Result<Zeroizing<Vec<u8>>, String>,
+    },
+    /// Files were written (where), or why not.
+    FilesWritten(Result<String, String>),
+    /// The theme is now this one.
+    ThemeIs(String),
+    /// The process was suspended and runs again.
+    Resumed,
+    /// A background task of this process failed.
+    Fault(String),
+}
+
+/// What the outside must do next. None of it may block `update`.
+#[derive(Debug)]
+pub enum Effect {
+    /// Send a command; its answer comes back under the tag.
+    Send(Command, Tag),
+    /// Leave the console.
+    Quit,
+    /// Leave the console because the site refuses it.
+    Leave(Failure),
+    /// Stop the process as Ctrl-Z does.
+    Suspend,
+    /// Draw everything anew.
+    Redraw,
+    /// Show the next theme.
+    NextTheme,
+    /// Give a text to the terminal's clipboard (OSC 52).
+    CopyText(String),
+    /// Write files into a new place below the working directory, 0600, never over others.
+    WriteFiles {
+        /// Directory to make, if any.
+        directory: Option<String>,
+        /// The files.
+        files: Vec<Contents>,
+    },
+    /// Read a key file (at most 64 KiB, only the owner may read it).
+    ReadKeyFile {
+        /// Which key it should hold.
+        kind: KeyKind,
+        /// Where it lies.
+        path: String,
+        /// Passphrase of a V3 keystore, if one was given.
+        passphrase: Option<Zeroizing<String>>,
+    },
+}
+
+/// One file to write.
+pub struct Contents {
+    /// Its name, no path.
+    pub name: String,
+    /// Its bytes.
+    pub bytes: Zeroizing<Vec<u8>>,
+}
+
+impl std::fmt::Debug for Contents {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(formatter, "Contents({}, {} bytes)", self.name, self.bytes.len())
+    }
+}
+
+impl From<ExportedFile> for Contents {
+    fn from(file: ExportedFile) -> Self {
+        Self { name: file.name, bytes: Zeroizing::new(file.bytes) }
+    }
+}
+
+/// A command on its way, with the tag of its answer.
+#[derive(Debug, Clone)]
+pub struct Errand {
+    /// What is asked.
+    pub command: Command,
+    /// How its answer is known.
+    pub tag: Tag,
+}
+
+/// Which question an answer belongs to.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Tag {
+    /// A feed's pull, with its generation.
+    Feed(Feed, u64),
+    /// The claim of the profile for this console.
+    OpenConsole,
+    /// Making of an identity.
+    CreateIdentity,
+    /// Opening of the keyring.
+    Unlock,
+    /// Registration on the chain.
+    Register,
+    /// Watching of a topic.
+    Watch(String),
+    /// End of the watching of a topic.
+    Unwatch(String),
+    /// A grant.
+    Grant(Address),
+    /// A revoke.
+    Revoke(Address),
+    /// Loading of a key.
+    LoadKey(KeyKind),
+    /// Handing out of a key.
+    ExportKey(KeyKind),
+    /// A new epoch.
+    Rotate,
+    /// Provenance of a record.
+    Show(String),
+    /// Opening of a record.
+    Open(String),
+    /// Check of a record.
+    Check(String),
+    /// Export of a record.
+    Export(String),
+}
+
+impl Tag {
+    /// Whether the work behind it changes something, so that quitting should wait or ask.
+    pub fn is_work(&self) -> bool {
+        !matches!(self, Self::Feed(..) | Self::OpenConsole | Self::Show(_) | Self::Open(_) | Self::Check(_))
+    }
+
+    /// What is under way, in words.
+    pub fn words(&self) -> String {
+        match self {
+            Self::Feed(..) => "asking the site".to_owned(),
+            Self::OpenConsole => "claiming the profile".to_owned(),
+            Self::CreateIdentity => "creating the identity".to_owned(),
+            Self::Unlock => "unlocking the keyring".to_owned(),
+            Self::Register => "registering on the chain".to_owned(),
+            Self::Watch(topic) => format!("watching {topic}"),
+            Self::Unwatch(topic) => format!("unwatching {topic}"),
+            Self::Grant(grantee) => format!("granting to {}", grantee.short()),
+            Self::Revoke(grantee) => format!("revoking {}", grantee.short()),
+            Self::LoadKey(kind) => format!("loading the {} key", kind_word(*kind)),
+            Self::ExportKey(kind) => format!("exporting the {} key", kind_word(*kind)),
+            Self::Rotate => "rotating the keys".to_owned(),
+            Self::Show(id) => format!("looking up {id}"),
+            Self::Open(id) => format!("opening {id}"),
+            Self::Check(id) => format!("checking {id}"),
+            Self::Export(id) => format!("exporting {id}"),
+        }
+    }
+}
+
+/// A kind of key as written on screen.
+pub fn kind_word(kind: KeyKind) -> &'static str {
+    match kind {
+        KeyKind::Sm4 => "SM4",
+        KeyKind::Sm2 => "SM2",
+        KeyKind::Eoa => "EOA",
+    }
+}

@@ -1,0 +1,71 @@
+//! Whether a verb can be done now, and if not, why, in a few words.
+
+use super::action::Tag;
+use super::screen::Screen;
+use super::screens::grants::{is_active, is_given};
+use super::state::State;
+use super::verb::{Verb, entry_of};
+
+/// Whether `verb` can be done now.
+///
+/// # Errors
+/// The reason why not.
+pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
+    let entry = entry_of(verb, state.screen).ok_or("unknown")?;
+    if entry.changes && state.settings.read_only {
+        return Err("read-only");
+    }
+    match verb {
+        Verb::Watch if state.screen == Screen::Overview => Ok(()),
+        Verb::CreateIdentity => create(state),
+        Verb::Unlock => unlock(state),
+        Verb::Register => register(state),
+        Verb::LoadKey | Verb::ExportKey | Verb::Rotate => identity(state),
+        Verb::Revoke => revoke(state),
+        Verb::Filter | Verb::Up | Verb::Down | Verb::PageUp | Verb::PageDown | Verb::First | Verb::Last => {
+            given(state.screen.has_table(), "no table here")
+        }
+        Verb::Sort => given(state.screen.sorts(), "nothing to sort here"),
+        Verb::Mark | Verb::MarkAll | Verb::Watch | Verb::Details | Verb::Open | Verb::Check | Verb::Export => {
+            given(entry.works_on(state.screen), "other screen")?;
+            given(!state.row_keys().is_empty(), "no row")
+        }
+        Verb::Copy => given(super::perform::copied(state).is_some(), "nothing here to copy"),
+        Verb::Level => given(state.screen == Screen::Log, "other screen"),
+        _ => Ok(()),
+    }
+}
+
+fn given(condition: bool, reason: &'static str) -> Result<(), &'static str> {
+    if condition { Ok(()) } else { Err(reason) }
+}
+
+fn create(state: &State) -> Result<(), &'static str> {
+    let identity = state.identity.as_ref().ok_or("site is starting")?;
+    given(!identity.exists, "exists already")?;
+    given(!state.work.contains(&Tag::CreateIdentity), "under way")
+}
+
+fn identity(state: &State) -> Result<(), &'static str> {
+    let identity = state.identity.as_ref().ok_or("site is starting")?;
+    given(identity.exists, "no identity yet")
+}
+
+fn unlock(state: &State) -> Result<(), &'static str> {
+    identity(state)?;
+    given(!state.identity.as_ref().is_some_and(|identity| identity.unlocked), "is unlocked")?;
+    given(!state.work.contains(&Tag::Unlock), "under way")
+}
+
+fn register(state: &State) -> Result<(), &'static str> {
+    identity(state)?;
+    given(!state.identity.as_ref().is_some_and(|identity| identity.registered), "is registered")?;
+    given(!state.work.contains(&Tag::Register), "under way")
+}
+
+fn revoke(state: &State) -> Result<(), &'static str> {
+    given(state.screen == Screen::Grants, "other screen")?;
+    let row = state.grants.selected().ok_or("no grant selected")?;
+    given(is_given(row), "not given by you")?;
+    given(is_active(row), "not active")
+}

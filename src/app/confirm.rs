@@ -1,0 +1,84 @@
+//! The questions before what cannot be taken back, with honest words.
+
+use super::action::{Errand, Tag, kind_word};
+use super::forms::GrantWish;
+use super::popup::Confirm;
+use super::screens::grants::{day, end, scope};
+use super::state::State;
+use crate::service::reply::GrantRow;
+use crate::service::{Command, Epochs, KeyKind, SecretBytes, SecretText};
+
+/// Before a grant: what it opens, and who can read already.
+pub fn grant(state: &State, wish: GrantWish) -> Confirm {
+    let topics: Vec<String> = wish.topics.iter().map(ToString::to_string).collect();
+    let epochs = match wish.epochs {
+        Epochs::Current => "records from the current epoch on",
+        Epochs::All => "all epochs, also what was recorded before",
+    };
+    let ends = wish.expires.map_or_else(|| "no end".to_owned(), |moment| format!("{} UTC", day(moment)));
+    let mut lines = vec![
+        format!("To       {}", wish.grantee),
+        format!("Topics   {}", if topics.is_empty() { scope(&topics) } else { topics.join(" ") }),
+        format!("Records  {epochs}"),
+        format!("Ends     {ends}"),
+        String::new(),
+    ];
+    lines.extend(readers(state, "Who can read this now:", None));
+    lines.push("A later revoke stops new records; what was read cannot be recalled.".to_owned());
+    Confirm { title: "Grant this?".to_owned(), lines, yes: "grant", errand: wish.errand() }
+}
+
+/// Before a revoke: what it does and what it cannot do.
+pub fn revoke(state: &State, row: &GrantRow) -> Confirm {
+    let mut lines = vec![
+        format!("{}  {}  {}", row.grantee, scope(&row.topics), end(row.expires)),
+        String::new(),
+        "The next record is sealed under a new key that this account does not get.".to_owned(),
+        "What was already read cannot be recalled, and records sealed before".to_owned(),
+        "stay readable to whoever holds their key.".to_owned(),
+        "This is a transaction; to share again, make a new grant.".to_owned(),
+        String::new(),
+    ];
+    lines.extend(readers(state, "Who can read afterwards:", Some(row)));
+    let errand = Errand { command: Command::Revoke { grantee: row.grantee }, tag: Tag::Revoke(row.grantee) };
+    Confirm { title: format!("Revoke {}?", row.grantee.short()), lines, yes: "revoke", errand }
+}
+
+/// Before a key takes another's place.
+pub fn load_key(kind: KeyKind, material: SecretBytes, passphrase: Option<SecretText>) -> Confirm {
+    let what = match kind {
+        KeyKind::Sm4 => "A new epoch begins under it; old records stay readable with their own keys.",
+        KeyKind::Sm2 => "The chain must be told of it: records are then signed by the new key.",
+        KeyKind::Eoa => "Your address on the chain changes: grants and records of the old one stay its own.",
+    };
+    let size = format!("The file holds {} bytes.", material.expose().len());
+    let lines = vec![size, what.to_owned(), "The present key is replaced; export it first if you need it.".to_owned()];
+    let errand = Errand { command: Command::LoadKey { kind, material, passphrase }, tag: Tag::LoadKey(kind) };
+    Confirm { title: format!("Replace the {} key?", kind_word(kind)), lines, yes: "replace", errand }
+}
+
+/// Before a new epoch.
+pub fn rotate() -> Confirm {
+    let lines = vec![
+        "The next record is sealed under a new key. Whoever may read still may:".to_owned(),
+        "their keys are wrapped anew. It is a transaction.".to_owned(),
+    ];
+    let errand = Errand { command: Command::RotateKeys, tag: Tag::Rotate };
+    Confirm { title: "Begin a new epoch?".to_owned(), lines, yes: "rotate", errand }
+}
+
+fn readers(state: &State, title: &str, without: Option<&GrantRow>) -> Vec<String> {
+    let readers = state.grants.readers(without.map(|row| row.grantee));
+    let mut lines = vec![title.to_owned()];
+    if state.awaits(super::feed::Feed::Grants) {
+        lines.push("  (the list of grants has not arrived yet)".to_owned());
+    } else if readers.is_empty() {
+        lines.push("  nobody but you".to_owned());
+    }
+    let more = readers.len().saturating_sub(5);
+    lines.extend(readers.into_iter().take(5).map(|reader| format!("  {reader}")));
+    if more > 0 {
+        lines.push(format!("  and {more} more"));
+    }
+    lines
+}

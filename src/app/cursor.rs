@@ -1,0 +1,144 @@
+//! Cursor, filter, order and marks of the table on screen, whichever it is.
+
+use super::feed::Feed;
+use super::key::Key;
+use super::screen::Screen;
+use super::screens::{grants, topics};
+use super::state::State;
+use super::table::Table;
+
+impl State {
+    /// The table on screen.
+    pub fn table(&self) -> Option<&Table> {
+        match self.screen {
+            Screen::Topics => Some(&self.topics.table),
+            Screen::Uploads => Some(&self.uploads.table),
+            Screen::Shared => Some(&self.shared.table),
+            Screen::Grants => Some(&self.grants.table),
+            Screen::Log => Some(&self.log.table),
+            Screen::Overview | Screen::Keys | Screen::Chain | Screen::Gateway => None,
+        }
+    }
+
+    /// The table on screen, to change.
+    pub fn table_mut(&mut self) -> Option<&mut Table> {
+        match self.screen {
+            Screen::Topics => Some(&mut self.topics.table),
+            Screen::Uploads => Some(&mut self.uploads.table),
+            Screen::Shared => Some(&mut self.shared.table),
+            Screen::Grants => Some(&mut self.grants.table),
+            Screen::Log => Some(&mut self.log.table),
+            Screen::Overview | Screen::Keys | Screen::Chain | Screen::Gateway => None,
+        }
+    }
+
+    /// The keys of the rows shown in the table on screen.
+    pub fn row_keys(&self) -> Vec<String> {
+        let ids = |rows: Vec<&crate::service::reply::RecordView>| rows.iter().map(|row| row.id.clone()).collect();
+        match self.screen {
+            Screen::Topics => self.topics.keys(),
+            Screen::Uploads => ids(self.uploads.visible(&self.topics.rows)),
+            Screen::Shared => ids(self.shared.visible(&self.topics.rows)),
+            Screen::Grants => self.grants.keys(),
+            Screen::Log => self.log.keys(),
+            Screen::Overview | Screen::Keys | Screen::Chain | Screen::Gateway => Vec::new(),
+        }
+    }
+
+    /// The key of the row under the cursor.
+    pub fn row_key(&self) -> Option<String> {
+        let keys = self.row_keys();
+        let position = self.table()?.position(&keys);
+        keys.into_iter().nth(position)
+    }
+
+    fn records_feed(&self) -> Option<Feed> {
+        match self.screen {
+            Screen::Uploads => Some(Feed::Uploads),
+            Screen::Shared => Some(Feed::Shared),
+            _ => None,
+        }
+    }
+}
+
+/// Moves the cursor; at the edge of a page of records the next or previous page is asked for.
+pub fn step(state: &mut State, by: isize) {
+    let keys = state.row_keys();
+    let moved = state.table_mut().is_some_and(|table| table.step(&keys, by));
+    if !moved {
+        turn_page(state, by);
+    }
+}
+
+/// To the first row of all, or to the last of the page.
+pub fn jump(state: &mut State, last: bool) {
+    if let (false, Some(feed)) = (last, state.records_feed()) {
+        records(state, feed).restart();
+        state.feeds.renew(feed);
+    }
+    let keys = state.row_keys();
+    if let Some(table) = state.table_mut() {
+        table.select(&keys, if last { usize::MAX } else { 0 });
+    }
+}
+
+fn turn_page(state: &mut State, by: isize) {
+    let Some(feed) = state.records_feed() else { return };
+    let records = records(state, feed);
+    let turned = if by > 0 { records.forward() } else { records.back() };
+    if turned {
+        state.feeds.renew(feed);
+    }
+}
+
+fn records(state: &mut State, feed: Feed) -> &mut super::screens::records::Records {
+    if feed == Feed::Shared { &mut state.shared } else { &mut state.uploads }
+}
+
+/// The next order of the table on screen.
+pub fn sort(state: &mut State) {
+    let orders = match state.screen {
+        Screen::Topics => topics::SORTS.len(),
+        Screen::Grants => grants::SORTS.len(),
+        _ => 2,
+    };
+    if let Some(table) = state.table_mut() {
+        table.sort = (table.sort + 1) % orders;
+    }
+    restart_records(state);
+}
+
+/// A key while a filter is typed.
+pub fn filter_key(state: &mut State, key: Key) {
+    if state.table_mut().is_some_and(|table| table.filter_key(key)) {
+        restart_records(state);
+    }
+}
+
+/// Text pasted while a filter is typed.
+pub fn filter_paste(state: &mut State, text: &str) {
+    if let Some(table) = state.table_mut().filter(|table| table.filtering) {
+        table.filter.insert(text);
+        restart_records(state);
+    }
+}
+
+/// The question changed, so the page in view begins anew.
+pub fn restart_records(state: &mut State) {
+    if let Some(feed) = state.records_feed() {
+        records(state, feed).restart();
+        state.feeds.renew(feed);
+    }
+}
+
+/// Marks every row shown, or takes all marks away.
+pub fn mark_all(state: &mut State) {
+    let keys = state.row_keys();
+    if let Some(table) = state.table_mut() {
+        if keys.iter().all(|key| table.marks.contains(key)) {
+            table.marks.clear();
+        } else {
+            table.marks.extend(keys);
+        }
+    }
+}

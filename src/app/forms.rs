@@ -1,0 +1,166 @@
+//! The forms the console opens, and what becomes of what was typed.
+
+use super::action::Errand;
+use super::action::Tag;
+use super::field::Field;
+use super::form::{Form, Line};
+use super::when;
+use crate::model::{Address, Timestamp, TopicName, grant::MOST_TOPICS};
+use crate::service::{Command, Epochs, KeyKind, SecretText};
+
+/// The shortest passphrase taken for a new keyring, characters.
+pub const SHORTEST_PASSPHRASE: usize = 8;
+
+/// The kinds of key, in the order of the choice.
+const KINDS: [KeyKind; 3] = [KeyKind::Sm4, KeyKind::Sm2, KeyKind::Eoa];
+const KIND_WORDS: &[&str] = &["SM4 (K_C, 16 bytes)", "SM2 (d_C, PEM)", "EOA (V3 keystore or hex)"];
+const EPOCH_WORDS: &[&str] = &["from now on", "all, also what was recorded before"];
+
+/// Asks for the passphrase of a new identity, twice.
+pub fn create_identity(profile: &str, notes: Vec<String>) -> Form {
+    let lines = vec![
+        Line::text("Passphrase", "at least 8 characters", Field::masked()),
+        Line::text("Once more", "", Field::masked()),
+    ];
+    Form::new(format!("New identity for profile {profile}"), notes, lines)
+}
+
+/// The command of a filled [`create_identity`].
+///
+/// # Errors
+/// The line that is wrong, and why.
+pub fn read_create(form: &Form) -> Result<Errand, (usize, String)> {
+    if form.text(0).chars().count() < SHORTEST_PASSPHRASE {
+        return Err((0, format!("use at least {SHORTEST_PASSPHRASE} characters")));
+    }
+    if form.text(0) != form.text(1) {
+        return Err((1, "the two differ; type the passphrase once more".to_owned()));
+    }
+    Ok(Errand { command: Command::CreateIdentity { passphrase: secret(form, 0) }, tag: Tag::CreateIdentity })
+}
+
+/// Asks for the passphrase of a locked keyring.
+pub fn unlock(profile: &str, notes: Vec<String>) -> Form {
+    let lines = vec![Line::text("Passphrase", "", Field::masked())];
+    Form::new(format!("Unlock the keyring of profile {profile}"), notes, lines)
+}
+
+/// The command of a filled [`unlock`].
+///
+/// # Errors
+/// The line that is wrong, and why.
+pub fn read_unlock(form: &Form) -> Result<Errand, (usize, String)> {
+    if form.text(0).is_empty() {
+        return Err((0, "type the passphrase, or leave with esc".to_owned()));
+    }
+    Ok(Errand { command: Command::Unlock { passphrase: secret(form, 0) }, tag: Tag::Unlock })
+}
+
+/// Asks whom to grant what.
+pub fn grant(topics: &[String]) -> Form {
+    let lines = vec![
+        Line::text("Address", "0x and 40 hex, from the reader's Keys screen", Field::default()),
+        Line::text("Topics", "empty = all topics; else names", Field::with(&topics.join(" "))),
+        Line::text("Ends", "empty = no end; 30d, 12h, 2026-12-31", Field::default()),
+        Line::choice("Records", EPOCH_WORDS),
+    ];
+    let notes = vec!["Lets another account open your records.".to_owned()];
+    Form::new("Grant", notes, lines)
+}
+
+/// The terms of a grant, as typed.
+#[derive(Debug, Clone)]
+pub struct GrantWish {
+    /// Who may read.
+    pub grantee: Address,
+    /// Only these; empty = all.
+    pub topics: Vec<TopicName>,
+    /// Which epochs.
+    pub epochs: Epochs,
+    /// When it ends.
+    pub expires: Option<Timestamp>,
+}
+
+impl GrantWish {
+    /// The command with these terms.
+    pub fn errand(self) -> Errand {
+        let Self { grantee, topics, epochs, expires } = self;
+        Errand { command: Command::Grant { grantee, topics, epochs, expires }, tag: Tag::Grant(grantee) }
+    }
+}
+
+/// The terms of a filled [`grant`].
+///
+/// # Errors
+/// The line that is wrong, and why.
+pub fn read_grant(form: &Form, own: Option<Address>, now: Timestamp) -> Result<GrantWish, (usize, String)> {
+    let grantee: Address = form.text(0).trim().parse().map_err(|error| (0, format!("{error}")))?;
+    if Some(grantee) == own {
+        return Err((0, "that is your own address; write the reader's".to_owned()));
+    }
+    let names = form.text(1).split([' ', ',']).filter(|name| !name.is_empty());
+    let topics: Vec<TopicName> = names.map(str::parse).collect::<Result<_, _>>().map_err(|error| (1, format!("{error}")))?;
+    if topics.len() > MOST_TOPICS {
+        return Err((1, format!("a grant covers at most {MOST_TOPICS} topics, or all")));
+    }
+    let expires = when::expiry(form.text(2), now).map_err(|error| (2, error))?;
+    let epochs = if form.chosen(3) == 0 { Epochs::Current } else { Epochs::All };
+    Ok(GrantWish { grantee, topics, epochs, expires })
+}
+
+/// Asks for a key file.
+pub fn load_key() -> Form {
+    let lines = vec![
+        Line::choice("Key", KIND_WORDS),
+        Line::text("File", "path; readable by you alone (mode 0600)", Field::default()),
+        Line::text("Passphrase", "only of a V3 keystore", Field::masked()),
+    ];
+    Form::new("Load a key file", vec!["Puts a key of your own in place of the present one.".to_owned()], lines)
+}
+
+/// Kind and path of a filled [`load_key`].
+///
+/// # Errors
+/// The line that is wrong, and why.
+pub fn read_load(form: &Form) -> Result<(KeyKind, String), (usize, String)> {
+    let path = form.text(1).trim();
+    if path.is_empty() {
+        return Err((1, "write the path of the key file".to_owned()));
+    }
+    Ok((kind(form), path.to_owned()))
+}
+
+/// Asks which key to hand out.
+pub fn export_key() -> Form {
+    let lines = vec![
+        Line::choice("Key", KIND_WORDS),
+        Line::text("Passphrase", "EOA: protects the V3 keystore", Field::masked()),
+        Line::text("Once more", "", Field::masked()),
+    ];
+    let notes = vec!["Writes a secret key into a file here. Whoever has it can act or read as you.".to_owned()];
+    Form::new("Export a key", notes, lines)
+}
+
+/// The command of a filled [`export_key`].
+///
+/// # Errors
+/// The line that is wrong, and why.
+pub fn read_export(form: &Form) -> Result<Errand, (usize, String)> {
+    let kind = kind(form);
+    if kind == KeyKind::Eoa && form.text(1).chars().count() < SHORTEST_PASSPHRASE {
+        return Err((1, format!("an EOA leaves only as a keystore; use at least {SHORTEST_PASSPHRASE} characters")));
+    }
+    if form.text(1) != form.text(2) {
+        return Err((2, "the two differ; type the passphrase once more".to_owned()));
+    }
+    let passphrase = (kind == KeyKind::Eoa).then(|| secret(form, 1));
+    Ok(Errand { command: Command::ExportKey { kind, passphrase }, tag: Tag::ExportKey(kind) })
+}
+
+fn kind(form: &Form) -> KeyKind {
+    KINDS.get(form.chosen(0)).copied().unwrap_or(KeyKind::Sm4)
+}
+
+fn secret(form: &Form, line: usize) -> SecretText {
+    SecretText::new(form.text(line).to_owned())
+}

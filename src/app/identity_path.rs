@@ -1,0 +1,131 @@
+//! Commands that need an identity: they wait while the operator is led through making,
+//! unlocking and registering one, and then go on their way.
+
+use super::action::{Effect, Errand, Tag};
+use super::feed::Feed;
+use super::forms;
+use super::popup::{Popup, Purpose};
+use super::state::State;
+use crate::service::{Command, Failure, Reply};
+
+/// How much of an identity a command needs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Need {
+    /// An open keyring.
+    Unlocked,
+    /// An open keyring and a registration on the chain.
+    Registered,
+}
+
+/// Commands waiting for an identity.
+#[derive(Debug)]
+pub struct IdentityPath {
+    need: Need,
+    registered: bool,
+    errands: Vec<Errand>,
+}
+
+/// Sends the errands as soon as the identity they need is there.
+pub fn run(state: &mut State, need: Need, errands: Vec<Errand>) -> Vec<Effect> {
+    match &mut state.identity_path {
+        Some(path) => {
+            path.need = path.need.max(need);
+            path.errands.extend(errands);
+        }
+        None => state.identity_path = Some(IdentityPath { need, registered: false, errands }),
+    }
+    advance(state)
+}
+
+/// Takes the next step of the path that waits, if any.
+pub fn advance(state: &mut State) -> Vec<Effect> {
+    let under_way = state.work.iter().any(|tag| matches!(tag, Tag::CreateIdentity | Tag::Unlock | Tag::Register));
+    let asking = state.popups.iter().any(is_identity_form);
+    let (Some(path), Some(identity)) = (&state.identity_path, &state.identity) else { return Vec::new() };
+    if under_way || asking {
+        return Vec::new();
+    }
+    if !identity.exists {
+        open_form(state, Purpose::CreateIdentity, None);
+    } else if !identity.unlocked {
+        open_form(state, Purpose::Unlock, None);
+    } else if path.need == Need::Registered && !identity.registered && !path.registered {
+        return vec![state.send(Errand { command: Command::Register, tag: Tag::Register })];
+    } else if let Some(path) = state.identity_path.take() {
+        return path.errands.into_iter().map(|errand| state.send(errand)).collect();
+    }
+    Vec::new()
+}
+
+/// The operator gave up; what waited is dropped and named.
+pub fn abandon(state: &mut State) {
+    if let Some(path) = state.identity_path.take() {
+        let dropped: Vec<String> = path.errands.iter().map(|errand| errand.tag.words()).collect();
+        if !dropped.is_empty() {
+            state.inform(format!("not done: {}", dropped.join(", ")));
+        }
+    }
+}
+
+/// An answer to one of the steps.
+pub fn answered(state: &mut State, tag: &Tag, result: Result<Reply, Failure>) -> Vec<Effect> {
+    state.feeds.renew(Feed::Identity);
+    state.feeds.slot_mut(Feed::Keys).stale = true;
+    match result {
+        Ok(reply) => stepped(state, tag, reply),
+        Err(failure) => {
+            refused(state, tag, &failure);
+            Vec::new()
+        }
+    }
+}
+
+fn stepped(state: &mut State, tag: &Tag, reply: Reply) -> Vec<Effect> {
+    match (tag, reply) {
+        (Tag::Register, reply) => {
+            let text = if let Reply::Transaction(done) = reply { done.text } else { "registered".to_owned() };
+            state.inform(text);
+            if let Some(path) = &mut state.identity_path {
+                path.registered = true;
+            }
+            advance(state)
+        }
+        (_, Reply::Identity(identity)) => {
+            state.identity = Some(identity);
+            state.inform(if *tag == Tag::Unlock { "keyring unlocked" } else { "identity created" });
+            advance(state)
+        }
+        // The pull of the identity that follows takes the next step.
+        _ => Vec::new(),
+    }
+}
+
+fn refused(state: &mut State, tag: &Tag, failure: &Failure) {
+    let purpose = match tag {
+        Tag::Unlock => Purpose::Unlock,
+        Tag::CreateIdentity => Purpose::CreateIdentity,
+        _ => {
+            state.complain_of(tag, failure);
+            return abandon(state);
+        }
+    };
+    open_form(state, purpose, Some(failure.message.clone()));
+}
+
+fn open_form(state: &mut State, purpose: Purpose, error: Option<String>) {
+    let profile = state.settings.profile.as_str();
+    let waiting = state.identity_path.iter().flat_map(|path| &path.errands);
+    let mut notes: Vec<String> = waiting.take(3).map(|errand| format!("then: {}", errand.tag.words())).collect();
+    let mut form = if purpose == Purpose::CreateIdentity {
+        notes.insert(0, "It protects your keys on this machine. Nobody can bring it back.".to_owned());
+        forms::create_identity(profile, notes)
+    } else {
+        forms::unlock(profile, notes)
+    };
+    form.error = error;
+    state.popups.push(Popup::Form(purpose, form));
+}
+
+fn is_identity_form(popup: &Popup) -> bool {
+    matches!(popup, Popup::Form(Purpose::CreateIdentity | Purpose::Unlock, _))
+}

@@ -1,0 +1,43 @@
+//! The console's state and the pure `update(state, action) -> effects`.
+//!
+//! Nothing here draws, reads a clock, touches a file or waits: time comes in as
+//! [`Action::Tick`], data as answers to the commands that went out as [`Effect`]s.
+//! [`verb`] is the one list of what an operator can do; keymap, palette, help and bottom
+//! bar are made from it.
+
+pub mod action;
+pub mod alerts;
+pub mod answer;
+pub mod available;
+pub mod confirm;
+pub mod cursor;
+pub mod feed;
+pub mod field;
+pub mod first_run;
+pub mod form;
+pub mod forms;
+pub mod fuzzy;
+pub mod identity_path;
+pub mod key;
+pub mod perform;
+pub mod popup;
+pub mod popup_keys;
+pub mod rates;
+pub mod screen;
+pub mod screens;
+pub mod state;
+pub mod table;
+pub mod toast;
+pub mod update;
+pub mod verb;
+pub mod when;
+
+#[cfg(test)]
+mod tests;
+
+pub use action::{Action, Contents, Effect, Errand, Tag};
+pub use key::Key;
+pub use screen::Screen;
+pub use state::{Settings, State};
+pub use update::update;
+pub use verb::Verb;

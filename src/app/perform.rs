@@ -1,0 +1,209 @@
+//! What each verb does.
+
+use super::action::{Effect, Errand, Tag};
+use super::available::available;
+use super::confirm;
+use super::cursor;
+use super::feed::Feed;
+use super::forms;
+use super::identity_path::{self, Need};
+use super::popup::{Lookup, Palette, Popup, Purpose};
+use super::screen::Screen;
+use super::screens::grants::other_side;
+use super::state::State;
+use super::verb::Verb;
+use crate::model::TopicName;
+use crate::service::Command;
+
+/// Does `verb`, or says why it cannot be done now.
+pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
+    if let Err(reason) = available(state, verb) {
+        let name = super::verb::entry_of(verb, state.screen).map_or("", |entry| entry.name);
+        state.inform(format!("{name}: {reason}"));
+        return Vec::new();
+    }
+    match verb {
+        Verb::Watch => watch(state),
+        Verb::Details => details(state),
+        Verb::Open => record(state, Tag::Open, |id| Command::OpenShared { id }, Need::Unlocked),
+        Verb::Check => send_for_row(state, Tag::Check, |id| Command::CheckShared { id }),
+        Verb::Export => send_for_row(state, Tag::Export, |id| Command::ExportUpload { id }),
+        Verb::CreateIdentity | Verb::Register => identity_path::run(state, Need::Registered, Vec::new()),
+        Verb::Unlock => identity_path::run(state, Need::Unlocked, Vec::new()),
+        Verb::Copy => copied(state).map(Effect::CopyText).into_iter().collect(),
+        Verb::Quit => quit(state),
+        Verb::NextTheme => vec![Effect::NextTheme],
+        Verb::Redraw => vec![Effect::Redraw],
+        Verb::Suspend => vec![Effect::Suspend],
+        Verb::Up => moved(state, -1),
+        Verb::Down => moved(state, 1),
+        Verb::PageUp => moved(state, -page(state)),
+        Verb::PageDown => moved(state, page(state)),
+        _ => {
+            quietly(state, verb);
+            Vec::new()
+        }
+    }
+}
+
+/// The verbs that only change what is shown.
+fn quietly(state: &mut State, verb: Verb) {
+    match verb {
+        Verb::Go(screen) => go(state, screen),
+        Verb::NextScreen => go(state, state.screen.shifted(1)),
+        Verb::PreviousScreen => go(state, state.screen.shifted(-1)),
+        Verb::First => cursor::jump(state, false),
+        Verb::Last => cursor::jump(state, true),
+        Verb::Mark => mark(state),
+        Verb::MarkAll => cursor::mark_all(state),
+        Verb::Filter => drop(state.table_mut().map(|table| table.filtering = true)),
+        Verb::Sort => cursor::sort(state),
+        Verb::Level => state.log.next_level(),
+        Verb::Freeze => state.paused = !state.paused,
+        Verb::Palette => state.popups.push(Popup::Palette(Palette::default())),
+        Verb::Help => state.popups.push(Popup::Help { scroll: 0 }),
+        Verb::Dismiss => dismiss(state),
+        Verb::Grant => grant(state),
+        Verb::Revoke => revoke(state),
+        Verb::LoadKey => state.popups.push(Popup::Form(Purpose::LoadKey, forms::load_key())),
+        Verb::ExportKey => state.popups.push(Popup::Form(Purpose::ExportKey, forms::export_key())),
+        Verb::Rotate => state.popups.push(Popup::Confirm(confirm::rotate())),
+        _ => {}
+    }
+}
+
+fn go(state: &mut State, screen: Screen) {
+    state.screen = screen;
+}
+
+fn moved(state: &mut State, by: isize) -> Vec<Effect> {
+    cursor::step(state, by);
+    Vec::new()
+}
+
+fn page(state: &State) -> isize {
+    isize::try_from(state.page_rows()).unwrap_or(1)
+}
+
+fn mark(state: &mut State) {
+    let key = state.row_key();
+    if let (Some(table), Some(key)) = (state.table_mut(), key) {
+        table.toggle_mark(&key);
+    }
+    let keys = state.row_keys();
+    state.table_mut().map(|table| table.step(&keys, 1));
+}
+
+fn dismiss(state: &mut State) {
+    if state.toasts.dismiss() {
+        return;
+    }
+    let mut changed = false;
+    if let Some(table) = state.table_mut() {
+        changed = !table.filter.text().is_empty();
+        table.filter.clear();
+        if !changed {
+            table.marks.clear();
+        }
+    }
+    if changed {
+        cursor::restart_records(state);
+    }
+}
+
+fn watch(state: &mut State) -> Vec<Effect> {
+    if state.screen == Screen::Overview {
+        go(state, Screen::Topics);
+        state.inform("choose with the arrows or mark with space, then w watches");
+        return Vec::new();
+    }
+    let targets: Vec<(String, bool)> =
+        state.topics.targets().into_iter().map(|row| (row.topic.clone(), row.watched)).collect();
+    let watches = targets.iter().any(|(_, watched)| !watched);
+    let wanted = targets.into_iter().filter(|(_, watched)| *watched != watches);
+    let mut errands = Vec::new();
+    for (topic, _) in wanted {
+        match topic.parse::<TopicName>() {
+            Ok(topic) => errands.push(watch_errand(topic, watches)),
+            Err(error) => state.complain(error.to_string()),
+        }
+    }
+    state.topics.table.marks.clear();
+    if watches {
+        return identity_path::run(state, Need::Registered, errands);
+    }
+    errands.into_iter().map(|errand| state.send(errand)).collect()
+}
+
+fn watch_errand(topic: TopicName, watch: bool) -> Errand {
+    let name = topic.to_string();
+    if watch {
+        Errand { command: Command::WatchTopic { topic, type_name: None }, tag: Tag::Watch(name) }
+    } else {
+        Errand { command: Command::UnwatchTopic { topic }, tag: Tag::Unwatch(name) }
+    }
+}
+
+fn details(state: &mut State) -> Vec<Effect> {
+    let Some(id) = state.row_key() else { return Vec::new() };
+    state.popups.push(Popup::Provenance(Lookup::new(&id)));
+    vec![state.send(Errand { command: Command::ShowUpload { id: id.clone() }, tag: Tag::Show(id) })]
+}
+
+fn record(state: &mut State, tag: fn(String) -> Tag, command: fn(String) -> Command, need: Need) -> Vec<Effect> {
+    let Some(id) = state.row_key() else { return Vec::new() };
+    identity_path::run(state, need, vec![Errand { command: command(id.clone()), tag: tag(id) }])
+}
+
+fn send_for_row(state: &mut State, tag: fn(String) -> Tag, command: fn(String) -> Command) -> Vec<Effect> {
+    let Some(id) = state.row_key() else { return Vec::new() };
+    let errand = Errand { command: command(id.clone()), tag: tag(id) };
+    if state.work.contains(&errand.tag) {
+        return Vec::new();
+    }
+    vec![state.send(errand)]
+}
+
+fn grant(state: &mut State) {
+    let topics: Vec<String> = match state.screen {
+        Screen::Topics => state.topics.table.marks.iter().cloned().collect(),
+        _ => Vec::new(),
+    };
+    state.popups.push(Popup::Form(Purpose::Grant, forms::grant(&topics)));
+}
+
+fn revoke(state: &mut State) {
+    let confirm = state.grants.selected().map(|row| confirm::revoke(state, row));
+    state.popups.extend(confirm.map(Popup::Confirm));
+}
+
+fn quit(state: &mut State) -> Vec<Effect> {
+    if !state.has_pending_work() {
+        return vec![Effect::Quit];
+    }
+    state.popups.push(Popup::Quit { waiting: false });
+    Vec::new()
+}
+
+/// What `copy` would copy now.
+pub fn copied(state: &State) -> Option<String> {
+    let digest = |rows: Vec<&crate::service::reply::RecordView>| {
+        let key = state.row_key()?;
+        rows.iter().find(|row| row.id == key).map(|row| row.digest.to_hex())
+    };
+    match state.screen {
+        Screen::Topics => state.row_key(),
+        Screen::Uploads => digest(state.uploads.visible(&state.topics.rows)),
+        Screen::Shared => digest(state.shared.visible(&state.topics.rows)),
+        Screen::Grants => state.grants.selected().map(|row| other_side(row).to_string()),
+        Screen::Keys => state.address().map(|address| address.to_string()),
+        Screen::Chain => state.chain.as_ref()?.contract.map(|contract| contract.to_string()),
+        _ => None,
+    }
+}
+
+/// The data a screen needs besides its own: grants are asked for before a confirmation.
+pub fn wants_grants(state: &State) -> Option<Feed> {
+    let asks = state.popups.iter().any(|popup| matches!(popup, Popup::Form(Purpose::Grant, _) | Popup::Confirm(_)));
+    asks.then_some(Feed::Grants)
+}

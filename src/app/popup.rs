@@ -1,0 +1,108 @@
+//! What can lie over a screen. The topmost popup has the keys; `q` or Esc closes it.
+
+use super::action::Errand;
+use super::field::Field;
+use super::form::Form;
+use super::fuzzy;
+use super::verb::{Entry, VERBS};
+use crate::service::Failure;
+use crate::service::reply::{OpenedView, Provenance};
+
+/// Something over the screen.
+#[derive(Debug)]
+pub enum Popup {
+    /// Every command by name.
+    Palette(Palette),
+    /// What each key does here.
+    Help {
+        /// First line shown.
+        scroll: usize,
+    },
+    /// Yes or no, default no.
+    Confirm(Confirm),
+    /// A form.
+    Form(Purpose, Form),
+    /// Where a record comes from and where it stands.
+    Provenance(Lookup<Provenance>),
+    /// An opened record.
+    Record(Lookup<OpenedView>),
+    /// Leaving while work is pending.
+    Quit {
+        /// Leave by itself once the work is done.
+        waiting: bool,
+    },
+}
+
+/// What a form is for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Purpose {
+    /// Passphrase of a new identity.
+    CreateIdentity,
+    /// Passphrase of a locked keyring.
+    Unlock,
+    /// Terms of a grant.
+    Grant,
+    /// A key file.
+    LoadKey,
+    /// Which key to hand out.
+    ExportKey,
+}
+
+/// A question answered by `y`; anything else is no.
+#[derive(Debug)]
+pub struct Confirm {
+    /// The question.
+    pub title: String,
+    /// What it means.
+    pub lines: Vec<String>,
+    /// The word beside `y`.
+    pub yes: &'static str,
+    /// What `y` sends.
+    pub errand: Errand,
+}
+
+/// Something asked for by id, shown when it comes.
+#[derive(Debug)]
+pub struct Lookup<T> {
+    /// What was asked for.
+    pub id: String,
+    /// The answer, when it came.
+    pub answer: Option<Result<Box<T>, Failure>>,
+    /// First line shown.
+    pub scroll: usize,
+}
+
+impl<T> Lookup<T> {
+    /// Asked for, not yet here.
+    pub fn new(id: &str) -> Self {
+        Self { id: id.to_owned(), answer: None, scroll: 0 }
+    }
+
+    /// The answer, where it came and is good.
+    pub fn found(&self) -> Option<&T> {
+        self.answer.as_ref()?.as_ref().ok().map(Box::as_ref)
+    }
+}
+
+/// Every command by name, narrowed by what is typed.
+#[derive(Debug, Default)]
+pub struct Palette {
+    /// What is typed.
+    pub field: Field,
+    /// Which of the matches.
+    pub selected: usize,
+}
+
+impl Palette {
+    /// The commands that match, best first.
+    pub fn matches(&self, read_only: bool) -> Vec<&'static Entry> {
+        let score = |entry: &&'static Entry| {
+            let name = fuzzy::score(self.field.text(), entry.name);
+            name.or_else(|| fuzzy::score(self.field.text(), entry.help).map(|score| score + 100))
+        };
+        let listed = VERBS.iter().filter(|entry| entry.palette && !(read_only && entry.changes));
+        let mut found: Vec<_> = listed.filter_map(|entry| score(&entry).map(|score| (score, entry))).collect();
+        found.sort_by_key(|(score, _)| *score);
+        found.into_iter().map(|(_, entry)| entry).collect()
+    }
+}

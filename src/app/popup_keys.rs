@@ -1,0 +1,218 @@
+//! Keys while a popup lies over the screen.
+
+use zeroize::Zeroizing;
+
+use super::action::{Contents, Effect};
+use super::available::available;
+use super::confirm;
+use super::form::{Form, FormStep};
+use super::forms;
+use super::identity_path::{self, Need};
+use super::key::Key;
+use super::perform::perform;
+use super::popup::{Confirm, Lookup, Palette, Popup, Purpose};
+use super::state::State;
+use crate::service::reply::OpenedView;
+
+/// A popup's keys, for the bottom bar: key and what it does.
+pub fn hints(popup: &Popup) -> Vec<(&'static str, &'static str)> {
+    match popup {
+        Popup::Palette(_) => vec![("enter", "do"), ("up down", "choose"), ("esc", "close")],
+        Popup::Help { .. } | Popup::Provenance(_) => vec![("up down", "scroll"), ("q", "close")],
+        Popup::Confirm(confirm) => vec![("y", confirm.yes), ("any other key", "no")],
+        Popup::Form(..) => vec![("enter", "next, then go on"), ("tab", "next field"), ("esc", "close")],
+        Popup::Record(lookup) => match lookup.found().and_then(writable) {
+            Some(_) => vec![("up down", "scroll"), ("W", "write to file"), ("y", "copy digest"), ("q", "close")],
+            None => vec![("up down", "scroll"), ("q", "close")],
+        },
+        Popup::Quit { waiting: false } => vec![("y", "quit now"), ("w", "quit when done"), ("any other key", "stay")],
+        Popup::Quit { waiting: true } => vec![("y", "quit now"), ("any other key", "stay")],
+    }
+}
+
+/// Gives a key to the topmost popup.
+pub fn popup_key(state: &mut State, key: Key) -> Vec<Effect> {
+    let Some(popup) = state.popups.pop() else { return Vec::new() };
+    let quitting = matches!(popup, Popup::Quit { .. });
+    let key = if key == Key::Control('c') && !quitting { Key::Escape } else { key };
+    match popup {
+        Popup::Palette(palette) => palette_key(state, palette, key),
+        Popup::Form(purpose, form) => form_key(state, purpose, form, key),
+        Popup::Confirm(confirm) => confirm_key(state, confirm, key),
+        Popup::Quit { .. } => quit_key(state, key),
+        Popup::Record(lookup) => record_key(state, lookup, key),
+        Popup::Provenance(mut lookup) => {
+            if let Some(scroll) = scrolled(lookup.scroll, key, state.page_rows()) {
+                let lines = lookup.found().map_or(0, |found| found.steps.len() * 3 + 8);
+                lookup.scroll = scroll.min(lines);
+                state.popups.push(Popup::Provenance(lookup));
+            }
+            Vec::new()
+        }
+        Popup::Help { scroll } => {
+            if let Some(scroll) = scrolled(scroll, key, state.page_rows()) {
+                state.popups.push(Popup::Help { scroll: scroll.min(super::verb::VERBS.len()) });
+            }
+            Vec::new()
+        }
+    }
+}
+
+/// Gives pasted text to the topmost popup.
+pub fn popup_paste(state: &mut State, text: &str) {
+    match state.popups.last_mut() {
+        Some(Popup::Form(_, form)) => form.paste(text),
+        Some(Popup::Palette(palette)) => palette.field.insert(text),
+        _ => {}
+    }
+}
+
+/// Where a key scrolls to; `None` = it closes.
+fn scrolled(scroll: usize, key: Key, page: usize) -> Option<usize> {
+    Some(match key {
+        Key::Escape | Key::Char('q' | '?') => return None,
+        Key::Up | Key::Char('k') => scroll.saturating_sub(1),
+        Key::Down | Key::Char('j') => scroll + 1,
+        Key::PageUp => scroll.saturating_sub(page),
+        Key::PageDown | Key::Char(' ') => scroll + page,
+        Key::Home => 0,
+        _ => scroll,
+    })
+}
+
+fn palette_key(state: &mut State, mut palette: Palette, key: Key) -> Vec<Effect> {
+    let matches = palette.matches(state.settings.read_only);
+    let last = matches.len().saturating_sub(1);
+    match key {
+        Key::Escape => return Vec::new(),
+        Key::Enter => {
+            let Some(entry) = matches.get(palette.selected.min(last)) else { return Vec::new() };
+            return perform(state, entry.verb);
+        }
+        Key::Up | Key::BackTab => palette.selected = palette.selected.min(last).saturating_sub(1),
+        Key::Down | Key::Tab => palette.selected = (palette.selected + 1).min(last),
+        _ => {
+            palette.field.key(key);
+            palette.selected = first_available(state, &palette);
+        }
+    }
+    state.popups.push(Popup::Palette(palette));
+    Vec::new()
+}
+
+fn first_available(state: &State, palette: &Palette) -> usize {
+    let matches = palette.matches(state.settings.read_only);
+    matches.iter().take(3).position(|entry| available(state, entry.verb).is_ok()).unwrap_or(0)
+}
+
+fn confirm_key(state: &mut State, confirm: Confirm, key: Key) -> Vec<Effect> {
+    if key != Key::Char('y') {
+        return Vec::new();
+    }
+    // The form that led here has done its work.
+    state.popups.retain(|popup| !matches!(popup, Popup::Form(Purpose::Grant | Purpose::LoadKey, _)));
+    identity_path::run(state, need_of(&confirm), vec![confirm.errand])
+}
+
+fn need_of(confirm: &Confirm) -> Need {
+    match confirm.errand.tag {
+        super::action::Tag::LoadKey(_) => Need::Unlocked,
+        _ => Need::Registered,
+    }
+}
+
+fn quit_key(state: &mut State, key: Key) -> Vec<Effect> {
+    match key {
+        Key::Char('y') | Key::Control('c') => vec![Effect::Quit],
+        Key::Char('w') => {
+            state.popups.push(Popup::Quit { waiting: true });
+            Vec::new()
+        }
+        _ => Vec::new(),
+    }
+}
+
+fn form_key(state: &mut State, purpose: Purpose, mut form: Form, key: Key) -> Vec<Effect> {
+    match form.key(key) {
+        FormStep::Stay => state.popups.push(Popup::Form(purpose, form)),
+        FormStep::Cancel if matches!(purpose, Purpose::CreateIdentity | Purpose::Unlock) => {
+            identity_path::abandon(state);
+        }
+        FormStep::Cancel => {}
+        FormStep::Submit => match submit(state, purpose, &form) {
+            Ok(effects) if purpose == Purpose::Grant || purpose == Purpose::LoadKey => {
+                // It stays below the question, for a "no" to come back to.
+                let at = state.popups.len() - usize::from(matches!(state.popups.last(), Some(Popup::Confirm(_))));
+                state.popups.insert(at, Popup::Form(purpose, form));
+                return effects;
+            }
+            Ok(effects) => return effects,
+            Err((line, error)) => {
+                form.refuse(line, error);
+                state.popups.push(Popup::Form(purpose, form));
+            }
+        },
+    }
+    Vec::new()
+}
+
+fn submit(state: &mut State, purpose: Purpose, form: &Form) -> Result<Vec<Effect>, (usize, String)> {
+    let errand = match purpose {
+        Purpose::CreateIdentity => forms::read_create(form)?,
+        Purpose::Unlock => forms::read_unlock(form)?,
+        Purpose::ExportKey => {
+            let errand = forms::read_export(form)?;
+            return Ok(identity_path::run(state, Need::Unlocked, vec![errand]));
+        }
+        Purpose::Grant => {
+            let wish = forms::read_grant(form, state.address(), state.now)?;
+            state.popups.push(Popup::Confirm(confirm::grant(state, wish)));
+            return Ok(Vec::new());
+        }
+        Purpose::LoadKey => {
+            let (kind, path) = forms::read_load(form)?;
+            let passphrase = form.field(2).filter(|field| !field.text().is_empty()).map(super::field::Field::secret);
+            return Ok(vec![Effect::ReadKeyFile { kind, path, passphrase }]);
+        }
+    };
+    Ok(vec![state.send(errand)])
+}
+
+fn record_key(state: &mut State, mut lookup: Lookup<OpenedView>, key: Key) -> Vec<Effect> {
+    let mut effects = Vec::new();
+    match key {
+        Key::Char('W') => effects.extend(lookup.found().and_then(writable).map(|file| Effect::WriteFiles {
+            directory: None,
+            files: vec![file],
+        })),
+        Key::Char('y') => effects.extend(lookup.found().map(|view| Effect::CopyText(view.record.digest.to_hex()))),
+        _ => match scrolled(lookup.scroll, key, state.page_rows()) {
+            Some(scroll) => lookup.scroll = scroll.min(lookup.found().map_or(0, |found| found.fields.len() + 8)),
+            None => return effects,
+        },
+    }
+    state.popups.push(Popup::Record(lookup));
+    effects
+}
+
+/// What `W` writes of an opened record: its picture, else its bytes, else its fields.
+fn writable(view: &OpenedView) -> Option<Contents> {
+    let stem: String = view.record.topic.trim_matches('/').chars().map(file_character).collect();
+    let named = |extension: &str, bytes: &[u8]| Contents {
+        name: format!("{stem}-{}.{extension}", view.record.seq),
+        bytes: Zeroizing::new(bytes.to_vec()),
+    };
+    if let Some(picture) = &view.picture {
+        let extension = if picture.starts_with(b"\x89PNG") { "png" } else { "jpg" };
+        return Some(named(extension, picture));
+    }
+    match &view.body {
+        Some(body) => Some(named("bin", body)),
+        None if view.message.is_null() => None,
+        None => Some(named("json", view.message.to_string().as_bytes())),
+    }
+}
+
+fn file_character(character: char) -> char {
+    if character.is_ascii_alphanumeric() { character } else { '_' }
+}

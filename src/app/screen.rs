@@ -1,0 +1,93 @@
+//! The nine screens and the data each of them shows.
+
+use super::feed::Feed;
+
+/// A screen; number keys 1 to 9 switch in this order.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Screen {
+    /// Health, life line, alerts, busiest topics, first steps.
+    Overview,
+    /// Topics of the ROS graph.
+    Topics,
+    /// Own records.
+    Uploads,
+    /// Records shared with this profile.
+    Shared,
+    /// Grants given and received.
+    Grants,
+    /// Identity and keys.
+    Keys,
+    /// The chain.
+    Chain,
+    /// The gateway.
+    Gateway,
+    /// Notices and audit lines.
+    Log,
+}
+
+impl Screen {
+    /// All, in order.
+    pub const ALL: [Self; 9] = [
+        Self::Overview,
+        Self::Topics,
+        Self::Uploads,
+        Self::Shared,
+        Self::Grants,
+        Self::Keys,
+        Self::Chain,
+        Self::Gateway,
+        Self::Log,
+    ];
+
+    /// Its title.
+    pub fn title(self) -> &'static str {
+        match self {
+            Self::Overview => "Overview",
+            Self::Topics => "Topics",
+            Self::Uploads => "Uploads",
+            Self::Shared => "Shared",
+            Self::Grants => "Grants",
+            Self::Keys => "Keys",
+            Self::Chain => "Chain",
+            Self::Gateway => "Gateway",
+            Self::Log => "Log",
+        }
+    }
+
+    /// Its place, from 0.
+    pub fn index(self) -> usize {
+        self as usize
+    }
+
+    /// The screen so many places on, around the corner.
+    pub fn shifted(self, by: isize) -> Self {
+        let count = Self::ALL.len().cast_signed();
+        let place = (self.index().cast_signed() + by).rem_euclid(count);
+        Self::ALL[place.cast_unsigned()]
+    }
+
+    /// The data it shows, besides what the header always shows.
+    pub fn feeds(self) -> &'static [Feed] {
+        match self {
+            Self::Overview => &[Feed::Topics, Feed::Grants],
+            Self::Topics => &[Feed::Topics],
+            Self::Uploads => &[Feed::Topics, Feed::Uploads],
+            Self::Shared => &[Feed::Topics, Feed::Shared],
+            Self::Grants => &[Feed::Grants],
+            Self::Keys => &[Feed::Keys],
+            Self::Chain => &[Feed::Chain],
+            Self::Gateway => &[],
+            Self::Log => &[Feed::Audit],
+        }
+    }
+
+    /// Whether it is a table with cursor, filter and sort.
+    pub fn has_table(self) -> bool {
+        matches!(self, Self::Topics | Self::Uploads | Self::Shared | Self::Grants | Self::Log)
+    }
+
+    /// Whether the lines of its table can be sorted by `s`.
+    pub fn sorts(self) -> bool {
+        matches!(self, Self::Topics | Self::Uploads | Self::Shared | Self::Grants)
+    }
+}

@@ -1,0 +1,106 @@
+//! The Grants screen, and the answer to *who can read this now?*
+
+use crate::app::fuzzy;
+use crate::app::table::Table;
+use crate::model::{Address, Timestamp, clean};
+use crate::service::reply::GrantRow;
+
+/// What sorts the table, in the order of `s`.
+pub const SORTS: [&str; 3] = ["newest", "account", "state"];
+/// The most grants kept.
+const MOST_GRANTS: usize = 2_000;
+
+/// Grants given and received.
+#[derive(Debug, Default)]
+pub struct Grants {
+    /// All rows, as they came.
+    pub rows: Vec<GrantRow>,
+    /// Cursor, filter, order.
+    pub table: Table,
+}
+
+/// Whether a grant was given by this profile.
+pub fn is_given(row: &GrantRow) -> bool {
+    row.direction == "given"
+}
+
+/// Whether a grant opens new records.
+pub fn is_active(row: &GrantRow) -> bool {
+    row.state == "active"
+}
+
+/// The other side of a grant.
+pub fn other_side(row: &GrantRow) -> Address {
+    if is_given(row) { row.grantee } else { row.owner }
+}
+
+/// What a row is known by.
+pub fn key(row: &GrantRow) -> String {
+    format!("{}{}{}{}", row.transaction, row.direction, row.grantee, row.epoch)
+}
+
+impl Grants {
+    /// Takes new rows over.
+    pub fn set(&mut self, mut rows: Vec<GrantRow>) {
+        rows.truncate(MOST_GRANTS);
+        self.rows = rows;
+    }
+
+    /// The rows to show, filtered and in order.
+    pub fn visible(&self) -> Vec<&GrantRow> {
+        let filter = self.table.filter.text();
+        let text = |row: &GrantRow| {
+            format!("{} {} {} {}", row.direction, row.state, other_side(row), row.topics.join(" "))
+        };
+        let mut rows: Vec<_> = self.rows.iter().filter(|row| fuzzy::score(filter, &text(row)).is_some()).collect();
+        match self.table.sort {
+            1 => rows.sort_by_key(|row| (other_side(row), std::cmp::Reverse(row.block))),
+            2 => rows.sort_by_key(|row| (row.state.clone(), std::cmp::Reverse(row.block))),
+            _ => rows.sort_by_key(|row| std::cmp::Reverse(row.block)),
+        }
+        rows
+    }
+
+    /// The keys of the rows shown.
+    pub fn keys(&self) -> Vec<String> {
+        self.visible().into_iter().map(key).collect()
+    }
+
+    /// The row of the cursor.
+    pub fn selected(&self) -> Option<&GrantRow> {
+        let rows = self.visible();
+        let keys: Vec<String> = rows.iter().map(|row| key(row)).collect();
+        rows.get(self.table.position(&keys)).copied()
+    }
+
+    /// Whether anything was ever given.
+    pub fn any_given(&self) -> bool {
+        self.rows.iter().any(is_given)
+    }
+
+    /// Who can read now, one line each; `but` is left out.
+    pub fn readers(&self, but: Option<Address>) -> Vec<String> {
+        let active = self.rows.iter().filter(|row| is_given(row) && is_active(row) && Some(row.grantee) != but);
+        active.map(|row| format!("{}  {}  {}", row.grantee, scope(&row.topics), end(row.expires))).collect()
+    }
+}
+
+/// What a grant covers, in words.
+pub fn scope(topics: &[String]) -> String {
+    match topics {
+        [] => "all topics".to_owned(),
+        [one] => clean(one, 60),
+        many => format!("{} topics", many.len()),
+    }
+}
+
+/// When a grant ends, in words.
+pub fn end(expires: Option<Timestamp>) -> String {
+    expires.map_or_else(|| "no end".to_owned(), |moment| format!("until {}", day(moment)))
+}
+
+/// `2026-12-31 23:59` UTC.
+pub fn day(moment: Timestamp) -> String {
+    let text = moment.to_string();
+    text.get(..16).map_or_else(|| text.clone(), |text| text.replace('T', " "))
+}

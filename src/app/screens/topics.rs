@@ -1,0 +1,111 @@
+//! The Topics screen: rows of the graph, their order and what was transferred lately.
+
+use std::cmp::Ordering;
+use std::collections::{BTreeMap, VecDeque};
+
+use crate::app::fuzzy;
+use crate::app::table::Table;
+use crate::model::Timestamp;
+use crate::service::reply::TopicRow;
+
+/// The most topics kept.
+const MOST_TOPICS: usize = 5_000;
+/// Samples of a topic's transfer rate kept for its sparkline.
+pub const SAMPLES: usize = 8;
+/// Time between two samples, nanoseconds.
+const SAMPLE_EVERY: u64 = 1_000_000_000;
+/// What sorts the table, in the order of `s`.
+pub const SORTS: [&str; 4] = ["name", "Hz", "bytes/s", "watched"];
+
+/// Topics of the graph.
+#[derive(Debug, Default)]
+pub struct Topics {
+    /// All rows, as they came.
+    pub rows: Vec<TopicRow>,
+    /// Cursor, filter, order, marks.
+    pub table: Table,
+    history: BTreeMap<String, VecDeque<f64>>,
+    sampled_at: Timestamp,
+}
+
+impl Topics {
+    /// Takes new rows over.
+    pub fn set(&mut self, mut rows: Vec<TopicRow>, now: Timestamp) {
+        rows.truncate(MOST_TOPICS);
+        self.rows = rows;
+        let rows = &self.rows;
+        self.table.marks.retain(|mark| rows.iter().any(|row| row.topic == *mark));
+        if now.0.saturating_sub(self.sampled_at.0) >= SAMPLE_EVERY {
+            self.sampled_at = now;
+            self.sample();
+        }
+    }
+
+    fn sample(&mut self) {
+        self.history.retain(|topic, _| self.rows.iter().any(|row| row.topic == *topic));
+        for row in &self.rows {
+            let samples = self.history.entry(row.topic.clone()).or_default();
+            samples.push_back(row.bytes_per_second.unwrap_or(0.0));
+            if samples.len() > SAMPLES {
+                samples.pop_front();
+            }
+        }
+    }
+
+    /// Bytes a second of a topic, oldest first.
+    pub fn samples(&self, topic: &str) -> Vec<f64> {
+        self.history.get(topic).map(|samples| samples.iter().copied().collect()).unwrap_or_default()
+    }
+
+    /// The rows to show, filtered and in order.
+    pub fn visible(&self) -> Vec<&TopicRow> {
+        let filter = self.table.filter.text();
+        let text = |row: &TopicRow| format!("{} {}", row.topic, row.type_name.as_deref().unwrap_or(""));
+        let mut rows: Vec<_> = self.rows.iter().filter(|row| fuzzy::score(filter, &text(row)).is_some()).collect();
+        rows.sort_by(|one, other| order(self.table.sort, one, other).then_with(|| one.topic.cmp(&other.topic)));
+        rows
+    }
+
+    /// The names of the rows shown.
+    pub fn keys(&self) -> Vec<String> {
+        self.visible().into_iter().map(|row| row.topic.clone()).collect()
+    }
+
+    /// The busiest, by Hz, then by name.
+    pub fn busiest(&self, limit: usize) -> Vec<&TopicRow> {
+        let mut rows: Vec<_> = self.rows.iter().collect();
+        rows.sort_by(|one, other| descending(one.hz, other.hz).then_with(|| one.topic.cmp(&other.topic)));
+        rows.truncate(limit);
+        rows
+    }
+
+    /// The row of the cursor.
+    pub fn selected(&self) -> Option<&TopicRow> {
+        let rows = self.visible();
+        let keys: Vec<&str> = rows.iter().map(|row| row.topic.as_str()).collect();
+        rows.get(self.table.position(&keys)).copied()
+    }
+
+    /// The marked rows, else the one of the cursor.
+    pub fn targets(&self) -> Vec<&TopicRow> {
+        if self.table.marks.is_empty() {
+            return self.selected().into_iter().collect();
+        }
+        self.rows.iter().filter(|row| self.table.marks.contains(&row.topic)).collect()
+    }
+}
+
+fn order(sort: usize, one: &TopicRow, other: &TopicRow) -> Ordering {
+    match sort {
+        1 => descending(one.hz, other.hz),
+        2 => descending(one.bytes_per_second, other.bytes_per_second),
+        3 => other.watched.cmp(&one.watched),
+        _ => Ordering::Equal,
+    }
+}
+
+/// Rates compared in whole tenths, so that rows do not swap places at every breath.
+fn descending(one: Option<f64>, other: Option<f64>) -> Ordering {
+    let tenths = |rate: Option<f64>| rate.map_or(-1.0, |rate| (rate * 10.0).round());
+    tenths(other).total_cmp(&tenths(one))
+}

@@ -1,0 +1,162 @@
+//! All the console knows and shows.
+
+use super::action::{Effect, Errand, Tag};
+use super::feed::{Feed, Feeds};
+use super::identity_path::IdentityPath;
+use super::popup::{Lookup, Popup};
+use super::rates::Rates;
+use super::screen::Screen;
+use super::screens::grants::Grants;
+use super::screens::log::Log;
+use super::screens::records::Records;
+use super::screens::topics::Topics;
+use super::toast::Toasts;
+use crate::model::{Address, ProfileName, Timestamp};
+use crate::service::reply::{ChainView, IdentityView, KeysView, SiteView};
+use crate::service::{Failure, NoticeLevel};
+
+/// Rows of the screen that are no table rows: header, tabs, title, columns, message, bar.
+pub const FRAME_ROWS: u16 = 6;
+
+/// What does not change while the console runs.
+#[derive(Debug, Clone, Default)]
+pub struct Settings {
+    /// The profile it speaks for.
+    pub profile: ProfileName,
+    /// Hide what changes keys, grants or records.
+    pub read_only: bool,
+}
+
+/// All the console knows and shows.
+#[derive(Debug)]
+pub struct State {
+    /// What does not change.
+    pub settings: Settings,
+    /// The last moment heard of.
+    pub now: Timestamp,
+    /// Columns and rows of the terminal.
+    pub size: (u16, u16),
+    /// The screen in view.
+    pub screen: Screen,
+    /// Whether the view stands still.
+    pub paused: bool,
+    /// How the questions to the site stand.
+    pub feeds: Feeds,
+    /// The profile's public side.
+    pub identity: Option<IdentityView>,
+    /// Its keys.
+    pub keys: Option<KeysView>,
+    /// The site at a glance.
+    pub site: Option<SiteView>,
+    /// How fast records flow.
+    pub rates: Rates,
+    /// The chain.
+    pub chain: Option<ChainView>,
+    /// The graph.
+    pub topics: Topics,
+    /// Own records.
+    pub uploads: Records,
+    /// Records of others.
+    pub shared: Records,
+    /// Grants.
+    pub grants: Grants,
+    /// Notices and audit.
+    pub log: Log,
+    /// What lies over the screen, topmost last.
+    pub popups: Vec<Popup>,
+    /// Messages.
+    pub toasts: Toasts,
+    /// What was asked and not yet answered, besides the feeds.
+    pub work: Vec<Tag>,
+    /// Commands that wait for an identity.
+    pub identity_path: Option<IdentityPath>,
+}
+
+impl State {
+    /// Before the first answer.
+    pub fn new(settings: Settings) -> Self {
+        Self {
+            settings,
+            now: Timestamp::default(),
+            size: (80, 24),
+            screen: Screen::Overview,
+            paused: false,
+            feeds: Feeds::default(),
+            identity: None,
+            keys: None,
+            site: None,
+            rates: Rates::default(),
+            chain: None,
+            topics: Topics::default(),
+            uploads: Records::default(),
+            shared: Records::default(),
+            grants: Grants::default(),
+            log: Log::default(),
+            popups: Vec::new(),
+            toasts: Toasts::default(),
+            work: Vec::new(),
+            identity_path: None,
+        }
+    }
+
+    /// How many table rows fit on the screen.
+    pub fn page_rows(&self) -> usize {
+        usize::from(self.size.1.saturating_sub(FRAME_ROWS)).max(1)
+    }
+
+    /// When time alone changes something; `None` = never.
+    pub fn deadline(&self) -> Option<Timestamp> {
+        [self.toasts.next_expiry(), self.feeds.next_retry(), self.rates.still_at()].into_iter().flatten().min()
+    }
+
+    /// Records not yet verified.
+    pub fn pending_records(&self) -> u64 {
+        self.site.as_ref().map_or(0, |site| site.life.pending)
+    }
+
+    /// Whether something would be left undone by leaving now.
+    pub fn has_pending_work(&self) -> bool {
+        self.pending_records() > 0 || self.work.iter().any(Tag::is_work)
+    }
+
+    /// The profile's address.
+    pub fn address(&self) -> Option<Address> {
+        self.identity.as_ref().and_then(|identity| identity.address)
+    }
+
+    /// Whether any topic is watched.
+    pub fn watches(&self) -> bool {
+        self.topics.rows.iter().any(|row| row.watched)
+    }
+
+    /// Whether a feed's data is being asked for the first time.
+    pub fn awaits(&self, feed: Feed) -> bool {
+        !self.feeds.slot(feed).loaded && self.feeds.slot(feed).failure.is_none()
+    }
+
+    /// Tells the operator something for 3 s.
+    pub fn inform(&mut self, text: impl Into<String>) {
+        self.toasts.push(NoticeLevel::Info, text.into(), self.now);
+    }
+
+    /// Tells the operator that something failed, until seen, and in the log.
+    pub fn complain(&mut self, text: impl Into<String>) {
+        let text = text.into();
+        self.log.notice(self.now, NoticeLevel::Error, &text);
+        self.toasts.push(NoticeLevel::Error, text, self.now);
+    }
+
+    /// Tells of a failed command.
+    pub fn complain_of(&mut self, tag: &Tag, failure: &Failure) {
+        self.complain(format!("{}: {}", tag.words(), failure.message));
+    }
+
+    /// Sends a command on its way; an opened record gets its popup at once.
+    pub fn send(&mut self, errand: Errand) -> Effect {
+        if let Tag::Open(id) = &errand.tag {
+            self.popups.push(Popup::Record(Lookup::new(id)));
+        }
+        self.work.push(errand.tag.clone());
+        Effect::Send(errand.command, errand.tag)
+    }
+}

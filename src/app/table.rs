@@ -1,0 +1,96 @@
+//! A table's cursor, filter, sort order and marks. Rows are known by their keys, so that the
+//! cursor stays on its row while the list lives.
+
+use std::collections::BTreeSet;
+
+use super::field::Field;
+use super::key::Key;
+
+/// State of one table.
+#[derive(Debug, Default)]
+pub struct Table {
+    selected: Option<String>,
+    index: usize,
+    follows_top: bool,
+    /// Text of the filter; empty = none.
+    pub filter: Field,
+    /// Whether the filter is being typed.
+    pub filtering: bool,
+    /// Which column sorts.
+    pub sort: usize,
+    /// Keys of the marked rows.
+    pub marks: BTreeSet<String>,
+}
+
+impl Table {
+    /// A table whose cursor, while on the first row, stays there as rows come in above.
+    pub fn following() -> Self {
+        Self { follows_top: true, ..Self::default() }
+    }
+
+    /// The row of the cursor among the rows shown now.
+    pub fn position<K: AsRef<str>>(&self, keys: &[K]) -> usize {
+        let found = self.selected.as_deref().and_then(|key| keys.iter().position(|other| other.as_ref() == key));
+        found.unwrap_or_else(|| self.index.min(keys.len().saturating_sub(1)))
+    }
+
+    /// Puts the cursor on a row.
+    pub fn select<K: AsRef<str>>(&mut self, keys: &[K], position: usize) {
+        self.index = position.min(keys.len().saturating_sub(1));
+        let bound = self.index > 0 || !self.follows_top;
+        self.selected = keys.get(self.index).filter(|_| bound).map(|key| key.as_ref().to_owned());
+    }
+
+    /// Moves the cursor by so many rows; false where it could not move.
+    pub fn step<K: AsRef<str>>(&mut self, keys: &[K], by: isize) -> bool {
+        let from = self.position(keys);
+        let wanted = from.saturating_add_signed(by).min(keys.len().saturating_sub(1));
+        self.select(keys, wanted);
+        wanted != from
+    }
+
+    /// Marks the row of the cursor, or takes its mark away.
+    pub fn toggle_mark(&mut self, key: &str) {
+        if !self.marks.remove(key) {
+            self.marks.insert(key.to_owned());
+        }
+    }
+
+    /// A key while the filter is typed; true where the filter's text may have changed.
+    pub fn filter_key(&mut self, key: Key) -> bool {
+        match key {
+            Key::Enter => self.filtering = false,
+            Key::Escape => {
+                self.filtering = false;
+                self.filter.clear();
+                return true;
+            }
+            _ => return self.filter.key(key),
+        }
+        false
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_cursor_stays_on_its_row_while_others_come_and_go() {
+        let mut table = Table::default();
+        table.step(&["a", "b", "c"], 1);
+        assert_eq!(table.position(&["x", "y", "a", "b"]), 3);
+        assert_eq!(table.position(&["x"]), 0);
+        assert_eq!(table.position::<&str>(&[]), 0);
+        assert!(!table.step::<&str>(&[], 1));
+    }
+
+    #[test]
+    fn on_the_first_row_a_following_table_stays_with_the_newest() {
+        let mut table = Table::following();
+        table.select(&["new", "old"], 0);
+        assert_eq!(table.position(&["newer", "new", "old"]), 0);
+        table.step(&["newer", "new", "old"], 1);
+        assert_eq!(table.position(&["newest", "newer", "new", "old"]), 2);
+    }
+}

@@ -1,0 +1,192 @@
+//! One action in, the state changed, effects out. Never waits, never fails.
+
+use zeroize::Zeroizing;
+
+use super::action::{Action, Effect, Errand, Tag};
+use super::answer::answered;
+use super::confirm;
+use super::cursor;
+use super::feed::Feed;
+use super::key::Key;
+use super::perform::{perform, wants_grants};
+use super::popup::{Popup, Purpose};
+use super::popup_keys::{popup_key, popup_paste};
+use super::screens::log::MOST_AUDIT;
+use super::state::State;
+use super::verb::{Verb, verb_for};
+use crate::model::Timestamp;
+use crate::service::{Command, Event, KeyKind, Part, SecretBytes, SecretText};
+
+/// The first effects of a console: claim the profile, ask for what is on screen.
+pub fn start(state: &mut State) -> Vec<Effect> {
+    let claim = Errand { command: Command::OpenConsole, tag: Tag::OpenConsole };
+    let mut effects = vec![state.send(claim)];
+    effects.extend(pull(state));
+    effects
+}
+
+/// Takes one action.
+pub fn update(state: &mut State, action: Action) -> Vec<Effect> {
+    let mut effects = act(state, action);
+    let leaves = matches!(state.popups.last(), Some(Popup::Quit { waiting: true })) && !state.has_pending_work();
+    if leaves {
+        effects.push(Effect::Quit);
+    }
+    effects.extend(pull(state));
+    effects
+}
+
+fn act(state: &mut State, action: Action) -> Vec<Effect> {
+    match action {
+        Action::Do(verb) => return perform(state, verb),
+        Action::Key(key) => return pressed(state, key),
+        Action::Answered { tag, result } => return answered(state, &tag, result),
+        Action::Told(event) => return told(state, event),
+        Action::KeyFileRead { kind, passphrase, result } => key_file_read(state, kind, passphrase, result),
+        Action::Paste(text) if state.popups.is_empty() => cursor::filter_paste(state, &text),
+        Action::Paste(text) => popup_paste(state, &text),
+        Action::Resize { columns, rows } => resize(state, columns, rows),
+        Action::Tick(now) => tick(state, now),
+        Action::Missed => state.feeds.touch_all(),
+        Action::FilesWritten(Ok(place)) => state.inform(format!("written: {place}")),
+        Action::FilesWritten(Err(error)) | Action::Fault(error) => state.complain(error),
+        Action::ThemeIs(name) => state.inform(format!("theme: {name}")),
+        Action::Resumed => {
+            state.feeds.touch_all();
+            state.inform("resumed; a site inside this console stood still meanwhile");
+        }
+    }
+    Vec::new()
+}
+
+fn pressed(state: &mut State, key: Key) -> Vec<Effect> {
+    match key {
+        Key::Control('z') => return perform(state, Verb::Suspend),
+        Key::Control('l') => return perform(state, Verb::Redraw),
+        _ => {}
+    }
+    if !state.popups.is_empty() {
+        return popup_key(state, key);
+    }
+    if state.table().is_some_and(|table| table.filtering) && key != Key::Control('c') {
+        return filter_or_move(state, key);
+    }
+    verb_for(key, state.screen).map_or_else(Vec::new, |verb| perform(state, verb))
+}
+
+fn filter_or_move(state: &mut State, key: Key) -> Vec<Effect> {
+    match key {
+        Key::Up => return perform(state, Verb::Up),
+        Key::Down => return perform(state, Verb::Down),
+        _ => cursor::filter_key(state, key),
+    }
+    Vec::new()
+}
+
+fn told(state: &mut State, event: Event) -> Vec<Effect> {
+    match event {
+        Event::Changed { part } => {
+            state.feeds.touch(part);
+            if part == Part::Uploads { refresh_provenance(state) } else { Vec::new() }
+        }
+        Event::Notice { at, level, text } => {
+            state.log.notice(at, level, &text);
+            state.feeds.slot_mut(Feed::Audit).stale = true;
+            state.toasts.push(level, text, state.now);
+            Vec::new()
+        }
+    }
+}
+
+/// An open provenance view follows its record until that is verified.
+fn refresh_provenance(state: &mut State) -> Vec<Effect> {
+    let Some(Popup::Provenance(lookup)) = state.popups.last() else { return Vec::new() };
+    let settled = lookup.found().is_some_and(|found| found.record.state == "verified");
+    let (id, tag) = (lookup.id.clone(), Tag::Show(lookup.id.clone()));
+    if settled || state.paused || state.work.contains(&tag) {
+        return Vec::new();
+    }
+    vec![state.send(Errand { command: Command::ShowUpload { id }, tag })]
+}
+
+fn key_file_read(
+    state: &mut State,
+    kind: KeyKind,
+    passphrase: Option<Zeroizing<String>>,
+    result: Result<Zeroizing<Vec<u8>>, String>,
+) {
+    match result {
+        Ok(bytes) => {
+            let passphrase = passphrase.map(|text| SecretText::new(text.to_string()));
+            let confirm = confirm::load_key(kind, SecretBytes::new(bytes.to_vec()), passphrase);
+            state.popups.push(Popup::Confirm(confirm));
+        }
+        Err(error) => match state.popups.last_mut() {
+            Some(Popup::Form(Purpose::LoadKey, form)) => form.refuse(1, error),
+            _ => state.complain(error),
+        },
+    }
+}
+
+fn resize(state: &mut State, columns: u16, rows: u16) {
+    let before = state.page_rows();
+    state.size = (columns, rows);
+    if state.page_rows() != before {
+        state.feeds.renew(Feed::Uploads);
+        state.feeds.renew(Feed::Shared);
+    }
+}
+
+fn tick(state: &mut State, now: Timestamp) {
+    state.now = now;
+    state.toasts.expire(now);
+    state.feeds.retry(now);
+    state.rates.settle(now);
+}
+
+/// Asks for what is on screen and out of date, one question per feed at a time.
+fn pull(state: &mut State) -> Vec<Effect> {
+    let always = [Feed::Site, Feed::Identity];
+    let wanted = always.iter().chain(state.screen.feeds()).copied().chain(wants_grants(state));
+    let wanted: Vec<Feed> = wanted.collect();
+    wanted.into_iter().filter_map(|feed| ask(state, feed)).collect()
+}
+
+fn ask(state: &mut State, feed: Feed) -> Option<Effect> {
+    let slot = state.feeds.slot(feed);
+    let held = state.paused && slot.loaded && feed != Feed::Identity;
+    if !slot.stale || slot.outstanding || held {
+        return None;
+    }
+    let command = question(state, feed)?;
+    let slot = state.feeds.slot_mut(feed);
+    slot.stale = false;
+    slot.outstanding = true;
+    Some(Effect::Send(command, Tag::Feed(feed, slot.generation)))
+}
+
+/// The command of a feed; `None` while there is nothing to ask about.
+fn question(state: &State, feed: Feed) -> Option<Command> {
+    let exists = state.identity.as_ref().is_some_and(|identity| identity.exists);
+    let rows = state.page_rows();
+    match feed {
+        Feed::Site => Some(Command::SiteStatus),
+        Feed::Identity => Some(Command::ShowIdentity),
+        Feed::Topics => Some(Command::ListTopics),
+        Feed::Chain => Some(Command::ChainStatus),
+        Feed::Audit => Some(Command::ListAudit { limit: MOST_AUDIT }),
+        Feed::Keys => exists.then_some(Command::ListKeys),
+        Feed::Grants => exists.then_some(Command::ListGrants),
+        Feed::Uploads => exists.then(|| Command::ListUploads(state.uploads.query(&state.topics.rows, rows))),
+        Feed::Shared => exists.then(|| Command::ListShared(state.shared.query(&state.topics.rows, rows))),
+    }
+}
+
+/// Information for the message line that is no toast: what is under way.
+pub fn under_way(state: &State) -> Option<String> {
+    let mut work = state.work.iter().filter(|tag| tag.is_work());
+    let first = work.next()?;
+    let more = work.count();
+    Some(if more > 0 { format!("{} and {more} more", first.words()) } else { first.words() })
+}
+

@@ -1,0 +1,244 @@
+//! The one list of what an operator can do: keymap, palette, help and bottom bar are made
+//! from it, and tests speak in it.
+
+use super::key::Key;
+use super::screen::Screen;
+
+/// Something an operator can do.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Verb {
+    /// To a screen.
+    Go(Screen),
+    /// To the next screen.
+    NextScreen,
+    /// To the screen before.
+    PreviousScreen,
+    /// Cursor up.
+    Up,
+    /// Cursor down.
+    Down,
+    /// A page up.
+    PageUp,
+    /// A page down.
+    PageDown,
+    /// To the first row.
+    First,
+    /// To the last row.
+    Last,
+    /// Mark the row.
+    Mark,
+    /// Mark every row shown, or none.
+    MarkAll,
+    /// Type a filter.
+    Filter,
+    /// Sort by the next column.
+    Sort,
+    /// Watch or unwatch the marked topics, or the selected one.
+    Watch,
+    /// Provenance of the record.
+    Details,
+    /// Check, decrypt and show the record.
+    Open,
+    /// Check the record against the chain.
+    Check,
+    /// Write the record's files for others to check.
+    Export,
+    /// Make an identity.
+    CreateIdentity,
+    /// Open the keyring.
+    Unlock,
+    /// Put the identity on the chain.
+    Register,
+    /// Load a key file.
+    LoadKey,
+    /// Write a key into a file.
+    ExportKey,
+    /// Begin a new epoch.
+    Rotate,
+    /// Share.
+    Grant,
+    /// Stop sharing.
+    Revoke,
+    /// Copy what the cursor is on.
+    Copy,
+    /// Show only more urgent lines of the log.
+    Level,
+    /// Stand still while capture goes on.
+    Freeze,
+    /// Every command by name.
+    Palette,
+    /// What the keys do.
+    Help,
+    /// The message was seen.
+    Dismiss,
+    /// Next theme.
+    NextTheme,
+    /// Draw anew.
+    Redraw,
+    /// Back to the shell for a while.
+    Suspend,
+    /// Leave.
+    Quit,
+}
+
+/// One entry of the list.
+#[derive(Debug)]
+pub struct Entry {
+    /// What is done.
+    pub verb: Verb,
+    /// Its name in the palette.
+    pub name: &'static str,
+    /// The short word of the bottom bar; empty = not in the bar.
+    pub label: &'static str,
+    /// A line of help.
+    pub help: &'static str,
+    /// The preset keys.
+    pub keys: &'static [Key],
+    /// Where the keys work; empty = on every screen.
+    pub on: &'static [Screen],
+    /// Whether it changes keys, grants or records; hidden when read-only.
+    pub changes: bool,
+    /// Whether the palette lists it.
+    pub palette: bool,
+}
+
+const TABLES: &[Screen] = &[Screen::Topics, Screen::Uploads, Screen::Shared, Screen::Grants, Screen::Log];
+const SORTED: &[Screen] = &[Screen::Topics, Screen::Uploads, Screen::Shared, Screen::Grants];
+const COPIED: &[Screen] =
+    &[Screen::Topics, Screen::Uploads, Screen::Shared, Screen::Grants, Screen::Keys, Screen::Chain];
+
+const fn entry(verb: Verb, name: &'static str, label: &'static str, keys: &'static [Key], help: &'static str) -> Entry {
+    Entry { verb, name, label, help, keys, on: &[], changes: false, palette: true }
+}
+
+impl Entry {
+    const fn on(mut self, screens: &'static [Screen]) -> Self {
+        self.on = screens;
+        self
+    }
+
+    const fn changing(mut self) -> Self {
+        self.changes = true;
+        self
+    }
+
+    const fn unlisted(mut self) -> Self {
+        self.palette = false;
+        self
+    }
+
+    /// Whether its keys work on a screen.
+    pub fn works_on(&self, screen: Screen) -> bool {
+        self.on.is_empty() || self.on.contains(&screen)
+    }
+}
+
+/// Everything an operator can do; what belongs to one screen comes first.
+pub static VERBS: &[Entry] = &[
+    entry(Verb::Mark, "mark", "mark", &[Key::Char(' ')], "Mark the row; commands then act on the marked rows")
+        .on(&[Screen::Topics]),
+    entry(Verb::MarkAll, "mark-all", "all", &[Key::Char('a')], "Mark every row shown, or take all marks away")
+        .on(&[Screen::Topics]),
+    entry(Verb::Watch, "watch", "watch", &[Key::Char('w')], "Watch or unwatch the marked topics, or the selected one")
+        .on(&[Screen::Overview, Screen::Topics])
+        .changing(),
+    entry(Verb::Details, "provenance", "provenance", &[Key::Enter], "Every step from message to verified")
+        .on(&[Screen::Uploads]),
+    entry(Verb::Open, "open", "open", &[Key::Enter, Key::Char('o')], "Check, decrypt and show the record")
+        .on(&[Screen::Shared]),
+    entry(Verb::Open, "open-own", "open", &[Key::Char('o')], "Check, decrypt and show an own record")
+        .on(&[Screen::Uploads])
+        .unlisted(),
+    entry(Verb::Check, "check", "check", &[Key::Char('c')], "Compare the stored bytes with the chain and the signature")
+        .on(&[Screen::Shared]),
+    entry(Verb::Export, "export", "export", &[Key::Char('e')], "Write the record's files for others to check")
+        .on(&[Screen::Uploads]),
+    entry(Verb::Grant, "grant", "grant", &[Key::Char('g')], "Let another account open your records")
+        .on(&[Screen::Overview, Screen::Topics, Screen::Grants])
+        .changing(),
+    entry(Verb::Revoke, "revoke", "revoke", &[Key::Char('x')], "Stop sharing: the next record is sealed under a new key")
+        .on(&[Screen::Grants])
+        .changing(),
+    entry(Verb::CreateIdentity, "create-identity", "new identity", &[Key::Char('n')], "Make keys and register them")
+        .on(&[Screen::Overview, Screen::Keys])
+        .changing(),
+    entry(Verb::Unlock, "unlock", "unlock", &[Key::Char('u')], "Open the keyring with its passphrase"),
+    entry(Verb::Register, "register", "register", &[Key::Char('R')], "Put the identity on the chain")
+        .on(&[Screen::Keys])
+        .changing(),
+    entry(Verb::LoadKey, "load-key", "load key", &[Key::Char('L')], "Put a key from a file in place of the present one")
+        .on(&[Screen::Overview, Screen::Keys])
+        .changing(),
+    entry(Verb::Rotate, "rotate-keys", "rotate", &[Key::Char('r')], "Begin a new epoch under a new key")
+        .on(&[Screen::Keys])
+        .changing(),
+    entry(Verb::ExportKey, "export-key", "export", &[Key::Char('e')], "Write a secret key into a file")
+        .on(&[Screen::Keys])
+        .changing(),
+    entry(Verb::Level, "log-level", "level", &[Key::Char('l')], "All lines, warnings and errors, or errors only")
+        .on(&[Screen::Log]),
+    entry(Verb::Filter, "filter", "filter", &[Key::Char('/')], "Show only rows that match").on(TABLES),
+    entry(Verb::Sort, "sort", "sort", &[Key::Char('s')], "Sort by the next column").on(SORTED),
+    entry(Verb::Copy, "copy", "copy", &[Key::Char('y')], "Send name, digest or address to the terminal's clipboard")
+        .on(COPIED),
+    entry(Verb::Freeze, "freeze", "freeze", &[Key::Char('f')], "Stand still while capture goes on"),
+    entry(Verb::Palette, "palette", "commands", &[Key::Char(':')], "Every command by name").unlisted(),
+    entry(Verb::Help, "help", "help", &[Key::Char('?')], "What the keys do here"),
+    entry(Verb::Quit, "quit", "quit", &[Key::Char('q'), Key::Control('c')], "Leave; asks when work is pending"),
+    entry(Verb::Up, "up", "", &[Key::Up, Key::Char('k')], "Cursor up").on(TABLES).unlisted(),
+    entry(Verb::Down, "down", "", &[Key::Down, Key::Char('j')], "Cursor down").on(TABLES).unlisted(),
+    entry(Verb::PageUp, "page-up", "", &[Key::PageUp, Key::Control('u')], "Page up").on(TABLES).unlisted(),
+    entry(Verb::PageDown, "page-down", "", &[Key::PageDown, Key::Control('d')], "Page down").on(TABLES).unlisted(),
+    entry(Verb::First, "first", "", &[Key::Home], "To the first row").on(TABLES).unlisted(),
+    entry(Verb::Last, "last", "", &[Key::End, Key::Char('G')], "To the last row").on(TABLES).unlisted(),
+    entry(Verb::NextScreen, "next-screen", "", &[Key::Tab], "To the next screen"),
+    entry(Verb::PreviousScreen, "previous-screen", "", &[Key::BackTab], "To the screen before"),
+    entry(Verb::Go(Screen::Overview), "go-overview", "", &[Key::Char('1')], "Health, life line, alerts, busiest topics"),
+    entry(Verb::Go(Screen::Topics), "go-topics", "", &[Key::Char('2')], "Topics of the ROS graph"),
+    entry(Verb::Go(Screen::Uploads), "go-uploads", "", &[Key::Char('3')], "Your records and their states"),
+    entry(Verb::Go(Screen::Shared), "go-shared", "", &[Key::Char('4')], "Records others share with you"),
+    entry(Verb::Go(Screen::Grants), "go-grants", "", &[Key::Char('5')], "Who may read, given and received"),
+    entry(Verb::Go(Screen::Keys), "go-keys", "", &[Key::Char('6')], "Your identity and keys"),
+    entry(Verb::Go(Screen::Chain), "go-chain", "", &[Key::Char('7')], "The chain"),
+    entry(Verb::Go(Screen::Gateway), "go-gateway", "", &[Key::Char('8')], "The gateway"),
+    entry(Verb::Go(Screen::Log), "go-log", "", &[Key::Char('9')], "Notices and audit lines"),
+    entry(Verb::Dismiss, "dismiss", "", &[Key::Escape], "The message was seen; take the filter and marks away"),
+    entry(Verb::NextTheme, "next-theme", "", &[Key::Char('T')], "Next theme: night, day, contrast, mono"),
+    entry(Verb::Redraw, "redraw", "", &[Key::Control('l')], "Draw the screen anew"),
+    entry(Verb::Suspend, "suspend", "", &[Key::Control('z')], "Back to the shell; `fg` returns"),
+];
+
+/// The entry of a verb, the one of this screen first.
+pub fn entry_of(verb: Verb, screen: Screen) -> Option<&'static Entry> {
+    let mut same = VERBS.iter().filter(|entry| entry.verb == verb);
+    same.clone().find(|entry| entry.works_on(screen)).or_else(|| same.next())
+}
+
+/// What a key means on a screen.
+pub fn verb_for(key: Key, screen: Screen) -> Option<Verb> {
+    VERBS.iter().find(|entry| entry.works_on(screen) && entry.keys.contains(&key)).map(|entry| entry.verb)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_key_means_two_things_on_one_screen() {
+        for screen in Screen::ALL {
+            let mut seen = Vec::new();
+            for key in VERBS.iter().filter(|entry| entry.works_on(screen)).flat_map(|entry| entry.keys) {
+                assert!(!seen.contains(&key), "{key:?} on {screen:?}");
+                seen.push(key);
+            }
+        }
+    }
+
+    #[test]
+    fn every_name_is_its_own_and_no_key_is_stolen_by_tmux_or_screen() {
+        for (index, entry) in VERBS.iter().enumerate() {
+            assert!(VERBS[..index].iter().all(|other| other.name != entry.name), "{}", entry.name);
+            assert!(!entry.keys.iter().any(|key| matches!(key, Key::Control('a' | 'b'))), "{}", entry.name);
+        }
+    }
+}

@@ -1,0 +1,52 @@
+//! Reading of a grant's end as a person writes it: `30d`, `12h`, `2026-12-31`.
+
+use crate::model::Timestamp;
+
+const SECOND: u64 = 1_000_000_000;
+
+/// The moment `text` means, counted from `now`; `None` in the answer = no end (empty text).
+///
+/// # Errors
+/// What to write instead.
+pub fn expiry(text: &str, now: Timestamp) -> Result<Option<Timestamp>, String> {
+    let text = text.trim();
+    if text.is_empty() || text == "never" {
+        return Ok(None);
+    }
+    let moment = span(text).map(|seconds| Timestamp(now.0.saturating_add(seconds.saturating_mul(SECOND))));
+    let moment = moment.or_else(|| date(text)).ok_or("write a time such as 30d, 12h, 45m or 2026-12-31, or nothing")?;
+    if moment <= now { Err("that moment has passed; write a later one".to_owned()) } else { Ok(Some(moment)) }
+}
+
+fn span(text: &str) -> Option<u64> {
+    let (number, unit) = text.split_at_checked(text.len().checked_sub(1)?)?;
+    let seconds = match unit {
+        "m" => 60,
+        "h" => 3_600,
+        "d" => 86_400,
+        "w" => 604_800,
+        _ => return None,
+    };
+    number.parse::<u64>().ok().filter(|number| *number > 0)?.checked_mul(seconds)
+}
+
+/// Midnight UTC at the beginning of the day.
+fn date(text: &str) -> Option<Timestamp> {
+    serde_json::from_value(serde_json::Value::String(format!("{text}T00:00:00Z"))).ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn spans_and_dates() {
+        let now = Timestamp::from_seconds(1_700_000_000);
+        assert_eq!(expiry("", now), Ok(None));
+        assert_eq!(expiry(" 30d ", now), Ok(Some(Timestamp::from_seconds(1_700_000_000 + 30 * 86_400))));
+        assert_eq!(expiry("2023-11-16", now), Ok(Some(Timestamp::from_seconds(1_700_092_800))));
+        for bad in ["2020-01-01", "d", "0d", "-1d", "12", "99999999999999999999d", "é", "soon"] {
+            assert!(expiry(bad, now).is_err(), "{bad}");
+        }
+    }
+}

@@ -1,0 +1,256 @@
+//! Connecting: which chain is this, is it the pinned one, and which contract is in use.
+
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
+use std::time::Duration;
+
+use ethers::providers::{Provider, RpcError};
+use ethers::types::U64;
+use ethers::utils::keccak256;
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+use super::artefact::artefact;
+use super::transport::Transport;
+use super::{BlockRef, Chain, ChainError, ChainOptions, Endpoint, Pin};
+use crate::model::{Address, Hash, bytes::unhex, clean};
+
+/// How often a node is asked for news.
+pub(super) const POLL: Duration = Duration::from_millis(200);
+
+/// What all clones of a [`Chain`] share.
+#[derive(Debug)]
+pub(super) struct Inner {
+    pub provider: Provider<Transport>,
+    pub chain_id: u64,
+    pub genesis: Hash,
+    pub client: String,
+    pub consensus: &'static str,
+    pub confirmations: u64,
+    pub contract: RwLock<Option<Pin>>,
+    pub gas: Mutex<HashMap<(Address, &'static str), u64>>,
+}
+
+/// A block as a node gives it, as far as we read it.
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct RawBlock {
+    number: U64,
+    hash: ethers::types::H256,
+    timestamp: U64,
+    #[serde(default)]
+    difficulty: Value,
+    #[serde(default)]
+    extra_data: String,
+    #[serde(default)]
+    mix_hash: String,
+}
+
+impl Chain {
+    /// Opens the embedded chain, or connects to a node, and holds it against the pin.
+    ///
+    /// # Errors
+    /// [`ChainError::Unreachable`] naming the URL where a node does not answer within 5 s,
+    /// [`ChainError::Swapped`] where chain id, genesis block, contract or its code are not the pinned
+    /// ones, [`ChainError::Tampered`] and [`ChainError::File`] for the embedded chain's file.
+    pub async fn connect(options: ChainOptions) -> Result<Self, ChainError> {
+        let transport = Transport::open(&options.endpoint).await?;
+        let provider = Provider::new(transport).interval(POLL);
+        let chain_id: U64 = rpc(&provider, "eth_chainId", json!([])).await?;
+        let genesis: RawBlock = rpc(&provider, "eth_getBlockByNumber", json!(["0x0", false])).await?;
+        let latest: RawBlock = rpc(&provider, "eth_getBlockByNumber", json!(["latest", false])).await?;
+        let client: Option<String> = rpc(&provider, "web3_clientVersion", json!([])).await.ok();
+        let client = clean(&client.unwrap_or_else(|| "unknown".into()), 80);
+        let consensus = match options.endpoint {
+            Endpoint::Embedded { .. } => "poa",
+            Endpoint::Node { .. } => consensus(&latest, &client),
+        };
+        let inner = Inner {
+            provider,
+            chain_id: chain_id.as_u64(),
+            genesis: Hash(genesis.hash.0),
+            client,
+            consensus,
+            confirmations: options.confirmations,
+            contract: RwLock::new(None),
+            gas: Mutex::default(),
+        };
+        let chain = Self { inner: Arc::new(inner) };
+        chain.settle_contract(options.contract, options.pinned).await?;
+        Ok(chain)
+    }
+
+    async fn settle_contract(&self, contract: Option<Address>, pinned: Option<Pin>) -> Result<(), ChainError> {
+        match (contract, pinned) {
+            (_, Some(pin)) => self.hold_against(contract, pin).await,
+            (Some(contract), None) => self.use_contract(contract).await.map(|_| ()),
+            (None, None) => Ok(()),
+        }
+    }
+
+    async fn hold_against(&self, contract: Option<Address>, pin: Pin) -> Result<(), ChainError> {
+        let same = |what, pinned: String, found: String| {
+            if pinned == found { Ok(()) } else { Err(ChainError::Swapped { url: self.url(), what, pinned, found }) }
+        };
+        same("chain id", pin.chain_id.to_string(), self.chain_id().to_string())?;
+        same("genesis block", pin.genesis.to_hex(), self.genesis().to_hex())?;
+        if let Some(contract) = contract {
+            same("contract", pin.contract.to_string(), contract.to_string())?;
+        }
+        let code = self.code_hash(pin.contract, "latest").await?;
+        let found = code.map_or_else(|| "no code".to_owned(), |hash| hash.to_hex());
+        same("contract code hash", pin.code_hash.to_hex(), found)?;
+        self.set_pin(pin);
+        Ok(())
+    }
+
+    /// Uses a contract that somebody deployed, after its code was found to be this program's artefact.
+    ///
+    /// # Errors
+    /// [`ChainError::NotTheContract`], or the node's.
+    pub async fn use_contract(&self, contract: Address) -> Result<Pin, ChainError> {
+        let known = artefact()?.code_hash;
+        if self.code_hash(contract, "latest").await? != Some(known) {
+            return Err(ChainError::NotTheContract(contract));
+        }
+        let deployed_at = self.deployment_block(contract).await;
+        Ok(self.set_pin(self.pin_of(contract, known, deployed_at)))
+    }
+
+    pub(super) fn pin_of(&self, contract: Address, code_hash: Hash, deployed_at: u64) -> Pin {
+        Pin { chain_id: self.chain_id(), genesis: self.genesis(), contract, code_hash, deployed_at }
+    }
+
+    pub(super) fn set_pin(&self, pin: Pin) -> Pin {
+        *self.inner.contract.write().unwrap_or_else(PoisonError::into_inner) = Some(pin.clone());
+        self.forget_gas();
+        pin
+    }
+
+    /// The first block with the contract's code; 0 where the node keeps no old state, which is only slower.
+    async fn deployment_block(&self, contract: Address) -> u64 {
+        let Ok(head) = self.head().await else { return 0 };
+        let (mut without, mut with) = (0, head.number);
+        while without + 1 < with {
+            let middle = u64::midpoint(without, with);
+            match self.code_hash(contract, &format!("{middle:#x}")).await {
+                Ok(Some(_)) => with = middle,
+                Ok(None) => without = middle,
+                Err(_) => return 0,
+            }
+        }
+        with
+    }
+
+    /// Keccak-256 of the code at an address; `None` where there is none.
+    pub(super) async fn code_hash(&self, contract: Address, block: &str) -> Result<Option<Hash>, ChainError> {
+        let code: String = self.rpc("eth_getCode", json!([contract.to_string(), block])).await?;
+        let bytes = unhex(&code).ok_or_else(|| self.misunderstood("eth_getCode", "it is no hex"))?;
+        Ok((!bytes.is_empty()).then(|| Hash(keccak256(bytes))))
+    }
+
+    /// What is pinned: chain, contract, its code and where it was deployed. `None` before a contract is used.
+    pub fn pin(&self) -> Option<Pin> {
+        self.inner.contract.read().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    pub(super) fn contract(&self) -> Result<Address, ChainError> {
+        self.pin().map(|pin| pin.contract).ok_or(ChainError::NoContract)
+    }
+
+    /// The chain id.
+    pub fn chain_id(&self) -> u64 {
+        self.inner.chain_id
+    }
+
+    /// Hash of block 0.
+    pub fn genesis(&self) -> Hash {
+        self.inner.genesis
+    }
+
+    /// How many blocks on top make a block count as final.
+    pub fn confirmations(&self) -> u64 {
+        self.inner.confirmations
+    }
+
+    /// Where the chain is, without credentials.
+    pub fn url(&self) -> String {
+        self.transport().url().to_owned()
+    }
+
+    pub(super) fn transport(&self) -> &Transport {
+        self.inner.provider.as_ref()
+    }
+
+    pub(super) async fn rpc<R>(&self, method: &str, parameters: Value) -> Result<R, ChainError>
+    where
+        R: DeserializeOwned + Serialize + std::fmt::Debug + Send,
+    {
+        rpc(&self.inner.provider, method, parameters).await
+    }
+
+    pub(super) fn misunderstood(&self, method: &str, reason: &str) -> ChainError {
+        ChainError::Answer { url: self.url(), method: method.to_owned(), reason: clean(reason, 200) }
+    }
+
+    /// The newest block.
+    ///
+    /// # Errors
+    /// The node's.
+    pub async fn head(&self) -> Result<BlockRef, ChainError> {
+        let block: RawBlock = self.rpc("eth_getBlockByNumber", json!(["latest", false])).await?;
+        Ok(block.reference())
+    }
+
+    /// The block of that number; `None` above the head.
+    ///
+    /// # Errors
+    /// The node's.
+    pub async fn block(&self, number: u64) -> Result<Option<BlockRef>, ChainError> {
+        let block: Option<RawBlock> = self.rpc("eth_getBlockByNumber", json!([format!("{number:#x}"), false])).await?;
+        Ok(block.as_ref().map(RawBlock::reference))
+    }
+}
+
+impl RawBlock {
+    fn reference(&self) -> BlockRef {
+        let timestamp = self.timestamp.as_u64();
+        BlockRef { number: self.number.as_u64(), hash: Hash(self.hash.0), timestamp }
+    }
+}
+
+async fn rpc<R>(provider: &Provider<Transport>, method: &str, parameters: Value) -> Result<R, ChainError>
+where
+    R: DeserializeOwned + Serialize + std::fmt::Debug + Send,
+{
+    let url = || provider.as_ref().url().to_owned();
+    provider.request(method, parameters).await.map_err(|error| {
+        if let Some(answer) = error.as_error_response() {
+            return ChainError::from_node(method, answer);
+        }
+        match error.as_serde_error() {
+            Some(reason) => {
+                ChainError::Answer { url: url(), method: method.to_owned(), reason: clean(&reason.to_string(), 200) }
+            }
+            None => ChainError::Unreachable { url: url(), reason: clean(&error.to_string(), 200) },
+        }
+    })
+}
+
+/// How the network agrees, as far as a block shows it.
+fn consensus(latest: &RawBlock, client: &str) -> &'static str {
+    /// What QBFT and IBFT write into the mix hash.
+    const BYZANTINE: &str = "0x63746963616c2062797a616e74696e65206661756c7420746f6c6572616e6365";
+    let difficulty = latest.difficulty.as_str().map_or("0x0", |text| text);
+    let client = client.to_lowercase();
+    if ["anvil", "ganache", "hardhat"].iter().any(|name| client.contains(name)) {
+        "dev"
+    } else if latest.mix_hash == BYZANTINE || latest.extra_data.len() >= 2 + 2 * 97 {
+        "poa"
+    } else if difficulty == "0x0" {
+        "pos"
+    } else {
+        "pow"
+    }
+}

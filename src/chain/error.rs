@@ -1,0 +1,256 @@
+//! What can go wrong with a chain, and the plain words for a contract's reason codes.
+
+use std::path::PathBuf;
+
+use ethers::providers::JsonRpcError;
+
+use crate::model::{Address, ErrorKind, bytes::unhex, clean};
+
+/// Why something on the chain did not happen.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum ChainError {
+    /// The node does not answer.
+    #[error("the node at {url} does not answer ({reason}); start it, or correct `chain.url`")]
+    Unreachable {
+        /// Where it should be.
+        url: String,
+        /// What happened.
+        reason: String,
+    },
+    /// What answers does not speak Ethereum's JSON-RPC as expected.
+    #[error("the answer of {url} to {method} is not understood ({reason}); check that `chain.url` is an Ethereum node")]
+    Answer {
+        /// Who answered.
+        url: String,
+        /// What was asked.
+        method: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// The URL is not one of a node.
+    #[error("'{0}' is not a node's address; write http://HOST:PORT, ws://HOST:PORT or ipc:/PATH")]
+    Url(String),
+    /// The chain is not the one that was pinned.
+    #[error(
+        "the chain at {url} is not the pinned one: its {what} is {found}, pinned is {pinned}; start the pinned chain \
+         again, or take this one over with `authros chain adopt`"
+    )]
+    Swapped {
+        /// Where.
+        url: String,
+        /// Which part of the pin differs.
+        what: &'static str,
+        /// What was pinned.
+        pinned: String,
+        /// What is there.
+        found: String,
+    },
+    /// No contract is known yet.
+    #[error("no contract is set for this chain; deploy one with `authros chain deploy`, or set `chain.contract`")]
+    NoContract,
+    /// Another contract, or none, lies at the address.
+    #[error("{0} does not hold the AuthROS contract of this version; check the address, or deploy a new one")]
+    NotTheContract(Address),
+    /// The contract refused.
+    #[error("the contract refused: {}", explain(.code))]
+    Reverted {
+        /// The contract's reason code, as it came.
+        code: String,
+    },
+    /// The node has this very transaction already.
+    #[error("the node knows this transaction already; wait for its receipt")]
+    AlreadyKnown,
+    /// The transaction's nonce was used by a mined transaction.
+    #[error("the transaction's nonce is used up; look for its receipt, else sign it anew with the next nonce")]
+    NonceTooLow,
+    /// The node wants a higher gas price.
+    #[error("the node refuses the gas price as too low; sign the transaction anew with the present gas price")]
+    Underpriced,
+    /// The account cannot pay.
+    #[error("the account holds too little ether for the transaction; send it some, or use a network without fees")]
+    InsufficientFunds,
+    /// The node refused for another reason.
+    #[error("the node refused {method}: {reason}")]
+    Rejected {
+        /// What was asked.
+        method: String,
+        /// Why, in its own words.
+        reason: String,
+    },
+    /// A transaction was not mined in time.
+    #[error("the transaction was sent but not mined within {0} s; check that the network makes blocks")]
+    NotMined(u64),
+    /// A value cannot go into a call.
+    #[error("{0}")]
+    Input(String),
+    /// The embedded chain's file was changed from outside.
+    #[error(
+        "the embedded chain {} was changed or damaged at block {block}: {what}; restore it from a backup, or move it \
+         away and adopt a new chain", path.display()
+    )]
+    Tampered {
+        /// The file.
+        path: PathBuf,
+        /// The first block that does not fit.
+        block: u64,
+        /// What does not fit.
+        what: String,
+    },
+    /// The embedded chain's file cannot be used.
+    #[error("the embedded chain {} cannot be used: {reason}; check the folder's rights and space", path.display())]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        reason: String,
+    },
+    /// A fault of this program.
+    #[error("internal error in the chain room: {0}; please report it")]
+    Internal(String),
+}
+
+impl ChainError {
+    /// What sort of failure it was.
+    pub fn kind(&self) -> ErrorKind {
+        match self {
+            Self::Unreachable { .. } | Self::Answer { .. } | Self::NotMined(_) => ErrorKind::Unreachable,
+            Self::Url(_) | Self::NoContract | Self::Input(_) => ErrorKind::Input,
+            Self::Tampered { .. } => ErrorKind::Tampered,
+            Self::File { .. } => ErrorKind::Home,
+            Self::Internal(_) => ErrorKind::Internal,
+            Self::Swapped { .. }
+            | Self::NotTheContract(_)
+            | Self::Reverted { .. }
+            | Self::AlreadyKnown
+            | Self::NonceTooLow
+            | Self::Underpriced
+            | Self::InsufficientFunds
+            | Self::Rejected { .. } => ErrorKind::Refused,
+        }
+    }
+
+    /// The contract's reason code, where the contract refused.
+    pub fn revert_code(&self) -> Option<&str> {
+        match self {
+            Self::Reverted { code } => Some(code),
+            _ => None,
+        }
+    }
+
+    /// From a node's error answer, by its words: nodes agree on no codes.
+    pub(super) fn from_node(method: &str, error: &JsonRpcError) -> Self {
+        if let Some(code) = revert_code(error) {
+            return Self::Reverted { code };
+        }
+        let lower = error.message.to_lowercase();
+        let says = |words: &[&str]| words.iter().any(|word| lower.contains(word));
+        if says(&["already known", "known transaction", "already imported", "alreadyknown"]) {
+            Self::AlreadyKnown
+        } else if says(&["nonce too low", "nonce is too low", "correct nonce", "oldnonce"]) {
+            Self::NonceTooLow
+        } else if says(&["underpriced", "gas price", "fee too low", "base fee", "basefee"])
+            && !says(&["insufficient funds"])
+        {
+            Self::Underpriced
+        } else if says(&["insufficient funds", "insufficient balance", "enough funds"]) {
+            Self::InsufficientFunds
+        } else {
+            Self::Rejected { method: method.to_owned(), reason: clean(&error.message, 200) }
+        }
+    }
+}
+
+fn revert_code(error: &JsonRpcError) -> Option<String> {
+    let data = error.as_revert_data()?;
+    if let Some(code) = decode_revert(&data) {
+        return Some(code);
+    }
+    let tail = error.message.rsplit_once("revert").map_or("", |(_, tail)| tail.trim_start_matches("ed"));
+    Some(clean(tail.trim_start_matches([':', ' ']), 80))
+}
+
+/// The text of `Error(string)` revert data; `None` where the bytes are something else.
+pub(super) fn decode_revert(data: &[u8]) -> Option<String> {
+    const ERROR: [u8; 4] = [0x08, 0xc3, 0x79, 0xa0];
+    let arguments = data.strip_prefix(&ERROR)?;
+    let tokens = ethers::abi::decode(&[ethers::abi::ParamType::String], arguments).ok()?;
+    tokens.into_iter().next()?.into_string().map(|text| clean(&text, 80))
+}
+
+/// As [`decode_revert`], from hex.
+pub(super) fn decode_revert_hex(text: &str) -> Option<String> {
+    decode_revert(&unhex(text)?)
+}
+
+/// Plain words and advice for a reason code of the contract.
+pub fn explain(code: &str) -> String {
+    let words = match code {
+        "unregistered" => "the account is not registered on this contract; run `authros register` first",
+        "grantee" => "the grantee is not registered on this contract; ask them to run `authros register`",
+        "registered" => "the account is registered already; use `authros keys rotate` to change its keys",
+        "suspended" => "the administrator suspended the account; ask the administrator",
+        "paused" => "the administrator paused the contract; try again later",
+        "closed" => "registration is closed; ask the administrator to admit the account",
+        "succeeded" => "the account has a successor and stays suspended; use the successor's account",
+        "token unknown" => "the account never registered this token; check that the keyring belongs to this account",
+        "token used" => "the token belongs to an earlier epoch; rotate again with a fresh key",
+        "digest used" => "the account anchored this digest already; nothing is left to do",
+        "previous" => "another root was anchored since; read the head and sign anew",
+        "no grant" => "there is no grant in force for that account; see `authros grants list`",
+        "no loan" => "the device is not lent; nothing is left to do",
+        "wrapped" => "the grantee holds the envelope of that epoch already; rotate the epoch to change the grant",
+        "epoch" => "that epoch has not begun; grant the current one or an earlier one",
+        "expired" => "the end lies in the past; give a later one",
+        "scope" => "the grant names too many topics; name at most 32, or all",
+        "envelope" => "the envelope is empty or longer than 4096 bytes; grant fewer topics or epochs at once",
+        "self" => "an account cannot do this to itself; name another account",
+        "length" => "a value has the wrong length; this program and the contract do not fit together",
+        "empty" => "a value is zero that may not be; this program and the contract do not fit together",
+        "administrator" => "only the administrator may do this; use the administrator's account",
+        "nominee" => "only the nominated administrator may accept; ask to be nominated",
+        "unchanged" => "it is so already; nothing is left to do",
+        "" => "it gave no reason; check that the contract is AuthROS",
+        other => return format!("{}; see the contract's source", clean(other, 80)),
+    };
+    words.to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    fn answer(message: &str, data: Option<serde_json::Value>) -> ChainError {
+        ChainError::from_node("eth_call", &JsonRpcError { code: -32000, message: message.into(), data })
+    }
+
+    #[test]
+    fn reasons_are_found_however_a_node_wraps_them() {
+        let data = "0x08c379a0000000000000000000000000000000000000000000000000000000000000002000000000000000000000000000000000000000000000000000000000000000066772616e7465650000000000000000000000000000000000000000000000000000".replace("66772616e746565", "76772616e746565");
+        let data = &data[..2 + 8 + 192];
+        let expected = ChainError::Reverted { code: "grantee".into() };
+        assert_eq!(answer("execution reverted", Some(json!(data))), expected);
+        assert_eq!(answer("execution reverted: grantee", None), expected);
+        assert_eq!(answer("VM Exception while processing transaction: revert grantee", None), expected);
+        assert_eq!(answer("VM Exception: revert", Some(json!({ "stack": "x", "result": data }))), expected);
+        assert!(expected.to_string().contains("ask them to run `authros register`"));
+    }
+
+    #[test]
+    fn refusals_of_several_nodes() {
+        for (message, expected) in [
+            ("already known", ChainError::AlreadyKnown),
+            ("transaction already imported", ChainError::AlreadyKnown),
+            ("nonce too low: next nonce 5, tx nonce 3", ChainError::NonceTooLow),
+            ("the tx doesn't have the correct nonce. account has nonce of: 2", ChainError::NonceTooLow),
+            ("replacement transaction underpriced", ChainError::Underpriced),
+            ("max fee per gas less than block base fee", ChainError::Underpriced),
+            ("insufficient funds for gas * price + value", ChainError::InsufficientFunds),
+        ] {
+            assert_eq!(answer(message, None), expected, "{message}");
+        }
+        let other = answer("boo\u{1b}[2J", None);
+        assert!(!other.to_string().contains('\u{1b}'));
+        assert_eq!(other.kind(), ErrorKind::Refused);
+    }
+}

@@ -1,0 +1,208 @@
+//! Reads of the contract and of accounts, at the newest block.
+
+use ethers::abi::Token as AbiToken;
+use ethers::types::{U64, U256};
+use serde_json::{Value, json};
+
+use super::artefact::artefact;
+use super::call::{address, word};
+use super::error::decode_revert_hex;
+use super::event::end;
+use super::{AccountState, Call, Chain, ChainError, ChainStatus, GrantState, QueryAnswer};
+use crate::model::{Address, Digest, Hash, Identity, Token, bytes::hex, bytes::unhex};
+
+impl Chain {
+    /// What the chain is and, for `account`, what it holds.
+    ///
+    /// # Errors
+    /// The node's.
+    pub async fn status(&self, account: Option<Address>) -> Result<ChainStatus, ChainError> {
+        let mut status = ChainStatus {
+            kind: if self.transport().embedded().is_some() { "embedded" } else { "node" }.to_owned(),
+            consensus: self.inner.consensus.to_owned(),
+            chain_id: self.chain_id(),
+            genesis: self.genesis(),
+            block: self.head().await?.number,
+            contract: self.pin().map(|pin| pin.contract),
+            balance: None,
+            nonce: None,
+            pending: None,
+            client: self.inner.client.clone(),
+        };
+        if let Some(account) = account {
+            let nonce = self.nonce(account, false).await?;
+            status.balance = Some(self.balance(account).await?.to_string());
+            status.nonce = Some(nonce);
+            status.pending = Some(self.nonce(account, true).await?.saturating_sub(nonce));
+        }
+        Ok(status)
+    }
+
+    /// Wei held by an account.
+    pub(super) async fn balance(&self, account: Address) -> Result<U256, ChainError> {
+        self.rpc("eth_getBalance", json!([account.to_string(), "latest"])).await
+    }
+
+    /// The next nonce of an account; `pending` counts what waits to be mined. Where a node keeps
+    /// no pending state, the mined nonce is given.
+    ///
+    /// # Errors
+    /// The node's.
+    pub async fn nonce(&self, account: Address, pending: bool) -> Result<u64, ChainError> {
+        let ask = |tag: &'static str| self.rpc::<U64>("eth_getTransactionCount", json!([account.to_string(), tag]));
+        let nonce = match ask(if pending { "pending" } else { "latest" }).await {
+            Err(ChainError::Rejected { .. }) if pending => ask("latest").await?,
+            answered => answered?,
+        };
+        Ok(nonce.as_u64())
+    }
+
+    /// Tries a call without sending it.
+    ///
+    /// # Errors
+    /// [`ChainError::Reverted`] with the reason where the contract would refuse, else the node's.
+    pub async fn simulate(&self, from: Address, call: &Call) -> Result<(), ChainError> {
+        self.eth_call(from, self.contract()?, &call.encode()?, "latest").await.map(|_| ())
+    }
+
+    pub(super) async fn eth_call(
+        &self,
+        from: Address,
+        to: Address,
+        data: &[u8],
+        block: &str,
+    ) -> Result<Vec<u8>, ChainError> {
+        let message = json!({ "from": from.to_string(), "to": to.to_string(), "data": format!("0x{}", hex(data)) });
+        let output: String = self.rpc("eth_call", json!([message, block])).await?;
+        // Old geth returns a revert as if it were a result.
+        match decode_revert_hex(&output) {
+            Some(code) if output.len() % 64 == 10 => Err(ChainError::Reverted { code }),
+            _ => unhex(&output).ok_or_else(|| self.misunderstood("eth_call", "it is no hex")),
+        }
+    }
+
+    async fn view(&self, from: Address, name: &str, arguments: &[AbiToken]) -> Result<Answer<'_>, ChainError> {
+        let artefact = artefact()?;
+        let data = artefact.encode(name, arguments)?;
+        let output = self.eth_call(from, self.contract()?, &data, "latest").await?;
+        let values = artefact.function(name)?.decode_output(&output);
+        let values = values.map_err(|error| self.misunderstood(name, &error.to_string()))?;
+        Ok(Answer { chain: self, name: name.to_owned(), values: values.into_iter() })
+    }
+
+    /// The state of a registered account; `None` where it is not registered.
+    ///
+    /// # Errors
+    /// The node's.
+    pub async fn account(&self, owner: Address) -> Result<Option<AccountState>, ChainError> {
+        let mut answer = self.view(owner, "accountOf", &[address(owner)]).await?;
+        let identity = answer.take(AbiToken::into_bytes)?;
+        let epoch = answer.number()?;
+        if epoch == 0 {
+            return Ok(None);
+        }
+        let identity = Identity::parse(&identity).map_err(|error| answer.wrong(&error.to_string()))?;
+        let token = Token(answer.word()?);
+        let suspended = answer.flag()?;
+        let (keys, count) = (answer.number()?, answer.number()?);
+        let last = Digest(answer.word()?);
+        let last = (count > 0).then_some(last);
+        Ok(Some(AccountState { identity, epoch, token, suspended, keys, count, last }))
+    }
+
+    /// The paper's dataQuery, as `from` would be answered. A node does not authenticate `from`.
+    ///
+    /// # Errors
+    /// The node's.
+    pub async fn data_query(&self, from: Address, token: Token, owner: Address) -> Result<QueryAnswer, ChainError> {
+        let arguments = [AbiToken::Bytes(token.0.to_vec()), address(owner)];
+        let mut answer = self.view(from, "dataQuery", &arguments).await?;
+        let authorised = answer.flag()?;
+        Ok(QueryAnswer { authorised, epoch: answer.number()?, count: answer.number()?, last: Digest(answer.word()?) })
+    }
+
+    /// Whether an owner uploaded this digest one by one (not in a batch).
+    ///
+    /// # Errors
+    /// The node's.
+    pub async fn anchored(&self, owner: Address, digest: Digest) -> Result<bool, ChainError> {
+        let mut answer = self.view(owner, "uploadedAt", &[address(owner), word(digest.0)]).await?;
+        Ok(answer.number()? != 0)
+    }
+
+    /// The root that an account anchored last; zero before the first.
+    ///
+    /// # Errors
+    /// The node's.
+    pub async fn anchor_head(&self, account: Address) -> Result<Hash, ChainError> {
+        self.view(account, "headOf", &[address(account)]).await?.word().map(Hash)
+    }
+
+    /// What an owner granted to an account; `None` where there never was a grant.
+    ///
+    /// # Errors
+    /// The node's.
+    pub async fn grant(&self, owner: Address, grantee: Address) -> Result<Option<GrantState>, ChainError> {
+        let mut answer = self.view(owner, "grantOf", &[address(owner), address(grantee)]).await?;
+        let state = GrantState { active: answer.flag()?, epoch: answer.number()?, expiry: end(answer.number()?) };
+        Ok((state.epoch != 0).then_some(state))
+    }
+
+    /// All call data, storage slots and logs of the embedded chain, for the test that it holds no secret.
+    ///
+    /// # Errors
+    /// [`ChainError::Input`] on other chains.
+    pub async fn dump(&self) -> Result<Vec<Vec<u8>>, ChainError> {
+        match self.transport().embedded() {
+            Some(embedded) => embedded.dump().await,
+            None => Err(ChainError::Input("only the embedded chain can be dumped whole; use it for this".into())),
+        }
+    }
+}
+
+/// The values that a view returned, taken in order.
+struct Answer<'a> {
+    chain: &'a Chain,
+    name: String,
+    values: std::vec::IntoIter<AbiToken>,
+}
+
+impl Answer<'_> {
+    fn wrong(&self, reason: &str) -> ChainError {
+        self.chain.misunderstood(&self.name, reason)
+    }
+
+    fn take<T>(&mut self, convert: impl FnOnce(AbiToken) -> Option<T>) -> Result<T, ChainError> {
+        self.values.next().and_then(convert).ok_or_else(|| self.wrong("a value has another type"))
+    }
+
+    fn flag(&mut self) -> Result<bool, ChainError> {
+        self.take(AbiToken::into_bool)
+    }
+
+    fn number(&mut self) -> Result<u64, ChainError> {
+        self.take(|value| value.into_uint()?.try_into().ok())
+    }
+
+    fn word(&mut self) -> Result<[u8; 32], ChainError> {
+        self.take(|value| value.into_fixed_bytes()?.try_into().ok())
+    }
+}
+
+/// The reason why a mined transaction failed: from the receipt where the node gives it (ours and Besu),
+/// else by running it again on the block before.
+pub(super) async fn reason(chain: &Chain, receipt: &Value, block: u64) -> Option<String> {
+    if let Some(code) = receipt.get("revertReason").and_then(Value::as_str).and_then(decode_revert_hex) {
+        return Some(code);
+    }
+    let hash = receipt.get("transactionHash")?;
+    let sent: Value = chain.rpc("eth_getTransactionByHash", json!([hash])).await.ok()?;
+    let field = |name: &str| sent.get(name)?.as_str().map(str::to_lowercase);
+    let from = field("from")?.parse().ok()?;
+    let to = field("to")?.parse().ok()?;
+    let before = format!("{:#x}", block.saturating_sub(1));
+    match chain.eth_call(from, to, &unhex(&field("input")?)?, &before).await {
+        Err(ChainError::Reverted { code }) => Some(code),
+        _ => None,
+    }
+}

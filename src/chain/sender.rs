@@ -1,0 +1,195 @@
+//! Transactions: signing, sending, receipts, deployment. One legacy (EIP-155) transaction per call.
+
+use std::sync::PoisonError;
+use std::time::{Duration, Instant};
+
+use ethers::signers::{LocalWallet, Signer};
+use ethers::types::transaction::eip2718::TypedTransaction;
+use ethers::types::{H160, TransactionRequest, U64, U256};
+use ethers::utils::keccak256;
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+use super::artefact::artefact;
+use super::error::explain;
+use super::reader::reason;
+use super::{Call, Chain, ChainError, Pin, Receipt, SignedTransaction};
+use crate::crypto::EoaSecret;
+use crate::model::{Address, Hash, bytes::hex};
+
+/// How long a deployment may wait for its block.
+const DEPLOYMENT: Duration = Duration::from_secs(60);
+
+impl Chain {
+    /// Signs a call as a legacy transaction. Nothing is sent.
+    ///
+    /// Gas is estimated; for uploads and anchors once per account, then remembered until a
+    /// transaction fails, so that many can be signed ahead of each other.
+    ///
+    /// # Errors
+    /// [`ChainError::Reverted`] where the contract would refuse the call, [`ChainError::Input`], or the node's.
+    pub async fn sign(&self, eoa: &EoaSecret, nonce: u64, call: &Call) -> Result<SignedTransaction, ChainError> {
+        let contract = self.contract()?;
+        let data = call.encode()?;
+        let gas = self.gas_for(eoa.address(), contract, call, &data).await?;
+        self.sign_raw(eoa, nonce, Some(contract), data, gas).await
+    }
+
+    async fn sign_raw(
+        &self,
+        eoa: &EoaSecret,
+        nonce: u64,
+        to: Option<Address>,
+        data: Vec<u8>,
+        gas_limit: u64,
+    ) -> Result<SignedTransaction, ChainError> {
+        let gas_price = self.gas_price().await?;
+        let mut request = TransactionRequest::new().nonce(nonce).gas(gas_limit).gas_price(gas_price);
+        request = request.data(data).value(0u64).chain_id(self.chain_id());
+        request.to = to.map(|to| H160(to.0).into());
+        let transaction = TypedTransaction::Legacy(request);
+        let broken = |error: &dyn std::fmt::Display| ChainError::Internal(format!("signing: {error}"));
+        let wallet = LocalWallet::from_bytes(&eoa.expose()[..]).map_err(|error| broken(&error))?;
+        let wallet = wallet.with_chain_id(self.chain_id());
+        let signature = wallet.sign_transaction_sync(&transaction).map_err(|error| broken(&error))?;
+        let raw = transaction.rlp_signed(&signature).to_vec();
+        let gas_price = u128::try_from(gas_price).map_err(|_| self.misunderstood("eth_gasPrice", "it is too large"))?;
+        Ok(SignedTransaction { hash: Hash(keccak256(&raw)), nonce, raw, gas_limit, gas_price })
+    }
+
+    async fn gas_for(&self, from: Address, to: Address, call: &Call, data: &[u8]) -> Result<u64, ChainError> {
+        let key = (from, call.name());
+        let known = self.inner.gas.lock().unwrap_or_else(PoisonError::into_inner).get(&key).copied();
+        if let Some(gas) = known {
+            return Ok(gas);
+        }
+        let gas = self.estimate(from, Some(to), data).await?;
+        if matches!(call, Call::DataUpload { .. } | Call::Anchor { .. }) {
+            self.inner.gas.lock().unwrap_or_else(PoisonError::into_inner).insert(key, gas);
+        }
+        Ok(gas)
+    }
+
+    /// The node's estimate and a quarter.
+    async fn estimate(&self, from: Address, to: Option<Address>, data: &[u8]) -> Result<u64, ChainError> {
+        let mut message = json!({ "from": from.to_string(), "data": format!("0x{}", hex(data)) });
+        if let Some(to) = to {
+            message["to"] = json!(to.to_string());
+        }
+        match self.rpc::<U64>("eth_estimateGas", json!([message])).await {
+            Ok(gas) => Ok(gas.as_u64().saturating_add(gas.as_u64() / 4)),
+            Err(error @ ChainError::Rejected { .. }) => {
+                // Old nodes say only that it always fails: the call itself tells why.
+                match to {
+                    Some(to) => self.eth_call(from, to, data, "latest").await.and(Err(error)),
+                    None => Err(error),
+                }
+            }
+            Err(error) => Err(error),
+        }
+    }
+
+    pub(super) fn forget_gas(&self) {
+        self.inner.gas.lock().unwrap_or_else(PoisonError::into_inner).clear();
+    }
+
+    /// The node's price and a quarter, for a base fee that rises until the transaction is mined.
+    async fn gas_price(&self) -> Result<U256, ChainError> {
+        let price: U256 = self.rpc("eth_gasPrice", json!([])).await?;
+        Ok(price.saturating_add(price / 4))
+    }
+
+    /// Sends signed bytes.
+    ///
+    /// # Errors
+    /// [`ChainError::AlreadyKnown`], [`ChainError::NonceTooLow`], [`ChainError::Underpriced`],
+    /// [`ChainError::InsufficientFunds`], or the node's.
+    pub async fn broadcast(&self, raw: &[u8]) -> Result<Hash, ChainError> {
+        let sent = self.rpc::<String>("eth_sendRawTransaction", json!([format!("0x{}", hex(raw))])).await;
+        let wrong = |_| self.misunderstood("eth_sendRawTransaction", "it is no transaction hash");
+        match sent {
+            Ok(hash) => hash.parse().map_err(wrong),
+            // A node that runs a transaction at once (ganache) reports its failure here; it is mined all the same.
+            Err(ChainError::Reverted { code }) => match self.receipt(Hash(keccak256(raw))).await? {
+                Some(_) => Ok(Hash(keccak256(raw))),
+                None => Err(ChainError::Reverted { code }),
+            },
+            Err(error) => Err(error),
+        }
+    }
+
+    /// What became of a transaction; `None` while it is not mined.
+    ///
+    /// # Errors
+    /// The node's.
+    pub async fn receipt(&self, hash: Hash) -> Result<Option<Receipt>, ChainError> {
+        let Some((raw, value)) = self.raw_receipt(hash).await? else { return Ok(None) };
+        let success = raw.status.is_none_or(|status| !status.is_zero());
+        let block = raw.block_number.as_u64();
+        let mut why = None;
+        if !success {
+            self.forget_gas();
+            why = reason(self, &value, block).await.map(|code| explain(&code));
+        }
+        let gas_used = u64::try_from(raw.gas_used).unwrap_or(u64::MAX);
+        Ok(Some(Receipt { block, block_hash: Hash(raw.block_hash.0), success, gas_used, reason: why }))
+    }
+
+    async fn raw_receipt(&self, hash: Hash) -> Result<Option<(RawReceipt, Value)>, ChainError> {
+        const METHOD: &str = "eth_getTransactionReceipt";
+        let value: Value = self.rpc(METHOD, json!([format!("0x{hash}")])).await?;
+        if value.get("blockHash").is_none_or(Value::is_null) {
+            return Ok(None);
+        }
+        let raw = RawReceipt::deserialize(&value).map_err(|error| self.misunderstood(METHOD, &error.to_string()))?;
+        Ok(Some((raw, value)))
+    }
+
+    /// Deploys the contract with open registration, waits until it is mined, and uses it.
+    ///
+    /// # Errors
+    /// [`ChainError::NotMined`] where no block takes it within 60 s, or the node's.
+    pub async fn deploy(&self, eoa: &EoaSecret) -> Result<Pin, ChainError> {
+        let artefact = artefact()?;
+        let data = artefact.creation(true)?;
+        let gas = self.estimate(eoa.address(), None, &data).await?;
+        let nonce = self.nonce(eoa.address(), true).await?;
+        let signed = self.sign_raw(eoa, nonce, None, data, gas).await?;
+        let hash = self.broadcast(&signed.raw).await?;
+        let receipt = self.await_receipt(hash, DEPLOYMENT).await?;
+        let Some(contract) = receipt.contract_address.filter(|_| receipt.status.is_none_or(|s| !s.is_zero())) else {
+            let reason = "the deployment failed on the chain; the network must run Istanbul rules or newer";
+            return Err(ChainError::Rejected { method: "eth_sendRawTransaction".into(), reason: reason.into() });
+        };
+        let contract = Address(contract.0);
+        if self.code_hash(contract, "latest").await? != Some(artefact.code_hash) {
+            return Err(ChainError::NotTheContract(contract));
+        }
+        Ok(self.set_pin(self.pin_of(contract, artefact.code_hash, receipt.block_number.as_u64())))
+    }
+
+    async fn await_receipt(&self, hash: Hash, patience: Duration) -> Result<RawReceipt, ChainError> {
+        let deadline = Instant::now() + patience;
+        loop {
+            let head = self.head().await?.number;
+            if let Some((receipt, _)) = self.raw_receipt(hash).await? {
+                return Ok(receipt);
+            }
+            let left = deadline.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return Err(ChainError::NotMined(patience.as_secs()));
+            }
+            self.next_block(head, left.min(Duration::from_secs(1))).await?;
+        }
+    }
+}
+
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct RawReceipt {
+    block_number: U64,
+    block_hash: ethers::types::H256,
+    gas_used: U256,
+    status: Option<U64>,
+    contract_address: Option<H160>,
+}

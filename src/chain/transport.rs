@@ -1,0 +1,242 @@
+//! One JSON-RPC client for every kind of chain: embedded, http, ws, ipc; with time limits and reconnection.
+
+use std::fmt::Debug;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use async_trait::async_trait;
+use ethers::providers::{Http, Ipc, JsonRpcClient, JsonRpcError, ProviderError, RpcError, Ws};
+use serde::Serialize;
+use serde::de::{DeserializeOwned, Error as _};
+use tokio::sync::Mutex;
+
+use super::embedded::{Embedded, Fault};
+use super::{ChainError, Endpoint};
+use crate::model::clean;
+
+/// How long a node may take to answer.
+const PATIENCE: Duration = Duration::from_secs(5);
+/// How long it may take to collect logs.
+const PATIENCE_FOR_LOGS: Duration = Duration::from_secs(20);
+
+/// A line to a chain.
+#[derive(Debug)]
+pub struct Transport {
+    line: Line,
+    url: String,
+}
+
+#[derive(Debug)]
+enum Line {
+    Embedded(Embedded),
+    Http(Http),
+    Ws(Mutex<Option<Ws>>),
+    Ipc(PathBuf, Mutex<Option<Ipc>>),
+}
+
+/// Why a request got no result.
+#[derive(Debug, thiserror::Error)]
+pub enum TransportError {
+    /// The node answered with an error.
+    #[error("{0}")]
+    Answered(JsonRpcError),
+    /// What it answered is no JSON-RPC, or not of the expected shape.
+    #[error("{0}")]
+    Malformed(serde_json::Error),
+    /// The line broke.
+    #[error("{0}")]
+    Broken(String),
+    /// No answer came in time.
+    #[error("no answer within {} s", .0.as_secs())]
+    Slow(Duration),
+}
+
+impl RpcError for TransportError {
+    fn as_error_response(&self) -> Option<&JsonRpcError> {
+        if let Self::Answered(error) = self { Some(error) } else { None }
+    }
+
+    fn as_serde_error(&self) -> Option<&serde_json::Error> {
+        if let Self::Malformed(error) = self { Some(error) } else { None }
+    }
+}
+
+impl From<TransportError> for ProviderError {
+    fn from(error: TransportError) -> Self {
+        Self::JsonRpcClientError(Box::new(error))
+    }
+}
+
+impl From<Fault> for TransportError {
+    fn from(fault: Fault) -> Self {
+        Self::Answered(JsonRpcError { code: fault.code, message: fault.message, data: fault.data })
+    }
+}
+
+impl Transport {
+    /// Opens the embedded chain, or prepares the line to a node; a node is first spoken to by the first request.
+    ///
+    /// # Errors
+    /// [`ChainError::Url`], or what opening the embedded chain gives.
+    pub async fn open(endpoint: &Endpoint) -> Result<Self, ChainError> {
+        match endpoint {
+            Endpoint::Embedded { directory } => {
+                let url = format!("embedded:{}", directory.display());
+                Ok(Self { line: Line::Embedded(Embedded::open(directory.clone()).await?), url })
+            }
+            Endpoint::Node { url } => Ok(Self { line: line(url)?, url: shown(url) }),
+        }
+    }
+
+    /// Where it leads, without credentials.
+    pub fn url(&self) -> &str {
+        &self.url
+    }
+
+    /// The embedded chain behind it.
+    pub fn embedded(&self) -> Option<&Embedded> {
+        if let Line::Embedded(embedded) = &self.line { Some(embedded) } else { None }
+    }
+
+    async fn ask<T, R>(&self, method: &str, parameters: T) -> Result<R, TransportError>
+    where
+        T: Debug + Serialize + Send + Sync,
+        R: DeserializeOwned + Send,
+    {
+        match &self.line {
+            Line::Embedded(embedded) => {
+                let parameters = serde_json::to_value(parameters).map_err(TransportError::Malformed)?;
+                let value = embedded.request(method, parameters).await?;
+                serde_json::from_value(value).map_err(TransportError::Malformed)
+            }
+            Line::Http(client) => through(client, method, parameters).await,
+            Line::Ws(slot) => {
+                let open = Ws::connect_with_reconnects(self.url.as_str(), 0);
+                kept(slot, open, method, parameters).await
+            }
+            Line::Ipc(path, slot) => kept(slot, Ipc::connect(path), method, parameters).await,
+        }
+    }
+
+    /// Closes a broken line, so that the next request opens a new one.
+    async fn hang_up(&self) {
+        match &self.line {
+            Line::Ws(slot) => *slot.lock().await = None,
+            Line::Ipc(_, slot) => *slot.lock().await = None,
+            Line::Embedded(_) | Line::Http(_) => {}
+        }
+    }
+}
+
+fn line(url: &str) -> Result<Line, ChainError> {
+    let refused = || ChainError::Url(clean(&shown(url), 120));
+    if url.starts_with("http://") {
+        let client = reqwest::Client::builder().no_proxy().build().map_err(|_| refused())?;
+        let parsed = reqwest::Url::parse(url).map_err(|_| refused())?;
+        return Ok(Line::Http(Http::new_with_client(parsed, client)));
+    }
+    if url.starts_with("ws://") {
+        reqwest::Url::parse(url).map_err(|_| refused())?;
+        return Ok(Line::Ws(Mutex::default()));
+    }
+    let path = url.strip_prefix("ipc:").or_else(|| url.strip_suffix(".ipc").map(|_| url));
+    match path.map(PathBuf::from) {
+        Some(path) if path.is_absolute() => Ok(Line::Ipc(path, Mutex::default())),
+        _ => Err(refused()),
+    }
+}
+
+/// A URL without user name and password.
+fn shown(url: &str) -> String {
+    let Some((scheme, rest)) = url.split_once("://") else { return url.to_owned() };
+    let authority = rest.split(['/', '?', '#']).next().unwrap_or(rest);
+    match authority.rsplit_once('@') {
+        Some((secret, _)) => format!("{scheme}://{}", &rest[secret.len() + 1..]),
+        None => url.to_owned(),
+    }
+}
+
+async fn through<C, T, R>(client: &C, method: &str, parameters: T) -> Result<R, TransportError>
+where
+    C: JsonRpcClient,
+    T: Debug + Serialize + Send + Sync,
+    R: DeserializeOwned + Send,
+{
+    let translate = |error: C::Error| match (error.as_error_response(), error.as_serde_error()) {
+        (Some(answer), _) => TransportError::Answered(answer.clone()),
+        (None, Some(error)) => TransportError::Malformed(serde_json::Error::custom(clean(&error.to_string(), 200))),
+        (None, None) => TransportError::Broken(innermost(&error)),
+    };
+    client.request(method, parameters).await.map_err(translate)
+}
+
+/// Through a connection that is kept open; it is opened first where there is none.
+async fn kept<C, E, T, R>(
+    slot: &Mutex<Option<C>>,
+    open: impl Future<Output = Result<C, E>> + Send,
+    method: &str,
+    parameters: T,
+) -> Result<R, TransportError>
+where
+    C: JsonRpcClient + Clone,
+    E: std::error::Error,
+    T: Debug + Serialize + Send + Sync,
+    R: DeserializeOwned + Send,
+{
+    let client = {
+        let mut slot = slot.lock().await;
+        match &*slot {
+            Some(client) => client.clone(),
+            None => slot.insert(open.await.map_err(|error| TransportError::Broken(innermost(&error)))?).clone(),
+        }
+    };
+    through(&client, method, parameters).await
+}
+
+/// The first cause: "connection refused" rather than three lines around it.
+fn innermost(error: &dyn std::error::Error) -> String {
+    let mut cause = error;
+    while let Some(deeper) = cause.source() {
+        cause = deeper;
+    }
+    clean(&cause.to_string(), 160)
+}
+
+#[async_trait]
+impl JsonRpcClient for Transport {
+    type Error = TransportError;
+
+    async fn request<T, R>(&self, method: &str, parameters: T) -> Result<R, TransportError>
+    where
+        T: Debug + Serialize + Send + Sync,
+        R: DeserializeOwned + Send,
+    {
+        if let Line::Embedded(_) = self.line {
+            return self.ask(method, parameters).await;
+        }
+        let patience = if method == "eth_getLogs" { PATIENCE_FOR_LOGS } else { PATIENCE };
+        let answered = tokio::time::timeout(patience, self.ask(method, parameters)).await;
+        let result = answered.unwrap_or(Err(TransportError::Slow(patience)));
+        if matches!(result, Err(TransportError::Broken(_) | TransportError::Slow(_))) {
+            self.hang_up().await;
+        }
+        result
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn urls() {
+        for good in ["http://127.0.0.1:8545", "ws://localhost:8546/x", "ipc:/tmp/geth.ipc", "/tmp/geth.ipc"] {
+            assert!(line(good).is_ok(), "{good}");
+        }
+        for bad in ["", "127.0.0.1:8545", "https://node", "wss://node", "ipc:geth.ipc", "geth.ipc", "http://", "/tmp/x"] {
+            assert!(line(bad).is_err(), "{bad}");
+        }
+        assert_eq!(shown("http://me:secret@host:1/a@b"), "http://host:1/a@b");
+        assert_eq!(shown("http://host:1/a@b"), "http://host:1/a@b");
+    }
+}

@@ -1,0 +1,103 @@
+//! News from the chain: blocks and events.
+
+use std::time::{Duration, Instant};
+
+use ethers::types::{Bytes, H160, H256, U64};
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+
+use super::connect::POLL;
+use super::{BlockRef, Chain, ChainError, Event, EventAt};
+use crate::model::Hash;
+
+/// The most blocks asked for at once; fewer where a node finds that too many.
+const CHUNK: u64 = 2000;
+
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct RawLog {
+    address: H160,
+    topics: Vec<H256>,
+    data: Bytes,
+    block_number: U64,
+    block_hash: H256,
+    transaction_hash: H256,
+    log_index: U64,
+    block_timestamp: Option<U64>,
+    #[serde(default)]
+    removed: bool,
+}
+
+impl Chain {
+    /// The contract's events of the blocks `from` to `to`, in order.
+    ///
+    /// # Errors
+    /// [`ChainError::NoContract`], or the node's.
+    pub async fn events(&self, from: u64, to: u64) -> Result<Vec<EventAt>, ChainError> {
+        let (mut next, mut chunk) = (from, CHUNK);
+        let mut found = Vec::new();
+        while next <= to {
+            let last = to.min(next.saturating_add(chunk - 1));
+            match self.logs(next, last).await {
+                Ok(logs) => {
+                    for log in logs {
+                        found.push(self.decode(log)?);
+                    }
+                    let Some(after) = last.checked_add(1) else { break };
+                    next = after;
+                    chunk = CHUNK.min(chunk * 2);
+                }
+                Err(ChainError::Rejected { .. } | ChainError::Unreachable { .. }) if last > next => chunk = (last - next).div_ceil(2),
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(found)
+    }
+
+    async fn logs(&self, from: u64, to: u64) -> Result<Vec<RawLog>, ChainError> {
+        let contract = self.contract()?;
+        let filter = json!({
+            "address": contract.to_string(), "fromBlock": format!("{from:#x}"), "toBlock": format!("{to:#x}"),
+        });
+        let mut logs: Vec<RawLog> = self.rpc("eth_getLogs", json!([filter])).await?;
+        logs.retain(|log| !log.removed && log.address.0 == contract.0);
+        Ok(logs)
+    }
+
+    fn decode(&self, log: RawLog) -> Result<EventAt, ChainError> {
+        let topics: Vec<Hash> = log.topics.iter().map(|topic| Hash(topic.0)).collect();
+        let event = Event::decode(&topics, &log.data).map_err(|reason| self.misunderstood("eth_getLogs", &reason))?;
+        Ok(EventAt {
+            block: log.block_number.as_u64(),
+            block_hash: Hash(log.block_hash.0),
+            timestamp: log.block_timestamp.map(|timestamp| timestamp.as_u64()),
+            transaction: Hash(log.transaction_hash.0),
+            log_index: log.log_index.as_u64(),
+            event,
+        })
+    }
+
+    /// The head as soon as it is above `after`, or as it is when `patience` is over.
+    ///
+    /// # Errors
+    /// The node's.
+    pub async fn next_block(&self, after: u64, patience: Duration) -> Result<BlockRef, ChainError> {
+        if let Some(embedded) = self.transport().embedded() {
+            let mut news = embedded.head();
+            let found = tokio::time::timeout(patience, news.wait_for(|head| head.number > after)).await;
+            if let Ok(Ok(head)) = found {
+                return Ok(*head);
+            }
+            return self.head().await;
+        }
+        let deadline = Instant::now() + patience;
+        loop {
+            let head = self.head().await?;
+            let left = deadline.saturating_duration_since(Instant::now());
+            if head.number > after || left.is_zero() {
+                return Ok(head);
+            }
+            tokio::time::sleep(POLL.min(left)).await;
+        }
+    }
+}

@@ -1,0 +1,389 @@
+//! The command line: every verb and flag, in the words of the issue and the console.
+
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+
+/// Share robot data under proof: messages sealed with SM4, signed with SM2, anchored by SM3
+/// digest on a private Ethereum network. Without a command it opens the operator console.
+#[derive(Debug, Parser)]
+#[command(name = "authros", version, max_term_width = 100, disable_help_subcommand = true)]
+pub struct Arguments {
+    /// What applies to every command.
+    #[command(flatten)]
+    pub global: Global,
+    /// What to do; nothing = the console.
+    #[command(subcommand)]
+    pub verb: Option<Verb>,
+}
+
+/// Flags of every command.
+#[derive(Debug, Clone, Args)]
+pub struct Global {
+    /// Directory of this site [default: $XDG_DATA_HOME/authros or ~/.local/share/authros]
+    #[arg(long, global = true, value_name = "DIR", env = "AUTHROS_HOME")]
+    pub home: Option<PathBuf>,
+    /// Identity on this machine
+    #[arg(long, global = true, value_name = "NAME", env = "AUTHROS_PROFILE", default_value = "default")]
+    pub profile: String,
+    /// Print one JSON document (streams: one per line) on stdout
+    #[arg(long, global = true)]
+    pub json: bool,
+    /// File with the keyring's passphrase (first line)
+    #[arg(long, global = true, value_name = "FILE", conflicts_with = "passphrase_fd")]
+    pub passphrase_file: Option<PathBuf>,
+    /// Descriptor to read the keyring's passphrase from
+    #[arg(long, global = true, value_name = "N")]
+    pub passphrase_fd: Option<u32>,
+    /// Real ROS master, as http://host:11311
+    #[arg(long, global = true, value_name = "URI")]
+    pub ros_master: Option<String>,
+    /// Node of a real chain: http://, ws:// or ipc path
+    #[arg(long, global = true, value_name = "URL")]
+    pub chain: Option<String>,
+    /// Address of the `AuthROS` contract on that chain
+    #[arg(long, global = true, value_name = "ADDRESS")]
+    pub contract: Option<String>,
+    /// Real Redis, as redis://host:6379
+    #[arg(long, global = true, value_name = "URL")]
+    pub vault: Option<String>,
+    /// Simulated robots on the embedded master, 0 to 32
+    #[arg(long, global = true, value_name = "N")]
+    pub robots: Option<String>,
+    /// Blocks until an anchor counts as confirmed
+    #[arg(long, global = true, value_name = "N")]
+    pub confirmations: Option<String>,
+    /// rustcrypto or libsm
+    #[arg(long, global = true, value_name = "NAME")]
+    pub crypto_provider: Option<String>,
+    /// each
+    #[arg(long, global = true, value_name = "MODE")]
+    pub anchor_mode: Option<String>,
+}
+
+impl Global {
+    /// The flag's value for a setting.
+    pub fn setting(&self, name: &str) -> Option<String> {
+        match name {
+            "ros.master" => self.ros_master.clone(),
+            "chain.url" => self.chain.clone(),
+            "chain.contract" => self.contract.clone(),
+            "vault.url" => self.vault.clone(),
+            "robots" => self.robots.clone(),
+            "confirmations" => self.confirmations.clone(),
+            "crypto.provider" => self.crypto_provider.clone(),
+            "anchor.mode" => self.anchor_mode.clone(),
+            _ => None,
+        }
+    }
+}
+
+/// The verbs.
+#[derive(Debug, Subcommand)]
+pub enum Verb {
+    /// Make or show an identity
+    #[command(subcommand)]
+    Identity(IdentityVerb),
+    /// Show, load, rotate or export keys
+    #[command(subcommand)]
+    Keys(KeysVerb),
+    /// Put the identity on the chain
+    Register,
+    /// ROS topics: list, watch, unwatch
+    #[command(subcommand)]
+    Topics(TopicsVerb),
+    /// Capture topics; ends when all captured is verified
+    Capture(CaptureArguments),
+    /// Own records: list, show, export
+    #[command(subcommand)]
+    Uploads(UploadsVerb),
+    /// Share with an account
+    Grant(GrantArguments),
+    /// Stop sharing with an account (begins a new epoch)
+    Revoke {
+        /// Account, as 0x and 40 hex
+        address: String,
+    },
+    /// Grants given and received
+    #[command(subcommand)]
+    Grants(GrantsVerb),
+    /// Records shared with this profile: list, check, open
+    #[command(subcommand)]
+    Shared(SharedVerb),
+    /// The chain
+    #[command(subcommand)]
+    Chain(ChainVerb),
+    /// Settings and where they come from
+    #[command(subcommand)]
+    Config(ConfigVerb),
+    /// Run the site without a console
+    Serve,
+    /// The paper's crime-scene mission, from capture to refusal, on embedded parts
+    Demo(DemoArguments),
+    /// The operator console (also without any command)
+    Console(ConsoleArguments),
+}
+
+/// `identity …`
+#[derive(Debug, Subcommand)]
+pub enum IdentityVerb {
+    /// Make keys: EOA, SM2, SM4
+    Create,
+    /// Show the public identity
+    Show,
+}
+
+/// Which key to export.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum ExportKind {
+    /// The SM4 key, hex
+    Sm4,
+    /// The SM2 signing key, PKCS#8 PEM
+    Sm2,
+    /// The EOA, Ethereum V3 keystore
+    Eoa,
+}
+
+/// `keys …`
+#[derive(Debug, Subcommand)]
+pub enum KeysVerb {
+    /// Fingerprints and epochs
+    List,
+    /// Load a key from a 0600 file
+    #[command(group(clap::ArgGroup::new("key").required(true)))]
+    Load {
+        /// SM4 key: 16 bytes, or 32 hex
+        #[arg(long, value_name = "FILE", group = "key")]
+        sm4: Option<PathBuf>,
+        /// SM2 signing key: PKCS#8 PEM, or 64 hex
+        #[arg(long, value_name = "FILE", group = "key")]
+        sm2: Option<PathBuf>,
+        /// EOA: 64 hex, or V3 keystore
+        #[arg(long, value_name = "FILE", group = "key")]
+        eoa: Option<PathBuf>,
+        /// File with the V3 keystore's passphrase
+        #[arg(long, value_name = "FILE")]
+        keystore_passphrase_file: Option<PathBuf>,
+    },
+    /// Begin a new epoch: readers keep what they have, new records need a new key
+    Rotate,
+    /// Write one key to a new 0600 file
+    Export {
+        /// Which key
+        #[arg(value_enum)]
+        kind: ExportKind,
+        /// File to write; must not exist
+        #[arg(long, value_name = "FILE")]
+        out: PathBuf,
+        /// File with the passphrase for the V3 keystore (EOA)
+        #[arg(long, value_name = "FILE")]
+        keystore_passphrase_file: Option<PathBuf>,
+    },
+}
+
+/// `topics …`
+#[derive(Debug, Subcommand)]
+pub enum TopicsVerb {
+    /// Every topic of the ROS graph
+    List,
+    /// Capture a topic as long as a site runs
+    Watch {
+        /// Topic, as /robot1/odom
+        topic: String,
+        /// Refuse messages of other types
+        #[arg(long = "type", value_name = "TYPE")]
+        type_name: Option<String>,
+    },
+    /// Stop capturing a topic
+    Unwatch {
+        /// Topic
+        topic: String,
+    },
+}
+
+/// `capture …`
+#[derive(Debug, Args)]
+pub struct CaptureArguments {
+    /// Topic to capture; may be repeated
+    #[arg(long = "topic", value_name = "TOPIC", required = true)]
+    pub topics: Vec<String>,
+    /// Refuse messages of other types
+    #[arg(long = "type", value_name = "TYPE")]
+    pub type_name: Option<String>,
+    /// End after so many messages of each topic
+    #[arg(long, value_name = "N", conflicts_with = "duration")]
+    pub count: Option<u64>,
+    /// End after this time, as 10s, 5m, 1h
+    #[arg(long = "for", value_name = "TIME", id = "duration")]
+    pub duration: Option<String>,
+    /// Tag for the sealed head, as mission=harbour; may be repeated
+    #[arg(long = "tag", value_name = "KEY=VALUE")]
+    pub tags: Vec<String>,
+}
+
+/// Filters of record lists.
+#[derive(Debug, Args)]
+pub struct ListArguments {
+    /// Only this topic
+    #[arg(long, value_name = "TOPIC")]
+    pub topic: Option<String>,
+    /// Only this state (uploads)
+    #[arg(long, value_name = "STATE")]
+    pub state: Option<String>,
+    /// Kind of record: data, definition, …
+    #[arg(long, value_name = "KIND")]
+    pub kind: Option<String>,
+    /// Only of this owner (shared)
+    #[arg(long, value_name = "ADDRESS")]
+    pub owner: Option<String>,
+    /// Captured at or after, RFC 3339
+    #[arg(long, value_name = "TIME")]
+    pub since: Option<String>,
+    /// Captured before, RFC 3339
+    #[arg(long, value_name = "TIME")]
+    pub until: Option<String>,
+    /// Continue behind `next` of the page before
+    #[arg(long, value_name = "CURSOR")]
+    pub after: Option<String>,
+    /// Records a page, 1 to 1000
+    #[arg(long, value_name = "N", default_value_t = 100)]
+    pub limit: usize,
+    /// Newest first
+    #[arg(long)]
+    pub newest: bool,
+}
+
+/// `uploads …`
+#[derive(Debug, Subcommand)]
+pub enum UploadsVerb {
+    /// List own records
+    List(ListArguments),
+    /// One record with its provenance
+    Show {
+        /// Record id
+        id: String,
+    },
+    /// Files for others to check with openssl
+    Export {
+        /// Record id
+        id: String,
+        /// Directory to write record.bin, signature.bin, signer.pem, proof.json to
+        #[arg(long, value_name = "DIR")]
+        dir: PathBuf,
+    },
+}
+
+/// Which epochs a grant opens.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum EpochsChoice {
+    /// From the current epoch on
+    Current,
+    /// Earlier ones too
+    All,
+}
+
+/// `grant …`
+#[derive(Debug, Args)]
+pub struct GrantArguments {
+    /// Account to share with, as 0x and 40 hex
+    pub address: String,
+    /// Only this topic; may be repeated [default: all topics]
+    #[arg(long = "topic", value_name = "TOPIC")]
+    pub topics: Vec<String>,
+    /// Which epochs
+    #[arg(long, value_enum, default_value = "current")]
+    pub epochs: EpochsChoice,
+    /// End of the grant, as 30d, 12h, 10m
+    #[arg(long, value_name = "TIME")]
+    pub expires: Option<String>,
+}
+
+/// `grants …`
+#[derive(Debug, Subcommand)]
+pub enum GrantsVerb {
+    /// Given and received
+    List,
+}
+
+/// `shared …`
+#[derive(Debug, Subcommand)]
+pub enum SharedVerb {
+    /// Records shared with this profile
+    List(ListArguments),
+    /// Digest against the chain, signature (the paper's `Data_Check`)
+    Check {
+        /// Record id
+        id: String,
+    },
+    /// Check, decrypt, decode
+    Open {
+        /// Record id
+        id: String,
+        /// Also write the message's bytes (a picture's own bytes where it is one) to a file
+        #[arg(long, value_name = "FILE")]
+        out: Option<PathBuf>,
+    },
+}
+
+/// `chain …`
+#[derive(Debug, Subcommand)]
+pub enum ChainVerb {
+    /// Node, contract, block, balance, pending transactions
+    Status,
+}
+
+/// `config …`
+#[derive(Debug, Subcommand)]
+pub enum ConfigVerb {
+    /// Every setting, its value and where it comes from
+    Show,
+    /// Whether the settings can be used
+    Check,
+}
+
+/// `demo …`
+#[derive(Debug, Args)]
+pub struct DemoArguments {
+    /// Capture time in all, seconds, 2 to 600
+    #[arg(long, default_value_t = 10, value_name = "N", value_parser = clap::value_parser!(u64).range(2..=600))]
+    pub seconds: u64,
+}
+
+/// `console …`
+#[derive(Debug, Default, Args)]
+pub struct ConsoleArguments {
+    /// night, day, contrast or mono
+    #[arg(long, value_name = "NAME")]
+    pub theme: Option<String>,
+    /// Plain ASCII glyphs
+    #[arg(long)]
+    pub ascii: bool,
+    /// Look, do not touch
+    #[arg(long)]
+    pub read_only: bool,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        Arguments::command().debug_assert();
+    }
+
+    #[test]
+    fn flags_may_stand_behind_the_verb() {
+        let parsed = Arguments::try_parse_from(["authros", "capture", "--topic", "/a", "--count", "3", "--json", "--home", "/x"]);
+        let arguments = parsed.expect("parses");
+        assert!(arguments.global.json);
+        assert!(matches!(arguments.verb, Some(Verb::Capture(capture)) if capture.count == Some(3)));
+    }
+
+    #[test]
+    fn one_key_at_a_time() {
+        assert!(Arguments::try_parse_from(["authros", "keys", "load"]).is_err());
+        assert!(Arguments::try_parse_from(["authros", "keys", "load", "--sm4", "a", "--eoa", "b"]).is_err());
+    }
+}

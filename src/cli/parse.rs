@@ -1,0 +1,123 @@
+//! Turns the text of arguments into the model's words, with errors of kind `Input`.
+
+use std::fmt::Display;
+use std::str::FromStr;
+use std::time::Duration;
+
+use crate::model::{ErrorKind, RecordState, RecordKind, Timestamp, clean};
+use crate::service::{Failure, UploadQuery};
+
+use super::args::ListArguments;
+
+/// Parses one value.
+///
+/// # Errors
+/// A [`Failure`] of kind `Input` with the type's own words.
+pub fn value<T: FromStr<Err: Display>>(text: &str) -> Result<T, Failure> {
+    text.parse().map_err(|error: T::Err| Failure::new(ErrorKind::Input, error.to_string()))
+}
+
+/// Parses several values.
+///
+/// # Errors
+/// As [`value`], for the first that fails.
+pub fn values<T: FromStr<Err: Display>>(texts: &[String]) -> Result<Vec<T>, Failure> {
+    texts.iter().map(|text| value(text)).collect()
+}
+
+/// A length of time: a number and `ms`, `s`, `m`, `h` or `d`.
+///
+/// # Errors
+/// A [`Failure`] of kind `Input` that says how to write it.
+pub fn duration(text: &str) -> Result<Duration, Failure> {
+    let split = text.find(|character: char| !character.is_ascii_digit()).unwrap_or(text.len());
+    let (digits, unit) = text.split_at(split);
+    let factor = match unit {
+        "ms" => Some(1),
+        "s" => Some(1_000),
+        "m" => Some(60_000),
+        "h" => Some(3_600_000),
+        "d" => Some(86_400_000),
+        _ => None,
+    };
+    let milliseconds = digits.parse::<u64>().ok().zip(factor).and_then(|(count, factor)| count.checked_mul(factor));
+    match milliseconds {
+        Some(milliseconds) if (1..=315_360_000_000).contains(&milliseconds) => Ok(Duration::from_millis(milliseconds)),
+        _ => Err(Failure::new(
+            ErrorKind::Input,
+            format!("'{}' is not a length of time; write a number and ms, s, m, h or d, as 10s or 30d", clean(text, 40)),
+        )),
+    }
+}
+
+/// A tag, `key=value`.
+///
+/// # Errors
+/// A [`Failure`] of kind `Input` that says how to write it.
+pub fn tag(text: &str) -> Result<(String, String), Failure> {
+    let usable = |key: &str| !key.is_empty() && key.len() <= 64 && key.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'_' || b == b'-');
+    match text.split_once('=') {
+        Some((key, value)) if usable(key) && value.len() <= 1024 => Ok((key.to_owned(), value.to_owned())),
+        _ => Err(Failure::new(
+            ErrorKind::Input,
+            format!("'{}' is not a tag; write key=value, the key of letters, digits, - and _", clean(text, 60)),
+        )),
+    }
+}
+
+fn word<T: Copy>(text: &str, what: &str, all: &[(&str, T)]) -> Result<T, Failure> {
+    all.iter().find(|(word, _)| *word == text).map(|(_, value)| *value).ok_or_else(|| {
+        let words: Vec<&str> = all.iter().map(|(word, _)| *word).collect();
+        Failure::new(ErrorKind::Input, format!("'{}' is no {what}; it is one of {}", clean(text, 40), words.join(", ")))
+    })
+}
+
+fn moment(text: &str) -> Result<Timestamp, Failure> {
+    serde_json::from_value(serde_json::Value::String(text.to_owned())).map_err(|_| {
+        Failure::new(ErrorKind::Input, format!("'{}' is not a time; write it as 2026-11-21T08:30:00Z", clean(text, 40)))
+    })
+}
+
+/// The query of a list command.
+///
+/// # Errors
+/// A [`Failure`] of kind `Input` naming the filter at fault.
+pub fn query(arguments: &ListArguments) -> Result<UploadQuery, Failure> {
+    let states: Vec<(&str, RecordState)> = RecordState::ALL.iter().map(|state| (state.word(), *state)).collect();
+    let kinds: Vec<(&str, RecordKind)> = (1..=9).filter_map(RecordKind::from_code).map(|kind| (kind.word(), kind)).collect();
+    if !(1..=1000).contains(&arguments.limit) {
+        return Err(Failure::new(ErrorKind::Input, format!("--limit {} is not between 1 and 1000", arguments.limit)));
+    }
+    Ok(UploadQuery {
+        owner: arguments.owner.as_deref().map(value).transpose()?,
+        topic: arguments.topic.as_deref().map(value).transpose()?,
+        kind: arguments.kind.as_deref().map(|text| word(text, "kind of record", &kinds)).transpose()?,
+        state: arguments.state.as_deref().map(|text| word(text, "state", &states)).transpose()?,
+        since: arguments.since.as_deref().map(moment).transpose()?,
+        until: arguments.until.as_deref().map(moment).transpose()?,
+        after: arguments.after.clone(),
+        limit: arguments.limit,
+        newest_first: arguments.newest,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn durations() {
+        assert_eq!(duration("10s").expect("10s"), Duration::from_secs(10));
+        assert_eq!(duration("30d").expect("30d"), Duration::from_secs(30 * 86_400));
+        for bad in ["", "10", "s", "0s", "-1s", "1y", "99999999999999999999s"] {
+            assert_eq!(duration(bad).expect_err(bad).kind, ErrorKind::Input);
+        }
+    }
+
+    #[test]
+    fn tags_and_times() {
+        assert_eq!(tag("mission=a=b").expect("tag"), ("mission".to_owned(), "a=b".to_owned()));
+        assert!(tag("mission").is_err() && tag("=x").is_err() && tag("a b=x").is_err());
+        assert!(moment("2026-11-21T08:30:00Z").is_ok() && moment("yesterday").is_err());
+    }
+}

@@ -1,0 +1,83 @@
+//! How keys, tokens and pseudonyms follow from each other (DESIGN section 3).
+//! Every derivation begins with its own label; none reads a clock, a file or a random source.
+
+use crate::model::{Address, Domain, FilterId, Hash, PublicKey, SignerId, Token, TopicId};
+
+use super::kdf::{Info, derived};
+use super::secret::uncompressed;
+use super::sm3::sm3;
+use super::{EpochKey, IndexKey, Sm4Key, TopicKey};
+
+/// What binds signed, derived and hashed structures to one chain and contract:
+/// SM3(label || chain id (8) || genesis hash || contract).
+pub fn domain(chain_id: u64, genesis: &Hash, contract: &Address) -> Domain {
+    Domain(sm3(&[b"AuthROS/domain/1", &chain_id.to_be_bytes(), &genesis.0, &contract.0]))
+}
+
+/// EK of an epoch, from K_C and the epoch's secret salt.
+pub fn epoch_key(key: &Sm4Key, salt: &[u8; 32], domain: &Domain, owner: &Address, epoch: u64) -> EpochKey {
+    let info = Info::new("AuthROS/epoch/1").fixed(&domain.0).fixed(&owner.0).number(epoch);
+    EpochKey::new(derived(key.expose(), salt, &info))
+}
+
+/// The public commitment to an epoch's key.
+pub fn token(domain: &Domain, owner: &Address, epoch: u64, key: &EpochKey) -> Token {
+    Token(sm3(&[b"AuthROS/token/1", &domain.0, &owner.0, &epoch.to_be_bytes(), key.expose()]))
+}
+
+/// The key of a topic in an epoch.
+pub fn topic_key(key: &EpochKey, topic: &str) -> TopicKey {
+    TopicKey::new(derived(key.expose(), &[], &Info::new("AuthROS/topic/1").text(topic)))
+}
+
+/// The pseudonym of a topic, the same in every epoch.
+pub fn topic_id(key: &IndexKey, topic: &str) -> TopicId {
+    TopicId(derived(key.expose(), &[], &Info::new("AuthROS/topicid/1").text(topic)))
+}
+
+/// The pseudonym of a type or tag: `kind` is `type` or the tag's name.
+pub fn filter_id(key: &IndexKey, kind: &str, value: &str) -> FilterId {
+    FilterId(derived(key.expose(), &[], &Info::new("AuthROS/filterid/1").text(kind).text(value)))
+}
+
+/// SM3 of 04 || x || y: names a signer in headers and on the chain.
+pub fn signer_id(public: &PublicKey) -> SignerId {
+    SignerId(sm3(&[&uncompressed(public)]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::kdf::hkdf_sm3;
+    use super::*;
+
+    #[test]
+    fn every_input_matters_and_nothing_else_does() {
+        let owner = Address([2; 20]);
+        let home = domain(7, &Hash([1; 32]), &Address([9; 20]));
+        let key = Sm4Key::new([3; 16]);
+        let epoch =
+            |salt: u8, domain: &Domain, owner: &Address, number| epoch_key(&key, &[salt; 32], domain, owner, number);
+        let base = epoch(4, &home, &owner, 1);
+        assert_eq!(base, epoch(4, &home, &owner, 1));
+        let away = domain(8, &Hash([1; 32]), &Address([9; 20]));
+        let others = [epoch(5, &home, &owner, 1), epoch(4, &away, &owner, 1), epoch(4, &home, &Address([0; 20]), 1)];
+        assert!(others.iter().chain([&epoch(4, &home, &owner, 2)]).all(|other| *other != base));
+
+        assert_ne!(token(&home, &owner, 1, &base), token(&home, &owner, 2, &base));
+        assert_ne!(topic_key(&base, "/a"), topic_key(&base, "/b"));
+        let index = IndexKey::new([6; 32]);
+        assert_ne!(topic_id(&index, "/a"), topic_id(&index, "/b"));
+        assert_ne!(filter_id(&index, "type", "a"), filter_id(&index, "typea", ""));
+    }
+
+    #[test]
+    fn derivations_are_stable_across_versions() {
+        let home = domain(1, &Hash([0; 32]), &Address([0; 20]));
+        let expected = sm3(&[b"AuthROS/domain/1", &[0, 0, 0, 0, 0, 0, 0, 1], &[0; 32], &[0; 20]]);
+        assert_eq!(home, Domain(expected));
+        let key = topic_key(&EpochKey::new([1; 32]), "/odom");
+        let mut out = [0; 32];
+        hkdf_sm3(&[1; 32], &[], b"AuthROS/topic/1\0\x05/odom", &mut out).expect("derives");
+        assert_eq!(key.expose(), &out);
+    }
+}

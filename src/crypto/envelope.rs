@@ -1,0 +1,151 @@
+//! The wrapped keys of a grant: SM2 encryption to the grantee's P_E around the terms and keys,
+//! signed by the owner's d_C. Whether the chain grants anything is the chain's to say; the terms
+//! inside must be exactly those of its event.
+
+use std::collections::BTreeSet;
+
+use crate::model::wire::{Reader, WireError};
+use crate::model::{Domain, GrantTerms, PublicKey, Scope, Signature, TopicId, TopicName};
+
+use super::sm3::sm3;
+use super::{CryptoError, EpochKey, IndexKey, Provider, SmKeyPair, SmSecret, TopicKey};
+
+mod body;
+
+/// The largest envelope, bytes.
+pub const LARGEST_ENVELOPE: usize = 64 * 1024;
+const VERSION: u8 = 1;
+const WHAT: &str = "key envelope";
+
+/// What a grant gives to read with.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum GrantedKeys {
+    /// Every topic of some epochs.
+    All {
+        /// (epoch, EK), each epoch once, the grant's own among them.
+        epochs: Vec<(u64, EpochKey)>,
+        /// IK, to compute topic and filter ids.
+        index_key: IndexKey,
+    },
+    /// Some topics of some epochs.
+    Topics {
+        /// (epoch, topic, its id, its key), each pair of epoch and topic once.
+        keys: Vec<(u64, String, TopicId, TopicKey)>,
+    },
+}
+
+/// Terms of a grant with the keys that fulfil them.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct WrappedKeys {
+    /// As the chain's event states them.
+    pub terms: GrantTerms,
+    /// What they give.
+    pub keys: GrantedKeys,
+}
+
+/// Seals keys for a grantee: version || length (4) || SM2 ciphertext (DER) || signature (64).
+///
+/// # Errors
+/// [`CryptoError::Inconsistent`] where keys and terms do not fit, [`CryptoError::PublicPoint`],
+/// [`CryptoError::Length`] where the envelope would exceed [`LARGEST_ENVELOPE`].
+pub fn wrap(
+    provider: &dyn Provider,
+    domain: &Domain,
+    wrapped: &WrappedKeys,
+    owner: &SmKeyPair,
+    grantee: &PublicKey,
+) -> Result<Vec<u8>, CryptoError> {
+    check_fit(wrapped)?;
+    let plain = body::encode(domain, wrapped);
+    let too_long = |found| CryptoError::Length { what: WHAT, found, allowed: "at most 65,536" };
+    if plain.len() > LARGEST_ENVELOPE {
+        return Err(too_long(plain.len()));
+    }
+    let sealed = provider.encrypt(grantee, &plain)?;
+    let length = u32::try_from(sealed.len()).map_err(|_| too_long(sealed.len()))?;
+    let mut envelope = [&[VERSION], &length.to_be_bytes()[..], &sealed].concat();
+    let signature = provider.sign(&owner.secret, &signed_bytes(domain, &envelope))?;
+    envelope.extend_from_slice(&signature.0);
+    if envelope.len() > LARGEST_ENVELOPE { Err(too_long(envelope.len())) } else { Ok(envelope) }
+}
+
+/// Checks the owner's signature, opens the envelope and compares every field with the chain's event.
+///
+/// # Errors
+/// [`CryptoError::Malformed`], [`CryptoError::BadSignature`], [`CryptoError::BadCiphertext`], or
+/// [`CryptoError::NotAccepted`] naming the field that differs.
+pub fn unwrap(
+    provider: &dyn Provider,
+    domain: &Domain,
+    envelope: &[u8],
+    expected: &GrantTerms,
+    owner: &PublicKey,
+    grantee: &SmSecret,
+) -> Result<WrappedKeys, CryptoError> {
+    let (signed, sealed, signature) = parts(envelope).map_err(CryptoError::malformed(WHAT))?;
+    provider.verify(owner, &signed_bytes(domain, signed), &signature)?;
+    let plain = provider.decrypt(grantee, sealed)?;
+    let (named, wrapped) = body::parse(&plain).map_err(CryptoError::malformed(WHAT))?;
+    compare(domain, &named, expected, &wrapped.terms)?;
+    check_fit(&wrapped)?;
+    Ok(wrapped)
+}
+
+fn parts(envelope: &[u8]) -> Result<(&[u8], &[u8], Signature), WireError> {
+    if envelope.len() > LARGEST_ENVELOPE {
+        return Err(WireError::Long(envelope.len() - LARGEST_ENVELOPE));
+    }
+    let mut reader = Reader::new(envelope);
+    if reader.u8("version")? != VERSION {
+        return Err(WireError::Value("version"));
+    }
+    let length = usize::try_from(reader.u32("length")?).map_err(|_| WireError::Value("length"))?;
+    let sealed = reader.take(length, "sealed keys")?;
+    let signature = Signature(reader.array("signature")?);
+    reader.end()?;
+    Ok((&envelope[..envelope.len() - Signature::LENGTH], sealed, signature))
+}
+
+fn signed_bytes(domain: &Domain, envelope: &[u8]) -> Vec<u8> {
+    [&b"AuthROS/envelope-signature/1"[..], &domain.0, &sm3(&[envelope])].concat()
+}
+
+fn compare(domain: &Domain, named: &Domain, expected: &GrantTerms, terms: &GrantTerms) -> Result<(), CryptoError> {
+    let fields = [
+        ("domain", domain != named),
+        ("owner", expected.owner != terms.owner),
+        ("grantee", expected.grantee != terms.grantee),
+        ("epoch", expected.epoch != terms.epoch),
+        ("expiry", expected.expiry != terms.expiry),
+        ("scope", expected.scope != terms.scope),
+    ];
+    let differing = fields.into_iter().find(|(_, differs)| *differs);
+    differing.map_or(Ok(()), |(field, _)| Err(CryptoError::NotAccepted { what: WHAT, field }))
+}
+
+/// Keys fit terms: same kind of scope, no epoch beyond the grant's, the grant's own covered,
+/// nothing twice, only topics of the scope, only names that are names.
+fn check_fit(wrapped: &WrappedKeys) -> Result<(), CryptoError> {
+    let epoch = wrapped.terms.epoch;
+    let fits = match (&wrapped.keys, &wrapped.terms.scope) {
+        (GrantedKeys::All { epochs, .. }, Scope::All) => {
+            let numbers: BTreeSet<u64> = epochs.iter().map(|(number, _)| *number).collect();
+            numbers.len() == epochs.len() && is_range(&numbers, epoch)
+        }
+        (GrantedKeys::Topics { keys }, Scope::Topics(topics)) => {
+            let numbers: BTreeSet<u64> = keys.iter().map(|(number, ..)| *number).collect();
+            let pairs: BTreeSet<(u64, TopicId)> = keys.iter().map(|(number, _, id, _)| (*number, *id)).collect();
+            let named = keys.iter().all(|(_, name, id, _)| name.parse::<TopicName>().is_ok() && topics.contains(id));
+            pairs.len() == keys.len() && named && is_range(&numbers, epoch)
+        }
+        _ => false,
+    };
+    if fits { Ok(()) } else { Err(CryptoError::Inconsistent("set of keys of the grant")) }
+}
+
+fn is_range(numbers: &BTreeSet<u64>, epoch: u64) -> bool {
+    numbers.first().is_some_and(|first| *first > 0) && numbers.last() == Some(&epoch)
+}
+
+#[cfg(test)]
+mod tests;

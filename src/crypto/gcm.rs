@@ -1,0 +1,92 @@
+//! SM4-GCM (RFC 8998, GB/T 36624): counter mode and GHASH over any provider's SM4 block.
+//! Nonces are 96 bits, tags 128; who chooses keys and nonces lives elsewhere.
+
+use ghash::universal_hash::UniversalHash as _;
+use ghash::{Block, GHash};
+use subtle::ConstantTimeEq as _;
+use zeroize::Zeroizing;
+
+use super::{CryptoError, fault};
+
+/// The tag's length, bytes.
+pub const TAG: usize = 16;
+/// The longest text of one nonce: 2^32 - 2 blocks (NIST SP 800-38D, 5.2.1.1).
+const LONGEST: u64 = ((1 << 32) - 2) * 16;
+
+/// One SM4 key, ready to encrypt.
+pub(super) trait BlockCipher {
+    /// Encrypts one block.
+    fn encrypt_block(&self, block: &[u8; 16]) -> Result<[u8; 16], CryptoError>;
+
+    /// XORs `data` with the blocks `counter`, `counter` + 1, ... (32-bit counter at the end).
+    fn apply_counter(&self, counter: [u8; 16], data: &mut [u8]) -> Result<(), CryptoError> {
+        let mut block = counter;
+        let mut number = u32::from_be_bytes([block[12], block[13], block[14], block[15]]);
+        for chunk in data.chunks_mut(16) {
+            let stream = self.encrypt_block(&block)?;
+            chunk.iter_mut().zip(stream).for_each(|(byte, mask)| *byte ^= mask);
+            number = number.wrapping_add(1);
+            block[12..].copy_from_slice(&number.to_be_bytes());
+        }
+        Ok(())
+    }
+}
+
+fn counter(nonce: &[u8; 12], number: u8) -> [u8; 16] {
+    let mut block = [0; 16];
+    block[..12].copy_from_slice(nonce);
+    block[15] = number;
+    block
+}
+
+fn tag(cipher: &impl BlockCipher, nonce: &[u8; 12], aad: &[u8], text: &[u8]) -> Result<[u8; 16], CryptoError> {
+    let key = Zeroizing::new(cipher.encrypt_block(&[0; 16])?);
+    let mut hash = GHash::new(&Block::from(*key));
+    hash.update_padded(aad);
+    hash.update_padded(text);
+    let bits = |bytes: &[u8]| (u64::try_from(bytes.len()).unwrap_or(u64::MAX).wrapping_mul(8)).to_be_bytes();
+    let mut lengths = [0; 16];
+    lengths[..8].copy_from_slice(&bits(aad));
+    lengths[8..].copy_from_slice(&bits(text));
+    hash.update(&[Block::from(lengths)]);
+    let mask = cipher.encrypt_block(&counter(nonce, 1))?;
+    let mut tag: [u8; 16] = hash.finalize().into();
+    tag.iter_mut().zip(mask).for_each(|(byte, mask)| *byte ^= mask);
+    Ok(tag)
+}
+
+/// Encrypts `buffer` in place and appends the tag.
+pub(super) fn seal(
+    cipher: &impl BlockCipher,
+    nonce: &[u8; 12],
+    aad: &[u8],
+    buffer: &mut Vec<u8>,
+) -> Result<(), CryptoError> {
+    if u64::try_from(buffer.len()).unwrap_or(u64::MAX) > LONGEST {
+        return Err(CryptoError::Length { what: "text for SM4-GCM", found: buffer.len(), allowed: "under 64 GiB" });
+    }
+    cipher.apply_counter(counter(nonce, 2), buffer)?;
+    let tag = tag(cipher, nonce, aad, buffer)?;
+    buffer.extend_from_slice(&tag);
+    Ok(())
+}
+
+/// Checks the tag in constant time, and only then decrypts.
+pub(super) fn open(
+    cipher: &impl BlockCipher,
+    nonce: &[u8; 12],
+    aad: &[u8],
+    sealed: &[u8],
+) -> Result<Zeroizing<Vec<u8>>, CryptoError> {
+    let (text, found) = sealed.split_last_chunk::<TAG>().ok_or(CryptoError::BadCiphertext)?;
+    if u64::try_from(text.len()).unwrap_or(u64::MAX) > LONGEST {
+        return Err(CryptoError::BadCiphertext);
+    }
+    let equal = bool::from(tag(cipher, nonce, aad, text)?.ct_eq(found));
+    if !equal && !fault::is_off("tag") {
+        return Err(CryptoError::BadCiphertext);
+    }
+    let mut plain = Zeroizing::new(text.to_vec());
+    cipher.apply_counter(counter(nonce, 2), &mut plain)?;
+    Ok(plain)
+}

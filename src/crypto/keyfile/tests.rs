@@ -1,0 +1,139 @@
+use std::fs;
+use std::os::unix::fs::PermissionsExt as _;
+use std::path::PathBuf;
+
+use proptest::prelude::*;
+
+use super::*;
+use crate::crypto::private_file::write_private;
+use crate::model::ErrorKind;
+
+struct Directory(tempfile::TempDir);
+
+impl Directory {
+    fn new() -> Self {
+        Self(tempfile::tempdir().expect("directory"))
+    }
+
+    fn file(&self, content: &[u8]) -> PathBuf {
+        let path = self.0.path().join("key");
+        write_private(&path, content).expect("writes");
+        path
+    }
+}
+
+fn message<T: std::fmt::Debug>(result: Result<T, CryptoError>) -> String {
+    let error = result.expect_err("refused");
+    assert_eq!(error.kind(), ErrorKind::Input, "{error}");
+    error.to_string()
+}
+
+#[test]
+fn sm4_keys_raw_and_hex() {
+    let directory = Directory::new();
+    let raw: Vec<u8> = (200..216).collect();
+    for content in
+        [raw.clone(), hex(&raw).into_bytes(), (hex(&raw) + "\n").into_bytes(), (hex(&raw) + "\r\n").into_bytes()]
+    {
+        assert_eq!(load_sm4(&directory.file(&content)).expect("loads").expose()[..], raw[..]);
+    }
+    let key = Sm4Key::generate().expect("random");
+    assert_eq!(load_sm4(&directory.file(sm4_hex(&key).as_bytes())).expect("loads"), key);
+}
+
+#[test]
+fn what_is_no_sm4_key_is_named() {
+    let directory = Directory::new();
+    let refused = |content: &[u8]| message(load_sm4(&directory.file(content)));
+    assert!(refused(&[200; 15]).contains("it holds 15 bytes"));
+    assert!(refused(&[200; 17]).contains("it holds 17 bytes"));
+    assert!(refused(b"").contains("it is empty"));
+    assert!(refused(b"correct horse battery staple\n").contains("28 characters of text, perhaps a passphrase"));
+    assert!(refused(b"sixteen letters!").contains("16 characters of text"));
+    assert!(refused(&b"ab".repeat(17)).contains("34 characters"));
+}
+
+#[test]
+fn files_open_to_others_are_refused_with_advice() {
+    let directory = Directory::new();
+    let path = directory.file(&[200; 16]);
+    fs::set_permissions(&path, fs::Permissions::from_mode(0o644)).expect("chmod");
+    for text in [message(load_sm4(&path)), message(load_sm2(&path)), message(load_eoa(&path, None))] {
+        assert!(text.contains(&format!("chmod 600 {}", path.display())), "{text}");
+    }
+    message(load_sm4(&directory.0.path().join("none")));
+    message(load_sm4(&directory.file(&vec![200; LONGEST + 1])));
+}
+
+#[test]
+fn sm2_keys_as_pem_and_hex() {
+    let directory = Directory::new();
+    let secret = SmSecret::generate().expect("random");
+    let pem = sm2_pem(&secret).expect("encodes");
+    assert!(pem.starts_with("-----BEGIN PRIVATE KEY-----\n"));
+    for content in [pem.as_bytes(), hex(secret.expose()).as_bytes(), (hex(secret.expose()) + "\n").as_bytes()] {
+        assert_eq!(load_sm2(&directory.file(content)).expect("loads"), secret);
+    }
+    let refused = |content: &[u8]| message(load_sm2(&directory.file(content)));
+    assert!(refused(&[0xff; 32]).contains("it is binary"));
+    assert!(refused(b"hello").contains("5 characters"));
+    assert!(refused("00".repeat(32).as_bytes()).contains("out of the range"));
+    assert!(refused("ff".repeat(32).as_bytes()).contains("out of the range"));
+    assert!(refused(b"-----BEGIN ENCRYPTED PRIVATE KEY-----").contains("encrypted"));
+    assert!(refused(b"-----BEGIN EC PRIVATE KEY-----").contains("SEC1"));
+    assert!(refused(b"-----BEGIN PUBLIC KEY-----").contains("public key"));
+    assert!(refused(pem.replace("A", "B").as_bytes()).contains("no SM2 key"));
+}
+
+#[test]
+fn public_keys_as_pem() {
+    let secret = SmSecret::generate().expect("random");
+    let provider = crate::crypto::provider(crate::crypto::ProviderName::RustCrypto);
+    let public = crate::crypto::Provider::public_key(provider, &secret).expect("point");
+    let pem = sm2_public_pem(&public).expect("encodes");
+    assert_eq!(sm2_public_from_pem(&pem).expect("parses"), public);
+    assert!(sm2_public_pem(&PublicKey([1; 64])).is_err());
+    assert!(sm2_public_from_pem("hello").is_err());
+}
+
+#[test]
+fn eoa_keys_as_hex_and_keystore() {
+    let directory = Directory::new();
+    let secret = EoaSecret::generate().expect("random");
+    let digits = hex(secret.expose());
+    for content in [digits.clone(), format!("0x{digits}\n"), digits.to_uppercase()] {
+        assert_eq!(load_eoa(&directory.file(content.as_bytes()), None).expect("loads"), secret);
+    }
+    let store = directory.file(eoa_keystore(&secret, "short").expect("seals").as_bytes());
+    assert_eq!(load_eoa(&store, Some("short")).expect("loads"), secret);
+    assert!(matches!(load_eoa(&store, None), Err(CryptoError::PassphraseNeeded(_))));
+    let refused = load_eoa(&store, Some("wrong")).expect_err("refused");
+    assert!(matches!(refused, CryptoError::WrongPassphrase(_)) && refused.kind() == ErrorKind::Refused);
+    let refused = |content: &[u8]| message(load_eoa(&directory.file(content), None));
+    assert!(refused(b"0x1234").contains("it holds 6 bytes"));
+    assert!(refused("00".repeat(32).as_bytes()).contains("out of the range"));
+    assert!(message(load_eoa(&directory.file(b"{\"a\":1}"), Some("x"))).contains("no keystore"));
+}
+
+proptest! {
+    #[test]
+    fn parsers_never_panic(noise in proptest::collection::vec(any::<u8>(), 0..200), text in ".{0,100}") {
+        for bytes in [&noise[..], text.as_bytes()] {
+            let _ = parse_sm2(bytes);
+            let _ = parse_eoa_hex(bytes);
+            let _ = keystore::open(bytes, "x");
+            if let Ok(key) = parse_sm4(bytes) {
+                let raw = bytes == key.expose();
+                prop_assert!(raw || line(bytes).to_ascii_lowercase() == hex(key.expose()).into_bytes());
+            }
+        }
+        let pem = format!("-----BEGIN PRIVATE KEY-----\n{text}\n-----END PRIVATE KEY-----\n");
+        let _ = parse_sm2(pem.as_bytes());
+    }
+
+    #[test]
+    fn every_sixteen_bytes_that_are_no_text_are_a_key(raw in any::<[u8; 16]>()) {
+        prop_assume!(!is_text(line(&raw)));
+        prop_assert_eq!(parse_sm4(&raw).expect("a key"), Sm4Key::new(raw));
+    }
+}

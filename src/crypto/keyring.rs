@@ -1,0 +1,150 @@
+//! The keys of one profile: EOA, the two SM2 pairs, K_C, IK, and the secrets of every epoch on
+//! every network, from which all old epoch keys can be derived again. How they lie on disk is
+//! `file`; what is registered on the chain is not known here.
+
+use std::collections::BTreeMap;
+
+use crate::model::{Address, Domain, PublicKey, Token};
+
+use super::{CryptoError, EoaSecret, EpochKey, EpochSalt, IndexKey, Provider, Sm4Key, SmKeyPair, epoch_key, token};
+
+mod file;
+
+pub use file::{UnlockedKeyring, read_public};
+
+/// Whether the chain knows an epoch's token.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum EpochState {
+    /// Its transaction is not confirmed.
+    Pending,
+    /// It is registered.
+    Active,
+}
+
+/// What an epoch's key follows from.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct EpochSecret {
+    /// r: secret and random.
+    pub salt: EpochSalt,
+    /// K_C as it was when the epoch began.
+    pub sm4: Sm4Key,
+    /// Whether the chain knows it.
+    pub state: EpochState,
+}
+
+/// The epochs of a profile on one network.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct NetworkKeys {
+    /// Every epoch there ever was.
+    pub epochs: BTreeMap<u64, EpochSecret>,
+    /// The epoch that new records are sealed under; 0 before the first.
+    pub current: u64,
+}
+
+/// What may be known of a profile without its passphrase.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PublicIdentity {
+    /// The EOA's address.
+    pub address: Address,
+    /// P_C.
+    pub signing: PublicKey,
+    /// P_E.
+    pub envelope: PublicKey,
+}
+
+/// All secrets of one profile.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Keyring {
+    /// The Ethereum account.
+    pub eoa: EoaSecret,
+    /// (d_C, P_C): signs.
+    pub signing: SmKeyPair,
+    /// (d_E, P_E): opens envelopes.
+    pub envelope: SmKeyPair,
+    /// K_C of epochs to come.
+    pub sm4: Sm4Key,
+    /// IK.
+    pub index: IndexKey,
+    /// Epochs by network.
+    pub networks: BTreeMap<Domain, NetworkKeys>,
+}
+
+impl Keyring {
+    /// Fresh keys, no network yet.
+    ///
+    /// # Errors
+    /// [`CryptoError::Random`] where the random source fails.
+    pub fn generate(provider: &dyn Provider) -> Result<Self, CryptoError> {
+        Ok(Self {
+            eoa: EoaSecret::generate()?,
+            signing: SmKeyPair::generate(provider)?,
+            envelope: SmKeyPair::generate(provider)?,
+            sm4: Sm4Key::generate()?,
+            index: IndexKey::generate()?,
+            networks: BTreeMap::new(),
+        })
+    }
+
+    /// The public part.
+    pub fn public(&self) -> PublicIdentity {
+        PublicIdentity { address: self.eoa.address(), signing: self.signing.public, envelope: self.envelope.public }
+    }
+
+    /// Begins the next epoch of a network under K_C and a fresh salt, and makes it the current one.
+    /// It is pending until [`Self::confirm_epoch`]; save the keyring before its token is sent.
+    ///
+    /// # Errors
+    /// [`CryptoError::Random`] where the random source fails.
+    pub fn start_epoch(&mut self, domain: &Domain) -> Result<u64, CryptoError> {
+        let salt = EpochSalt::generate()?;
+        let network = self.networks.entry(*domain).or_default();
+        let epoch = network.epochs.last_key_value().map_or(0, |(last, _)| *last) + 1;
+        let secret = EpochSecret { salt, sm4: self.sm4.clone(), state: EpochState::Pending };
+        network.epochs.insert(epoch, secret);
+        network.current = epoch;
+        Ok(epoch)
+    }
+
+    /// Notes that the chain confirmed an epoch's token.
+    ///
+    /// # Errors
+    /// [`CryptoError::NoEpoch`] where the keyring lacks the epoch.
+    pub fn confirm_epoch(&mut self, domain: &Domain, epoch: u64) -> Result<(), CryptoError> {
+        let network = self.networks.get_mut(domain).ok_or(CryptoError::NoEpoch(epoch))?;
+        let secret = network.epochs.get_mut(&epoch).ok_or(CryptoError::NoEpoch(epoch))?;
+        secret.state = EpochState::Active;
+        Ok(())
+    }
+
+    /// The epoch that new records of a network are sealed under.
+    pub fn current_epoch(&self, domain: &Domain) -> Option<u64> {
+        self.networks.get(domain).map(|network| network.current).filter(|epoch| *epoch > 0)
+    }
+
+    /// The epochs of a network whose transactions are not confirmed, oldest first.
+    pub fn pending_epochs(&self, domain: &Domain) -> Vec<u64> {
+        let epochs = self.networks.get(domain).into_iter().flat_map(|network| &network.epochs);
+        epochs.filter(|(_, secret)| secret.state == EpochState::Pending).map(|(epoch, _)| *epoch).collect()
+    }
+
+    /// EK of any epoch there ever was, derived again.
+    ///
+    /// # Errors
+    /// [`CryptoError::NoEpoch`] where the keyring lacks the epoch.
+    pub fn epoch_key(&self, domain: &Domain, epoch: u64) -> Result<EpochKey, CryptoError> {
+        let secret = self.networks.get(domain).and_then(|network| network.epochs.get(&epoch));
+        let secret = secret.ok_or(CryptoError::NoEpoch(epoch))?;
+        Ok(epoch_key(&secret.sm4, secret.salt.expose(), domain, &self.eoa.address(), epoch))
+    }
+
+    /// The token of an epoch.
+    ///
+    /// # Errors
+    /// [`CryptoError::NoEpoch`] where the keyring lacks the epoch.
+    pub fn token(&self, domain: &Domain, epoch: u64) -> Result<Token, CryptoError> {
+        Ok(token(domain, &self.eoa.address(), epoch, &self.epoch_key(domain, epoch)?))
+    }
+}
+
+#[cfg(test)]
+mod tests;

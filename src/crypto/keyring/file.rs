@@ -1,0 +1,266 @@
+//! A keyring on disk: a public header, then the secrets under SM4-GCM with the header as AAD.
+//! The passphrase's key is derived once (scrypt); each save draws a salt and, as records do, its own
+//! key, nonce and commitment, which tells a wrong passphrase from damage.
+
+use std::path::{Path, PathBuf};
+
+use subtle::ConstantTimeEq as _;
+use zeroize::Zeroizing;
+
+use crate::crypto::error::shown;
+use crate::crypto::kdf::{Info, derived};
+use crate::crypto::passphrase::{Work, stretch};
+use crate::crypto::private_file::{
+    check_private_directory, create_private, directory_of, make_private_directory, read_private, write_private,
+};
+use crate::crypto::{CryptoError, Passphrase, ProviderName, provider, random_bytes};
+use crate::model::wire::{Reader, WireError};
+use crate::model::{Address, PublicKey};
+
+use super::{Keyring, PublicIdentity};
+
+mod body;
+
+const MAGIC: [u8; 8] = *b"\x89AuthKey";
+const VERSION: u8 = 1;
+/// The largest keyring accepted, bytes: about 290,000 epochs.
+const LARGEST: usize = 16 * 1024 * 1024;
+/// Length of the header, bytes.
+const HEADER: usize = 258;
+
+/// What a passphrase was stretched to, and how.
+#[derive(Clone)]
+struct FileKey {
+    work: Work,
+    salt: [u8; 32],
+    key: Zeroizing<[u8; 32]>,
+}
+
+impl FileKey {
+    fn new(passphrase: &Passphrase) -> Result<Self, CryptoError> {
+        Self::with(passphrase, Work::WRITTEN, random_bytes()?)
+    }
+
+    fn with(passphrase: &Passphrase, work: Work, salt: [u8; 32]) -> Result<Self, CryptoError> {
+        Ok(Self { work, salt, key: stretch(passphrase.expose(), &salt, work)? })
+    }
+}
+
+/// The header, in the order it is written.
+struct FileHeader {
+    work: Work,
+    salt: [u8; 32],
+    save_salt: [u8; 24],
+    public: PublicIdentity,
+    commit: [u8; 32],
+    length: usize,
+}
+
+impl FileHeader {
+    fn encode(&self) -> Vec<u8> {
+        let mut out = Vec::with_capacity(HEADER);
+        out.extend_from_slice(&MAGIC);
+        out.extend_from_slice(&[VERSION, self.work.log_n]);
+        out.extend_from_slice(&self.work.r.to_be_bytes());
+        out.extend_from_slice(&self.work.p.to_be_bytes());
+        out.extend_from_slice(&self.salt);
+        out.extend_from_slice(&self.save_salt);
+        out.extend_from_slice(&self.public.address.0);
+        out.extend_from_slice(&self.public.signing.0);
+        out.extend_from_slice(&self.public.envelope.0);
+        out.extend_from_slice(&self.commit);
+        out.extend_from_slice(&u32::try_from(self.length).unwrap_or(u32::MAX).to_be_bytes());
+        out
+    }
+
+    fn parse(reader: &mut Reader<'_>) -> Result<Self, WireError> {
+        if reader.array("magic")? != MAGIC {
+            return Err(WireError::Value("magic"));
+        }
+        if reader.u8("version")? != VERSION {
+            return Err(WireError::Value("version"));
+        }
+        let work = Work { log_n: reader.u8("work")?, r: reader.u32("work")?, p: reader.u32("work")? };
+        if !work.is_bearable() {
+            return Err(WireError::Value("work"));
+        }
+        Ok(Self {
+            work,
+            salt: reader.array("salt")?,
+            save_salt: reader.array("salt")?,
+            public: PublicIdentity {
+                address: Address(reader.array("address")?),
+                signing: PublicKey(reader.array("signing key")?),
+                envelope: PublicKey(reader.array("envelope key")?),
+            },
+            commit: reader.array("commitment")?,
+            length: usize::try_from(reader.u32("length")?).map_err(|_| WireError::Value("length"))?,
+        })
+    }
+}
+
+/// Key, nonce and commitment of one save.
+struct SaveKeys {
+    key: Zeroizing<[u8; 16]>,
+    nonce: [u8; 12],
+    commit: [u8; 32],
+}
+
+impl SaveKeys {
+    fn derive(key: &FileKey, save_salt: &[u8; 24]) -> Self {
+        let bytes = Zeroizing::new(derived::<60>(&*key.key, save_salt, &Info::new("AuthROS/keyring/1")));
+        Self {
+            key: Zeroizing::new(std::array::from_fn(|index| bytes[index])),
+            nonce: std::array::from_fn(|index| bytes[16 + index]),
+            commit: std::array::from_fn(|index| bytes[28 + index]),
+        }
+    }
+}
+
+fn seal(keyring: &Keyring, key: &FileKey) -> Result<Vec<u8>, CryptoError> {
+    let mut sealed = body::encode(keyring);
+    let save_salt = random_bytes()?;
+    let keys = SaveKeys::derive(key, &save_salt);
+    let length = sealed.len() + 16;
+    if length + HEADER > LARGEST {
+        return Err(CryptoError::Length { what: "keyring", found: length, allowed: "at most 16 MiB" });
+    }
+    let header =
+        FileHeader { work: key.work, salt: key.salt, save_salt, public: keyring.public(), commit: keys.commit, length };
+    let header = header.encode();
+    provider(ProviderName::RustCrypto).gcm_seal(&keys.key, &keys.nonce, &header, &mut sealed)?;
+    Ok([&header[..], &sealed].concat())
+}
+
+fn split(bytes: &[u8]) -> Result<(FileHeader, &[u8], &[u8]), WireError> {
+    let mut reader = Reader::new(bytes);
+    let header = FileHeader::parse(&mut reader)?;
+    let sealed = reader.take(header.length, "sealed keys")?;
+    reader.end()?;
+    Ok((header, bytes.get(..HEADER).unwrap_or_default(), sealed))
+}
+
+/// Why a file did not open.
+enum Refusal {
+    Passphrase,
+    Damaged,
+}
+
+fn open(bytes: &[u8], key: &FileKey) -> Result<Keyring, Refusal> {
+    let (header, aad, sealed) = split(bytes).map_err(|_| Refusal::Damaged)?;
+    let keys = SaveKeys::derive(key, &header.save_salt);
+    if !bool::from(keys.commit.ct_eq(&header.commit)) {
+        return Err(Refusal::Passphrase);
+    }
+    let plain = provider(ProviderName::RustCrypto)
+        .gcm_open(&keys.key, &keys.nonce, aad, sealed)
+        .map_err(|_| Refusal::Damaged)?;
+    let keyring = body::parse(&plain).map_err(|_| Refusal::Damaged)?;
+    if keyring.public() == header.public { Ok(keyring) } else { Err(Refusal::Damaged) }
+}
+
+fn read(path: &Path) -> Result<Zeroizing<Vec<u8>>, CryptoError> {
+    let bytes = read_private(path, LARGEST)?;
+    check_private_directory(&directory_of(path))?;
+    Ok(bytes)
+}
+
+/// What a keyring file says of its profile, read without the passphrase. An altered file can lie
+/// here; it no longer opens then.
+///
+/// # Errors
+/// [`CryptoError::Read`], [`CryptoError::OpenToOthers`] or [`CryptoError::DamagedKeyring`].
+pub fn read_public(path: &Path) -> Result<PublicIdentity, CryptoError> {
+    let bytes = read(path)?;
+    split(&bytes).map(|(header, _, _)| header.public).map_err(|_| CryptoError::DamagedKeyring(shown(path)))
+}
+
+impl Keyring {
+    /// Writes the keyring, replacing what was there; derives the passphrase's key (about 0.3 s).
+    ///
+    /// # Errors
+    /// [`CryptoError::Write`] or [`CryptoError::OpenToOthers`].
+    pub fn save(&self, path: &Path, passphrase: &Passphrase) -> Result<(), CryptoError> {
+        make_private_directory(&directory_of(path))?;
+        write_private(path, &seal(self, &FileKey::new(passphrase)?)?)
+    }
+
+    /// Reads and opens a keyring; derives the passphrase's key (about 0.3 s).
+    ///
+    /// # Errors
+    /// As [`UnlockedKeyring::open`].
+    pub fn load(path: &Path, passphrase: &Passphrase) -> Result<Self, CryptoError> {
+        UnlockedKeyring::open(path, passphrase).map(|unlocked| unlocked.keyring)
+    }
+}
+
+/// A keyring in memory with the key of its file, so that later saves cost no derivation.
+pub struct UnlockedKeyring {
+    /// The keys; [`Self::save`] after changing them.
+    pub keyring: Keyring,
+    path: PathBuf,
+    key: FileKey,
+}
+
+impl UnlockedKeyring {
+    /// Writes a new keyring file, never over one that exists.
+    ///
+    /// # Errors
+    /// [`CryptoError::Write`], also where the file exists, or [`CryptoError::OpenToOthers`].
+    pub fn create(keyring: Keyring, path: &Path, passphrase: &Passphrase) -> Result<Self, CryptoError> {
+        make_private_directory(&directory_of(path))?;
+        let key = FileKey::new(passphrase)?;
+        create_private(path, &seal(&keyring, &key)?)?;
+        Ok(Self { keyring, path: path.to_owned(), key })
+    }
+
+    /// Reads and opens a keyring file.
+    ///
+    /// # Errors
+    /// [`CryptoError::Read`], [`CryptoError::OpenToOthers`], [`CryptoError::WrongPassphrase`] or
+    /// [`CryptoError::DamagedKeyring`].
+    pub fn open(path: &Path, passphrase: &Passphrase) -> Result<Self, CryptoError> {
+        let bytes = read(path)?;
+        let damaged = || CryptoError::DamagedKeyring(shown(path));
+        let (header, _, _) = split(&bytes).map_err(|_| damaged())?;
+        let key = FileKey::with(passphrase, header.work, header.salt)?;
+        let keyring = open(&bytes, &key).map_err(|refusal| match refusal {
+            Refusal::Passphrase => CryptoError::WrongPassphrase(shown(path)),
+            Refusal::Damaged => damaged(),
+        })?;
+        Ok(Self { keyring, path: path.to_owned(), key })
+    }
+
+    /// Writes the keyring back in one step.
+    ///
+    /// # Errors
+    /// [`CryptoError::Write`]; the old file is then still whole.
+    pub fn save(&self) -> Result<(), CryptoError> {
+        write_private(&self.path, &seal(&self.keyring, &self.key)?)
+    }
+
+    /// Changes the passphrase and saves.
+    ///
+    /// # Errors
+    /// As [`Self::save`].
+    pub fn change_passphrase(&mut self, passphrase: &Passphrase) -> Result<(), CryptoError> {
+        let key = FileKey::new(passphrase)?;
+        write_private(&self.path, &seal(&self.keyring, &key)?)?;
+        self.key = key;
+        Ok(())
+    }
+
+    /// Where the file lies.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+}
+
+impl std::fmt::Debug for UnlockedKeyring {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter.debug_struct("UnlockedKeyring").field("path", &self.path).finish_non_exhaustive()
+    }
+}
+
+#[cfg(test)]
+mod tests;

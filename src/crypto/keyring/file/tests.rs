@@ -1,0 +1,132 @@
+use std::fs;
+use std::os::unix::fs::PermissionsExt as _;
+use std::sync::LazyLock;
+
+use proptest::prelude::*;
+
+use super::*;
+use crate::model::{Domain, ErrorKind};
+
+fn sample() -> Keyring {
+    let mut keyring = Keyring::generate(provider(ProviderName::RustCrypto)).expect("generates");
+    for domain in [Domain([1; 32]), Domain([2; 32])] {
+        for _ in 0..3 {
+            keyring.start_epoch(&domain).expect("starts");
+        }
+        keyring.confirm_epoch(&domain, 1).expect("confirms");
+    }
+    keyring
+}
+
+/// A key that was not stretched, so that hundreds of openings take no minutes.
+fn quick_key() -> FileKey {
+    FileKey { work: Work::WRITTEN, salt: [1; 32], key: Zeroizing::new([2; 32]) }
+}
+
+static SAMPLE: LazyLock<(Keyring, Vec<u8>)> = LazyLock::new(|| {
+    let keyring = sample();
+    let bytes = seal(&keyring, &quick_key()).expect("seals");
+    (keyring, bytes)
+});
+
+fn passphrase(text: &str) -> Passphrase {
+    Passphrase::new(text.into()).expect("long enough")
+}
+
+#[test]
+fn saved_loaded_changed_and_saved_again() {
+    let home = tempfile::tempdir().expect("directory");
+    let path = home.path().join("profiles").join("default.keyring");
+    let keyring = sample();
+    let unlocked = UnlockedKeyring::create(keyring.clone(), &path, &passphrase("correct horse")).expect("creates");
+    drop(unlocked);
+    assert_eq!(read_public(&path).expect("reads"), keyring.public());
+
+    let mut unlocked = UnlockedKeyring::open(&path, &passphrase("correct horse")).expect("opens");
+    assert_eq!(unlocked.keyring, keyring);
+    unlocked.keyring.start_epoch(&Domain([1; 32])).expect("starts");
+    let before = fs::read(&path).expect("reads");
+    unlocked.save().expect("saves");
+    let after = fs::read(&path).expect("reads");
+    assert_ne!(before[18..HEADER], after[18..HEADER], "each save has its own salt");
+    let loaded = Keyring::load(&path, &passphrase("correct horse")).expect("loads");
+    assert_eq!(loaded, unlocked.keyring);
+    assert_eq!(fs::metadata(&path).expect("there").permissions().mode() & 0o777, 0o600);
+
+    unlocked.change_passphrase(&passphrase("battery staple")).expect("changes");
+    let refused = Keyring::load(&path, &passphrase("correct horse")).expect_err("refused");
+    assert!(matches!(refused, CryptoError::WrongPassphrase(_)) && refused.kind() == ErrorKind::Refused);
+    assert_eq!(Keyring::load(&path, &passphrase("battery staple")).expect("loads"), unlocked.keyring);
+    assert!(UnlockedKeyring::create(keyring, &path, &passphrase("another one")).is_err(), "never over a keyring");
+}
+
+#[test]
+fn open_permissions_are_refused_on_load_and_on_save() {
+    let home = tempfile::tempdir().expect("directory");
+    let path = home.path().join("a.keyring");
+    let (keyring, bytes) = &*SAMPLE;
+    write_private(&path, bytes).expect("writes");
+    let chmod = |path: &Path, mode| fs::set_permissions(path, fs::Permissions::from_mode(mode)).expect("chmod");
+    chmod(&path, 0o640);
+    let error = Keyring::load(&path, &passphrase("correct horse")).expect_err("refused");
+    assert!(error.to_string().contains(&format!("chmod 600 {}", path.display())), "{error}");
+    assert!(read_public(&path).is_err());
+    chmod(&path, 0o600);
+    assert!(read_public(&path).is_ok());
+    chmod(home.path(), 0o755);
+    let error = read_public(&path).expect_err("refused");
+    assert!(error.to_string().contains("chmod 700"), "{error}");
+    assert!(keyring.save(&path, &passphrase("correct horse")).is_err());
+}
+
+#[test]
+fn a_directory_that_cannot_be_written_is_the_homes_fault() {
+    let (keyring, _) = &*SAMPLE;
+    let path = Path::new("/proc/nowhere/a.keyring");
+    assert_eq!(keyring.save(path, &passphrase("correct horse")).expect_err("refused").kind(), ErrorKind::Home);
+}
+
+#[test]
+fn the_file_shows_no_secret() {
+    let (keyring, bytes) = &*SAMPLE;
+    let secrets = [keyring.eoa.expose(), keyring.signing.secret.expose(), keyring.envelope.secret.expose()];
+    for secret in secrets {
+        assert!(!bytes.windows(8).any(|window| window == &secret[..8]));
+    }
+    assert_eq!(bytes.len(), HEADER + body::encode(keyring).len() + 16);
+}
+
+#[test]
+fn the_buffer_of_secrets_never_grows() {
+    let (keyring, _) = &*SAMPLE;
+    let plain = body::encode(keyring);
+    assert!(plain.capacity() >= plain.len() + 16);
+    assert!(plain.capacity() < 2 * plain.len(), "reserved once");
+}
+
+proptest! {
+    #[test]
+    fn any_flipped_bit_any_cut_and_any_extension_is_refused(at in any::<prop::sample::Index>(), bit in 0u8..8) {
+        let (keyring, bytes) = &*SAMPLE;
+        let mut altered = bytes.clone();
+        // Work and scrypt salt choose the key itself, which this test gives.
+        let at = at.index(bytes.len());
+        altered[at] ^= 1 << bit;
+        let refused = open(&altered, &quick_key()).is_err();
+        prop_assert!(refused, "byte {}", at);
+        prop_assert!(open(&bytes[..at], &quick_key()).is_err());
+        prop_assert!(open(&[&bytes[..], &[bit]].concat(), &quick_key()).is_err());
+        prop_assert!(open(bytes, &quick_key()).is_ok_and(|opened| opened == *keyring));
+    }
+
+    #[test]
+    fn noise_never_panics(noise in proptest::collection::vec(any::<u8>(), 0..500), at in any::<prop::sample::Index>(), bit in 0u8..8) {
+        prop_assert!(open(&noise, &quick_key()).is_err());
+        prop_assert!(body::parse(&noise).is_err());
+        let mut plain = body::encode(&SAMPLE.0);
+        let at = at.index(plain.len());
+        plain[at] ^= 1 << bit;
+        let _ = body::parse(&plain);
+        prop_assert!(body::parse(&plain[..at]).is_err());
+    }
+}

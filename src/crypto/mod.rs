@@ -1,0 +1,45 @@
+//! SM2, SM3, SM4-GCM and HKDF-SM3, and what is built of them: records, envelopes, identities,
+//! and keys at rest. Two providers compute the algorithms; nothing here knows ROS, the chain
+//! or the ledger.
+
+pub mod der;
+pub mod derive;
+pub mod envelope;
+pub mod error;
+pub mod fault;
+mod gcm;
+pub mod identity;
+pub mod kdf;
+pub mod keyfile;
+pub mod keyring;
+pub mod keystore;
+mod libsm_provider;
+pub mod passphrase;
+pub mod private_file;
+pub mod provider;
+pub mod random;
+pub mod record;
+mod rustcrypto;
+pub mod secret;
+pub mod sm3;
+
+#[cfg(test)]
+mod differential_tests;
+#[cfg(test)]
+mod openssl_tests;
+#[cfg(test)]
+mod vector_tests;
+
+pub use der::{signature_der, signature_from_der};
+pub use derive::{domain, epoch_key, filter_id, signer_id, token, topic_id, topic_key};
+pub use envelope::{GrantedKeys, WrappedKeys, unwrap, wrap};
+pub use error::CryptoError;
+pub use identity::{check_identity, prove};
+pub use kdf::{hkdf_sm3, hmac_sm3};
+pub use keyring::{EpochSecret, EpochState, Keyring, NetworkKeys, PublicIdentity, UnlockedKeyring, read_public};
+pub use passphrase::Passphrase;
+pub use provider::{Provider, ProviderName, provider};
+pub use random::random_bytes;
+pub use record::{Anchor, Expected, OpenedRecord, SealRequest, SealedRecord, check, open, seal};
+pub use secret::{EoaSecret, EpochKey, EpochSalt, Fingerprint, IndexKey, Sm4Key, SmKeyPair, SmSecret, TopicKey};
+pub use sm3::Sm3Hasher;

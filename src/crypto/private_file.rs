@@ -1,0 +1,138 @@
+//! Files that hold secrets: read only where nobody else can, replaced in one step.
+
+use std::fs::{self, DirBuilder, File};
+use std::io::{Read as _, Write as _};
+use std::os::unix::fs::{DirBuilderExt as _, PermissionsExt as _};
+use std::path::{Path, PathBuf};
+
+use zeroize::Zeroizing;
+
+use super::CryptoError;
+use super::error::shown;
+
+/// Permission bits of group and others.
+const OTHERS: u32 = 0o077;
+
+/// Reads a file of at most `most` bytes that only its owner may read.
+///
+/// # Errors
+/// [`CryptoError::Read`], [`CryptoError::OpenToOthers`] where group or others have any right, or
+/// [`CryptoError::Length`] where it is longer.
+pub fn read_private(path: &Path, most: usize) -> Result<Zeroizing<Vec<u8>>, CryptoError> {
+    // Looked at before it is opened, since opening a pipe would wait for its writer.
+    let metadata = fs::metadata(path).map_err(CryptoError::read(path))?;
+    if !metadata.is_file() {
+        let found = "it is a directory or a device; name the file itself".to_owned();
+        return Err(CryptoError::NotAKey { path: shown(path), wanted: "a regular file", found });
+    }
+    let file = File::open(path).map_err(CryptoError::read(path))?;
+    let metadata = file.metadata().map_err(CryptoError::read(path))?;
+    check_mode(path, metadata.permissions().mode(), 0o600)?;
+    let length = usize::try_from(metadata.len()).unwrap_or(usize::MAX);
+    // One byte more than expected, so that the buffer never grows and leaves a copy behind.
+    let mut bytes = Zeroizing::new(Vec::with_capacity(length.min(most) + 1));
+    let limit = u64::try_from(most).unwrap_or(u64::MAX).saturating_add(1);
+    file.take(limit).read_to_end(&mut bytes).map_err(CryptoError::read(path))?;
+    if bytes.len() > most {
+        return Err(CryptoError::Length { what: "file", found: length, allowed: "fewer" });
+    }
+    Ok(bytes)
+}
+
+/// Writes a file that only its owner may read: a temporary file beside it, fsync, rename, fsync of
+/// the directory. A crash leaves the old content or the new.
+///
+/// # Errors
+/// [`CryptoError::Write`].
+pub fn write_private(path: &Path, bytes: &[u8]) -> Result<(), CryptoError> {
+    replace(path, bytes, true)
+}
+
+/// [`write_private`], but never over a file that is there.
+///
+/// # Errors
+/// [`CryptoError::Write`], also where the file exists.
+pub fn create_private(path: &Path, bytes: &[u8]) -> Result<(), CryptoError> {
+    replace(path, bytes, false)
+}
+
+fn replace(path: &Path, bytes: &[u8], over: bool) -> Result<(), CryptoError> {
+    let directory = directory_of(path);
+    let write = CryptoError::write(path);
+    let mut file = tempfile::Builder::new().prefix(".new-").tempfile_in(&directory).map_err(&write)?;
+    file.write_all(bytes).map_err(&write)?;
+    file.as_file().sync_all().map_err(&write)?;
+    let moved = if over { file.persist(path) } else { file.persist_noclobber(path) };
+    moved.map_err(|error| write(error.error))?;
+    File::open(&directory).and_then(|directory| directory.sync_all()).map_err(&write)
+}
+
+/// Makes a directory with mode 0700, or checks that an existing one is closed to others.
+///
+/// # Errors
+/// [`CryptoError::Write`] or [`CryptoError::OpenToOthers`].
+pub fn make_private_directory(directory: &Path) -> Result<(), CryptoError> {
+    DirBuilder::new().recursive(true).mode(0o700).create(directory).map_err(CryptoError::write(directory))?;
+    check_private_directory(directory)
+}
+
+/// Checks that group and others have no right to a directory.
+///
+/// # Errors
+/// [`CryptoError::Read`] or [`CryptoError::OpenToOthers`].
+pub fn check_private_directory(directory: &Path) -> Result<(), CryptoError> {
+    let metadata = fs::metadata(directory).map_err(CryptoError::read(directory))?;
+    check_mode(directory, metadata.permissions().mode(), 0o700)
+}
+
+/// The directory that a file lies in.
+pub(super) fn directory_of(path: &Path) -> PathBuf {
+    match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent.to_owned(),
+        _ => PathBuf::from("."),
+    }
+}
+
+fn check_mode(path: &Path, mode: u32, wanted: u32) -> Result<(), CryptoError> {
+    if mode & OTHERS == 0 {
+        return Ok(());
+    }
+    Err(CryptoError::OpenToOthers { path: shown(path), mode: mode & 0o7777, wanted })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::ErrorKind;
+
+    #[test]
+    fn written_files_are_private_and_replaced_whole() {
+        let home = tempfile::tempdir().expect("directory");
+        let path = home.path().join("keys").join("a.bin");
+        make_private_directory(&directory_of(&path)).expect("makes");
+        write_private(&path, b"one").expect("writes");
+        write_private(&path, b"two").expect("writes");
+        assert_eq!(&**read_private(&path, 10).expect("reads"), b"two");
+        assert_eq!(fs::metadata(&path).expect("there").permissions().mode() & 0o777, 0o600);
+        assert_eq!(fs::metadata(home.path().join("keys")).expect("there").permissions().mode() & 0o777, 0o700);
+        assert_eq!(fs::read_dir(home.path().join("keys")).expect("lists").count(), 1, "no temporary file stays");
+        assert!(matches!(create_private(&path, b"three"), Err(CryptoError::Write { .. })));
+        assert!(matches!(read_private(&path, 2), Err(CryptoError::Length { .. })));
+    }
+
+    #[test]
+    fn open_files_and_directories_are_refused_with_the_command_that_helps() {
+        let home = tempfile::tempdir().expect("directory");
+        let path = home.path().join("a.bin");
+        write_private(&path, b"one").expect("writes");
+        fs::set_permissions(&path, fs::Permissions::from_mode(0o644)).expect("chmod");
+        let error = read_private(&path, 10).expect_err("refused");
+        assert_eq!(error.kind(), ErrorKind::Input);
+        assert!(error.to_string().contains(&format!("chmod 600 {}", path.display())), "{error}");
+        fs::set_permissions(home.path(), fs::Permissions::from_mode(0o755)).expect("chmod");
+        let error = make_private_directory(home.path()).expect_err("refused");
+        assert!(error.to_string().contains("chmod 700"), "{error}");
+        assert!(matches!(read_private(home.path(), 10), Err(CryptoError::NotAKey { .. })));
+        assert!(matches!(read_private(&home.path().join("none"), 10), Err(CryptoError::Read { .. })));
+    }
+}

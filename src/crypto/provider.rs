@@ -1,0 +1,152 @@
+//! The port behind which the SM algorithms lie: two providers that agree on every byte.
+//! Which one runs is the setting `crypto.provider`.
+
+use std::fmt;
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+use zeroize::Zeroizing;
+
+use crate::model::{PublicKey, Signature, clean};
+
+use super::libsm_provider::LibsmProvider;
+use super::rustcrypto::RustCryptoProvider;
+use super::{CryptoError, SmSecret};
+
+/// SM2, SM3 and SM4-GCM as this program uses them. Both providers accept and refuse the same inputs.
+pub trait Provider: Send + Sync {
+    /// `rustcrypto` or `libsm`.
+    fn name(&self) -> &'static str;
+
+    /// SM3 (GB/T 32905-2016) of the concatenation of `parts`.
+    fn sm3(&self, parts: &[&[u8]]) -> [u8; 32];
+
+    /// SM4-GCM (RFC 8998, 96-bit nonce): encrypts `buffer` in place and appends the 16-byte tag.
+    ///
+    /// # Errors
+    /// [`CryptoError::Length`] where the buffer is longer than GCM allows.
+    fn gcm_seal(&self, key: &[u8; 16], nonce: &[u8; 12], aad: &[u8], buffer: &mut Vec<u8>) -> Result<(), CryptoError>;
+
+    /// SM4-GCM: checks the tag in constant time, then decrypts.
+    ///
+    /// # Errors
+    /// [`CryptoError::BadCiphertext`] where key, nonce, AAD or a byte differ; nothing was decrypted.
+    fn gcm_open(
+        &self,
+        key: &[u8; 16],
+        nonce: &[u8; 12],
+        aad: &[u8],
+        sealed: &[u8],
+    ) -> Result<Zeroizing<Vec<u8>>, CryptoError>;
+
+    /// SM2 signature (GB/T 32918.2-2016, 6.1) under the ID 1234567812345678, raw r || s.
+    ///
+    /// # Errors
+    /// [`CryptoError`] where the random source or the algorithm fails.
+    fn sign(&self, secret: &SmSecret, message: &[u8]) -> Result<Signature, CryptoError>;
+
+    /// SM2 verification (GB/T 32918.2-2016, 7.1) under the ID 1234567812345678.
+    ///
+    /// # Errors
+    /// [`CryptoError::PublicPoint`] or [`CryptoError::BadSignature`].
+    fn verify(&self, public: &PublicKey, message: &[u8], signature: &Signature) -> Result<(), CryptoError>;
+
+    /// SM2 encryption (GB/T 32918.4-2016, 6.1) as GM/T 0009 DER, order C1 || C3 || C2.
+    ///
+    /// # Errors
+    /// [`CryptoError::PublicPoint`], or [`CryptoError::Length`] where `plain` is empty or over 1 MiB.
+    fn encrypt(&self, public: &PublicKey, plain: &[u8]) -> Result<Vec<u8>, CryptoError>;
+
+    /// SM2 decryption (GB/T 32918.4-2016, 7.1) of GM/T 0009 DER.
+    ///
+    /// # Errors
+    /// [`CryptoError::Malformed`], [`CryptoError::PublicPoint`] or [`CryptoError::BadCiphertext`].
+    fn decrypt(&self, secret: &SmSecret, der: &[u8]) -> Result<Zeroizing<Vec<u8>>, CryptoError>;
+
+    /// The public key of `secret`.
+    ///
+    /// # Errors
+    /// [`CryptoError::Internal`] where the algorithm fails.
+    fn public_key(&self, secret: &SmSecret) -> Result<PublicKey, CryptoError>;
+
+    /// Whether `public` is a point of the curve in its canonical encoding.
+    ///
+    /// # Errors
+    /// [`CryptoError::PublicPoint`] where it is not.
+    fn check_public_key(&self, public: &PublicKey) -> Result<(), CryptoError>;
+}
+
+/// The most bytes that SM2 encrypts in one piece.
+pub const LARGEST_SM2_PLAIN: usize = 1024 * 1024;
+
+/// Refuses what SM2 encryption cannot or should not take: nothing, or more than it is meant for.
+pub(super) fn check_plain(plain: &[u8]) -> Result<(), CryptoError> {
+    if (1..=LARGEST_SM2_PLAIN).contains(&plain.len()) {
+        return Ok(());
+    }
+    Err(CryptoError::Length { what: "text for SM2", found: plain.len(), allowed: "1 to 1,048,576" })
+}
+
+/// Which provider to use.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ProviderName {
+    /// The `RustCrypto` crates.
+    #[default]
+    RustCrypto,
+    /// The `libsm` crate behind guards.
+    Libsm,
+}
+
+/// Not the name of a provider.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("'{0}' is no crypto provider; set crypto.provider to rustcrypto or libsm")]
+pub struct ProviderNameError(String);
+
+impl FromStr for ProviderName {
+    type Err = ProviderNameError;
+
+    fn from_str(text: &str) -> Result<Self, ProviderNameError> {
+        match text {
+            "rustcrypto" => Ok(Self::RustCrypto),
+            "libsm" => Ok(Self::Libsm),
+            other => Err(ProviderNameError(clean(other, 40))),
+        }
+    }
+}
+
+impl fmt::Display for ProviderName {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(match self {
+            Self::RustCrypto => "rustcrypto",
+            Self::Libsm => "libsm",
+        })
+    }
+}
+
+/// The provider of that name. Choosing libsm starts a thread that builds its tables.
+pub fn provider(name: ProviderName) -> &'static dyn Provider {
+    match name {
+        ProviderName::RustCrypto => &RustCryptoProvider,
+        ProviderName::Libsm => {
+            super::libsm_provider::warm_up();
+            &LibsmProvider
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_round_trip_and_unknown_ones_are_refused() {
+        for name in [ProviderName::RustCrypto, ProviderName::Libsm] {
+            assert_eq!(name.to_string().parse(), Ok(name));
+            assert_eq!(provider(name).name(), name.to_string());
+            assert_eq!(serde_json::to_string(&name).expect("json"), format!("\"{name}\""));
+        }
+        assert!("openssl".parse::<ProviderName>().is_err());
+        assert_eq!(ProviderName::default(), ProviderName::RustCrypto);
+    }
+}

@@ -1,0 +1,170 @@
+//! Sealing and opening of records (DESIGN section 4). Opening checks in one fixed order and shows
+//! nothing before the last check: parse, digest, signature, commitment, tags, what was asked for.
+//! Where blobs come from and whether a signer may sign for an owner is decided elsewhere.
+
+use zeroize::Zeroizing;
+
+use crate::model::head::{Compression, MOST_TAGS};
+use crate::model::header::{LARGEST_BODY, LARGEST_HEAD, MOST_FILTERS, TAG_LENGTH};
+use crate::model::{
+    Address, Commit, Digest, Domain, FilterId, Head, Header, RecordKind, RecorderId, Salt, Signature, Timestamp,
+    TopicId,
+};
+
+use super::kdf::{Info, derived};
+use super::{CryptoError, Provider, SmKeyPair, TopicKey, random_bytes, signer_id};
+
+mod opening;
+
+pub use opening::{Anchor, Expected, OpenedRecord, check, open};
+
+/// All that is sealed into one record.
+#[derive(Debug)]
+pub struct SealRequest<'a> {
+    /// The network it belongs to.
+    pub domain: Domain,
+    /// Who owns it.
+    pub owner: Address,
+    /// Who signs it: the owner's d_C or a lent device.
+    pub signer: &'a SmKeyPair,
+    /// The epoch that `topic_key` belongs to, from 1.
+    pub epoch: u64,
+    /// What it is sealed under.
+    pub topic_key: &'a TopicKey,
+    /// The ledger that records it.
+    pub recorder: RecorderId,
+    /// From 1, per recorder and topic.
+    pub seq: u64,
+    /// Pseudonym of the topic.
+    pub topic_id: TopicId,
+    /// What the record is.
+    pub kind: RecordKind,
+    /// Pseudonyms of type and tags, at most four.
+    pub filters: Vec<FilterId>,
+    /// When the message was captured.
+    pub captured_at: Timestamp,
+    /// What only readers may know; its plain length is that of `body`.
+    pub head: &'a Head,
+    /// The message.
+    pub body: &'a [u8],
+}
+
+/// A record as it is stored and anchored.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SealedRecord {
+    /// Header, sealed head and sealed body.
+    pub blob: Vec<u8>,
+    /// SM3 of `blob`.
+    pub digest: Digest,
+    /// The signer's signature over label, domain and digest.
+    pub signature: Signature,
+}
+
+/// Seals one record under a fresh random salt.
+///
+/// # Errors
+/// [`CryptoError::Length`] or [`CryptoError::Inconsistent`] where a field is out of bounds,
+/// [`CryptoError::Random`] where the random source fails.
+pub fn seal(provider: &dyn Provider, request: &SealRequest<'_>) -> Result<SealedRecord, CryptoError> {
+    let mut head = Zeroizing::new(request.head.encode());
+    check_request(request, head.len())?;
+    let (header, keys) = header(request, head.len())?;
+    let prefix = header.encode();
+    provider.gcm_seal(&keys.head_key, &keys.head_nonce, &prefix, &mut head)?;
+    let mut body = Vec::with_capacity(request.body.len() + TAG_LENGTH);
+    body.extend_from_slice(request.body);
+    provider.gcm_seal(&keys.body_key, &keys.body_nonce, &prefix, &mut body)?;
+    let blob = [&prefix[..], &head, &body].concat();
+    let digest = Digest(provider.sm3(&[&blob]));
+    let signature = provider.sign(&request.signer.secret, &signed_bytes(&request.domain, &digest))?;
+    Ok(SealedRecord { blob, digest, signature })
+}
+
+fn header(request: &SealRequest<'_>, head_length: usize) -> Result<(Header, RecordKeys), CryptoError> {
+    let long = |what| CryptoError::Length { what, found: usize::MAX, allowed: "far less" };
+    let mut header = Header {
+        kind: request.kind,
+        domain: request.domain,
+        owner: request.owner,
+        signer: signer_id(&request.signer.public),
+        epoch: request.epoch,
+        recorder: request.recorder,
+        seq: request.seq,
+        topic_id: request.topic_id,
+        filters: request.filters.clone(),
+        captured_at: request.captured_at,
+        head_length: u32::try_from(head_length + TAG_LENGTH).map_err(|_| long("record head"))?,
+        body_length: u64::try_from(request.body.len() + TAG_LENGTH).map_err(|_| long("record body"))?,
+        salt: Salt(random_bytes()?),
+        commit: Commit([0; 32]),
+    };
+    let keys = RecordKeys::derive(request.topic_key, &header);
+    header.commit = Commit(keys.commit);
+    Ok((header, keys))
+}
+
+fn check_request(request: &SealRequest<'_>, head: usize) -> Result<(), CryptoError> {
+    let largest_head = usize::try_from(LARGEST_HEAD).unwrap_or(usize::MAX) - TAG_LENGTH;
+    let largest_body = usize::try_from(LARGEST_BODY).unwrap_or(usize::MAX) - TAG_LENGTH;
+    let body = request.body.len();
+    if head > largest_head {
+        return Err(CryptoError::Length { what: "record head", found: head, allowed: "at most 65,520" });
+    }
+    if body > largest_body {
+        return Err(CryptoError::Length { what: "record body", found: body, allowed: "at most 67,108,864" });
+    }
+    if request.filters.len() > MOST_FILTERS || request.head.tags.len() > MOST_TAGS {
+        return Err(CryptoError::Inconsistent("number of filters or tags"));
+    }
+    if request.epoch == 0 || request.seq == 0 {
+        return Err(CryptoError::Inconsistent("epoch or seq, which begin at 1,"));
+    }
+    if is_length(request.head, request.body) { Ok(()) } else { Err(CryptoError::Inconsistent("plain length")) }
+}
+
+fn is_length(head: &Head, body: &[u8]) -> bool {
+    match head.compression {
+        Compression::None => u64::try_from(body.len()) == Ok(head.plain_length),
+    }
+}
+
+/// What the signature of a record is over.
+pub fn signed_bytes(domain: &Domain, digest: &Digest) -> Vec<u8> {
+    [&b"AuthROS/signature/1"[..], &domain.0, &digest.0].concat()
+}
+
+/// The working keys of one record.
+struct RecordKeys {
+    body_key: Zeroizing<[u8; 16]>,
+    body_nonce: [u8; 12],
+    head_key: Zeroizing<[u8; 16]>,
+    head_nonce: [u8; 12],
+    commit: [u8; 32],
+}
+
+impl RecordKeys {
+    /// From the topic key and the header's salt and names.
+    fn derive(key: &TopicKey, header: &Header) -> Self {
+        let info = Info::new("AuthROS/record/1")
+            .fixed(&header.domain.0)
+            .fixed(&header.owner.0)
+            .fixed(&header.recorder.0)
+            .number(header.epoch)
+            .number(header.seq);
+        let bytes = Zeroizing::new(derived::<88>(key.expose(), &header.salt.0, &info));
+        Self {
+            body_key: Zeroizing::new(part(&bytes, 0)),
+            body_nonce: part(&bytes, 16),
+            head_key: Zeroizing::new(part(&bytes, 28)),
+            head_nonce: part(&bytes, 44),
+            commit: part(&bytes, 56),
+        }
+    }
+}
+
+fn part<const N: usize>(bytes: &[u8; 88], start: usize) -> [u8; N] {
+    std::array::from_fn(|index| bytes[start + index])
+}
+
+#[cfg(test)]
+pub(crate) mod tests;

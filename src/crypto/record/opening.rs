@@ -1,0 +1,169 @@
+//! Checking and opening of a stored record.
+
+use subtle::ConstantTimeEq as _;
+
+use crate::crypto::{CryptoError, Provider, TopicKey, fault, signer_id};
+use crate::model::wire::WireError;
+use crate::model::{Address, Digest, Domain, Head, Header, PublicKey, RecorderId, Signature, TopicId, Verdict};
+
+use super::{RecordKeys, is_length, signed_bytes};
+
+/// What a record was asked for as; a record that differs is not shown.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Expected {
+    /// The network.
+    pub domain: Domain,
+    /// The owner.
+    pub owner: Address,
+    /// The ledger that recorded it, if asked for.
+    pub recorder: Option<RecorderId>,
+    /// The epoch, if asked for.
+    pub epoch: Option<u64>,
+    /// The number, if asked for.
+    pub seq: Option<u64>,
+    /// The topic's pseudonym, if asked for.
+    pub topic_id: Option<TopicId>,
+    /// The topic's name, compared with the sealed head, if known.
+    pub topic: Option<String>,
+}
+
+impl Expected {
+    /// Any record of `owner`.
+    pub fn any_of(domain: Domain, owner: Address) -> Self {
+        Self { domain, owner, recorder: None, epoch: None, seq: None, topic_id: None, topic: None }
+    }
+}
+
+/// What the chain says about a record.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Anchor {
+    /// The digest that the chain confirms for this record.
+    Chain(Digest),
+    /// Nothing, or not yet.
+    Unanchored,
+}
+
+/// A record that passed every check.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct OpenedRecord {
+    /// The public header.
+    pub header: Header,
+    /// What only readers may know.
+    pub head: Head,
+    /// The message.
+    pub body: Vec<u8>,
+    /// SM3 of the stored bytes.
+    pub digest: Digest,
+    /// `Verified` with an anchor, `Unanchored` without.
+    pub verdict: Verdict,
+}
+
+/// A blob in its three parts.
+struct Parts<'a> {
+    header: Header,
+    prefix: &'a [u8],
+    head: &'a [u8],
+    body: &'a [u8],
+}
+
+fn parse(blob: &[u8]) -> Result<Parts<'_>, WireError> {
+    let (header, length) = Header::parse(blob)?;
+    let (prefix, rest) = blob.split_at_checked(length).ok_or(WireError::Short("header"))?;
+    let head_length = usize::try_from(header.head_length).map_err(|_| WireError::Value("head length"))?;
+    let body_length = usize::try_from(header.body_length).map_err(|_| WireError::Value("body length"))?;
+    let (head, body) = rest.split_at_checked(head_length).ok_or(WireError::Short("sealed head"))?;
+    if body.len() < body_length {
+        return Err(WireError::Short("sealed body"));
+    }
+    if body.len() > body_length {
+        return Err(WireError::Long(body.len() - body_length));
+    }
+    Ok(Parts { header, prefix, head, body })
+}
+
+/// The part that needs no key: bounded parse, digest against the anchor, signature.
+///
+/// # Errors
+/// [`CryptoError::DamagedRecord`] or [`CryptoError::Tampered`].
+pub fn check(
+    provider: &dyn Provider,
+    blob: &[u8],
+    signature: &Signature,
+    signer: &PublicKey,
+    anchor: Anchor,
+) -> Result<(Header, Digest, Verdict), CryptoError> {
+    let (parts, digest, verdict) = checked(provider, blob, signature, signer, anchor)?;
+    Ok((parts.header, digest, verdict))
+}
+
+fn checked<'a>(
+    provider: &dyn Provider,
+    blob: &'a [u8],
+    signature: &Signature,
+    signer: &PublicKey,
+    anchor: Anchor,
+) -> Result<(Parts<'a>, Digest, Verdict), CryptoError> {
+    let parts = parse(blob).map_err(CryptoError::DamagedRecord)?;
+    let digest = Digest(provider.sm3(&[blob]));
+    let verdict = match anchor {
+        Anchor::Chain(anchored) if anchored == digest || fault::is_off("digest") => Verdict::Verified,
+        Anchor::Chain(_) => return Err(CryptoError::Tampered("digest")),
+        Anchor::Unanchored => Verdict::Unanchored,
+    };
+    let signed = parts.header.signer == signer_id(signer)
+        && provider.verify(signer, &signed_bytes(&parts.header.domain, &digest), signature).is_ok();
+    if !signed && !fault::is_off("signature") {
+        return Err(CryptoError::Tampered("signature"));
+    }
+    Ok((parts, digest, verdict))
+}
+
+/// Checks and opens a record; nothing of its plaintext is returned unless every check passed.
+///
+/// # Errors
+/// [`CryptoError::DamagedRecord`], [`CryptoError::Tampered`], [`CryptoError::WrongKey`] or
+/// [`CryptoError::NotAsked`], from the first check that failed.
+pub fn open(
+    provider: &dyn Provider,
+    blob: &[u8],
+    signature: &Signature,
+    signer: &PublicKey,
+    anchor: Anchor,
+    topic_key: &TopicKey,
+    expected: &Expected,
+) -> Result<OpenedRecord, CryptoError> {
+    let (parts, digest, verdict) = checked(provider, blob, signature, signer, anchor)?;
+    let keys = RecordKeys::derive(topic_key, &parts.header);
+    let committed = bool::from(keys.commit.ct_eq(&parts.header.commit.0));
+    if !committed && !fault::is_off("commit") {
+        return Err(CryptoError::WrongKey);
+    }
+    let tampered = |what| move |_| CryptoError::Tampered(what);
+    let head = provider
+        .gcm_open(&keys.head_key, &keys.head_nonce, parts.prefix, parts.head)
+        .map_err(tampered("sealed head"))?;
+    let mut body = provider
+        .gcm_open(&keys.body_key, &keys.body_nonce, parts.prefix, parts.body)
+        .map_err(tampered("sealed body"))?;
+    let head = Head::parse(&head).map_err(CryptoError::DamagedRecord)?;
+    if !is_length(&head, &body) {
+        return Err(CryptoError::Tampered("plain length"));
+    }
+    compare(expected, &parts.header, &head)?;
+    Ok(OpenedRecord { header: parts.header, head, body: std::mem::take(&mut *body), digest, verdict })
+}
+
+fn compare(expected: &Expected, header: &Header, head: &Head) -> Result<(), CryptoError> {
+    let differs = |wanted: Option<u64>, found| wanted.is_some_and(|wanted| wanted != found);
+    let fields = [
+        ("domain", expected.domain != header.domain),
+        ("owner", expected.owner != header.owner),
+        ("epoch", differs(expected.epoch, header.epoch)),
+        ("recorder", expected.recorder.is_some_and(|wanted| wanted != header.recorder)),
+        ("seq", differs(expected.seq, header.seq)),
+        ("topic id", expected.topic_id.is_some_and(|wanted| wanted != header.topic_id)),
+        ("topic", expected.topic.as_ref().is_some_and(|wanted| *wanted != head.topic)),
+    ];
+    fields.into_iter().find(|(_, differs)| *differs).map_or(Ok(()), |(name, _)| Err(CryptoError::NotAsked(name)))
+}

@@ -1,0 +1,95 @@
+//! Secret keys as types: range-checked when made, wiped when dropped, never printed.
+//! How keys follow from each other is `derive`, how they rest on disk is `keyring`.
+
+use std::fmt;
+
+use subtle::ConstantTimeEq as _;
+use zeroize::{Zeroize, ZeroizeOnDrop};
+
+use super::CryptoError;
+use super::random::random_bytes;
+
+mod eoa;
+mod sm2_secret;
+
+pub use eoa::EoaSecret;
+pub use sm2_secret::{Fingerprint, SmKeyPair, SmSecret};
+pub(super) use sm2_secret::{ORDER, uncompressed, unprefixed};
+
+macro_rules! secret_bytes {
+    ($($(#[$doc:meta])* $name:ident($size:literal);)*) => {$(
+        $(#[$doc])*
+        #[derive(Clone, Zeroize, ZeroizeOnDrop)]
+        pub struct $name([u8; $size]);
+
+        impl $name {
+            /// Length in bytes.
+            pub const LENGTH: usize = $size;
+
+            /// From its bytes.
+            pub fn new(bytes: [u8; $size]) -> Self {
+                Self(bytes)
+            }
+
+            /// Fresh, from the operating system's random source.
+            ///
+            /// # Errors
+            /// [`CryptoError::Random`] where that fails.
+            pub fn generate() -> Result<Self, CryptoError> {
+                random_bytes().map(Self)
+            }
+
+            /// From a slice of exactly [`Self::LENGTH`] bytes.
+            pub fn from_slice(bytes: &[u8]) -> Option<Self> {
+                bytes.try_into().ok().map(Self)
+            }
+
+            /// The secret bytes; do not copy them anywhere that outlives their use.
+            pub fn expose(&self) -> &[u8; $size] {
+                &self.0
+            }
+        }
+
+        /// In constant time.
+        impl PartialEq for $name {
+            fn eq(&self, other: &Self) -> bool {
+                self.0.ct_eq(&other.0).into()
+            }
+        }
+
+        impl Eq for $name {}
+
+        impl fmt::Debug for $name {
+            fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+                formatter.write_str(concat!(stringify!($name), "(secret)"))
+            }
+        }
+    )*};
+}
+
+secret_bytes! {
+    /// K_C: the SM4 key of a profile. Input to epoch keys, never a working key.
+    Sm4Key(16);
+    /// EK: what an epoch's topic keys follow from.
+    EpochKey(32);
+    /// What the records of one topic in one epoch are sealed under.
+    TopicKey(32);
+    /// IK: turns topic names and tags into pseudonyms; stable over epochs.
+    IndexKey(32);
+    /// r: the secret random salt of an epoch, kept in the keyring.
+    EpochSalt(32);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn secrets_are_compared_but_never_shown() {
+        let key = Sm4Key::generate().expect("random");
+        assert_eq!(key, Sm4Key::from_slice(key.expose()).expect("16 bytes"));
+        assert_ne!(key, Sm4Key::generate().expect("random"));
+        assert_eq!(format!("{key:?}"), "Sm4Key(secret)");
+        assert!(Sm4Key::from_slice(&[0; 15]).is_none());
+    }
+}

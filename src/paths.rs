@@ -1,0 +1,106 @@
+//! Where things lie in a home.
+
+use std::path::{Path, PathBuf};
+
+use crate::model::ProfileName;
+
+/// The directory that holds everything of one site.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Home {
+    root: PathBuf,
+}
+
+impl Home {
+    /// A home at `root`.
+    pub fn new(root: PathBuf) -> Self {
+        Self { root }
+    }
+
+    /// `$XDG_DATA_HOME/authros`, else `$HOME/.local/share/authros`, else `./authros-home`.
+    pub fn standard(environment: &dyn Fn(&str) -> Option<String>) -> Self {
+        let set = |name: &str| environment(name).filter(|value| !value.is_empty()).map(PathBuf::from);
+        let base = set("XDG_DATA_HOME").or_else(|| set("HOME").map(|home| home.join(".local/share")));
+        Self::new(base.map_or_else(|| PathBuf::from("authros-home"), |base| base.join("authros")))
+    }
+
+    /// The directory itself.
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// The settings file.
+    pub fn config(&self) -> PathBuf {
+        self.root.join("config.toml")
+    }
+
+    /// Held by the process that is the site.
+    pub fn site_lock(&self) -> PathBuf {
+        self.root.join("site.lock")
+    }
+
+    /// Further processes join here.
+    pub fn socket(&self) -> PathBuf {
+        self.root.join("site.sock")
+    }
+
+    /// Records and their states.
+    pub fn ledger(&self) -> PathBuf {
+        self.root.join("ledger.db")
+    }
+
+    /// Ciphertext of the embedded vault.
+    pub fn vault(&self) -> PathBuf {
+        self.root.join("vault")
+    }
+
+    /// Blocks of the embedded chain.
+    pub fn chain(&self) -> PathBuf {
+        self.root.join("chain")
+    }
+
+    /// Which chain and contract this home is bound to.
+    pub fn pin(&self) -> PathBuf {
+        self.root.join("chain-pin.json")
+    }
+
+    /// The directory of a profile.
+    pub fn profile(&self, profile: &ProfileName) -> PathBuf {
+        self.root.join("profiles").join(profile.as_str())
+    }
+
+    /// The encrypted keys of a profile.
+    pub fn keyring(&self, profile: &ProfileName) -> PathBuf {
+        self.profile(profile).join("keyring")
+    }
+
+    /// The passphrase that headless use wrote for itself.
+    pub fn passphrase(&self, profile: &ProfileName) -> PathBuf {
+        self.profile(profile).join("passphrase")
+    }
+
+    /// Names of the profiles that have a keyring.
+    pub fn profiles(&self) -> Vec<ProfileName> {
+        let entries = std::fs::read_dir(self.root.join("profiles")).into_iter().flatten().flatten();
+        let mut names: Vec<ProfileName> = entries
+            .filter(|entry| entry.path().join("keyring").exists())
+            .filter_map(|entry| entry.file_name().to_str().and_then(|name| name.parse().ok()))
+            .collect();
+        names.sort();
+        names
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn standard_homes() {
+        let with = |pairs: &'static [(&str, &str)]| {
+            Home::standard(&move |name| pairs.iter().find(|(key, _)| *key == name).map(|(_, value)| (*value).to_owned()))
+        };
+        assert_eq!(with(&[("HOME", "/h")]).root(), Path::new("/h/.local/share/authros"));
+        assert_eq!(with(&[("HOME", "/h"), ("XDG_DATA_HOME", "/x")]).root(), Path::new("/x/authros"));
+        assert_eq!(with(&[]).root(), Path::new("authros-home"));
+    }
+}

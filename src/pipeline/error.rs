@@ -1,0 +1,81 @@
+//! What can go wrong between capture and verification.
+
+use crate::chain::ChainError;
+use crate::crypto::CryptoError;
+use crate::model::{Address, ErrorKind};
+use crate::ros::RosError;
+use crate::store::StoreError;
+
+/// A failure of a worker or of a request that a worker serves.
+#[derive(Debug, thiserror::Error)]
+pub enum PipelineError {
+    /// A key, seal or signature.
+    #[error(transparent)]
+    Crypto(#[from] CryptoError),
+    /// Ledger or vault.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// Node or contract.
+    #[error(transparent)]
+    Chain(#[from] ChainError),
+    /// Message definitions.
+    #[error(transparent)]
+    Ros(#[from] RosError),
+    /// The account has no identity on the contract.
+    #[error("{0} is not registered on this contract; its owner runs `authros register` first")]
+    Unregistered(Address),
+    /// The account's identity on the chain does not prove itself.
+    #[error("the identity that {0} registered does not verify, so it counts as unregistered; ask its owner to register again")]
+    BadIdentity(Address),
+    /// No grant covers what was asked.
+    #[error("{owner} does not share {what} with {reader}; ask for `authros grant {reader}`")]
+    NotGranted {
+        /// Who would have to share.
+        owner: Address,
+        /// Who asks.
+        reader: Address,
+        /// What was asked.
+        what: String,
+    },
+    /// There is no such record, or it is not shared.
+    #[error("no record '{0}' is known here; `authros uploads list` and `authros shared list` name those that are")]
+    NoRecord(String),
+    /// The vault no longer holds a record.
+    #[error("the ciphertext of record {0} is missing from the vault; restore it from a backup, its digest stays on the chain")]
+    Missing(String),
+    /// The keyring has no key of an epoch.
+    #[error("the keyring has no key of epoch {0}; restore the newest keyring of this profile")]
+    UnknownEpoch(u64),
+    /// A transaction was mined and reverted.
+    #[error("the contract refused {purpose}: {reason}")]
+    Reverted {
+        /// What the transaction was for.
+        purpose: String,
+        /// The contract's words, cleaned.
+        reason: String,
+    },
+    /// A transaction is not mined in time; it stays stored and is sent again.
+    #[error("{0} is sent but not in a block yet; it is kept and will be sent again, look at `authros chain status`")]
+    NotMined(String),
+    /// A grant or revoke that the state of things does not allow.
+    #[error("{0}")]
+    Refused(String),
+}
+
+impl PipelineError {
+    /// Decides the exit code.
+    pub fn kind(&self) -> ErrorKind {
+        match self {
+            Self::Crypto(error) => error.kind(),
+            Self::Store(error) => error.kind(),
+            Self::Chain(error) => error.kind(),
+            Self::Ros(error) => error.kind(),
+            Self::Unregistered(_) | Self::BadIdentity(_) | Self::NotGranted { .. } => ErrorKind::Refused,
+            Self::Reverted { .. } | Self::Refused(_) => ErrorKind::Refused,
+            Self::NoRecord(_) => ErrorKind::Input,
+            Self::Missing(_) => ErrorKind::Tampered,
+            Self::UnknownEpoch(_) => ErrorKind::Refused,
+            Self::NotMined(_) => ErrorKind::Incomplete,
+        }
+    }
+}

@@ -1,0 +1,73 @@
+//! Capture -> seal -> store -> anchor -> confirm -> verify, as workers over the ledger's table.
+//!
+//! Every worker is a function of the ledger: a restart just runs it again. What profiles,
+//! commands and sockets are is the service's business; screens know nothing of this room.
+
+pub mod anchorer;
+pub mod directory;
+pub mod epoch;
+pub mod error;
+pub mod meter;
+pub mod owner;
+pub mod reader;
+pub mod recorder;
+pub mod ring;
+pub mod sealer;
+pub mod sender;
+pub mod session;
+pub mod storer;
+pub mod verifier;
+pub mod watcher;
+
+pub use directory::Directory;
+pub use error::PipelineError;
+pub use owner::Owner;
+pub use recorder::Recorder;
+pub use sender::Sender;
+pub use session::CaptureSession;
+
+use std::sync::Arc;
+
+use crate::crypto::Provider;
+use crate::model::{Digest, Domain};
+use crate::store::{Ledger, Vault};
+
+/// What a worker tells the service; short, never blocking.
+pub trait Observer: Send + Sync {
+    /// Records were acknowledged, or changed their state.
+    fn records_changed(&self);
+    /// These records are now verified.
+    fn verified(&self, digests: &[Digest]);
+    /// These records differ from what was anchored, or are gone.
+    fn tampered(&self, digests: &[Digest]);
+    /// Registrations or grants changed on the chain.
+    fn directory_changed(&self);
+    /// An operator should know; `urgent` stays on screen.
+    fn alert(&self, urgent: bool, text: String);
+}
+
+/// What all workers of a site share.
+#[derive(Clone)]
+pub struct Plant {
+    /// States of all records.
+    pub ledger: Ledger,
+    /// Ciphertext.
+    pub vault: Arc<dyn Vault>,
+    /// SM2, SM3, SM4.
+    pub provider: &'static dyn Provider,
+    /// Hears what happens.
+    pub observer: Arc<dyn Observer>,
+}
+
+/// The chain in use with everything bound to it.
+#[derive(Clone)]
+pub struct Network {
+    /// The node or embedded chain, with the contract.
+    pub chain: crate::chain::Chain,
+    /// Binds records to this chain and contract.
+    pub domain: Domain,
+    /// Registrations and grants as the chain's events tell them.
+    pub directory: Arc<Directory>,
+    /// Blocks on top of an anchor, itself included, until it counts as confirmed.
+    pub confirmations: u64,
+}

@@ -1,0 +1,177 @@
+//! An owner: a profile whose keyring is open in this site.
+
+use std::collections::{BTreeMap, HashMap};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
+
+use crate::crypto::{
+    CryptoError, EoaSecret, EpochKey, EpochSalt, EpochSecret, EpochState, IndexKey, NetworkKeys, SmKeyPair,
+    UnlockedKeyring, WrappedKeys, epoch_key, signer_id, token, topic_id,
+};
+use crate::model::{Address, Digest, Domain, ProfileName, PublicKey, Token, TopicId};
+
+use super::PipelineError;
+use super::epoch::EpochKeys;
+
+/// A profile with its keys. Its address does not change while it is open.
+pub struct Owner {
+    /// Its name on this machine.
+    pub profile: ProfileName,
+    /// Its EOA.
+    pub address: Address,
+    keyring: Mutex<UnlockedKeyring>,
+    sealing: RwLock<Option<Arc<EpochKeys>>>,
+    /// Envelopes opened so far, by SM3 of the envelope.
+    pub(super) opened: Mutex<HashMap<Digest, Arc<WrappedKeys>>>,
+    /// Changes of epochs, keys and grants happen one at a time.
+    pub changes: tokio::sync::Mutex<()>,
+}
+
+impl Owner {
+    /// An owner of an open keyring.
+    pub fn new(profile: ProfileName, keyring: UnlockedKeyring) -> Self {
+        let address = keyring.keyring.eoa.address();
+        Self {
+            profile,
+            address,
+            keyring: Mutex::new(keyring),
+            sealing: RwLock::default(),
+            opened: Mutex::default(),
+            changes: tokio::sync::Mutex::default(),
+        }
+    }
+
+    /// The keyring itself.
+    pub fn keyring(&self) -> MutexGuard<'_, UnlockedKeyring> {
+        self.keyring.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The EOA's key.
+    pub fn eoa(&self) -> EoaSecret {
+        self.keyring().keyring.eoa.clone()
+    }
+
+    /// P_C with d_C.
+    pub fn signing(&self) -> SmKeyPair {
+        self.keyring().keyring.signing.clone()
+    }
+
+    /// P_E with d_E.
+    pub fn envelope(&self) -> SmKeyPair {
+        self.keyring().keyring.envelope.clone()
+    }
+
+    /// P_C and P_E.
+    pub fn public_keys(&self) -> (PublicKey, PublicKey) {
+        let keyring = self.keyring();
+        (keyring.keyring.signing.public, keyring.keyring.envelope.public)
+    }
+
+    /// IK.
+    pub fn index(&self) -> IndexKey {
+        self.keyring().keyring.index.clone()
+    }
+
+    /// The pseudonym of a topic.
+    ///
+    /// # Errors
+    /// Of the key derivation.
+    pub fn topic_id(&self, topic: &str) -> Result<TopicId, CryptoError> {
+        topic_id(&self.keyring().keyring.index, topic)
+    }
+
+    /// The keys that seal new records; `None` until an epoch was begun or resumed.
+    pub fn sealing(&self) -> Option<Arc<EpochKeys>> {
+        self.sealing.read().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// The key of an epoch of this owner on a network.
+    ///
+    /// # Errors
+    /// Of the key derivation.
+    pub fn epoch_key(&self, domain: Domain, epoch: u64) -> Result<Option<EpochKey>, CryptoError> {
+        let keyring = self.keyring();
+        let secret = keyring.keyring.networks.get(&domain).and_then(|network| network.epochs.get(&epoch));
+        secret.map(|secret| epoch_key(&secret.sm4, &secret.salt, &domain, &self.address, epoch)).transpose()
+    }
+
+    /// Every epoch's key on a network, up to `last`.
+    ///
+    /// # Errors
+    /// Of the key derivation.
+    pub fn epoch_keys(&self, domain: Domain, last: u64) -> Result<Vec<(u64, EpochKey)>, CryptoError> {
+        let epochs: Vec<u64> = self.epochs(domain).into_iter().filter(|epoch| *epoch <= last).collect();
+        let keys = epochs.into_iter().map(|epoch| Ok((epoch, self.epoch_key(domain, epoch)?)));
+        let keys: Result<Vec<_>, CryptoError> = keys.collect();
+        Ok(keys?.into_iter().filter_map(|(epoch, key)| key.map(|key| (epoch, key))).collect())
+    }
+
+    /// Numbers of the epochs in the keyring, oldest first.
+    pub fn epochs(&self, domain: Domain) -> Vec<u64> {
+        let keyring = self.keyring();
+        keyring.keyring.networks.get(&domain).map(|network| network.epochs.keys().copied().collect()).unwrap_or_default()
+    }
+
+    /// Token of an epoch in the keyring.
+    ///
+    /// # Errors
+    /// Of the key derivation.
+    pub fn token(&self, domain: Domain, epoch: u64) -> Result<Option<Token>, CryptoError> {
+        Ok(self.epoch_key(domain, epoch)?.map(|key| token(&domain, &self.address, epoch, &key)))
+    }
+
+    /// Makes sure that `epoch` has a secret in the keyring, saved before it is used, and returns
+    /// its token. An epoch begun before and not yet on the chain keeps its secret.
+    ///
+    /// # Errors
+    /// Of the random source and of saving the keyring.
+    pub fn prepare_epoch(&self, domain: Domain, epoch: u64) -> Result<Token, PipelineError> {
+        {
+            let mut keyring = self.keyring();
+            let sm4 = keyring.keyring.sm4.clone();
+            let network = keyring.keyring.networks.entry(domain).or_insert_with(|| NetworkKeys { epochs: BTreeMap::new(), current: 0 });
+            if !network.epochs.contains_key(&epoch) {
+                let secret = EpochSecret { salt: EpochSalt::generate()?, sm4, state: EpochState::Pending };
+                network.epochs.insert(epoch, secret);
+                keyring.save()?;
+            }
+        }
+        self.token(domain, epoch)?.ok_or(PipelineError::UnknownEpoch(epoch))
+    }
+
+    /// From now on records are sealed under `epoch`, which is in the keyring.
+    ///
+    /// # Errors
+    /// Where the keyring has no such epoch, or cannot be saved.
+    pub fn seal_under(&self, domain: Domain, epoch: u64) -> Result<(), PipelineError> {
+        let key = self.epoch_key(domain, epoch)?.ok_or(PipelineError::UnknownEpoch(epoch))?;
+        let token = token(&domain, &self.address, epoch, &key);
+        let keys = EpochKeys {
+            domain,
+            epoch,
+            token,
+            key,
+            signer: signer_id(&self.signing().public),
+            signing: Arc::new(self.signing()),
+            index: self.index(),
+            topics: Mutex::default(),
+        };
+        *self.sealing.write().unwrap_or_else(PoisonError::into_inner) = Some(Arc::new(keys));
+        Ok(())
+    }
+
+    /// The chain has this epoch: noted in the keyring.
+    ///
+    /// # Errors
+    /// Of saving the keyring.
+    pub fn confirm_epoch(&self, domain: Domain, epoch: u64) -> Result<(), CryptoError> {
+        let mut keyring = self.keyring();
+        let Some(network) = keyring.keyring.networks.get_mut(&domain) else { return Ok(()) };
+        let Some(secret) = network.epochs.get_mut(&epoch) else { return Ok(()) };
+        if network.current == epoch && matches!(secret.state, EpochState::Active) {
+            return Ok(());
+        }
+        secret.state = EpochState::Active;
+        network.current = network.current.max(epoch);
+        keyring.save()
+    }
+}

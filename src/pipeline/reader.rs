@@ -1,0 +1,175 @@
+//! Reading: who may, with which key, and what the checks find. The vault's bytes are compared
+//! with the chain before anything else, and nothing is shown before the last check.
+
+use std::sync::{Arc, PoisonError};
+
+use tokio::task::block_in_place;
+
+use crate::crypto::{
+    Anchor, CryptoError, Expected, GrantedKeys, OpenedRecord, TopicKey, WrappedKeys, check, open, topic_key, unwrap,
+};
+use crate::model::{Address, Digest, GrantTerms, RecordKind, RecordState, Timestamp, Verdict};
+use crate::ros::Definition;
+use crate::store::{RecordQuery, RecordRow};
+
+use super::directory::Granted;
+use super::{Network, Owner, PipelineError, Plant};
+
+/// Definition records looked at for one message, at most.
+const MOST_DEFINITIONS: usize = 200;
+
+/// Reads records for one owner: her own, and those granted to her.
+pub struct Reader<'a> {
+    /// Ledger, vault, provider.
+    pub plant: &'a Plant,
+    /// The chain.
+    pub network: &'a Network,
+    /// Who reads.
+    pub reader: &'a Owner,
+}
+
+impl Reader<'_> {
+    /// Active grants of `owner` to this reader.
+    pub fn grants_of(&self, owner: Address) -> Vec<Granted> {
+        let (reader, now) = (self.reader.address, Timestamp::now());
+        self.network.directory.grants(|grant| grant.terms.owner == owner && grant.terms.grantee == reader && grant.is_active(now))
+    }
+
+    /// Whether the chain's grants let this reader see the record at all.
+    ///
+    /// # Errors
+    /// `NotGranted`.
+    pub fn authorise(&self, row: &RecordRow) -> Result<(), PipelineError> {
+        let own = row.owner == self.reader.address;
+        let granted = || self.grants_of(row.owner).iter().any(|grant| grant.terms.scope.covers(row.topic_id));
+        if own || crate::crypto::fault::is_off("authorise") || granted() {
+            return Ok(());
+        }
+        Err(PipelineError::NotGranted { owner: row.owner, reader: self.reader.address, what: format!("record {}", row.id) })
+    }
+
+    /// Checks a record without opening it (the paper's `Data_Check`).
+    ///
+    /// # Errors
+    /// Of chain, vault and ledger; what is wrong with the record itself is the verdict.
+    pub async fn check(&self, row: &RecordRow) -> Result<(Verdict, Digest), PipelineError> {
+        let Some(blob) = block_in_place(|| self.plant.vault.get(row.digest))? else {
+            return Ok((Verdict::Missing, row.digest));
+        };
+        let digest = Digest(self.plant.provider.sm3(&[&blob]));
+        let anchored = self.is_anchored(row).await?;
+        let anchor = if anchored { Anchor::Chain(row.digest) } else { Anchor::Unanchored };
+        let signer = self.network.directory.signing_key(row.owner, row.signer, row.block);
+        let verdict = signer.and_then(|signer| check(self.plant.provider, &blob, &row.signature, &signer, anchor).ok());
+        Ok((verdict.map_or(Verdict::Tampered, |(_, _, verdict)| verdict), digest))
+    }
+
+    async fn is_anchored(&self, row: &RecordRow) -> Result<bool, PipelineError> {
+        let confirmed = matches!(row.state, RecordState::Confirmed | RecordState::Verified | RecordState::Tampered);
+        Ok(confirmed && self.network.chain.anchored(row.owner, row.digest).await?)
+    }
+
+    /// Checks and decrypts a record.
+    ///
+    /// # Errors
+    /// `NotGranted`; `CryptoError` of kind `Tampered` where a check fails, `Refused` where no key
+    /// of this reader opens it; a missing blob is tampering too.
+    pub async fn open(&self, row: &RecordRow) -> Result<OpenedRecord, PipelineError> {
+        self.authorise(row)?;
+        let blob = block_in_place(|| self.plant.vault.get(row.digest))?.ok_or_else(|| PipelineError::Missing(row.id.clone()))?;
+        let anchor = if self.is_anchored(row).await? { Anchor::Chain(row.digest) } else { Anchor::Unanchored };
+        let unknown_signer = || CryptoError::Tampered("the signer was not the owner's at the anchoring block");
+        let signer = self.network.directory.signing_key(row.owner, row.signer, row.block).ok_or_else(unknown_signer)?;
+        let key = self.topic_key(row)?;
+        let expected = Expected {
+            domain: self.network.domain,
+            owner: row.owner,
+            recorder: Some(row.recorder),
+            epoch: Some(row.epoch),
+            seq: Some(row.seq),
+            topic_id: Some(row.topic_id),
+            topic: Some(row.topic.clone()),
+        };
+        Ok(open(self.plant.provider, &blob, &row.signature, &signer, anchor, &key, &expected)?)
+    }
+
+    /// The key of the record's topic in its epoch.
+    ///
+    /// # Errors
+    /// `CryptoError::WrongKey` where no grant of this reader carries it.
+    pub fn topic_key(&self, row: &RecordRow) -> Result<TopicKey, PipelineError> {
+        if row.owner == self.reader.address {
+            let epoch_key = self.reader.epoch_key(self.network.domain, row.epoch)?;
+            return Ok(topic_key(&epoch_key.ok_or(PipelineError::UnknownEpoch(row.epoch))?, &row.topic)?);
+        }
+        for grant in self.grants_of(row.owner).iter().rev() {
+            for wrapped in self.envelopes(grant) {
+                if let Some(key) = find_key(&wrapped.keys, row)? {
+                    return Ok(key);
+                }
+            }
+        }
+        Err(CryptoError::WrongKey.into())
+    }
+
+    fn envelopes(&self, grant: &Granted) -> Vec<Arc<WrappedKeys>> {
+        let epochs = grant.envelopes.keys().rev();
+        epochs.filter_map(|epoch| self.open_envelope(grant, *epoch).ok()).collect()
+    }
+
+    /// Opens one envelope of a grant.
+    ///
+    /// # Errors
+    /// Where it does not open, or does not say what the chain's event says.
+    pub fn open_envelope(&self, grant: &Granted, epoch: u64) -> Result<Arc<WrappedKeys>, PipelineError> {
+        let envelope = grant.envelope(epoch).ok_or(CryptoError::WrongKey)?;
+        let digest = Digest(self.plant.provider.sm3(&[&envelope]));
+        if let Some(known) = self.reader.opened.lock().unwrap_or_else(PoisonError::into_inner).get(&digest) {
+            return Ok(Arc::clone(known));
+        }
+        let terms = GrantTerms { epoch, ..grant.terms.clone() };
+        let owner = self.network.directory.identity(grant.terms.owner)?;
+        let secret = self.reader.envelope();
+        let wrapped = unwrap(self.plant.provider, &self.network.domain, &envelope, &terms, &owner.signing, &secret.secret)?;
+        let wrapped = Arc::new(wrapped);
+        self.reader.opened.lock().unwrap_or_else(PoisonError::into_inner).insert(digest, Arc::clone(&wrapped));
+        Ok(wrapped)
+    }
+
+    /// The definition that an opened message names, from its owner's definition records.
+    ///
+    /// # Errors
+    /// Of the ledger. `None` where no readable record holds it.
+    pub async fn definition(&self, row: &RecordRow, opened: &OpenedRecord) -> Result<Option<Definition>, PipelineError> {
+        let query = RecordQuery {
+            owner: Some(row.owner),
+            topic_ids: Some(vec![row.topic_id]),
+            kind: Some(RecordKind::Definition),
+            limit: MOST_DEFINITIONS,
+            newest_first: true,
+            ..RecordQuery::default()
+        };
+        let page = block_in_place(|| self.plant.ledger.list(&query))?;
+        for candidate in page.rows.iter().filter(|candidate| candidate.epoch == row.epoch) {
+            let Ok(found) = self.open(candidate).await else { continue };
+            if Digest(self.plant.provider.sm3(&[&found.body])) == opened.head.definition {
+                let text = String::from_utf8_lossy(&found.body);
+                return Ok(Definition::parse(&opened.head.type_name, &text).ok());
+            }
+        }
+        Ok(None)
+    }
+}
+
+fn find_key(keys: &GrantedKeys, row: &RecordRow) -> Result<Option<TopicKey>, CryptoError> {
+    match keys {
+        GrantedKeys::All { epochs, .. } => {
+            let found = epochs.iter().find(|(epoch, _)| *epoch == row.epoch);
+            found.map(|(_, key)| topic_key(key, &row.topic)).transpose()
+        }
+        GrantedKeys::Topics { keys } => {
+            let found = keys.iter().find(|(epoch, _, id, _)| *epoch == row.epoch && *id == row.topic_id);
+            Ok(found.map(|(_, _, _, key)| key.clone()))
+        }
+    }
+}

@@ -1,0 +1,217 @@
+//! Takes messages off the capture threads: measures them, asks who wants them, and puts one
+//! item per interested owner into the ring. Never seals, never waits.
+
+use std::collections::{BTreeMap, HashMap};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
+
+use crate::model::{ErrorKind, Timestamp, TypeName, clean};
+use crate::ros::{CaptureNotice, Message, MessageSink};
+
+use super::meter::Meter;
+use super::ring::{Ring, Weighted};
+use super::{CaptureSession, Observer, Owner};
+
+/// One message for one owner, on its way to the sealer.
+pub struct CapturedMessage {
+    /// Who seals it.
+    pub owner: Arc<Owner>,
+    /// The message.
+    pub message: Arc<Message>,
+    /// Whether a simulated robot sent it.
+    pub simulated: bool,
+    /// Sessions that wait for it.
+    pub sessions: Vec<Arc<CaptureSession>>,
+}
+
+impl Weighted for CapturedMessage {
+    fn weight(&self) -> usize {
+        self.message.body.len() + 512
+    }
+}
+
+struct Interest {
+    owner: Arc<Owner>,
+    watched: bool,
+    type_name: Option<TypeName>,
+    sessions: Vec<Arc<CaptureSession>>,
+}
+
+/// Messages that did not become records.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Losses {
+    /// Never arrived.
+    pub in_transport: u64,
+    /// Dropped at a full ring.
+    pub in_recorder: u64,
+}
+
+/// Decides what becomes of each captured message.
+pub struct Recorder {
+    ring: Arc<Ring<CapturedMessage>>,
+    interests: RwLock<HashMap<String, Vec<Interest>>>,
+    losses: Mutex<BTreeMap<String, Losses>>,
+    meter: Meter,
+    moved: AtomicBool,
+    simulated: RwLock<Vec<String>>,
+    observer: Arc<dyn Observer>,
+}
+
+impl Recorder {
+    /// A recorder that fills `ring`.
+    pub fn new(ring: Arc<Ring<CapturedMessage>>, observer: Arc<dyn Observer>) -> Self {
+        Self {
+            ring,
+            interests: RwLock::default(),
+            losses: Mutex::default(),
+            meter: Meter::default(),
+            moved: AtomicBool::new(false),
+            simulated: RwLock::default(),
+            observer,
+        }
+    }
+
+    /// Whether a message arrived on any topic since this was last asked.
+    pub fn meter_moved(&self) -> bool {
+        self.moved.swap(false, Ordering::AcqRel)
+    }
+
+    /// Rates of all topics.
+    pub fn meter(&self) -> &Meter {
+        &self.meter
+    }
+
+    /// Node names of the simulated robots of this site.
+    pub fn set_simulated(&self, nodes: Vec<String>) {
+        *self.simulated.write().unwrap_or_else(PoisonError::into_inner) = nodes;
+    }
+
+    /// Whether a simulated robot of this site goes by this node name.
+    pub fn is_simulated(&self, caller_id: &str) -> bool {
+        self.simulated.read().unwrap_or_else(PoisonError::into_inner).iter().any(|node| node == caller_id)
+    }
+
+    fn change(&self, topic: &str, owner: &Arc<Owner>, change: impl FnOnce(&mut Interest)) {
+        let mut interests = self.interests.write().unwrap_or_else(PoisonError::into_inner);
+        let list = interests.entry(topic.to_owned()).or_default();
+        if !list.iter().any(|interest| interest.owner.address == owner.address) {
+            list.push(Interest { owner: Arc::clone(owner), watched: false, type_name: None, sessions: Vec::new() });
+        }
+        if let Some(interest) = list.iter_mut().find(|interest| interest.owner.address == owner.address) {
+            change(interest);
+        }
+        list.retain(|interest| interest.watched || !interest.sessions.is_empty());
+        if list.is_empty() {
+            interests.remove(topic);
+        }
+    }
+
+    /// The owner wants every message of the topic from now on.
+    pub fn watch(&self, topic: &str, owner: &Arc<Owner>, type_name: Option<TypeName>) {
+        self.change(topic, owner, |interest| {
+            interest.watched = true;
+            interest.type_name = type_name;
+        });
+    }
+
+    /// The owner no longer wants the topic; running sessions go on.
+    pub fn unwatch(&self, topic: &str, owner: &Arc<Owner>) {
+        self.change(topic, owner, |interest| interest.watched = false);
+    }
+
+    /// A session takes messages of the topic.
+    pub fn join(&self, topic: &str, owner: &Arc<Owner>, type_name: Option<TypeName>, session: &Arc<CaptureSession>) {
+        self.change(topic, owner, |interest| {
+            if !interest.watched {
+                interest.type_name = type_name;
+            }
+            interest.sessions.push(Arc::clone(session));
+        });
+    }
+
+    /// A session is over.
+    pub fn leave(&self, topic: &str, owner: &Arc<Owner>, session: &Arc<CaptureSession>) {
+        self.change(topic, owner, |interest| interest.sessions.retain(|other| !Arc::ptr_eq(other, session)));
+    }
+
+    /// Topics that anybody wants.
+    pub fn wanted(&self) -> Vec<String> {
+        self.interests.read().unwrap_or_else(PoisonError::into_inner).keys().cloned().collect()
+    }
+
+    /// Topics that this owner wants.
+    pub fn wanted_by(&self, owner: &Owner) -> Vec<String> {
+        let interests = self.interests.read().unwrap_or_else(PoisonError::into_inner);
+        let wants = |list: &Vec<Interest>| list.iter().any(|interest| interest.owner.address == owner.address);
+        interests.iter().filter(|(_, list)| wants(list)).map(|(topic, _)| topic.clone()).collect()
+    }
+
+    /// Losses of a topic since the site began.
+    pub fn losses(&self, topic: &str) -> Losses {
+        self.losses.lock().unwrap_or_else(PoisonError::into_inner).get(topic).copied().unwrap_or_default()
+    }
+
+    /// Losses of all topics together.
+    pub fn all_losses(&self) -> Losses {
+        let losses = self.losses.lock().unwrap_or_else(PoisonError::into_inner);
+        losses.values().fold(Losses::default(), |sum, topic| Losses {
+            in_transport: sum.in_transport + topic.in_transport,
+            in_recorder: sum.in_recorder + topic.in_recorder,
+        })
+    }
+
+    fn lose(&self, topic: &str, change: impl FnOnce(&mut Losses)) {
+        let mut losses = self.losses.lock().unwrap_or_else(PoisonError::into_inner);
+        change(losses.entry(topic.to_owned()).or_default());
+    }
+
+    fn offer(&self, interest: &Interest, message: &Arc<Message>, simulated: bool) {
+        if interest.type_name.as_ref().is_some_and(|wanted| wanted.as_str() != &*message.type_name) {
+            return;
+        }
+        let takes = |session: &&Arc<CaptureSession>| session.take(&message.topic, &message.type_name);
+        let sessions: Vec<_> = interest.sessions.iter().filter(takes).cloned().collect();
+        if sessions.is_empty() && !interest.watched {
+            return;
+        }
+        let owner = Arc::clone(&interest.owner);
+        let item = CapturedMessage { owner, message: Arc::clone(message), simulated, sessions };
+        if let Err(refused) = self.ring.push(item) {
+            self.lose(&message.topic, |losses| losses.in_recorder += 1);
+            refused.sessions.iter().for_each(|session| session.dropped(&message.topic));
+        }
+    }
+}
+
+impl MessageSink for Recorder {
+    fn accept(&self, message: Message) {
+        self.meter.count(&message.topic, message.body.len(), Timestamp::now());
+        self.moved.store(true, Ordering::Release);
+        let interests = self.interests.read().unwrap_or_else(PoisonError::into_inner);
+        let Some(list) = interests.get(&*message.topic) else { return };
+        let simulated = self.is_simulated(&message.caller_id);
+        let message = Arc::new(message);
+        for interest in list {
+            self.offer(interest, &message, simulated);
+        }
+    }
+
+    fn notice(&self, notice: CaptureNotice) {
+        if let CaptureNotice::LostInTransport { topic, count } = &notice {
+            self.lose(topic, |losses| losses.in_transport += count);
+            let interests = self.interests.read().unwrap_or_else(PoisonError::into_inner);
+            for session in interests.get(&**topic).into_iter().flatten().flat_map(|interest| &interest.sessions) {
+                session.lost_in_transport(topic, *count);
+            }
+        }
+        if let Some((urgent, text)) = words(&notice) {
+            self.observer.alert(urgent, text);
+        }
+    }
+}
+
+fn words(notice: &CaptureNotice) -> Option<(bool, String)> {
+    let text = notice.to_string();
+    let urgent = notice.kind().is_some_and(|kind| kind != ErrorKind::Incomplete);
+    (!text.is_empty()).then(|| (urgent, clean(&text, 300)))
+}

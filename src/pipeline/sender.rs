@@ -1,0 +1,165 @@
+//! Nonce lanes: one per EOA. A signed transaction is stored before it is sent, and sent again
+//! as the same bytes until the chain has decided about its nonce.
+
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use tokio::task::block_in_place;
+
+use crate::chain::{Call, Chain, ChainError, Receipt};
+use crate::crypto::EoaSecret;
+use crate::model::{Address, Digest, Hash, clean};
+use crate::store::{Ledger, NewTransaction, TransactionOutcome};
+
+use super::PipelineError;
+
+/// How long a single transaction may take until its sender is told that it waits.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+#[derive(Default)]
+struct Lane {
+    next: Option<u64>,
+}
+
+/// Sends transactions of all accounts of the site.
+pub struct Sender {
+    ledger: Ledger,
+    lanes: Mutex<HashMap<Address, Arc<tokio::sync::Mutex<Lane>>>>,
+}
+
+impl Sender {
+    /// A sender that keeps its transactions in `ledger`.
+    pub fn new(ledger: Ledger) -> Self {
+        Self { ledger, lanes: Mutex::default() }
+    }
+
+    fn lane(&self, account: Address) -> Arc<tokio::sync::Mutex<Lane>> {
+        Arc::clone(self.lanes.lock().unwrap_or_else(PoisonError::into_inner).entry(account).or_default())
+    }
+
+    async fn next_nonce(&self, chain: &Chain, account: Address, lane: &Lane) -> Result<u64, PipelineError> {
+        if let Some(next) = lane.next {
+            return Ok(next);
+        }
+        let mined = chain.nonce(account, false).await?;
+        let open = block_in_place(|| self.ledger.open_transactions(account))?;
+        Ok(open.iter().map(|row| row.nonce + 1).fold(mined, u64::max))
+    }
+
+    /// Signs, stores and sends `calls` in order, each with the records it anchors.
+    ///
+    /// # Errors
+    /// Of the chain while signing, of the ledger while storing. A transaction that is stored but
+    /// could not be handed to the node is no error: it is sent again.
+    pub async fn submit(
+        &self,
+        chain: &Chain,
+        eoa: &EoaSecret,
+        calls: Vec<(Call, String, Vec<Digest>)>,
+    ) -> Result<Vec<Hash>, PipelineError> {
+        let account = eoa.address();
+        let lane = self.lane(account);
+        let mut lane = lane.lock().await;
+        let mut nonce = self.next_nonce(chain, account, &lane).await?;
+        let mut rows = Vec::with_capacity(calls.len());
+        for (call, purpose, digests) in calls {
+            let signed = chain.sign(eoa, nonce, &call).await?;
+            rows.push(NewTransaction { hash: signed.hash, account, nonce, raw: signed.raw, purpose, digests });
+            nonce += 1;
+        }
+        let sent: Vec<(Hash, Vec<u8>)> = rows.iter().map(|row| (row.hash, row.raw.clone())).collect();
+        block_in_place(|| self.ledger.submit_many(rows))?;
+        lane.next = Some(nonce);
+        for (_, raw) in &sent {
+            if let Err(error) = chain.broadcast(raw).await {
+                // The bytes are stored; resend() repeats them. The nonce is asked again then.
+                if !matches!(error, ChainError::AlreadyKnown) {
+                    lane.next = None;
+                    break;
+                }
+            }
+        }
+        Ok(sent.into_iter().map(|(hash, _)| hash).collect())
+    }
+
+    /// Sends one call and waits until it is mined.
+    ///
+    /// # Errors
+    /// `Reverted` with the contract's reason, before anything is sent where the node can tell;
+    /// `NotMined` after two minutes; errors of chain and ledger.
+    pub async fn send(&self, chain: &Chain, eoa: &EoaSecret, call: Call, purpose: &str) -> Result<(Hash, Receipt), PipelineError> {
+        chain.simulate(eoa.address(), &call).await?;
+        let hashes = self.submit(chain, eoa, vec![(call, purpose.to_owned(), Vec::new())]).await?;
+        let hash = hashes.first().copied().ok_or_else(|| PipelineError::NotMined(purpose.to_owned()))?;
+        self.wait_mined(chain, eoa.address(), hash, purpose).await
+    }
+
+    async fn wait_mined(&self, chain: &Chain, account: Address, hash: Hash, purpose: &str) -> Result<(Hash, Receipt), PipelineError> {
+        let deadline = Instant::now() + PATIENCE;
+        let mut head = chain.head().await?.number;
+        loop {
+            if let Some(receipt) = chain.receipt(hash).await? {
+                self.close(hash, &receipt)?;
+                return match receipt.success {
+                    true => Ok((hash, receipt)),
+                    false => Err(PipelineError::Reverted {
+                        purpose: purpose.to_owned(),
+                        reason: clean(receipt.reason.as_deref().unwrap_or("no reason given"), 200),
+                    }),
+                };
+            }
+            if Instant::now() > deadline {
+                return Err(PipelineError::NotMined(purpose.to_owned()));
+            }
+            let seen = chain.next_block(head, Duration::from_secs(2)).await?.number;
+            if seen == head {
+                self.resend(chain, account).await?;
+            }
+            head = seen;
+        }
+    }
+
+    fn close(&self, hash: Hash, receipt: &Receipt) -> Result<(), PipelineError> {
+        let outcome = if receipt.success {
+            TransactionOutcome::Mined { block: receipt.block, block_hash: receipt.block_hash, gas_used: Some(receipt.gas_used) }
+        } else {
+            TransactionOutcome::Reverted { reason: clean(receipt.reason.as_deref().unwrap_or(""), 200) }
+        };
+        Ok(block_in_place(|| self.ledger.close_transaction(hash, outcome))?)
+    }
+
+    /// Looks at every open transaction of the account: closes what the chain has decided and
+    /// sends the rest again, byte for byte. Returns how many are still open, and refused reasons.
+    ///
+    /// # Errors
+    /// Of chain and ledger.
+    pub async fn resend(&self, chain: &Chain, account: Address) -> Result<(usize, Vec<String>), PipelineError> {
+        let open = block_in_place(|| self.ledger.open_transactions(account))?;
+        if open.is_empty() {
+            return Ok((0, Vec::new()));
+        }
+        let mined = chain.nonce(account, false).await?;
+        let (mut waiting, mut refused) = (0, Vec::new());
+        for row in open {
+            if row.nonce < mined {
+                match chain.receipt(row.hash).await? {
+                    Some(receipt) => {
+                        if !receipt.success {
+                            refused.push(format!("{}: {}", row.purpose, clean(receipt.reason.as_deref().unwrap_or("reverted"), 200)));
+                        }
+                        self.close(row.hash, &receipt)?;
+                    }
+                    None => block_in_place(|| self.ledger.close_transaction(row.hash, TransactionOutcome::Replaced))?,
+                }
+                continue;
+            }
+            waiting += 1;
+            match chain.broadcast(&row.raw).await {
+                Ok(_) | Err(ChainError::AlreadyKnown | ChainError::NonceTooLow) => {}
+                Err(error) => return Err(error.into()),
+            }
+        }
+        Ok((waiting, refused))
+    }
+}

@@ -1,0 +1,218 @@
+//! One running `capture`: how many messages of which topics it took, and what became of them.
+
+use std::collections::{BTreeMap, HashMap};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+
+use tokio::sync::Notify;
+
+use crate::model::Digest;
+
+/// Figures of one topic of a session.
+#[derive(Debug, Default)]
+struct TopicTally {
+    captured: AtomicU64,
+    verified: AtomicU64,
+    tampered: AtomicU64,
+    lost: AtomicU64,
+    type_name: OnceLock<String>,
+}
+
+/// Figures of one topic, as counted so far.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct TopicFigures {
+    /// Topic name.
+    pub topic: String,
+    /// Type of the first message, where one came.
+    pub type_name: Option<String>,
+    /// Messages taken.
+    pub captured: u64,
+    /// Of these verified.
+    pub verified: u64,
+    /// Of these tampered or missing.
+    pub tampered: u64,
+    /// Lost in transport or in the recorder.
+    pub lost: u64,
+}
+
+/// A capture with an end.
+#[derive(Debug)]
+pub struct CaptureSession {
+    topics: BTreeMap<String, TopicTally>,
+    limit: Option<u64>,
+    tags: Vec<(String, String)>,
+    closed: AtomicBool,
+    changed: Notify,
+}
+
+impl CaptureSession {
+    /// A session for `topics`, ending by itself after `limit` messages of each.
+    pub fn new(topics: &[String], limit: Option<u64>, tags: Vec<(String, String)>) -> Self {
+        let topics = topics.iter().map(|topic| (topic.clone(), TopicTally::default())).collect();
+        Self { topics, limit, tags, closed: AtomicBool::new(limit == Some(0)), changed: Notify::new() }
+    }
+
+    /// Tags that its messages get.
+    pub fn tags(&self) -> &[(String, String)] {
+        &self.tags
+    }
+
+    /// Counts a message in; `false` where the session is closed or has enough of the topic.
+    pub fn take(&self, topic: &str, type_name: &str) -> bool {
+        let Some(tally) = self.topics.get(topic) else { return false };
+        if self.closed.load(Ordering::Acquire) {
+            return false;
+        }
+        let below = |count: u64| self.limit.is_none_or(|limit| count < limit).then_some(count + 1);
+        if tally.captured.fetch_update(Ordering::AcqRel, Ordering::Acquire, below).is_err() {
+            return false;
+        }
+        tally.type_name.get_or_init(|| type_name.to_owned());
+        if self.is_full() {
+            self.close();
+        }
+        true
+    }
+
+    /// A message that was counted in had to be dropped.
+    pub fn dropped(&self, topic: &str) {
+        if let Some(tally) = self.topics.get(topic) {
+            tally.captured.fetch_sub(1, Ordering::AcqRel);
+            tally.lost.fetch_add(1, Ordering::AcqRel);
+        }
+        self.changed.notify_waiters();
+    }
+
+    /// Messages that never arrived.
+    pub fn lost_in_transport(&self, topic: &str, count: u64) {
+        if let Some(tally) = self.topics.get(topic).filter(|_| !self.closed.load(Ordering::Acquire)) {
+            tally.lost.fetch_add(count, Ordering::AcqRel);
+        }
+    }
+
+    fn settle(&self, topic: &str, verified: bool) {
+        if let Some(tally) = self.topics.get(topic) {
+            let counter = if verified { &tally.verified } else { &tally.tampered };
+            counter.fetch_add(1, Ordering::AcqRel);
+        }
+        self.changed.notify_waiters();
+    }
+
+    fn is_full(&self) -> bool {
+        let full = |tally: &TopicTally| self.limit.is_some_and(|limit| tally.captured.load(Ordering::Acquire) >= limit);
+        self.topics.values().all(full)
+    }
+
+    /// Takes no further messages.
+    pub fn close(&self) {
+        self.closed.store(true, Ordering::Release);
+        self.changed.notify_waiters();
+    }
+
+    /// Whether it takes no further messages.
+    pub fn is_closed(&self) -> bool {
+        self.closed.load(Ordering::Acquire)
+    }
+
+    /// Waits until it is closed.
+    pub async fn closed(&self) {
+        self.wait_for(Self::is_closed).await;
+    }
+
+    /// Waits until it is closed and the fate of every captured message is known.
+    pub async fn settled(&self) {
+        self.wait_for(|session| session.is_closed() && session.is_settled()).await;
+    }
+
+    async fn wait_for(&self, condition: impl Fn(&Self) -> bool) {
+        loop {
+            let notified = self.changed.notified();
+            tokio::pin!(notified);
+            notified.as_mut().enable();
+            if condition(self) {
+                return;
+            }
+            notified.await;
+        }
+    }
+
+    fn is_settled(&self) -> bool {
+        self.figures().iter().all(|topic| topic.verified + topic.tampered >= topic.captured)
+    }
+
+    /// Figures per topic.
+    pub fn figures(&self) -> Vec<TopicFigures> {
+        let figures = |(topic, tally): (&String, &TopicTally)| TopicFigures {
+            topic: topic.clone(),
+            type_name: tally.type_name.get().cloned(),
+            captured: tally.captured.load(Ordering::Acquire),
+            verified: tally.verified.load(Ordering::Acquire),
+            tampered: tally.tampered.load(Ordering::Acquire),
+            lost: tally.lost.load(Ordering::Acquire),
+        };
+        self.topics.iter().map(figures).collect()
+    }
+}
+
+type Waiting = Vec<(Arc<CaptureSession>, Arc<str>)>;
+
+/// Which sessions wait for which records.
+#[derive(Debug, Default)]
+pub struct Sessions {
+    waiting: Mutex<HashMap<Digest, Waiting>>,
+}
+
+impl Sessions {
+    /// `sessions` wait for the record `digest` of `topic`.
+    pub fn wait(&self, digest: Digest, topic: &Arc<str>, sessions: &[Arc<CaptureSession>]) {
+        if sessions.is_empty() {
+            return;
+        }
+        let entries = sessions.iter().map(|session| (Arc::clone(session), Arc::clone(topic)));
+        self.waiting.lock().unwrap_or_else(PoisonError::into_inner).entry(digest).or_default().extend(entries);
+    }
+
+    /// The fate of these records is known.
+    pub fn settle(&self, digests: &[Digest], verified: bool) {
+        let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
+        for (session, topic) in digests.iter().filter_map(|digest| waiting.remove(digest)).flatten() {
+            session.settle(&topic, verified);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn ends_after_the_count_and_settles_when_all_is_verified() {
+        let session = Arc::new(CaptureSession::new(&["/a".into()], Some(2), Vec::new()));
+        let sessions = Sessions::default();
+        assert!(session.take("/a", "x/Y"));
+        assert!(!session.take("/b", "x/Y"));
+        assert!(session.take("/a", "x/Y"));
+        assert!(!session.take("/a", "x/Y"));
+        session.closed().await;
+        let topic: Arc<str> = "/a".into();
+        for byte in [1, 2] {
+            sessions.wait(Digest([byte; 32]), &topic, &[Arc::clone(&session)]);
+        }
+        sessions.settle(&[Digest([1; 32]), Digest([9; 32])], true);
+        assert!(!session.is_settled());
+        sessions.settle(&[Digest([2; 32])], false);
+        session.settled().await;
+        let figures = &session.figures()[0];
+        assert_eq!((figures.captured, figures.verified, figures.tampered), (2, 1, 1));
+    }
+
+    #[test]
+    fn a_dropped_message_is_lost_not_captured() {
+        let session = CaptureSession::new(&["/a".into()], None, Vec::new());
+        assert!(session.take("/a", "x/Y"));
+        session.dropped("/a");
+        session.lost_in_transport("/a", 3);
+        let figures = &session.figures()[0];
+        assert_eq!((figures.captured, figures.lost), (0, 4));
+    }
+}

@@ -1,0 +1,53 @@
+//! The last step: re-reads confirmed records from the vault and checks digest and signature.
+
+use crate::crypto::{Anchor, check};
+use crate::model::{Digest, RecordState};
+use crate::store::RecordRow;
+
+use super::{Network, PipelineError, Plant};
+
+/// Records a round.
+const ROUND: usize = 128;
+
+/// Checks up to [`ROUND`] confirmed records; returns how many it decided about.
+///
+/// # Errors
+/// Of vault and ledger; a vault that does not answer decides nothing.
+pub fn verify_round(plant: &Plant, network: &Network) -> Result<usize, PipelineError> {
+    let rows = plant.ledger.in_state(None, RecordState::Confirmed, ROUND)?;
+    let (mut good, mut bad) = (Vec::new(), Vec::new());
+    for row in &rows {
+        let verified = is_sound(plant, network, row)?;
+        if verified { &mut good } else { &mut bad }.push(row.digest);
+    }
+    settle(plant, &good, RecordState::Verified)?;
+    settle(plant, &bad, RecordState::Tampered)?;
+    Ok(rows.len())
+}
+
+fn is_sound(plant: &Plant, network: &Network, row: &RecordRow) -> Result<bool, PipelineError> {
+    let Some(blob) = plant.vault.get(row.digest)? else { return Ok(false) };
+    let Some(signer) = network.directory.signing_key(row.owner, row.signer, row.block) else { return Ok(false) };
+    let checked = check(plant.provider, &blob, &row.signature, &signer, Anchor::Chain(row.digest));
+    Ok(checked.is_ok_and(|(header, digest, _)| {
+        digest == row.digest && header.owner == row.owner && header.seq == row.seq && header.domain == network.domain
+    }))
+}
+
+fn settle(plant: &Plant, digests: &[Digest], state: RecordState) -> Result<(), PipelineError> {
+    if digests.is_empty() {
+        return Ok(());
+    }
+    plant.ledger.advance(digests, RecordState::Confirmed, state)?;
+    if state == RecordState::Verified {
+        if !plant.vault.durable() {
+            plant.ledger.drop_local_copies(digests)?;
+        }
+        plant.observer.verified(digests);
+    } else {
+        plant.observer.tampered(digests);
+        plant.observer.alert(true, format!("{} records differ from what was anchored, or are gone from the vault", digests.len()));
+    }
+    plant.observer.records_changed();
+    Ok(())
+}

@@ -1,0 +1,211 @@
+//! The monitoring node: captures every message of the watched topics, of any type.
+//!
+//! A registrar thread keeps the subscriptions alive at the master and finds publishers; each
+//! publisher is read by a thread of its own, so that none can starve another. What is captured
+//! goes to a [`MessageSink`]; sealing, storing and bounding the ring is not done here.
+
+mod node;
+mod reader;
+mod registrar;
+mod sequence;
+mod topic;
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use super::RosError;
+use super::address::{Endpoint, own_host};
+use super::slave::SlaveServer;
+use crate::model::{Timestamp, TopicName, TypeName};
+use node::Shared;
+use registrar::Registrar;
+
+/// How long starting may wait for names to be resolved.
+const PATIENCE: Duration = Duration::from_secs(2);
+
+/// A message as it came from its publisher.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Message {
+    /// Topic name.
+    pub topic: Arc<str>,
+    /// Type, `package/Type`.
+    pub type_name: Arc<str>,
+    /// The type's md5sum, 32 hex characters, as the publisher gave it.
+    pub md5sum: Arc<str>,
+    /// The full text of the type's definition, as the publisher gave it.
+    pub definition: Arc<str>,
+    /// The publisher's node name, as it gave it: clean it before it is shown.
+    pub caller_id: Arc<str>,
+    /// When the whole message had arrived.
+    pub captured_at: Timestamp,
+    /// `header.seq`, where the type begins with a header.
+    pub header_seq: Option<u32>,
+    /// The serialised message, without its length.
+    pub body: Vec<u8>,
+}
+
+/// Where captured messages go. Called from several threads at once, in order per publisher.
+pub trait MessageSink: Send + Sync {
+    /// Takes a message. It may block: then that publisher's socket is not read meanwhile.
+    fn accept(&self, message: Message);
+    /// Takes news of the capture itself. It must not block.
+    fn notice(&self, notice: CaptureNotice);
+}
+
+/// News of the capture. Texts from peers in it are cleaned.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum CaptureNotice {
+    /// A publisher is being read.
+    PublisherConnected {
+        /// Topic name.
+        topic: Arc<str>,
+        /// The publisher's node name.
+        caller_id: String,
+        /// Its type.
+        type_name: Arc<str>,
+    },
+    /// A publisher that was read is gone.
+    PublisherLost {
+        /// Topic name.
+        topic: Arc<str>,
+        /// The publisher's node name.
+        caller_id: String,
+        /// Why.
+        reason: String,
+    },
+    /// The master names a publisher that cannot be read; said once until it can.
+    PublisherUnreachable {
+        /// Topic name.
+        topic: Arc<str>,
+        /// The publisher's URI.
+        publisher: String,
+        /// Why.
+        reason: String,
+    },
+    /// A publisher sends another type than the one asked for; it is not captured.
+    TypeMismatch {
+        /// Topic name.
+        topic: Arc<str>,
+        /// The publisher's node name.
+        caller_id: String,
+        /// The type asked for.
+        wanted: String,
+        /// The type it has.
+        found: String,
+    },
+    /// Sequence numbers are missing: so many messages never arrived.
+    LostInTransport {
+        /// Topic name.
+        topic: Arc<str>,
+        /// The publisher's node name.
+        caller_id: String,
+        /// How many.
+        count: u64,
+    },
+    /// A publisher or an answer was refused, for example a message beyond the length cap.
+    Refused {
+        /// Topic name.
+        topic: Arc<str>,
+        /// The publisher's URI.
+        publisher: String,
+        /// Why.
+        reason: String,
+    },
+    /// The master stopped answering; publishers that are connected are still read.
+    MasterLost {
+        /// What happened.
+        reason: String,
+    },
+    /// The master answers (again).
+    MasterBack,
+    /// Somebody asked this node to end; it does not.
+    ShutdownAsked {
+        /// Who.
+        by: String,
+        /// In which words.
+        reason: String,
+    },
+}
+
+/// How to capture.
+#[derive(Debug, Clone)]
+pub struct CaptureOptions {
+    /// The master, `http://HOST:PORT`.
+    pub master_uri: String,
+    /// The host other nodes reach this one at (`ROS_HOSTNAME` or `ROS_IP`); else chosen.
+    pub own_host: Option<String>,
+    /// This node's name, which must be its own: a master ends the elder of two of one name.
+    pub node_name: String,
+}
+
+/// Where the capture of one topic stands.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct TopicCapture {
+    /// Topic name.
+    pub topic: TopicName,
+    /// The type asked for, else the one last seen.
+    pub type_name: Option<String>,
+    /// Publishers being read now.
+    pub publishers: usize,
+    /// Messages captured.
+    pub messages: u64,
+    /// Bytes of their bodies.
+    pub bytes: u64,
+    /// Messages missing by their sequence numbers.
+    pub lost_in_transport: u64,
+    /// When the last message had arrived.
+    pub last_message: Option<Timestamp>,
+}
+
+/// A running capture. It unregisters and ends its threads when dropped.
+pub struct Capture {
+    shared: Arc<Shared>,
+    registrar: Registrar,
+    _slave: SlaveServer,
+}
+
+impl Capture {
+    /// Starts the monitoring node; it watches nothing yet. The master need not be up.
+    ///
+    /// # Errors
+    /// [`RosError::Address`] for a bad URI, [`RosError::Unreachable`] where the master's name does
+    /// not resolve, [`RosError::OwnHost`] where this machine's address cannot be listened on.
+    pub fn start(options: CaptureOptions, sink: Arc<dyn MessageSink>) -> Result<Self, RosError> {
+        let master = Endpoint::parse(&options.master_uri).ok_or_else(|| RosError::address(&options.master_uri))?;
+        let host = own_host(options.own_host.as_deref(), &master, Instant::now() + PATIENCE)?;
+        let shared = Arc::new(Shared::new(master, options.node_name, sink));
+        let slave = SlaveServer::start(&host, Arc::clone(&shared) as _)?;
+        let registrar = Registrar::start(Arc::clone(&shared), slave.uri.clone())?;
+        Ok(Self { shared, registrar, _slave: slave })
+    }
+
+    /// Watches a topic; with `type_name` only publishers of that type are read. Watching it again
+    /// changes nothing. A topic that nobody publishes is waited for.
+    pub fn watch(&self, topic: TopicName, type_name: Option<TypeName>) {
+        self.shared.watch(topic, type_name);
+    }
+
+    /// Stops watching a topic. A message being handed to the sink is still handed over.
+    pub fn unwatch(&self, topic: &TopicName) {
+        self.shared.unwatch(topic);
+    }
+
+    /// The watched topics, by name, with the types asked for.
+    pub fn watched(&self) -> Vec<(TopicName, Option<TypeName>)> {
+        self.shared.topics().iter().map(|topic| (topic.name.clone(), topic.wanted.clone())).collect()
+    }
+
+    /// Where each watched topic stands, by name.
+    pub fn status(&self) -> Vec<TopicCapture> {
+        self.shared.topics().iter().map(|topic| topic.status()).collect()
+    }
+}
+
+impl Drop for Capture {
+    fn drop(&mut self) {
+        let deadline = Instant::now() + PATIENCE;
+        self.shared.stop();
+        self.registrar.stop(deadline);
+        self.shared.threads.wait_until_none(deadline);
+    }
+}

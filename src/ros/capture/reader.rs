@@ -1,0 +1,292 @@
+//! The thread that reads one publisher: asks it for the topic, connects, shakes hands, and hands
+//! every message on; after a loss it tries again for as long as the master names the publisher.
+
+use std::io;
+use std::net::TcpStream;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use super::node::Shared;
+use super::sequence::{Sequence, header_seq};
+use super::topic::{Publisher, Topic};
+use super::{CaptureNotice, Message};
+use crate::model::{Timestamp, TypeName, clean};
+use crate::ros::address::connect;
+use crate::ros::message::Definition;
+use crate::ros::tcpros::{ConnectionHeader, FrameReader, LONGEST_HEADER, LONGEST_MESSAGE, Poll};
+use crate::ros::xmlrpc::{CallError, Value, call};
+
+/// The longest that asking, connecting and shaking hands may take, each.
+const PATIENCE: Duration = Duration::from_secs(2);
+
+/// How long a read waits before it looks whether the topic has ended.
+const TICK: Duration = Duration::from_millis(250);
+
+/// After so long without a message the publisher's host is asked whether it still lives.
+const SILENCE: Duration = Duration::from_secs(30);
+
+/// First and longest wait between attempts.
+const RETRY: (Duration, Duration) = (Duration::from_millis(50), Duration::from_secs(2));
+
+/// Wait after an attempt that more attempts will hardly change.
+const RETRY_REFUSED: Duration = Duration::from_secs(10);
+
+/// Starts the thread.
+pub(super) fn spawn(shared: &Arc<Shared>, topic: &Arc<Topic>, publisher: Arc<Publisher>) -> io::Result<()> {
+    let mut reader = Reader {
+        shared: Arc::clone(shared),
+        topic: Arc::clone(topic),
+        publisher,
+        sequence: Sequence::default(),
+        complained: false,
+    };
+    shared.threads.spawn("ros-reader", move || reader.run())
+}
+
+/// What a publisher's connection header says of its messages.
+struct Description {
+    type_name: Arc<str>,
+    md5sum: Arc<str>,
+    definition: Arc<str>,
+    caller_id: Arc<str>,
+    has_header: bool,
+}
+
+/// Why a publisher is not (or no longer) read.
+enum Failure {
+    /// Worth trying again soon.
+    Passing(String),
+    /// It sends another type.
+    Mismatch { caller_id: String, found: String },
+    /// It breaks the protocol or a limit.
+    Refused(String),
+}
+
+struct Reader {
+    shared: Arc<Shared>,
+    topic: Arc<Topic>,
+    publisher: Arc<Publisher>,
+    sequence: Sequence,
+    /// Whether the present run of failures was told.
+    complained: bool,
+}
+
+impl Reader {
+    fn run(&mut self) {
+        let mut patience = RETRY.0;
+        loop {
+            let wait = match self.attempt() {
+                Ok(()) => {
+                    patience = RETRY.0;
+                    self.complained = false;
+                    RETRY.0
+                }
+                Err(failure) => {
+                    patience = (patience * 2).min(RETRY.1);
+                    let wait = if matches!(failure, Failure::Passing(_)) { patience } else { RETRY_REFUSED };
+                    self.complain(failure);
+                    wait
+                }
+            };
+            if !self.topic.wait_to_retry(&self.publisher, wait) {
+                return;
+            }
+        }
+    }
+
+    /// Connects and reads until the connection is gone; `Ok` where it was up.
+    fn attempt(&mut self) -> Result<(), Failure> {
+        let (mut frames, description) = self.open()?;
+        self.publisher.set_connected(Some(&description.caller_id));
+        self.topic.set_type(&description.type_name);
+        let caller_id = clean(&description.caller_id, 120);
+        self.shared.notice(CaptureNotice::PublisherConnected {
+            topic: Arc::clone(&self.topic.label),
+            caller_id: caller_id.clone(),
+            type_name: Arc::clone(&description.type_name),
+        });
+        let ended = self.read(&mut frames, &description);
+        self.publisher.set_connected(None);
+        if self.topic.has_ended() {
+            return Ok(());
+        }
+        let (reason, result) = match ended {
+            Ok(reason) => (reason, Ok(())),
+            Err(Failure::Refused(reason)) => (reason.clone(), Err(Failure::Refused(reason))),
+            Err(failure) => (String::from("it failed"), Err(failure)),
+        };
+        let topic = Arc::clone(&self.topic.label);
+        self.shared.notice(CaptureNotice::PublisherLost { topic, caller_id, reason });
+        result
+    }
+
+    fn open(&self) -> Result<(FrameReader<TcpStream>, Description), Failure> {
+        let (host, port) = self.ask()?;
+        let passing = |error: io::Error| Failure::Passing(error.to_string());
+        let stream = connect(&host, port, Instant::now() + PATIENCE).map_err(passing)?;
+        stream.set_read_timeout(Some(TICK)).map_err(passing)?;
+        stream.set_write_timeout(Some(PATIENCE)).map_err(passing)?;
+        // Any type, even where one is asked for: so the answer tells which one it is.
+        let request = ConnectionHeader::new([
+            ("callerid", self.shared.node_name.as_str()),
+            ("topic", self.topic.name.as_str()),
+            ("type", "*"),
+            ("md5sum", "*"),
+            ("message_definition", "*"),
+            ("tcp_nodelay", "1"),
+        ]);
+        io::Write::write_all(&mut (&stream), &request.to_bytes()).map_err(passing)?;
+        let mut frames = FrameReader::new(stream);
+        let header = self.answer(&mut frames)?;
+        let description = describe(&header, self.topic.wanted.as_ref())?;
+        Ok((frames, description))
+    }
+
+    /// Asks the publisher's slave API where it gives out the topic.
+    fn ask(&self) -> Result<(String, u16), Failure> {
+        let protocols = Value::Array(vec![Value::Array(vec!["TCPROS".into()])]);
+        let params = [self.shared.node_name.as_str().into(), self.topic.name.as_str().into(), protocols];
+        let answer = call(&self.publisher.endpoint, "requestTopic", &params, Instant::now() + PATIENCE)
+            .map_err(|error| Failure::Passing(error.to_string()))?;
+        match answer.as_array() {
+            Some([protocol, Value::Text(host), Value::Int(port), ..]) if protocol.as_text() == Some("TCPROS") => {
+                let port = u16::try_from(*port).map_err(|_| Failure::Refused("its port is not a port".into()))?;
+                Ok((host.clone(), port))
+            }
+            _ => Err(Failure::Refused("it does not offer TCPROS".into())),
+        }
+    }
+
+    fn answer(&self, frames: &mut FrameReader<TcpStream>) -> Result<ConnectionHeader, Failure> {
+        let deadline = Instant::now() + PATIENCE;
+        while Instant::now() < deadline && !self.topic.has_ended() {
+            match frames.poll(LONGEST_HEADER) {
+                Ok(Poll::Frame(bytes)) => {
+                    return ConnectionHeader::parse(&bytes)
+                        .map_err(|reason| Failure::Refused(format!("its connection header is broken: {reason}")));
+                }
+                Ok(Poll::Pending) => {}
+                Ok(Poll::Closed(_)) => return Err(Failure::Passing("it closed the connection at once".into())),
+                Ok(Poll::TooLong(length)) => {
+                    return Err(Failure::Refused(format!("its connection header claims {length} bytes")));
+                }
+                Err(error) => return Err(Failure::Passing(error.to_string())),
+            }
+        }
+        Err(Failure::Passing("it sent no connection header in time".into()))
+    }
+
+    /// Hands on messages until the connection or the topic ends; why it ended.
+    fn read(&mut self, frames: &mut FrameReader<TcpStream>, from: &Description) -> Result<String, Failure> {
+        let mut heard = Instant::now();
+        loop {
+            match frames.poll(LONGEST_MESSAGE) {
+                Ok(Poll::Frame(_)) if self.topic.has_ended() => return Ok(String::new()),
+                Ok(Poll::Frame(body)) => {
+                    self.take(body, from);
+                    heard = Instant::now();
+                }
+                Ok(Poll::Pending) if heard.elapsed() > SILENCE => {
+                    if !self.host_lives() {
+                        return Ok(String::from("its host does not answer any more"));
+                    }
+                    heard = Instant::now();
+                }
+                Ok(Poll::Pending) => {}
+                Ok(Poll::Closed(true)) => return Ok(String::from("it closed the connection")),
+                Ok(Poll::Closed(false)) => return Ok(String::from("it closed the connection inside a message")),
+                Ok(Poll::TooLong(length)) => {
+                    return Err(Failure::Refused(format!("a message of {length} bytes is beyond {LONGEST_MESSAGE}")));
+                }
+                Err(error) => return Ok(error.to_string()),
+            }
+            if self.topic.has_ended() {
+                return Ok(String::new());
+            }
+        }
+    }
+
+    fn take(&mut self, body: Vec<u8>, from: &Description) {
+        let captured_at = Timestamp::now();
+        let header_seq = from.has_header.then(|| header_seq(&body)).flatten();
+        let missing = header_seq.map_or(0, |next| self.sequence.follow(next));
+        if missing > 0 {
+            self.topic.count_lost(missing);
+            self.shared.notice(CaptureNotice::LostInTransport {
+                topic: Arc::clone(&self.topic.label),
+                caller_id: clean(&from.caller_id, 120),
+                count: missing,
+            });
+        }
+        let bytes = body.len();
+        self.shared.sink.accept(Message {
+            topic: Arc::clone(&self.topic.label),
+            type_name: Arc::clone(&from.type_name),
+            md5sum: Arc::clone(&from.md5sum),
+            definition: Arc::clone(&from.definition),
+            caller_id: Arc::clone(&from.caller_id),
+            captured_at,
+            header_seq,
+            body,
+        });
+        self.topic.count_message(bytes, captured_at);
+    }
+
+    /// A peer without power says nothing, as one without news does. A hung one still lives.
+    fn host_lives(&self) -> bool {
+        let params = [self.shared.node_name.as_str().into()];
+        let answer = call(&self.publisher.endpoint, "getPid", &params, Instant::now() + PATIENCE);
+        !matches!(answer, Err(CallError::Connect(_)))
+    }
+
+    fn complain(&mut self, failure: Failure) {
+        if std::mem::replace(&mut self.complained, true) || self.topic.has_ended() {
+            return;
+        }
+        let topic = Arc::clone(&self.topic.label);
+        let publisher = self.publisher.endpoint.to_string();
+        self.shared.notice(match failure {
+            Failure::Passing(reason) => {
+                CaptureNotice::PublisherUnreachable { topic, publisher, reason: clean(&reason, 200) }
+            }
+            Failure::Refused(reason) => CaptureNotice::Refused { topic, publisher, reason: clean(&reason, 200) },
+            Failure::Mismatch { caller_id, found } => {
+                let wanted = self.topic.wanted.as_ref().map(TypeName::to_string).unwrap_or_default();
+                CaptureNotice::TypeMismatch {
+                    topic,
+                    caller_id: clean(&caller_id, 120),
+                    wanted,
+                    found: clean(&found, 120),
+                }
+            }
+        });
+    }
+}
+
+/// Checks a publisher's connection header.
+fn describe(header: &ConnectionHeader, wanted: Option<&TypeName>) -> Result<Description, Failure> {
+    let caller_id = header.get("callerid").unwrap_or("unnamed");
+    let found = header.get("type").unwrap_or_default();
+    if let Some(reason) = header.get("error") {
+        return Err(Failure::Refused(format!("it refuses: {reason}")));
+    }
+    if found.parse::<TypeName>().is_err() {
+        return Err(Failure::Refused(format!("'{}' is not a message type", clean(found, 80))));
+    }
+    if wanted.is_some_and(|wanted| wanted.as_str() != found) {
+        return Err(Failure::Mismatch { caller_id: caller_id.to_owned(), found: found.to_owned() });
+    }
+    let md5sum = header.get("md5sum").unwrap_or_default();
+    if md5sum.len() != 32 || !md5sum.bytes().all(|b| b.is_ascii_hexdigit()) {
+        return Err(Failure::Refused(format!("'{}' is not an md5sum", clean(md5sum, 80))));
+    }
+    let definition = header.get("message_definition").unwrap_or_default();
+    let parsed = Definition::parse(found, definition).ok();
+    Ok(Description {
+        type_name: found.into(),
+        md5sum: md5sum.into(),
+        definition: definition.into(),
+        caller_id: caller_id.chars().take(255).collect::<String>().into(),
+        has_header: parsed.is_some_and(|definition| definition.begins_with_header()),
+    })
+}

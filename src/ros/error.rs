@@ -1,0 +1,132 @@
+//! What can go wrong with ROS, in words that say what to do next.
+//! Texts from peers are cleaned before they enter a message.
+
+use crate::model::{ErrorKind, clean};
+
+/// An error of the ros room.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum RosError {
+    /// The master does not answer.
+    #[error(
+        "the ROS master at {uri} does not answer ({reason}); start roscore there, or correct ros.master \
+         (--ros-master, ROS_MASTER_URI)"
+    )]
+    Unreachable {
+        /// The master's URI.
+        uri: String,
+        /// What happened.
+        reason: String,
+    },
+    /// A text is not the URI of a master or node.
+    #[error("'{0}' is not a ROS address; write http://HOST:PORT, as in http://127.0.0.1:11311")]
+    Address(String),
+    /// This machine's own host name or address cannot be used.
+    #[error(
+        "cannot listen for ROS peers on '{host}' ({reason}); set ROS_IP to an address of this machine that the \
+         other nodes reach"
+    )]
+    OwnHost {
+        /// The host name or address tried.
+        host: String,
+        /// What happened.
+        reason: String,
+    },
+    /// The master answered, but said no.
+    #[error("the ROS master at {uri} refused {call}: {reason}; look into the master's log")]
+    Refused {
+        /// The master's URI.
+        uri: String,
+        /// The call it refused.
+        call: &'static str,
+        /// Its words.
+        reason: String,
+    },
+    /// What answered is not a ROS master, or a broken one.
+    #[error("{uri} answers, but not as a ROS master ({reason}); check that ros.master names roscore's port")]
+    Protocol {
+        /// The URI.
+        uri: String,
+        /// What was wrong with the answer.
+        reason: String,
+    },
+    /// The embedded master did not come up.
+    #[error("the embedded ROS master did not start ({0}); name a running one by --ros-master instead")]
+    EmbeddedMaster(String),
+    /// The operating system did not give what was needed.
+    #[error("cannot {action} ({reason}); free some threads, sockets or memory and try again")]
+    System {
+        /// What was tried.
+        action: &'static str,
+        /// What the system said.
+        reason: String,
+    },
+    /// More simulated robots than allowed.
+    #[error("{0} robots are too many to simulate; ask for at most {most}", most = crate::ros::MOST_ROBOTS)]
+    Robots(u16),
+    /// A publishing rate that is no rate.
+    #[error("{0} Hz is not a publishing rate; use a number above 0 and up to 1000")]
+    Rate(String),
+    /// A message definition that is not one, or is beyond the limits.
+    #[error("the definition of {type_name} cannot be used: {reason}; the publisher sends a faulty definition")]
+    Definition {
+        /// The type.
+        type_name: String,
+        /// What is wrong.
+        reason: String,
+    },
+    /// A message body that does not fit its definition.
+    #[error("a message of {type_name} does not fit its definition: {reason}; show its raw bytes instead")]
+    Body {
+        /// The type.
+        type_name: String,
+        /// What is wrong.
+        reason: String,
+    },
+}
+
+impl RosError {
+    /// What sort of failure it is.
+    pub fn kind(&self) -> ErrorKind {
+        match self {
+            Self::Unreachable { .. } => ErrorKind::Unreachable,
+            Self::Refused { .. } => ErrorKind::Refused,
+            Self::Address(_) | Self::Robots(_) | Self::Rate(_) => ErrorKind::Usage,
+            Self::OwnHost { .. } | Self::Protocol { .. } | Self::Definition { .. } | Self::Body { .. } => {
+                ErrorKind::Input
+            }
+            Self::EmbeddedMaster(_) | Self::System { .. } => ErrorKind::Internal,
+        }
+    }
+
+    pub(super) fn address(text: &str) -> Self {
+        Self::Address(clean(text, 120))
+    }
+
+    pub(super) fn system(action: &'static str, reason: &std::io::Error) -> Self {
+        Self::System { action, reason: reason.to_string() }
+    }
+
+    pub(super) fn definition(type_name: &str, reason: impl AsRef<str>) -> Self {
+        Self::Definition { type_name: clean(type_name, 120), reason: clean(reason.as_ref(), 200) }
+    }
+
+    pub(super) fn body(type_name: &str, reason: impl AsRef<str>) -> Self {
+        Self::Body { type_name: clean(type_name, 120), reason: clean(reason.as_ref(), 200) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn messages_say_what_and_what_next_and_defuse_foreign_text() {
+        let error = RosError::address("http://\u{1b}[2Jx");
+        assert_eq!(error.kind(), ErrorKind::Usage);
+        assert!(!error.to_string().contains('\u{1b}'));
+        let error = RosError::Unreachable { uri: "http://127.0.0.1:1/".into(), reason: "refused".into() };
+        assert_eq!(error.kind().exit_code(), 4);
+        assert!(error.to_string().contains("roscore"));
+        assert!(RosError::Robots(900).to_string().contains("64"));
+    }
+}

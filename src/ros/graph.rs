@@ -1,0 +1,149 @@
+//! Questions to a ROS master: is it there, which topics are there. Every call ends within
+//! [`PATIENCE`], whatever the master does; what it answers is untrusted and only names are kept.
+
+use std::collections::BTreeMap;
+use std::time::{Duration, Instant};
+
+use super::RosError;
+use super::address::Endpoint;
+use super::xmlrpc::{CallError, Value, call};
+use crate::model::clean;
+
+/// The longest any question takes.
+pub const PATIENCE: Duration = Duration::from_millis(2500);
+
+/// A topic as the master knows it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct TopicInfo {
+    /// Its name, as the master gave it: clean it before it is shown.
+    pub name: String,
+    /// Its type, where the master knows one.
+    pub type_name: Option<String>,
+    /// Names of the nodes that publish it.
+    pub publishers: Vec<String>,
+    /// How many nodes subscribe to it.
+    pub subscribers: usize,
+}
+
+/// A ROS master, asked without a connection kept open.
+#[derive(Debug, Clone)]
+pub struct Graph {
+    master: Endpoint,
+    node_name: String,
+}
+
+impl Graph {
+    /// The master at `master_uri`, asked in the name of the node `node_name`. Nothing is sent yet.
+    ///
+    /// # Errors
+    /// [`RosError::Address`] where the URI is not `http://HOST:PORT`.
+    pub fn new(master_uri: &str, node_name: &str) -> Result<Self, RosError> {
+        let master = Endpoint::parse(master_uri).ok_or_else(|| RosError::address(master_uri))?;
+        Ok(Self { master, node_name: node_name.to_owned() })
+    }
+
+    /// Whether a master answers.
+    ///
+    /// # Errors
+    /// [`RosError::Unreachable`] where nothing answers, [`RosError::Protocol`] where it is no master.
+    pub fn ping(&self) -> Result<(), RosError> {
+        self.ask("getPid", Instant::now() + PATIENCE).map(drop)
+    }
+
+    /// All topics with a publisher or subscriber, by name.
+    ///
+    /// # Errors
+    /// As [`Graph::ping`], and [`RosError::Refused`] where the master says no.
+    pub fn topics(&self) -> Result<Vec<TopicInfo>, RosError> {
+        let deadline = Instant::now() + PATIENCE;
+        let state = self.ask("getSystemState", deadline)?;
+        let types = self.ask("getTopicTypes", deadline)?;
+        match state.as_array() {
+            Some([publishers, subscribers, ..]) => Ok(merge(publishers, subscribers, &types)),
+            _ => Err(RosError::Protocol {
+                uri: self.master.to_string(),
+                reason: "its system state has no publishers and subscribers".into(),
+            }),
+        }
+    }
+
+    fn ask(&self, method: &'static str, deadline: Instant) -> Result<Value, RosError> {
+        call(&self.master, method, &[self.node_name.as_str().into()], deadline)
+            .map_err(|error| master_error(&self.master, method, error))
+    }
+}
+
+/// What a failed call to the master means.
+pub(super) fn master_error(master: &Endpoint, call: &'static str, error: CallError) -> RosError {
+    let uri = master.to_string();
+    match error {
+        CallError::Connect(reason) | CallError::Broken(reason) => RosError::Unreachable { uri, reason },
+        CallError::Protocol(reason) => RosError::Protocol { uri, reason: clean(&reason, 200) },
+        CallError::Refused(reason) => RosError::Refused { uri, call, reason },
+    }
+}
+
+/// Pairs of (topic, nodes).
+fn rows(value: &Value) -> impl Iterator<Item = (&str, &Value)> {
+    value.as_array().unwrap_or_default().iter().filter_map(|row| match row.as_array() {
+        Some([name, rest]) => Some((name.as_text()?, rest)),
+        _ => None,
+    })
+}
+
+fn merge(publishers: &Value, subscribers: &Value, types: &Value) -> Vec<TopicInfo> {
+    let types: BTreeMap<&str, &str> =
+        rows(types).filter_map(|(topic, type_name)| Some((topic, type_name.as_text()?))).collect();
+    let mut topics: BTreeMap<&str, (Vec<String>, usize)> = BTreeMap::new();
+    for (topic, nodes) in rows(publishers) {
+        topics.entry(topic).or_default().0 = nodes.texts();
+    }
+    for (topic, nodes) in rows(subscribers) {
+        topics.entry(topic).or_default().1 = nodes.as_array().unwrap_or_default().len();
+    }
+    let known = |name: &str| types.get(name).filter(|type_name| **type_name != "*").map(|found| (*found).to_owned());
+    topics
+        .into_iter()
+        .map(|(name, (publishers, subscribers))| TopicInfo {
+            name: name.to_owned(),
+            type_name: known(name),
+            publishers,
+            subscribers,
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::net::TcpListener;
+
+    #[test]
+    fn state_and_types_are_merged() {
+        let nodes = |names: &[&str]| names.iter().copied().collect::<Value>();
+        let row = |topic: &str, value: Value| Value::Array(vec![topic.into(), value]);
+        let publishers = Value::Array(vec![row("/b", nodes(&["/n1", "/n2"])), Value::Int(3), row("/a", nodes(&[]))]);
+        let subscribers = Value::Array(vec![row("/b", nodes(&["/s"])), row("/c", nodes(&["/s", "/t"]))]);
+        let types = Value::Array(vec![row("/b", "std_msgs/String".into()), row("/c", "*".into())]);
+        let topics = merge(&publishers, &subscribers, &types);
+        let names: Vec<_> = topics.iter().map(|topic| topic.name.as_str()).collect();
+        assert_eq!(names, ["/a", "/b", "/c"]);
+        assert_eq!(topics[1].publishers, ["/n1", "/n2"]);
+        assert_eq!(topics[1].type_name.as_deref(), Some("std_msgs/String"));
+        assert_eq!((topics[2].type_name.as_deref(), topics[2].subscribers), (None, 2));
+    }
+
+    #[test]
+    fn a_hung_or_absent_master_is_unreachable_and_named() {
+        let listener = TcpListener::bind("127.0.0.1:0").expect("bind");
+        let uri = format!("http://{}", listener.local_addr().expect("address"));
+        let graph = Graph::new(&uri, "/test").expect("uri");
+        let begun = Instant::now();
+        let error = graph.topics().expect_err("it never answers");
+        assert!(begun.elapsed() < PATIENCE * 2);
+        assert!(matches!(&error, RosError::Unreachable { .. }) && error.to_string().contains(&uri), "{error}");
+        drop(listener);
+        assert!(matches!(graph.ping(), Err(RosError::Unreachable { .. })));
+        assert!(matches!(Graph::new("localhost:11311", "/test"), Err(RosError::Address(_))));
+    }
+}

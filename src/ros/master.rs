@@ -1,0 +1,127 @@
+//! The embedded ROS master, for when no other is named: on a free port of loopback, in a thread
+//! of its own, ended when dropped. What nodes ask a master is in `graph` and `capture`.
+
+use std::net::{Ipv4Addr, SocketAddr, TcpListener};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use tokio::sync::oneshot;
+
+use super::RosError;
+use super::address::Endpoint;
+use super::xmlrpc::{Value, call};
+
+/// The usual port of a master: left to a real roscore.
+const USUAL_PORT: u16 = 11311;
+
+/// How often another port is tried.
+const ATTEMPTS: usize = 8;
+
+/// How long one attempt may take.
+const PATIENCE: Duration = Duration::from_secs(3);
+
+/// A running master.
+pub struct EmbeddedMaster {
+    uri: String,
+    stop: Option<oneshot::Sender<()>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl EmbeddedMaster {
+    /// Starts a master on a free port of 127.0.0.1 and waits until it answers.
+    ///
+    /// # Errors
+    /// [`RosError::EmbeddedMaster`] where none answers on any of several ports.
+    pub fn start() -> Result<Self, RosError> {
+        let mut failure = String::new();
+        for _ in 0..ATTEMPTS {
+            match free_port().and_then(Self::start_on) {
+                Ok(master) => return Ok(master),
+                Err(reason) => failure = reason,
+            }
+        }
+        Err(RosError::EmbeddedMaster(failure))
+    }
+
+    /// Its URI, `http://127.0.0.1:PORT/`.
+    pub fn uri(&self) -> &str {
+        &self.uri
+    }
+
+    fn start_on(port: u16) -> Result<Self, String> {
+        let runtime =
+            tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(|error| error.to_string())?;
+        let (stop, stopped) = oneshot::channel();
+        let serve = move || {
+            runtime.block_on(async {
+                let master = ros_core_rs::core::Master::new(&SocketAddr::from((Ipv4Addr::LOCALHOST, port)));
+                // Ends where the port was taken meanwhile; the caller sees that nothing answers.
+                tokio::select! { _ = master.serve() => {} _ = stopped => {} }
+            });
+            runtime.shutdown_timeout(Duration::from_millis(200));
+        };
+        let thread =
+            std::thread::Builder::new().name("ros-master".into()).spawn(serve).map_err(|error| error.to_string())?;
+        let master = Self { uri: format!("http://127.0.0.1:{port}/"), stop: Some(stop), thread: Some(thread) };
+        master.wait().map(|()| master)
+    }
+
+    /// Waits until this very process answers at the port.
+    fn wait(&self) -> Result<(), String> {
+        let endpoint = Endpoint::parse(&self.uri).ok_or("its address is broken")?;
+        let deadline = Instant::now() + PATIENCE;
+        let ours = i64::from(std::process::id());
+        let mut reason = String::from("it did not answer in time");
+        while Instant::now() < deadline && self.thread.as_ref().is_some_and(|thread| !thread.is_finished()) {
+            match call(&endpoint, "getPid", &["/authros".into()], deadline) {
+                Ok(pid) if process_id(&pid) == Some(ours) => return Ok(()),
+                Ok(_) => return Err(String::from("another program took its port")),
+                Err(error) => reason = error.to_string(),
+            }
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        Err(reason)
+    }
+}
+
+impl Drop for EmbeddedMaster {
+    fn drop(&mut self) {
+        if let Some(stop) = self.stop.take() {
+            // It may have ended by itself.
+            let _ = stop.send(());
+        }
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// The number, which this master wraps in an array.
+fn process_id(answer: &Value) -> Option<i64> {
+    answer.as_array().and_then(<[Value]>::first).unwrap_or(answer).as_int()
+}
+
+fn free_port() -> Result<u16, String> {
+    let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).map_err(|error| error.to_string())?;
+    let port = listener.local_addr().map_err(|error| error.to_string())?.port();
+    if port == USUAL_PORT { Err(String::from("the usual port is left free")) } else { Ok(port) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ros::Graph;
+
+    #[test]
+    fn it_answers_on_loopback_and_is_gone_after_drop() {
+        let first = EmbeddedMaster::start().expect("start");
+        let second = EmbeddedMaster::start().expect("a second beside it");
+        assert!(first.uri().starts_with("http://127.0.0.1:"));
+        assert_ne!(first.uri(), second.uri());
+        let graph = Graph::new(first.uri(), "/test").expect("uri");
+        graph.ping().expect("answers");
+        assert_eq!(graph.topics().expect("empty"), Vec::new());
+        drop(first);
+        assert!(matches!(graph.ping(), Err(RosError::Unreachable { .. })));
+    }
+}

@@ -1,0 +1,27 @@
+//! Messages of any type: definitions, their md5sum, and decoding for display under hard bounds.
+//!
+//! Captured bodies are never changed by this: decoding is for eyes only, and both definition and
+//! body are taken for hostile (cycles, depth, counts without bytes, types without size).
+
+mod decode;
+mod definition;
+mod digest;
+mod line;
+mod value;
+
+pub use decode::{Limits, Picture};
+pub use definition::{DEEPEST, Definition, LONGEST_DEFINITION};
+pub use value::Value;
+
+use super::RosError;
+
+/// The md5sum of a message type as ROS computes it from the full definition text, 32 hex characters.
+///
+/// # Errors
+/// [`RosError::Definition`] where the text is not a definition of `type_name`.
+pub fn md5sum(type_name: &str, definition: &str) -> Result<String, RosError> {
+    Definition::parse(type_name, definition).map(|definition| definition.md5sum())
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,185 @@
+//! Simulated robots: `/robotN/odom` (nav_msgs/Odometry) and `/robotN/camera/compressed`
+//! (sensor_msgs/CompressedImage), each robot a ROS node of its own.
+//!
+//! They speak TCPROS like any node, so that capture cannot tell them from real ones. What they
+//! send is made up; marking it as simulated is done where it is shown and sealed.
+
+mod definitions;
+mod letters;
+mod messages;
+mod node;
+mod outlet;
+mod picture;
+mod track;
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use super::RosError;
+use super::address::{Endpoint, own_host};
+use crate::model::Timestamp;
+
+use node::RobotNode;
+use outlet::Outlet;
+use picture::Camera;
+use track::Track;
+
+pub use definitions::{COMPRESSED_IMAGE, ODOMETRY, compressed_image_definition, odometry_definition};
+
+/// The most robots in a fleet.
+pub const MOST_ROBOTS: u16 = 64;
+
+/// The fastest publishing, Hz.
+const FASTEST: f64 = 1000.0;
+
+/// How long starting waits for the master.
+const PATIENCE: Duration = Duration::from_secs(2);
+
+/// How often the robots publish.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FleetOptions {
+    /// Odometry messages per second and robot.
+    pub odometry_hz: f64,
+    /// Pictures per second and robot.
+    pub picture_hz: f64,
+}
+
+impl Default for FleetOptions {
+    fn default() -> Self {
+        Self { odometry_hz: 20.0, picture_hz: 2.0 }
+    }
+}
+
+/// Running robots. They unregister and end when dropped; what is queued for subscribers is sent first.
+pub struct Fleet {
+    nodes: Vec<RobotNode>,
+    stopping: Arc<AtomicBool>,
+    threads: Vec<JoinHandle<()>>,
+}
+
+impl Fleet {
+    /// Starts `robots` robots, numbered from 1, at the master.
+    ///
+    /// # Errors
+    /// [`RosError::Robots`] beyond [`MOST_ROBOTS`], [`RosError::Rate`] for a rate that is none, and
+    /// what goes wrong with master, sockets and threads.
+    pub fn start(master_uri: &str, robots: u16, options: FleetOptions) -> Result<Self, RosError> {
+        if robots > MOST_ROBOTS {
+            return Err(RosError::Robots(robots));
+        }
+        let periods = (period(options.odometry_hz)?, period(options.picture_hz)?);
+        let master = Endpoint::parse(master_uri).ok_or_else(|| RosError::address(master_uri))?;
+        let host = own_host(None, &master, Instant::now() + PATIENCE)?;
+        let mut fleet = Self { nodes: Vec::new(), stopping: Arc::default(), threads: Vec::new() };
+        for number in 1..=robots {
+            fleet.add(&master, &host, number, periods)?;
+        }
+        Ok(fleet)
+    }
+
+    /// The robots' topics and how many messages were published on each, whether or not anybody
+    /// subscribed: the first has `header.seq` 0, the last this count less 1.
+    pub fn published(&self) -> Vec<(String, u64)> {
+        let outlets = self.nodes.iter().flat_map(|node| node.outlets());
+        outlets.map(|outlet| (outlet.topic().to_owned(), outlet.published())).collect()
+    }
+
+    /// Messages that a subscriber did not get because it read too slowly, in all.
+    pub fn overflowed(&self) -> u64 {
+        self.nodes.iter().flat_map(|node| node.outlets()).map(|outlet| outlet.overflowed()).sum()
+    }
+
+    /// Ends publishing and returns the final counts; then as dropping.
+    pub fn stop(mut self) -> Vec<(String, u64)> {
+        self.end_publishing();
+        self.published()
+    }
+
+    fn add(
+        &mut self,
+        master: &Endpoint,
+        host: &str,
+        number: u16,
+        periods: (Duration, Duration),
+    ) -> Result<(), RosError> {
+        let outlets = [
+            Outlet::new(format!("/robot{number}/odom"), ODOMETRY, odometry_definition()),
+            Outlet::new(format!("/robot{number}/camera/compressed"), COMPRESSED_IMAGE, compressed_image_definition()),
+        ];
+        let [odometry, pictures] = outlets.map(Arc::new);
+        let both = vec![Arc::clone(&odometry), Arc::clone(&pictures)];
+        self.nodes.push(RobotNode::start(master.clone(), host, format!("/robot{number}_sim"), both)?);
+        let track = Track::of_robot(number);
+        self.publish("robot-odometry", odometry, periods.0, move |seq, age| {
+            Some(messages::odometry(seq, Timestamp::now(), &track.at(age)))
+        })?;
+        let mut camera = Camera::new(number, track);
+        self.publish("robot-camera", pictures, periods.1, move |seq, age| {
+            camera.shoot(seq, age).map(|jpeg| messages::compressed_image(seq, Timestamp::now(), number, &jpeg))
+        })
+    }
+
+    /// Publishes what `make` makes of number and age (seconds), once per period.
+    fn publish(
+        &mut self,
+        name: &str,
+        outlet: Arc<Outlet>,
+        period: Duration,
+        mut make: impl FnMut(u32, f64) -> Option<Vec<u8>> + Send + 'static,
+    ) -> Result<(), RosError> {
+        let stopping = Arc::clone(&self.stopping);
+        let work = move || {
+            let begun = Instant::now();
+            let mut due = begun;
+            let mut seq = 0u32;
+            while wait_until(due, &stopping) {
+                if let Some(body) = make(seq, begun.elapsed().as_secs_f64()) {
+                    outlet.publish(&body);
+                    seq = seq.wrapping_add(1);
+                }
+                // After a pause of the machine go on from now: no burst of what is past.
+                due = (due + period).max(Instant::now().checked_sub(period).unwrap_or(due));
+            }
+        };
+        let thread = std::thread::Builder::new().name(name.into()).spawn(work);
+        self.threads.push(thread.map_err(|error| RosError::system("start a thread", &error))?);
+        Ok(())
+    }
+
+    fn end_publishing(&mut self) {
+        self.stopping.store(true, Ordering::SeqCst);
+        for thread in self.threads.drain(..) {
+            thread.thread().unpark();
+            let _ = thread.join();
+        }
+    }
+}
+
+impl Drop for Fleet {
+    fn drop(&mut self) {
+        self.end_publishing();
+        self.nodes.iter().for_each(RobotNode::close);
+    }
+}
+
+fn period(hz: f64) -> Result<Duration, RosError> {
+    if hz > 0.0 && hz <= FASTEST {
+        Duration::try_from_secs_f64(1.0 / hz).map_err(|_| RosError::Rate(hz.to_string()))
+    } else {
+        Err(RosError::Rate(hz.to_string()))
+    }
+}
+
+/// Sleeps until `due`; `false` once stopping.
+fn wait_until(due: Instant, stopping: &AtomicBool) -> bool {
+    while !stopping.load(Ordering::SeqCst) {
+        let left = due.saturating_duration_since(Instant::now());
+        if left.is_zero() {
+            return true;
+        }
+        std::thread::park_timeout(left);
+    }
+    false
+}

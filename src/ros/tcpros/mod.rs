@@ -1,0 +1,11 @@
+//! TCPROS on the wire: connection headers and length-prefixed frames. Who connects to whom, and
+//! what is done with the frames, is the business of capture and robots.
+
+mod frame;
+mod header;
+
+pub(super) use frame::{FrameReader, Poll};
+pub(super) use header::{ConnectionHeader, LONGEST_HEADER};
+
+/// The longest message accepted, bytes.
+pub const LONGEST_MESSAGE: usize = 64 << 20;

@@ -1,0 +1,121 @@
+//! Gathers what the workers tell and passes it on at a pace people can follow: small notes,
+//! at most four a second per part.
+
+use std::collections::HashMap;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use tokio::sync::{Notify, broadcast};
+
+use super::event::{Event, NoticeLevel, Part};
+use crate::model::{Digest, Timestamp, clean};
+use crate::pipeline::Observer;
+use crate::pipeline::session::Sessions;
+
+/// Shortest time between two notes about the same part.
+const PACE: Duration = Duration::from_millis(250);
+/// The same alert is told again only after this time.
+const REPEAT: Duration = Duration::from_secs(30);
+/// Alerts remembered at most.
+const MOST_ALERTS: usize = 200;
+
+const PARTS: [Part; 6] = [Part::Topics, Part::Uploads, Part::Grants, Part::Chain, Part::Health, Part::Identity];
+
+/// The place where all news of a site come together.
+pub struct Hub {
+    events: broadcast::Sender<Event>,
+    dirty: [AtomicBool; PARTS.len()],
+    wake: Notify,
+    told: Mutex<HashMap<String, Instant>>,
+    /// Which captures wait for which records.
+    pub sessions: Arc<Sessions>,
+    /// Rings when records were stored and wait to be anchored.
+    pub stored: Notify,
+    /// Rings when records are deep enough to be verified.
+    pub confirmed: Notify,
+}
+
+impl Hub {
+    /// A hub that tells its news through `events`.
+    pub fn new(events: broadcast::Sender<Event>) -> Self {
+        Self {
+            events,
+            dirty: Default::default(),
+            wake: Notify::new(),
+            told: Mutex::default(),
+            sessions: Arc::default(),
+            stored: Notify::new(),
+            confirmed: Notify::new(),
+        }
+    }
+
+    /// The sender of events, for further clients.
+    pub fn events(&self) -> &broadcast::Sender<Event> {
+        &self.events
+    }
+
+    /// A part's data changed.
+    pub fn changed(&self, part: Part) {
+        if let Some(index) = PARTS.iter().position(|other| *other == part) {
+            self.dirty[index].store(true, Ordering::Release);
+            self.wake.notify_one();
+        }
+    }
+
+    /// Tells a notice, unless the same text was told a moment ago.
+    pub fn notice(&self, level: NoticeLevel, text: &str) {
+        let text = clean(text, 400);
+        let mut told = self.told.lock().unwrap_or_else(PoisonError::into_inner);
+        if told.get(&text).is_some_and(|at| at.elapsed() < REPEAT) {
+            return;
+        }
+        if told.len() >= MOST_ALERTS {
+            told.clear();
+        }
+        told.insert(text.clone(), Instant::now());
+        drop(told);
+        // Nobody listening is no fault.
+        drop(self.events.send(Event::Notice { at: Timestamp::now(), level, text }));
+    }
+
+    /// Passes the notes on until the site ends.
+    pub async fn run(self: Arc<Self>) {
+        loop {
+            self.wake.notified().await;
+            for (index, part) in PARTS.into_iter().enumerate() {
+                if self.dirty[index].swap(false, Ordering::AcqRel) {
+                    drop(self.events.send(Event::Changed { part }));
+                }
+            }
+            tokio::time::sleep(PACE).await;
+        }
+    }
+}
+
+impl Observer for Hub {
+    fn records_changed(&self) {
+        self.changed(Part::Uploads);
+        self.stored.notify_waiters();
+        self.confirmed.notify_one();
+    }
+
+    fn verified(&self, digests: &[Digest]) {
+        self.sessions.settle(digests, true);
+    }
+
+    fn tampered(&self, digests: &[Digest]) {
+        self.sessions.settle(digests, false);
+    }
+
+    fn directory_changed(&self) {
+        for part in [Part::Grants, Part::Identity, Part::Chain] {
+            self.changed(part);
+        }
+        self.stored.notify_waiters();
+    }
+
+    fn alert(&self, urgent: bool, text: String) {
+        self.notice(if urgent { NoticeLevel::Error } else { NoticeLevel::Info }, &text);
+    }
+}

@@ -1,0 +1,178 @@
+//! The site's link to its chain: connecting and re-connecting, the contract, the pin of the home.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::task::block_in_place;
+
+use super::Site;
+use crate::chain::{Chain, ChainOptions, Endpoint, Pin};
+use crate::crypto::domain;
+use crate::model::ErrorKind;
+use crate::pipeline::{Directory, Network, Owner, watcher};
+use crate::service::event::{NoticeLevel, Part};
+use crate::service::failure::{input, internal};
+use crate::service::reply::Failure;
+use crate::store::atomic_write;
+
+/// Where the link stands.
+#[derive(Clone)]
+pub enum NetworkState {
+    /// This run needs no chain, or is ending.
+    Off,
+    /// First attempt.
+    Connecting,
+    /// Connected, but no contract is known yet: the first registration deploys one.
+    Bare(Chain),
+    /// Working.
+    Up(Box<Network>),
+    /// The last attempt failed; another follows.
+    Down {
+        /// Why.
+        failure: Failure,
+        /// Seconds until the next attempt.
+        retry: u64,
+    },
+}
+
+impl Site {
+    fn pin(&self) -> Result<Option<Pin>, Failure> {
+        let path = self.home.pin();
+        match std::fs::read(&path) {
+            Ok(bytes) => serde_json::from_slice(&bytes).map(Some).map_err(|_| {
+                let path = path.display();
+                input(format!("{path} is damaged, so the chain this home is bound to is unknown; restore the file from a backup"))
+            }),
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
+            Err(error) => Err(Failure::new(ErrorKind::Home, format!("{} cannot be read: {error}", path.display()))),
+        }
+    }
+
+    fn save_pin(&self, pin: &Pin) -> Result<(), Failure> {
+        let bytes = serde_json::to_vec_pretty(pin).map_err(|error| internal(error.to_string()))?;
+        Ok(atomic_write(&self.home.pin(), &bytes)?)
+    }
+
+    /// Connects and stays connected, with growing pauses between attempts, until the site ends.
+    pub(super) async fn keep_connected(self: Arc<Self>) {
+        let mut pause = 1;
+        while let Err(failure) = self.connect().await {
+            self.hub.notice(NoticeLevel::Error, &failure.message);
+            self.network.send_replace(NetworkState::Down { failure, retry: pause });
+            self.changed(Part::Health);
+            tokio::select! {
+                () = tokio::time::sleep(Duration::from_secs(pause)) => {}
+                () = self.stopped() => return,
+            }
+            pause = (pause * 2).min(30);
+        }
+    }
+
+    async fn connect(self: &Arc<Self>) -> Result<(), Failure> {
+        let endpoint = match &self.config.chain_url {
+            Some(url) => Endpoint::Node { url: url.clone() },
+            None => Endpoint::Embedded { directory: self.home.chain() },
+        };
+        let pinned = self.pin()?;
+        let options = ChainOptions { endpoint, contract: self.config.contract, pinned, confirmations: self.config.confirmations };
+        let chain = Chain::connect(options).await?;
+        if let Some(pin) = chain.pin() {
+            self.save_pin(&pin)?;
+            return self.use_network(chain, &pin).await;
+        }
+        self.network.send_replace(NetworkState::Bare(chain));
+        self.changed(Part::Chain);
+        Ok(())
+    }
+
+    async fn use_network(self: &Arc<Self>, chain: Chain, pin: &Pin) -> Result<(), Failure> {
+        let domain = domain(pin.chain_id, &pin.genesis, &pin.contract);
+        let directory = Arc::new(Directory::new(domain, self.plant.provider));
+        let network = Network { chain, domain, directory, confirmations: self.config.confirmations };
+        block_in_place(|| watcher::restore(&self.plant, &network))?;
+        let head = watcher::watch_round(&self.plant, &network).await?;
+        self.scanned.send_replace(head.number);
+        self.network.send_replace(NetworkState::Up(Box::new(network)));
+        self.changed(Part::Chain);
+        self.changed(Part::Health);
+        for owner in self.all_owners() {
+            self.resume_owner(&owner).await?;
+        }
+        Ok(())
+    }
+
+    /// The chain, as soon as the first attempt has ended.
+    ///
+    /// # Errors
+    /// Why the link is down.
+    pub(crate) async fn chain(&self) -> Result<Chain, Failure> {
+        match self.settled_network().await? {
+            NetworkState::Bare(chain) => Ok(chain),
+            NetworkState::Up(network) => Ok(network.chain),
+            _ => Err(off()),
+        }
+    }
+
+    async fn settled_network(&self) -> Result<NetworkState, Failure> {
+        let mut state = self.network.subscribe();
+        let settled = state.wait_for(|state| !matches!(state, NetworkState::Connecting)).await;
+        let settled = settled.map_err(|_| off())?.clone();
+        match settled {
+            NetworkState::Down { failure, .. } => Err(failure),
+            settled => Ok(settled),
+        }
+    }
+
+    /// The network with its contract.
+    ///
+    /// # Errors
+    /// Why the link is down, or that no contract is known yet.
+    pub(crate) async fn network(&self) -> Result<Network, Failure> {
+        match self.settled_network().await? {
+            NetworkState::Up(network) => Ok(*network),
+            NetworkState::Bare(_) => Err(input("no contract is deployed yet; `authros register` deploys one, or set chain.contract")),
+            _ => Err(off()),
+        }
+    }
+
+    /// The network, if it is up right now.
+    pub(crate) fn network_now(&self) -> Option<Network> {
+        match &*self.network.borrow() {
+            NetworkState::Up(network) => Some((**network).clone()),
+            _ => None,
+        }
+    }
+
+    /// The network; deploys the contract with the owner's account where there is none yet.
+    pub(super) async fn network_or_deploy(self: &Arc<Self>, owner: &Owner) -> Result<Network, Failure> {
+        let _one_at_a_time = self.deploying.lock().await;
+        let NetworkState::Bare(chain) = self.settled_network().await? else { return self.network().await };
+        let eoa = owner.eoa();
+        self.fund(&chain, owner).await?;
+        let pin = chain.deploy(&eoa).await?;
+        self.save_pin(&pin)?;
+        self.use_network(chain, &pin).await?;
+        self.record_audit(&owner.profile, "deploy", &pin.contract.to_string(), "done").await?;
+        self.hub.notice(NoticeLevel::Info, &format!("contract {} deployed; {} administers it", pin.contract, owner.address));
+        self.network().await
+    }
+
+    /// Asks a development node for money where the account has none.
+    pub(super) async fn fund(&self, chain: &Chain, owner: &Owner) -> Result<(), Failure> {
+        if self.config.chain_url.is_some() && chain.fund_from_node(owner.address).await? {
+            self.hub.notice(NoticeLevel::Info, &format!("the development node gave {} money for gas", owner.address));
+        }
+        Ok(())
+    }
+
+    /// Waits until the watcher has seen block `number`.
+    pub(crate) async fn scanned(&self, number: u64) {
+        let mut scanned = self.scanned.subscribe();
+        // An error means that the site is ending.
+        drop(scanned.wait_for(|seen| *seen >= number).await);
+    }
+}
+
+fn off() -> Failure {
+    internal("this run of the site has no chain, or is ending; run the command again")
+}

@@ -1,0 +1,145 @@
+//! Epochs: beginning a new one at a revoke, a rotation or an expiry, and the re-wrap of the
+//! surviving readers' keys. The recorder switches before the transaction is sent.
+
+use std::sync::Arc;
+
+use super::Site;
+use crate::chain::Call;
+use crate::crypto::{GrantedKeys, WrappedKeys, wrap};
+use crate::model::{Address, GrantTerms, Scope, Timestamp};
+use crate::pipeline::directory::Granted;
+use crate::pipeline::{Network, Owner};
+use crate::service::event::Part;
+use crate::service::failure::refused;
+use crate::service::reply::{Failure, TransactionView};
+
+/// Envelopes a `wrap` transaction carries at most, to stay below 32 KB.
+const ENVELOPES_A_CALL: usize = 8;
+
+impl Site {
+    /// Begins a new epoch.
+    pub(super) async fn rotate(self: &Arc<Self>, owner: &Arc<Owner>, why: &str) -> Result<TransactionView, Failure> {
+        let network = self.network().await?;
+        let _one_at_a_time = owner.changes.lock().await;
+        network.directory.identity(owner.address)?;
+        self.begin_epoch(owner, &network, &format!("rotate ({why})"), |new_token| Call::Rotate { new_token }).await
+    }
+
+    /// Switches the recorder to the next epoch, tells the chain, and re-wraps for the readers left.
+    pub(super) async fn begin_epoch(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        network: &Network,
+        purpose: &str,
+        call: impl FnOnce(crate::model::Token) -> Call,
+    ) -> Result<TransactionView, Failure> {
+        let next = network.directory.epoch(owner.address) + 1;
+        let token = owner.prepare_epoch(network.domain, next)?;
+        if !crate::crypto::fault::is_off("revoke") {
+            owner.seal_under(network.domain, next)?;
+        }
+        let sent = self.sender.send(&network.chain, &owner.eoa(), call(token), purpose).await;
+        let outcome = if sent.is_ok() { "done" } else { "failed" };
+        self.record_audit(&owner.profile, purpose, &format!("epoch {next}"), outcome).await?;
+        let (transaction, receipt) = sent?;
+        self.scanned(receipt.block).await;
+        owner.confirm_epoch(network.domain, next)?;
+        self.rewrap(owner, network).await?;
+        self.changed(Part::Grants);
+        Ok(TransactionView {
+            transaction: Some(transaction),
+            block: Some(receipt.block),
+            epoch: next,
+            text: format!("{purpose}: epoch {next} has begun; records from now on are sealed under its key"),
+        })
+    }
+
+    /// Finishes an epoch that was begun but did not reach the chain, and re-wraps what is missing.
+    pub(super) async fn finish_epoch(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<(), Failure> {
+        let network = self.network().await?;
+        let _one_at_a_time = owner.changes.lock().await;
+        // Transactions of the run before may still bring the epoch to the chain.
+        self.settle_open(owner, &network).await?;
+        let on_chain = network.directory.epoch(owner.address);
+        if owner.epochs(network.domain).last().is_some_and(|newest| *newest > on_chain) {
+            self.begin_epoch(owner, &network, "rotate (resumed)", |new_token| Call::Rotate { new_token }).await?;
+        }
+        self.rewrap(owner, &network).await
+    }
+
+    async fn settle_open(self: &Arc<Self>, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
+        let ledger = self.plant.ledger.clone();
+        let account = owner.address;
+        for _ in 0..60 {
+            let open = tokio::task::block_in_place(|| ledger.open_transactions(account))?;
+            if !open.iter().any(|row| row.digests.is_empty()) {
+                return Ok(());
+            }
+            let head = network.chain.head().await?.number;
+            self.sender.resend(&network.chain, account).await?;
+            network.chain.next_block(head, std::time::Duration::from_secs(1)).await?;
+        }
+        Err(refused(format!("transactions of '{}' from before are still not in a block", owner.profile)))
+    }
+
+    /// Sends envelopes of the current epoch to every active reader who lacks one.
+    pub(super) async fn rewrap(self: &Arc<Self>, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
+        let epoch = network.directory.epoch(owner.address);
+        let now = Timestamp::now();
+        let lacking = network.directory.grants(|grant| {
+            grant.terms.owner == owner.address && grant.is_active(now) && !grant.envelopes.contains_key(&epoch)
+        });
+        for chunk in lacking.chunks(ENVELOPES_A_CALL) {
+            let mut envelopes = Vec::with_capacity(chunk.len());
+            for grant in chunk {
+                envelopes.push(self.envelope_for(owner, network, grant, epoch)?);
+            }
+            let grantees: Vec<Address> = chunk.iter().map(|grant| grant.terms.grantee).collect();
+            let call = Call::Wrap { grantees, epoch, envelopes };
+            let (_, receipt) = self.sender.send(&network.chain, &owner.eoa(), call, "wrap").await?;
+            self.scanned(receipt.block).await;
+        }
+        Ok(())
+    }
+
+    fn envelope_for(&self, owner: &Owner, network: &Network, grant: &Granted, epoch: u64) -> Result<Vec<u8>, Failure> {
+        let topics = match &grant.terms.scope {
+            Scope::All => Vec::new(),
+            Scope::Topics(_) => self.granted_topics(owner, grant.terms.grantee)?,
+        };
+        let terms = GrantTerms { epoch, ..grant.terms.clone() };
+        self.wrap_keys(owner, network, terms, &topics, vec![epoch])
+    }
+
+    /// Wraps the keys of `epochs` for the grantee of `terms`: all topics, or only `topics`.
+    pub(super) fn wrap_keys(
+        &self,
+        owner: &Owner,
+        network: &Network,
+        terms: GrantTerms,
+        topics: &[String],
+        epochs: Vec<u64>,
+    ) -> Result<Vec<u8>, Failure> {
+        let reader = network.directory.identity(terms.grantee)?;
+        let mut keys = Vec::with_capacity(epochs.len());
+        for epoch in epochs {
+            let key = owner.epoch_key(network.domain, epoch)?;
+            keys.push((epoch, key.ok_or_else(|| refused(format!("the keyring has no key of epoch {epoch}")))?));
+        }
+        let keys = match terms.scope {
+            Scope::All => GrantedKeys::All { epochs: keys, index_key: owner.index() },
+            Scope::Topics(_) => {
+                let mut granted = Vec::new();
+                for (epoch, key) in &keys {
+                    for topic in topics {
+                        let id = owner.topic_id(topic)?;
+                        granted.push((*epoch, topic.clone(), id, crate::crypto::topic_key(key, topic)?));
+                    }
+                }
+                GrantedKeys::Topics { keys: granted }
+            }
+        };
+        let wrapped = WrappedKeys { terms, keys };
+        Ok(wrap(self.plant.provider, &network.domain, &wrapped, &owner.signing(), &reader.envelope)?)
+    }
+}

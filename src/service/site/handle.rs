@@ -1,0 +1,82 @@
+//! Which part of the site answers which command.
+
+use std::collections::HashSet;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use super::Site;
+use crate::model::{ErrorKind, ProfileName};
+use crate::service::command::{Command, Request};
+use crate::service::reply::{Failure, Reply};
+
+/// Profiles whose console a connection holds.
+pub type Claims = Arc<Mutex<HashSet<ProfileName>>>;
+
+impl Site {
+    /// Answers one request.
+    ///
+    /// # Errors
+    /// What the command's part says.
+    pub async fn handle(self: &Arc<Self>, request: Request, claims: &Claims) -> Result<Reply, Failure> {
+        let Request { profile, command } = request;
+        match command {
+            Command::OpenConsole => self.claim(profile, claims),
+            Command::CreateIdentity { passphrase } => self.create_identity(profile, passphrase).await.map(Reply::Identity),
+            Command::ShowIdentity => self.identity_view(&profile).await.map(Reply::Identity),
+            Command::Unlock { passphrase } => self.unlock(profile, passphrase).await.map(Reply::Identity),
+            Command::ListTopics => Ok(Reply::Topics(self.topic_rows(&profile).await?)),
+            Command::WatchTopic { topic, type_name } => self.watch_topic(&profile, topic, type_name).await,
+            Command::UnwatchTopic { topic } => self.unwatch_topic(&profile, &topic).await,
+            Command::StopCapture => Ok(self.stop_captures(&profile)),
+            Command::ChainStatus => self.chain_view(&profile).await.map(Reply::Chain),
+            Command::SiteStatus => self.site_view(&profile).await.map(Reply::Site),
+            Command::ListAudit { limit } => self.audit_lines(limit).await.map(Reply::Audit),
+            Command::ListUploads(query) => self.list_uploads(&profile, query).await.map(Reply::Records),
+            Command::ShowUpload { id } => self.provenance(&profile, &id).await.map(Reply::Provenance),
+            other => self.handle_unlocked(&profile, other).await,
+        }
+    }
+
+    async fn handle_unlocked(self: &Arc<Self>, profile: &ProfileName, command: Command) -> Result<Reply, Failure> {
+        let owner = self.unlocked(profile)?;
+        match command {
+            Command::Register => self.register(&owner).await.map(Reply::Identity),
+            Command::ListKeys => self.keys_view(&owner).await.map(Reply::Keys),
+            Command::LoadKey { kind, path, passphrase } => self.load_key(&owner, kind, path, passphrase).await.map(Reply::Keys),
+            Command::RotateKeys => self.rotate(&owner, "asked for").await.map(Reply::Transaction),
+            Command::ExportKey { kind, passphrase } => self.export_key(&owner, kind, passphrase).await.map(Reply::Key),
+            Command::Capture { topics, type_name, count, milliseconds, tags } => {
+                self.capture(&owner, &topics, type_name, count, milliseconds, tags).await.map(Reply::Captured)
+            }
+            Command::ExportUpload { id } => self.export_upload(&owner, &id).await.map(Reply::Files),
+            Command::Grant { grantee, topics, epochs, expires } => {
+                self.grant(&owner, grantee, &topics, epochs, expires).await.map(Reply::Transaction)
+            }
+            Command::Revoke { grantee } => self.revoke(&owner, grantee).await.map(Reply::Transaction),
+            Command::ListGrants => self.grant_rows(&owner).await.map(Reply::Grants),
+            Command::ListShared(query) => self.list_shared(&owner, query).await.map(Reply::Records),
+            Command::CheckShared { id } => self.check_record(&owner, &id).await.map(Reply::Check),
+            Command::OpenShared { id } => self.open_record(&owner, &id).await.map(|view| Reply::Opened(Box::new(view))),
+            _ => Err(crate::service::failure::internal("this command is not known to the site")),
+        }
+    }
+
+    fn claim(&self, profile: ProfileName, claims: &Claims) -> Result<Reply, Failure> {
+        let mut consoles = self.consoles.lock().unwrap_or_else(PoisonError::into_inner);
+        if !consoles.insert(profile.clone()) {
+            return Err(Failure::new(
+                ErrorKind::Home,
+                format!("a console of profile '{profile}' is open already; close it, or open another profile with --profile"),
+            ));
+        }
+        claims.lock().unwrap_or_else(PoisonError::into_inner).insert(profile);
+        Ok(Reply::Done)
+    }
+
+    /// Frees the consoles that a connection held.
+    pub(super) fn release(&self, claims: &Claims) {
+        let mut consoles = self.consoles.lock().unwrap_or_else(PoisonError::into_inner);
+        for profile in claims.lock().unwrap_or_else(PoisonError::into_inner).drain() {
+            consoles.remove(&profile);
+        }
+    }
+}

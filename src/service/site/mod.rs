@@ -1,0 +1,207 @@
+//! The site: master, chain, vault and pipeline of one home, and the open profiles that use them.
+//!
+//! `start` brings the parts up in the background; requests wait for the parts they need. One
+//! process of a home is the site, further ones join it over the socket (`service::socket`).
+
+mod audit;
+mod capture;
+mod chain_link;
+mod epochs;
+mod handle;
+mod identity;
+mod keys;
+mod opening;
+mod owners;
+mod robots;
+mod sharing;
+mod status;
+mod topics;
+mod uploads;
+mod view;
+mod workers;
+
+use std::collections::{BTreeMap, HashSet};
+use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, Mutex, RwLock};
+
+use tokio::sync::{broadcast, mpsc, watch};
+
+pub use chain_link::NetworkState;
+pub use robots::RosState;
+
+use super::client::{Call, Client};
+use super::event::{Event, Part};
+use super::failure::internal;
+use super::hub::Hub;
+use super::reply::Failure;
+use crate::config::Config;
+use crate::crypto::provider;
+use crate::model::ProfileName;
+use crate::paths::Home;
+use crate::pipeline::recorder::CapturedMessage;
+use crate::pipeline::ring::Ring;
+use crate::pipeline::{CaptureSession, Owner, Plant, Recorder, Sender};
+use crate::store::{AuditLog, Ledger, SiteLock, open_vault};
+
+/// Memory for captured messages that wait to be sealed, bytes.
+const RING_BYTES: usize = 192 * 1024 * 1024;
+
+/// Which parts this run needs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Needs {
+    /// ROS master, robots, capture.
+    pub ros: bool,
+    /// Chain, anchoring, verification.
+    pub chain: bool,
+}
+
+/// Everything of a running site.
+pub struct Site {
+    pub(crate) home: Home,
+    pub(crate) config: Config,
+    pub(crate) plant: Plant,
+    pub(crate) hub: Arc<Hub>,
+    pub(crate) sender: Arc<Sender>,
+    recorder: Arc<Recorder>,
+    ring: Arc<Ring<CapturedMessage>>,
+    audit: AuditLog,
+    owners: RwLock<BTreeMap<ProfileName, Arc<Owner>>>,
+    consoles: Mutex<HashSet<ProfileName>>,
+    captures: Mutex<Vec<(ProfileName, Arc<CaptureSession>)>>,
+    network: watch::Sender<NetworkState>,
+    scanned: watch::Sender<u64>,
+    ros: watch::Sender<RosState>,
+    stopping: watch::Sender<bool>,
+    chain_silent: AtomicBool,
+    deploying: tokio::sync::Mutex<()>,
+    sealer: Mutex<Option<std::thread::JoinHandle<()>>>,
+    _lock: SiteLock,
+}
+
+impl Site {
+    /// Opens ledger and vault and starts the parts needed.
+    ///
+    /// # Errors
+    /// Where ledger or vault cannot be opened; chain and master come up (or fail) later.
+    pub fn start(home: Home, config: Config, lock: SiteLock, needs: Needs) -> Result<Arc<Self>, Failure> {
+        let (events, _) = broadcast::channel(1024);
+        let hub = Arc::new(Hub::new(events));
+        let ledger = Ledger::open(&home.ledger())?;
+        let vault = open_vault(config.vault_url.as_deref(), &home.vault())?;
+        let plant = Plant { ledger: ledger.clone(), vault, provider: provider(config.provider), observer: hub.clone() };
+        let ring = Arc::new(Ring::new(RING_BYTES));
+        let site = Arc::new(Self {
+            recorder: Arc::new(Recorder::new(Arc::clone(&ring), hub.clone())),
+            sender: Arc::new(Sender::new(ledger)),
+            audit: AuditLog::new(plant.ledger.clone()),
+            home,
+            config,
+            plant,
+            hub,
+            ring,
+            owners: RwLock::default(),
+            consoles: Mutex::default(),
+            captures: Mutex::default(),
+            network: watch::channel(if needs.chain { NetworkState::Connecting } else { NetworkState::Off }).0,
+            scanned: watch::channel(0).0,
+            ros: watch::channel(if needs.ros { RosState::Starting } else { RosState::Off }).0,
+            stopping: watch::channel(false).0,
+            chain_silent: AtomicBool,
+    deploying: tokio::sync::Mutex::default(),
+            sealer: Mutex::default(),
+            _lock: lock,
+        });
+        site.warn_of_policy();
+        workers::start(&site, needs)?;
+        Ok(site)
+    }
+
+    fn warn_of_policy(&self) {
+        for warning in self.plant.vault.policy_warnings() {
+            self.hub.notice(super::event::NoticeLevel::Warning, &warning);
+        }
+    }
+
+    /// A client of this site, in this process.
+    pub fn client(self: &Arc<Self>, profile: ProfileName) -> Client {
+        let (calls, receiver) = mpsc::unbounded_channel();
+        tokio::spawn(Arc::clone(self).serve(receiver));
+        Client::new(profile, calls, self.hub.events().clone())
+    }
+
+    /// Answers calls until their sender is gone; consoles claimed through it are then free again.
+    pub async fn serve(self: Arc<Self>, mut calls: mpsc::UnboundedReceiver<Call>) {
+        let claims = Arc::new(Mutex::new(HashSet::new()));
+        while let Some(Call { request, answer }) = calls.recv().await {
+            let (site, claims) = (Arc::clone(&self), Arc::clone(&claims));
+            tokio::spawn(async move {
+                // Nobody waiting for the answer any more is no fault.
+                drop(answer.send(site.handle(request, &claims).await));
+            });
+        }
+        self.release(&claims);
+    }
+
+    /// Everything the site tells.
+    pub fn events(&self) -> broadcast::Receiver<Event> {
+        self.hub.events().subscribe()
+    }
+
+    pub(crate) fn changed(&self, part: Part) {
+        self.hub.changed(part);
+    }
+
+    /// Whether the site is ending.
+    pub fn is_stopping(&self) -> bool {
+        *self.stopping.borrow()
+    }
+
+    /// Waits until the site is ending.
+    pub async fn stopped(&self) {
+        let mut stopping = self.stopping.subscribe();
+        // An error means that the site is gone, which is an end too.
+        drop(stopping.wait_for(|stopping| *stopping).await);
+    }
+
+    /// Ends the site: no further capture, all captured messages acknowledged, files closed.
+    pub async fn stop(self: Arc<Self>) {
+        self.ros.send_replace(RosState::Off);
+        self.ring.close();
+        let sealer = self.sealer.lock().unwrap_or_else(std::sync::PoisonError::into_inner).take();
+        if let Some(thread) = sealer {
+            drop(tokio::task::spawn_blocking(move || thread.join()).await);
+        }
+        self.stopping.send_replace(true);
+        self.network.send_replace(NetworkState::Off);
+        let ledger = self.plant.ledger.clone();
+        drop(tokio::task::spawn_blocking(move || ledger.close()).await);
+    }
+
+    pub(crate) fn owner(&self, profile: &ProfileName) -> Option<Arc<Owner>> {
+        self.owners.read().unwrap_or_else(std::sync::PoisonError::into_inner).get(profile).cloned()
+    }
+
+    pub(crate) fn all_owners(&self) -> Vec<Arc<Owner>> {
+        self.owners.read().unwrap_or_else(std::sync::PoisonError::into_inner).values().cloned().collect()
+    }
+
+    pub(crate) fn unlocked(&self, profile: &ProfileName) -> Result<Arc<Owner>, Failure> {
+        self.owner(profile).ok_or_else(|| match self.home.keyring(profile).exists() {
+            true => super::failure::refused(format!(
+                "the keyring of profile '{profile}' is locked; unlock it with --passphrase-file or --passphrase-fd"
+            )),
+            false => super::failure::input(format!(
+                "profile '{profile}' has no identity yet; make one with `authros --profile {profile} identity create`"
+            )),
+        })
+    }
+
+    pub(crate) async fn blocking<T: Send + 'static>(
+        self: &Arc<Self>,
+        work: impl FnOnce(&Self) -> Result<T, Failure> + Send + 'static,
+    ) -> Result<T, Failure> {
+        let site = Arc::clone(self);
+        let joined = tokio::task::spawn_blocking(move || work(&site)).await;
+        joined.unwrap_or_else(|_| Err(internal("a background task of the site failed; please report what you did")))
+    }
+}

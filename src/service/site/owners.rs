@@ -1,0 +1,94 @@
+//! Profiles of the home: making, opening and showing them.
+
+use std::sync::{Arc, PoisonError};
+
+use super::{Site, workers};
+use crate::crypto::{Fingerprint, Keyring, Passphrase, UnlockedKeyring, read_public};
+use crate::model::ProfileName;
+use crate::pipeline::Owner;
+use crate::service::command::SecretText;
+use crate::service::event::Part;
+use crate::service::failure::refused;
+use crate::service::reply::{Failure, IdentityView};
+
+impl Site {
+    /// Makes keys and a keyring for a new profile, and opens it.
+    pub(super) async fn create_identity(self: &Arc<Self>, profile: ProfileName, secret: SecretText) -> Result<IdentityView, Failure> {
+        let path = self.home.keyring(&profile);
+        if path.exists() {
+            return Err(refused(format!("profile '{profile}' exists already; `authros --profile {profile} identity show` shows it")));
+        }
+        let passphrase = Passphrase::new(secret.expose().to_owned())?;
+        let unlocked = self
+            .blocking(move |site| {
+                let keyring = Keyring::generate(site.plant.provider)?;
+                Ok(UnlockedKeyring::create(keyring, &path, &passphrase)?)
+            })
+            .await?;
+        self.adopt_owner(profile.clone(), unlocked);
+        self.record_audit(&profile, "create identity", "keys", "done").await?;
+        self.identity_view(&profile).await
+    }
+
+    /// Opens the keyring of a profile for this site.
+    pub(super) async fn unlock(self: &Arc<Self>, profile: ProfileName, secret: SecretText) -> Result<IdentityView, Failure> {
+        if self.owner(&profile).is_none() {
+            let path = self.home.keyring(&profile);
+            let passphrase = Passphrase::new(secret.expose().to_owned())?;
+            let opened = self.blocking(move |_| Ok(UnlockedKeyring::open(&path, &passphrase)?)).await;
+            let outcome = if opened.is_ok() { "done" } else { "refused" };
+            self.record_audit(&profile, "unlock", "keyring", outcome).await?;
+            self.adopt_owner(profile.clone(), opened?);
+        }
+        if let (Some(owner), Some(_)) = (self.owner(&profile), self.network_now()) {
+            self.resume_owner(&owner).await?;
+        }
+        self.identity_view(&profile).await
+    }
+
+    /// Puts an open keyring into the site, in place of the profile's former one.
+    pub(super) fn adopt_owner(self: &Arc<Self>, profile: ProfileName, keyring: UnlockedKeyring) -> Arc<Owner> {
+        let owner = Arc::new(Owner::new(profile.clone(), keyring));
+        self.owners.write().unwrap_or_else(PoisonError::into_inner).insert(profile, Arc::clone(&owner));
+        tokio::spawn(workers::anchor(Arc::clone(self), Arc::clone(&owner)));
+        self.restore_watches(&owner);
+        self.changed(Part::Identity);
+        owner
+    }
+
+    /// Opens an owner anew after its account changed.
+    pub(super) fn reopen_owner(self: &Arc<Self>, owner: &Arc<Owner>) -> Arc<Owner> {
+        let keyring = owner.keyring().duplicate();
+        self.adopt_owner(owner.profile.clone(), keyring)
+    }
+
+    /// The public side of a profile; needs no passphrase.
+    pub(super) async fn identity_view(self: &Arc<Self>, profile: &ProfileName) -> Result<IdentityView, Failure> {
+        let path = self.home.keyring(profile);
+        let owner = self.owner(profile);
+        let mut view = IdentityView {
+            profile: profile.clone(),
+            exists: path.exists(),
+            unlocked: owner.is_some(),
+            registered: false,
+            address: None,
+            epoch: None,
+            signing_key: None,
+            fingerprint: None,
+            envelope_key: None,
+        };
+        if !view.exists {
+            return Ok(view);
+        }
+        let public = self.blocking(move |_| Ok(read_public(&path)?)).await?;
+        view.address = Some(public.address);
+        view.signing_key = Some(public.signing);
+        view.envelope_key = Some(public.envelope);
+        view.fingerprint = Some(Fingerprint::of(&public.signing).to_string());
+        if let Some(network) = self.network_now() {
+            view.registered = network.directory.identity(public.address).is_ok_and(|identity| identity.signing == public.signing);
+            view.epoch = Some(network.directory.epoch(public.address)).filter(|epoch| *epoch > 0);
+        }
+        Ok(view)
+    }
+}

@@ -1,0 +1,192 @@
+//! The site's ROS side: master (embedded or real), simulated robots, the monitoring node.
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::task::block_in_place;
+
+use super::Site;
+use crate::config::MeterMode;
+use crate::crypto::random_bytes;
+use crate::model::TopicName;
+use crate::model::bytes::hex;
+use crate::ros::{Capture, CaptureOptions, EmbeddedMaster, Fleet, FleetOptions, Graph, TopicInfo};
+use crate::service::event::{NoticeLevel, Part};
+use crate::service::failure::internal;
+use crate::service::reply::Failure;
+
+/// Between two looks at the graph.
+const LOOK: Duration = Duration::from_secs(1);
+
+/// Where the ROS side stands.
+#[derive(Clone)]
+pub enum RosState {
+    /// This run needs no ROS, or is ending.
+    Off,
+    /// First attempt.
+    Starting,
+    /// Working.
+    Up(Arc<RosLink>),
+    /// The master does not answer; the next look may find it.
+    Down {
+        /// Why.
+        failure: Failure,
+        /// The link, once there was one: its capture heals by itself.
+        link: Option<Arc<RosLink>>,
+    },
+}
+
+/// A working connection to a master.
+pub struct RosLink {
+    /// The master.
+    pub uri: String,
+    /// Whether it is this process's own.
+    pub embedded: bool,
+    /// The monitoring node.
+    pub capture: Capture,
+    /// Simulated robots.
+    pub fleet: Option<Fleet>,
+    /// Simulated robots, counted.
+    pub robots: u16,
+    graph: Graph,
+    topics: std::sync::RwLock<Vec<TopicInfo>>,
+    // Dropped last: nodes unregister at it.
+    _master: Option<EmbeddedMaster>,
+}
+
+impl RosLink {
+    /// The graph's topics at the last look.
+    pub fn topics(&self) -> Vec<TopicInfo> {
+        self.topics.read().unwrap_or_else(std::sync::PoisonError::into_inner).clone()
+    }
+
+    fn look(&self) -> Result<bool, Failure> {
+        let mut found = self.graph.topics()?;
+        found.sort_by(|one, other| one.name.cmp(&other.name));
+        let mut topics = self.topics.write().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let changed = *topics != found;
+        *topics = found;
+        Ok(changed)
+    }
+}
+
+impl Site {
+    /// Brings the ROS side up and keeps looking at the graph until the site ends.
+    pub(super) async fn keep_ros(self: Arc<Self>) {
+        let link = loop {
+            let site = Arc::clone(&self);
+            match self.blocking(move |_| site.start_ros()).await {
+                Ok(link) => break Arc::new(link),
+                Err(failure) => {
+                    self.hub.notice(NoticeLevel::Error, &failure.message);
+                    self.ros.send_replace(RosState::Down { failure, link: None });
+                    self.changed(Part::Health);
+                }
+            }
+            tokio::select! {
+                () = tokio::time::sleep(Duration::from_secs(2)) => {}
+                () = self.stopped() => return,
+            }
+        };
+        self.ros.send_replace(RosState::Up(Arc::clone(&link)));
+        self.changed(Part::Health);
+        self.changed(Part::Topics);
+        let mut ros = self.ros.subscribe();
+        loop {
+            tokio::select! {
+                () = tokio::time::sleep(LOOK) => {}
+                ended = ros.wait_for(|state| matches!(state, RosState::Off)) => {
+                    drop(ended);
+                    break;
+                }
+            }
+            self.look_at_graph(&link).await;
+        }
+        // The nodes unregister at the master and their threads are joined: not on an async thread.
+        drop(tokio::task::spawn_blocking(move || drop(link)).await);
+    }
+
+    fn start_ros(&self) -> Result<RosLink, Failure> {
+        let master = if self.config.ros_master.is_none() { Some(EmbeddedMaster::start()?) } else { None };
+        let uri = master.as_ref().map(|master| master.uri().to_owned()).or_else(|| self.config.ros_master.clone());
+        let uri = uri.ok_or_else(|| internal("no ROS master is configured"))?;
+        let node_name = format!("/authros_{}", hex(&random_bytes::<4>()?));
+        let graph = Graph::new(&uri, &node_name)?;
+        graph.ping()?;
+        let robots = self.config.robots;
+        let fleet = match &master {
+            Some(_) if robots > 0 => Some(Fleet::start(&uri, robots, FleetOptions::default())?),
+            _ => None,
+        };
+        self.recorder.set_simulated(if fleet.is_some() { (1..=robots).map(|number| format!("/robot{number}_sim")).collect() } else { Vec::new() });
+        let options = CaptureOptions { master_uri: uri.clone(), own_host: self.config.ros_host.clone(), node_name };
+        let capture = Capture::start(options, self.recorder.clone())?;
+        let embedded = master.is_some();
+        let link = RosLink { uri, embedded, capture, robots: if fleet.is_some() { robots } else { 0 }, fleet, graph, topics: std::sync::RwLock::default(), _master: master };
+        link.look()?;
+        self.follow_wishes(&link);
+        Ok(link)
+    }
+
+    async fn look_at_graph(self: &Arc<Self>, link: &Arc<RosLink>) {
+        match block_in_place(|| link.look()) {
+            Ok(changed) => {
+                self.follow_wishes(link);
+                let was_down = matches!(&*self.ros.borrow(), RosState::Down { .. });
+                if was_down {
+                    self.ros.send_replace(RosState::Up(Arc::clone(link)));
+                    self.changed(Part::Health);
+                    self.hub.notice(NoticeLevel::Info, "the ROS master answers again");
+                }
+                if changed || self.recorder.meter_moved() {
+                    self.changed(Part::Topics);
+                }
+            }
+            Err(failure) if matches!(&*self.ros.borrow(), RosState::Up(_)) => {
+                self.hub.notice(NoticeLevel::Error, &failure.message);
+                self.ros.send_replace(RosState::Down { failure, link: Some(Arc::clone(link)) });
+                self.changed(Part::Health);
+            }
+            Err(_) => {}
+        }
+    }
+
+    /// Subscribes to what is wanted or measured, and to nothing else.
+    fn follow_wishes(&self, link: &RosLink) {
+        let mut wanted: BTreeSet<TopicName> = self.recorder.wanted().iter().filter_map(|topic| topic.parse().ok()).collect();
+        if self.config.meter == MeterMode::All {
+            wanted.extend(link.topics().iter().filter_map(|topic| topic.name.parse::<TopicName>().ok()));
+        }
+        let watched: BTreeSet<TopicName> = link.capture.watched().into_iter().map(|(topic, _)| topic).collect();
+        for topic in watched.difference(&wanted) {
+            link.capture.unwatch(topic);
+        }
+        for topic in wanted.difference(&watched) {
+            link.capture.watch(topic.clone(), None);
+        }
+    }
+
+    /// The subscriptions follow the recorder's wishes at once.
+    pub(super) fn wishes_changed(&self) {
+        if let RosState::Up(link) | RosState::Down { link: Some(link), .. } = &*self.ros.borrow() {
+            self.follow_wishes(link);
+        }
+        self.changed(Part::Topics);
+    }
+
+    /// The ROS link, as soon as the first attempt has ended.
+    ///
+    /// # Errors
+    /// Why the master is not reached.
+    pub(super) async fn ros_link(&self) -> Result<Arc<RosLink>, Failure> {
+        let mut state = self.ros.subscribe();
+        let settled = state.wait_for(|state| !matches!(state, RosState::Starting)).await;
+        let settled = settled.map_err(|_| internal("the site is ending"))?.clone();
+        match settled {
+            RosState::Up(link) | RosState::Down { link: Some(link), .. } => Ok(link),
+            RosState::Down { failure, link: None } => Err(failure),
+            _ => Err(internal("this run of the site has no ROS side; run the command again")),
+        }
+    }
+}

@@ -1,0 +1,128 @@
+//! The site at a glance: health in words, the life line, the chain.
+
+use std::sync::Arc;
+
+use tokio::task::block_in_place;
+
+use super::{NetworkState, RosState, Site};
+use crate::config::without_password;
+use crate::model::{ProfileName, RecordState, clean};
+use crate::service::event::Part;
+use crate::service::reply::{ChainView, Failure, HealthLevel, LifeLine, PartHealth, SiteView};
+
+impl Site {
+    /// Health, counts, robots and open profiles.
+    pub(super) async fn site_view(self: &Arc<Self>, profile: &ProfileName) -> Result<SiteView, Failure> {
+        let robots = match &*self.ros.borrow() {
+            RosState::Up(link) => link.robots,
+            _ => 0,
+        };
+        let profiles = self.all_owners().iter().map(|owner| owner.profile.clone()).collect();
+        let health = vec![self.ros_health(), self.chain_health(), self.vault_health(), gateway_health()];
+        Ok(SiteView { health, life: block_in_place(|| self.life_line(profile))?, robots, profiles })
+    }
+
+    fn ros_health(&self) -> PartHealth {
+        let (level, text) = match &*self.ros.borrow() {
+            RosState::Off => (HealthLevel::Absent, "not part of this run".to_owned()),
+            RosState::Starting => (HealthLevel::Waiting, "starting".to_owned()),
+            RosState::Up(link) if link.embedded => (HealthLevel::Ok, format!("embedded master, {} SIMULATED robots", link.robots)),
+            RosState::Up(link) => (HealthLevel::Ok, link.uri.clone()),
+            RosState::Down { failure, .. } => (HealthLevel::Failed, failure.message.clone()),
+        };
+        part("ros", level, &text)
+    }
+
+    fn chain_health(&self) -> PartHealth {
+        let name = self.config.chain_url.as_deref().map_or_else(|| "embedded chain".to_owned(), without_password);
+        let silent = self.chain_is_silent();
+        let (level, text) = match &*self.network.borrow() {
+            NetworkState::Off => (HealthLevel::Absent, "not part of this run".to_owned()),
+            NetworkState::Connecting => (HealthLevel::Waiting, format!("connecting to {name}")),
+            NetworkState::Bare(_) => (HealthLevel::Ok, format!("{name}, no contract yet")),
+            NetworkState::Up(_) if silent => (HealthLevel::Waiting, format!("{name} does not answer, retry in 2 s")),
+            NetworkState::Up(_) => (HealthLevel::Ok, name),
+            NetworkState::Down { failure, retry } => (HealthLevel::Failed, format!("retry in {retry} s: {}", failure.message)),
+        };
+        part("chain", level, &text)
+    }
+
+    fn vault_health(&self) -> PartHealth {
+        let name = self.config.vault_url.as_deref().map_or_else(|| "embedded vault".to_owned(), without_password);
+        part("vault", HealthLevel::Ok, &name)
+    }
+
+    /// Notes whether the chain answered the last time it was asked.
+    pub(super) fn chain_answers(&self, answers: bool) {
+        let before = self.chain_silent.swap(!answers, std::sync::atomic::Ordering::AcqRel);
+        if before == answers {
+            self.changed(Part::Health);
+        }
+    }
+
+    fn chain_is_silent(&self) -> bool {
+        self.chain_silent.load(std::sync::atomic::Ordering::Acquire)
+    }
+
+    fn life_line(&self, profile: &ProfileName) -> Result<LifeLine, Failure> {
+        let losses = self.recorder.all_losses();
+        let Some(owner) = self.owner(profile) else {
+            return Ok(LifeLine { lost_in_transport: losses.in_transport, ..LifeLine::default() });
+        };
+        let counts = self.plant.ledger.counts(Some(owner.address))?;
+        let at_least = |least: RecordState| -> u64 {
+            let states = RecordState::ALL.into_iter().filter(|state| *state >= least && *state <= RecordState::Verified);
+            states.map(|state| counts.data_in(state)).sum()
+        };
+        let tampered = counts.data_in(RecordState::Tampered);
+        Ok(LifeLine {
+            captured: counts.captured(),
+            sealed: at_least(RecordState::Sealed) + tampered,
+            stored: at_least(RecordState::Stored) + tampered,
+            anchored: at_least(RecordState::Mined) + tampered,
+            confirmed: at_least(RecordState::Confirmed) + tampered,
+            verified: counts.data_in(RecordState::Verified),
+            pending: counts.pending(),
+            quarantined: counts.data_in(RecordState::Quarantined),
+            dropped: losses.in_recorder,
+            tampered,
+            lost_in_transport: losses.in_transport,
+        })
+    }
+
+    /// The chain as this profile sees it.
+    pub(super) async fn chain_view(self: &Arc<Self>, profile: &ProfileName) -> Result<ChainView, Failure> {
+        let chain = self.chain().await?;
+        let path = self.home.keyring(profile);
+        let address = match self.owner(profile) {
+            Some(owner) => Some(owner.address),
+            None if path.exists() => Some(block_in_place(|| crate::crypto::read_public(&path))?.address),
+            None => None,
+        };
+        let status = chain.status(address).await?;
+        let open = match address {
+            Some(address) => block_in_place(|| self.plant.ledger.open_transactions(address))?.len(),
+            None => 0,
+        };
+        Ok(ChainView {
+            kind: status.kind.to_string(),
+            consensus: status.consensus.to_string(),
+            chain_id: status.chain_id,
+            genesis: status.genesis,
+            block: status.block,
+            contract: status.contract,
+            balance: status.balance.to_string(),
+            nonce: status.nonce,
+            pending: open as u64,
+            client: clean(&status.client, 100),
+        })
+    }
+}
+
+fn part(name: &str, level: HealthLevel, text: &str) -> PartHealth {
+    PartHealth { part: name.to_owned(), level, text: clean(text, 200) }
+}
+
+fn gateway_health() -> PartHealth {
+    part("gateway", HealthLevel::Absent, "not in this version")
+}

@@ -1,0 +1,117 @@
+//! A profile's own records: lists, provenance, export for others to check.
+
+use std::sync::Arc;
+
+use super::Site;
+use super::view::{record_page, record_query, record_view};
+use crate::crypto::{keyfile, read_public, record};
+use crate::model::bytes::hex;
+use crate::model::{Address, ProfileName, RecordState};
+use crate::pipeline::{Owner, PipelineError};
+use crate::service::command::UploadQuery;
+use crate::service::failure::{input, internal, refused};
+use crate::service::reply::{ExportedFile, Failure, Provenance, RecordPage};
+use crate::store::RecordRow;
+
+impl Site {
+    fn address_of(&self, profile: &ProfileName) -> Result<Address, Failure> {
+        if let Some(owner) = self.owner(profile) {
+            return Ok(owner.address);
+        }
+        let path = self.home.keyring(profile);
+        if !path.exists() {
+            return Err(input(format!("profile '{profile}' has no identity yet; make one with `authros --profile {profile} identity create`")));
+        }
+        Ok(tokio::task::block_in_place(|| read_public(&path))?.address)
+    }
+
+    /// Own records; needs no passphrase.
+    pub(super) async fn list_uploads(self: &Arc<Self>, profile: &ProfileName, query: UploadQuery) -> Result<RecordPage, Failure> {
+        let owner = self.address_of(profile)?;
+        let query = crate::store::RecordQuery { owner: Some(owner), ..record_query(query) };
+        let page = self.blocking(move |site| Ok(site.plant.ledger.list(&query)?)).await?;
+        Ok(record_page(page, false))
+    }
+
+    /// A record by its id, whoever owns it.
+    pub(super) async fn find_record(self: &Arc<Self>, id: &str) -> Result<RecordRow, Failure> {
+        let id = id.to_owned();
+        self.blocking(move |site| {
+            let row = site.plant.ledger.record_by_id(&id)?;
+            Ok(row.ok_or_else(|| PipelineError::NoRecord(crate::model::clean(&id, 64)))?)
+        })
+        .await
+    }
+
+    async fn own_record(self: &Arc<Self>, profile: &ProfileName, id: &str) -> Result<RecordRow, Failure> {
+        let row = self.find_record(id).await?;
+        if row.owner == self.address_of(profile)? { Ok(row) } else { Err(PipelineError::NoRecord(row.id).into()) }
+    }
+
+    /// Where a record came from and where it stands, step by step.
+    pub(super) async fn provenance(self: &Arc<Self>, profile: &ProfileName, id: &str) -> Result<Provenance, Failure> {
+        let row = self.own_record(profile, id).await?;
+        let step = |word: &str, text: String| (word.to_owned(), text);
+        let mut steps = vec![
+            step("message", format!("{} bytes captured {}", row.bytes, row.captured_at)),
+            step("sealed", format!("epoch {}, seq {}, acknowledged {}", row.epoch, row.seq, row.acknowledged_at)),
+            step("digest", row.digest.to_hex()),
+            step("signature", row.signature.to_hex()),
+        ];
+        if row.state >= RecordState::Stored {
+            steps.push(step("stored", self.plant.vault.name().to_owned()));
+        }
+        if let Some(transaction) = row.transaction {
+            steps.push(step("transaction", format!("0x{transaction}")));
+        }
+        if let (Some(block), Some(hash)) = (row.block, row.block_hash) {
+            steps.push(step("block", format!("{block} 0x{hash}")));
+            let head = *self.scanned.borrow();
+            steps.push(step("confirmations", format!("{}", (head + 1).saturating_sub(block))));
+        }
+        steps.push(step("state", row.state.word().to_owned()));
+        Ok(Provenance { record: record_view(&row, false), steps })
+    }
+
+    /// The files by which others check a record with openssl and a node.
+    pub(super) async fn export_upload(self: &Arc<Self>, owner: &Arc<Owner>, id: &str) -> Result<Vec<ExportedFile>, Failure> {
+        let row = self.own_record(&owner.profile, id).await?;
+        let network = self.network().await?;
+        self.audit_first(owner, "export record", &row.id).await?;
+        let digest = row.digest;
+        let blob = self.blocking(move |site| Ok(site.plant.vault.get(digest)?)).await?;
+        let blob = blob.ok_or_else(|| PipelineError::Missing(row.id.clone()))?;
+        let signer = network.directory.signing_key(row.owner, row.signer, row.block);
+        let signer = signer.ok_or_else(|| refused("the record's signing key is not among those registered on the chain"))?;
+        let signed = record::signed_bytes(&network.domain, &row.digest);
+        let pin = network.chain.pin();
+        let proof = serde_json::json!({
+            "format": "authros-proof/1",
+            "digest": row.digest,
+            "signed_message_hex": hex(&signed),
+            "signature_id": "1234567812345678",
+            "owner": row.owner,
+            "signer": row.signer,
+            "signing_key": signer,
+            "epoch": row.epoch,
+            "recorder": row.recorder,
+            "topic_id": row.topic_id,
+            "seq": row.seq,
+            "domain": network.domain,
+            "chain_id": network.chain.chain_id(),
+            "genesis": network.chain.genesis(),
+            "contract": pin.map(|pin| pin.contract),
+            "anchor": { "mode": "each", "transaction": row.transaction, "block": row.block, "block_hash": row.block_hash },
+            "state": row.state.word(),
+        });
+        let proof = serde_json::to_vec_pretty(&proof).map_err(|error| internal(error.to_string()))?;
+        let file = |name: &str, bytes: Vec<u8>| ExportedFile { name: name.to_owned(), bytes };
+        Ok(vec![
+            file("record.bin", blob),
+            file("signature.bin", crate::crypto::signature_der(&row.signature)),
+            file("signer.pem", keyfile::sm2_public_pem(&signer)?.into_bytes()),
+            file("message.bin", signed),
+            file("proof.json", proof),
+        ])
+    }
+}

@@ -1,0 +1,174 @@
+//! Starts the background tasks of a site: sealer, storer, watcher, anchorers, verifier.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use super::{Needs, Site};
+use crate::model::Timestamp;
+use crate::pipeline::sealer::Sealer;
+use crate::pipeline::{Network, Owner, anchorer, storer, verifier, watcher};
+use crate::service::event::{NoticeLevel, Part};
+use crate::service::failure::internal;
+use crate::service::reply::Failure;
+
+/// Starts all tasks that the run needs.
+pub(super) fn start(site: &Arc<Site>, needs: Needs) -> Result<(), Failure> {
+    tokio::spawn(Arc::clone(&site.hub).run());
+    if needs.ros {
+        start_sealer(site)?;
+        tokio::spawn(Arc::clone(site).keep_ros());
+    }
+    if needs.chain {
+        if !site.plant.vault.durable() {
+            start_storer(site)?;
+        }
+        tokio::spawn(Arc::clone(site).keep_connected());
+        tokio::spawn(watch(Arc::clone(site)));
+        tokio::spawn(verify(Arc::clone(site)));
+        tokio::spawn(Arc::clone(site).expire_grants());
+    }
+    Ok(())
+}
+
+fn thread(name: &str, work: impl FnOnce() + Send + 'static) -> Result<std::thread::JoinHandle<()>, Failure> {
+    let spawned = std::thread::Builder::new().name(name.to_owned()).spawn(work);
+    spawned.map_err(|error| internal(format!("thread {name} cannot be started: {error}")))
+}
+
+fn start_sealer(site: &Arc<Site>) -> Result<(), Failure> {
+    let mut sealer = Sealer::new(site.plant.clone(), Arc::clone(&site.hub.sessions));
+    let (ring, hub) = (Arc::clone(&site.ring), Arc::clone(&site.hub));
+    let handle = thread("sealer", move || sealer.run(&ring, &|| hub.stored.notify_waiters()))?;
+    *site.sealer.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = Some(handle);
+    Ok(())
+}
+
+fn start_storer(site: &Arc<Site>) -> Result<(), Failure> {
+    let (plant, hub, weak) = (site.plant.clone(), Arc::clone(&site.hub), Arc::downgrade(site));
+    let stopped = move || weak.upgrade().is_none_or(|site| site.is_stopping());
+    thread("storer", move || {
+        storer::run(&plant, &stopped, &|pause| std::thread::sleep(pause.min(Duration::from_secs(1))), &|| hub.stored.notify_waiters());
+    })?;
+    Ok(())
+}
+
+async fn watch(site: Arc<Site>) {
+    let mut seen = 0;
+    while !site.is_stopping() {
+        let Some(network) = site.network_now() else {
+            let mut state = site.network.subscribe();
+            if state.changed().await.is_err() {
+                return;
+            }
+            continue;
+        };
+        let pause = match watcher::watch_round(&site.plant, &network).await {
+            Ok(head) => {
+                site.scanned.send_replace(head.number);
+                site.chain_answers(true);
+                if head.number != seen {
+                    seen = head.number;
+                    site.changed(Part::Chain);
+                    site.hub.confirmed.notify_one();
+                }
+                resend(&site, &network).await;
+                network.chain.next_block(head.number, watcher::PATIENCE).await.err().map(|error| error.to_string())
+            }
+            Err(error) => Some(error.to_string()),
+        };
+        if let Some(problem) = pause {
+            site.chain_answers(false);
+            site.hub.notice(NoticeLevel::Error, &format!("the chain does not answer; anchoring waits, nothing is lost: {problem}"));
+            tokio::time::sleep(Duration::from_secs(2)).await;
+        }
+    }
+}
+
+async fn resend(site: &Arc<Site>, network: &Network) {
+    for owner in site.all_owners() {
+        match site.sender.resend(&network.chain, owner.address).await {
+            Ok((_, refused)) => {
+                for reason in refused {
+                    site.hub.notice(NoticeLevel::Error, &format!("the contract refused a transaction of {}: {reason}", owner.profile));
+                }
+            }
+            Err(error) => site.hub.notice(NoticeLevel::Error, &format!("transactions of {} wait: {error}", owner.profile)),
+        }
+    }
+}
+
+async fn verify(site: Arc<Site>) {
+    while !site.is_stopping() {
+        tokio::select! {
+            () = site.hub.confirmed.notified() => {}
+            () = tokio::time::sleep(Duration::from_secs(1)) => {}
+        }
+        while let Some(network) = site.network_now() {
+            let plant = site.plant.clone();
+            let round = tokio::task::spawn_blocking(move || verifier::verify_round(&plant, &network)).await;
+            match round {
+                Ok(Ok(0)) => break,
+                Ok(Ok(_)) => {}
+                Ok(Err(error)) => {
+                    site.hub.notice(NoticeLevel::Error, &format!("records cannot be verified now, they wait: {error}"));
+                    tokio::time::sleep(Duration::from_secs(1)).await;
+                    break;
+                }
+                Err(_) => return,
+            }
+        }
+    }
+}
+
+/// Anchors the records of one owner until the owner is closed or the site ends.
+pub(super) async fn anchor(site: Arc<Site>, owner: Arc<Owner>) {
+    let mut pause = Duration::from_millis(250);
+    while !site.is_stopping() {
+        let still_open = site.owner(&owner.profile).is_some_and(|other| Arc::ptr_eq(&other, &owner));
+        if !still_open {
+            return;
+        }
+        let Some(network) = site.network_now() else {
+            tokio::time::sleep(Duration::from_millis(200)).await;
+            continue;
+        };
+        match anchorer::anchor_round(&site.plant, &network, &site.sender, &owner).await {
+            Ok(0) => {
+                pause = Duration::from_millis(250);
+                tokio::select! {
+                    () = site.hub.stored.notified() => {}
+                    () = tokio::time::sleep(Duration::from_secs(1)) => {}
+                }
+            }
+            Ok(_) => site.changed(Part::Uploads),
+            Err(error) => {
+                site.hub.notice(NoticeLevel::Error, &format!("records of {} wait to be anchored: {error}", owner.profile));
+                tokio::time::sleep(pause).await;
+                pause = (pause * 2).min(Duration::from_secs(10));
+            }
+        }
+    }
+}
+
+impl Site {
+    /// Begins a new epoch for every owner one of whose grants has run out.
+    async fn expire_grants(self: Arc<Self>) {
+        while !self.is_stopping() {
+            tokio::select! {
+                () = tokio::time::sleep(Duration::from_secs(1)) => {}
+                () = self.stopped() => return,
+            }
+            let Some(network) = self.network_now() else { continue };
+            for owner in self.all_owners() {
+                let epoch = network.directory.epoch(owner.address);
+                let now = Timestamp::now();
+                let due = network.directory.grants(|grant| {
+                    grant.terms.owner == owner.address && grant.word(now) == "expired" && grant.envelopes.contains_key(&epoch)
+                });
+                if !due.is_empty() && let Err(failure) = self.rotate(&owner, "a grant expired").await {
+                    self.hub.notice(NoticeLevel::Error, &format!("a grant of {} has expired, but {}", owner.profile, failure.message));
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,292 @@
+//! The audit log: who did what to what, and how it ended; append-only, each line chained to the one before.
+//!
+//! It lies in the ledger's file and is durable line by line. An edited, deleted, inserted or moved line is
+//! found by [`AuditLog::verify`]. Lines cut off at the end are not, by the log alone: that takes a head
+//! that was anchored on the chain before ([`AuditLog::hash_of`] tells what line that head belongs to).
+
+use rusqlite::{Connection, OptionalExtension as _, Row, params};
+use serde::{Deserialize, Serialize};
+use sm3::{Digest as _, Sm3};
+
+use super::database::whole;
+use super::{Ledger, StoreError};
+use crate::model::{Digest, Timestamp};
+
+const LABEL: &[u8] = b"AuthROS/audit/1";
+const COLUMNS: &str = "line, at, profile, action, subject, outcome, hash";
+
+/// What is to be remembered.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct AuditEntry {
+    /// When it happened.
+    pub at: Timestamp,
+    /// Who did it.
+    pub profile: String,
+    /// What was done, in a word: `grant`, `open`, ….
+    pub action: String,
+    /// To what or whom.
+    pub subject: String,
+    /// How it ended.
+    pub outcome: String,
+}
+
+/// A line of the log.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct AuditLine {
+    /// Its number, from 1.
+    pub line: u64,
+    /// What it says.
+    #[serde(flatten)]
+    pub entry: AuditEntry,
+    /// SM3 over the label, the hash of the line before, and the entry.
+    pub hash: Digest,
+}
+
+/// Where the log is not what was written.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("line {line} of the audit log: {what}; keep a copy of the ledger and find out who could write to it")]
+pub struct AuditFault {
+    /// The first line that is wrong.
+    pub line: u64,
+    /// What is wrong.
+    pub what: String,
+}
+
+/// The audit log of a home.
+#[derive(Debug, Clone)]
+pub struct AuditLog {
+    ledger: Ledger,
+}
+
+impl AuditLog {
+    /// The log that lies in this ledger's file.
+    pub fn new(ledger: Ledger) -> Self {
+        Self { ledger }
+    }
+
+    /// Adds a line; it is durable when this returns. Without it no grant and no decryption may go on.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like: then the line is not there.
+    pub fn append(&self, entry: AuditEntry) -> Result<(), StoreError> {
+        self.ledger.write(move |session| {
+            let (count, head) = head(session.connection)?;
+            let hash = chain(head, &entry);
+            session.connection.prepare_cached("INSERT INTO audit VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)")?.execute(
+                params![
+                    whole("line", count + 1)?,
+                    whole("time", entry.at.0)?,
+                    entry.profile,
+                    entry.action,
+                    entry.subject,
+                    entry.outcome,
+                    hash.0
+                ],
+            )?;
+            Ok(())
+        })
+    }
+
+    /// The number of lines and the hash of the last one (zeros where there is none): what gets anchored.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn head(&self) -> Result<(u64, Digest), StoreError> {
+        self.ledger.read(head)
+    }
+
+    /// The hash kept with a line, to compare with a head that was anchored when the log was that long.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn hash_of(&self, line: u64) -> Result<Option<Digest>, StoreError> {
+        let line = whole("line", line)?;
+        self.ledger.read(|connection| {
+            let mut statement = connection.prepare_cached("SELECT hash FROM audit WHERE line = ?1")?;
+            Ok(statement.query_row([line], |row| row.get(0)).optional()?.map(Digest))
+        })
+    }
+
+    /// Recomputes the whole chain; returns the number of lines.
+    ///
+    /// # Errors
+    /// [`AuditFault`] with the first line that is wrong, or that cannot be read.
+    pub fn verify(&self) -> Result<u64, AuditFault> {
+        let walked = self.ledger.read(|connection| Ok(walk(connection)));
+        walked.unwrap_or_else(|error| Err(AuditFault { line: 0, what: error.to_string() }))
+    }
+
+    /// The last lines, oldest first.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn tail(&self, limit: usize) -> Result<Vec<AuditLine>, StoreError> {
+        self.before(None, limit)
+    }
+
+    /// The lines before line `before` (or before the end), oldest first: pages going back.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn before(&self, before: Option<u64>, limit: usize) -> Result<Vec<AuditLine>, StoreError> {
+        let before = before.map_or(Ok(i64::MAX), |line| whole("line", line))?;
+        let limit = i64::try_from(limit).unwrap_or(i64::MAX);
+        self.ledger.read(|connection| {
+            let sql = format!("SELECT {COLUMNS} FROM audit WHERE line < ?1 ORDER BY line DESC LIMIT ?2");
+            let mut statement = connection.prepare_cached(&sql)?;
+            let mut lines = statement.query_map([before, limit], line_of)?.collect::<Result<Vec<_>, _>>()?;
+            lines.reverse();
+            Ok(lines)
+        })
+    }
+}
+
+fn head(connection: &Connection) -> Result<(u64, Digest), StoreError> {
+    let found = connection
+        .prepare_cached("SELECT line, hash FROM audit ORDER BY line DESC LIMIT 1")?
+        .query_row([], |row| Ok((row.get::<_, i64>(0)?.cast_unsigned(), Digest(row.get(1)?))))
+        .optional()?;
+    Ok(found.unwrap_or((0, Digest([0; Digest::LENGTH]))))
+}
+
+fn line_of(row: &Row<'_>) -> rusqlite::Result<AuditLine> {
+    let entry = AuditEntry {
+        at: Timestamp(row.get::<_, i64>(1)?.cast_unsigned()),
+        profile: row.get(2)?,
+        action: row.get(3)?,
+        subject: row.get(4)?,
+        outcome: row.get(5)?,
+    };
+    Ok(AuditLine { line: row.get::<_, i64>(0)?.cast_unsigned(), entry, hash: Digest(row.get(6)?) })
+}
+
+/// SM3 over label, previous hash, and each field with its length (4 bytes, big endian) before it.
+fn chain(previous: Digest, entry: &AuditEntry) -> Digest {
+    let mut hash = Sm3::new();
+    hash.update(LABEL);
+    hash.update(previous.as_bytes());
+    let at = entry.at.0.to_be_bytes();
+    let texts = [&entry.profile, &entry.action, &entry.subject, &entry.outcome].map(|text| text.as_bytes());
+    for field in std::iter::once(&at[..]).chain(texts) {
+        hash.update(u32::try_from(field.len()).unwrap_or(u32::MAX).to_be_bytes());
+        hash.update(field);
+    }
+    Digest(hash.finalize().into())
+}
+
+fn walk(connection: &Connection) -> Result<u64, AuditFault> {
+    let unreadable = |line: u64| move |error: rusqlite::Error| AuditFault { line, what: error.to_string() };
+    let sql = format!("SELECT {COLUMNS} FROM audit ORDER BY line");
+    let mut statement = connection.prepare(&sql).map_err(unreadable(0))?;
+    let mut rows = statement.query([]).map_err(unreadable(0))?;
+    let mut count = 0;
+    let mut previous = Digest([0; Digest::LENGTH]);
+    while let Some(row) = rows.next().map_err(unreadable(count + 1))? {
+        let found = line_of(row).map_err(unreadable(count + 1))?;
+        count += 1;
+        if found.line != count {
+            return Err(AuditFault { line: count, what: "is missing".to_owned() });
+        }
+        if chain(previous, &found.entry) != found.hash {
+            return Err(AuditFault { line: count, what: "is not what was written there".to_owned() });
+        }
+        previous = found.hash;
+    }
+    Ok(count)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn log_of(lines: u64) -> (tempfile::TempDir, AuditLog) {
+        let home = tempfile::tempdir().expect("temporary directory");
+        let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opens");
+        let log = AuditLog::new(ledger);
+        for number in 1..=lines {
+            log.append(entry(number)).expect("appended");
+        }
+        (home, log)
+    }
+
+    fn entry(number: u64) -> AuditEntry {
+        AuditEntry {
+            at: Timestamp(number),
+            profile: "a".to_owned(),
+            action: "grant".to_owned(),
+            subject: format!("0x{number}"),
+            outcome: "ok".to_owned(),
+        }
+    }
+
+    /// Edits the table behind the log's back.
+    fn forge(log: &AuditLog, sql: &str) -> Result<u64, AuditFault> {
+        let sql = sql.to_owned();
+        log.ledger.write(move |session| Ok(session.connection.execute_batch(&sql)?)).expect("forged");
+        log.verify()
+    }
+
+    #[test]
+    fn lines_are_numbered_chained_and_paged() {
+        let (_home, log) = log_of(7);
+        assert_eq!(log.verify(), Ok(7));
+        let (count, head) = log.head().expect("head");
+        assert_eq!((count, Some(head)), (7, log.hash_of(7).expect("line")));
+        let tail = log.tail(3).expect("tail");
+        assert_eq!(tail.iter().map(|line| line.line).collect::<Vec<_>>(), [5, 6, 7]);
+        assert_eq!(tail[0].entry, entry(5));
+        let earlier = log.before(Some(5), 100).expect("page");
+        assert_eq!(earlier.iter().map(|line| line.line).collect::<Vec<_>>(), [1, 2, 3, 4]);
+    }
+
+    #[test]
+    fn every_edit_of_every_line_is_found() {
+        for line in 1..=5u64 {
+            for column in ["at", "profile", "action", "subject", "outcome", "hash"] {
+                let (_home, log) = log_of(5);
+                let value = if column == "at" { "99" } else { "CAST(zeroblob(32) AS BLOB)" };
+                let edited = forge(&log, &format!("UPDATE audit SET {column} = {value} WHERE line = {line}"));
+                assert_eq!(edited.expect_err(column).line, line);
+            }
+        }
+    }
+
+    #[test]
+    fn deleting_swapping_and_inserting_are_found() {
+        for line in 1..5u64 {
+            let (_home, log) = log_of(5);
+            assert_eq!(forge(&log, &format!("DELETE FROM audit WHERE line = {line}")).expect_err("gone").line, line);
+            let closed = format!("UPDATE audit SET line = line - 1 WHERE line > {line}");
+            assert_eq!(forge(&log, &closed).expect_err("closed up").line, line);
+            let (_home, log) = log_of(5);
+            let swapped = format!(
+                "UPDATE audit SET line = 99 WHERE line = {line}; UPDATE audit SET line = {line} WHERE line = {line} + 1;
+                 UPDATE audit SET line = {line} + 1 WHERE line = 99"
+            );
+            assert_eq!(forge(&log, &swapped).expect_err("swapped").line, line);
+        }
+        let (_home, log) = log_of(2);
+        let copied =
+            "INSERT INTO audit SELECT 3, at, profile, action, subject, outcome, hash FROM audit WHERE line = 2";
+        assert_eq!(forge(&log, copied).expect_err("copied").line, 3);
+    }
+
+    #[test]
+    fn a_cut_tail_is_found_against_an_anchored_head_only() {
+        let (_home, log) = log_of(5);
+        let (count, head) = log.head().expect("head");
+        assert_eq!(forge(&log, "DELETE FROM audit WHERE line > 3"), Ok(3));
+        assert_ne!(log.hash_of(count).expect("read"), Some(head));
+    }
+
+    #[test]
+    fn fields_cannot_run_into_each_other() {
+        let mut one = entry(1);
+        let mut two = entry(1);
+        (one.profile, one.action) = ("ab".to_owned(), "c".to_owned());
+        (two.profile, two.action) = ("a".to_owned(), "bc".to_owned());
+        let zero = Digest([0; 32]);
+        assert_ne!(chain(zero, &one), chain(zero, &two));
+        assert_ne!(chain(zero, &one), chain(Digest([1; 32]), &one));
+    }
+}

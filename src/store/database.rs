@@ -1,0 +1,137 @@
+//! Opens an SQLite file the way both ledger and vault need it: private, WAL, every commit fsynced,
+//! schema brought up to date, contents checked after an unclean end.
+
+use std::path::Path;
+use std::time::Duration;
+
+use rusqlite::{Connection, OpenFlags, TransactionBehavior};
+
+use super::{StoreError, files};
+
+const BUSY: Duration = Duration::from_secs(10);
+const STATEMENTS_KEPT: usize = 64;
+
+/// One SQLite file's shape: an application id and the steps from each schema version to the next.
+pub(super) struct Schema {
+    /// Written into the file, so that another program's database is not taken for ours.
+    pub application: i64,
+    /// Step `i` brings version `i` to `i + 1`.
+    pub steps: &'static [&'static str],
+}
+
+/// Opens (or makes) the file for its one writer.
+///
+/// # Errors
+/// [`StoreError::Home`], [`StoreError::Mode`], [`StoreError::Corrupt`], [`StoreError::Newer`].
+pub(super) fn open_writer(path: &Path, schema: &Schema) -> Result<Connection, StoreError> {
+    let directory = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    files::private_directory(directory)?;
+    drop(files::open_private(path)?);
+    files::sync_directory(directory).map_err(|error| StoreError::home(path, &error))?;
+    let mut connection = connect(path)?;
+    migrate(&mut connection, path, schema).map_err(|error| error.in_file(path))?;
+    Ok(connection)
+}
+
+/// Opens the file for reading only.
+///
+/// # Errors
+/// [`StoreError::Home`], [`StoreError::Corrupt`].
+pub(super) fn open_reader(path: &Path) -> Result<Connection, StoreError> {
+    let connection = connect(path)?;
+    connection.pragma_update(None, "query_only", true).map_err(|error| StoreError::from(error).in_file(path))?;
+    Ok(connection)
+}
+
+fn connect(path: &Path) -> Result<Connection, StoreError> {
+    let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+    Connection::open_with_flags(path, flags)
+        .and_then(|connection| {
+            connection.busy_timeout(BUSY)?;
+            connection.set_prepared_statement_cache_capacity(STATEMENTS_KEPT);
+            connection.pragma_update(None, "journal_mode", "WAL")?;
+            connection.pragma_update(None, "synchronous", "FULL")?;
+            connection.pragma_update(None, "cache_size", -8192)?;
+            Ok(connection)
+        })
+        .map_err(|error| StoreError::from(error).in_file(path))
+}
+
+fn migrate(connection: &mut Connection, path: &Path, schema: &Schema) -> Result<(), StoreError> {
+    let transaction = connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
+    let pragma = |name| transaction.pragma_query_value(None, name, |row| row.get::<_, i64>(0));
+    let (found, application) = (pragma("user_version")?, pragma("application_id")?);
+    let known = i64::try_from(schema.steps.len()).unwrap_or(i64::MAX);
+    if application != schema.application && (application, found) != (0, 0) {
+        return Err(StoreError::Corrupt { file: path.to_owned(), detail: "another program's database".to_owned() });
+    }
+    if found > known {
+        return Err(StoreError::Newer { file: path.to_owned(), found, known });
+    }
+    for step in schema.steps.iter().skip(usize::try_from(found).unwrap_or(0)) {
+        transaction.execute_batch(step)?;
+    }
+    transaction.pragma_update(None, "application_id", schema.application)?;
+    transaction.pragma_update(None, "user_version", known)?;
+    transaction.commit()?;
+    Ok(())
+}
+
+/// SQLite's `quick_check`: pages, records and indices are well-formed.
+///
+/// # Errors
+/// [`StoreError::Corrupt`] with the first fault.
+pub(super) fn quick_check(connection: &Connection, path: &Path) -> Result<(), StoreError> {
+    let found: String = connection
+        .query_row("PRAGMA quick_check(1)", [], |row| row.get(0))
+        .map_err(|error| StoreError::from(error).in_file(path))?;
+    if found == "ok" {
+        return Ok(());
+    }
+    Err(StoreError::Corrupt { file: path.to_owned(), detail: crate::model::clean(&found, 200) })
+}
+
+/// A number as SQLite keeps it.
+///
+/// # Errors
+/// [`StoreError::TooBig`] above 2^63 - 1.
+pub(super) fn whole(field: &'static str, value: u64) -> Result<i64, StoreError> {
+    i64::try_from(value).map_err(|_| StoreError::TooBig { field, value })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::ErrorKind;
+
+    const FIRST: Schema = Schema { application: 77, steps: &["CREATE TABLE a (x INTEGER);"] };
+    const SECOND: Schema =
+        Schema { application: 77, steps: &["CREATE TABLE a (x INTEGER);", "ALTER TABLE a ADD COLUMN y INTEGER;"] };
+
+    #[test]
+    fn schemas_go_forward_and_never_back() {
+        let home = tempfile::tempdir().expect("temporary directory");
+        let path = home.path().join("x.db");
+        let connection = open_writer(&path, &FIRST).expect("new");
+        connection.execute("INSERT INTO a VALUES (1)", []).expect("row");
+        drop(connection);
+        let connection = open_writer(&path, &SECOND).expect("migrated");
+        let row: (i64, Option<i64>) =
+            connection.query_row("SELECT x, y FROM a", [], |row| Ok((row.get(0)?, row.get(1)?))).expect("row");
+        assert_eq!(row, (1, None));
+        drop(connection);
+        assert!(matches!(open_writer(&path, &FIRST), Err(StoreError::Newer { found: 2, known: 1, .. })));
+        let foreign = Schema { application: 78, steps: FIRST.steps };
+        assert!(matches!(open_writer(&path, &foreign), Err(StoreError::Corrupt { .. })));
+    }
+
+    #[test]
+    fn garbage_is_no_database() {
+        let home = tempfile::tempdir().expect("temporary directory");
+        let path = home.path().join("x.db");
+        files::atomic_write(&path, &[7; 5000]).expect("written");
+        let error = open_writer(&path, &FIRST).expect_err("garbage");
+        assert_eq!(error.kind(), ErrorKind::Tampered);
+        assert!(error.to_string().contains("x.db"), "{error}");
+    }
+}

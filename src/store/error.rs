@@ -1,0 +1,224 @@
+//! Everything that can go wrong in this room, in words that say what to do next.
+
+use std::path::{Path, PathBuf};
+
+use crate::model::{Digest, ErrorKind, RecordState, clean};
+
+/// Why the ledger, the vault, the audit log or a file could not do what was asked.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum StoreError {
+    /// A directory or file of the home cannot be made, read or written.
+    #[error("{} cannot be used: {detail}; make it writable for this user, or choose another with --home", path.display())]
+    Home {
+        /// The directory or file.
+        path: PathBuf,
+        /// What the system said.
+        detail: String,
+    },
+    /// Others than the owner can read or write a private file.
+    #[error(
+        "{} has mode {mode:04o}, so others can reach it; run `chmod {advised:o} {}`", path.display(), path.display()
+    )]
+    Mode {
+        /// The file.
+        path: PathBuf,
+        /// Its permission bits.
+        mode: u32,
+        /// The bits that it should have.
+        advised: u32,
+    },
+    /// No space is left; nothing of what was asked was acknowledged.
+    #[error("the disk that holds {} is full; free some space, then the work goes on by itself", file.display())]
+    DiskFull {
+        /// The database file.
+        file: PathBuf,
+    },
+    /// A database file is damaged or is none at all.
+    #[error("{} is damaged ({detail}); keep a copy of it and restore the last back-up", file.display())]
+    Corrupt {
+        /// The database file.
+        file: PathBuf,
+        /// What the check found.
+        detail: String,
+    },
+    /// A database was written by a later version of this program.
+    #[error("{} has schema {found}, this program knows up to {known}; use a newer authros", file.display())]
+    Newer {
+        /// The database file.
+        file: PathBuf,
+        /// Schema version found.
+        found: i64,
+        /// Newest schema version known.
+        known: i64,
+    },
+    /// Any other failure of SQLite.
+    #[error("{} failed: {detail}; look at the disk and the system log, then start again", file.display())]
+    Database {
+        /// The database file.
+        file: PathBuf,
+        /// What SQLite said.
+        detail: String,
+    },
+    /// The ledger was closed while work was still handed to it.
+    #[error("the ledger is closed, so nothing more can be written; start the site again")]
+    Closed,
+    /// A number that the ledger cannot hold.
+    #[error("{field} {value} does not fit the ledger; numbers go up to 2^63 - 1")]
+    TooBig {
+        /// What the number is.
+        field: &'static str,
+        /// The number.
+        value: u64,
+    },
+    /// A record says something other than what the ledger already holds.
+    #[error("record {digest} contradicts the ledger: {detail}; keep a copy of the home and report this")]
+    Conflict {
+        /// The record.
+        digest: Digest,
+        /// What differs.
+        detail: String,
+    },
+    /// The life line has no such edge.
+    #[error("a record cannot go from {} to {} this way; this is a fault of the program", from.word(), to.word())]
+    IllegalEdge {
+        /// Where it stands.
+        from: RecordState,
+        /// Where it was to go.
+        to: RecordState,
+    },
+    /// A record to be submitted moved on (or never came) in the meantime.
+    #[error("record {digest} is {found} and not ready to be submitted; read the stored records again")]
+    NotReady {
+        /// The record.
+        digest: Digest,
+        /// The word of its state, or `unknown`.
+        found: &'static str,
+    },
+    /// A transaction that the ledger does not hold, or holds as closed.
+    #[error("transaction {hash} {detail}; read the open transactions again")]
+    Transaction {
+        /// Its hash, hex.
+        hash: String,
+        /// What is wrong.
+        detail: String,
+    },
+    /// A record id that is none.
+    #[error("'{0}' is not a record id; write 16 to 64 hex characters, as `authros uploads list` shows")]
+    Id(String),
+    /// A record id that several records share.
+    #[error("more than one record begins with {0}; write more characters of its digest")]
+    Ambiguous(String),
+    /// A page cursor that is none.
+    #[error("'{0}' is not a cursor; use the `next` of the page before")]
+    Cursor(String),
+    /// The vault's URL cannot be used.
+    #[error("vault.url {url} cannot be used: {detail}; write redis://HOST:PORT/DB or redis+unix:///PATH")]
+    VaultUrl {
+        /// The URL, secrets taken out.
+        url: String,
+        /// What is wrong.
+        detail: String,
+    },
+    /// Redis does not answer.
+    #[error("Redis at {url} does not answer: {detail}; start it or correct vault.url")]
+    Unreachable {
+        /// The URL, secrets taken out.
+        url: String,
+        /// What the connection said.
+        detail: String,
+    },
+    /// Redis would throw records away when its memory is full.
+    #[error(
+        "Redis at {url} has maxmemory-policy {policy} and would throw records away; \
+         run `CONFIG SET maxmemory-policy noeviction` and put it into redis.conf"
+    )]
+    Policy {
+        /// The URL, secrets taken out.
+        url: String,
+        /// The policy found.
+        policy: String,
+    },
+    /// Redis has no memory left. Nothing is lost: try again later.
+    #[error("Redis at {url} is out of memory; nothing is lost: raise its maxmemory, and the records follow")]
+    VaultFull {
+        /// The URL, secrets taken out.
+        url: String,
+    },
+    /// Redis answers, and says no.
+    #[error("Redis at {url} refused: {detail}; check its users, its configuration and its log")]
+    VaultRefused {
+        /// The URL, secrets taken out.
+        url: String,
+        /// What Redis said.
+        detail: String,
+    },
+}
+
+impl StoreError {
+    /// What sort of failure it is; the exit code follows from it.
+    pub fn kind(&self) -> ErrorKind {
+        match self {
+            Self::Home { .. } | Self::DiskFull { .. } => ErrorKind::Home,
+            Self::Mode { .. }
+            | Self::Newer { .. }
+            | Self::Id(_)
+            | Self::Ambiguous(_)
+            | Self::Cursor(_)
+            | Self::VaultUrl { .. } => ErrorKind::Input,
+            Self::Corrupt { .. } => ErrorKind::Tampered,
+            Self::Unreachable { .. } => ErrorKind::Unreachable,
+            Self::Policy { .. } | Self::VaultRefused { .. } => ErrorKind::Refused,
+            Self::VaultFull { .. } => ErrorKind::Incomplete,
+            Self::Database { .. }
+            | Self::Closed
+            | Self::TooBig { .. }
+            | Self::Conflict { .. }
+            | Self::IllegalEdge { .. }
+            | Self::NotReady { .. }
+            | Self::Transaction { .. } => ErrorKind::Internal,
+        }
+    }
+
+    /// Whether the same call can succeed later without anybody changing what was asked.
+    pub fn is_passing(&self) -> bool {
+        matches!(self, Self::DiskFull { .. } | Self::Unreachable { .. } | Self::VaultFull { .. })
+    }
+
+    /// A failure of the file system at `path`.
+    pub(super) fn home(path: &Path, error: &std::io::Error) -> Self {
+        if error.kind() == std::io::ErrorKind::StorageFull {
+            return Self::DiskFull { file: path.to_owned() };
+        }
+        Self::Home { path: path.to_owned(), detail: error.to_string() }
+    }
+
+    /// Names the database file in an error that came out of SQLite without one.
+    pub(super) fn in_file(mut self, path: &Path) -> Self {
+        match &mut self {
+            Self::DiskFull { file } | Self::Corrupt { file, .. } | Self::Database { file, .. }
+                if file.as_os_str().is_empty() =>
+            {
+                path.clone_into(file);
+            }
+            Self::Home { path: file, .. } if file.as_os_str().is_empty() => path.clone_into(file),
+            _ => {}
+        }
+        self
+    }
+}
+
+impl From<rusqlite::Error> for StoreError {
+    fn from(error: rusqlite::Error) -> Self {
+        use rusqlite::ErrorCode;
+        let detail = clean(&error.to_string(), 200);
+        let file = PathBuf::new();
+        match error.sqlite_error_code() {
+            Some(ErrorCode::DiskFull) => Self::DiskFull { file },
+            Some(ErrorCode::DatabaseCorrupt | ErrorCode::NotADatabase) => Self::Corrupt { file, detail },
+            Some(ErrorCode::CannotOpen | ErrorCode::ReadOnly | ErrorCode::PermissionDenied) => {
+                Self::Home { path: file, detail }
+            }
+            _ => Self::Database { file, detail },
+        }
+    }
+}

@@ -1,0 +1,201 @@
+//! Directories and files of a home: their modes, their locks, and writes that are all or nothing.
+//!
+//! Directories get mode 0700, files 0600. What is in the files is other rooms' business.
+
+use std::fs::{self, DirBuilder, File, OpenOptions, Permissions, TryLockError};
+use std::io::Write as _;
+use std::os::unix::fs::{DirBuilderExt as _, OpenOptionsExt as _, PermissionsExt as _};
+use std::path::Path;
+
+use super::StoreError;
+
+const PRIVATE_DIRECTORY: u32 = 0o700;
+const PRIVATE_FILE: u32 = 0o600;
+const OTHERS: u32 = 0o077;
+
+/// Makes a directory with all its parents (mode 0700) where it is missing, and tries a write in it.
+///
+/// One that exists keeps its mode; ask [`mode_advice`] about it.
+///
+/// # Errors
+/// [`StoreError::Home`] where it cannot be made or written, [`StoreError::DiskFull`].
+pub fn private_directory(path: &Path) -> Result<(), StoreError> {
+    DirBuilder::new()
+        .recursive(true)
+        .mode(PRIVATE_DIRECTORY)
+        .create(path)
+        .and_then(|()| tempfile::tempfile_in(path).map(drop))
+        .map_err(|error| StoreError::home(path, &error))
+}
+
+/// What to say about a file or directory that others can reach; `None` where all is well.
+///
+/// # Errors
+/// [`StoreError::Home`] where it cannot be looked at.
+pub fn mode_advice(path: &Path) -> Result<Option<String>, StoreError> {
+    let about = fs::metadata(path).map_err(|error| StoreError::home(path, &error))?;
+    let advised = if about.is_dir() { PRIVATE_DIRECTORY } else { PRIVATE_FILE };
+    Ok(too_open(path, about.permissions().mode(), advised).map(|error| error.to_string()))
+}
+
+/// Makes a file (mode 0600) where it is missing, and refuses one that others can reach.
+///
+/// # Errors
+/// [`StoreError::Home`] where it cannot be opened, [`StoreError::Mode`] with the `chmod` to run.
+pub fn open_private(path: &Path) -> Result<File, StoreError> {
+    let file = OpenOptions::new()
+        .read(true)
+        .write(true)
+        .create(true)
+        .truncate(false)
+        .mode(PRIVATE_FILE)
+        .open(path)
+        .map_err(|error| StoreError::home(path, &error))?;
+    check_mode(path, &file)?;
+    Ok(file)
+}
+
+/// Reads a private file (a keyring, a key, a passphrase) that must not be reachable by others.
+///
+/// # Errors
+/// [`StoreError::Home`] where it cannot be read, [`StoreError::Mode`] with the `chmod` to run.
+pub fn read_private(path: &Path) -> Result<File, StoreError> {
+    let file = File::open(path).map_err(|error| StoreError::home(path, &error))?;
+    check_mode(path, &file)?;
+    Ok(file)
+}
+
+fn check_mode(path: &Path, file: &File) -> Result<(), StoreError> {
+    let about = file.metadata().map_err(|error| StoreError::home(path, &error))?;
+    too_open(path, about.permissions().mode(), PRIVATE_FILE).map_or(Ok(()), Err)
+}
+
+fn too_open(path: &Path, mode: u32, advised: u32) -> Option<StoreError> {
+    (mode & OTHERS != 0).then(|| StoreError::Mode { path: path.to_owned(), mode: mode & 0o7777, advised })
+}
+
+/// Replaces a file (mode 0600) by `bytes`: after a crash it holds the old content or the new, never a mixture.
+///
+/// # Errors
+/// [`StoreError::Home`] or [`StoreError::DiskFull`]; the old content is then still there.
+pub fn atomic_write(path: &Path, bytes: &[u8]) -> Result<(), StoreError> {
+    let directory = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    replace(directory, path, bytes).map_err(|error| StoreError::home(path, &error))
+}
+
+fn replace(directory: &Path, path: &Path, bytes: &[u8]) -> std::io::Result<()> {
+    let permissions = Permissions::from_mode(PRIVATE_FILE);
+    let mut file = tempfile::Builder::new().prefix(".new-").permissions(permissions).tempfile_in(directory)?;
+    file.write_all(bytes)?;
+    file.as_file().sync_all()?;
+    file.persist(path).map_err(|error| error.error)?;
+    sync_directory(directory)
+}
+
+/// Makes the names in a directory durable.
+pub(super) fn sync_directory(directory: &Path) -> std::io::Result<()> {
+    File::open(directory)?.sync_all()
+}
+
+fn lock(path: &Path) -> Result<Option<File>, StoreError> {
+    let file = open_private(path)?;
+    match file.try_lock() {
+        Ok(()) => Ok(Some(file)),
+        Err(TryLockError::WouldBlock) => Ok(None),
+        Err(TryLockError::Error(error)) => Err(StoreError::home(path, &error)),
+    }
+}
+
+/// Held by the one process that is the site of a home; let go when dropped or when the process ends.
+#[derive(Debug)]
+pub struct SiteLock {
+    _file: File,
+}
+
+impl SiteLock {
+    /// Takes the lock file at `path`; `None` where another process (or another lock in this one) has it.
+    ///
+    /// # Errors
+    /// [`StoreError::Home`] where the file cannot be made or locked.
+    pub fn acquire(path: &Path) -> Result<Option<Self>, StoreError> {
+        Ok(lock(path)?.map(|file| Self { _file: file }))
+    }
+}
+
+/// Held by the one console of a profile; let go when dropped or when the process ends.
+#[derive(Debug)]
+pub struct ConsoleLock {
+    _file: File,
+}
+
+impl ConsoleLock {
+    /// Takes the lock file at `path`; `None` where another console of the profile has it.
+    ///
+    /// # Errors
+    /// [`StoreError::Home`] where the file cannot be made or locked.
+    pub fn acquire(path: &Path) -> Result<Option<Self>, StoreError> {
+        Ok(lock(path)?.map(|file| Self { _file: file }))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::ErrorKind;
+
+    fn mode(path: &Path) -> u32 {
+        fs::metadata(path).expect("exists").permissions().mode() & 0o7777
+    }
+
+    #[test]
+    fn new_directories_and_files_are_private() {
+        let home = tempfile::tempdir().expect("temporary directory");
+        let deep = home.path().join("a/b");
+        private_directory(&deep).expect("made");
+        assert_eq!(mode(&deep), 0o700);
+        let file = deep.join("keyring");
+        atomic_write(&file, b"one").expect("written");
+        atomic_write(&file, b"two").expect("replaced");
+        assert_eq!(fs::read(&file).expect("read"), b"two");
+        assert_eq!(mode(&file), 0o600);
+        assert_eq!(fs::read_dir(&deep).expect("list").count(), 1, "no temporary file is left behind");
+        assert_eq!(mode_advice(&file), Ok(None));
+    }
+
+    #[test]
+    fn a_file_that_others_can_read_is_refused_with_advice() {
+        let home = tempfile::tempdir().expect("temporary directory");
+        let file = home.path().join("key");
+        atomic_write(&file, b"secret").expect("written");
+        fs::set_permissions(&file, Permissions::from_mode(0o644)).expect("chmod");
+        let error = read_private(&file).expect_err("refused");
+        assert_eq!(error.kind(), ErrorKind::Input);
+        assert!(error.to_string().contains("0644") && error.to_string().contains("chmod 600"), "{error}");
+        assert!(open_private(&file).is_err());
+    }
+
+    #[test]
+    fn a_home_that_cannot_be_made_names_its_path() {
+        let home = tempfile::tempdir().expect("temporary directory");
+        let file = home.path().join("file");
+        atomic_write(&file, b"").expect("written");
+        let error = private_directory(&file.join("home")).expect_err("a file is in the way");
+        assert_eq!(error.kind(), ErrorKind::Home);
+        assert!(error.to_string().contains("file/home"), "{error}");
+        assert_eq!(atomic_write(&home.path().join("none/x"), b"").expect_err("no directory").kind(), ErrorKind::Home);
+        assert_eq!(private_directory(Path::new("/proc/none")).expect_err("read-only").kind(), ErrorKind::Home);
+    }
+
+    #[test]
+    fn a_lock_has_one_holder_at_a_time() {
+        let home = tempfile::tempdir().expect("temporary directory");
+        let path = home.path().join("site.lock");
+        let first = SiteLock::acquire(&path).expect("works").expect("free");
+        assert!(SiteLock::acquire(&path).expect("works").is_none());
+        drop(first);
+        assert!(SiteLock::acquire(&path).expect("works").is_some());
+        let console = home.path().join("console.lock");
+        let held = ConsoleLock::acquire(&console).expect("works");
+        assert!(held.is_some() && ConsoleLock::acquire(&console).expect("works").is_none());
+    }
+}

@@ -1,0 +1,147 @@
+//! The ledger: one SQLite file that says of every record what it is and where it stands.
+//!
+//! One thread writes and groups waiting work into one fsync ([`writer`]); readers have connections of
+//! their own. What is acknowledged is in here; workers are functions of these tables, so a restart is
+//! just running them again. Ciphertext for good lies in the vault, not here.
+
+mod append;
+mod counts;
+mod edges;
+mod query;
+mod rows;
+mod settings;
+mod sightings;
+#[cfg(test)]
+mod tests;
+mod transactions;
+mod writer;
+
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use rusqlite::{Connection, OptionalExtension as _, params};
+
+use super::StoreError;
+use super::database::{self, Schema};
+use crate::model::RecorderId;
+
+pub use counts::{LOST_IN_TRANSPORT, StateCounts, TopicCounts};
+pub use edges::is_legal;
+pub use query::{RecordPage, RecordQuery};
+pub use rows::{NewRecord, RecordRow};
+pub use sightings::{KeptEvent, Sighting};
+pub use transactions::{NewTransaction, TransactionOutcome, TransactionRow, TransactionState};
+pub(super) use writer::Session;
+
+const SCHEMA: Schema = Schema { application: 0x4155_4c31, steps: &[include_str!("ledger/schema_1.sql")] };
+const READERS_KEPT: usize = 4;
+
+/// The ledger of a home. Clones share one file, one writing thread and one pool of readers.
+#[derive(Clone)]
+pub struct Ledger {
+    shared: Arc<Shared>,
+}
+
+struct Shared {
+    path: PathBuf,
+    recorder: RecorderId,
+    writer: writer::Writer,
+    readers: Mutex<Vec<Connection>>,
+}
+
+impl Ledger {
+    /// Opens the ledger file, or makes it with a random recorder id. After an unclean end its contents
+    /// are checked first (`quick_check`: about a second per million records).
+    ///
+    /// # Errors
+    /// [`StoreError::Home`], [`StoreError::Mode`], [`StoreError::Corrupt`], [`StoreError::Newer`].
+    pub fn open(path: &Path) -> Result<Self, StoreError> {
+        let connection = database::open_writer(path, &SCHEMA)?;
+        let recorder = begin(&connection, path).map_err(|error| error.in_file(path))?;
+        let writer = writer::Writer::start(connection, path)?;
+        let readers = Mutex::default();
+        Ok(Self { shared: Arc::new(Shared { path: path.to_owned(), recorder, writer, readers }) })
+    }
+
+    /// The random id made with this file; records carry it beside their sequence number.
+    pub fn recorder(&self) -> RecorderId {
+        self.shared.recorder
+    }
+
+    /// The file's path.
+    pub fn path(&self) -> &Path {
+        &self.shared.path
+    }
+
+    /// Ends the writing thread after all waiting work, and marks the file as cleanly closed.
+    /// Writes through other clones fail with [`StoreError::Closed`] from then on.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] or [`StoreError::Database`]; the next open then checks the contents.
+    pub fn close(self) -> Result<(), StoreError> {
+        self.shared.writer.close()
+    }
+
+    /// Does `work` on the writing thread, in one transaction with whatever else waits; returns after fsync.
+    pub(super) fn write<T: Send + 'static>(
+        &self,
+        work: impl FnOnce(&mut Session<'_>) -> Result<T, StoreError> + Send + 'static,
+    ) -> Result<T, StoreError> {
+        self.shared.writer.write(work).map_err(|error| error.in_file(&self.shared.path))
+    }
+
+    /// Does `work` on one snapshot of the ledger.
+    pub(super) fn read<T>(&self, work: impl FnOnce(&Connection) -> Result<T, StoreError>) -> Result<T, StoreError> {
+        let connection = self.reader()?;
+        let result = connection
+            .unchecked_transaction()
+            .map_err(StoreError::from)
+            .and_then(|snapshot| work(&snapshot))
+            .map_err(|error| error.in_file(&self.shared.path));
+        let mut readers = self.shared.readers.lock().unwrap_or_else(PoisonError::into_inner);
+        if readers.len() < READERS_KEPT {
+            readers.push(connection);
+        }
+        result
+    }
+
+    fn reader(&self) -> Result<Connection, StoreError> {
+        let kept = self.shared.readers.lock().unwrap_or_else(PoisonError::into_inner).pop();
+        kept.map_or_else(|| database::open_reader(&self.shared.path), Ok)
+    }
+}
+
+impl std::fmt::Debug for Ledger {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter.debug_struct("Ledger").field("path", &self.shared.path).finish_non_exhaustive()
+    }
+}
+
+fn begin(connection: &Connection, path: &Path) -> Result<RecorderId, StoreError> {
+    let about = connection
+        .query_row("SELECT id, clean FROM about JOIN recorders ON recorders.key = about.recorder", [], |row| {
+            Ok((RecorderId(row.get(0)?), row.get::<_, bool>(1)?))
+        })
+        .optional()?;
+    match about {
+        Some((recorder, clean)) => {
+            if !clean {
+                database::quick_check(connection, path)?;
+            }
+            connection.execute("UPDATE about SET clean = 0", [])?;
+            Ok(recorder)
+        }
+        None => name_recorder(connection, path),
+    }
+}
+
+fn name_recorder(connection: &Connection, path: &Path) -> Result<RecorderId, StoreError> {
+    let mut id = [0; RecorderId::LENGTH];
+    getrandom::fill(&mut id)
+        .map_err(|error| StoreError::Database { file: path.to_owned(), detail: error.to_string() })?;
+    let transaction = connection.unchecked_transaction()?;
+    transaction.execute("INSERT INTO recorders (id) VALUES (?1)", params![id])?;
+    transaction.execute("INSERT INTO about VALUES (1, last_insert_rowid(), 0)", [])?;
+    transaction.commit()?;
+    Ok(RecorderId(id))
+}

@@ -1,0 +1,212 @@
+//! How many records stand where: read off counters that move in the same transaction as the records.
+
+use std::collections::{BTreeMap, HashMap};
+
+use rusqlite::{Connection, params};
+use serde::{Deserialize, Serialize};
+
+use super::rows::{self, Stream};
+use super::{Ledger, database::whole};
+use crate::model::{Address, RecordKind, RecordState, TopicId};
+use crate::store::StoreError;
+
+/// The reason of [`Ledger::count_drop`] for messages that never reached this program (holes in
+/// `header.seq`). They were not captured, so they are counted apart from what was dropped.
+pub const LOST_IN_TRANSPORT: &str = "transport";
+
+/// How the records of one topic stand. `captured = verified + pending + quarantined + dropped + tampered`.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TopicCounts {
+    /// Whose topic it is.
+    pub owner: Address,
+    /// Its name.
+    pub topic: String,
+    /// Its pseudonym; nothing where all was dropped.
+    pub topic_id: Option<TopicId>,
+    /// The message type last seen; empty where all was dropped.
+    #[serde(rename = "type")]
+    pub type_name: String,
+    /// Messages taken in, the dropped ones included.
+    pub captured: u64,
+    /// Verified records.
+    pub verified: u64,
+    /// Records on their way to verified.
+    pub pending: u64,
+    /// Records held back.
+    pub quarantined: u64,
+    /// Records whose stored bytes are wrong.
+    pub tampered: u64,
+    /// Messages that were captured and never acknowledged.
+    pub dropped: u64,
+    /// Messages that never arrived ([`LOST_IN_TRANSPORT`]); no part of `captured`.
+    pub missed: u64,
+    /// Plaintext bytes of all acknowledged data records.
+    pub bytes: u64,
+}
+
+/// How the records of an owner, or of all, stand.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct StateCounts {
+    /// Data records per state; `dropped` holds the messages counted by [`Ledger::count_drop`].
+    pub data: BTreeMap<RecordState, u64>,
+    /// Records of all other kinds, per state.
+    pub others: BTreeMap<RecordState, u64>,
+    /// Data records per topic, in the order of (topic, owner).
+    pub topics: Vec<TopicCounts>,
+}
+
+impl StateCounts {
+    /// Data records in a state.
+    pub fn data_in(&self, state: RecordState) -> u64 {
+        self.data.get(&state).copied().unwrap_or(0)
+    }
+
+    /// Messages taken in, the dropped ones included.
+    pub fn captured(&self) -> u64 {
+        self.data.values().sum()
+    }
+
+    /// Data records on their way to verified.
+    pub fn pending(&self) -> u64 {
+        self.data.iter().filter(|(state, _)| state.is_pending()).map(|(_, count)| count).sum()
+    }
+
+    /// Records of any kind on their way to verified.
+    pub fn pending_of_any_kind(&self) -> u64 {
+        self.pending() + self.others.iter().filter(|(state, _)| state.is_pending()).map(|(_, n)| n).sum::<u64>()
+    }
+}
+
+impl Ledger {
+    /// Counts per state and topic; costs the same whatever the number of records.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn counts(&self, owner: Option<Address>) -> Result<StateCounts, StoreError> {
+        self.read(|connection| {
+            let streams = rows::streams(connection)?.into_iter().map(|stream| (stream.key, stream)).collect();
+            let mut tally = Tally::default();
+            tally.add_records(connection, owner, &streams)?;
+            tally.add_drops(connection, owner)?;
+            Ok(tally.finish())
+        })
+    }
+
+    /// Counts messages that were never acknowledged, durably, by topic and reason
+    /// ([`LOST_IN_TRANSPORT`] or one of the recorder's own).
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like: then they are not counted yet.
+    pub fn count_drop(&self, owner: Address, topic: &str, reason: &str, count: u64) -> Result<(), StoreError> {
+        let (topic, reason, count) = (topic.to_owned(), reason.to_owned(), whole("count", count)?);
+        self.write(move |session| {
+            session
+                .connection
+                .prepare_cached(
+                    "INSERT INTO drops VALUES (?1, ?2, ?3, ?4)
+                     ON CONFLICT DO UPDATE SET count = count + excluded.count",
+                )?
+                .execute(params![owner.0, topic, reason, count])?;
+            Ok(())
+        })
+    }
+
+    /// The counts of [`Ledger::count_drop`]: topic, reason, count.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn drops(&self, owner: Address) -> Result<Vec<(String, String, u64)>, StoreError> {
+        self.read(|connection| {
+            let mut statement = connection.prepare_cached("SELECT topic, reason, count FROM drops WHERE owner = ?1")?;
+            let rows = statement.query_map([owner.0], |row| Ok((row.get(0)?, row.get(1)?, rows::unsigned(row, 2)?)))?;
+            Ok(rows.collect::<Result<_, _>>()?)
+        })
+    }
+}
+
+#[derive(Default)]
+struct Tally {
+    counts: StateCounts,
+    topics: BTreeMap<(String, Address), TopicCounts>,
+}
+
+impl Tally {
+    fn add_records(
+        &mut self,
+        connection: &Connection,
+        owner: Option<Address>,
+        streams: &HashMap<i64, Stream>,
+    ) -> Result<(), StoreError> {
+        let mut statement =
+            connection.prepare_cached("SELECT stream, state, records, bytes FROM counters ORDER BY stream")?;
+        let mut rows = statement.query([])?;
+        while let Some(row) = rows.next()? {
+            let stream = streams.get(&row.get(0)?).ok_or_else(|| rows::out_of_range(0))?;
+            let (state, records, bytes) = (rows::state(row, 1)?, rows::unsigned(row, 2)?, rows::unsigned(row, 3)?);
+            if records > 0 && owner.is_none_or(|owner| owner == stream.owner) {
+                self.add(stream, state, records, bytes);
+            }
+        }
+        Ok(())
+    }
+
+    fn add(&mut self, stream: &Stream, state: RecordState, records: u64, bytes: u64) {
+        if stream.kind != RecordKind::Data {
+            *self.counts.others.entry(state).or_default() += records;
+            return;
+        }
+        *self.counts.data.entry(state).or_default() += records;
+        let topic = self.topic(stream.owner, &stream.topic);
+        topic.topic_id = Some(stream.topic_id);
+        topic.type_name.clone_from(&stream.type_name);
+        topic.captured += records;
+        topic.bytes += bytes;
+        *match state {
+            RecordState::Verified => &mut topic.verified,
+            RecordState::Quarantined => &mut topic.quarantined,
+            RecordState::Tampered => &mut topic.tampered,
+            RecordState::Dropped => &mut topic.dropped,
+            _ => &mut topic.pending,
+        } += records;
+    }
+
+    fn add_drops(&mut self, connection: &Connection, owner: Option<Address>) -> Result<(), StoreError> {
+        let mut statement = connection
+            .prepare_cached("SELECT owner, topic, reason, count FROM drops WHERE ?1 IS NULL OR owner = ?1")?;
+        let mut rows = statement.query([owner.map(|owner| owner.0)])?;
+        while let Some(row) = rows.next()? {
+            let (topic, reason, count) = (row.get::<_, String>(1)?, row.get::<_, String>(2)?, rows::unsigned(row, 3)?);
+            let topic = self.topic(Address(row.get(0)?), &topic);
+            if reason == LOST_IN_TRANSPORT {
+                topic.missed += count;
+            } else {
+                topic.dropped += count;
+                topic.captured += count;
+                *self.counts.data.entry(RecordState::Dropped).or_default() += count;
+            }
+        }
+        Ok(())
+    }
+
+    fn topic(&mut self, owner: Address, topic: &str) -> &mut TopicCounts {
+        self.topics.entry((topic.to_owned(), owner)).or_insert_with(|| TopicCounts {
+            owner,
+            topic: topic.to_owned(),
+            topic_id: None,
+            type_name: String::new(),
+            captured: 0,
+            verified: 0,
+            pending: 0,
+            quarantined: 0,
+            tampered: 0,
+            dropped: 0,
+            missed: 0,
+            bytes: 0,
+        })
+    }
+
+    fn finish(mut self) -> StateCounts {
+        self.counts.topics = self.topics.into_values().collect();
+        self.counts
+    }
+}

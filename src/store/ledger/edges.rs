@@ -1,0 +1,91 @@
+//! The legal edges of a record's life line, and which part of the program may take each.
+
+use crate::model::RecordState::{
+    self, Batched, Confirmed, Mined, Quarantined, Sealed, Stored, Submitted, Tampered, Verified,
+};
+
+/// What takes an edge.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum By {
+    /// A worker, with `advance`.
+    Worker,
+    /// The sender signs a transaction.
+    Submit,
+    /// The sender's transaction failed or was replaced.
+    Close,
+    /// The watcher saw the anchor in a block.
+    Sight,
+    /// The block is deep enough.
+    Confirm,
+    /// The block is gone.
+    Reorg,
+}
+
+const EDGES: [(RecordState, RecordState, By); 32] = [
+    (Sealed, Stored, By::Worker),
+    (Sealed, Quarantined, By::Worker),
+    (Stored, Quarantined, By::Worker),
+    (Stored, Batched, By::Worker),
+    (Batched, Stored, By::Worker),
+    (Confirmed, Verified, By::Worker),
+    (Sealed, Tampered, By::Worker),
+    (Stored, Tampered, By::Worker),
+    (Batched, Tampered, By::Worker),
+    (Submitted, Tampered, By::Worker),
+    (Mined, Tampered, By::Worker),
+    (Confirmed, Tampered, By::Worker),
+    (Verified, Tampered, By::Worker),
+    (Quarantined, Tampered, By::Worker),
+    (Tampered, Stored, By::Worker),
+    (Tampered, Submitted, By::Worker),
+    (Tampered, Mined, By::Worker),
+    (Tampered, Confirmed, By::Worker),
+    (Stored, Submitted, By::Submit),
+    (Batched, Submitted, By::Submit),
+    (Submitted, Stored, By::Close),
+    (Sealed, Mined, By::Sight),
+    (Stored, Mined, By::Sight),
+    (Batched, Mined, By::Sight),
+    (Submitted, Mined, By::Sight),
+    (Mined, Confirmed, By::Confirm),
+    (Mined, Submitted, By::Reorg),
+    (Mined, Stored, By::Reorg),
+    (Confirmed, Submitted, By::Reorg),
+    (Confirmed, Stored, By::Reorg),
+    (Verified, Submitted, By::Reorg),
+    (Verified, Stored, By::Reorg),
+];
+
+/// Whether a record may ever go from one state to another in one step.
+pub fn is_legal(from: RecordState, to: RecordState) -> bool {
+    EDGES.iter().any(|edge| (edge.0, edge.1) == (from, to))
+}
+
+/// Whether `by` may take this edge.
+pub(super) fn may(by: By, from: RecordState, to: RecordState) -> bool {
+    EDGES.contains(&(from, to, by))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn edges_are_distinct_and_leave_no_state_stuck() {
+        for (index, edge) in EDGES.iter().enumerate() {
+            assert!(!EDGES[..index].iter().any(|other| (other.0, other.1) == (edge.0, edge.1)), "{edge:?}");
+            assert_ne!(edge.0, edge.1);
+        }
+        for state in [Sealed, Stored, Batched, Submitted, Mined, Confirmed] {
+            assert!(EDGES.iter().any(|edge| edge.0 == state && edge.1 > state && edge.1 <= Verified), "{state:?}");
+        }
+    }
+
+    #[test]
+    fn nobody_verifies_by_leaping() {
+        for state in RecordState::ALL {
+            assert_eq!(is_legal(state, Verified), state == Confirmed);
+        }
+        assert!(!may(By::Worker, Stored, Submitted) && !may(By::Worker, Submitted, Mined));
+    }
+}

@@ -1,0 +1,314 @@
+//! Finding records: by digest, by id, and page by page in the order of capture.
+//!
+//! A page costs the same whatever the size of the ledger: the query picks streams (owner, topic, type,
+//! kind), each stream is read in order off an index, and the streams are merged.
+
+use std::cmp::Reverse;
+use std::collections::{BinaryHeap, HashMap, VecDeque};
+
+use rusqlite::{CachedStatement, Connection, OptionalExtension as _, params};
+use serde::{Deserialize, Serialize};
+
+use super::rows::{self, ID_LENGTH, RecordRow, Stream};
+use super::{Ledger, database::whole};
+use crate::model::{Address, Digest, RecordKind, RecordState, Timestamp, TopicId, clean};
+use crate::store::StoreError;
+
+const LARGEST_PAGE: usize = 10_000;
+
+/// What records to list. Everything that is set must hold.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct RecordQuery {
+    /// Of this owner.
+    pub owner: Option<Address>,
+    /// Of any of these owners.
+    pub owners: Option<Vec<Address>>,
+    /// Of the topic with this name.
+    pub topic: Option<String>,
+    /// Of any of these topics.
+    pub topic_ids: Option<Vec<TopicId>>,
+    /// Of this kind.
+    pub kind: Option<RecordKind>,
+    /// In this state.
+    pub state: Option<RecordState>,
+    /// Captured then or later.
+    pub since: Option<Timestamp>,
+    /// Captured before then.
+    pub until: Option<Timestamp>,
+    /// Behind the page that gave this cursor as its `next`.
+    pub after: Option<String>,
+    /// The most records on a page, 1 to 10,000; 100 unless set.
+    pub limit: usize,
+    /// Newest first; oldest first unless set.
+    pub newest_first: bool,
+}
+
+impl Default for RecordQuery {
+    fn default() -> Self {
+        Self {
+            owner: None,
+            owners: None,
+            topic: None,
+            topic_ids: None,
+            kind: None,
+            state: None,
+            since: None,
+            until: None,
+            after: None,
+            limit: 100,
+            newest_first: false,
+        }
+    }
+}
+
+impl RecordQuery {
+    fn wants(&self, stream: &Stream) -> bool {
+        self.owner.is_none_or(|owner| owner == stream.owner)
+            && self.owners.as_ref().is_none_or(|owners| owners.contains(&stream.owner))
+            && self.topic.as_ref().is_none_or(|topic| *topic == stream.topic)
+            && self.topic_ids.as_ref().is_none_or(|ids| ids.contains(&stream.topic_id))
+            && self.kind.is_none_or(|kind| kind == stream.kind)
+    }
+}
+
+/// One page of records, in the order of capture.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct RecordPage {
+    /// The records.
+    pub rows: Vec<RecordRow>,
+    /// Where the next page begins; nothing where this is the last.
+    pub next: Option<String>,
+}
+
+impl Ledger {
+    /// A page of records, ordered by capture time (and order of acknowledgement within one time).
+    ///
+    /// # Errors
+    /// [`StoreError::Cursor`] where `after` is no cursor, [`StoreError::Database`] and its kin.
+    pub fn list(&self, query: &RecordQuery) -> Result<RecordPage, StoreError> {
+        let limit = query.limit.clamp(1, LARGEST_PAGE);
+        let range = Range::of(query)?;
+        self.read(|connection| {
+            let streams = rows::streams(connection)?;
+            let wanted: Vec<i64> = streams.iter().filter(|stream| query.wants(stream)).map(|s| s.key).collect();
+            let mut keys = Merge::new(connection, &wanted, query.state, range, limit + 1)?.take(limit + 1)?;
+            let more = keys.len() > limit;
+            keys.truncate(limit);
+            let next = keys.last().filter(|_| more).map(|key| key.cursor());
+            Ok(RecordPage { rows: fetch(connection, &keys, streams)?, next })
+        })
+    }
+
+    /// The oldest records (by capture) in a state, of one owner or of all.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn in_state(
+        &self,
+        owner: Option<Address>,
+        state: RecordState,
+        limit: usize,
+    ) -> Result<Vec<RecordRow>, StoreError> {
+        let query = RecordQuery { owner, state: Some(state), limit, ..RecordQuery::default() };
+        Ok(self.list(&query)?.rows)
+    }
+
+    /// The record with this digest.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn record(&self, digest: Digest) -> Result<Option<RecordRow>, StoreError> {
+        self.read(|connection| {
+            let by_key = keyed(rows::streams(connection)?);
+            let sql = format!("SELECT {} FROM records WHERE digest = ?1", rows::COLUMNS);
+            let row = connection
+                .prepare_cached(&sql)?
+                .query_row(params![digest.0], |row| rows::record(row, &by_key))
+                .optional()?;
+            Ok(row)
+        })
+    }
+
+    /// The record whose digest begins with `id` (16 to 64 hex characters).
+    ///
+    /// # Errors
+    /// [`StoreError::Id`] where `id` is none, [`StoreError::Ambiguous`] where several records match.
+    pub fn record_by_id(&self, id: &str) -> Result<Option<RecordRow>, StoreError> {
+        let (low, high) = bounds(id).ok_or_else(|| StoreError::Id(clean(id, 70)))?;
+        self.read(|connection| {
+            let by_key = keyed(rows::streams(connection)?);
+            let sql = format!("SELECT {} FROM records WHERE digest BETWEEN ?1 AND ?2 LIMIT 2", rows::COLUMNS);
+            let mut found = connection
+                .prepare_cached(&sql)?
+                .query_map(params![low.0, high.0], |row| rows::record(row, &by_key))?
+                .collect::<Result<Vec<_>, _>>()?;
+            if found.len() > 1 { Err(StoreError::Ambiguous(id.to_owned())) } else { Ok(found.pop()) }
+        })
+    }
+}
+
+/// The lowest and highest digest that begin with `id`.
+fn bounds(id: &str) -> Option<(Digest, Digest)> {
+    let whole = Digest::LENGTH * 2;
+    let valid = (ID_LENGTH..=whole).contains(&id.len()) && id.bytes().all(|b| b.is_ascii_hexdigit());
+    let fill = |digit: &str| format!("{id}{}", digit.repeat(whole - id.len())).parse().ok();
+    if valid { fill("0").zip(fill("f")) } else { None }
+}
+
+fn keyed(streams: Vec<Stream>) -> HashMap<i64, Stream> {
+    streams.into_iter().map(|stream| (stream.key, stream)).collect()
+}
+
+fn fetch(connection: &Connection, keys: &[Key], streams: Vec<Stream>) -> Result<Vec<RecordRow>, StoreError> {
+    let by_key = keyed(streams);
+    let sql = format!("SELECT {} FROM records WHERE n = ?1", rows::COLUMNS);
+    let mut statement = connection.prepare_cached(&sql)?;
+    keys.iter().map(|key| Ok(statement.query_row([key.n], |row| rows::record(row, &by_key))?)).collect()
+}
+
+/// Where a record stands in the order of capture.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+struct Key {
+    captured_at: i64,
+    n: i64,
+}
+
+impl Key {
+    fn cursor(self) -> String {
+        format!("{:016x}{:016x}", self.captured_at, self.n)
+    }
+
+    fn parse(cursor: &str) -> Option<Self> {
+        let valid = cursor.len() == 32 && cursor.bytes().all(|b| b.is_ascii_hexdigit());
+        let (time, n) = cursor.split_at_checked(16).filter(|_| valid)?;
+        Some(Self { captured_at: i64::from_str_radix(time, 16).ok()?, n: i64::from_str_radix(n, 16).ok()? })
+    }
+}
+
+/// Keys strictly between two, read in one direction.
+#[derive(Debug, Clone, Copy)]
+struct Range {
+    low: Key,
+    high: Key,
+    newest_first: bool,
+}
+
+impl Range {
+    fn of(query: &RecordQuery) -> Result<Self, StoreError> {
+        let end = Key { captured_at: i64::MAX, n: i64::MAX };
+        let at = |time: Timestamp| Ok::<_, StoreError>(Key { captured_at: whole("time", time.0)?, n: 0 });
+        let low = query.since.map_or(Ok(Key { captured_at: 0, n: 0 }), at)?;
+        let high = query.until.map_or(Ok(end), at)?;
+        let range = Self { low, high, newest_first: query.newest_first };
+        let Some(cursor) = &query.after else { return Ok(range) };
+        let key = Key::parse(cursor).ok_or_else(|| StoreError::Cursor(clean(cursor, 40)))?;
+        Ok(range.behind(key))
+    }
+
+    fn behind(self, key: Key) -> Self {
+        if self.newest_first {
+            Self { high: self.high.min(key), ..self }
+        } else {
+            Self { low: self.low.max(key), ..self }
+        }
+    }
+
+    fn sql(self, state: bool) -> String {
+        let (order, state) =
+            (if self.newest_first { "DESC" } else { "ASC" }, if state { "state = ?7 AND" } else { "" });
+        format!(
+            "SELECT captured_at, n FROM records WHERE {state} stream = ?1
+             AND (captured_at, n) > (?2, ?3) AND (captured_at, n) < (?4, ?5)
+             ORDER BY captured_at {order}, n {order} LIMIT ?6"
+        )
+    }
+}
+
+/// One stream's keys, some of them read ahead.
+struct Lane {
+    stream: i64,
+    ahead: VecDeque<Key>,
+    range: Range,
+    exhausted: bool,
+}
+
+/// Merges the streams of a query into one order.
+struct Merge<'a> {
+    statement: CachedStatement<'a>,
+    state: Option<u8>,
+    lanes: Vec<Lane>,
+    heap: BinaryHeap<(Reverse<Key>, usize)>,
+    chunk: usize,
+}
+
+impl<'a> Merge<'a> {
+    fn new(
+        connection: &'a Connection,
+        streams: &[i64],
+        state: Option<RecordState>,
+        range: Range,
+        wanted: usize,
+    ) -> Result<Self, StoreError> {
+        let statement = connection.prepare_cached(&range.sql(state.is_some()))?;
+        let chunk = (wanted * 2).div_ceil(streams.len().max(1)).clamp(4, wanted.max(4));
+        let lane = |stream: &i64| Lane { stream: *stream, ahead: VecDeque::new(), range, exhausted: false };
+        let lanes = streams.iter().map(lane).collect();
+        let state = state.map(RecordState::code);
+        let mut merge = Self { statement, state, lanes, heap: BinaryHeap::new(), chunk };
+        for index in 0..streams.len() {
+            merge.offer(index)?;
+        }
+        Ok(merge)
+    }
+
+    fn take(mut self, wanted: usize) -> Result<Vec<Key>, StoreError> {
+        let mut keys = Vec::with_capacity(wanted);
+        while keys.len() < wanted {
+            let Some((Reverse(rank), index)) = self.heap.pop() else { break };
+            keys.push(if self.is_reversed() { flip(rank) } else { rank });
+            self.offer(index)?;
+        }
+        Ok(keys)
+    }
+
+    fn is_reversed(&self) -> bool {
+        self.lanes.first().is_some_and(|lane| lane.range.newest_first)
+    }
+
+    /// Puts a lane's next key into the heap, reading on where nothing is read ahead.
+    fn offer(&mut self, index: usize) -> Result<(), StoreError> {
+        let Some(lane) = self.lanes.get_mut(index) else { return Ok(()) };
+        if lane.ahead.is_empty() && !lane.exhausted {
+            lane.read(&mut self.statement, self.state, self.chunk)?;
+        }
+        if let Some(key) = lane.ahead.pop_front() {
+            let rank = if lane.range.newest_first { flip(key) } else { key };
+            self.heap.push((Reverse(rank), index));
+        }
+        Ok(())
+    }
+}
+
+impl Lane {
+    fn read(&mut self, statement: &mut CachedStatement<'_>, state: Option<u8>, chunk: usize) -> Result<(), StoreError> {
+        let Range { low, high, .. } = self.range;
+        let limit = i64::try_from(chunk).unwrap_or(i64::MAX);
+        let bounds = [self.stream, low.captured_at, low.n, high.captured_at, high.n, limit].map(Some);
+        let values = bounds.into_iter().chain([state.map(i64::from)].into_iter().filter(Option::is_some));
+        let keys = statement.query_map(rusqlite::params_from_iter(values), |row| {
+            Ok(Key { captured_at: row.get(0)?, n: row.get(1)? })
+        })?;
+        self.ahead = keys.collect::<Result<_, _>>()?;
+        self.exhausted = self.ahead.len() < chunk;
+        if let Some(last) = self.ahead.back() {
+            self.range = self.range.behind(*last);
+        }
+        Ok(())
+    }
+}
+
+/// Turns the order around; its own inverse.
+fn flip(key: Key) -> Key {
+    Key { captured_at: !key.captured_at, n: !key.n }
+}

@@ -1,0 +1,176 @@
+//! What goes into the ledger and what comes out of it, one record at a time.
+
+use std::collections::HashMap;
+
+use rusqlite::{Connection, Row};
+use serde::{Deserialize, Serialize};
+
+use crate::model::{
+    Address, Digest, Hash, RecordKind, RecordState, RecorderId, Signature, SignerId, Timestamp, TopicId,
+};
+use crate::store::StoreError;
+
+/// Characters of a record id: the first 16 hex characters of its digest.
+pub(super) const ID_LENGTH: usize = 16;
+
+/// A sealed record to be acknowledged.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct NewRecord {
+    /// SM3 of the stored bytes.
+    pub digest: Digest,
+    /// Whose it is.
+    pub owner: Address,
+    /// Pseudonym of its topic.
+    pub topic_id: TopicId,
+    /// Number within (this ledger's recorder, topic), from 1.
+    pub seq: u64,
+    /// The epoch that it is sealed under.
+    pub epoch: u64,
+    /// What it is.
+    pub kind: RecordKind,
+    /// Who signed it.
+    pub signer: SignerId,
+    /// The raw signature, r || s.
+    pub signature: Signature,
+    /// Topic name, in clear: the ledger never leaves the machine.
+    pub topic: String,
+    /// Message type, `package/Type`.
+    pub type_name: String,
+    /// Length of the plaintext, bytes.
+    pub bytes: u64,
+    /// When it was captured.
+    pub captured_at: Timestamp,
+    /// Whether a simulated robot sent it.
+    pub simulated: bool,
+    /// [`RecordState::Sealed`], [`RecordState::Stored`] or [`RecordState::Quarantined`].
+    pub state: RecordState,
+    /// The stored bytes, where the vault does not hold them durably yet.
+    pub local_copy: Option<Vec<u8>>,
+}
+
+/// A record as the ledger knows it.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RecordRow {
+    /// Short name: the first 16 hex characters of the digest.
+    pub id: String,
+    /// SM3 of the stored bytes.
+    pub digest: Digest,
+    /// Whose it is.
+    pub owner: Address,
+    /// The ledger file's life that `seq` counts in.
+    pub recorder: RecorderId,
+    /// Pseudonym of its topic.
+    pub topic_id: TopicId,
+    /// Number within (recorder, topic), from 1.
+    pub seq: u64,
+    /// The epoch that it is sealed under.
+    pub epoch: u64,
+    /// What it is.
+    pub kind: RecordKind,
+    /// Who signed it.
+    pub signer: SignerId,
+    /// The raw signature, r || s.
+    pub signature: Signature,
+    /// Topic name.
+    pub topic: String,
+    /// Message type, `package/Type`.
+    #[serde(rename = "type")]
+    pub type_name: String,
+    /// Length of the plaintext, bytes.
+    pub bytes: u64,
+    /// When it was captured.
+    pub captured_at: Timestamp,
+    /// When it was fsynced here.
+    pub acknowledged_at: Timestamp,
+    /// Whether a simulated robot sent it.
+    pub simulated: bool,
+    /// Where it stands.
+    pub state: RecordState,
+    /// The transaction that anchors it: sent, or seen in a block.
+    pub transaction: Option<Hash>,
+    /// The block that it was seen in.
+    pub block: Option<u64>,
+    /// That block's hash.
+    pub block_hash: Option<Hash>,
+}
+
+/// What all records of one stream share: owner, topic, kind, type, signer.
+#[derive(Debug, Clone)]
+pub(super) struct Stream {
+    pub key: i64,
+    pub owner: Address,
+    pub recorder: RecorderId,
+    pub topic_id: TopicId,
+    pub topic: String,
+    pub kind: RecordKind,
+    pub type_name: String,
+    pub signer: SignerId,
+}
+
+const STREAMS: &str = "SELECT s.key, t.owner, r.id, t.topic_id, t.name, s.kind, s.type_name, s.signer
+    FROM streams s JOIN topics t ON t.key = s.topic JOIN recorders r ON r.key = t.recorder";
+
+/// All streams; there are as many as topics, types and signers, not as records.
+pub(super) fn streams(connection: &Connection) -> Result<Vec<Stream>, StoreError> {
+    let mut statement = connection.prepare_cached(STREAMS)?;
+    let rows = statement.query_map([], |row| {
+        Ok(Stream {
+            key: row.get(0)?,
+            owner: Address(row.get(1)?),
+            recorder: RecorderId(row.get(2)?),
+            topic_id: TopicId(row.get(3)?),
+            topic: row.get(4)?,
+            kind: RecordKind::from_code(row.get(5)?).ok_or_else(|| out_of_range(5))?,
+            type_name: row.get(6)?,
+            signer: SignerId(row.get(7)?),
+        })
+    })?;
+    Ok(rows.collect::<Result<_, _>>()?)
+}
+
+/// Columns of [`record`], in order.
+pub(super) const COLUMNS: &str = "stream, digest, seq, epoch, signature, bytes, captured_at, acknowledged_at,
+    simulated, state, tx, block, block_hash";
+
+/// The record of a row with [`COLUMNS`].
+pub(super) fn record(row: &Row<'_>, streams: &HashMap<i64, Stream>) -> rusqlite::Result<RecordRow> {
+    let stream = streams.get(&row.get(0)?).ok_or_else(|| out_of_range(0))?;
+    let digest = Digest(row.get(1)?);
+    Ok(RecordRow {
+        id: digest.to_hex().chars().take(ID_LENGTH).collect(),
+        digest,
+        owner: stream.owner,
+        recorder: stream.recorder,
+        topic_id: stream.topic_id,
+        seq: unsigned(row, 2)?,
+        epoch: unsigned(row, 3)?,
+        kind: stream.kind,
+        signer: stream.signer,
+        signature: Signature(row.get(4)?),
+        topic: stream.topic.clone(),
+        type_name: stream.type_name.clone(),
+        bytes: unsigned(row, 5)?,
+        captured_at: Timestamp(unsigned(row, 6)?),
+        acknowledged_at: Timestamp(unsigned(row, 7)?),
+        simulated: row.get(8)?,
+        state: state(row, 9)?,
+        transaction: row.get::<_, Option<_>>(10)?.map(Hash),
+        block: row.get::<_, Option<i64>>(11)?.map(i64::cast_unsigned),
+        block_hash: row.get::<_, Option<_>>(12)?.map(Hash),
+    })
+}
+
+/// A column that holds a number from 0 to 2^63 - 1.
+pub(super) fn unsigned(row: &Row<'_>, column: usize) -> rusqlite::Result<u64> {
+    row.get(column).map(i64::cast_unsigned)
+}
+
+/// A column that holds a state's code.
+pub(super) fn state(row: &Row<'_>, column: usize) -> rusqlite::Result<RecordState> {
+    RecordState::from_code(row.get(column)?).ok_or_else(|| out_of_range(column))
+}
+
+/// The error for a code that no version of this program wrote.
+pub(super) fn out_of_range(column: usize) -> rusqlite::Error {
+    rusqlite::Error::IntegralValueOutOfRange(column, -1)
+}

@@ -1,0 +1,64 @@
+//! Small durable state: key-value settings, and the positions of whoever walks the chain.
+
+use rusqlite::{OptionalExtension as _, params};
+
+use super::{Ledger, database::whole, rows};
+use crate::model::Hash;
+use crate::store::StoreError;
+
+impl Ledger {
+    /// Keeps a value under a key, in place of the one before.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like: the value before is then still there.
+    pub fn put_setting(&self, key: &str, value: &str) -> Result<(), StoreError> {
+        let (key, value) = (key.to_owned(), value.to_owned());
+        self.write(move |session| {
+            session.connection.prepare_cached("REPLACE INTO settings VALUES (?1, ?2)")?.execute([key, value])?;
+            Ok(())
+        })
+    }
+
+    /// The value under a key.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn setting(&self, key: &str) -> Result<Option<String>, StoreError> {
+        self.read(|connection| {
+            let value = connection
+                .prepare_cached("SELECT value FROM settings WHERE key = ?1")?
+                .query_row([key], |row| row.get(0))
+                .optional()?;
+            Ok(value)
+        })
+    }
+
+    /// The last block (number and hash) that the walker `name` is done with.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn cursor(&self, name: &str) -> Result<Option<(u64, Hash)>, StoreError> {
+        self.read(|connection| {
+            let cursor = connection
+                .prepare_cached("SELECT block, hash FROM cursors WHERE name = ?1")?
+                .query_row([name], |row| Ok((rows::unsigned(row, 0)?, Hash(row.get(1)?))))
+                .optional()?;
+            Ok(cursor)
+        })
+    }
+
+    /// Keeps the last block that the walker `name` is done with.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like: the position before is then still there.
+    pub fn set_cursor(&self, name: &str, block: u64, hash: Hash) -> Result<(), StoreError> {
+        let (name, block) = (name.to_owned(), whole("block", block)?);
+        self.write(move |session| {
+            session
+                .connection
+                .prepare_cached("REPLACE INTO cursors VALUES (?1, ?2, ?3)")?
+                .execute(params![name, block, hash.0])?;
+            Ok(())
+        })
+    }
+}

@@ -1,0 +1,226 @@
+//! What the watcher saw on the chain: anchors in blocks, depth, blocks that are gone, events.
+
+use rusqlite::{Connection, OptionalExtension as _, params};
+use serde::{Deserialize, Serialize};
+
+use super::append::count;
+use super::edges::{By, may};
+use super::{Ledger, database::whole, rows};
+use crate::model::{Address, Digest, Hash, RecordState};
+use crate::store::StoreError;
+
+/// An anchor found in a block.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Sighting {
+    /// Whose record it is, as the chain says.
+    pub owner: Address,
+    /// The anchored digest.
+    pub digest: Digest,
+    /// The transaction that anchored it.
+    pub transaction: Hash,
+    /// Its block's number.
+    pub block: u64,
+    /// Its block's hash.
+    pub block_hash: Hash,
+}
+
+/// An event of the contract that is kept for later readers.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct KeptEvent {
+    /// Its block's number.
+    pub block: u64,
+    /// Its log index within the block.
+    pub position: u64,
+    /// The event's name in the contract.
+    pub name: String,
+    /// Its transaction.
+    pub transaction: Hash,
+    /// Its fields, as JSON.
+    pub body: String,
+}
+
+struct Standing {
+    n: i64,
+    state: RecordState,
+    block: Option<i64>,
+    block_hash: Option<[u8; 32]>,
+}
+
+impl Ledger {
+    /// Takes in anchors found on the chain: whatever a pending record's state was, it is mined now, with
+    /// this transaction and block. A mined record moves to the block seen last; a tampered one only notes
+    /// its block. Digests of other ledgers are passed over. Returns how many records changed; seeing the
+    /// same again changes none.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like: then none is taken in.
+    pub fn mined(&self, sightings: &[Sighting]) -> Result<u64, StoreError> {
+        let sightings = sightings.to_vec();
+        self.write(move |session| {
+            sightings.iter().try_fold(0, |changed, sighting| Ok(changed + see(session.connection, sighting)?))
+        })
+    }
+
+    /// Mined records in blocks up to this one are confirmed; returns how many.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like: then none is.
+    pub fn confirm(&self, up_to_block: u64) -> Result<u64, StoreError> {
+        let block = whole("block", up_to_block)?;
+        self.write(move |session| {
+            let (mined, confirmed) = (RecordState::Mined.code(), RecordState::Confirmed.code());
+            let mut statement = session.connection.prepare_cached(
+                "UPDATE records INDEXED BY records_by_state SET state = ?3 WHERE state = ?2 AND block <= ?1",
+            )?;
+            Ok(count(statement.execute(params![block, mined, confirmed])?))
+        })
+    }
+
+    /// Blocks from this one on are gone: their mined and confirmed records lose their block. Where the
+    /// record's own transaction was signed here, it counts as open again and the record as submitted, so
+    /// that the sender sends the same bytes again; else the record is stored and will be anchored anew.
+    /// Returns how many records moved.
+    ///
+    /// Verified records stay: a block deeper than the confirmations asked for is gone only where the
+    /// chain is broken, and that is the operator's decision. [`Ledger::verified_from`] counts them and
+    /// [`Ledger::unverify`] moves them the same way.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like: then none moves.
+    pub fn unmine(&self, from_block: u64) -> Result<u64, StoreError> {
+        self.take_back(from_block, &[RecordState::Mined, RecordState::Confirmed])
+    }
+
+    /// Like [`Ledger::unmine`], for verified records.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like: then none moves.
+    pub fn unverify(&self, from_block: u64) -> Result<u64, StoreError> {
+        self.take_back(from_block, &[RecordState::Verified])
+    }
+
+    /// How many verified records are anchored in this block or later.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn verified_from(&self, block: u64) -> Result<u64, StoreError> {
+        let block = whole("block", block)?;
+        self.read(|connection| {
+            let found = connection
+                .prepare_cached("SELECT count(*) FROM records WHERE state = ?1 AND block >= ?2")?
+                .query_row(params![RecordState::Verified.code(), block], |row| rows::unsigned(row, 0))?;
+            Ok(found)
+        })
+    }
+
+    fn take_back(&self, from_block: u64, states: &'static [RecordState]) -> Result<u64, StoreError> {
+        let block = whole("block", from_block)?;
+        self.write(move |session| {
+            let connection = session.connection;
+            connection
+                .prepare_cached(
+                    "UPDATE transactions SET state = 0, block = NULL, block_hash = NULL, gas_used = NULL
+                     WHERE state = 1 AND block >= ?1",
+                )?
+                .execute([block])?;
+            connection.prepare_cached("DELETE FROM events WHERE block >= ?1")?.execute([block])?;
+            connection
+                .prepare_cached(
+                    "UPDATE records SET tx = NULL, block = NULL, block_hash = NULL WHERE state = ?1 AND block >= ?2",
+                )?
+                .execute(params![RecordState::Tampered.code(), block])?;
+            states.iter().try_fold(0, |moved, state| Ok(moved + unplace(connection, *state, block)?))
+        })
+    }
+
+    /// Keeps events of the contract; one seen again replaces itself.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like: then none is kept.
+    pub fn keep_events(&self, events: &[KeptEvent]) -> Result<(), StoreError> {
+        let events = events.to_vec();
+        self.write(move |session| {
+            let mut statement = session.connection.prepare_cached("REPLACE INTO events VALUES (?1, ?2, ?3, ?4, ?5)")?;
+            for event in &events {
+                let (block, position) = (whole("block", event.block)?, whole("position", event.position)?);
+                statement.execute(params![block, position, event.name, event.transaction.0, event.body])?;
+            }
+            Ok(())
+        })
+    }
+
+    /// Kept events of one name from a block on, in the order of the chain.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn kept_events(&self, name: &str, from_block: u64) -> Result<Vec<KeptEvent>, StoreError> {
+        let from = whole("block", from_block)?;
+        self.read(|connection| {
+            let mut statement = connection.prepare_cached(
+                "SELECT block, position, name, tx, body FROM events
+                 WHERE name = ?1 AND block >= ?2 ORDER BY block, position",
+            )?;
+            let events = statement.query_map(params![name, from], |row| {
+                Ok(KeptEvent {
+                    block: rows::unsigned(row, 0)?,
+                    position: rows::unsigned(row, 1)?,
+                    name: row.get(2)?,
+                    transaction: Hash(row.get(3)?),
+                    body: row.get(4)?,
+                })
+            })?;
+            Ok(events.collect::<Result<_, _>>()?)
+        })
+    }
+}
+
+fn see(connection: &Connection, sighting: &Sighting) -> Result<u64, StoreError> {
+    let block = whole("block", sighting.block)?;
+    let Some(standing) = standing(connection, sighting)? else { return Ok(0) };
+    let known = standing.block == Some(block) && standing.block_hash == Some(sighting.block_hash.0);
+    let state = match standing.state {
+        state if may(By::Sight, state, RecordState::Mined) => RecordState::Mined,
+        RecordState::Mined | RecordState::Tampered if !known => standing.state,
+        _ => return Ok(0),
+    };
+    connection
+        .prepare_cached("UPDATE records SET state = ?2, tx = ?3, block = ?4, block_hash = ?5 WHERE n = ?1")?
+        .execute(params![standing.n, state.code(), sighting.transaction.0, block, sighting.block_hash.0])?;
+    Ok(u64::from(state == RecordState::Mined))
+}
+
+fn standing(connection: &Connection, sighting: &Sighting) -> Result<Option<Standing>, StoreError> {
+    let found = connection
+        .prepare_cached(
+            "SELECT n, state, block, block_hash FROM records JOIN topics ON key = topic
+             WHERE digest = ?1 AND owner = ?2",
+        )?
+        .query_row(params![sighting.digest.0, sighting.owner.0], |row| {
+            Ok(Standing { n: row.get(0)?, state: rows::state(row, 1)?, block: row.get(2)?, block_hash: row.get(3)? })
+        })
+        .optional()?;
+    Ok(found)
+}
+
+/// Takes the block from the records of one state; our own open transactions keep theirs as submitted.
+fn unplace(connection: &Connection, from: RecordState, block: i64) -> Result<u64, StoreError> {
+    let (stored, submitted) = (RecordState::Stored, RecordState::Submitted);
+    if !may(By::Reorg, from, stored) || !may(By::Reorg, from, submitted) {
+        return Err(StoreError::IllegalEdge { from, to: stored });
+    }
+    let open = "(SELECT 1 FROM transactions WHERE hash = records.tx AND transactions.state = 0)";
+    let back = |condition: &str, values: &str| {
+        format!(
+            "UPDATE records INDEXED BY records_by_state SET {values}, block = NULL, block_hash = NULL
+             WHERE state = ?1 AND block >= ?2 AND {condition} EXISTS {open}"
+        )
+    };
+    let again =
+        connection.prepare_cached(&back("", "state = ?3"))?.execute(params![from.code(), block, submitted.code()])?;
+    let anew = connection.prepare_cached(&back("NOT", "state = ?3, tx = NULL"))?.execute(params![
+        from.code(),
+        block,
+        stored.code()
+    ])?;
+    Ok(count(again) + count(anew))
+}

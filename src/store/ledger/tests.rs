@@ -1,0 +1,396 @@
+//! The ledger's tests: single behaviours here, the model under random operations in `model`, speed in `speed`.
+
+mod model;
+mod speed;
+
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+
+use sm3::{Digest as _, Sm3};
+
+use super::*;
+use crate::model::RecordState::{Confirmed, Stored, Submitted, Verified};
+use crate::model::{
+    Address, Digest, ErrorKind, Hash, RecordKind, RecordState, Signature, SignerId, Timestamp, TopicId,
+};
+
+/// A record of owner `owner` on topic `topic`; its digest is spread like a real one.
+fn record(owner: u8, topic: u8, seq: u64) -> NewRecord {
+    let name = [&[owner, topic][..], &seq.to_be_bytes()].concat();
+    NewRecord {
+        digest: Digest(Sm3::digest(&name).into()),
+        owner: Address([owner; 20]),
+        topic_id: TopicId([topic; 16]),
+        seq,
+        epoch: 1,
+        kind: RecordKind::Data,
+        signer: SignerId([owner; 32]),
+        signature: Signature([7; 64]),
+        topic: format!("/robot{topic}/odom"),
+        type_name: "nav_msgs/Odometry".to_owned(),
+        bytes: 100 + seq,
+        captured_at: Timestamp(1_000 + seq),
+        simulated: topic.is_multiple_of(2),
+        state: RecordState::Stored,
+        local_copy: None,
+    }
+}
+
+fn sighting(record: &NewRecord, block: u64) -> Sighting {
+    Sighting {
+        owner: record.owner,
+        digest: record.digest,
+        transaction: Hash([9; 32]),
+        block,
+        block_hash: Hash([u8::try_from(block % 256).expect("small"); 32]),
+    }
+}
+
+fn transaction(number: u8, digests: &[Digest]) -> NewTransaction {
+    NewTransaction {
+        hash: Hash([number; 32]),
+        account: Address([1; 20]),
+        nonce: u64::from(number),
+        raw: vec![number; 100],
+        purpose: "anchor".to_owned(),
+        digests: digests.to_vec(),
+    }
+}
+
+fn open() -> (tempfile::TempDir, Ledger) {
+    let home = tempfile::tempdir().expect("temporary directory");
+    let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opens");
+    (home, ledger)
+}
+
+fn state_of(ledger: &Ledger, record: &NewRecord) -> RecordState {
+    ledger.record(record.digest).expect("read").expect("there").state
+}
+
+#[test]
+fn the_recorder_id_and_clean_flag_live_with_the_file() {
+    let (home, ledger) = open();
+    let recorder = ledger.recorder();
+    let other = ledger.clone();
+    ledger.append(vec![record(1, 1, 1)]).expect("acknowledged");
+    ledger.close().expect("closed");
+    assert_eq!(other.append(vec![record(1, 1, 2)]), Err(StoreError::Closed));
+    assert_eq!(other.next_seq(Address([1; 20]), TopicId([1; 16])), Ok(2), "reading still works");
+    let flag = |ledger: &Ledger| {
+        ledger.read(|c| Ok(c.query_row("SELECT clean FROM about", [], |row| row.get::<_, bool>(0))?)).expect("flag")
+    };
+    assert!(flag(&other));
+    let again = Ledger::open(&home.path().join("ledger.db")).expect("opens");
+    assert_eq!(again.recorder(), recorder);
+    assert!(!flag(&again));
+    assert_ne!(open().1.recorder(), recorder);
+}
+
+#[test]
+fn a_damaged_file_is_refused_after_an_unclean_end() {
+    let (home, ledger) = open();
+    let path = home.path().join("ledger.db");
+    ledger.append((1..=500).map(|seq| record(1, 1, seq)).collect()).expect("acknowledged");
+    ledger.clone().close().expect("closed");
+    drop(ledger);
+    let clean = std::fs::read(&path).expect("file");
+    let connection = rusqlite::Connection::open(&path).expect("raw");
+    connection.execute("UPDATE about SET clean = 0", []).expect("unclean");
+    drop(connection);
+    let mut bytes = std::fs::read(&path).expect("file");
+    assert_eq!(bytes.len(), clean.len());
+    let middle = bytes.len() / 2;
+    bytes[middle..middle + 4096].fill(0xaa);
+    std::fs::write(&path, bytes).expect("damaged");
+    let error = Ledger::open(&path).expect_err("refused");
+    assert_eq!(error.kind(), ErrorKind::Tampered, "{error}");
+}
+
+#[test]
+fn appending_twice_changes_nothing_and_contradictions_are_refused() {
+    let (_home, ledger) = open();
+    let first = NewRecord { local_copy: Some(vec![1, 2, 3]), state: RecordState::Sealed, ..record(1, 1, 1) };
+    ledger.append(vec![first.clone(), first.clone()]).expect("acknowledged");
+    ledger.append(vec![first.clone()]).expect("idempotent");
+    assert_eq!(ledger.counts(None).expect("counts").captured(), 1);
+    assert_eq!(ledger.local_copy(first.digest), Ok(Some(vec![1, 2, 3])));
+
+    let twin = NewRecord { digest: Digest([5; 32]), ..record(1, 1, 1) };
+    let renamed = NewRecord { topic: "/other".to_owned(), ..record(1, 1, 2) };
+    for bad in [twin, renamed] {
+        let refused = ledger.append(vec![record(1, 2, 1), bad]);
+        assert!(matches!(refused, Err(StoreError::Conflict { .. })), "{refused:?}");
+        assert_eq!(ledger.next_seq(Address([1; 20]), TopicId([2; 16])), Ok(1), "all or none");
+    }
+    let mined = NewRecord { state: RecordState::Mined, ..record(1, 1, 2) };
+    assert!(matches!(ledger.append(vec![mined]), Err(StoreError::IllegalEdge { .. })));
+    let huge = NewRecord { seq: u64::MAX, ..record(1, 1, 2) };
+    assert!(matches!(ledger.append(vec![huge]), Err(StoreError::TooBig { .. })));
+}
+
+#[test]
+fn a_failing_job_leaves_its_neighbours_alone() {
+    let (_home, ledger) = open();
+    ledger.append(vec![record(1, 1, 1)]).expect("acknowledged");
+    thread::scope(|scope| {
+        for writer in 2..10u8 {
+            let ledger = &ledger;
+            scope.spawn(move || {
+                for seq in 1..=40 {
+                    ledger.append(vec![record(writer, 1, seq)]).expect("acknowledged");
+                    let bad = NewRecord { digest: Digest([writer; 32]), ..record(1, 1, 1) };
+                    ledger.append(vec![record(writer, 3, seq), bad]).expect_err("refused");
+                }
+            });
+        }
+    });
+    let counts = ledger.counts(None).expect("counts");
+    assert_eq!(counts.captured(), 1 + 8 * 40);
+    assert_eq!(ledger.list(&RecordQuery { limit: 1_000, ..RecordQuery::default() }).expect("list").rows.len(), 321);
+}
+
+#[test]
+fn a_full_disk_acknowledges_nothing_and_takes_all_later() {
+    let (_home, ledger) = open();
+    ledger.append(vec![record(1, 1, 1)]).expect("acknowledged");
+    let limit = |pages: i64| {
+        ledger.write(move |session| {
+            Ok(session.connection.pragma_update_and_check(None, "max_page_count", pages, |_| Ok(()))?)
+        })
+    };
+    limit(1).expect("no page more than there are");
+    let large: Vec<NewRecord> =
+        (2..=9).map(|seq| NewRecord { local_copy: Some(vec![1; 50_000]), ..record(1, 1, seq) }).collect();
+    let error = ledger.append(large.clone()).expect_err("full");
+    assert!(matches!(error, StoreError::DiskFull { .. }) && error.to_string().contains("ledger.db"), "{error}");
+    assert_eq!(ledger.next_seq(Address([1; 20]), TopicId([1; 16])), Ok(2));
+    limit(1_000_000).expect("grown");
+    ledger.append(large).expect("acknowledged");
+    assert_eq!(ledger.counts(None).expect("counts").captured(), 9);
+}
+
+#[test]
+fn all_files_are_private() {
+    use std::os::unix::fs::PermissionsExt as _;
+    let (home, ledger) = open();
+    ledger.append(vec![record(1, 1, 1)]).expect("acknowledged");
+    let modes = std::fs::read_dir(home.path())
+        .expect("list")
+        .map(|entry| entry.and_then(|entry| entry.metadata()).expect("file").permissions().mode() & 0o777);
+    assert_eq!(modes.collect::<Vec<_>>(), [0o600; 3], "database, log and shared memory");
+}
+
+#[test]
+fn a_panic_in_the_writer_is_an_error_to_callers() {
+    let (_home, ledger) = open();
+    let answer: Result<(), _> = ledger.write(|_| panic!("on purpose"));
+    assert_eq!(answer, Err(StoreError::Closed));
+    assert_eq!(ledger.append(vec![record(1, 1, 1)]), Err(StoreError::Closed));
+}
+
+#[test]
+fn a_record_walks_its_life_line() {
+    let (_home, ledger) = open();
+    let one = NewRecord { state: RecordState::Sealed, ..record(1, 1, 1) };
+    ledger.append(vec![one.clone()]).expect("acknowledged");
+    let digests = [one.digest];
+    assert_eq!(ledger.advance(&digests, RecordState::Sealed, RecordState::Stored), Ok(1));
+    assert_eq!(ledger.advance(&digests, RecordState::Sealed, RecordState::Stored), Ok(0), "compare and set");
+    let leap = ledger.advance(&digests, RecordState::Stored, RecordState::Verified);
+    assert!(matches!(leap, Err(StoreError::IllegalEdge { .. })));
+    ledger.submit(transaction(3, &digests)).expect("kept");
+    ledger.submit(transaction(3, &digests)).expect("idempotent");
+    let row = ledger.record(one.digest).expect("read").expect("there");
+    assert_eq!((row.state, row.transaction), (RecordState::Submitted, Some(Hash([3; 32]))));
+    assert_eq!(ledger.open_transactions(Address([1; 20])).expect("open").len(), 1);
+    assert_eq!(ledger.mined(&[sighting(&one, 10)]), Ok(1));
+    assert_eq!(ledger.mined(&[sighting(&one, 10)]), Ok(0));
+    assert_eq!((ledger.confirm(9), ledger.confirm(10)), (Ok(0), Ok(1)));
+    assert_eq!(ledger.advance(&digests, RecordState::Confirmed, RecordState::Verified), Ok(1));
+    let row = ledger.record_by_id(&one.digest.to_hex()[..16]).expect("read").expect("there");
+    assert_eq!((row.state, row.block, row.transaction), (RecordState::Verified, Some(10), Some(Hash([9; 32]))));
+    assert_eq!(row.block_hash, Some(Hash([10; 32])));
+}
+
+#[test]
+fn submitting_refuses_what_is_not_ready_and_a_taken_nonce() {
+    let (_home, ledger) = open();
+    let (one, two) = (record(1, 1, 1), record(1, 1, 2));
+    ledger.append(vec![one.clone(), two.clone()]).expect("acknowledged");
+    ledger.mined(&[sighting(&two, 4)]).expect("seen");
+    let refused = ledger.submit(transaction(3, &[one.digest, two.digest]));
+    assert_eq!(refused, Err(StoreError::NotReady { digest: two.digest, found: "mined" }));
+    assert_eq!(state_of(&ledger, &one), RecordState::Stored, "all or none");
+    ledger.submit(transaction(3, &[one.digest])).expect("kept");
+    let other = NewTransaction { hash: Hash([4; 32]), ..transaction(3, &[]) };
+    assert!(matches!(ledger.submit(other), Err(StoreError::Transaction { .. })));
+    let unknown = ledger.close_transaction(Hash([8; 32]), TransactionOutcome::Replaced);
+    assert!(matches!(unknown, Err(StoreError::Transaction { .. })));
+}
+
+#[test]
+fn a_failed_transaction_gives_its_records_back() {
+    let (_home, ledger) = open();
+    let (one, two) = (record(1, 1, 1), record(1, 1, 2));
+    ledger.append(vec![one.clone(), two.clone()]).expect("acknowledged");
+    ledger.submit(transaction(3, &[one.digest, two.digest])).expect("kept");
+    let bumped = NewTransaction { nonce: 3, ..transaction(4, &[one.digest]) };
+    ledger.replace_transaction(Hash([3; 32]), bumped).expect("replaced");
+    assert_eq!((state_of(&ledger, &one), state_of(&ledger, &two)), (RecordState::Submitted, RecordState::Stored));
+    let old = ledger.transaction(Hash([3; 32])).expect("read").expect("there");
+    assert_eq!((old.state, old.replaced_by), (TransactionState::Replaced, Some(Hash([4; 32]))));
+    let reason = "paused\u{1b}[2J".to_owned();
+    ledger.close_transaction(Hash([4; 32]), TransactionOutcome::Reverted { reason }).expect("closed");
+    let row = ledger.record(one.digest).expect("read").expect("there");
+    assert_eq!((row.state, row.transaction), (RecordState::Stored, None));
+    let reason = ledger.transaction(Hash([4; 32])).expect("read").expect("there").reason;
+    assert_eq!(reason.as_deref(), Some("paused\u{fffd}[2J"));
+}
+
+#[test]
+fn a_reorg_reopens_own_transactions_and_stores_the_rest_again() {
+    let (_home, ledger) = open();
+    let all: Vec<NewRecord> = (1..=4).map(|seq| record(1, 1, seq)).collect();
+    ledger.append(all.clone()).expect("acknowledged");
+    ledger.submit(transaction(9, &[all[0].digest])).expect("kept");
+    let block_hash = Hash([20; 32]);
+    let mined = TransactionOutcome::Mined { block: 20, block_hash, gas_used: Some(52_000) };
+    ledger.close_transaction(Hash([9; 32]), mined).expect("closed");
+    let foreign = Sighting { transaction: Hash([77; 32]), ..sighting(&all[1], 20) };
+    ledger.mined(&[sighting(&all[0], 20), foreign, sighting(&all[2], 19), sighting(&all[3], 20)]).expect("seen");
+    ledger.confirm(20).expect("confirmed");
+    ledger.advance(&[all[3].digest], RecordState::Confirmed, RecordState::Verified).expect("verified");
+    let event = KeptEvent {
+        block: 20,
+        position: 0,
+        name: "Granted".to_owned(),
+        transaction: Hash([9; 32]),
+        body: "{}".to_owned(),
+    };
+    ledger.keep_events(std::slice::from_ref(&event)).expect("kept");
+    assert_eq!(ledger.kept_events("Granted", 0), Ok(vec![event]));
+
+    assert_eq!((ledger.verified_from(20), ledger.unmine(20)), (Ok(1), Ok(2)));
+    let states: Vec<_> = all.iter().map(|record| state_of(&ledger, record)).collect();
+    assert_eq!(states, [Submitted, Stored, Confirmed, Verified]);
+    assert_eq!(ledger.open_transactions(Address([1; 20])).expect("open").len(), 1);
+    assert_eq!(ledger.kept_events("Granted", 0), Ok(vec![]));
+    assert_eq!((ledger.unverify(20), state_of(&ledger, &all[3])), (Ok(1), Submitted));
+    assert_eq!(ledger.mined(&[sighting(&all[0], 21)]), Ok(1), "and it is mined again");
+}
+
+#[test]
+fn tampered_records_go_back_to_where_they_belong() {
+    let (_home, ledger) = open();
+    let all: Vec<NewRecord> = (1..=3).map(|seq| record(1, 1, seq)).collect();
+    let digests: Vec<Digest> = all.iter().map(|record| record.digest).collect();
+    ledger.append(all.clone()).expect("acknowledged");
+    ledger.submit(transaction(3, &digests[1..2])).expect("kept");
+    ledger.mined(&[sighting(&all[2], 5)]).expect("seen");
+    for from in [RecordState::Stored, RecordState::Submitted, RecordState::Mined] {
+        assert_eq!(ledger.advance(&digests, from, RecordState::Tampered), Ok(1));
+    }
+    assert_eq!(ledger.mined(&[sighting(&all[1], 6)]), Ok(0), "an anchor cures nothing");
+    assert_eq!(ledger.heal(&digests), Ok(3));
+    let states: Vec<_> = all.iter().map(|record| state_of(&ledger, record)).collect();
+    assert_eq!(states, [RecordState::Stored, RecordState::Mined, RecordState::Mined]);
+}
+
+#[test]
+fn ids_are_prefixes_of_digests() {
+    let (_home, ledger) = open();
+    let mut twins = [record(1, 1, 1), record(1, 1, 2)];
+    twins[1].digest = twins[0].digest;
+    twins[1].digest.0[31] ^= 1;
+    ledger.append(twins.to_vec()).expect("acknowledged");
+    let id = twins[0].digest.to_hex();
+    assert!(matches!(ledger.record_by_id(&id[..16]), Err(StoreError::Ambiguous(_))));
+    assert_eq!(ledger.record_by_id(&id).expect("read").expect("there").seq, 1);
+    assert_eq!(ledger.record_by_id(&"0".repeat(17)), Ok(None));
+    for bad in ["", "12", "0x34567890123456", &"g".repeat(16), &"0".repeat(65)] {
+        assert!(matches!(ledger.record_by_id(bad), Err(StoreError::Id(_))), "{bad}");
+    }
+}
+
+#[test]
+fn small_state_is_kept() {
+    let (home, ledger) = open();
+    ledger.put_setting("watched/a", "[1]").expect("kept");
+    ledger.put_setting("watched/a", "[2]").expect("kept");
+    ledger.set_cursor("watcher", 7, Hash([7; 32])).expect("kept");
+    ledger.count_drop(Address([1; 20]), "/odom", "ring full", 3).expect("kept");
+    ledger.count_drop(Address([1; 20]), "/odom", LOST_IN_TRANSPORT, 2).expect("kept");
+    ledger.close().expect("closed");
+    let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opens");
+    assert_eq!(ledger.setting("watched/a"), Ok(Some("[2]".to_owned())));
+    assert_eq!(ledger.setting("none"), Ok(None));
+    assert_eq!(ledger.cursor("watcher"), Ok(Some((7, Hash([7; 32])))));
+    assert_eq!(ledger.cursor("none"), Ok(None));
+    let counts = ledger.counts(None).expect("counts");
+    assert_eq!((counts.captured(), counts.data_in(RecordState::Dropped), counts.pending()), (3, 3, 0));
+    assert_eq!((counts.topics[0].dropped, counts.topics[0].missed, counts.topics[0].captured), (3, 2, 3));
+    assert_eq!(ledger.drops(Address([1; 20])).expect("drops").len(), 2);
+    assert_eq!(ledger.counts(Some(Address([2; 20]))), Ok(StateCounts::default()));
+}
+
+#[test]
+fn held_copies_are_paged_for_a_vault_that_came_back_empty() {
+    let (_home, ledger) = open();
+    let all: Vec<NewRecord> = (1..=5).map(|seq| NewRecord { local_copy: Some(vec![1]), ..record(1, 1, seq) }).collect();
+    ledger.append(all.clone()).expect("acknowledged");
+    let first = ledger.held_copies(None, 2).expect("page");
+    assert_eq!(first, [all[0].digest, all[1].digest]);
+    assert_eq!(ledger.drop_local_copies(&[all[2].digest]), Ok(1));
+    assert_eq!(ledger.drop_local_copies(&[all[2].digest]), Ok(0));
+    assert_eq!(ledger.held_copies(first.last().copied(), 9), Ok(vec![all[3].digest, all[4].digest]));
+    assert_eq!(ledger.local_copy(all[2].digest), Ok(None));
+}
+
+/// What a crash leaves: the files as they are while the writer is in the middle of a transaction.
+fn copy_files(from: &Path, to: &Path) {
+    for suffix in ["", "-wal"] {
+        let name = format!("ledger.db{suffix}");
+        std::fs::copy(from.join(&name), to.join(&name)).expect("copied");
+    }
+}
+
+#[test]
+fn whatever_was_acknowledged_is_there_after_a_crash() {
+    let (home, ledger) = open();
+    let stop = AtomicBool::new(false);
+    thread::scope(|scope| {
+        let (path, stop) = (home.path(), &stop);
+        let appender = |writer: u8| {
+            let ledger = ledger.clone();
+            move || {
+                let mut seq = 0;
+                while !stop.load(Ordering::Relaxed) {
+                    seq += 1;
+                    let copy = Some(vec![writer; 3_000]);
+                    ledger.append(vec![NewRecord { local_copy: copy, ..record(writer, 1, seq) }]).expect("append");
+                }
+            }
+        };
+        let writers: Vec<_> = (1..=3).map(|writer| scope.spawn(appender(writer))).collect();
+        for _ in 0..15 {
+            thread::sleep(std::time::Duration::from_millis(7));
+            let crash = tempfile::tempdir().expect("temporary directory");
+            let acknowledged = (1..=3).map(|w| ledger.next_seq(Address([w; 20]), TopicId([1; 16])).expect("seq"));
+            let acknowledged: Vec<u64> = acknowledged.collect();
+            let (from, to) = (path.to_owned(), crash.path().to_owned());
+            ledger.write(move |_| Ok(copy_files(&from, &to))).expect("copied");
+            let after = Ledger::open(&crash.path().join("ledger.db")).expect("opens");
+            for (writer, next) in (1u8..).zip(acknowledged) {
+                let found = after.next_seq(Address([writer; 20]), TopicId([1; 16])).expect("seq");
+                assert!(found >= next, "writer {writer}: {found} after the crash, {next} before");
+                for seq in 1..next {
+                    let row = after.record(record(writer, 1, seq).digest).expect("read").expect("acknowledged");
+                    assert_eq!(after.local_copy(row.digest).expect("read"), Some(vec![writer; 3_000]));
+                }
+            }
+        }
+        stop.store(true, Ordering::Relaxed);
+        writers.into_iter().for_each(|writer| writer.join().expect("no panic"));
+    });
+}

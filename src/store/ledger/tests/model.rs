@@ -1,0 +1,475 @@
+//! Random operations on the ledger and on a plain model of it; both must agree in every answer and row.
+
+use std::collections::{BTreeMap, HashMap};
+
+use proptest::prelude::*;
+use proptest::sample::Index;
+
+use super::*;
+use RecordState::{Batched, Confirmed, Mined, Sealed, Stored, Submitted, Tampered, Verified};
+
+const STATES: [RecordState; 8] = [Sealed, Stored, Batched, Submitted, Mined, Confirmed, Verified, Tampered];
+
+#[derive(Debug, Clone)]
+enum Step {
+    Append { owner: u8, topics: Vec<u8>, data: bool, sealed: bool },
+    AppendTwin(Index),
+    Advance { picked: Vec<Index>, from: usize, to: usize },
+    Heal(Vec<Index>),
+    Submit(Vec<Index>),
+    Close { picked: Index, how: u8, block: u64 },
+    Replace { picked: Index, kept: usize },
+    See { picked: Vec<Index>, own: bool, block: u64 },
+    Confirm(u64),
+    Unmine(u64),
+    Unverify(u64),
+    Drop { topic: u8, count: u64 },
+    DropCopies(Vec<Index>),
+    Reopen { clean: bool },
+}
+
+fn step() -> impl Strategy<Value = Step> {
+    let picked = || prop::collection::vec(any::<Index>(), 1..6);
+    let block = || 1u64..12;
+    prop_oneof![
+        6 => (1u8..3, prop::collection::vec(1u8..4, 1..6), prop::bool::weighted(0.8), any::<bool>())
+            .prop_map(|(owner, topics, data, sealed)| Step::Append { owner, topics, data, sealed }),
+        1 => any::<Index>().prop_map(Step::AppendTwin),
+        8 => (picked(), 0..STATES.len(), 0..STATES.len())
+            .prop_map(|(picked, from, to)| Step::Advance { picked, from, to }),
+        1 => picked().prop_map(Step::Heal),
+        5 => picked().prop_map(Step::Submit),
+        3 => (any::<Index>(), 0u8..3, block()).prop_map(|(picked, how, block)| Step::Close { picked, how, block }),
+        1 => (any::<Index>(), 0usize..4).prop_map(|(picked, kept)| Step::Replace { picked, kept }),
+        5 => (picked(), any::<bool>(), block()).prop_map(|(picked, own, block)| Step::See { picked, own, block }),
+        3 => block().prop_map(Step::Confirm),
+        1 => block().prop_map(Step::Unmine),
+        1 => block().prop_map(Step::Unverify),
+        1 => (1u8..4, 1u64..9).prop_map(|(topic, count)| Step::Drop { topic, count }),
+        1 => picked().prop_map(Step::DropCopies),
+        1 => any::<bool>().prop_map(|clean| Step::Reopen { clean }),
+    ]
+}
+
+#[derive(Debug, Clone)]
+struct Known {
+    new: NewRecord,
+    state: RecordState,
+    transaction: Option<Hash>,
+    block: Option<u64>,
+}
+
+#[derive(Debug, Clone)]
+struct Sent {
+    new: NewTransaction,
+    state: TransactionState,
+    block: Option<u64>,
+}
+
+#[derive(Default)]
+struct Model {
+    records: Vec<Known>,
+    sent: Vec<Sent>,
+    dropped: BTreeMap<u8, u64>,
+    hashes: u8,
+}
+
+impl Model {
+    fn pick(&self, picked: &[Index]) -> Vec<usize> {
+        let mut picked: Vec<usize> = picked.iter().map(|index| index.index(self.records.len())).collect();
+        picked.sort_unstable();
+        picked.dedup();
+        picked
+    }
+
+    fn digests(&self, picked: &[usize]) -> Vec<Digest> {
+        picked.iter().map(|index| self.records[*index].new.digest).collect()
+    }
+
+    fn append(&mut self, owner: u8, topics: &[u8], data: bool, sealed: bool) -> Vec<NewRecord> {
+        let state = if sealed { Sealed } else { Stored };
+        let mut added = Vec::new();
+        for topic in topics {
+            let same = |known: &&Known| (known.new.owner.0[0], known.new.topic_id.0[0]) == (owner, *topic);
+            let seq = u64::try_from(self.records.iter().filter(same).count()).expect("small") + 1;
+            let kind = if data { RecordKind::Data } else { RecordKind::Gap };
+            let local_copy = sealed.then(|| vec![*topic; 50]);
+            let new = NewRecord { kind, state, local_copy, ..record(owner, *topic, seq) };
+            self.records.push(Known { new: new.clone(), state, transaction: None, block: None });
+            added.push(new);
+        }
+        added
+    }
+
+    fn advance(&mut self, picked: &[usize], from: RecordState, to: RecordState) -> u64 {
+        let mut moved = 0;
+        for index in picked {
+            let known = &mut self.records[*index];
+            let possible = match to {
+                Mined | Confirmed => known.block.is_some(),
+                Submitted => known.block.is_none() && known.transaction.is_some(),
+                Stored => known.block.is_none() && known.transaction.is_none(),
+                _ => true,
+            };
+            if known.state == from && possible {
+                known.state = to;
+                moved += 1;
+            }
+        }
+        moved
+    }
+
+    fn new_transaction(&mut self, nonce: Option<u64>, digests: Vec<Digest>) -> NewTransaction {
+        self.hashes += 1;
+        let new = transaction(self.hashes, &digests);
+        NewTransaction { nonce: nonce.unwrap_or(new.nonce), ..new }
+    }
+
+    /// Whether the ledger may keep it; notes it where it may.
+    fn submit(&mut self, new: &NewTransaction) -> bool {
+        let ready = |known: &&mut Known| new.digests.contains(&known.new.digest);
+        let mut picked: Vec<_> = self.records.iter_mut().filter(ready).collect();
+        if picked.iter().any(|known| !matches!(known.state, Stored | Batched)) {
+            return false;
+        }
+        for known in &mut picked {
+            (known.state, known.transaction) = (Submitted, Some(new.hash));
+        }
+        self.sent.push(Sent { new: new.clone(), state: TransactionState::Open, block: None });
+        true
+    }
+
+    fn close(&mut self, index: usize, state: TransactionState, block: Option<u64>) {
+        let sent = &mut self.sent[index];
+        (sent.state, sent.block) = (state, block);
+        let hash = Some(sent.new.hash);
+        for known in self.records.iter_mut().filter(|k| k.transaction == hash && k.block.is_none()) {
+            if state != TransactionState::Mined && matches!(known.state, Submitted | Tampered) {
+                known.transaction = None;
+                known.state = if known.state == Submitted { Stored } else { Tampered };
+            }
+        }
+    }
+
+    fn see(&mut self, sighting: &Sighting) -> u64 {
+        let known = self.records.iter_mut().find(|known| known.new.digest == sighting.digest).expect("known");
+        let same = known.block == Some(sighting.block);
+        let (state, changed) = match known.state {
+            Sealed | Stored | Batched | Submitted => (Mined, 1),
+            Mined if !same => (Mined, 1),
+            Tampered if !same => (Tampered, 0),
+            _ => return 0,
+        };
+        (known.state, known.transaction, known.block) = (state, Some(sighting.transaction), Some(sighting.block));
+        changed
+    }
+
+    fn take_back(&mut self, block: u64, states: &[RecordState]) -> u64 {
+        let gone = |at: Option<u64>| at.is_some_and(|at| at >= block);
+        for sent in self.sent.iter_mut().filter(|s| s.state == TransactionState::Mined && gone(s.block)) {
+            (sent.state, sent.block) = (TransactionState::Open, None);
+        }
+        let mut moved = 0;
+        for known in self.records.iter_mut().filter(|known| gone(known.block)) {
+            if known.state == Tampered {
+                (known.transaction, known.block) = (None, None);
+            } else if states.contains(&known.state) {
+                let open = |s: &Sent| Some(s.new.hash) == known.transaction && s.state == TransactionState::Open;
+                let ours = self.sent.iter().any(open);
+                known.state = if ours { Submitted } else { Stored };
+                known.transaction = known.transaction.filter(|_| ours);
+                known.block = None;
+                moved += 1;
+            }
+        }
+        moved
+    }
+}
+
+struct Pair {
+    model: Model,
+    ledger: Option<Ledger>,
+    home: tempfile::TempDir,
+}
+
+impl Pair {
+    fn ledger(&self) -> &Ledger {
+        self.ledger.as_ref().expect("open")
+    }
+
+    fn take(&mut self, step: Step) {
+        if self.model.records.is_empty() && !matches!(step, Step::Append { .. } | Step::Reopen { .. }) {
+            return;
+        }
+        match step {
+            Step::Append { owner, topics, data, sealed } => {
+                let added = self.model.append(owner, &topics, data, sealed);
+                assert_eq!(self.ledger().append(added), Ok(()));
+            }
+            Step::AppendTwin(picked) => {
+                let new = picked.get(&self.model.records).new.clone();
+                assert_eq!(self.ledger().append(vec![new.clone()]), Ok(()));
+                let twin = NewRecord { digest: Digest([3; 32]), ..new };
+                assert!(self.ledger().append(vec![twin]).is_err());
+            }
+            Step::Advance { picked, from, to } => {
+                let (picked, from, to) = (self.model.pick(&picked), STATES[from], STATES[to]);
+                let answer = self.ledger().advance(&self.model.digests(&picked), from, to);
+                match answer {
+                    Ok(moved) => assert_eq!(moved, self.model.advance(&picked, from, to), "{from:?} {to:?}"),
+                    Err(_) => assert!(!edges::may(edges::By::Worker, from, to)),
+                }
+            }
+            Step::Heal(picked) => {
+                let picked = self.model.pick(&picked);
+                let healed = [Mined, Submitted, Stored].map(|to| self.model.advance(&picked, Tampered, to));
+                assert_eq!(self.ledger().heal(&self.model.digests(&picked)), Ok(healed.iter().sum()));
+            }
+            Step::DropCopies(picked) => {
+                let picked = self.model.pick(&picked);
+                let copy = |index: &usize| self.model.records[*index].new.local_copy.is_some();
+                let held = u64::try_from(picked.iter().filter(|index| copy(index)).count()).expect("small");
+                assert_eq!(self.ledger().drop_local_copies(&self.model.digests(&picked)), Ok(held));
+                picked.iter().for_each(|index| self.model.records[*index].new.local_copy = None);
+            }
+            Step::Drop { topic, count } => {
+                *self.model.dropped.entry(topic).or_default() += count;
+                let name = record(1, topic, 1).topic;
+                assert_eq!(self.ledger().count_drop(Address([1; 20]), &name, "ring full", count), Ok(()));
+            }
+            Step::Reopen { clean } => self.reopen(clean),
+            other => self.take_chain(other),
+        }
+    }
+
+    fn take_chain(&mut self, step: Step) {
+        match step {
+            Step::Submit(picked) => {
+                let digests = self.model.digests(&self.model.pick(&picked));
+                let new = self.model.new_transaction(None, digests);
+                let kept = self.ledger().submit(new.clone());
+                assert_eq!(kept.is_ok(), self.model.submit(&new), "{kept:?}");
+            }
+            Step::Close { picked, how, block } if !self.model.sent.is_empty() => {
+                let index = picked.index(self.model.sent.len());
+                let hash = self.model.sent[index].new.hash;
+                let (outcome, state, block) = match how {
+                    0 => (
+                        TransactionOutcome::Mined { block, block_hash: hash, gas_used: Some(1) },
+                        TransactionState::Mined,
+                        Some(block),
+                    ),
+                    1 => (TransactionOutcome::Replaced, TransactionState::Replaced, None),
+                    _ => {
+                        let reason = "no".to_owned();
+                        (TransactionOutcome::Reverted { reason }, TransactionState::Reverted, None)
+                    }
+                };
+                assert_eq!(self.ledger().close_transaction(hash, outcome), Ok(()));
+                self.model.close(index, state, block);
+            }
+            Step::Replace { picked, kept } if !self.model.sent.is_empty() => self.replace(&picked, kept),
+            Step::See { picked, own, block } => {
+                let seen: Vec<Sighting> =
+                    self.model.pick(&picked).iter().map(|i| self.sighting(*i, own, block)).collect();
+                let changed = seen.iter().map(|sighting| self.model.see(sighting)).sum();
+                assert_eq!(self.ledger().mined(&seen), Ok(changed));
+            }
+            Step::Confirm(block) => {
+                let ready = |known: &&mut Known| known.state == Mined && known.block.is_some_and(|at| at <= block);
+                let mut confirmed = 0;
+                for known in self.model.records.iter_mut().filter(ready) {
+                    known.state = Confirmed;
+                    confirmed += 1;
+                }
+                assert_eq!(self.ledger().confirm(block), Ok(confirmed));
+            }
+            Step::Unmine(block) => {
+                let moved = self.model.take_back(block, &[Mined, Confirmed]);
+                assert_eq!(self.ledger().unmine(block), Ok(moved));
+            }
+            Step::Unverify(block) => {
+                let moved = self.model.take_back(block, &[Verified]);
+                assert_eq!(self.ledger().unverify(block), Ok(moved));
+            }
+            _ => {}
+        }
+    }
+
+    fn sighting(&self, index: usize, own: bool, block: u64) -> Sighting {
+        let known = &self.model.records[index];
+        let foreign = Hash([250; 32]);
+        let transaction = if own { known.transaction.unwrap_or(foreign) } else { foreign };
+        Sighting { transaction, ..sighting(&known.new, block) }
+    }
+
+    fn replace(&mut self, picked: &Index, kept: usize) {
+        let index = picked.index(self.model.sent.len());
+        let old = self.model.sent[index].clone();
+        let digests = old.new.digests.iter().take(kept).copied().collect();
+        let new = self.model.new_transaction(Some(old.new.nonce), digests);
+        let answer = self.ledger().replace_transaction(old.new.hash, new.clone());
+        let before = (self.model.records.clone(), self.model.sent.clone());
+        let possible = old.state == TransactionState::Open && {
+            self.model.close(index, TransactionState::Replaced, None);
+            self.model.submit(&new)
+        };
+        if !possible {
+            (self.model.records, self.model.sent) = before;
+        }
+        assert_eq!(answer.is_ok(), possible, "{answer:?}");
+    }
+
+    fn reopen(&mut self, clean: bool) {
+        let ledger = self.ledger.take().expect("open");
+        if clean {
+            ledger.close().expect("closed");
+        } else {
+            drop(ledger);
+        }
+        self.ledger = Some(Ledger::open(&self.home.path().join("ledger.db")).expect("opens"));
+    }
+
+    fn compare(&self) {
+        let rows = all_rows(self.ledger(), 7);
+        assert_eq!(rows.len(), self.model.records.len());
+        let by_digest: HashMap<Digest, &RecordRow> = rows.iter().map(|row| (row.digest, row)).collect();
+        for known in &self.model.records {
+            let row = by_digest[&known.new.digest];
+            assert_eq!((row.state, row.transaction, row.block), (known.state, known.transaction, known.block));
+            assert_eq!((row.seq, row.kind, &row.topic, row.bytes), expected(&known.new));
+            assert_eq!(self.ledger().local_copy(row.digest), Ok(known.new.local_copy.clone()));
+        }
+        let open = self.ledger().open_transactions(Address([1; 20])).expect("open");
+        let model = self.model.sent.iter().filter(|sent| sent.state == TransactionState::Open);
+        let mut model: Vec<_> = model.map(|sent| (sent.new.nonce, sent.new.hash, sent.new.digests.clone())).collect();
+        model.sort();
+        let mut open: Vec<_> = open.into_iter().map(|row| (row.nonce, row.hash, row.digests)).collect();
+        open.sort();
+        assert_eq!(open, model);
+        self.recount();
+    }
+
+    /// The counters equal a full recount, and the conservation law holds.
+    fn recount(&self) {
+        let counts = self.ledger().counts(None).expect("counts");
+        let dropped: u64 = self.model.dropped.values().sum();
+        for (data, found) in [(true, &counts.data), (false, &counts.others)] {
+            let mut model: BTreeMap<RecordState, u64> = BTreeMap::new();
+            for known in self.model.records.iter().filter(|k| (k.new.kind == RecordKind::Data) == data) {
+                *model.entry(known.state).or_default() += 1;
+            }
+            if data && dropped > 0 {
+                model.insert(RecordState::Dropped, dropped);
+            }
+            assert_eq!(*found, model);
+        }
+        let topics = counts.topics.iter();
+        let sum = |of: fn(&TopicCounts) -> u64| topics.clone().map(of).sum::<u64>();
+        assert_eq!(sum(|topic| topic.captured), counts.captured());
+        let data = self.model.records.iter().filter(|known| known.new.kind == RecordKind::Data);
+        assert_eq!(sum(|topic| topic.bytes), data.map(|known| known.new.bytes).sum::<u64>());
+        for topic in topics {
+            let parts = topic.verified + topic.pending + topic.quarantined + topic.dropped + topic.tampered;
+            assert_eq!(topic.captured, parts, "conservation");
+        }
+    }
+}
+
+fn expected(new: &NewRecord) -> (u64, RecordKind, &String, u64) {
+    (new.seq, new.kind, &new.topic, new.bytes)
+}
+
+fn all_rows(ledger: &Ledger, limit: usize) -> Vec<RecordRow> {
+    let mut query = RecordQuery { limit, ..RecordQuery::default() };
+    let mut rows = Vec::new();
+    loop {
+        let page = ledger.list(&query).expect("page");
+        rows.extend(page.rows);
+        query.after = Some(match page.next {
+            Some(next) => next,
+            None => return rows,
+        });
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 48, ..ProptestConfig::default() })]
+
+    #[test]
+    fn the_ledger_does_what_the_model_does(steps in prop::collection::vec(step(), 1..60)) {
+        let (home, ledger) = open();
+        let mut pair = Pair { model: Model::default(), ledger: Some(ledger), home };
+        for (number, step) in steps.into_iter().enumerate() {
+            pair.take(step);
+            if number % 7 == 0 {
+                pair.compare();
+            }
+        }
+        pair.compare();
+    }
+
+    /// Any filter, direction and page size gives what filtering and sorting all rows gives.
+    #[test]
+    fn pages_are_complete_and_in_order(
+        times in prop::collection::vec((1u8..3, 1u8..4, 0u64..20, any::<bool>()), 1..40),
+        owner in prop::option::of(1u8..4),
+        topic in prop::option::of(1u8..4),
+        stored in prop::option::of(any::<bool>()),
+        since in prop::option::of(0u64..20),
+        until in prop::option::of(0u64..20),
+        newest_first in any::<bool>(),
+        limit in 1usize..9,
+    ) {
+        let (_home, ledger) = open();
+        let records: Vec<NewRecord> = (1u64..).zip(&times).map(|(seq, (owner, topic, time, stored))| NewRecord {
+            captured_at: Timestamp(*time),
+            state: if *stored { Stored } else { Sealed },
+            ..record(*owner, *topic, seq)
+        }).collect();
+        ledger.append(records.clone()).expect("acknowledged");
+        let state = stored.map(|stored| if stored { Stored } else { Sealed });
+        let mut query = RecordQuery {
+            owner: owner.map(|owner| Address([owner; 20])),
+            topic: topic.map(|topic| record(1, topic, 1).topic),
+            state,
+            since: since.map(Timestamp),
+            until: until.map(Timestamp),
+            limit,
+            newest_first,
+            ..RecordQuery::default()
+        };
+        let mut expected: Vec<&NewRecord> = records.iter().filter(|record| {
+            query.owner.is_none_or(|owner| owner == record.owner)
+                && query.topic.as_ref().is_none_or(|topic| *topic == record.topic)
+                && state.is_none_or(|state| state == record.state)
+                && since.is_none_or(|since| record.captured_at.0 >= since)
+                && until.is_none_or(|until| record.captured_at.0 < until)
+        }).collect();
+        expected.sort_by_key(|record| (record.captured_at, record.seq));
+        if newest_first {
+            expected.reverse();
+        }
+        let mut found = Vec::new();
+        loop {
+            let page = ledger.list(&query).expect("page");
+            prop_assert!(page.rows.len() <= limit);
+            found.extend(page.rows.into_iter().map(|row| row.digest));
+            let Some(next) = page.next else { break };
+            query.after = Some(next);
+        }
+        prop_assert_eq!(found, expected.iter().map(|record| record.digest).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn any_text_as_cursor_or_id_is_an_answer_or_a_clear_error(text in ".{0,40}|[0-9a-f]{0,70}") {
+        let (_home, ledger) = open();
+        if let Err(error) = ledger.record_by_id(&text) {
+            prop_assert_eq!(error.kind(), ErrorKind::Input);
+        }
+        let query = RecordQuery { after: Some(text), ..RecordQuery::default() };
+        if let Err(error) = ledger.list(&query) {
+            prop_assert_eq!(error.kind(), ErrorKind::Input);
+        }
+    }
+}

@@ -1,0 +1,20 @@
+//! What outlives the process: the ledger of records and their states (SQLite), the vault of
+//! ciphertext (embedded or Redis), the hash-chained audit log, and files with their modes and locks.
+//!
+//! Nothing here seals, opens or checks a record, and nothing here talks to the chain.
+
+pub mod audit;
+mod database;
+mod error;
+pub mod files;
+pub mod ledger;
+pub mod vault;
+
+pub use audit::{AuditEntry, AuditFault, AuditLine, AuditLog};
+pub use error::StoreError;
+pub use files::{ConsoleLock, SiteLock, atomic_write};
+pub use ledger::{
+    KeptEvent, LOST_IN_TRANSPORT, Ledger, NewRecord, NewTransaction, RecordPage, RecordQuery, RecordRow, Sighting,
+    StateCounts, TopicCounts, TransactionOutcome, TransactionRow, TransactionState,
+};
+pub use vault::{Usage, Vault, open_vault};

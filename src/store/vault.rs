@@ -1,0 +1,106 @@
+//! The vault: where ciphertext lies, addressed by its digest.
+//!
+//! Embedded (one SQLite file) or Redis. The vault trusts nobody and checks nothing: whoever reads
+//! compares SM3 of the bytes with the chain.
+
+mod embedded;
+mod redis;
+#[cfg(test)]
+mod tests;
+
+use std::path::Path;
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+
+use super::StoreError;
+use crate::model::Digest;
+
+pub use embedded::EmbeddedVault;
+pub use redis::RedisVault;
+
+/// How much a vault holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct Usage {
+    /// Number of records.
+    pub entries: u64,
+    /// Their stored bytes.
+    pub bytes: u64,
+}
+
+/// A place for sealed records. All calls are idempotent and may come from many threads at once.
+pub trait Vault: Send + Sync {
+    /// What to call it on screen; no secrets in it.
+    fn name(&self) -> &str;
+
+    /// Whether [`Vault::put`] returns only when the bytes survive a loss of power.
+    fn durable(&self) -> bool;
+
+    /// Puts records in; bytes that are there under the same digest are replaced.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`], [`StoreError::VaultFull`], [`StoreError::Unreachable`] and the like:
+    /// then some may be in and some not; put all of them again.
+    fn put(&self, entries: &[(Digest, &[u8])]) -> Result<(), StoreError>;
+
+    /// The bytes under a digest. They are what was put in or what somebody made of it: check them.
+    ///
+    /// # Errors
+    /// [`StoreError::Unreachable`], [`StoreError::Corrupt`] and the like.
+    fn get(&self, digest: Digest) -> Result<Option<Vec<u8>>, StoreError>;
+
+    /// Takes a record out; whether it was there.
+    ///
+    /// # Errors
+    /// [`StoreError::Unreachable`] and the like.
+    fn delete(&self, digest: Digest) -> Result<bool, StoreError>;
+
+    /// Whether something is stored under a digest.
+    ///
+    /// # Errors
+    /// [`StoreError::Unreachable`] and the like.
+    fn contains(&self, digest: Digest) -> Result<bool, StoreError>;
+
+    /// How much it holds. Redis has to walk all its keys for this.
+    ///
+    /// # Errors
+    /// [`StoreError::Unreachable`] and the like.
+    fn usage(&self) -> Result<Usage, StoreError>;
+
+    /// What the operator should know about how this vault is set up.
+    fn policy_warnings(&self) -> Vec<String>;
+
+    /// Shows every record to `each`, for audits and tests.
+    ///
+    /// # Errors
+    /// [`StoreError::Unreachable`] and the like: then `each` has seen only some.
+    fn dump(&self, each: &mut dyn FnMut(Digest, &[u8])) -> Result<(), StoreError>;
+
+    /// Plays the attacker, for the demo and tests: overwrites what is stored under a digest by any bytes;
+    /// whether something was there to overwrite. Nothing else may call this.
+    ///
+    /// # Errors
+    /// [`StoreError::Unreachable`] and the like.
+    fn replace(&self, digest: Digest, bytes: &[u8]) -> Result<bool, StoreError>;
+
+    /// Whether the vault was restarted since this was last asked (or since it was opened), so that what is
+    /// not yet verified has to be put back.
+    ///
+    /// # Errors
+    /// [`StoreError::Unreachable`] and the like.
+    fn restarted(&self) -> Result<bool, StoreError> {
+        Ok(false)
+    }
+}
+
+/// Opens the vault at `url`, or the embedded one (`vault.db` in `directory`) where there is no URL.
+///
+/// # Errors
+/// [`StoreError::VaultUrl`], [`StoreError::Unreachable`], [`StoreError::Policy`] for Redis;
+/// [`StoreError::Home`], [`StoreError::Mode`], [`StoreError::Corrupt`] for the embedded one.
+pub fn open_vault(url: Option<&str>, directory: &Path) -> Result<Arc<dyn Vault>, StoreError> {
+    match url {
+        Some(url) => Ok(Arc::new(RedisVault::open(url)?)),
+        None => Ok(Arc::new(EmbeddedVault::open(&directory.join("vault.db"))?)),
+    }
+}

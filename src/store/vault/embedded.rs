@@ -1,0 +1,124 @@
+//! The embedded vault: one SQLite file of content-addressed blobs, each put one fsynced commit.
+
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use rusqlite::{Connection, OptionalExtension as _, params};
+
+use super::{Usage, Vault};
+use crate::model::Digest;
+use crate::store::StoreError;
+use crate::store::database::{self, Schema};
+
+const SCHEMA: Schema = Schema { application: 0x4155_5631, steps: &[include_str!("schema_1.sql")] };
+
+/// A vault in a file of the home.
+pub struct EmbeddedVault {
+    path: PathBuf,
+    writer: Mutex<Connection>,
+    reader: Mutex<Connection>,
+}
+
+impl EmbeddedVault {
+    /// Opens the file, or makes it.
+    ///
+    /// # Errors
+    /// [`StoreError::Home`], [`StoreError::Mode`], [`StoreError::Corrupt`], [`StoreError::Newer`].
+    pub fn open(path: &Path) -> Result<Self, StoreError> {
+        let writer = Mutex::new(database::open_writer(path, &SCHEMA)?);
+        let reader = Mutex::new(database::open_reader(path)?);
+        Ok(Self { path: path.to_owned(), writer, reader })
+    }
+
+    fn on<T>(
+        &self,
+        connection: &Mutex<Connection>,
+        work: impl FnOnce(&mut MutexGuard<'_, Connection>) -> Result<T, StoreError>,
+    ) -> Result<T, StoreError> {
+        let mut connection = connection.lock().unwrap_or_else(PoisonError::into_inner);
+        work(&mut connection).map_err(|error| error.in_file(&self.path))
+    }
+}
+
+impl Vault for EmbeddedVault {
+    fn name(&self) -> &'static str {
+        "embedded"
+    }
+
+    fn durable(&self) -> bool {
+        true
+    }
+
+    fn put(&self, entries: &[(Digest, &[u8])]) -> Result<(), StoreError> {
+        if entries.is_empty() {
+            return Ok(());
+        }
+        self.on(&self.writer, |connection| {
+            let transaction = connection.transaction()?;
+            {
+                let mut statement = transaction.prepare_cached(
+                    "INSERT INTO blobs (digest, bytes) VALUES (?1, ?2) ON CONFLICT (digest)
+                     DO UPDATE SET bytes = excluded.bytes WHERE bytes <> excluded.bytes",
+                )?;
+                for (digest, bytes) in entries {
+                    statement.execute(params![digest.0, bytes])?;
+                }
+            }
+            Ok(transaction.commit()?)
+        })
+    }
+
+    fn get(&self, digest: Digest) -> Result<Option<Vec<u8>>, StoreError> {
+        self.on(&self.reader, |connection| {
+            let mut statement = connection.prepare_cached("SELECT bytes FROM blobs WHERE digest = ?1")?;
+            Ok(statement.query_row([digest.0], |row| row.get(0)).optional()?)
+        })
+    }
+
+    fn delete(&self, digest: Digest) -> Result<bool, StoreError> {
+        self.on(&self.writer, |connection| {
+            Ok(connection.prepare_cached("DELETE FROM blobs WHERE digest = ?1")?.execute([digest.0])? > 0)
+        })
+    }
+
+    fn contains(&self, digest: Digest) -> Result<bool, StoreError> {
+        self.on(&self.reader, |connection| {
+            Ok(connection.prepare_cached("SELECT 1 FROM blobs WHERE digest = ?1")?.exists([digest.0])?)
+        })
+    }
+
+    fn usage(&self) -> Result<Usage, StoreError> {
+        self.on(&self.reader, |connection| {
+            let found = connection.query_row("SELECT entries, bytes FROM used", [], |row| {
+                let number = |column| row.get(column).map(i64::cast_unsigned);
+                Ok(Usage { entries: number(0)?, bytes: number(1)? })
+            })?;
+            Ok(found)
+        })
+    }
+
+    fn policy_warnings(&self) -> Vec<String> {
+        Vec::new()
+    }
+
+    fn dump(&self, each: &mut dyn FnMut(Digest, &[u8])) -> Result<(), StoreError> {
+        let connection = database::open_reader(&self.path)?;
+        let mut show = || -> Result<(), StoreError> {
+            let mut statement = connection.prepare("SELECT digest, bytes FROM blobs ORDER BY n")?;
+            let mut rows = statement.query([])?;
+            while let Some(row) = rows.next()? {
+                let bytes = row.get_ref(1)?.as_blob().map_err(rusqlite::Error::from)?;
+                each(Digest(row.get(0)?), bytes);
+            }
+            Ok(())
+        };
+        show().map_err(|error| error.in_file(&self.path))
+    }
+
+    fn replace(&self, digest: Digest, bytes: &[u8]) -> Result<bool, StoreError> {
+        self.on(&self.writer, |connection| {
+            let mut statement = connection.prepare_cached("UPDATE blobs SET bytes = ?2 WHERE digest = ?1")?;
+            Ok(statement.execute(params![digest.0, bytes])? > 0)
+        })
+    }
+}

@@ -1,0 +1,168 @@
+//! The vault's tests: what both kinds must do, then what is Redis's own. A real server is started where there is one.
+
+mod server;
+
+use std::collections::BTreeMap;
+
+use super::*;
+use crate::model::ErrorKind;
+use server::Server;
+
+fn blob(number: u32, length: usize) -> (Digest, Vec<u8>) {
+    let mut digest = [0; 32];
+    digest[..4].copy_from_slice(&number.to_be_bytes());
+    (Digest(digest), number.to_be_bytes().into_iter().cycle().take(length).collect())
+}
+
+fn borrowed(blobs: &[(Digest, Vec<u8>)]) -> Vec<(Digest, &[u8])> {
+    blobs.iter().map(|(digest, bytes)| (*digest, bytes.as_slice())).collect()
+}
+
+fn behaves(vault: &dyn Vault) {
+    let blobs: Vec<_> = (0..40).map(|number| blob(number, 200)).collect();
+    vault.put(&[]).expect("nothing to do");
+    vault.put(&borrowed(&blobs)).expect("put");
+    vault.put(&borrowed(&blobs[..3])).expect("idempotent");
+    assert_eq!(vault.usage(), Ok(Usage { entries: 40, bytes: 8_000 }));
+    assert_eq!(vault.get(blobs[7].0), Ok(Some(blobs[7].1.clone())));
+    assert_eq!(vault.get(Digest([9; 32])), Ok(None));
+    assert_eq!((vault.contains(blobs[1].0), vault.contains(Digest([9; 32]))), (Ok(true), Ok(false)));
+
+    assert_eq!(vault.replace(blobs[1].0, b"flipped"), Ok(true));
+    assert_eq!(vault.get(blobs[1].0), Ok(Some(b"flipped".to_vec())));
+    assert_eq!(vault.usage().expect("usage").bytes, 7_807);
+    vault.put(&borrowed(&blobs[1..2])).expect("put back");
+    assert_eq!(vault.get(blobs[1].0), Ok(Some(blobs[1].1.clone())));
+    assert_eq!(vault.replace(Digest([9; 32]), b"x"), Ok(false));
+    assert_eq!(vault.get(Digest([9; 32])), Ok(None));
+
+    assert_eq!((vault.delete(blobs[0].0), vault.delete(blobs[0].0)), (Ok(true), Ok(false)));
+    let mut seen = BTreeMap::new();
+    vault.dump(&mut |digest, bytes| drop(seen.insert(digest, bytes.to_vec()))).expect("dumped");
+    assert_eq!(seen, blobs[1..].iter().cloned().collect());
+    assert_eq!(vault.usage(), Ok(Usage { entries: 39, bytes: 7_800 }));
+    assert_eq!(vault.restarted(), Ok(false));
+}
+
+#[test]
+fn the_embedded_vault_behaves_and_is_durable() {
+    let home = tempfile::tempdir().expect("temporary directory");
+    let vault = open_vault(None, home.path()).expect("opens");
+    behaves(vault.as_ref());
+    assert!(vault.durable() && vault.policy_warnings().is_empty());
+    drop(vault);
+    let vault = open_vault(None, home.path()).expect("opens again");
+    assert_eq!(vault.usage(), Ok(Usage { entries: 39, bytes: 7_800 }));
+}
+
+#[test]
+fn speed_of_the_embedded_vault() {
+    let home = tempfile::tempdir().expect("temporary directory");
+    let vault = open_vault(None, home.path()).expect("opens");
+    for (batch, length) in [(1, 1_024), (64, 1_024), (8, 58_000)] {
+        let start = std::time::Instant::now();
+        for round in 0..20 {
+            let number = |index| u32::try_from(length * 10_000 + round * batch + index).expect("small");
+            let blobs: Vec<_> = (0..batch).map(|index| blob(number(index), length)).collect();
+            vault.put(&borrowed(&blobs)).expect("put");
+        }
+        let rate = f64::from(u32::try_from(20 * batch).expect("small")) / start.elapsed().as_secs_f64();
+        println!("embedded vault: {rate:.0} puts/s of {length} bytes in batches of {batch}");
+    }
+    assert!(vault.usage().expect("usage").entries >= 20 * 72);
+}
+
+#[test]
+fn bad_urls_and_closed_ports_are_told_apart_and_hide_secrets() {
+    for url in ["redis://", "http://u:secret@x", "rediss://u:secret@127.0.0.1:1", "secret", "redis://h/x?pass=secret"] {
+        let error = RedisVault::open(url).map(drop).expect_err(url);
+        assert_eq!(error.kind(), ErrorKind::Input, "{error}");
+        assert!(url == "secret" || !error.to_string().contains("secret"), "{error}");
+    }
+    let closed = std::net::TcpListener::bind("127.0.0.1:0").and_then(|l| l.local_addr()).expect("port");
+    let url = format!("redis://user:secret@{closed}/0");
+    let error = RedisVault::open(&url).map(drop).expect_err("nobody there");
+    assert_eq!(error.kind(), ErrorKind::Unreachable);
+    let text = error.to_string();
+    assert!(text.contains(&closed.to_string()) && !text.contains("secret") && !text.contains("user"), "{text}");
+    let error = RedisVault::open("redis+unix:///nowhere.sock?pass=secret").map(drop).expect_err("nobody there");
+    assert!(error.kind() == ErrorKind::Unreachable && !error.to_string().contains("secret"), "{error}");
+}
+
+#[test]
+fn a_redis_vault_behaves_over_tcp_and_unix_socket() {
+    let Some(server) = Server::start(&[]) else { return };
+    let home = tempfile::tempdir().expect("temporary directory");
+    let vault = open_vault(Some(&server.url()), home.path()).expect("opens");
+    behaves(vault.as_ref());
+    assert!(!vault.durable());
+    assert!(vault.policy_warnings().iter().any(|text| text.contains("appendonly")), "{:?}", vault.policy_warnings());
+    vault.dump(&mut |_, _| {}).expect("dumped");
+    let socket = open_vault(Some(&server.socket_url()), home.path()).expect("opens");
+    assert_eq!(socket.usage(), Ok(Usage { entries: 39, bytes: 7_800 }));
+
+    let start = std::time::Instant::now();
+    let blobs: Vec<_> = (1_000..1_400).map(|number| blob(number, 58_000)).collect();
+    vault.put(&borrowed(&blobs)).expect("several pipelines");
+    let rate = 400.0 / start.elapsed().as_secs_f64();
+    println!("redis vault: {rate:.0} puts/s of 58,000 bytes");
+    let large = blob(9_999, 20 << 20);
+    vault.put(&borrowed(std::slice::from_ref(&large))).expect("alone");
+    assert_eq!(vault.get(large.0), Ok(Some(large.1)));
+}
+
+#[test]
+fn an_evicting_policy_is_refused_with_the_way_out() {
+    let Some(server) = Server::start(&["--maxmemory-policy", "allkeys-lru", "--appendonly", "yes"]) else { return };
+    let error = RedisVault::open(&server.url()).map(drop).expect_err("refused");
+    assert_eq!(error.kind(), ErrorKind::Refused);
+    let text = error.to_string();
+    assert!(text.contains("allkeys-lru") && text.contains("CONFIG SET maxmemory-policy noeviction"), "{text}");
+    server.command(&["CONFIG", "SET", "maxmemory-policy", "noeviction"]);
+    let vault = RedisVault::open(&server.url()).expect("fixed");
+    assert_eq!(vault.policy_warnings(), Vec::<String>::new());
+}
+
+#[test]
+fn a_full_redis_says_so_and_takes_all_after_growing() {
+    let Some(server) = Server::start(&["--maxmemory", "4mb"]) else { return };
+    let vault = RedisVault::open(&server.url()).expect("opens");
+    let blobs: Vec<_> = (0..100).map(|number| blob(number, 100_000)).collect();
+    let error = vault.put(&borrowed(&blobs)).expect_err("full");
+    assert!(matches!(error, StoreError::VaultFull { .. }) && error.is_passing(), "{error}");
+    server.command(&["CONFIG", "SET", "maxmemory", "100mb"]);
+    vault.put(&borrowed(&blobs)).expect("grown");
+    assert_eq!(vault.usage(), Ok(Usage { entries: 100, bytes: 10_000_000 }));
+}
+
+#[test]
+fn a_restart_is_noticed_and_the_connection_heals() {
+    let Some(mut server) = Server::start(&[]) else { return };
+    let vault = RedisVault::open(&server.url()).expect("opens");
+    let (digest, bytes) = blob(1, 100);
+    vault.put(&[(digest, &bytes)]).expect("put");
+    server.kill();
+    let error = vault.get(digest).expect_err("gone");
+    assert_eq!(error.kind(), ErrorKind::Unreachable, "{error}");
+    assert!(vault.restarted().is_err());
+    server.revive();
+    assert_eq!(vault.get(digest), Ok(None), "all is lost without an append-only file");
+    assert_eq!((vault.restarted(), vault.restarted()), (Ok(true), Ok(false)));
+    server.kill();
+    server.revive();
+    vault.put(&[(digest, &bytes)]).expect("a dead connection is replaced within the call");
+    assert_eq!(vault.restarted(), Ok(true));
+}
+
+#[test]
+fn a_hidden_configuration_is_a_warning_and_a_wrong_password_a_refusal() {
+    let Some(server) = Server::start(&["--rename-command", "CONFIG", "", "--requirepass", "hush"]) else { return };
+    let vault = RedisVault::open(&server.url().replace("://", "://:hush@")).expect("opens");
+    assert!(vault.policy_warnings()[0].contains("does not show"), "{:?}", vault.policy_warnings());
+    assert!(!vault.name().contains("hush"), "{}", vault.name());
+    for url in [server.url(), server.url().replace("://", "://:wrong@")] {
+        let error = RedisVault::open(&url).map(drop).expect_err("no password");
+        assert_eq!(error.kind(), ErrorKind::Refused, "{error}");
+        assert!(!error.to_string().contains("wrong@"), "{error}");
+    }
+}

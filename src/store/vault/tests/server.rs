@@ -1,0 +1,87 @@
+//! A real redis-server of one test: free port, own directory, stopped when dropped.
+
+use std::net::TcpListener;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+pub(super) struct Server {
+    child: Child,
+    port: u16,
+    directory: tempfile::TempDir,
+    arguments: Vec<String>,
+}
+
+impl Server {
+    /// Starts a server; `None` (and says so) where none is installed.
+    pub(super) fn start(arguments: &[&str]) -> Option<Self> {
+        let installed = Command::new("redis-server").arg("--version").stdout(Stdio::null()).status();
+        if installed.is_err() {
+            println!("SKIPPED a test of the Redis vault: redis-server is not installed");
+            return None;
+        }
+        let directory = tempfile::tempdir().expect("temporary directory");
+        let arguments: Vec<String> = arguments.iter().map(|argument| (*argument).to_owned()).collect();
+        // Another process may take the free port first: then try the next one.
+        for _ in 0..5 {
+            let port = TcpListener::bind("127.0.0.1:0").and_then(|l| l.local_addr()).expect("a free port").port();
+            let mut child = spawn(port, directory.path(), &arguments);
+            if answers(port, &mut child) {
+                return Some(Self { child, port, directory, arguments });
+            }
+        }
+        panic!("redis-server does not start");
+    }
+
+    pub(super) fn url(&self) -> String {
+        format!("redis://127.0.0.1:{}/0", self.port)
+    }
+
+    pub(super) fn socket_url(&self) -> String {
+        format!("redis+unix://{}", self.directory.path().join("redis.sock").display())
+    }
+
+    pub(super) fn command(&self, words: &[&str]) {
+        let mut connection = redis::Client::open(self.url()).and_then(|c| c.get_connection()).expect("connects");
+        redis::cmd(words[0]).arg(&words[1..]).exec(&mut connection).expect("done");
+    }
+
+    pub(super) fn kill(&mut self) {
+        self.child.kill().expect("killed");
+        self.child.wait().expect("ended");
+    }
+
+    pub(super) fn revive(&mut self) {
+        self.child = spawn(self.port, self.directory.path(), &self.arguments);
+        assert!(answers(self.port, &mut self.child), "redis-server does not come back");
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn spawn(port: u16, directory: &std::path::Path, arguments: &[String]) -> Child {
+    Command::new("redis-server")
+        .args(["--port", &port.to_string(), "--bind", "127.0.0.1", "--save", "", "--daemonize", "no"])
+        .args(["--unixsocket", "redis.sock", "--dir"])
+        .arg(directory)
+        .args(arguments)
+        .current_dir(directory)
+        .stdout(Stdio::null())
+        .spawn()
+        .expect("redis-server starts")
+}
+
+fn answers(port: u16, child: &mut Child) -> bool {
+    let start = Instant::now();
+    while start.elapsed() < Duration::from_secs(10) && child.try_wait().is_ok_and(|ended| ended.is_none()) {
+        if std::net::TcpStream::connect(("127.0.0.1", port)).is_ok() {
+            return true;
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    false
+}

@@ -1,0 +1,30 @@
+//! The ASCII glyph mode: after everything is drawn, every other character is replaced.
+
+use ratatui::buffer::Buffer;
+
+/// Replaces every cell that is not ASCII.
+pub fn flatten(buffer: &mut Buffer) {
+    for cell in &mut buffer.content {
+        if !cell.symbol().is_ascii() {
+            let plain = cell.symbol().chars().next().map_or(' ', plain);
+            cell.set_char(plain);
+        }
+    }
+}
+
+fn plain(character: char) -> char {
+    match character {
+        '─' => '-',
+        '│' => '|',
+        '┌' | '┐' | '└' | '┘' => '+',
+        '●' | '•' | '✓' => '*',
+        '◐' | '…' => '~',
+        '○' => 'o',
+        '✖' => 'X',
+        '▌' | '›' => '>',
+        '▁' | '▂' => '_',
+        '▃' | '▄' | '▅' => '=',
+        '▆' | '▇' | '█' => '#',
+        _ => '?',
+    }
+}

@@ -1,0 +1,106 @@
+//! The last two lines: the message, and what can be done here.
+
+use ratatui::layout::Rect;
+
+use super::canvas::{Canvas, columns, row};
+use super::theme::Role;
+use super::words::wrap;
+use crate::app::available::available;
+use crate::app::popup_keys::hints;
+use crate::app::update::under_way;
+use crate::app::verb::{Entry, VERBS};
+use crate::app::{Screen, State};
+use crate::service::NoticeLevel;
+
+/// The most lines a message takes.
+const MOST_LINES: usize = 3;
+
+/// Draws message and bar at the bottom of `area`.
+pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
+    draw_message(canvas, Rect { height: area.height - 1, ..area }, state);
+    draw_bar(canvas, row(area, area.height - 1), state);
+}
+
+/// Mark and role of a level.
+pub fn level(level: NoticeLevel) -> (&'static str, Role) {
+    match level {
+        NoticeLevel::Info => ("› ", Role::Accent),
+        NoticeLevel::Warning => ("◐ ", Role::Warning),
+        NoticeLevel::Error => ("✖ ", Role::Bad),
+    }
+}
+
+fn draw_message(canvas: &mut Canvas, area: Rect, state: &State) {
+    let last = row(area, area.height - 1);
+    let Some(toast) = state.toasts.shown() else {
+        if let Some(work) = under_way(state) {
+            canvas.put(last, &format!("› {work}…"), Role::Dim);
+        }
+        return;
+    };
+    let hint = match state.toasts.unseen() {
+        0 => String::new(),
+        1 => " esc: seen".to_owned(),
+        more => format!(" esc: seen, {} more", more - 1),
+    };
+    let (mark, role) = level(toast.level);
+    let width = area.width.saturating_sub(columns(&hint) + 3);
+    let lines = wrap(&toast.text, width);
+    let shown = lines.len().min(MOST_LINES);
+    let top = area.height - u16::try_from(shown).unwrap_or(1);
+    for (index, line) in (0u16..).zip(lines.iter().take(shown)) {
+        let place = row(area, top + index);
+        canvas.wipe(place);
+        let cut = usize::from(index) + 1 == shown && lines.len() > shown;
+        let line = if cut { format!("{line}… (9: log)") } else { line.clone() };
+        canvas.puts(place, &[(if index == 0 { mark } else { "  " }, role), (&line, role)]);
+    }
+    canvas.put_right(row(area, top), &hint, Role::Dim);
+}
+
+fn draw_bar(canvas: &mut Canvas, area: Rect, state: &State) {
+    canvas.wipe(area);
+    if let Some(popup) = state.popups.last() {
+        return draw_hints(canvas, area, &hints(popup));
+    }
+    if state.table().is_some_and(|table| table.filtering) {
+        return draw_hints(canvas, area, &[("enter", "keep the filter"), ("esc", "take it away"), ("up down", "move")]);
+    }
+    // Help and quit keep their place at the right, whatever is cut.
+    let tail = Rect { x: area.x + area.width.saturating_sub(TAIL), width: TAIL.min(area.width), ..area };
+    draw_hints(canvas, tail, &[(":", "commands"), ("?", "help"), ("q", "quit")]);
+    let mut rest = Rect { width: area.width - tail.width, ..area };
+    for entry in entries(state.screen, state.settings.read_only) {
+        rest = draw_entry(canvas, rest, state, entry);
+    }
+}
+
+/// Columns of `: commands  ? help  q quit`.
+const TAIL: u16 = 28;
+
+fn draw_hints(canvas: &mut Canvas, area: Rect, hints: &[(&str, &str)]) {
+    hints.iter().fold(area, |rest, (key, label)| {
+        canvas.puts(rest, &[(key, Role::Key), (" ", Role::Body), (label, Role::Body), ("  ", Role::Body)])
+    });
+}
+
+/// What the bar shows of a screen: its own verbs first.
+fn entries(screen: Screen, read_only: bool) -> impl Iterator<Item = &'static Entry> {
+    let tail = ["palette", "help", "quit"];
+    let shown = move |entry: &&Entry| {
+        let hidden = read_only && entry.changes;
+        !entry.label.is_empty() && entry.works_on(screen) && !hidden && !tail.contains(&entry.name)
+    };
+    VERBS.iter().filter(shown)
+}
+
+fn draw_entry(canvas: &mut Canvas, area: Rect, state: &State, entry: &Entry) -> Rect {
+    let key = entry.keys.first().map(|key| key.label()).unwrap_or_default();
+    let reason = available(state, entry.verb).err();
+    let label = reason.map_or_else(|| entry.label.to_owned(), |reason| format!("{} ({reason})", entry.label));
+    if columns(&key) + columns(&label) + 3 > area.width {
+        return Rect { width: 0, ..area };
+    }
+    let (key_role, role) = if reason.is_some() { (Role::Dim, Role::Dim) } else { (Role::Key, Role::Body) };
+    canvas.puts(area, &[(&key, key_role), (" ", Role::Body), (&label, role), ("  ", Role::Body)])
+}

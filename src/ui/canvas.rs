@@ -1,0 +1,147 @@
+//! The one place where text becomes cells: everything is cleaned here, whatever it was before.
+
+use ratatui::buffer::Buffer;
+use ratatui::layout::{Position, Rect};
+use ratatui::style::Style;
+use ratatui::widgets::{Block, Clear, Widget};
+use unicode_width::UnicodeWidthStr;
+
+use super::theme::{Role, Theme};
+use crate::model::clean;
+
+/// A buffer to draw on, with the theme's looks.
+pub struct Canvas<'a> {
+    buffer: &'a mut Buffer,
+    theme: &'a Theme,
+    cursor: Option<Position>,
+}
+
+/// The columns `text` takes once it is cleaned.
+pub fn columns(text: &str) -> u16 {
+    u16::try_from(clean(text, usize::from(u16::MAX)).width()).unwrap_or(u16::MAX)
+}
+
+/// The part of `area` below its first `rows`.
+pub fn below(area: Rect, rows: u16) -> Rect {
+    let rows = rows.min(area.height);
+    Rect { y: area.y + rows, height: area.height - rows, ..area }
+}
+
+/// One row of `area`; empty where it has no such row.
+pub fn row(area: Rect, number: u16) -> Rect {
+    Rect { height: area.height.saturating_sub(number).min(1), ..below(area, number) }
+}
+
+/// The part of `area` right of its first `columns`.
+pub fn right_of(area: Rect, columns: u16) -> Rect {
+    let columns = columns.min(area.width);
+    Rect { x: area.x + columns, width: area.width - columns, ..area }
+}
+
+impl<'a> Canvas<'a> {
+    /// Draws on `buffer`.
+    pub fn new(buffer: &'a mut Buffer, theme: &'a Theme) -> Self {
+        Self { buffer, theme, cursor: None }
+    }
+
+    /// How a role looks.
+    pub fn style(&self, role: Role) -> Style {
+        self.theme.style(role)
+    }
+
+    /// Where the terminal's cursor is to stand.
+    pub fn cursor(&self) -> Option<Position> {
+        self.cursor
+    }
+
+    /// Puts the terminal's cursor at a place.
+    pub fn set_cursor(&mut self, x: u16, y: u16) {
+        self.cursor = Some(Position { x, y });
+    }
+
+    /// Writes `text` into the first row of `area`, cut at its edge; the columns it took.
+    pub fn put(&mut self, area: Rect, text: &str, role: Role) -> u16 {
+        let area = area.intersection(*self.buffer.area());
+        if area.is_empty() || text.is_empty() {
+            return 0;
+        }
+        let mut shown = clean(text, usize::from(area.width));
+        if shown.width() > usize::from(area.width) {
+            while shown.width() + 1 > usize::from(area.width) {
+                shown.pop();
+            }
+            shown.push('…');
+        }
+        let width = usize::from(area.width);
+        let (end, _) = self.buffer.set_stringn(area.x, area.y, &shown, width, self.theme.style(role));
+        end - area.x
+    }
+
+    /// Writes pieces one behind the other; what is left of `area`.
+    pub fn puts(&mut self, area: Rect, pieces: &[(&str, Role)]) -> Rect {
+        pieces.iter().fold(area, |rest, (text, role)| {
+            let taken = self.put(rest, text, *role);
+            right_of(rest, taken)
+        })
+    }
+
+    /// Writes `text` at the right edge of the first row of `area`.
+    pub fn put_right(&mut self, area: Rect, text: &str, role: Role) -> u16 {
+        let width = columns(text).min(area.width);
+        self.put(right_of(area, area.width - width), text, role)
+    }
+
+    /// Empties `area` and draws a frame with a title around it; the room inside.
+    pub fn frame(&mut self, area: Rect, title: &str) -> Rect {
+        Clear.render(area, self.buffer);
+        let block = Block::bordered().border_style(self.theme.style(Role::Border));
+        let inner = block.inner(area);
+        block.render(area, self.buffer);
+        let top = Rect { x: area.x + 1, y: area.y, width: area.width.saturating_sub(2), height: 1 };
+        self.put(top, &format!(" {title} "), Role::Title);
+        Rect { x: inner.x + 1, width: inner.width.saturating_sub(2), ..inner }
+    }
+
+    /// Empties `area`.
+    pub fn wipe(&mut self, area: Rect) {
+        Clear.render(area.intersection(*self.buffer.area()), self.buffer);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn written(text: &str, width: u16) -> Buffer {
+        let theme = Theme::named("night").expect("embedded");
+        let mut buffer = Buffer::empty(Rect::new(0, 0, 40, 2));
+        Canvas::new(&mut buffer, &theme).put(Rect::new(3, 0, width, 1), text, Role::Body);
+        buffer
+    }
+
+    fn shown(buffer: &Buffer) -> String {
+        buffer.content().iter().map(ratatui::buffer::Cell::symbol).collect()
+    }
+
+    #[test]
+    fn a_cut_is_marked() {
+        assert!(shown(&written("/robot1/camera/compressed", 10)).contains("/robot1/c…"));
+        assert!(shown(&written("机器人机器人", 6)).contains('…'));
+    }
+
+    proptest! {
+        #[test]
+        fn no_hostile_text_reaches_a_cell_outside_its_place(text in any::<String>(), width in 1u16..60) {
+            let buffer = written(&text, width);
+            for (index, cell) in buffer.content().iter().enumerate() {
+                let (x, y) = buffer.pos_of(index);
+                let inside = y == 0 && x >= 3 && x < 3 + width;
+                prop_assert!(inside || cell.symbol() == " ", "{x} {y} {:?}", cell.symbol());
+                let harmless = |c: char| !c.is_control() && !matches!(c, '\u{200b}'..='\u{200f}' | '\u{202a}'..='\u{202e}'
+                    | '\u{2066}'..='\u{2069}' | '\u{feff}');
+                prop_assert!(cell.symbol().chars().all(harmless), "{:?}", cell.symbol());
+            }
+        }
+    }
+}

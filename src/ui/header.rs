@@ -1,0 +1,79 @@
+//! The two lines on top: who, how the parts are, badges; and the screens.
+
+use ratatui::layout::Rect;
+
+use super::canvas::{Canvas, columns, right_of, row};
+use super::theme::Role;
+use crate::app::{Screen, State};
+use crate::service::reply::{HealthLevel, PartHealth};
+
+/// Below so many columns only the screen in view is named.
+const NAMED_FROM: u16 = 80;
+/// From so many columns on the address is shown.
+const ADDRESS_FROM: u16 = 100;
+
+/// Draws both lines.
+pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
+    draw_first(canvas, row(area, 0), state);
+    draw_screens(canvas, row(area, 1), state);
+}
+
+fn draw_first(canvas: &mut Canvas, area: Rect, state: &State) {
+    let mut rest = area;
+    for badge in badges(state) {
+        let taken = canvas.put_right(rest, badge, Role::Badge);
+        rest.width = rest.width.saturating_sub(taken + 1);
+    }
+    if area.width >= NAMED_FROM {
+        rest = canvas.puts(rest, &[("AuthROS ", Role::Title)]);
+    }
+    rest = canvas.puts(rest, &[(state.settings.profile.as_str(), Role::Accent), ("  ", Role::Body)]);
+    if let Some(address) = state.address().filter(|_| area.width >= ADDRESS_FROM) {
+        rest = canvas.puts(rest, &[(&address.short(), Role::Dim), ("  ", Role::Body)]);
+    }
+    match &state.site {
+        Some(site) => draw_health(canvas, rest, &site.health),
+        None => drop(canvas.put(rest, "site starting…", Role::Warning)),
+    }
+}
+
+fn badges(state: &State) -> impl Iterator<Item = &'static str> {
+    let badges = [(state.paused, " PAUSED "), (state.settings.read_only, " READ-ONLY ")];
+    badges.into_iter().filter(|(shown, _)| *shown).map(|(_, badge)| badge)
+}
+
+fn draw_health(canvas: &mut Canvas, area: Rect, health: &[PartHealth]) {
+    let mut rest = area;
+    for part in health {
+        let (dot, role, word) = level(part);
+        let dot = format!(" {dot} ");
+        rest = canvas.puts(rest, &[(&part.part, Role::Body), (&dot, role), (word, role), ("  ", Role::Body)]);
+    }
+}
+
+/// Dot, role and words of a part's health.
+pub fn level(part: &PartHealth) -> (&'static str, Role, &str) {
+    match part.level {
+        HealthLevel::Ok => ("●", Role::Good, "ok"),
+        HealthLevel::Waiting => ("◐", Role::Warning, &part.text),
+        HealthLevel::Failed => ("✖", Role::Bad, "failed"),
+        HealthLevel::Absent => ("○", Role::Dim, "absent"),
+    }
+}
+
+fn draw_screens(canvas: &mut Canvas, area: Rect, state: &State) {
+    let mut rest = area;
+    let all: u16 = Screen::ALL.iter().map(|screen| columns(screen.title()) + 3).sum();
+    for screen in Screen::ALL {
+        let here = screen == state.screen;
+        let number = (screen.index() + 1).to_string();
+        let name = if here || area.width >= NAMED_FROM { screen.title() } else { "" };
+        let role = if here { Role::Selection } else { Role::Dim };
+        rest = canvas.puts(rest, &[(&number, if here { Role::Selection } else { Role::Key })]);
+        if !name.is_empty() {
+            let gap = if all < area.width || here { " " } else { "" };
+            rest = canvas.puts(rest, &[(gap, role), (name, role)]);
+        }
+        rest = right_of(rest, 1);
+    }
+}

@@ -1,0 +1,90 @@
+//! Pure `draw(frame, state, theme)`: screens, popups, widgets. Nothing here changes state.
+//!
+//! ```text
+//! AuthROS default   ros ● ok  chain ● ok  vault ● ok  gateway ○ absent   PAUSED   header
+//! 1 Overview  2 Topics  3 Uploads  4 Shared  5 Grants  6 Keys  7 Chain ...        header
+//! Topics  12 of 40, by name, filter: odom                                         table
+//!   Topic                 Watched     Hz     kB/s  Lost  Last                     table
+//! ▌ /robot1/odom          watched   20.0     14.2   0/0  12:03:22  SIMULATED      one file per screen
+//!            ┌ Grant ────────────────────────────┐
+//!            │ Address  0x…                      │                                popups
+//!            └───────────────────────────────────┘
+//! ✖ chain: connection refused                              esc: seen, 2 more      bottom
+//! space mark  w watch  / filter  s sort  ? help  q quit                           bottom
+//! ```
+
+pub mod ascii;
+pub mod bottom;
+pub mod canvas;
+pub mod chain;
+pub mod first_run;
+pub mod gateway;
+pub mod grants;
+pub mod header;
+pub mod keys;
+pub mod log;
+pub mod overview;
+pub mod popups;
+pub mod records;
+pub mod table;
+pub mod theme;
+pub mod topics;
+pub mod words;
+
+#[cfg(test)]
+mod tests;
+
+use ratatui::Frame;
+use ratatui::layout::Rect;
+
+use crate::app::{Screen, State};
+use canvas::Canvas;
+pub use theme::{Role, Theme, ThemeError};
+
+/// The smallest terminal the screens are made for, columns.
+pub const LEAST_COLUMNS: u16 = 60;
+/// The smallest terminal the screens are made for, rows.
+pub const LEAST_ROWS: u16 = 18;
+
+/// Draws the state, whole.
+pub fn draw(frame: &mut Frame, state: &State, theme: &Theme) {
+    let area = frame.area();
+    let mut canvas = Canvas::new(frame.buffer_mut(), theme);
+    if area.width < LEAST_COLUMNS || area.height < LEAST_ROWS {
+        let size = format!("AuthROS needs {LEAST_COLUMNS}x{LEAST_ROWS}, here are {}x{}", area.width, area.height);
+        canvas.put(area, &size, Role::Warning);
+    } else {
+        draw_whole(&mut canvas, area, state);
+    }
+    let cursor = canvas.cursor();
+    if theme.ascii {
+        ascii::flatten(frame.buffer_mut());
+    }
+    if let Some(position) = cursor {
+        frame.set_cursor_position(position);
+    }
+}
+
+fn draw_whole(canvas: &mut Canvas, area: Rect, state: &State) {
+    let content = Rect { y: area.y + 2, height: area.height - 4, ..area };
+    header::draw(canvas, Rect { height: 2, ..area }, state);
+    draw_screen(canvas, content, state);
+    for popup in &state.popups {
+        popups::draw(canvas, content, state, popup);
+    }
+    bottom::draw(canvas, area, state);
+}
+
+fn draw_screen(canvas: &mut Canvas, area: Rect, state: &State) {
+    match state.screen {
+        Screen::Overview => overview::draw(canvas, area, state),
+        Screen::Topics => topics::draw(canvas, area, state),
+        Screen::Uploads => records::draw_uploads(canvas, area, state),
+        Screen::Shared => records::draw_shared(canvas, area, state),
+        Screen::Grants => grants::draw(canvas, area, state),
+        Screen::Keys => keys::draw(canvas, area, state),
+        Screen::Chain => chain::draw(canvas, area, state),
+        Screen::Gateway => gateway::draw(canvas, area, state),
+        Screen::Log => log::draw(canvas, area, state),
+    }
+}

@@ -1,0 +1,137 @@
+//! Tables: a title line, column heads, and the page of rows in which the cursor is.
+
+use ratatui::layout::Rect;
+
+use super::canvas::{Canvas, below, columns, right_of, row};
+use super::theme::Role;
+use crate::app::table::Table;
+
+/// One column.
+pub struct Column {
+    /// Its head.
+    pub title: &'static str,
+    /// Its width; 0 = what is left (one column of a table).
+    pub width: u16,
+    /// Whether it stands at the right edge of its column.
+    pub right: bool,
+    /// Shown from so many columns of the terminal on.
+    pub from: u16,
+}
+
+impl Column {
+    /// A column that takes what is left; it carries the cursor.
+    pub const fn wide(title: &'static str) -> Self {
+        Self { title, width: 0, right: false, from: 0 }
+    }
+
+    /// A column of words.
+    pub const fn text(title: &'static str, width: u16) -> Self {
+        Self { title, width, right: false, from: 0 }
+    }
+
+    /// A column of numbers.
+    pub const fn number(title: &'static str, width: u16) -> Self {
+        Self { title, width, right: true, from: 0 }
+    }
+
+    /// The same, only on terminals of so many columns.
+    pub const fn from(mut self, columns: u16) -> Self {
+        self.from = columns;
+        self
+    }
+}
+
+/// What to draw.
+pub struct Sheet<'a> {
+    /// Left part of the title line.
+    pub title: &'a str,
+    /// The rest of the title line.
+    pub note: String,
+    /// The columns.
+    pub columns: &'a [Column],
+    /// Keys of all rows, in order.
+    pub keys: &'a [String],
+    /// The cells of a row; called only for rows on screen.
+    pub cells: &'a dyn Fn(usize) -> Vec<(String, Role)>,
+    /// Cursor, marks, filter.
+    pub table: &'a Table,
+    /// Said when there is no row.
+    pub empty: &'a str,
+}
+
+/// Draws a table.
+pub fn draw(canvas: &mut Canvas, area: Rect, sheet: &Sheet) {
+    draw_title(canvas, row(area, 0), sheet);
+    let widths = widths(sheet.columns, area.width);
+    draw_cells(canvas, row(area, 1), sheet.columns, &widths, |column| (column.title.to_owned(), Role::Title));
+    let body = below(area, 2);
+    if sheet.keys.is_empty() {
+        canvas.put(right_of(body, GUTTER), sheet.empty, Role::Dim);
+        return;
+    }
+    let height = usize::from(body.height.max(1));
+    let position = sheet.table.position(sheet.keys);
+    let first = position - position % height;
+    for (line, index) in (0u16..).zip((first..sheet.keys.len()).take(height)) {
+        draw_row(canvas, row(body, line), sheet, &widths, index, index == position);
+    }
+}
+
+/// Columns before the first cell: cursor and mark.
+const GUTTER: u16 = 2;
+
+fn draw_title(canvas: &mut Canvas, area: Rect, sheet: &Sheet) {
+    let rest = canvas.puts(area, &[(sheet.title, Role::Title), ("  ", Role::Body), (&sheet.note, Role::Dim)]);
+    let filter = &sheet.table.filter;
+    if !sheet.table.filtering && filter.text().is_empty() {
+        return;
+    }
+    let rest = canvas.puts(rest, &[("  filter: ", Role::Accent)]);
+    canvas.put(rest, filter.text(), Role::Accent);
+    if sheet.table.filtering {
+        let before: String = filter.text().chars().take(filter.cursor()).collect();
+        canvas.set_cursor((rest.x + columns(&before)).min(area.right().saturating_sub(1)), rest.y);
+    }
+}
+
+fn draw_row(canvas: &mut Canvas, area: Rect, sheet: &Sheet, widths: &[u16], index: usize, here: bool) {
+    let marked = sheet.keys.get(index).is_some_and(|key| sheet.table.marks.contains(key));
+    canvas.puts(area, &[(if here { "▌" } else { " " }, Role::Accent), (if marked { "✓" } else { " " }, Role::Accent)]);
+    let mut cells = (sheet.cells)(index).into_iter();
+    draw_cells(canvas, area, sheet.columns, widths, |column| {
+        let (text, role) = cells.next().unwrap_or_default();
+        (text, if here && column.width == 0 { Role::Selection } else { role })
+    });
+}
+
+fn draw_cells(
+    canvas: &mut Canvas,
+    area: Rect,
+    columns: &[Column],
+    widths: &[u16],
+    mut cell: impl FnMut(&Column) -> (String, Role),
+) {
+    let mut rest = right_of(area, GUTTER);
+    for (column, width) in columns.iter().zip(widths) {
+        let (text, role) = cell(column);
+        if *width == 0 {
+            continue;
+        }
+        let place = Rect { width: (*width).min(rest.width), ..rest };
+        if column.right { canvas.put_right(place, &text, role) } else { canvas.put(place, &text, role) };
+        rest = right_of(rest, width + 1);
+    }
+}
+
+/// The width of each column; 0 = not shown.
+fn widths(columns: &[Column], whole: u16) -> Vec<u16> {
+    let shown = |column: &Column| column.from <= whole;
+    let fixed: u16 = columns.iter().filter(|column| shown(column)).map(|column| column.width + 1).sum();
+    let left = whole.saturating_sub(GUTTER + fixed).max(8);
+    let width = |column: &Column| match (shown(column), column.width) {
+        (false, _) => 0,
+        (true, 0) => left,
+        (true, width) => width,
+    };
+    columns.iter().map(width).collect()
+}

@@ -1,0 +1,96 @@
+//! Numbers and sizes as written on screen, and the breaking of long lines.
+
+use unicode_width::UnicodeWidthStr;
+
+/// `12,345`.
+pub fn count(number: u64) -> String {
+    let digits = number.to_string();
+    let mut text = String::with_capacity(digits.len() + digits.len() / 3);
+    for (index, digit) in digits.char_indices() {
+        if index > 0 && (digits.len() - index).is_multiple_of(3) {
+            text.push(',');
+        }
+        text.push(digit);
+    }
+    text
+}
+
+/// `20.0`, or `-` where it is not measured.
+pub fn rate(rate: Option<f64>) -> String {
+    rate.map_or_else(|| "-".to_owned(), |rate| format!("{rate:.1}"))
+}
+
+/// Bytes a second as kB/s, or `-` where it is not measured.
+pub fn kilobytes(bytes: Option<f64>) -> String {
+    rate(bytes.map(|bytes| bytes / 1000.0))
+}
+
+/// `712 B`, `58.2 kB`, `1.3 MB`.
+pub fn size(bytes: u64) -> String {
+    let tenths = |unit: u64| format!("{}.{}", bytes / unit, bytes % unit * 10 / unit);
+    match bytes {
+        0..1_000 => format!("{bytes} B"),
+        1_000..1_000_000 => format!("{} kB", tenths(1_000)),
+        _ => format!("{} MB", tenths(1_000_000)),
+    }
+}
+
+/// A row of bars as high as the samples are, against their highest.
+pub fn sparkline(samples: &[f64]) -> String {
+    const BARS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
+    let highest = samples.iter().copied().fold(0.0, f64::max);
+    let bar = |sample: &f64| {
+        let place = (1u8..8).take_while(|step| *sample > highest * f64::from(*step) / 8.0).count();
+        BARS[place.min(7)]
+    };
+    samples.iter().map(bar).collect()
+}
+
+/// Lines of at most `width` columns, broken at spaces where there are some.
+pub fn wrap(text: &str, width: u16) -> Vec<String> {
+    let width = usize::from(width.max(1));
+    let mut lines = vec![String::new()];
+    for word in text.split(' ') {
+        let last = lines.last().map_or(0, |line| line.width());
+        if last > 0 && last + 1 + word.width() > width {
+            lines.push(String::new());
+        } else if last > 0 {
+            lines.extend(lines.pop().map(|line| line + " "));
+        }
+        append_word(&mut lines, word, width);
+    }
+    lines
+}
+
+fn append_word(lines: &mut Vec<String>, word: &str, width: usize) {
+    for character in word.chars() {
+        let full = lines.last().is_none_or(|line| line.width() + 1 > width);
+        if full {
+            lines.push(String::new());
+        }
+        if let Some(line) = lines.last_mut() {
+            line.push(character);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers() {
+        assert_eq!([count(0), count(999), count(1_000), count(1_234_567)], ["0", "999", "1,000", "1,234,567"]);
+        assert_eq!([size(712), size(58_234), size(1_300_000)], ["712 B", "58.2 kB", "1.3 MB"]);
+        assert_eq!(rate(None), "-");
+        assert_eq!(sparkline(&[0.0, 4.0, 8.0]), "▁▄█");
+        assert_eq!(sparkline(&[0.0, 0.0]), "▁▁");
+    }
+
+    #[test]
+    fn lines_break_at_spaces_and_long_words_anywhere() {
+        assert_eq!(wrap("what was read cannot be recalled", 12), ["what was", "read cannot", "be recalled"]);
+        assert_eq!(wrap("0123456789", 4), ["0123", "4567", "89"]);
+        assert_eq!(wrap("", 4), [""]);
+    }
+}

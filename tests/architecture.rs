@@ -1,0 +1,259 @@
+//! The house rules of the source: order of rooms, size of files, where `unsafe` may be, names and openings.
+#![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// A room may use only rooms before it.
+const ROOMS: [&str; 12] =
+    ["model", "crypto", "ros", "chain", "store", "gateway", "pipeline", "service", "app", "ui", "term", "cli"];
+/// Files beside the rooms; the service and the rooms after it use them.
+const HALL: [&str; 3] = ["config", "paths", "error"];
+/// All that those files use: words, and the names of the crypto providers.
+const HALL_USES: [&str; 2] = ["model", "crypto"];
+/// The longest file, lines.
+const LONGEST: usize = 450;
+/// The longest opening, lines; the map of the screen may be longer.
+const LONGEST_OPENING: usize = 6;
+const OPENS_WITH_A_MAP: &str = "src/ui/mod.rs";
+/// Names that say nothing.
+const EMPTY_NAMES: [&str; 7] = ["util", "utils", "helper", "helpers", "manager", "misc", "common"];
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// Every Rust file below a folder of the checkout, as paths from its root.
+fn rust_files(folder: &str) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    let mut waiting = vec![root().join(folder)];
+    while let Some(directory) = waiting.pop() {
+        for entry in fs::read_dir(&directory).into_iter().flatten().flatten() {
+            let path = entry.path();
+            if path.is_dir() {
+                waiting.push(path);
+            } else if path.extension().is_some_and(|extension| extension == "rs") {
+                found.push(path.strip_prefix(root()).expect("below the root").to_owned());
+            }
+        }
+    }
+    found.sort();
+    found
+}
+
+fn read(path: &Path) -> String {
+    fs::read_to_string(root().join(path)).expect("a readable source file")
+}
+
+/// The code alone: comments and what stands between quotes are taken out, lines stay.
+fn code_only(source: &str) -> String {
+    let mut code = String::with_capacity(source.len());
+    let mut rest = source;
+    while let Some(first) = rest.chars().next() {
+        let length = skipped_length(rest, code.chars().next_back());
+        if length > 0 {
+            code.extend(rest[..length].chars().filter(|&character| character == '\n'));
+            code.push(' ');
+            rest = &rest[length..];
+        } else {
+            code.push(first);
+            rest = &rest[first.len_utf8()..];
+        }
+    }
+    code
+}
+
+/// Length of the comment or literal at the front of `rest`; 0 where there is none.
+fn skipped_length(rest: &str, before: Option<char>) -> usize {
+    let in_word = before.is_some_and(|character| character.is_alphanumeric() || character == '_');
+    let until = |start: usize, end: &str| rest[start..].find(end).map_or(rest.len(), |found| start + found + end.len());
+    if rest.starts_with("//") {
+        return rest.find('\n').unwrap_or(rest.len());
+    }
+    if rest.starts_with("/*") {
+        return until(2, "*/");
+    }
+    if rest.starts_with('r') && !in_word {
+        let hashes = rest[1..].bytes().take_while(|&byte| byte == b'#').count();
+        if rest[1 + hashes..].starts_with('"') {
+            return until(2 + hashes, &format!("\"{}", "#".repeat(hashes)));
+        }
+    }
+    if rest.starts_with('"') {
+        return quoted_length(rest, '"');
+    }
+    // A lifetime has no second quote right behind its first character.
+    let characters: Vec<char> = rest.chars().take(3).collect();
+    match characters[..] {
+        ['\'', '\\', _] => quoted_length(rest, '\''),
+        ['\'', character, '\''] => 2 + character.len_utf8(),
+        _ => 0,
+    }
+}
+
+fn quoted_length(rest: &str, quote: char) -> usize {
+    let mut escaped = true;
+    for (index, character) in rest.char_indices() {
+        if character == quote && !escaped {
+            return index + 1;
+        }
+        escaped = character == '\\' && !escaped;
+    }
+    rest.len()
+}
+
+/// The first words behind every `crate::`, those of grouped imports too.
+fn crate_names(code: &str) -> Vec<String> {
+    let mut names = Vec::new();
+    for (index, found) in code.match_indices("crate::") {
+        let before = code[..index].chars().next_back();
+        if before.is_some_and(|character| character.is_alphanumeric() || "_$".contains(character)) {
+            continue;
+        }
+        let rest = &code[index + found.len()..];
+        match rest.strip_prefix('{') {
+            Some(group) => names.extend(group_names(group)),
+            None => names.push(word(rest)),
+        }
+    }
+    names
+}
+
+fn group_names(group: &str) -> Vec<String> {
+    let mut depth = 0;
+    let mut names = vec![word(group.trim_start())];
+    for (index, character) in group.char_indices() {
+        match character {
+            '{' => depth += 1,
+            '}' if depth == 0 => break,
+            '}' => depth -= 1,
+            ',' if depth == 0 => names.push(word(group[index + 1..].trim_start())),
+            _ => {}
+        }
+    }
+    names.retain(|name| !name.is_empty());
+    names
+}
+
+fn word(text: &str) -> String {
+    text.chars().take_while(|&character| character.is_alphanumeric() || character == '_').collect()
+}
+
+/// The words of code, for a search of whole words.
+fn words(code: &str) -> impl Iterator<Item = &str> {
+    code.split(|character: char| !(character.is_alphanumeric() || character == '_'))
+}
+
+/// The room of a source file, or the name of a file beside the rooms.
+fn room(path: &Path) -> String {
+    let first = path.iter().nth(1).expect("below src").to_str().expect("UTF-8");
+    first.trim_end_matches(".rs").to_owned()
+}
+
+fn place(room: &str) -> Option<usize> {
+    ROOMS.iter().position(|&name| name == room)
+}
+
+/// Whether `user` may use `used`.
+fn may_use(user: &str, used: &str) -> bool {
+    if user == "main" || user == "lib" || user == used {
+        return true;
+    }
+    if HALL.contains(&user) {
+        return HALL_USES.contains(&used);
+    }
+    match (place(user), place(used)) {
+        (Some(own), Some(other)) => other < own,
+        (Some(own), None) => HALL.contains(&used) && own >= place("service").expect("a room"),
+        (None, _) => false,
+    }
+}
+
+fn assert_none(what: &str, found: &[String]) {
+    assert!(found.is_empty(), "{what}:\n  {}", found.join("\n  "));
+}
+
+#[test]
+fn every_room_uses_only_rooms_before_it() {
+    let mut wrong = Vec::new();
+    for path in rust_files("src") {
+        let user = room(&path);
+        for used in crate_names(&code_only(&read(&path))) {
+            if !may_use(&user, &used) {
+                wrong.push(format!("{} uses crate::{used}", path.display()));
+            }
+        }
+    }
+    assert_none("against the order of rooms", &wrong);
+}
+
+#[test]
+fn every_folder_of_the_source_is_a_room() {
+    let known = |name: &str| place(name).is_some() || HALL.contains(&name) || name == "main" || name == "lib";
+    let strange: Vec<String> = rust_files("src").iter().map(|path| room(path)).filter(|name| !known(name)).collect();
+    assert_none("not in the list of rooms", &strange);
+}
+
+#[test]
+fn no_file_is_longer_than_450_lines() {
+    let mut long = Vec::new();
+    for path in ["src", "tests", "benches", "fuzz"].into_iter().flat_map(rust_files) {
+        let lines = read(&path).lines().count();
+        if lines > LONGEST {
+            long.push(format!("{} has {lines} lines", path.display()));
+        }
+    }
+    assert_none("longer than 450 lines", &long);
+}
+
+#[test]
+fn unsafe_code_is_in_the_crypto_kernel_alone() {
+    let outside = |path: &PathBuf| !path.starts_with("src/crypto/kernel");
+    let uses = |path: &PathBuf| words(&code_only(&read(path))).any(|word| word == "unsafe");
+    let found: Vec<_> = rust_files("src").into_iter().filter(outside).filter(uses).collect();
+    assert_none(
+        "unsafe outside src/crypto/kernel",
+        &found.iter().map(|path| path.display().to_string()).collect::<Vec<_>>(),
+    );
+}
+
+#[test]
+fn no_file_or_module_has_an_empty_name() {
+    let mut empty = Vec::new();
+    for path in ["src", "tests", "benches"].into_iter().flat_map(rust_files) {
+        for part in path.iter().filter_map(|part| part.to_str()) {
+            if part.trim_end_matches(".rs").split('_').any(|word| EMPTY_NAMES.contains(&word)) {
+                empty.push(path.display().to_string());
+            }
+        }
+    }
+    assert_none("names that say nothing", &empty);
+}
+
+#[test]
+fn every_module_opens_with_what_lives_in_it() {
+    let mut wrong = Vec::new();
+    for path in rust_files("src") {
+        let source = read(&path);
+        let opening = source.lines().take_while(|line| line.starts_with("//!")).count();
+        let most = if path == Path::new(OPENS_WITH_A_MAP) { usize::MAX } else { LONGEST_OPENING };
+        if opening == 0 || opening > most {
+            wrong.push(format!("{} opens with {opening} lines of //!", path.display()));
+        }
+    }
+    assert_none("an opening has 1 to 6 lines", &wrong);
+}
+
+#[test]
+fn these_checks_see_through_comments_quotes_and_groups() {
+    let source = "use crate::{\n    model::{Address, bytes},\n    ros,\n};\n// crate::cli\n/// [`crate::ui`]\n\
+                  let a = \"crate::term \\\" unsafe\"; let b = r#\"crate::app\"#; let c = '\"'; fn f<'a>(x: &'a str) {}\n\
+                  crate::chain::Backend; mycrate::no; $crate::store::no; '\\''; unsafe_code";
+    let code = code_only(source);
+    assert_eq!(crate_names(&code), ["model", "ros", "chain"]);
+    assert_eq!(code.lines().count(), source.lines().count());
+    assert!(!words(&code).any(|word| word == "unsafe"));
+    assert!(may_use("cli", "error") && may_use("ros", "crypto") && may_use("main", "cli"));
+    assert!(!may_use("crypto", "ros") && !may_use("store", "config") && !may_use("paths", "ros"));
+    assert!(!may_use("model", "main") && !may_use("cli", "nowhere"));
+}

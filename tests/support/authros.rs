@@ -1,0 +1,206 @@
+//! The program under test, run as a user runs it: own home, no terminal, no inherited settings.
+
+use std::fs;
+use std::os::unix::fs::FileTypeExt;
+use std::os::unix::net::UnixStream;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use serde_json::Value;
+use tempfile::TempDir;
+
+use super::process::{Outcome, Running};
+use super::{text, wait_until};
+
+/// How long one command may take, in seconds, unless a test says otherwise.
+const LIMIT: u64 = 120;
+
+/// A fresh machine account: an empty `HOME` and a home of AuthROS in it that does not exist yet.
+#[derive(Debug)]
+pub struct Home {
+    directory: TempDir,
+}
+
+impl Home {
+    /// An empty one.
+    pub fn new() -> Self {
+        Self { directory: tempfile::Builder::new().prefix("authros").tempdir().expect("a temporary directory") }
+    }
+
+    /// What `HOME` is.
+    pub fn root(&self) -> &Path {
+        self.directory.path()
+    }
+
+    /// What `--home` is.
+    pub fn path(&self) -> PathBuf {
+        self.root().join("site")
+    }
+
+    /// Writes a file into `HOME`.
+    pub fn file(&self, name: &str, bytes: impl AsRef<[u8]>, mode: u32) -> String {
+        use std::os::unix::fs::PermissionsExt;
+        let path = self.root().join(name);
+        fs::write(&path, bytes).expect("the file is written");
+        fs::set_permissions(&path, fs::Permissions::from_mode(mode)).expect("its mode is set");
+        path.to_str().expect("UTF-8").to_owned()
+    }
+
+    /// The program without `--profile`.
+    pub fn authros(&self) -> Authros {
+        let site = self.path();
+        Authros {
+            root: self.root().to_owned(),
+            options: vec!["--home".into(), site.to_str().expect("UTF-8").to_owned()],
+            environment: Vec::new(),
+        }
+    }
+
+    /// The program for a named profile.
+    pub fn profile(&self, name: &str) -> Authros {
+        self.authros().with(&["--profile", name])
+    }
+
+    /// The site's socket, once one accepts.
+    pub fn socket(&self) -> Option<PathBuf> {
+        let is_open = |path: &PathBuf| is_socket(path) && UnixStream::connect(path).is_ok();
+        files_below(&self.path()).into_iter().find(is_open)
+    }
+}
+
+fn is_socket(path: &Path) -> bool {
+    fs::symlink_metadata(path).is_ok_and(|about| about.file_type().is_socket())
+}
+
+/// Every file below a directory.
+pub fn files_below(directory: &Path) -> Vec<PathBuf> {
+    let Ok(entries) = fs::read_dir(directory) else { return Vec::new() };
+    let paths = entries.filter_map(Result::ok).map(|entry| entry.path());
+    paths.flat_map(|path| if path.is_dir() { files_below(&path) } else { vec![path] }).collect()
+}
+
+/// The program with the options a test gives to all of its commands.
+#[derive(Debug, Clone)]
+pub struct Authros {
+    root: PathBuf,
+    options: Vec<String>,
+    environment: Vec<(String, String)>,
+}
+
+impl Authros {
+    /// In a `HOME` and without `--home`.
+    pub fn bare(root: &Path) -> Self {
+        Self { root: root.to_owned(), options: Vec::new(), environment: Vec::new() }
+    }
+
+    /// The same with more options, given behind every command's own.
+    pub fn with(&self, options: &[&str]) -> Self {
+        let mut more = self.clone();
+        more.options.extend(options.iter().map(|&option| option.to_owned()));
+        more
+    }
+
+    /// The same with an environment variable.
+    pub fn with_variable(&self, name: &str, value: &str) -> Self {
+        let mut more = self.clone();
+        more.environment.push((name.to_owned(), value.to_owned()));
+        more
+    }
+
+    /// All arguments of a command.
+    pub fn arguments(&self, arguments: &[&str]) -> Vec<String> {
+        arguments.iter().map(|&argument| argument.to_owned()).chain(self.options.iter().cloned()).collect()
+    }
+
+    /// The whole environment of a command: nothing else is inherited.
+    pub fn variables(&self) -> Vec<(String, String)> {
+        let path = std::env::var("PATH").unwrap_or_default();
+        let root = self.root.to_str().expect("UTF-8").to_owned();
+        let fixed =
+            [("PATH", path), ("HOME", root), ("LANG", "C.UTF-8".to_owned()), ("RUST_BACKTRACE", "1".to_owned())];
+        let fixed = fixed.into_iter().map(|(name, value)| (name.to_owned(), value));
+        fixed.chain(self.environment.iter().cloned()).collect()
+    }
+
+    /// Starts a command that runs beside the test.
+    pub fn spawn(&self, arguments: &[&str]) -> Running {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_authros"));
+        command.args(self.arguments(arguments)).env_clear().envs(self.variables()).current_dir(&self.root);
+        Running::start(command)
+    }
+
+    /// Runs a command to its end.
+    pub fn run(&self, arguments: &[&str]) -> Outcome {
+        self.spawn(arguments).wait(LIMIT)
+    }
+
+    /// Runs a command that must succeed, with `--json`.
+    pub fn json(&self, arguments: &[&str]) -> Value {
+        self.with(&["--json"]).run(arguments).expect_code(0).document()
+    }
+
+    /// The same, with a time limit in seconds.
+    pub fn json_within(&self, seconds: u64, arguments: &[&str]) -> Value {
+        self.with(&["--json"]).spawn(arguments).wait(seconds).expect_code(0).document()
+    }
+
+    /// Runs a command that must fail with `code`, as text and with `--json`; gives the message.
+    pub fn fails(&self, code: i32, arguments: &[&str]) -> String {
+        let outcome = self.with(&["--json"]).run(arguments).expect_code(code);
+        let error = &outcome.document()["error"];
+        let message = text(error, "message");
+        assert!(!text(error, "kind").is_empty() && message.len() > 10, "says what and why: {outcome}");
+        message
+    }
+
+    /// Makes and registers the profile's identity; gives its address.
+    pub fn enrol(&self) -> String {
+        let created = self.json(&["identity", "create"]);
+        let registered = self.json(&["register"]);
+        assert_eq!(registered["registered"], true, "{registered}");
+        assert_eq!(registered["address"], created["address"]);
+        text(&created, "address")
+    }
+
+    /// Starts a site and waits until others can join it.
+    pub fn serve(&self, home: &Home) -> Running {
+        let mut site = self.spawn(&["serve"]);
+        wait_until(60, "the site's socket accepts", || {
+            site.expect_running();
+            home.socket()
+        });
+        site
+    }
+
+    /// Captures `count` messages of each topic, all verified and none lost.
+    pub fn capture(&self, topics: &[&str], count: u64) -> Value {
+        let number = count.to_string();
+        let mut arguments = vec!["capture", "--count", &number];
+        arguments.extend(topics.iter().flat_map(|topic| ["--topic", topic]));
+        let summary = self.json(&arguments);
+        let all = count * u64::try_from(topics.len()).expect("few topics");
+        assert_eq!(
+            (&summary["captured"], &summary["verified"], &summary["lost"]),
+            (&all.into(), &all.into(), &0.into())
+        );
+        summary
+    }
+
+    /// All records of a list, page by page: `records(&["uploads", "list"])`.
+    pub fn records(&self, command: &[&str]) -> Vec<Value> {
+        let mut records = Vec::new();
+        let mut cursor: Option<String> = None;
+        loop {
+            let mut arguments = [command, &["--limit", "1000"]].concat();
+            arguments.extend(cursor.iter().flat_map(|cursor| ["--after", cursor]));
+            let page = self.json(&arguments);
+            records.extend(super::list(&page, "records"));
+            let next = page["next"].as_str().map(str::to_owned);
+            assert!(next.is_none() || next != cursor, "the next page is another page");
+            match next {
+                Some(next) => cursor = Some(next),
+                None => return records,
+            }
+        }
+    }
+}

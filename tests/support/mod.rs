@@ -1,0 +1,140 @@
+//! What the tests share: the program under test, real peers beside it, and a pseudo-terminal.
+//!
+//! Everything started here is stopped when its handle is dropped, and every wait has an end.
+//! A test whose peer is absent calls `skipped!`, which says so in a way `tests/run` counts.
+#![allow(dead_code, unused_imports, unused_macros, reason = "each test file uses its part of this module")]
+
+pub mod anvil;
+pub mod authros;
+pub mod console;
+pub mod process;
+pub mod redis;
+pub mod ros;
+
+use std::io::Write;
+use std::net::TcpListener;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+pub use anvil::Anvil;
+pub use authros::{Authros, Home};
+pub use console::Console;
+pub use process::{Outcome, Running};
+pub use redis::Redis;
+pub use ros::{Roscore, read_bag};
+use serde_json::Value;
+
+/// Ends the test early and counts it as skipped: `skipped!("no redis-server")`.
+macro_rules! skipped {
+    ($reason:expr) => {{
+        fn here() {}
+        $crate::support::tell_skipped(std::any::type_name_of_val(&here), &$reason);
+        return;
+    }};
+}
+pub(crate) use skipped;
+
+/// Writes past the test harness's capture, so that a skip shows in every run.
+pub fn tell_skipped(place: &str, reason: &str) {
+    let name = place.trim_end_matches("::here");
+    let line = format!("\nSKIPPED {name}: {reason}\n");
+    // In one write, so that no other test's words come in between.
+    drop(std::io::stderr().write_all(line.as_bytes()));
+}
+
+/// Held by tests that fill both cores, so that they do not run into each other's time limits.
+pub fn heavy() -> MutexGuard<'static, ()> {
+    static HEAVY: Mutex<()> = Mutex::new(());
+    HEAVY.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Whether the long variants are wanted (`tests/run --long`).
+pub fn long() -> bool {
+    std::env::var_os("AUTHROS_LONG").is_some()
+}
+
+/// A file of the shared data beside the checkout, where there is one.
+pub fn shared_data(name: &str) -> Option<PathBuf> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data").join(name);
+    path.is_file().then_some(path)
+}
+
+/// A program that `tests/run` installed from the npm registry, where it is there.
+pub fn npm_program(name: &str) -> Option<PathBuf> {
+    let peers = std::env::var_os("AUTHROS_PEERS")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("target/peers"), PathBuf::from);
+    let program = peers.join("node_modules/.bin").join(name);
+    program.is_file().then_some(program)
+}
+
+/// A program of the distribution, where it is there.
+pub fn system_program(name: &str) -> Option<PathBuf> {
+    ["/usr/bin", "/usr/sbin", "/bin", "/usr/local/bin"]
+        .iter()
+        .map(|directory| Path::new(directory).join(name))
+        .find(|path| path.is_file())
+}
+
+/// A loopback port nobody listens on.
+pub fn free_port() -> u16 {
+    let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
+    listener.local_addr().expect("its address").port()
+}
+
+/// Asks again and again until there is an answer, at most for `seconds`.
+pub fn poll<T>(seconds: u64, mut answer: impl FnMut() -> Option<T>) -> Option<T> {
+    let end = Instant::now() + Duration::from_secs(seconds);
+    loop {
+        match answer() {
+            None if Instant::now() < end => std::thread::sleep(Duration::from_millis(50)),
+            found => return found,
+        }
+    }
+}
+
+/// [`poll`] that fails the test where no answer comes.
+pub fn wait_until<T>(seconds: u64, what: &str, answer: impl FnMut() -> Option<T>) -> T {
+    poll(seconds, answer).unwrap_or_else(|| panic!("{what}: not within {seconds} s"))
+}
+
+/// A number in a JSON document.
+pub fn count(value: &Value, field: &str) -> u64 {
+    value[field].as_u64().unwrap_or_else(|| panic!("no count '{field}' in {value}"))
+}
+
+/// A text in a JSON document.
+pub fn text(value: &Value, field: &str) -> String {
+    value[field].as_str().unwrap_or_else(|| panic!("no text '{field}' in {value}")).to_owned()
+}
+
+/// A list in a JSON document.
+pub fn list(value: &Value, field: &str) -> Vec<Value> {
+    value[field].as_array().unwrap_or_else(|| panic!("no list '{field}' in {value}")).clone()
+}
+
+/// A number deep in a message: `at(&message, "pose.pose.position.x")`.
+pub fn at(message: &Value, path: &str) -> f64 {
+    path.split('.')
+        .try_fold(message, |value, part| value.get(part))
+        .and_then(Value::as_f64)
+        .unwrap_or_else(|| panic!("no number '{path}' in {message}"))
+}
+
+/// Lower-case hex.
+pub fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// The bytes of a hex text, with or without `0x`.
+pub fn unhex(text: &str) -> Vec<u8> {
+    let digits = text.trim_start_matches("0x").as_bytes();
+    assert!(digits.len().is_multiple_of(2), "odd hex {text}");
+    let pair = |pair: &[u8]| u8::from_str_radix(std::str::from_utf8(pair).expect("ASCII"), 16).expect("hex digits");
+    digits.chunks(2).map(pair).collect()
+}
+
+/// Whether `needle` lies anywhere in `hay`.
+pub fn holds(hay: &[u8], needle: &[u8]) -> bool {
+    hay.windows(needle.len()).any(|window| window == needle)
+}

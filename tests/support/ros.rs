@@ -1,0 +1,93 @@
+//! Real ROS 1 of the distribution: roscore, rosbag, rostopic, and Python's reading of a bag.
+
+use std::path::Path;
+use std::process::Command;
+
+use serde_json::Value;
+use tempfile::TempDir;
+
+use super::process::Running;
+use super::{free_port, poll, system_program};
+
+/// A running roscore.
+#[derive(Debug)]
+pub struct Roscore {
+    master: Option<Running>,
+    port: u16,
+    directory: TempDir,
+}
+
+impl Roscore {
+    /// Starts one on a free port; `None` where ROS is not installed.
+    pub fn start() -> Option<Self> {
+        for program in ["roscore", "rosbag", "rostopic"] {
+            system_program(program)?;
+        }
+        let directory = tempfile::Builder::new().prefix("ros").tempdir().expect("a temporary directory");
+        let mut roscore = Self { master: None, port: free_port(), directory };
+        roscore.begin();
+        Some(roscore)
+    }
+
+    fn begin(&mut self) {
+        let mut command = self.command("roscore");
+        command.args(["-p", &self.port.to_string()]);
+        let mut master = Running::start(command);
+        master.wait_for_text("started core service [/rosout]", 60);
+        self.master = Some(master);
+    }
+
+    /// Its URI.
+    pub fn uri(&self) -> String {
+        format!("http://127.0.0.1:{}", self.port)
+    }
+
+    /// Ends it and starts another at the same address, which knows nothing of before.
+    pub fn restart(&mut self) {
+        self.end();
+        self.begin();
+    }
+
+    fn end(&mut self) {
+        let Some(mut master) = self.master.take() else { return };
+        // Only an interrupt makes roscore take its own children with it.
+        master.signal("INT");
+        poll(15, || (!master.is_running()).then_some(()));
+    }
+
+    fn command(&self, program: &str) -> Command {
+        let mut command = Command::new(Path::new("/usr/bin").join(program));
+        command.env("PATH", "/usr/bin:/bin:/usr/sbin:/sbin").env("HOME", self.directory.path());
+        command.env("ROS_LOG_DIR", self.directory.path().join("log")).current_dir(self.directory.path());
+        command.env("ROS_MASTER_URI", self.uri()).env("ROS_HOSTNAME", "127.0.0.1").env_remove("ROS_IP");
+        command
+    }
+
+    /// Plays a bag once every topic has a subscriber, with room for all its messages.
+    pub fn play(&self, bag: &Path, rate: u32) -> Running {
+        let mut command = self.command("rosbag");
+        command.args(["play", "--quiet", "--queue=10000", "--wait-for-subscribers", "--delay=1"]);
+        command.arg(format!("--rate={rate}")).arg(bag);
+        Running::start(command)
+    }
+
+    /// Publishes one message again and again, `hz` times a second.
+    pub fn publish(&self, topic: &str, type_name: &str, message: &str, hz: u32) -> Running {
+        let mut command = self.command("rostopic");
+        command.args(["pub", "-r", &hz.to_string(), topic, type_name, message]);
+        Running::start(command)
+    }
+}
+
+impl Drop for Roscore {
+    fn drop(&mut self) {
+        self.end();
+    }
+}
+
+/// What a bag holds, by ROS's own library: per topic its type, `bodies` in hex and `messages` as fields.
+pub fn read_bag(bag: &Path) -> Value {
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/support/read_bag.py");
+    let output = super::process::output_of("/usr/bin/python3", &[script, bag.to_str().expect("UTF-8")]);
+    serde_json::from_str(&output).expect("the bag as JSON")
+}
