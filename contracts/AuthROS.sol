@@ -21,12 +21,20 @@ contract AuthROS {
         bytes identity;
     }
 
-    /// @dev What an owner granted one account. `scope` is zero for all topics, else the Keccak-256 of the topic ids.
+    /// @dev What an owner granted one account, and how often it was revoked before. `scope` is zero for all
+    ///      topics, else the Keccak-256 of the topic ids.
     struct Grant {
         bool active;
         uint64 epoch;
         uint64 expiry;
+        uint64 revokes;
         bytes32 scope;
+    }
+
+    /// @dev An envelope given: after how many revokes, and for which version of the grantee's keys (0: none given).
+    struct Envelope {
+        uint64 revokes;
+        uint64 keys;
     }
 
     /// @dev A root anchored by an account: the block of its first anchoring, and the number of leaves.
@@ -70,8 +78,8 @@ contract AuthROS {
     mapping(address => mapping(bytes32 => uint64)) public uploadedAt;
     /// @notice What an owner granted to an account.
     mapping(address => mapping(address => Grant)) public grantOf;
-    /// @notice The grantee's key version for which an owner gave the envelope of an epoch; 0 where there is none.
-    mapping(address => mapping(address => mapping(uint64 => uint64))) public wrappedFor;
+    /// @notice The envelope that an owner gave a grantee for an epoch.
+    mapping(address => mapping(address => mapping(uint64 => Envelope))) public envelopeOf;
     /// @notice The root that an account anchored last.
     mapping(address => bytes32) public headOf;
     /// @notice When an account first anchored a root, and over how many leaves.
@@ -275,7 +283,11 @@ contract AuthROS {
         require(expiry == 0 || expiry > block.timestamp, "expired");
         require(scope.length <= MOST_TOPICS, "scope");
         setWrapped(grantee, epoch, envelope);
-        grantOf[msg.sender][grantee] = Grant(true, epoch, expiry, scopeHash(scope));
+        Grant storage grant = grantOf[msg.sender][grantee];
+        grant.active = true;
+        grant.epoch = epoch;
+        grant.expiry = expiry;
+        grant.scope = scopeHash(scope);
         emit Granted(msg.sender, grantee, epoch, expiry, scope, envelope);
     }
 
@@ -300,6 +312,7 @@ contract AuthROS {
         Grant storage grant = grantOf[msg.sender][grantee];
         require(grant.active, "no grant");
         grant.active = false;
+        grant.revokes += 1;
         Account storage account = accounts[msg.sender];
         setToken(account, newToken);
         emit Revoked(msg.sender, grantee, account.epoch, newToken);
@@ -439,14 +452,17 @@ contract AuthROS {
         epochOf[msg.sender][token] = account.epoch;
     }
 
-    /// @dev Notes the one envelope of (sender, grantee, epoch, the grantee's key version).
+    /// @dev Notes the one envelope of (sender, grantee, epoch): one more only after a revoke or for new keys.
     function setWrapped(address grantee, uint64 epoch, bytes calldata envelope) private {
         uint64 keys = accounts[grantee].keys;
         require(keys != 0, "grantee");
         require(epoch != 0 && epoch <= accounts[msg.sender].epoch, "epoch");
         require(envelope.length != 0 && envelope.length <= LONGEST_ENVELOPE, "envelope");
-        require(wrappedFor[msg.sender][grantee][epoch] < keys, "wrapped");
-        wrappedFor[msg.sender][grantee][epoch] = keys;
+        Envelope storage given = envelopeOf[msg.sender][grantee][epoch];
+        uint64 revokes = grantOf[msg.sender][grantee].revokes;
+        require(given.keys < keys || given.revokes < revokes, "wrapped");
+        given.keys = keys;
+        given.revokes = revokes;
     }
 
     /// @dev Whether `reader` may read `owner`'s records of `epoch` now.
@@ -454,7 +470,8 @@ contract AuthROS {
         if (reader == owner) return true;
         Grant storage grant = grantOf[owner][reader];
         if (!standing(grant) || accounts[reader].suspended) return false;
-        return epoch >= grant.epoch || wrappedFor[owner][reader][epoch] != 0;
+        Envelope storage given = envelopeOf[owner][reader][epoch];
+        return epoch >= grant.epoch || (given.keys != 0 && given.revokes == grant.revokes);
     }
 
     /// @dev Whether a grant is neither revoked nor expired.

@@ -1,1 +1,5 @@
-fn main(){}
+//! The binary: everything is in the library, see `authros::cli`.
+
+fn main() -> std::process::ExitCode {
+    authros::cli::main()
+}

@@ -119,15 +119,14 @@ fn two_profiles_share_over_a_real_node() {
     let _alone = heavy();
     let Some(node) = Anvil::start(&[]) else { skipped!(NO_NODE) };
     let home = Home::new();
-    let options = ["--chain", &node.http(), "--robots", "1"];
-    let _site = home.authros().with(&options).serve(&home);
     let [(alice, _), (bob, bob_address)] = ["alice", "bob"].map(|name| {
-        let authros = home.profile(name).with(&["--chain", &node.http()]);
+        let authros = home.profile(name).with(&["--chain", &node.http(), "--robots", "1"]);
         let address = text(&authros.json(&["identity", "create"]), "address");
         node.fund(&address);
         authros.json(&["register"]);
         (authros, address)
     });
+    let _site = alice.serve(&home);
     alice.json(&["grant", &bob_address]);
     alice.capture(&[TOPIC], 3);
     for record in bob.records(&["shared", "list"]) {
@@ -137,7 +136,7 @@ fn two_profiles_share_over_a_real_node() {
     alice.json(&["revoke", &bob_address]);
     alice.capture(&[TOPIC], 2);
     let newest = &alice.json(&["uploads", "list", "--newest"])["records"][0];
-    bob.fails(5, &["shared", "open", &text(newest, "id")]);
+    bob.is_refused(&["shared", "open", &text(newest, "id")]);
 }
 
 #[test]

@@ -49,7 +49,7 @@ fn a_grantee_checks_and_opens_until_the_revoke_and_nothing_after_it() {
     two.alice.capture(&["/robot1/odom"], 5);
     assert!(two.bob.records(&["shared", "list"]).is_empty(), "nothing without a grant");
     let own = two.alice.records(&["uploads", "list"]);
-    two.bob.fails(REFUSED, &["shared", "open", &text(&own[0], "id")]);
+    two.bob.is_refused(&["shared", "open", &text(&own[0], "id")]);
 
     let granted = two.alice.json(&["grant", &two.bob_address, "--expires", "30d"]);
     assert!(granted["transaction"].is_string(), "{granted}");
@@ -73,7 +73,7 @@ fn a_grantee_checks_and_opens_until_the_revoke_and_nothing_after_it() {
     let later: Vec<&Value> = all.iter().filter(|record| record["epoch"] == 2).collect();
     assert_eq!((all.len(), later.len()), (8, 3), "sealed under the new key");
     for record in later {
-        two.bob.fails(REFUSED, &["shared", "open", &text(record, "id")]);
+        two.bob.is_refused(&["shared", "open", &text(record, "id")]);
         open(&two.alice, &text(record, "id"));
     }
     assert!(ids(&two.bob.records(&["shared", "list"])).is_subset(&ids(&own)), "later records are not even listed");
@@ -110,7 +110,7 @@ fn a_grant_of_one_topic_opens_that_topic_alone() {
     assert_eq!(ids(&two.bob.records(&["shared", "list"])), ids(&first));
     assert_eq!(ids(&two.bob.records(&["shared", "list", "--topic", "/robot1/odom"])), ids(&first));
     open(&two.bob, &text(&first[0], "id"));
-    two.bob.fails(REFUSED, &["shared", "open", &text(&second[0], "id")]);
+    two.bob.is_refused(&["shared", "open", &text(&second[0], "id")]);
 }
 
 #[test]
@@ -150,7 +150,7 @@ fn who_is_left_reads_on_when_another_is_revoked() {
     assert!(seen.is_some(), "the survivor was re-wrapped for the new epoch");
     for id in &later {
         open(&carol, id);
-        two.bob.fails(REFUSED, &["shared", "open", id]);
+        two.bob.is_refused(&["shared", "open", id]);
     }
 }
 
@@ -192,8 +192,8 @@ fn two_profiles_watch_one_topic_at_once_and_both_hold_every_message() {
         assert!((last - first + 1.0 - held).abs() < 0.5, "every message from {first} to {last}, but {held}");
     }
     assert!(ids(&hers).is_disjoint(&ids(&his)), "each under her own keys");
-    two.bob.fails(REFUSED, &["shared", "open", &text(&hers[0], "id")]);
-    two.alice.fails(REFUSED, &["shared", "open", &text(&his[0], "id")]);
+    two.bob.is_refused(&["shared", "open", &text(&hers[0], "id")]);
+    two.alice.is_refused(&["shared", "open", &text(&his[0], "id")]);
 }
 
 #[test]

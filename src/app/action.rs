@@ -38,15 +38,6 @@ pub enum Action {
     Told(Event),
     /// Events were missed; everything is asked for again.
     Missed,
-    /// A key file was read, or why not.
-    KeyFileRead {
-        /// Which key it should hold.
-        kind: KeyKind,
-        /// Passphrase of a V3 keystore, if one was given.
-        passphrase: Option<Zeroizing<String>>,
-        /// Its bytes.
-        result: Result<Zeroizing<Vec<u8>>, String>,
-    },
     /// Files were written (where), or why not.
     FilesWritten(Result<String, String>),
     /// The theme is now this one.
@@ -80,15 +71,6 @@ pub enum Effect {
         directory: Option<String>,
         /// The files.
         files: Vec<Contents>,
-    },
-    /// Read a key file (at most 64 KiB, only the owner may read it).
-    ReadKeyFile {
-        /// Which key it should hold.
-        kind: KeyKind,
-        /// Where it lies.
-        path: String,
-        /// Passphrase of a V3 keystore, if one was given.
-        passphrase: Option<Zeroizing<String>>,
     },
 }
 

@@ -39,7 +39,7 @@ pub fn answered(state: &mut State, tag: &Tag, result: Result<Reply, Failure>) ->
 }
 
 fn fed(state: &mut State, feed: Feed, generation: u64, result: Result<Reply, Failure>) -> Vec<Effect> {
-    let held = state.paused && feed != Feed::Identity && state.feeds.slot(feed).loaded;
+    let held = state.holds(feed);
     let failure = result.as_ref().err().cloned();
     if !state.feeds.answered(feed, generation, failure, state.now) {
         return Vec::new();
@@ -133,7 +133,11 @@ fn done(state: &mut State, tag: &Tag, reply: Reply) -> Vec<Effect> {
             state.feeds.renew(Feed::Identity);
             state.inform(format!("{}: done", tag.words()));
         }
-        _ => state.inform(format!("{}: done", tag.words())),
+        _ => match tag {
+            Tag::Watch(topic) => state.inform(format!("now watching {topic}")),
+            Tag::Unwatch(topic) => state.inform(format!("no longer watching {topic}")),
+            _ => state.inform(format!("{}: done", tag.words())),
+        },
     }
     for feed in touched_by(tag) {
         state.feeds.slot_mut(*feed).stale = true;

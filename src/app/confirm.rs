@@ -1,12 +1,12 @@
 //! The questions before what cannot be taken back, with honest words.
 
 use super::action::{Errand, Tag, kind_word};
-use super::forms::GrantWish;
+use super::forms::{GrantWish, KeyWish};
 use super::popup::Confirm;
 use super::screens::grants::{day, end, scope};
 use super::state::State;
 use crate::service::reply::GrantRow;
-use crate::service::{Command, Epochs, KeyKind, SecretBytes, SecretText};
+use crate::service::{Command, Epochs, KeyKind};
 
 /// Before a grant: what it opens, and who can read already.
 pub fn grant(state: &State, wish: GrantWish) -> Confirm {
@@ -31,7 +31,8 @@ pub fn grant(state: &State, wish: GrantWish) -> Confirm {
 /// Before a revoke: what it does and what it cannot do.
 pub fn revoke(state: &State, row: &GrantRow) -> Confirm {
     let mut lines = vec![
-        format!("{}  {}  {}", row.grantee, scope(&row.topics), end(row.expires)),
+        format!("From    {}", row.grantee),
+        format!("Shared  {}, {}", scope(&row.topics), end(row.expires)),
         String::new(),
         "The next record is sealed under a new key that this account does not get.".to_owned(),
         "What was already read cannot be recalled, and records sealed before".to_owned(),
@@ -45,15 +46,16 @@ pub fn revoke(state: &State, row: &GrantRow) -> Confirm {
 }
 
 /// Before a key takes another's place.
-pub fn load_key(kind: KeyKind, material: SecretBytes, passphrase: Option<SecretText>) -> Confirm {
+pub fn load_key(wish: KeyWish) -> Confirm {
+    let KeyWish { kind, path, passphrase } = wish;
     let what = match kind {
         KeyKind::Sm4 => "A new epoch begins under it; old records stay readable with their own keys.",
         KeyKind::Sm2 => "The chain must be told of it: records are then signed by the new key.",
         KeyKind::Eoa => "Your address on the chain changes: grants and records of the old one stay its own.",
     };
-    let size = format!("The file holds {} bytes.", material.expose().len());
-    let lines = vec![size, what.to_owned(), "The present key is replaced; export it first if you need it.".to_owned()];
-    let errand = Errand { command: Command::LoadKey { kind, material, passphrase }, tag: Tag::LoadKey(kind) };
+    let file = format!("File  {}", path.display());
+    let lines = vec![file, what.to_owned(), "The present key is replaced; export it first if you need it.".to_owned()];
+    let errand = Errand { command: Command::LoadKey { kind, path, passphrase }, tag: Tag::LoadKey(kind) };
     Confirm { title: format!("Replace the {} key?", kind_word(kind)), lines, yes: "replace", errand }
 }
 

@@ -45,11 +45,6 @@ impl Field {
         self.text.trim()
     }
 
-    /// A wiped copy of the text, for a secret.
-    pub fn secret(&self) -> Zeroizing<String> {
-        self.text.clone()
-    }
-
     /// What may be shown.
     pub fn shown(&self) -> String {
         if self.masked { "•".repeat(self.text.chars().count()) } else { self.text.to_string() }

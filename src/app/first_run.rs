@@ -7,6 +7,8 @@ use super::state::State;
 pub struct FirstStep {
     /// Whether it is done.
     pub done: bool,
+    /// Its name.
+    pub name: &'static str,
     /// The key to press.
     pub key: &'static str,
     /// What it brings.
@@ -17,11 +19,12 @@ pub struct FirstStep {
 pub fn first_steps(state: &State) -> Vec<FirstStep> {
     let Some(identity) = &state.identity else { return Vec::new() };
     let set_up = identity.exists && identity.registered;
+    let step = |done, name, key, text| FirstStep { done, name, key, text };
     let steps = vec![
-        FirstStep { done: set_up, key: "n", text: "identity: make keys, register them on the chain" },
-        FirstStep { done: identity.exists, key: "L", text: "keys: made with the identity; L loads your own" },
-        FirstStep { done: state.watches(), key: "w", text: "topics: watch one; its messages are sealed and anchored" },
-        FirstStep { done: state.grants.any_given(), key: "g", text: "grant: let another account open them" },
+        step(set_up, "identity", "n", "make keys and register them on the chain"),
+        step(identity.exists, "keys", "L", "come with the identity; L loads your own"),
+        step(state.watches(), "topics", "w", "watch one: its messages are sealed and anchored"),
+        step(state.grants.any_given(), "grant", "g", "let another account open them"),
     ];
     if steps.iter().all(|step| step.done) { Vec::new() } else { steps }
 }

@@ -1,7 +1,8 @@
 //! The forms the console opens, and what becomes of what was typed.
 
-use super::action::Errand;
-use super::action::Tag;
+use std::path::{Path, PathBuf};
+
+use super::action::{Errand, Tag};
 use super::field::Field;
 use super::form::{Form, Line};
 use super::when;
@@ -118,16 +119,32 @@ pub fn load_key() -> Form {
     Form::new("Load a key file", vec!["Puts a key of your own in place of the present one.".to_owned()], lines)
 }
 
-/// Kind and path of a filled [`load_key`].
+/// The key file to load, as typed.
+#[derive(Debug, Clone)]
+pub struct KeyWish {
+    /// Which key it holds.
+    pub kind: KeyKind,
+    /// Where it lies, absolute.
+    pub path: PathBuf,
+    /// Passphrase of a V3 keystore, if one was given.
+    pub passphrase: Option<SecretText>,
+}
+
+/// The key file of a filled [`load_key`]; `~` is `home`, relative paths begin at `directory`.
 ///
 /// # Errors
 /// The line that is wrong, and why.
-pub fn read_load(form: &Form) -> Result<(KeyKind, String), (usize, String)> {
+pub fn read_load(form: &Form, directory: &Path, home: Option<&Path>) -> Result<KeyWish, (usize, String)> {
     let path = form.text(1).trim();
     if path.is_empty() {
         return Err((1, "write the path of the key file".to_owned()));
     }
-    Ok((kind(form), path.to_owned()))
+    let path = match (path.strip_prefix("~/"), home) {
+        (Some(rest), Some(home)) => home.join(rest),
+        _ => directory.join(path),
+    };
+    let passphrase = (!form.text(2).is_empty()).then(|| secret(form, 2));
+    Ok(KeyWish { kind: kind(form), path, passphrase })
 }
 
 /// Asks which key to hand out.

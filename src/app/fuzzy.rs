@@ -7,6 +7,12 @@ pub fn score(needle: &str, text: &str) -> Option<usize> {
     needle.split_whitespace().map(|word| word_score(word, &text)).sum()
 }
 
+/// Whether every word of `needle` stands in `text` as it is.
+pub fn whole_words(needle: &str, text: &str) -> bool {
+    let text = text.to_lowercase();
+    needle.split_whitespace().all(|word| text.contains(&word.to_lowercase()))
+}
+
 /// The distance of the letters from each other, and of the first from the beginning.
 fn word_score(word: &str, text: &[char]) -> Option<usize> {
     let word: Vec<char> = word.chars().flat_map(char::to_lowercase).collect();

@@ -30,7 +30,7 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Export => send_for_row(state, Tag::Export, |id| Command::ExportUpload { id }),
         Verb::CreateIdentity | Verb::Register => identity_path::run(state, Need::Registered, Vec::new()),
         Verb::Unlock => identity_path::run(state, Need::Unlocked, Vec::new()),
-        Verb::Copy => copied(state).map(Effect::CopyText).into_iter().collect(),
+        Verb::Copy => copied(state).map_or_else(Vec::new, |text| vec![copy(state, text)]),
         Verb::Quit => quit(state),
         Verb::NextTheme => vec![Effect::NextTheme],
         Verb::Redraw => vec![Effect::Redraw],
@@ -183,6 +183,12 @@ fn quit(state: &mut State) -> Vec<Effect> {
     }
     state.popups.push(Popup::Quit { waiting: false });
     Vec::new()
+}
+
+/// Gives a text to the terminal, which alone knows whether it took it.
+pub fn copy(state: &mut State, text: String) -> Effect {
+    state.inform(format!("sent to the terminal's clipboard: {text}"));
+    Effect::CopyText(text)
 }
 
 /// What `copy` would copy now.

@@ -1,9 +1,11 @@
 //! What can lie over a screen. The topmost popup has the keys; `q` or Esc closes it.
 
 use super::action::Errand;
+use super::available::available;
 use super::field::Field;
 use super::form::Form;
 use super::fuzzy;
+use super::state::State;
 use super::verb::{Entry, VERBS};
 use crate::service::Failure;
 use crate::service::reply::{OpenedView, Provenance};
@@ -94,15 +96,15 @@ pub struct Palette {
 }
 
 impl Palette {
-    /// The commands that match, best first.
-    pub fn matches(&self, read_only: bool) -> Vec<&'static Entry> {
-        let score = |entry: &&'static Entry| {
+    /// The commands that match: what can be done first, best match first.
+    pub fn matches(&self, state: &State) -> Vec<&'static Entry> {
+        let score = |entry: &'static Entry| {
             let name = fuzzy::score(self.field.text(), entry.name);
-            name.or_else(|| fuzzy::score(self.field.text(), entry.help).map(|score| score + 100))
+            name.or_else(|| fuzzy::whole_words(self.field.text(), entry.help).then_some(100))
         };
-        let listed = VERBS.iter().filter(|entry| entry.palette && !(read_only && entry.changes));
-        let mut found: Vec<_> = listed.filter_map(|entry| score(&entry).map(|score| (score, entry))).collect();
-        found.sort_by_key(|(score, _)| *score);
+        let listed = VERBS.iter().filter(|entry| entry.palette && !(state.settings.read_only && entry.changes));
+        let mut found: Vec<_> = listed.filter_map(|entry| score(entry).map(|score| (score, entry))).collect();
+        found.sort_by_key(|(score, entry)| (available(state, entry.verb).is_err(), *score));
         found.into_iter().map(|(_, entry)| entry).collect()
     }
 }

@@ -3,13 +3,12 @@
 use zeroize::Zeroizing;
 
 use super::action::{Contents, Effect};
-use super::available::available;
 use super::confirm;
 use super::form::{Form, FormStep};
 use super::forms;
 use super::identity_path::{self, Need};
 use super::key::Key;
-use super::perform::perform;
+use super::perform::{copy, perform};
 use super::popup::{Confirm, Lookup, Palette, Popup, Purpose};
 use super::state::State;
 use crate::service::reply::OpenedView;
@@ -25,7 +24,7 @@ pub fn hints(popup: &Popup) -> Vec<(&'static str, &'static str)> {
             Some(_) => vec![("up down", "scroll"), ("W", "write to file"), ("y", "copy digest"), ("q", "close")],
             None => vec![("up down", "scroll"), ("q", "close")],
         },
-        Popup::Quit { waiting: false } => vec![("y", "quit now"), ("w", "quit when done"), ("any other key", "stay")],
+        Popup::Quit { waiting: false } => vec![("y", "quit now"), ("w", "when all is done"), ("any other key", "stay")],
         Popup::Quit { waiting: true } => vec![("y", "quit now"), ("any other key", "stay")],
     }
 }
@@ -81,7 +80,7 @@ fn scrolled(scroll: usize, key: Key, page: usize) -> Option<usize> {
 }
 
 fn palette_key(state: &mut State, mut palette: Palette, key: Key) -> Vec<Effect> {
-    let matches = palette.matches(state.settings.read_only);
+    let matches = palette.matches(state);
     let last = matches.len().saturating_sub(1);
     match key {
         Key::Escape => return Vec::new(),
@@ -93,16 +92,11 @@ fn palette_key(state: &mut State, mut palette: Palette, key: Key) -> Vec<Effect>
         Key::Down | Key::Tab => palette.selected = (palette.selected + 1).min(last),
         _ => {
             palette.field.key(key);
-            palette.selected = first_available(state, &palette);
+            palette.selected = 0;
         }
     }
     state.popups.push(Popup::Palette(palette));
     Vec::new()
-}
-
-fn first_available(state: &State, palette: &Palette) -> usize {
-    let matches = palette.matches(state.settings.read_only);
-    matches.iter().take(3).position(|entry| available(state, entry.verb).is_ok()).unwrap_or(0)
 }
 
 fn confirm_key(state: &mut State, confirm: Confirm, key: Key) -> Vec<Effect> {
@@ -140,10 +134,9 @@ fn form_key(state: &mut State, purpose: Purpose, mut form: Form, key: Key) -> Ve
         }
         FormStep::Cancel => {}
         FormStep::Submit => match submit(state, purpose, &form) {
-            Ok(effects) if purpose == Purpose::Grant || purpose == Purpose::LoadKey => {
-                // It stays below the question, for a "no" to come back to.
-                let at = state.popups.len() - usize::from(matches!(state.popups.last(), Some(Popup::Confirm(_))));
-                state.popups.insert(at, Popup::Form(purpose, form));
+            // The form stays below its question, for a "no" to come back to.
+            Ok(effects) if matches!(state.popups.last(), Some(Popup::Confirm(_))) => {
+                state.popups.insert(state.popups.len() - 1, Popup::Form(purpose, form));
                 return effects;
             }
             Ok(effects) => return effects,
@@ -170,9 +163,9 @@ fn submit(state: &mut State, purpose: Purpose, form: &Form) -> Result<Vec<Effect
             return Ok(Vec::new());
         }
         Purpose::LoadKey => {
-            let (kind, path) = forms::read_load(form)?;
-            let passphrase = form.field(2).filter(|field| !field.text().is_empty()).map(super::field::Field::secret);
-            return Ok(vec![Effect::ReadKeyFile { kind, path, passphrase }]);
+            let wish = forms::read_load(form, &state.settings.directory, state.settings.home.as_deref())?;
+            state.popups.push(Popup::Confirm(confirm::load_key(wish)));
+            return Ok(Vec::new());
         }
     };
     Ok(vec![state.send(errand)])
@@ -185,7 +178,10 @@ fn record_key(state: &mut State, mut lookup: Lookup<OpenedView>, key: Key) -> Ve
             directory: None,
             files: vec![file],
         })),
-        Key::Char('y') => effects.extend(lookup.found().map(|view| Effect::CopyText(view.record.digest.to_hex()))),
+        Key::Char('y') => {
+            let digest = lookup.found().map(|view| view.record.digest.to_hex());
+            effects.extend(digest.map(|digest| copy(state, digest)));
+        }
         _ => match scrolled(lookup.scroll, key, state.page_rows()) {
             Some(scroll) => lookup.scroll = scroll.min(lookup.found().map_or(0, |found| found.fields.len() + 8)),
             None => return effects,

@@ -1,5 +1,7 @@
 //! All the console knows and shows.
 
+use std::path::PathBuf;
+
 use super::action::{Effect, Errand, Tag};
 use super::feed::{Feed, Feeds};
 use super::identity_path::IdentityPath;
@@ -25,6 +27,10 @@ pub struct Settings {
     pub profile: ProfileName,
     /// Hide what changes keys, grants or records.
     pub read_only: bool,
+    /// Where relative paths begin.
+    pub directory: PathBuf,
+    /// What `~` means.
+    pub home: Option<PathBuf>,
 }
 
 /// All the console knows and shows.
@@ -132,6 +138,14 @@ impl State {
     /// Whether a feed's data is being asked for the first time.
     pub fn awaits(&self, feed: Feed) -> bool {
         !self.feeds.slot(feed).loaded && self.feeds.slot(feed).failure.is_none()
+    }
+
+    /// Whether a feed stands still with the view. The identity never does, for commands wait
+    /// for it; nor do the counts while the console waits for them to be able to leave.
+    pub fn holds(&self, feed: Feed) -> bool {
+        let leaving = matches!(self.popups.last(), Some(Popup::Quit { .. }));
+        let needed = feed == Feed::Identity || feed == Feed::Site && leaving;
+        self.paused && self.feeds.slot(feed).loaded && !needed
     }
 
     /// Tells the operator something for 3 s.

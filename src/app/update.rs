@@ -1,21 +1,18 @@
 //! One action in, the state changed, effects out. Never waits, never fails.
 
-use zeroize::Zeroizing;
-
 use super::action::{Action, Effect, Errand, Tag};
 use super::answer::answered;
-use super::confirm;
 use super::cursor;
 use super::feed::Feed;
 use super::key::Key;
 use super::perform::{perform, wants_grants};
-use super::popup::{Popup, Purpose};
+use super::popup::Popup;
 use super::popup_keys::{popup_key, popup_paste};
 use super::screens::log::MOST_AUDIT;
 use super::state::State;
 use super::verb::{Verb, verb_for};
 use crate::model::Timestamp;
-use crate::service::{Command, Event, KeyKind, Part, SecretBytes, SecretText};
+use crate::service::{Command, Event, Part};
 
 /// The first effects of a console: claim the profile, ask for what is on screen.
 pub fn start(state: &mut State) -> Vec<Effect> {
@@ -42,7 +39,6 @@ fn act(state: &mut State, action: Action) -> Vec<Effect> {
         Action::Key(key) => return pressed(state, key),
         Action::Answered { tag, result } => return answered(state, &tag, result),
         Action::Told(event) => return told(state, event),
-        Action::KeyFileRead { kind, passphrase, result } => key_file_read(state, kind, passphrase, result),
         Action::Paste(text) if state.popups.is_empty() => cursor::filter_paste(state, &text),
         Action::Paste(text) => popup_paste(state, &text),
         Action::Resize { columns, rows } => resize(state, columns, rows),
@@ -109,25 +105,6 @@ fn refresh_provenance(state: &mut State) -> Vec<Effect> {
     vec![state.send(Errand { command: Command::ShowUpload { id }, tag })]
 }
 
-fn key_file_read(
-    state: &mut State,
-    kind: KeyKind,
-    passphrase: Option<Zeroizing<String>>,
-    result: Result<Zeroizing<Vec<u8>>, String>,
-) {
-    match result {
-        Ok(bytes) => {
-            let passphrase = passphrase.map(|text| SecretText::new(text.to_string()));
-            let confirm = confirm::load_key(kind, SecretBytes::new(bytes.to_vec()), passphrase);
-            state.popups.push(Popup::Confirm(confirm));
-        }
-        Err(error) => match state.popups.last_mut() {
-            Some(Popup::Form(Purpose::LoadKey, form)) => form.refuse(1, error),
-            _ => state.complain(error),
-        },
-    }
-}
-
 fn resize(state: &mut State, columns: u16, rows: u16) {
     let before = state.page_rows();
     state.size = (columns, rows);
@@ -154,7 +131,7 @@ fn pull(state: &mut State) -> Vec<Effect> {
 
 fn ask(state: &mut State, feed: Feed) -> Option<Effect> {
     let slot = state.feeds.slot(feed);
-    let held = state.paused && slot.loaded && feed != Feed::Identity;
+    let held = state.holds(feed);
     if !slot.stale || slot.outstanding || held {
         return None;
     }

@@ -137,7 +137,7 @@ impl Entry {
 pub static VERBS: &[Entry] = &[
     entry(Verb::Mark, "mark", "mark", &[Key::Char(' ')], "Mark the row; commands then act on the marked rows")
         .on(&[Screen::Topics]),
-    entry(Verb::MarkAll, "mark-all", "all", &[Key::Char('a')], "Mark every row shown, or take all marks away")
+    entry(Verb::MarkAll, "mark-all", "mark all", &[Key::Char('a')], "Mark every row shown, or take all marks away")
         .on(&[Screen::Topics]),
     entry(Verb::Watch, "watch", "watch", &[Key::Char('w')], "Watch or unwatch the marked topics, or the selected one")
         .on(&[Screen::Overview, Screen::Topics])

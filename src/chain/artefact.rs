@@ -72,6 +72,15 @@ impl Artefact {
         encoded.map_err(|error| ChainError::Internal(format!("{name}: {error}")))
     }
 
+    /// The first topic of an event.
+    ///
+    /// # Errors
+    /// [`ChainError::Internal`] where there is none of that name.
+    pub fn event_signature(&self, name: &str) -> Result<Hash, ChainError> {
+        let event = self.abi.event(name).map_err(|error| ChainError::Internal(format!("{name}: {error}")))?;
+        Ok(Hash(event.signature().0))
+    }
+
     /// Creation code with the constructor's argument: whether registration is open.
     ///
     /// # Errors

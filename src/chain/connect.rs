@@ -47,6 +47,13 @@ struct RawBlock {
     mix_hash: String,
 }
 
+/// Where a log stands.
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct RawPlace {
+    block_number: U64,
+}
+
 impl Chain {
     /// Opens the embedded chain, or connects to a node, and holds it against the pin.
     ///
@@ -98,7 +105,7 @@ impl Chain {
         if let Some(contract) = contract {
             same("contract", pin.contract.to_string(), contract.to_string())?;
         }
-        let code = self.code_hash(pin.contract, "latest").await?;
+        let code = self.code_hash(pin.contract).await?;
         let found = code.map_or_else(|| "no code".to_owned(), |hash| hash.to_hex());
         same("contract code hash", pin.code_hash.to_hex(), found)?;
         self.set_pin(pin);
@@ -111,10 +118,10 @@ impl Chain {
     /// [`ChainError::NotTheContract`], or the node's.
     pub async fn use_contract(&self, contract: Address) -> Result<Pin, ChainError> {
         let known = artefact()?.code_hash;
-        if self.code_hash(contract, "latest").await? != Some(known) {
+        if self.code_hash(contract).await? != Some(known) {
             return Err(ChainError::NotTheContract(contract));
         }
-        let deployed_at = self.deployment_block(contract).await;
+        let deployed_at = self.deployment_block(contract).await?;
         Ok(self.set_pin(self.pin_of(contract, known, deployed_at)))
     }
 
@@ -128,24 +135,22 @@ impl Chain {
         pin
     }
 
-    /// The first block with the contract's code; 0 where the node keeps no old state, which is only slower.
-    async fn deployment_block(&self, contract: Address) -> u64 {
-        let Ok(head) = self.head().await else { return 0 };
-        let (mut without, mut with) = (0, head.number);
-        while without + 1 < with {
-            let middle = u64::midpoint(without, with);
-            match self.code_hash(contract, &format!("{middle:#x}")).await {
-                Ok(Some(_)) => with = middle,
-                Ok(None) => without = middle,
-                Err(_) => return 0,
-            }
+    /// The block of the constructor's event; 0 where the node does not tell, which only makes reading slower.
+    async fn deployment_block(&self, contract: Address) -> Result<u64, ChainError> {
+        let signature = artefact()?.event_signature("AdministratorChanged")?;
+        let filter = json!({
+            "address": contract.to_string(), "topics": [format!("0x{signature}")], "fromBlock": "0x0", "toBlock": "latest",
+        });
+        match self.rpc::<Vec<RawPlace>>("eth_getLogs", json!([filter])).await {
+            Ok(logs) => Ok(logs.first().map_or(0, |log| log.block_number.as_u64())),
+            Err(ChainError::Rejected { .. }) => Ok(0),
+            Err(error) => Err(error),
         }
-        with
     }
 
     /// Keccak-256 of the code at an address; `None` where there is none.
-    pub(super) async fn code_hash(&self, contract: Address, block: &str) -> Result<Option<Hash>, ChainError> {
-        let code: String = self.rpc("eth_getCode", json!([contract.to_string(), block])).await?;
+    pub(super) async fn code_hash(&self, contract: Address) -> Result<Option<Hash>, ChainError> {
+        let code: String = self.rpc("eth_getCode", json!([contract.to_string(), "latest"])).await?;
         let bytes = unhex(&code).ok_or_else(|| self.misunderstood("eth_getCode", "it is no hex"))?;
         Ok((!bytes.is_empty()).then(|| Hash(keccak256(bytes))))
     }

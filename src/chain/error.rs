@@ -226,10 +226,10 @@ mod tests {
 
     #[test]
     fn reasons_are_found_however_a_node_wraps_them() {
-        let data = "0x08c379a0000000000000000000000000000000000000000000000000000000000000002000000000000000000000000000000000000000000000000000000000000000066772616e7465650000000000000000000000000000000000000000000000000000".replace("66772616e746565", "76772616e746565");
-        let data = &data[..2 + 8 + 192];
+        let text = ethers::abi::encode(&[ethers::abi::Token::String("grantee".into())]);
+        let data = format!("0x08c379a0{}", crate::model::bytes::hex(&text));
         let expected = ChainError::Reverted { code: "grantee".into() };
-        assert_eq!(answer("execution reverted", Some(json!(data))), expected);
+        assert_eq!(answer("execution reverted", Some(json!(&data))), expected);
         assert_eq!(answer("execution reverted: grantee", None), expected);
         assert_eq!(answer("VM Exception while processing transaction: revert grantee", None), expected);
         assert_eq!(answer("VM Exception: revert", Some(json!({ "stack": "x", "result": data }))), expected);

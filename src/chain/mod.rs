@@ -17,6 +17,7 @@ mod sender;
 mod tests;
 mod transport;
 mod watcher;
+mod work;
 
 use std::path::PathBuf;
 use std::sync::Arc;

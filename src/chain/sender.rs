@@ -31,13 +31,14 @@ impl Chain {
     pub async fn sign(&self, eoa: &EoaSecret, nonce: u64, call: &Call) -> Result<SignedTransaction, ChainError> {
         let contract = self.contract()?;
         let data = call.encode()?;
-        let gas = self.gas_for(eoa.address(), contract, call, &data).await?;
-        self.sign_raw(eoa, nonce, Some(contract), data, gas).await
+        let wallet = wallet(eoa)?;
+        let gas = self.gas_for(Address(wallet.address().0), contract, call, &data).await?;
+        self.sign_raw(&wallet, nonce, Some(contract), data, gas).await
     }
 
     async fn sign_raw(
         &self,
-        eoa: &EoaSecret,
+        wallet: &LocalWallet,
         nonce: u64,
         to: Option<Address>,
         data: Vec<u8>,
@@ -48,10 +49,7 @@ impl Chain {
         request = request.data(data).value(0u64).chain_id(self.chain_id());
         request.to = to.map(|to| H160(to.0).into());
         let transaction = TypedTransaction::Legacy(request);
-        let broken = |error: &dyn std::fmt::Display| ChainError::Internal(format!("signing: {error}"));
-        let wallet = LocalWallet::from_bytes(&eoa.expose()[..]).map_err(|error| broken(&error))?;
-        let wallet = wallet.with_chain_id(self.chain_id());
-        let signature = wallet.sign_transaction_sync(&transaction).map_err(|error| broken(&error))?;
+        let signature = wallet.sign_transaction_sync(&transaction).map_err(|error| unsigned(&error))?;
         let raw = transaction.rlp_signed(&signature).to_vec();
         let gas_price = u128::try_from(gas_price).map_err(|_| self.misunderstood("eth_gasPrice", "it is too large"))?;
         Ok(SignedTransaction { hash: Hash(keccak256(&raw)), nonce, raw, gas_limit, gas_price })
@@ -154,7 +152,7 @@ impl Chain {
         let data = artefact.creation(true)?;
         let gas = self.estimate(eoa.address(), None, &data).await?;
         let nonce = self.nonce(eoa.address(), true).await?;
-        let signed = self.sign_raw(eoa, nonce, None, data, gas).await?;
+        let signed = self.sign_raw(&wallet(eoa)?, nonce, None, data, gas).await?;
         let hash = self.broadcast(&signed.raw).await?;
         let receipt = self.await_receipt(hash, DEPLOYMENT).await?;
         let Some(contract) = receipt.contract_address.filter(|_| receipt.status.is_none_or(|s| !s.is_zero())) else {
@@ -162,7 +160,7 @@ impl Chain {
             return Err(ChainError::Rejected { method: "eth_sendRawTransaction".into(), reason: reason.into() });
         };
         let contract = Address(contract.0);
-        if self.code_hash(contract, "latest").await? != Some(artefact.code_hash) {
+        if self.code_hash(contract).await? != Some(artefact.code_hash) {
             return Err(ChainError::NotTheContract(contract));
         }
         Ok(self.set_pin(self.pin_of(contract, artefact.code_hash, receipt.block_number.as_u64())))
@@ -182,6 +180,15 @@ impl Chain {
             self.next_block(head, left.min(Duration::from_secs(1))).await?;
         }
     }
+}
+
+/// The key in ethers' form; it is wiped when dropped.
+fn wallet(eoa: &EoaSecret) -> Result<LocalWallet, ChainError> {
+    LocalWallet::from_bytes(&eoa.expose()[..]).map_err(|error| unsigned(&error))
+}
+
+fn unsigned(error: &dyn std::fmt::Display) -> ChainError {
+    ChainError::Internal(format!("signing: {error}"))
 }
 
 #[derive(Debug, Serialize, Deserialize)]

@@ -29,25 +29,27 @@ struct RawLog {
 }
 
 impl Chain {
-    /// The contract's events of the blocks `from` to `to`, in order.
+    /// The contract's events of the blocks `from` to `to` (at most the head), in order.
     ///
     /// # Errors
     /// [`ChainError::NoContract`], or the node's.
     pub async fn events(&self, from: u64, to: u64) -> Result<Vec<EventAt>, ChainError> {
+        let to = to.min(self.head().await?.number);
         let (mut next, mut chunk) = (from, CHUNK);
         let mut found = Vec::new();
         while next <= to {
-            let last = to.min(next.saturating_add(chunk - 1));
+            let last = to.min(next + chunk - 1);
             match self.logs(next, last).await {
                 Ok(logs) => {
                     for log in logs {
                         found.push(self.decode(log)?);
                     }
-                    let Some(after) = last.checked_add(1) else { break };
-                    next = after;
+                    next = last + 1;
                     chunk = CHUNK.min(chunk * 2);
                 }
-                Err(ChainError::Rejected { .. } | ChainError::Unreachable { .. }) if last > next => chunk = (last - next).div_ceil(2),
+                Err(ChainError::Rejected { .. } | ChainError::Unreachable { .. }) if last > next => {
+                    chunk = (last - next).div_ceil(2);
+                }
                 Err(error) => return Err(error),
             }
         }
@@ -84,11 +86,13 @@ impl Chain {
     pub async fn next_block(&self, after: u64, patience: Duration) -> Result<BlockRef, ChainError> {
         if let Some(embedded) = self.transport().embedded() {
             let mut news = embedded.head();
+            // The guard must not live over the next wait.
             let found = tokio::time::timeout(patience, news.wait_for(|head| head.number > after)).await;
-            if let Ok(Ok(head)) = found {
-                return Ok(*head);
-            }
-            return self.head().await;
+            let found = found.ok().and_then(Result::ok).map(|head| *head);
+            return match found {
+                Some(head) => Ok(head),
+                None => self.head().await,
+            };
         }
         let deadline = Instant::now() + patience;
         loop {

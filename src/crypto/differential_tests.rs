@@ -23,7 +23,10 @@ proptest! {
     fn public_keys_are_equal(bytes in any::<[u8; 32]>()) {
         prop_assume!(secret(bytes).is_some());
         // A secret remembers its public key, so each provider gets its own.
-        let [one, other] = both().map(|provider| secret(bytes).map(|secret| provider.public_key(&secret).expect("point")));
+        let [one, other] = both().map(|provider| {
+            let secret = secret(bytes).expect("in range");
+            provider.public_key(&secret).expect("point")
+        });
         prop_assert_eq!(one, other);
     }
 
@@ -60,7 +63,8 @@ proptest! {
     }
 
     #[test]
-    fn noise_is_refused_alike(der in vec(any::<u8>(), 0..200), point in any::<[[u8; 32]; 2]>(), raw in any::<[[u8; 32]; 2]>()) {
+    fn noise_is_refused_alike(der in vec(any::<u8>(), 0..200), point in any::<[[u8; 32]; 2]>(),
+                              raw in any::<[[u8; 32]; 2]>()) {
         let secret = secret([7; 32]).expect("in range");
         let public = PublicKey(point.concat().try_into().expect("64"));
         let signature = Signature(raw.concat().try_into().expect("64"));

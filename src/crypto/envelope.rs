@@ -4,6 +4,7 @@
 
 use std::collections::BTreeSet;
 
+use crate::model::grant::MOST_TOPICS;
 use crate::model::wire::{Reader, WireError};
 use crate::model::{Domain, GrantTerms, PublicKey, Scope, Signature, TopicId, TopicName};
 
@@ -136,7 +137,7 @@ fn check_fit(wrapped: &WrappedKeys) -> Result<(), CryptoError> {
             let numbers: BTreeSet<u64> = keys.iter().map(|(number, ..)| *number).collect();
             let pairs: BTreeSet<(u64, TopicId)> = keys.iter().map(|(number, _, id, _)| (*number, *id)).collect();
             let named = keys.iter().all(|(_, name, id, _)| name.parse::<TopicName>().is_ok() && topics.contains(id));
-            pairs.len() == keys.len() && named && is_range(&numbers, epoch)
+            topics.len() <= MOST_TOPICS && pairs.len() == keys.len() && named && is_range(&numbers, epoch)
         }
         _ => false,
     };

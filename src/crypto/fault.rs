@@ -1,21 +1,19 @@
-//! Faults that tests build in: `RUSTFLAGS='--cfg authros_fault="digest"'` compiles the program
-//! with that one check taken out, so that a test can show that the check matters. Nothing at run
-//! time reads or sets this; a normal build compiles every answer to `false`.
+//! Switches that turn single checks off, for one purpose: to prove that `authros demo` notices.
+//!
+//! They exist only in the binary `authros-faulty`, built with the feature `fault`, where the
+//! environment variable `AUTHROS_FAULT` names the check. In every other build each is constantly on.
 
-/// Whether `check` was taken out of this build.
-///
-/// Known checks: digest, signature, commit, tag, anchor, revoke, restore, authorise.
-#[inline]
+/// The checks that can be named.
+pub const CHECKS: [&str; 8] = ["digest", "signature", "commit", "tag", "anchor", "revoke", "restore", "authorise"];
+
+/// Whether the check is switched off: never, in a build without the feature.
+#[cfg(not(feature = "fault"))]
+pub const fn is_off(_check: &str) -> bool {
+    false
+}
+
+/// Whether the check is switched off by `AUTHROS_FAULT`.
+#[cfg(feature = "fault")]
 pub fn is_off(check: &str) -> bool {
-    match check {
-        "digest" => cfg!(authros_fault = "digest"),
-        "signature" => cfg!(authros_fault = "signature"),
-        "commit" => cfg!(authros_fault = "commit"),
-        "tag" => cfg!(authros_fault = "tag"),
-        "anchor" => cfg!(authros_fault = "anchor"),
-        "revoke" => cfg!(authros_fault = "revoke"),
-        "restore" => cfg!(authros_fault = "restore"),
-        "authorise" => cfg!(authros_fault = "authorise"),
-        _ => false,
-    }
+    std::env::var("AUTHROS_FAULT").is_ok_and(|name| name == check)
 }

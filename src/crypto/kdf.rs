@@ -23,6 +23,9 @@ pub fn hkdf_sm3(key_material: &[u8], salt: &[u8], info: &[u8], out: &mut [u8]) -
 }
 
 /// `N` bytes of HKDF-SM3; that `N` can be derived is checked when this is compiled.
+///
+/// # Panics
+/// Never: a length that HKDF refuses does not compile.
 pub fn derived<const N: usize>(key_material: &[u8], salt: &[u8], info: &Info) -> [u8; N] {
     const { assert!(N <= 255 * 32, "HKDF-SM3 gives at most 8,160 bytes") };
     let mut out = [0; N];

@@ -73,17 +73,14 @@ fn parse_sm4(bytes: &[u8]) -> Result<Sm4Key, Found> {
         return Ok(Sm4Key::new(*key));
     }
     let found = match bytes {
-        [] => "it is empty; a key is 16 random bytes, raw or as 32 hex characters".to_owned(),
-        _ if is_text(line) => format!(
-            "it holds {} characters of text, perhaps a passphrase; a key is 16 random bytes, raw or as 32 hex characters",
-            line.len()
-        ),
+        [] => "it is empty".to_owned(),
+        _ if is_text(line) => format!("it holds {} characters of text, perhaps a passphrase", line.len()),
         _ => match Sm4Key::from_slice(bytes) {
             Some(key) => return Ok(key),
-            None => format!("it holds {} bytes; a key is 16 random bytes, raw or as 32 hex characters", bytes.len()),
+            None => format!("it holds {} bytes", bytes.len()),
         },
     };
-    Err((SM4_KEY, found))
+    Err((SM4_KEY, format!("{found}; a key is 16 random bytes, raw or as 32 hex characters")))
 }
 
 fn parse_sm2(bytes: &[u8]) -> Result<SmSecret, Found> {

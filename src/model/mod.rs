@@ -21,7 +21,7 @@ pub use address::Address;
 pub use bytes::{
     Commit, Digest, Domain, FilterId, Hash, PublicKey, RecorderId, Salt, Signature, SignerId, Token, TopicId,
 };
-pub use display::clean;
+pub use display::{clean, clean_lines};
 pub use error_kind::ErrorKind;
 pub use grant::{GrantTerms, Scope};
 pub use head::Head;

@@ -37,8 +37,8 @@ pub struct Lending {
     pub from: u64,
     /// Until this block, once recalled.
     pub recalled: Option<u64>,
-    /// Until this moment.
-    pub until: Timestamp,
+    /// Until this moment; `None` = no end.
+    pub until: Option<Timestamp>,
 }
 
 /// What the chain knows of one account.
@@ -142,8 +142,14 @@ impl Directory {
 
     fn change(&self, state: &mut State, at: &EventAt) {
         match &at.event {
-            Event::Registered { owner, identity, epoch } | Event::KeysRotated { owner, identity, epoch } => {
-                self.register(state.accounts.entry(*owner).or_default(), *owner, identity, *epoch, at.block);
+            Event::Registered { owner, identity, epoch } => {
+                let account = state.accounts.entry(*owner).or_default();
+                account.epoch = account.epoch.max(*epoch);
+                account.tokens.entry(*epoch).or_insert(identity.token);
+                self.identify(account, *owner, identity, at.block);
+            }
+            Event::KeysRotated { owner, identity, .. } => {
+                self.identify(state.accounts.entry(*owner).or_default(), *owner, identity, at.block);
             }
             Event::Granted { terms, envelope } => grant(state, terms, envelope, at),
             Event::Wrapped { owner, grantee, epoch, envelope } => {
@@ -173,15 +179,12 @@ impl Directory {
         }
     }
 
-    fn register(&self, account: &mut Account, owner: Address, bytes: &[u8], epoch: u64, block: u64) {
-        let Ok(identity) = Identity::parse(bytes) else { return };
-        let proven = check_identity(self.provider, &self.domain, &owner, &identity).is_ok();
+    fn identify(&self, account: &mut Account, owner: Address, identity: &Identity, block: u64) {
+        let proven = check_identity(self.provider, &self.domain, &owner, identity).is_ok();
         let entry = IdentityAt { block, signing: identity.signing, envelope: identity.envelope, proven };
         if !account.identities.contains(&entry) {
             account.identities.push(entry);
         }
-        account.epoch = account.epoch.max(epoch);
-        account.tokens.entry(epoch).or_insert(identity.token);
     }
 
     /// What is known of an account.

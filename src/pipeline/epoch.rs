@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use crate::crypto::{CryptoError, EpochKey, IndexKey, SmKeyPair, TopicKey, filter_id, topic_id, topic_key};
+use crate::crypto::{EpochKey, IndexKey, SmKeyPair, TopicKey, filter_id, topic_id, topic_key};
 use crate::model::{Domain, FilterId, SignerId, Token, TopicId};
 
 /// What sealing a topic's records needs.
@@ -36,28 +36,22 @@ pub struct EpochKeys {
 
 impl EpochKeys {
     /// The keys of a topic, derived once.
-    ///
-    /// # Errors
-    /// Of the key derivation.
-    pub fn topic(&self, topic: &str) -> Result<Arc<TopicKeys>, CryptoError> {
+    pub fn topic(&self, topic: &str) -> Arc<TopicKeys> {
         let mut topics = self.topics.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(keys) = topics.get(topic) {
-            return Ok(Arc::clone(keys));
+            return Arc::clone(keys);
         }
-        let keys = Arc::new(TopicKeys { id: topic_id(&self.index, topic)?, key: topic_key(&self.key, topic)? });
+        let keys = Arc::new(TopicKeys { id: topic_id(&self.index, topic), key: topic_key(&self.key, topic) });
         topics.insert(topic.to_owned(), Arc::clone(&keys));
-        Ok(keys)
+        keys
     }
 
     /// The filter ids of a record: its type, and that it is simulated.
-    ///
-    /// # Errors
-    /// Of the key derivation.
-    pub fn filters(&self, type_name: &str, simulated: bool) -> Result<Vec<FilterId>, CryptoError> {
-        let mut filters = vec![filter_id(&self.index, "type", type_name)?];
+    pub fn filters(&self, type_name: &str, simulated: bool) -> Vec<FilterId> {
+        let mut filters = vec![filter_id(&self.index, "type", type_name)];
         if simulated {
-            filters.push(filter_id(&self.index, "tag", "simulated=true")?);
+            filters.push(filter_id(&self.index, "tag", "simulated=true"));
         }
-        Ok(filters)
+        filters
     }
 }

@@ -72,10 +72,7 @@ impl Owner {
     }
 
     /// The pseudonym of a topic.
-    ///
-    /// # Errors
-    /// Of the key derivation.
-    pub fn topic_id(&self, topic: &str) -> Result<TopicId, CryptoError> {
+    pub fn topic_id(&self, topic: &str) -> TopicId {
         topic_id(&self.keyring().keyring.index, topic)
     }
 
@@ -84,25 +81,11 @@ impl Owner {
         self.sealing.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// The key of an epoch of this owner on a network.
-    ///
-    /// # Errors
-    /// Of the key derivation.
-    pub fn epoch_key(&self, domain: Domain, epoch: u64) -> Result<Option<EpochKey>, CryptoError> {
+    /// The key of an epoch of this owner on a network, where the keyring has it.
+    pub fn epoch_key(&self, domain: Domain, epoch: u64) -> Option<EpochKey> {
         let keyring = self.keyring();
-        let secret = keyring.keyring.networks.get(&domain).and_then(|network| network.epochs.get(&epoch));
-        secret.map(|secret| epoch_key(&secret.sm4, &secret.salt, &domain, &self.address, epoch)).transpose()
-    }
-
-    /// Every epoch's key on a network, up to `last`.
-    ///
-    /// # Errors
-    /// Of the key derivation.
-    pub fn epoch_keys(&self, domain: Domain, last: u64) -> Result<Vec<(u64, EpochKey)>, CryptoError> {
-        let epochs: Vec<u64> = self.epochs(domain).into_iter().filter(|epoch| *epoch <= last).collect();
-        let keys = epochs.into_iter().map(|epoch| Ok((epoch, self.epoch_key(domain, epoch)?)));
-        let keys: Result<Vec<_>, CryptoError> = keys.collect();
-        Ok(keys?.into_iter().filter_map(|(epoch, key)| key.map(|key| (epoch, key))).collect())
+        let secret = keyring.keyring.networks.get(&domain).and_then(|network| network.epochs.get(&epoch))?;
+        Some(epoch_key(&secret.sm4, secret.salt.expose(), &domain, &self.address, epoch))
     }
 
     /// Numbers of the epochs in the keyring, oldest first.
@@ -112,11 +95,8 @@ impl Owner {
     }
 
     /// Token of an epoch in the keyring.
-    ///
-    /// # Errors
-    /// Of the key derivation.
-    pub fn token(&self, domain: Domain, epoch: u64) -> Result<Option<Token>, CryptoError> {
-        Ok(self.epoch_key(domain, epoch)?.map(|key| token(&domain, &self.address, epoch, &key)))
+    pub fn token(&self, domain: Domain, epoch: u64) -> Option<Token> {
+        self.epoch_key(domain, epoch).map(|key| token(&domain, &self.address, epoch, &key))
     }
 
     /// Makes sure that `epoch` has a secret in the keyring, saved before it is used, and returns
@@ -135,7 +115,7 @@ impl Owner {
                 keyring.save()?;
             }
         }
-        self.token(domain, epoch)?.ok_or(PipelineError::UnknownEpoch(epoch))
+        self.token(domain, epoch).ok_or(PipelineError::UnknownEpoch(epoch))
     }
 
     /// From now on records are sealed under `epoch`, which is in the keyring.
@@ -143,7 +123,7 @@ impl Owner {
     /// # Errors
     /// Where the keyring has no such epoch, or cannot be saved.
     pub fn seal_under(&self, domain: Domain, epoch: u64) -> Result<(), PipelineError> {
-        let key = self.epoch_key(domain, epoch)?.ok_or(PipelineError::UnknownEpoch(epoch))?;
+        let key = self.epoch_key(domain, epoch).ok_or(PipelineError::UnknownEpoch(epoch))?;
         let token = token(&domain, &self.address, epoch, &key);
         let keys = EpochKeys {
             domain,

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 
-use crate::model::{ErrorKind, Timestamp, TypeName, clean};
+use crate::model::{Timestamp, TypeName, clean};
 use crate::ros::{CaptureNotice, Message, MessageSink};
 
 use super::meter::Meter;
@@ -197,7 +197,7 @@ impl MessageSink for Recorder {
     }
 
     fn notice(&self, notice: CaptureNotice) {
-        if let CaptureNotice::LostInTransport { topic, count } = &notice {
+        if let CaptureNotice::LostInTransport { topic, count, .. } = &notice {
             self.lose(topic, |losses| losses.in_transport += count);
             let interests = self.interests.read().unwrap_or_else(PoisonError::into_inner);
             for session in interests.get(&**topic).into_iter().flatten().flat_map(|interest| &interest.sessions) {
@@ -210,8 +210,22 @@ impl MessageSink for Recorder {
     }
 }
 
+/// A notice as an operator reads it; `None` for what is told elsewhere.
 fn words(notice: &CaptureNotice) -> Option<(bool, String)> {
-    let text = notice.to_string();
-    let urgent = notice.kind().is_some_and(|kind| kind != ErrorKind::Incomplete);
-    (!text.is_empty()).then(|| (urgent, clean(&text, 300)))
+    let told = match notice {
+        CaptureNotice::PublisherConnected { .. } | CaptureNotice::MasterBack | CaptureNotice::MasterLost { .. } => return None,
+        CaptureNotice::PublisherLost { topic, caller_id, reason } => (false, format!("{caller_id} no longer publishes {topic}: {reason}")),
+        CaptureNotice::PublisherUnreachable { topic, publisher, reason } => {
+            (true, format!("{publisher} publishes {topic} but cannot be read, it is tried again: {reason}"))
+        }
+        CaptureNotice::TypeMismatch { topic, caller_id, wanted, found } => {
+            (true, format!("{caller_id} sends {found} on {topic}, not {wanted}: not captured"))
+        }
+        CaptureNotice::LostInTransport { topic, caller_id, count } => {
+            (true, format!("{count} messages of {caller_id} on {topic} never arrived: counted as lost in transport"))
+        }
+        CaptureNotice::Refused { topic, publisher, reason } => (true, format!("{publisher} on {topic} was refused: {reason}")),
+        CaptureNotice::ShutdownAsked { by, reason } => (true, format!("{by} asked this node to end ({reason}); it goes on")),
+    };
+    Some((told.0, clean(&told.1, 300)))
 }

@@ -90,7 +90,7 @@ impl Sealer {
         seqs: &mut HashMap<(Address, TopicId), u64>,
         ready: &mut Vec<Ready>,
     ) -> Result<(), PipelineError> {
-        let topic = keys.topic(&item.message.topic)?;
+        let topic = keys.topic(&item.message.topic);
         let digest = self.definition_digest(&item.message.definition);
         let name = format!("definition:{}:{}:{}:{}:{digest}", keys.domain, item.owner.address, keys.epoch, topic.id);
         let waiting = ready.iter().any(|one| one.definition.as_ref() == Some(&name));
@@ -128,7 +128,7 @@ impl Sealer {
         seqs: &mut HashMap<(Address, TopicId), u64>,
     ) -> Result<Ready, PipelineError> {
         let message = &*item.message;
-        let topic = keys.topic(&message.topic)?;
+        let topic = keys.topic(&message.topic);
         let owner = item.owner.address;
         let seq = self.next_seq(owner, topic.id, seqs)?;
         let request = SealRequest {
@@ -141,7 +141,7 @@ impl Sealer {
             seq,
             topic_id: topic.id,
             kind,
-            filters: keys.filters(&message.type_name, item.simulated)?,
+            filters: keys.filters(&message.type_name, item.simulated),
             captured_at: message.captured_at,
             head: &self.head(item, body.len()),
             body,

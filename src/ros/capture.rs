@@ -10,6 +10,9 @@ mod registrar;
 mod sequence;
 mod topic;
 
+#[cfg(test)]
+mod tests;
+
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 

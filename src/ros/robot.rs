@@ -1,5 +1,5 @@
-//! Simulated robots: `/robotN/odom` (nav_msgs/Odometry) and `/robotN/camera/compressed`
-//! (sensor_msgs/CompressedImage), each robot a ROS node of its own.
+//! Simulated robots: `/robotN/odom` (`nav_msgs/Odometry`) and `/robotN/camera/compressed`
+//! (`sensor_msgs/CompressedImage`), each robot a ROS node of its own.
 //!
 //! They speak TCPROS like any node, so that capture cannot tell them from real ones. What they
 //! send is made up; marking it as simulated is done where it is shown and sealed.
@@ -82,13 +82,13 @@ impl Fleet {
     /// The robots' topics and how many messages were published on each, whether or not anybody
     /// subscribed: the first has `header.seq` 0, the last this count less 1.
     pub fn published(&self) -> Vec<(String, u64)> {
-        let outlets = self.nodes.iter().flat_map(|node| node.outlets());
+        let outlets = self.nodes.iter().flat_map(RobotNode::outlets);
         outlets.map(|outlet| (outlet.topic().to_owned(), outlet.published())).collect()
     }
 
     /// Messages that a subscriber did not get because it read too slowly, in all.
     pub fn overflowed(&self) -> u64 {
-        self.nodes.iter().flat_map(|node| node.outlets()).map(|outlet| outlet.overflowed()).sum()
+        self.nodes.iter().flat_map(RobotNode::outlets).map(|outlet| outlet.overflowed()).sum()
     }
 
     /// Ends publishing and returns the final counts; then as dropping.
@@ -160,7 +160,9 @@ impl Fleet {
 impl Drop for Fleet {
     fn drop(&mut self) {
         self.end_publishing();
-        self.nodes.iter().for_each(RobotNode::close);
+        for node in &self.nodes {
+            node.close();
+        }
     }
 }
 

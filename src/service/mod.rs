@@ -6,9 +6,14 @@
 pub mod client;
 pub mod command;
 pub mod event;
+pub mod failure;
+pub mod hub;
 pub mod reply;
+pub mod site;
+pub mod socket;
 
 pub use client::{Call, Client};
 pub use command::{Command, Epochs, KeyKind, Request, SecretBytes, SecretText, UploadQuery};
 pub use event::{Event, NoticeLevel, Part};
 pub use reply::{Failure, Reply};
+pub use site::{Needs, Site};

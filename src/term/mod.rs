@@ -1,1 +1,116 @@
-//! Stub.
+//! The only room that knows the terminal: guard, signals, keys, renderer, colours, clipboard.
+//!
+//! [`run`] is the console: one thread reads keys, one waits for signals, one owns the screen
+//! and draws the newest frame only, and the caller's thread feeds `app::update`. It restores
+//! the terminal however it ends. What is shown is decided in `app` and `ui`.
+
+pub mod backend;
+pub mod budget;
+pub mod clipboard;
+pub mod colour;
+pub mod encode;
+pub mod files;
+pub mod guard;
+pub mod input;
+pub mod renderer;
+pub mod signals;
+pub mod stage;
+
+mod session;
+
+use std::io::{self, IsTerminal};
+use std::path::PathBuf;
+
+use tokio::runtime::Handle;
+
+use crate::model::ErrorKind;
+use crate::service::{Client, Failure};
+use crate::ui::ThemeError;
+
+/// How the console is to look and what it may do.
+#[derive(Debug, Clone, Default)]
+pub struct ConsoleOptions {
+    /// A theme's name; `None` = chosen by the terminal's colours.
+    pub theme: Option<String>,
+    /// Draw with ASCII characters only.
+    pub ascii: bool,
+    /// Hide what changes keys, grants or records.
+    pub read_only: bool,
+    /// Bytes a second for drawing of data; `None` = 4 kB/s over SSH, else no limit.
+    pub bytes_per_second: Option<u32>,
+    /// Where relative paths begin and files are written; `None` = the working directory.
+    pub directory: Option<PathBuf>,
+}
+
+/// Why the console ended.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum ExitReason {
+    /// The operator quit.
+    Quit,
+    /// The site refused this console; the message is still to be shown.
+    Refused(Failure),
+    /// A signal asked for it.
+    Signal(i32),
+    /// The terminal vanished; nothing may be printed.
+    TerminalGone,
+}
+
+impl ExitReason {
+    /// The exit code of a process that ends for this reason.
+    pub fn exit_code(&self) -> u8 {
+        match self {
+            Self::Quit => 0,
+            Self::Refused(failure) => failure.kind.exit_code(),
+            Self::Signal(number) => u8::try_from(128 + number).unwrap_or(ErrorKind::Internal.exit_code()),
+            Self::TerminalGone => 129,
+        }
+    }
+}
+
+/// Why the console cannot run.
+#[derive(Debug, thiserror::Error)]
+pub enum TermError {
+    /// There is no terminal.
+    #[error("the console needs a terminal; without one use `authros demo`, `authros capture` or `authros serve`")]
+    NotATerminal,
+    /// The theme cannot be used.
+    #[error(transparent)]
+    Theme(#[from] ThemeError),
+    /// The terminal does not do what was asked of it.
+    #[error("the terminal cannot be used: {0}; try another terminal or TERM")]
+    Terminal(#[from] io::Error),
+    /// A part of the console itself failed.
+    #[error("the console failed: {0}; what was captured is safe, start it again")]
+    Fault(String),
+}
+
+impl TermError {
+    /// Decides the exit code.
+    pub fn kind(&self) -> ErrorKind {
+        match self {
+            Self::NotATerminal => ErrorKind::Usage,
+            Self::Theme(_) => ErrorKind::Input,
+            Self::Terminal(_) | Self::Fault(_) => ErrorKind::Internal,
+        }
+    }
+}
+
+/// Whether there is a terminal to read keys from and to draw on.
+pub fn is_interactive() -> bool {
+    io::stdin().is_terminal() && io::stdout().is_terminal()
+}
+
+/// Runs the console until it ends; the first frame is drawn before `client` is asked anything.
+///
+/// It claims the profile itself (`OpenConsole`). The thread that reads keys may linger for
+/// half a second afterwards, and for good when the terminal is gone: the caller should end
+/// the process soon.
+///
+/// # Errors
+/// [`TermError`] where there is no terminal, or it fails.
+pub fn run(client: Client, handle: &Handle, options: ConsoleOptions) -> Result<ExitReason, TermError> {
+    if !is_interactive() {
+        return Err(TermError::NotATerminal);
+    }
+    session::Session::open(client, handle, options)?.run()
+}

@@ -8,8 +8,8 @@ use super::words::wrap;
 use crate::app::available::available;
 use crate::app::popup_keys::hints;
 use crate::app::update::under_way;
-use crate::app::verb::{Entry, VERBS};
-use crate::app::{Screen, State};
+use crate::app::verb::{Entry, VERBS, Verb};
+use crate::app::State;
 use crate::service::NoticeLevel;
 
 /// The most lines a message takes.
@@ -70,7 +70,7 @@ fn draw_bar(canvas: &mut Canvas, area: Rect, state: &State) {
     let tail = Rect { x: area.x + area.width.saturating_sub(TAIL), width: TAIL.min(area.width), ..area };
     draw_hints(canvas, tail, &[(":", "commands"), ("?", "help"), ("q", "quit")]);
     let mut rest = Rect { width: area.width - tail.width, ..area };
-    for entry in entries(state.screen, state.settings.read_only) {
+    for entry in entries(state) {
         rest = draw_entry(canvas, rest, state, entry);
     }
 }
@@ -85,13 +85,17 @@ fn draw_hints(canvas: &mut Canvas, area: Rect, hints: &[(&str, &str)]) {
 }
 
 /// What the bar shows of a screen: its own verbs first.
-fn entries(screen: Screen, read_only: bool) -> impl Iterator<Item = &'static Entry> {
+fn entries(state: &State) -> impl Iterator<Item = &'static Entry> + use<'_> {
+    let (screen, read_only) = (state.screen, state.settings.read_only);
     let tail = ["palette", "help", "quit"];
     let shown = move |entry: &&Entry| {
         let hidden = read_only && entry.changes;
         !entry.label.is_empty() && entry.works_on(screen) && !hidden && !tail.contains(&entry.name)
     };
-    VERBS.iter().filter(shown)
+    // What works everywhere, or is done once, is named only where it can be done.
+    let once = |entry: &Entry| entry.on.is_empty() || matches!(entry.verb, Verb::CreateIdentity | Verb::Register);
+    let named = move |entry: &&Entry| !once(entry) || available(state, entry.verb).is_ok();
+    VERBS.iter().filter(shown).filter(named)
 }
 
 fn draw_entry(canvas: &mut Canvas, area: Rect, state: &State, entry: &Entry) -> Rect {
@@ -99,7 +103,7 @@ fn draw_entry(canvas: &mut Canvas, area: Rect, state: &State, entry: &Entry) -> 
     let reason = available(state, entry.verb).err();
     let label = reason.map_or_else(|| entry.label.to_owned(), |reason| format!("{} ({reason})", entry.label));
     if columns(&key) + columns(&label) + 3 > area.width {
-        return Rect { width: 0, ..area };
+        return area;
     }
     let (key_role, role) = if reason.is_some() { (Role::Dim, Role::Dim) } else { (Role::Key, Role::Body) };
     canvas.puts(area, &[(&key, key_role), (" ", Role::Body), (&label, role), ("  ", Role::Body)])

@@ -65,6 +65,8 @@ impl<'a> Canvas<'a> {
         if area.is_empty() || text.is_empty() {
             return 0;
         }
+        // A gap that does not fit is no text that was cut.
+        let text = if text.trim().is_empty() { text.get(..usize::from(area.width)).unwrap_or(text) } else { text };
         let mut shown = clean(text, usize::from(area.width));
         if shown.width() > usize::from(area.width) {
             while shown.width() + 1 > usize::from(area.width) {

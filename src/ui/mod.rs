@@ -69,7 +69,7 @@ fn draw_whole(canvas: &mut Canvas, area: Rect, state: &State) {
     let content = Rect { y: area.y + 2, height: area.height - 4, ..area };
     header::draw(canvas, Rect { height: 2, ..area }, state);
     draw_screen(canvas, content, state);
-    for popup in &state.popups {
+    if let Some(popup) = state.popups.last() {
         popups::draw(canvas, content, state, popup);
     }
     bottom::draw(canvas, area, state);

@@ -16,22 +16,30 @@ pub struct Column {
     pub right: bool,
     /// Shown from so many columns of the terminal on.
     pub from: u16,
+    /// Shown only below so many columns of the terminal.
+    pub below: u16,
 }
 
 impl Column {
     /// A column that takes what is left; it carries the cursor.
     pub const fn wide(title: &'static str) -> Self {
-        Self { title, width: 0, right: false, from: 0 }
+        Self { title, width: 0, right: false, from: 0, below: u16::MAX }
     }
 
     /// A column of words.
     pub const fn text(title: &'static str, width: u16) -> Self {
-        Self { title, width, right: false, from: 0 }
+        Self { title, width, right: false, from: 0, below: u16::MAX }
     }
 
     /// A column of numbers.
     pub const fn number(title: &'static str, width: u16) -> Self {
-        Self { title, width, right: true, from: 0 }
+        Self { title, width, right: true, from: 0, below: u16::MAX }
+    }
+
+    /// The same, only on terminals with fewer columns.
+    pub const fn below(mut self, columns: u16) -> Self {
+        self.below = columns;
+        self
     }
 
     /// The same, only on terminals of so many columns.
@@ -74,6 +82,16 @@ pub fn draw(canvas: &mut Canvas, area: Rect, sheet: &Sheet) {
     let first = position - position % height;
     for (line, index) in (0u16..).zip((first..sheet.keys.len()).take(height)) {
         draw_row(canvas, row(body, line), sheet, &widths, index, index == position);
+    }
+}
+
+/// Draws column heads and rows without a cursor.
+pub fn draw_plain(canvas: &mut Canvas, area: Rect, columns: &[Column], rows: Vec<Vec<(String, Role)>>) {
+    let widths = widths(columns, area.width);
+    draw_cells(canvas, row(area, 0), columns, &widths, |column| (column.title.to_owned(), Role::Title));
+    for (line, cells) in (1u16..area.height).zip(rows) {
+        let mut cells = cells.into_iter();
+        draw_cells(canvas, row(area, line), columns, &widths, |_| cells.next().unwrap_or_default());
     }
 }
 
@@ -125,7 +143,7 @@ fn draw_cells(
 
 /// The width of each column; 0 = not shown.
 fn widths(columns: &[Column], whole: u16) -> Vec<u16> {
-    let shown = |column: &Column| column.from <= whole;
+    let shown = |column: &Column| column.from <= whole && whole < column.below;
     let fixed: u16 = columns.iter().filter(|column| shown(column)).map(|column| column.width + 1).sum();
     let left = whole.saturating_sub(GUTTER + fixed).max(8);
     let width = |column: &Column| match (shown(column), column.width) {

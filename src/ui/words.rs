@@ -49,13 +49,18 @@ pub fn sparkline(samples: &[f64]) -> String {
 /// Lines of at most `width` columns, broken at spaces where there are some.
 pub fn wrap(text: &str, width: u16) -> Vec<String> {
     let width = usize::from(width.max(1));
+    let indent = text.len() - text.trim_start_matches(' ').len();
+    if indent > 0 && indent < width {
+        let lines = wrap(&text[indent..], u16::try_from(width - indent).unwrap_or(1));
+        return lines.into_iter().map(|line| format!("{}{line}", " ".repeat(indent))).collect();
+    }
     let mut lines = vec![String::new()];
     for word in text.split(' ') {
         let last = lines.last().map_or(0, |line| line.width());
         if last > 0 && last + 1 + word.width() > width {
             lines.push(String::new());
         } else if last > 0 {
-            lines.extend(lines.pop().map(|line| line + " "));
+            lines.last_mut().into_iter().for_each(|line| line.push(' '));
         }
         append_word(&mut lines, word, width);
     }
@@ -92,5 +97,6 @@ mod tests {
         assert_eq!(wrap("what was read cannot be recalled", 12), ["what was", "read cannot", "be recalled"]);
         assert_eq!(wrap("0123456789", 4), ["0123", "4567", "89"]);
         assert_eq!(wrap("", 4), [""]);
+        assert_eq!(wrap("  nobody but you", 9), ["  nobody", "  but you"]);
     }
 }

@@ -10,7 +10,7 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 use super::process::{Outcome, Running};
-use super::{text, wait_until};
+use super::text;
 
 /// How long one command may take, in seconds, unless a test says otherwise.
 const LIMIT: u64 = 120;
@@ -153,22 +153,28 @@ impl Authros {
         message
     }
 
-    /// Makes and registers the profile's identity; gives its address.
-    pub fn enrol(&self) -> String {
-        let created = self.json(&["identity", "create"]);
-        let registered = self.json(&["register"]);
-        assert_eq!(registered["registered"], true, "{registered}");
-        assert_eq!(registered["address"], created["address"]);
-        text(&created, "address")
+    /// Runs a command on a record this profile may not read: refused, and nothing of the record shown.
+    pub fn is_refused(&self, arguments: &[&str]) {
+        let outcome = self.with(&["--json"]).run(arguments).expect_code(5);
+        let document = outcome.document();
+        let told = document["error"]["message"].is_string() || document["verdict"] == "no_key";
+        let shown =
+            document["message"].is_object() || document["fields"].as_array().is_some_and(|rows| !rows.is_empty());
+        assert!(told && !shown, "{outcome}");
     }
 
-    /// Starts a site and waits until others can join it.
+    /// Registers the profile, whose identity is made where there is none; gives its address.
+    pub fn enrol(&self) -> String {
+        let registered = self.json(&["register"]);
+        assert_eq!(registered["registered"], true, "{registered}");
+        text(&registered, "address")
+    }
+
+    /// Starts a site, whose own profile is then registered, and waits until it says that it serves.
     pub fn serve(&self, home: &Home) -> Running {
         let mut site = self.spawn(&["serve"]);
-        wait_until(60, "the site's socket accepts", || {
-            site.expect_running();
-            home.socket()
-        });
+        site.wait_for_text("serving", 60);
+        assert!(home.socket().is_some(), "others can join");
         site
     }
 

@@ -104,8 +104,8 @@ fn order(sort: usize, one: &TopicRow, other: &TopicRow) -> Ordering {
     }
 }
 
-/// Rates compared in whole tenths, so that rows do not swap places at every breath.
+/// Rates compared in steps of a fifth, so that rows do not swap places at every breath.
 fn descending(one: Option<f64>, other: Option<f64>) -> Ordering {
-    let tenths = |rate: Option<f64>| rate.map_or(-1.0, |rate| (rate * 10.0).round());
-    tenths(other).total_cmp(&tenths(one))
+    let step = |rate: Option<f64>| rate.map_or(f64::NEG_INFINITY, |rate| (rate.max(0.01).log2() * 4.0).round());
+    step(other).total_cmp(&step(one))
 }

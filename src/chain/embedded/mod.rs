@@ -4,14 +4,14 @@
 //! exactly as to any other node. It runs on a thread of its own. Gas costs nothing.
 
 mod block;
+#[cfg(test)]
+mod contract_tests;
 mod file;
 mod json;
 mod machine;
 mod node;
 mod pool;
 mod rpc;
-#[cfg(test)]
-mod tests;
 mod transaction;
 
 use std::path::PathBuf;

@@ -32,8 +32,6 @@ pub struct Node {
     pub pool: Pool,
     /// Its chain id.
     pub chain_id: u64,
-    /// Its first block.
-    pub genesis: BlockRef,
     /// Its newest block.
     pub head: BlockRef,
     /// Why the last block could not be written.
@@ -58,14 +56,12 @@ impl Node {
         };
         let genesis = genesis(&file, &founding)?;
         let beneficiary = address_of(&founding.signer);
-        let first = reference(&genesis);
         let mut node = Self {
             machine: Machine::new(founding.chain_id, genesis.state_root),
             file,
             pool: Pool::default(),
             chain_id: founding.chain_id,
-            genesis: first,
-            head: first,
+            head: reference(&genesis),
             trouble: None,
             signer: founding.signer,
             beneficiary,

@@ -117,6 +117,7 @@ fn keys_that_do_not_fit_their_terms_are_not_wrapped() {
         (Scope::All, topic("/a", 1)),
         (one(), topic("/a", 2)),
         (one(), topic("not a name", 1)),
+        (Scope::Topics(vec![TopicId([1; 16]); 33]), topic("/a", 1)),
     ] {
         let wrapped = WrappedKeys { terms: terms(scope), keys };
         let refused = wrap(provider, &DOMAIN, &wrapped, owner, &grantee.public);

@@ -203,6 +203,11 @@ pub struct UnlockedKeyring {
 }
 
 impl UnlockedKeyring {
+    /// A second handle on the same file, with the keys as they are now.
+    pub fn duplicate(&self) -> Self {
+        Self { keyring: self.keyring.clone(), path: self.path.clone(), key: self.key.clone() }
+    }
+
     /// Writes a new keyring file, never over one that exists.
     ///
     /// # Errors

@@ -80,7 +80,9 @@ impl Shared {
 
     /// Ends all topics; their names stay for unregistering.
     pub fn stop(&self) {
-        self.topics().iter().for_each(|topic| topic.end());
+        for topic in self.topics() {
+            topic.end();
+        }
         self.send(|errands| errands.stopping = true);
     }
 

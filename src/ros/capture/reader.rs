@@ -28,6 +28,9 @@ const SILENCE: Duration = Duration::from_secs(30);
 /// First and longest wait between attempts.
 const RETRY: (Duration, Duration) = (Duration::from_millis(50), Duration::from_secs(2));
 
+/// No two attempts follow each other faster.
+const FLOOR: Duration = Duration::from_millis(20);
+
 /// Wait after an attempt that more attempts will hardly change.
 const RETRY_REFUSED: Duration = Duration::from_secs(10);
 
@@ -38,7 +41,8 @@ pub(super) fn spawn(shared: &Arc<Shared>, topic: &Arc<Topic>, publisher: Arc<Pub
         topic: Arc::clone(topic),
         publisher,
         sequence: Sequence::default(),
-        complained: false,
+        failures: 0,
+        told: false,
     };
     shared.threads.spawn("ros-reader", move || reader.run())
 }
@@ -67,8 +71,10 @@ struct Reader {
     topic: Arc<Topic>,
     publisher: Arc<Publisher>,
     sequence: Sequence,
-    /// Whether the present run of failures was told.
-    complained: bool,
+    /// Attempts in a row that failed.
+    failures: u32,
+    /// Whether that was told.
+    told: bool,
 }
 
 impl Reader {
@@ -78,7 +84,8 @@ impl Reader {
             let wait = match self.attempt() {
                 Ok(()) => {
                     patience = RETRY.0;
-                    self.complained = false;
+                    self.failures = 0;
+                    self.told = false;
                     RETRY.0
                 }
                 Err(failure) => {
@@ -88,6 +95,8 @@ impl Reader {
                     wait
                 }
             };
+            // Anybody can hint at a change: a flood of hints must not become a flood of attempts.
+            std::thread::sleep(FLOOR);
             if !self.topic.wait_to_retry(&self.publisher, wait) {
                 return;
             }
@@ -240,9 +249,13 @@ impl Reader {
     }
 
     fn complain(&mut self, failure: Failure) {
-        if std::mem::replace(&mut self.complained, true) || self.topic.has_ended() {
+        self.failures = self.failures.saturating_add(1);
+        // A publisher that ends is asked in vain once or twice before the master stops naming it.
+        let lasting = self.failures > 3 || !matches!(failure, Failure::Passing(_));
+        if self.told || !lasting || self.topic.has_ended() {
             return;
         }
+        self.told = true;
         let topic = Arc::clone(&self.topic.label);
         let publisher = self.publisher.endpoint.to_string();
         self.shared.notice(match failure {

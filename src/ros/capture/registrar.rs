@@ -17,8 +17,8 @@ use crate::ros::xmlrpc::{CallError, Value, call};
 /// How often every topic is registered anew.
 const PERIOD: Duration = Duration::from_millis(500);
 
-/// A round takes at most this share of the time, however many topics there are.
-const SHARE: u32 = 10;
+/// Between two rounds so many times the duration of one passes, however many topics there are.
+const REST: u32 = 10;
 
 /// The longest wait for one answer of the master.
 const PATIENCE: Duration = Duration::from_secs(2);
@@ -68,7 +68,7 @@ impl Work {
             } else {
                 let begun = Instant::now();
                 self.register(self.shared.topics());
-                next_round = Instant::now() + PERIOD.max(begun.elapsed() * SHARE);
+                next_round = Instant::now() + PERIOD.max(begun.elapsed() * REST);
             }
         }
     }

@@ -78,13 +78,17 @@ impl Md5 {
     pub fn hex(bytes: &[u8]) -> String {
         let mut state = [0x6745_2301, 0xefcd_ab89, 0x98ba_dcfe, 0x1032_5476];
         let (blocks, rest) = bytes.as_chunks::<64>();
-        blocks.iter().for_each(|block| compress(&mut state, block));
+        for block in blocks {
+            compress(&mut state, block);
+        }
         let mut tail = rest.to_vec();
         tail.push(0x80);
         tail.resize(if tail.len() > 56 { 120 } else { 56 }, 0);
         let bits = (bytes.len() as u64).wrapping_mul(8);
         tail.extend_from_slice(&bits.to_le_bytes());
-        tail.as_chunks::<64>().0.iter().for_each(|block| compress(&mut state, block));
+        for block in tail.as_chunks::<64>().0 {
+            compress(&mut state, block);
+        }
         crate::model::bytes::hex(&state.map(u32::to_le_bytes).concat())
     }
 }

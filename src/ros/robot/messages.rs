@@ -47,7 +47,9 @@ fn put_bytes(body: &mut Vec<u8>, bytes: &[u8]) {
 }
 
 fn put_floats(body: &mut Vec<u8>, numbers: &[f64]) {
-    numbers.iter().for_each(|number| body.extend_from_slice(&number.to_le_bytes()));
+    for number in numbers {
+        body.extend_from_slice(&number.to_le_bytes());
+    }
 }
 
 fn covariance() -> [f64; 36] {

@@ -73,7 +73,9 @@ impl RobotNode {
             // A master that is gone has forgotten the publisher as well.
             let _ = self.tell_master("unregisterPublisher", &[outlet.topic()]);
         }
-        self.identity.outlets.iter().for_each(|outlet| outlet.close());
+        for outlet in &self.identity.outlets {
+            outlet.close();
+        }
     }
 
     fn tell_master(&self, method: &str, middle: &[&str]) -> Result<Value, CallError> {
@@ -91,7 +93,9 @@ impl Drop for RobotNode {
         if let Some(accepting) = self.accepting.take().filter(|_| woken) {
             let _ = accepting.join();
         }
-        self.identity.outlets.iter().for_each(|outlet| outlet.close());
+        for outlet in &self.identity.outlets {
+            outlet.close();
+        }
     }
 }
 

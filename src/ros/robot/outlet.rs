@@ -138,8 +138,12 @@ impl Outlet {
     pub fn close(&self) {
         let subscribers = std::mem::take(&mut *lock(&self.subscribers));
         let deadline = Instant::now() + FAREWELL;
-        subscribers.iter().for_each(|subscriber| subscriber.close());
-        subscribers.iter().for_each(|subscriber| subscriber.wait(deadline));
+        for subscriber in &subscribers {
+            subscriber.close();
+        }
+        for subscriber in &subscribers {
+            subscriber.wait(deadline);
+        }
     }
 }
 
@@ -194,5 +198,66 @@ impl Subscriber {
             // Wakes the writer from a write that a hung subscriber never takes.
             let _ = self.stream.shutdown(Shutdown::Both);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::definitions::{ODOMETRY, odometry_definition};
+    use super::*;
+    use std::io::Read as _;
+    use std::net::TcpListener;
+
+    fn outlet() -> Outlet {
+        Outlet::new("/t".into(), ODOMETRY, odometry_definition())
+    }
+
+    fn connection() -> (TcpStream, TcpStream) {
+        let listener = TcpListener::bind("127.0.0.1:0").expect("bind");
+        let near = TcpStream::connect(listener.local_addr().expect("address")).expect("connect");
+        (near, listener.accept().expect("accept").0)
+    }
+
+    #[test]
+    fn only_fitting_subscribers_are_welcome() {
+        let outlet = outlet();
+        let objection =
+            |md5sum, type_name| outlet.objection(&ConnectionHeader::new([("md5sum", md5sum), ("type", type_name)]));
+        assert_eq!(objection("*", "*"), None);
+        assert_eq!(objection("cd5e73d190d741a2f92e81eda573aca7", ODOMETRY), None);
+        assert!(objection("00000000000000000000000000000000", ODOMETRY).is_some());
+        assert!(objection("*", "sensor_msgs/Imu").is_some());
+    }
+
+    #[test]
+    fn what_is_queued_is_sent_before_the_end() {
+        let outlet = outlet();
+        let (mut near, far) = connection();
+        outlet.add("/s".into(), far).expect("add");
+        for number in 0..1000u32 {
+            outlet.publish(&number.to_le_bytes());
+        }
+        outlet.close();
+        let mut bytes = Vec::new();
+        near.read_to_end(&mut bytes).expect("read");
+        let expected: Vec<u8> = (0..1000u32).flat_map(|n| [4u32.to_le_bytes(), n.to_le_bytes()].concat()).collect();
+        assert_eq!(bytes, expected);
+        assert_eq!((outlet.published(), outlet.overflowed()), (1000, 0));
+    }
+
+    #[test]
+    fn a_subscriber_that_does_not_read_holds_up_nobody_and_is_counted() {
+        let outlet = outlet();
+        let (_near, far) = connection();
+        outlet.add("/s".into(), far).expect("add");
+        let body = vec![0; 1 << 20];
+        let frames = u64::try_from(LONGEST_QUEUE >> 20).expect("small") * 3;
+        for _ in 0..frames {
+            outlet.publish(&body);
+        }
+        assert_eq!(outlet.published(), frames);
+        assert!(outlet.overflowed() > frames / 4, "{}", outlet.overflowed());
+        outlet.close();
+        assert!(outlet.links().is_empty());
     }
 }

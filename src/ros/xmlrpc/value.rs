@@ -52,7 +52,9 @@ impl Value {
             }
             Self::Array(items) => {
                 out.push_str("<array><data>");
-                items.iter().for_each(|item| item.write(out));
+                for item in items {
+                    item.write(out);
+                }
                 out.push_str("</data></array>");
             }
             Self::Struct(members) => write_struct(members, out),

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use super::Site;
 use crate::chain::Call;
 use crate::crypto::{GrantedKeys, WrappedKeys, wrap};
-use crate::model::{Address, GrantTerms, Scope, Timestamp};
+use crate::model::{GrantTerms, Scope, Timestamp};
 use crate::pipeline::directory::Granted;
 use crate::pipeline::{Network, Owner};
 use crate::service::event::Part;
@@ -92,10 +92,9 @@ impl Site {
         for chunk in lacking.chunks(ENVELOPES_A_CALL) {
             let mut envelopes = Vec::with_capacity(chunk.len());
             for grant in chunk {
-                envelopes.push(self.envelope_for(owner, network, grant, epoch)?);
+                envelopes.push((grant.terms.grantee, self.envelope_for(owner, network, grant, epoch)?));
             }
-            let grantees: Vec<Address> = chunk.iter().map(|grant| grant.terms.grantee).collect();
-            let call = Call::Wrap { grantees, epoch, envelopes };
+            let call = Call::Wrap { epoch, envelopes };
             let (_, receipt) = self.sender.send(&network.chain, &owner.eoa(), call, "wrap").await?;
             self.scanned(receipt.block).await;
         }
@@ -123,7 +122,7 @@ impl Site {
         let reader = network.directory.identity(terms.grantee)?;
         let mut keys = Vec::with_capacity(epochs.len());
         for epoch in epochs {
-            let key = owner.epoch_key(network.domain, epoch)?;
+            let key = owner.epoch_key(network.domain, epoch);
             keys.push((epoch, key.ok_or_else(|| refused(format!("the keyring has no key of epoch {epoch}")))?));
         }
         let keys = match terms.scope {
@@ -132,8 +131,8 @@ impl Site {
                 let mut granted = Vec::new();
                 for (epoch, key) in &keys {
                     for topic in topics {
-                        let id = owner.topic_id(topic)?;
-                        granted.push((*epoch, topic.clone(), id, crate::crypto::topic_key(key, topic)?));
+                        let id = owner.topic_id(topic);
+                        granted.push((*epoch, topic.clone(), id, crate::crypto::topic_key(key, topic)));
                     }
                 }
                 GrantedKeys::Topics { keys: granted }

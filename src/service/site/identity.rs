@@ -26,7 +26,7 @@ impl Site {
         let token = owner.prepare_epoch(network.domain, 1)?;
         let (signing, envelope) = (owner.signing(), owner.envelope());
         let identity = prove(self.plant.provider, &network.domain, &owner.address, &signing, &envelope.public, token)?;
-        let sent = self.sender.send(&network.chain, &owner.eoa(), Call::Register { identity: identity.encode() }, "register").await;
+        let sent = self.sender.send(&network.chain, &owner.eoa(), Call::Register { identity }, "register").await;
         let outcome = if sent.is_ok() { "done" } else { "failed" };
         self.record_audit(&owner.profile, "register", &owner.address.to_string(), outcome).await?;
         let (_, receipt) = sent?;
@@ -59,7 +59,7 @@ impl Site {
     async fn take_up_epoch(self: &Arc<Self>, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
         let on_chain = network.directory.epoch(owner.address);
         let known = owner.epochs(network.domain);
-        if owner.token(network.domain, on_chain)? != network.directory.account(owner.address).and_then(|account| account.tokens.get(&on_chain).copied()) {
+        if owner.token(network.domain, on_chain) != network.directory.account(owner.address).and_then(|account| account.tokens.get(&on_chain).copied()) {
             return Err(crate::service::failure::refused(format!(
                 "the keyring of '{}' lacks the key of its current epoch {on_chain}; restore the newest keyring, or begin a new epoch with `authros keys rotate`",
                 owner.profile

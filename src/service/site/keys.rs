@@ -27,7 +27,7 @@ impl Site {
         if let Some(network) = self.network_now() {
             let current = owner.sealing().map(|keys| keys.epoch);
             for epoch in owner.epochs(network.domain) {
-                if let Some(token) = owner.token(network.domain, epoch)? {
+                if let Some(token) = owner.token(network.domain, epoch) {
                     epochs.push(EpochView { epoch, token, current: current == Some(epoch) });
                 }
             }
@@ -85,10 +85,10 @@ impl Site {
             let _one_at_a_time = owner.changes.lock().await;
             self.drain(owner).await?;
             let epoch = network.directory.epoch(owner.address);
-            let token = owner.token(network.domain, epoch)?.ok_or_else(|| refused("the keyring lacks the current epoch"))?;
+            let token = owner.token(network.domain, epoch).ok_or_else(|| refused("the keyring lacks the current epoch"))?;
             let envelope = owner.envelope();
             let identity = prove(provider, &network.domain, &owner.address, &pair, &envelope.public, token)?;
-            let call = Call::RotateKeys { identity: identity.encode() };
+            let call = Call::RotateKeys { identity };
             let (_, receipt) = self.sender.send(&network.chain, &owner.eoa(), call, "rotateKeys").await?;
             self.scanned(receipt.block).await;
         }

@@ -106,7 +106,7 @@ impl Site {
             scanned: watch::channel(0).0,
             ros: watch::channel(if needs.ros { RosState::Starting } else { RosState::Off }).0,
             stopping: watch::channel(false).0,
-            chain_silent: AtomicBool,
+            chain_silent: AtomicBool::new(false),
     deploying: tokio::sync::Mutex::default(),
             sealer: Mutex::default(),
             _lock: lock,

@@ -79,7 +79,8 @@ impl Site {
         let picture = definition
             .as_ref()
             .and_then(|definition| definition.compressed_image(&opened.body))
-            .and_then(|picture| opened.body.get(picture.data).map(<[u8]>::to_vec));
+            .and_then(|picture| opened.body.get(picture.data).map(<[u8]>::to_vec))
+            .filter(|_| !crate::crypto::fault::is_off("restore"));
         let fields = decoded.as_ref().map(|value| value.flatten()).unwrap_or_default();
         Ok(OpenedView {
             record: record_view(&row, row.owner != owner.address),

@@ -175,6 +175,14 @@ impl Site {
         self.changed(Part::Topics);
     }
 
+    /// The master's URI, as soon as it is reached.
+    ///
+    /// # Errors
+    /// Why the master is not reached.
+    pub async fn ros_uri(&self) -> Result<String, Failure> {
+        Ok(self.ros_link().await?.uri.clone())
+    }
+
     /// The ROS link, as soon as the first attempt has ended.
     ///
     /// # Errors

@@ -105,14 +105,14 @@ impl Site {
             None => 0,
         };
         Ok(ChainView {
-            kind: status.kind.to_string(),
-            consensus: status.consensus.to_string(),
+            kind: status.kind,
+            consensus: status.consensus,
             chain_id: status.chain_id,
             genesis: status.genesis,
             block: status.block,
             contract: status.contract,
-            balance: status.balance.to_string(),
-            nonce: status.nonce,
+            balance: status.balance.unwrap_or_else(|| "0".to_owned()),
+            nonce: status.nonce.unwrap_or(0),
             pending: open as u64,
             client: clean(&status.client, 100),
         })

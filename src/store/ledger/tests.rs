@@ -1,6 +1,7 @@
-//! The ledger's tests: single behaviours here, the model under random operations in `model`, speed in `speed`.
+//! The ledger's tests: single behaviours here, random operations in `model`, random queries in `pages`.
 
 mod model;
+mod pages;
 mod speed;
 
 use std::path::Path;

@@ -63,7 +63,9 @@ fn saved_loaded_changed_and_saved_again() {
 #[test]
 fn open_permissions_are_refused_on_load_and_on_save() {
     let home = tempfile::tempdir().expect("directory");
-    let path = home.path().join("a.keyring");
+    let closed = home.path().join("closed");
+    make_private_directory(&closed).expect("makes");
+    let path = closed.join("a.keyring");
     let (keyring, bytes) = &*SAMPLE;
     write_private(&path, bytes).expect("writes");
     let chmod = |path: &Path, mode| fs::set_permissions(path, fs::Permissions::from_mode(mode)).expect("chmod");
@@ -73,7 +75,7 @@ fn open_permissions_are_refused_on_load_and_on_save() {
     assert!(read_public(&path).is_err());
     chmod(&path, 0o600);
     assert!(read_public(&path).is_ok());
-    chmod(home.path(), 0o755);
+    chmod(&closed, 0o755);
     let error = read_public(&path).expect_err("refused");
     assert!(error.to_string().contains("chmod 700"), "{error}");
     assert!(keyring.save(&path, &passphrase("correct horse")).is_err());
@@ -120,7 +122,8 @@ proptest! {
     }
 
     #[test]
-    fn noise_never_panics(noise in proptest::collection::vec(any::<u8>(), 0..500), at in any::<prop::sample::Index>(), bit in 0u8..8) {
+    fn noise_never_panics(noise in proptest::collection::vec(any::<u8>(), 0..500),
+                          at in any::<prop::sample::Index>(), bit in 0u8..8) {
         prop_assert!(open(&noise, &quick_key()).is_err());
         prop_assert!(body::parse(&noise).is_err());
         let mut plain = body::encode(&SAMPLE.0);

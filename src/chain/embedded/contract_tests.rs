@@ -1,0 +1,434 @@
+//! The contract's behaviour in the EVM, with a clock of our own and no network around it.
+
+use std::collections::HashMap;
+
+use ethers::abi::Token as AbiToken;
+use ethers::types::U256;
+
+use super::block::{GAS_LIMIT, created_address};
+use super::machine::{Answer, Environment, Machine, Message};
+use super::transaction::Transaction;
+use crate::chain::artefact::artefact;
+use crate::chain::call::{address, word};
+use crate::chain::error::decode_revert;
+use crate::chain::{Call, Event};
+use crate::model::*;
+
+const ADMIN: Address = Address([0xad; 20]);
+const A: Address = Address([0xa; 20]);
+const B: Address = Address([0xb; 20]);
+const C: Address = Address([0xc; 20]);
+
+struct World {
+    machine: Machine,
+    contract: Address,
+    nonces: HashMap<Address, u64>,
+    place: Environment,
+    gas: u64,
+}
+
+fn token(number: u8) -> Token {
+    Token([number; 32])
+}
+
+fn digest(number: u8) -> Digest {
+    Digest([number; 32])
+}
+
+fn identity(token: Token) -> Identity {
+    let signing = PublicKey([1; 64]);
+    Identity { token, signing, envelope: PublicKey([2; 64]), proof: Signature([3; 64]) }
+}
+
+fn upload(digest: Digest, token: Token) -> Call {
+    Call::DataUpload { digest, token, timestamp: Timestamp(7) }
+}
+
+fn grant(grantee: Address, epoch: u64, expiry: Option<u64>) -> Call {
+    let expiry = expiry.map(Timestamp::from_seconds);
+    Call::AuthorityGrant { grantee, epoch, expiry, scope: Scope::All, envelope: vec![9; 300] }
+}
+
+fn revoke(grantee: Address, new_token: Token) -> Call {
+    Call::AuthorityRevoke { grantee, new_token }
+}
+
+fn wrap(epoch: u64, grantees: &[Address]) -> Call {
+    Call::Wrap { epoch, envelopes: grantees.iter().map(|grantee| (*grantee, vec![8; 10])).collect() }
+}
+
+fn anchor(root: u8, previous: u8) -> Call {
+    Call::Anchor { root: Hash([root; 32]), count: 5, previous: Hash([previous; 32]) }
+}
+
+impl World {
+    fn new(open: bool) -> Self {
+        let place = Environment { number: 1, timestamp: 1_000, beneficiary: Address([0xee; 20]) };
+        let machine = Machine::new(5, Hash([0; 32]));
+        let contract = created_address(ADMIN, 0);
+        let mut world = Self { machine, contract, nonces: HashMap::new(), place, gas: 0 };
+        let code = artefact().expect("artefact").creation(open).expect("code");
+        world.run(ADMIN, None, 0, code).expect("deploys");
+        world
+    }
+
+    /// With A, B and C registered under tokens 0xa1, 0xb1, 0xc1.
+    fn peopled() -> Self {
+        let mut world = Self::new(true);
+        for (who, number) in [(A, 0xa1), (B, 0xb1), (C, 0xc1)] {
+            world.send(who, &Call::Register { identity: identity(token(number)) }).expect("registers");
+        }
+        world
+    }
+
+    fn run(&mut self, sender: Address, to: Option<Address>, value: u64, input: Vec<u8>) -> Result<Vec<Event>, String> {
+        let nonce = self.nonces.entry(sender).or_default();
+        let mut transaction = Transaction {
+            hash: Hash([0; 32]),
+            sender,
+            nonce: *nonce,
+            gas_price: 0,
+            gas_limit: GAS_LIMIT,
+            to,
+            value: U256::from(value),
+            input,
+            v: 0,
+            r: U256::zero(),
+            s: U256::zero(),
+            raw: Vec::new(),
+        };
+        transaction.hash.0[..8].copy_from_slice(&nonce.to_be_bytes());
+        let mut outcome = self.machine.run(&self.place, vec![transaction]);
+        if let Some((_, refusal)) = outcome.refused.pop() {
+            return Err(refusal);
+        }
+        *nonce += 1;
+        let receipt = outcome.receipts[0].clone();
+        self.machine.apply(outcome);
+        self.place.number += 1;
+        self.gas = receipt.gas_used;
+        if !receipt.success {
+            return Err(decode_revert(&receipt.output).unwrap_or_else(|| "no reason".into()));
+        }
+        Ok(receipt.logs.iter().map(|log| Event::decode(&log.topics, &log.data).expect("event")).collect())
+    }
+
+    fn send(&mut self, sender: Address, call: &Call) -> Result<Event, String> {
+        let events = self.run(sender, Some(self.contract), 0, call.encode().expect("encodes"));
+        events.map(|mut events| events.pop().expect("every change emits an event"))
+    }
+
+    fn refused(&mut self, sender: Address, call: &Call, code: &str) {
+        assert_eq!(self.send(sender, call), Err(code.to_owned()), "{call:?}");
+    }
+
+    fn raw(&mut self, sender: Address, name: &str, arguments: &[AbiToken]) -> Result<Vec<Event>, String> {
+        let input = artefact().expect("artefact").encode(name, arguments).expect("encodes");
+        self.run(sender, Some(self.contract), 0, input)
+    }
+
+    fn view(&self, from: Address, name: &str, arguments: &[AbiToken]) -> Vec<AbiToken> {
+        let artefact = artefact().expect("artefact");
+        let input = artefact.encode(name, arguments).expect("encodes");
+        let message = Message { from, to: Some(self.contract), value: U256::zero(), input, gas: 1_000_000 };
+        match self.machine.call(&self.place, &message) {
+            Answer::Returned(output, _) => artefact.function(name).expect("name").decode_output(&output).expect("decodes"),
+            other => panic!("{name}: {other:?}"),
+        }
+    }
+
+    /// authorised, epoch, count
+    fn query(&self, from: Address, token: Token, owner: Address) -> (bool, u64, u64) {
+        let values = self.view(from, "dataQuery", &[AbiToken::Bytes(token.0.to_vec()), address(owner)]);
+        let number = |index: usize| values[index].clone().into_uint().expect("number").as_u64();
+        (values[0] == AbiToken::Bool(true), number(1), number(2))
+    }
+}
+
+#[test]
+fn an_account_registers_once_with_a_whole_identity() {
+    let mut world = World::new(true);
+    let call = Call::Register { identity: identity(token(1)) };
+    let event = world.send(A, &call).expect("registers");
+    assert_eq!(event, Event::Registered { owner: A, identity: identity(token(1)), epoch: 1 });
+    world.refused(A, &call, "registered");
+    world.refused(B, &Call::Register { identity: identity(token(0)) }, "empty");
+    world.send(B, &call).expect("tokens are per owner: nobody can take another's first");
+    for length in [0, 223, 225] {
+        let refused = world.raw(C, "register", &[AbiToken::Bytes(vec![1; length])]);
+        assert_eq!(refused, Err("length".to_owned()));
+    }
+}
+
+#[test]
+fn the_unregistered_change_nothing() {
+    let mut world = World::peopled();
+    let stranger = Address([0xff; 20]);
+    for call in [
+        upload(digest(1), token(0xa1)),
+        grant(A, 1, None),
+        wrap(1, &[A]),
+        revoke(A, token(9)),
+        Call::Rotate { new_token: token(9) },
+        anchor(1, 0),
+        Call::Lend { device: SignerId([1; 32]), until: None },
+        Call::Recall { device: SignerId([1; 32]) },
+        Call::RotateKeys { identity: identity(token(9)) },
+    ] {
+        world.refused(stranger, &call, "unregistered");
+    }
+    world.refused(A, &grant(stranger, 1, None), "grantee");
+    assert_eq!(world.query(stranger, token(0xa1), A), (false, 1, 0));
+}
+
+#[test]
+fn a_digest_is_unique_per_owner() {
+    let mut world = World::peopled();
+    let (owner, timestamp) = (A, Some(Timestamp(7)));
+    let event = world.send(A, &upload(digest(1), token(0xa1))).expect("uploads");
+    let expected = Event::DataUploaded { owner, digest: digest(1), token: token(0xa1), epoch: 1, number: 1, timestamp };
+    assert_eq!(event, expected);
+    world.refused(A, &upload(digest(1), token(0xa1)), "digest used");
+    world.send(B, &upload(digest(1), token(0xb1))).expect("another owner's digest does not block");
+    world.refused(A, &upload(digest(2), token(0xb1)), "token unknown");
+    world.refused(A, &upload(digest(2), token(0)), "token unknown");
+    assert_eq!(world.query(A, token(0xa1), A), (true, 1, 1));
+    for (digest, token, timestamp) in [(31, 32, 8), (33, 32, 8), (32, 31, 8), (32, 32, 33)] {
+        let arguments = [digest, token, timestamp].map(|length| AbiToken::Bytes(vec![0xa1; length]));
+        assert_eq!(world.raw(A, "dataUpload", &arguments), Err("length".to_owned()));
+    }
+}
+
+#[test]
+fn a_revoke_ends_the_epoch_and_loses_no_record() {
+    let mut world = World::peopled();
+    world.send(A, &grant(B, 1, None)).expect("grants");
+    world.send(A, &grant(C, 1, None)).expect("grants");
+    assert_eq!(world.query(B, token(0xa1), A), (true, 1, 0));
+    let event = world.send(A, &revoke(B, token(0xa2))).expect("revokes");
+    assert_eq!(event, Event::Revoked { owner: A, grantee: B, epoch: 2, token: token(0xa2) });
+    assert_eq!(world.query(B, token(0xa1), A), (false, 1, 0));
+    assert_eq!(world.query(B, token(0xa2), A), (false, 2, 0));
+    assert!(world.query(C, token(0xa2), A).0, "survivors stay authorised");
+    world.refused(A, &revoke(B, token(0xa3)), "no grant");
+    world.refused(A, &revoke(C, token(0xa1)), "token used");
+    let late = world.send(A, &upload(digest(1), token(0xa1))).expect("sealed before the revoke");
+    assert!(matches!(late, Event::DataUploaded { epoch: 1, number: 1, .. }));
+    world.send(A, &grant(B, 2, None)).expect("may be granted again");
+    assert_eq!((world.query(B, token(0xa1), A).0, world.query(B, token(0xa2), A).0), (false, true));
+    world.send(A, &wrap(1, &[B])).expect("and given the earlier epoch again");
+    assert!(world.query(B, token(0xa1), A).0);
+    world.refused(B, &revoke(C, token(0xb2)), "no grant");
+}
+
+#[test]
+fn a_grant_expires() {
+    let mut world = World::peopled();
+    world.refused(A, &grant(B, 1, Some(1_000)), "expired");
+    world.send(A, &grant(B, 1, Some(1_010))).expect("grants");
+    assert!(world.query(B, token(0xa1), A).0);
+    world.place.timestamp = 1_009;
+    assert!(world.query(B, token(0xa1), A).0);
+    world.place.timestamp = 1_010;
+    assert!(!world.query(B, token(0xa1), A).0);
+    world.send(A, &Call::Rotate { new_token: token(0xa2) }).expect("rotates");
+    world.refused(A, &wrap(2, &[B]), "no grant");
+    world.send(A, &revoke(B, token(0xa3))).expect("an expired grant can be revoked");
+}
+
+#[test]
+fn a_grant_keeps_its_limits() {
+    let mut world = World::peopled();
+    world.refused(A, &grant(A, 1, None), "self");
+    world.refused(A, &grant(B, 0, None), "epoch");
+    world.refused(A, &grant(B, 2, None), "epoch");
+    for (topics, envelope, code) in [(33, 1, "scope"), (32, 0, "envelope"), (32, 4097, "envelope")] {
+        let scope = AbiToken::Array(vec![AbiToken::FixedBytes(vec![1; 16]); topics]);
+        let zero = AbiToken::Uint(0.into());
+        let arguments = [address(B), AbiToken::Uint(1.into()), zero, scope, AbiToken::Bytes(vec![1; envelope])];
+        assert_eq!(world.raw(A, "authorityGrant", &arguments), Err(code.to_owned()));
+    }
+    let scope = Scope::Topics(vec![TopicId([4; 16]); 32]);
+    let envelope = vec![1; 4096];
+    let call =
+        Call::AuthorityGrant { grantee: B, epoch: 1, expiry: None, scope: scope.clone(), envelope: envelope.clone() };
+    let terms = GrantTerms { owner: A, grantee: B, epoch: 1, expiry: None, scope };
+    assert_eq!(world.send(A, &call), Ok(Event::Granted { terms, envelope }));
+    world.refused(A, &grant(B, 1, None), "wrapped");
+}
+
+#[test]
+fn envelopes_are_given_once_per_epoch_and_key_version_and_only_to_grantees() {
+    let mut world = World::peopled();
+    world.send(A, &Call::Rotate { new_token: token(0xa2) }).expect("rotates");
+    world.refused(A, &wrap(2, &[B]), "no grant");
+    world.send(A, &grant(B, 2, None)).expect("grants");
+    assert!(!world.query(B, token(0xa1), A).0, "an earlier epoch is not covered");
+    let envelope = vec![8; 10];
+    assert_eq!(world.send(A, &wrap(1, &[B])), Ok(Event::Wrapped { owner: A, grantee: B, epoch: 1, envelope }));
+    assert!(world.query(B, token(0xa1), A).0, "it is, once its envelope is given");
+    world.refused(A, &wrap(1, &[B]), "wrapped");
+    world.refused(A, &wrap(3, &[B]), "epoch");
+    world.refused(A, &wrap(1, &[C]), "no grant");
+    world.refused(C, &wrap(1, &[B]), "no grant");
+    world.send(B, &Call::RotateKeys { identity: identity(token(0xb1)) }).expect("new keys");
+    world.send(A, &wrap(1, &[B])).expect("again, for the new key");
+    let many = AbiToken::Array(vec![address(B); 33]);
+    let envelopes = AbiToken::Array(vec![AbiToken::Bytes(vec![1]); 33]);
+    let refused = world.raw(A, "wrap", &[many.clone(), AbiToken::Uint(1.into()), envelopes]);
+    assert_eq!(refused, Err("length".to_owned()));
+    let refused = world.raw(A, "wrap", &[many, AbiToken::Uint(1.into()), AbiToken::Array(Vec::new())]);
+    assert_eq!(refused, Err("length".to_owned()));
+}
+
+#[test]
+fn keys_rotate_within_the_epoch() {
+    let mut world = World::peopled();
+    let new = Identity { signing: PublicKey([7; 64]), ..identity(token(0xa1)) };
+    let event = world.send(A, &Call::RotateKeys { identity: new }).expect("rotates keys");
+    assert_eq!(event, Event::KeysRotated { owner: A, keys: 2, identity: new });
+    world.refused(A, &Call::RotateKeys { identity: identity(token(0xa2)) }, "token unknown");
+    let values = world.view(B, "accountOf", &[address(A)]);
+    assert_eq!(values[0], AbiToken::Bytes(new.encode()));
+    assert_eq!(values[1], AbiToken::Uint(1.into()));
+}
+
+#[test]
+fn pause_and_suspension_stop_all_but_what_takes_rights_away() {
+    for suspension in [false, true] {
+        let mut world = World::peopled();
+        world.send(A, &grant(B, 1, None)).expect("grants");
+        world.send(A, &Call::Lend { device: SignerId([1; 32]), until: None }).expect("lends");
+        let (stop, go, code) = if suspension {
+            (Call::Suspend { account: A }, Call::Restore { account: A }, "suspended")
+        } else {
+            (Call::SetPaused { paused: true }, Call::SetPaused { paused: false }, "paused")
+        };
+        world.send(ADMIN, &stop).expect("stops");
+        world.refused(ADMIN, &stop, "unchanged");
+        for call in [
+            upload(digest(1), token(0xa1)),
+            grant(C, 1, None),
+            wrap(1, &[B]),
+            anchor(1, 0),
+            Call::Lend { device: SignerId([2; 32]), until: None },
+            Call::RotateKeys { identity: identity(token(0xa1)) },
+        ] {
+            world.refused(A, &call, code);
+        }
+        assert!(world.query(B, token(0xa1), A).0 && world.query(A, token(0xa1), A).0, "reads go on");
+        world.send(A, &Call::Recall { device: SignerId([1; 32]) }).expect("recalls");
+        world.send(A, &Call::Rotate { new_token: token(0xa2) }).expect("rotates");
+        world.send(A, &revoke(B, token(0xa3))).expect("revokes");
+        world.send(ADMIN, &go).expect("goes on");
+        world.refused(ADMIN, &go, "unchanged");
+        world.send(A, &upload(digest(1), token(0xa1))).expect("uploads again");
+    }
+}
+
+#[test]
+fn a_suspended_grantee_is_not_authorised_and_a_suspended_stranger_cannot_register() {
+    let mut world = World::peopled();
+    world.send(A, &grant(B, 1, None)).expect("grants");
+    world.send(ADMIN, &Call::Suspend { account: B }).expect("suspends");
+    assert!(!world.query(B, token(0xa1), A).0);
+    let stranger = Address([0xff; 20]);
+    world.send(ADMIN, &Call::Suspend { account: stranger }).expect("suspends");
+    world.refused(stranger, &Call::Register { identity: identity(token(1)) }, "suspended");
+    world.send(ADMIN, &Call::SetPaused { paused: true }).expect("pauses");
+    world.refused(Address([0xfe; 20]), &Call::Register { identity: identity(token(1)) }, "paused");
+}
+
+#[test]
+fn closed_registration_takes_whom_the_administrator_admits() {
+    let mut world = World::new(false);
+    let call = Call::Register { identity: identity(token(1)) };
+    world.refused(A, &call, "closed");
+    world.send(ADMIN, &Call::Admit { account: A }).expect("admits");
+    world.refused(ADMIN, &Call::Admit { account: A }, "unchanged");
+    world.send(A, &call).expect("registers");
+    world.refused(B, &call, "closed");
+    world.send(ADMIN, &Call::SetOpen { open: true }).expect("opens");
+    world.refused(ADMIN, &Call::SetOpen { open: true }, "unchanged");
+    world.send(B, &call).expect("registers");
+}
+
+#[test]
+fn only_the_administrator_administers_and_hands_over_in_two_steps() {
+    let mut world = World::peopled();
+    let powers = [
+        Call::Admit { account: C },
+        Call::SetOpen { open: false },
+        Call::Suspend { account: C },
+        Call::Restore { account: C },
+        Call::SetPaused { paused: true },
+        Call::Succeed { lost: C, successor: B },
+        Call::Nominate { account: A },
+    ];
+    for power in &powers {
+        world.refused(A, power, "administrator");
+    }
+    world.refused(A, &Call::AcceptAdministrator, "nominee");
+    world.send(ADMIN, &Call::Nominate { account: A }).expect("nominates");
+    world.refused(B, &Call::AcceptAdministrator, "nominee");
+    world.refused(A, &Call::SetPaused { paused: true }, "administrator");
+    let event = world.send(A, &Call::AcceptAdministrator).expect("accepts");
+    assert_eq!(event, Event::AdministratorChanged { previous: ADMIN, administrator: A });
+    world.refused(A, &Call::AcceptAdministrator, "nominee");
+    world.refused(ADMIN, &Call::SetPaused { paused: true }, "administrator");
+    world.send(A, &Call::SetPaused { paused: true }).expect("has the power");
+}
+
+#[test]
+fn a_lost_account_gets_a_successor_and_stays_suspended() {
+    let mut world = World::peopled();
+    let succeed = |lost, successor| Call::Succeed { lost, successor };
+    world.refused(ADMIN, &succeed(A, A), "self");
+    world.refused(ADMIN, &succeed(A, Address([0xff; 20])), "unregistered");
+    world.refused(ADMIN, &succeed(Address([0xff; 20]), A), "unregistered");
+    world.send(ADMIN, &succeed(A, B)).expect("names");
+    world.refused(A, &upload(digest(1), token(0xa1)), "suspended");
+    world.refused(ADMIN, &Call::Restore { account: A }, "succeeded");
+    assert_eq!(world.view(C, "successorOf", &[address(A)]), [address(B)]);
+}
+
+#[test]
+fn anchors_are_chained_per_sender_and_the_earliest_counts() {
+    let mut world = World::peopled();
+    world.refused(A, &anchor(0, 0), "empty");
+    world.refused(A, &Call::Anchor { root: Hash([1; 32]), count: 0, previous: Hash([0; 32]) }, "empty");
+    world.refused(A, &anchor(1, 9), "previous");
+    world.send(A, &anchor(1, 0)).expect("anchors");
+    let first = world.view(B, "anchorOf", &[address(A), word([1; 32])]);
+    world.refused(A, &anchor(2, 0), "previous");
+    world.send(A, &anchor(2, 1)).expect("anchors");
+    assert!(world.gas <= 70_000, "{}", world.gas);
+    world.send(A, &anchor(1, 2)).expect("again");
+    assert_eq!(world.view(B, "anchorOf", &[address(A), word([1; 32])]), first);
+    assert_eq!(world.view(B, "headOf", &[address(A)]), [word([1; 32])]);
+    world.send(B, &anchor(1, 0)).expect("another sender has a chain of its own");
+}
+
+#[test]
+fn devices_are_lent_and_recalled() {
+    let mut world = World::peopled();
+    let device = SignerId([1; 32]);
+    let lend = |until: Option<u64>| Call::Lend { device, until: until.map(Timestamp::from_seconds) };
+    world.refused(A, &lend(Some(1_000)), "expired");
+    world.refused(A, &Call::Lend { device: SignerId([0; 32]), until: None }, "empty");
+    let event = world.send(A, &lend(Some(2_000))).expect("lends");
+    assert_eq!(event, Event::Lent { owner: A, device, until: Some(Timestamp::from_seconds(2_000)) });
+    world.refused(B, &Call::Recall { device }, "no loan");
+    assert_eq!(world.send(A, &Call::Recall { device }), Ok(Event::Recalled { owner: A, device }));
+    world.refused(A, &Call::Recall { device }, "no loan");
+    assert_eq!(world.send(A, &lend(None)), Ok(Event::Lent { owner: A, device, until: None }));
+}
+
+#[test]
+fn no_ether_and_no_unknown_call_is_taken() {
+    let mut world = World::peopled();
+    let contract = Some(world.contract);
+    assert!(world.run(A, contract, 0, Vec::new()).is_err());
+    assert!(world.run(A, contract, 0, vec![1, 2, 3, 4]).is_err());
+    assert!(world.run(A, contract, 1, upload(digest(1), token(0xa1)).encode().expect("encodes")).is_err());
+}

@@ -1,0 +1,89 @@
+//! `authros capture`: headless, ends when all that was captured is verified.
+
+use super::args::CaptureArguments;
+use super::connect::{Context, ProfileNeed, unexpected};
+use super::output::{Output, table};
+use super::parse;
+use crate::model::ErrorKind;
+use crate::service::reply::CaptureSummary;
+use crate::service::{Client, Command, Failure, Needs, Reply};
+
+/// Runs one capture; Ctrl-C ends it early, a second one leaves at once.
+///
+/// # Errors
+/// What the site or the arguments say.
+pub async fn run(context: Context, arguments: CaptureArguments, output: &Output) -> Result<u8, Failure> {
+    let tags: Result<Vec<_>, Failure> = arguments.tags.iter().map(|text| parse::tag(text)).collect();
+    let length = arguments.duration.as_deref().map(parse::duration).transpose()?;
+    let command = Command::Capture {
+        topics: parse::values(&arguments.topics)?,
+        type_name: arguments.type_name.as_deref().map(parse::value).transpose()?,
+        count: arguments.count,
+        milliseconds: length.map(|length| u64::try_from(length.as_millis()).unwrap_or(u64::MAX)),
+        tags: tags?,
+    };
+    let connection = context.connect(Needs { ros: true, chain: true }).await?;
+    let result = async {
+        context.prepare(&connection.client, ProfileNeed::Made, output).await?;
+        until_done(&connection.client, command, output).await
+    };
+    let result = result.await;
+    connection.close().await;
+    let summary = result?;
+    output.result(&summary, || text(&summary));
+    Ok(code(&summary, output))
+}
+
+async fn until_done(client: &Client, command: Command, output: &Output) -> Result<CaptureSummary, Failure> {
+    let answer = client.request(command);
+    tokio::pin!(answer);
+    let mut asked = false;
+    loop {
+        tokio::select! {
+            reply = &mut answer => {
+                return match reply? {
+                    Reply::Captured(summary) => Ok(summary),
+                    _ => Err(unexpected()),
+                };
+            }
+            () = crate::cli::serve::asked_to_end() => {
+                if asked {
+                    return Err(Failure::new(ErrorKind::Incomplete, "left before all that was captured is verified; it is stored, and goes on at the next start"));
+                }
+                asked = true;
+                output.note("ending the capture; waiting until all is verified (again to leave at once)");
+                client.request(Command::StopCapture).await?;
+            }
+        }
+    }
+}
+
+fn text(summary: &CaptureSummary) -> String {
+    let rows: Vec<Vec<String>> = summary
+        .topics
+        .iter()
+        .map(|topic| {
+            let type_name = topic.type_name.clone().unwrap_or_else(|| "never seen".to_owned());
+            vec![topic.topic.clone(), type_name, topic.captured.to_string(), topic.verified.to_string(), topic.lost.to_string()]
+        })
+        .collect();
+    table(&["topic", "type", "captured", "verified", "lost"], &rows)
+}
+
+fn code(summary: &CaptureSummary, output: &Output) -> u8 {
+    if summary.verified < summary.captured {
+        output.note("authros: some records differ from what was anchored; `authros uploads list --state tampered` names them");
+        return ErrorKind::Tampered.exit_code();
+    }
+    let unseen: Vec<&str> = summary.topics.iter().filter(|topic| topic.captured == 0).map(|topic| topic.topic.as_str()).collect();
+    if !unseen.is_empty() || summary.lost > 0 {
+        if summary.lost > 0 {
+            output.note(&format!("authros: {} messages were lost before capture; they are counted, not hidden", summary.lost));
+        }
+        if !unseen.is_empty() {
+            output.note(&format!("authros: nothing arrived on {}; check the name with `authros topics list`", unseen.join(", ")));
+        }
+        return ErrorKind::Incomplete.exit_code();
+    }
+    0
+}

@@ -1,0 +1,172 @@
+//! From arguments to a client: settings resolved, the running site joined or one opened here,
+//! the profile made or unlocked where the command needs it.
+
+use std::sync::Arc;
+
+use super::args::Global;
+use super::output::Output;
+use super::passphrase;
+use crate::config::{Config, Source};
+use crate::model::{ErrorKind, ProfileName};
+use crate::paths::Home;
+use crate::service::reply::IdentityView;
+use crate::service::socket::{self, Greeting};
+use crate::service::{Client, Command, Failure, Needs, Reply, Site};
+use crate::store::{SiteLock, files};
+
+/// What every command begins with.
+pub struct Context {
+    /// The flags.
+    pub global: Global,
+    /// The home.
+    pub home: Home,
+    /// The profile.
+    pub profile: ProfileName,
+    /// The settings.
+    pub config: Config,
+}
+
+/// A client, and the site where this process is it.
+pub struct Connection {
+    /// Speaks for the profile.
+    pub client: Client,
+    /// The site, to be stopped at the end.
+    pub site: Option<Arc<Site>>,
+}
+
+/// What a command needs of the profile.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ProfileNeed {
+    /// Nothing.
+    None,
+    /// Its keyring open.
+    Unlocked,
+    /// Its keyring open; made first where there is none.
+    Made,
+}
+
+fn environment(name: &str) -> Option<String> {
+    std::env::var(name).ok()
+}
+
+impl Context {
+    /// Resolves profile, home and settings.
+    ///
+    /// # Errors
+    /// Where one of them is not usable.
+    pub fn new(global: Global) -> Result<Self, Failure> {
+        let profile = super::parse::value(&global.profile)?;
+        let home = global.home.clone().map_or_else(|| Home::standard(&environment), Home::new);
+        let config = Self::read_config(&global, &home)?;
+        Ok(Self { global, home, profile, config })
+    }
+
+    fn read_config(global: &Global, home: &Home) -> Result<Config, Failure> {
+        let path = home.config();
+        let text = match std::fs::read_to_string(&path) {
+            Ok(text) => Some(text),
+            Err(error) if matches!(error.kind(), std::io::ErrorKind::NotFound | std::io::ErrorKind::NotADirectory) => None,
+            Err(error) => return Err(Failure::new(ErrorKind::Input, format!("{} cannot be read: {error}", path.display()))),
+        };
+        let file = text.as_deref().map(|text| (path.as_path(), text));
+        Ok(Config::resolve(&|name| global.setting(name), &environment, file)?)
+    }
+
+    /// Joins the running site, or opens one here with the parts needed.
+    ///
+    /// # Errors
+    /// Where the home cannot be used, or flags contradict the running site.
+    pub async fn connect(&self, needs: Needs) -> Result<Connection, Failure> {
+        for _ in 0..50 {
+            if let Some((client, greeting)) = socket::join(&self.home, self.profile.clone()).await? {
+                self.agree(&greeting)?;
+                return Ok(Connection { client, site: None });
+            }
+            if let Some(lock) = self.lock()? {
+                let site = Site::start(self.home.clone(), self.config.clone(), lock, needs)?;
+                socket::listen(&site)?;
+                return Ok(Connection { client: site.client(self.profile.clone()), site: Some(site) });
+            }
+            tokio::time::sleep(std::time::Duration::from_millis(100)).await;
+        }
+        let root = self.home.root().display();
+        Err(Failure::new(ErrorKind::Home, format!("{root} is in use by another process that does not answer; end it, or use another --home")))
+    }
+
+    /// The home's lock, if no other process holds it.
+    ///
+    /// # Errors
+    /// Where the home cannot be made or written.
+    pub fn lock(&self) -> Result<Option<SiteLock>, Failure> {
+        files::private_directory(self.home.root())?;
+        Ok(SiteLock::acquire(&self.home.site_lock())?)
+    }
+
+    fn agree(&self, greeting: &Greeting) -> Result<(), Failure> {
+        let mine = self.config.show();
+        for (name, theirs) in &greeting.settings {
+            let Some(setting) = mine.iter().find(|setting| setting.name == name) else { continue };
+            if self.config.source(setting.name) == Source::Flag && setting.value != *theirs {
+                return Err(Failure::new(
+                    ErrorKind::Usage,
+                    format!("the running site of this home has {name} = '{theirs}'; leave the flag out, or end that site first"),
+                ));
+            }
+        }
+        Ok(())
+    }
+
+    /// Brings the profile to where the command needs it.
+    ///
+    /// # Errors
+    /// Where there is no identity or no passphrase.
+    pub async fn prepare(&self, client: &Client, need: ProfileNeed, output: &Output) -> Result<(), Failure> {
+        if need == ProfileNeed::None {
+            return Ok(());
+        }
+        let identity = expect_identity(client.request(Command::ShowIdentity).await?)?;
+        if !identity.exists && need == ProfileNeed::Made {
+            let passphrase = passphrase::given_or_new(&self.global, &self.home, &self.profile, output)?;
+            let made = expect_identity(client.request(Command::CreateIdentity { passphrase }).await?)?;
+            if let Some(address) = made.address {
+                output.note(&format!("identity '{}' made: {address}", self.profile));
+            }
+            return Ok(());
+        }
+        if identity.exists && !identity.unlocked {
+            let passphrase = passphrase::given(&self.global, &self.home, &self.profile)?.ok_or_else(|| {
+                Failure::new(
+                    ErrorKind::Refused,
+                    format!("the keyring of profile '{}' is locked; give --passphrase-file or --passphrase-fd", self.profile),
+                )
+            })?;
+            client.request(Command::Unlock { passphrase }).await?;
+        }
+        Ok(())
+    }
+}
+
+impl Connection {
+    /// Ends the site where this process is it.
+    pub async fn close(self) {
+        if let Some(site) = self.site {
+            site.stop().await;
+        }
+    }
+}
+
+/// The identity in a reply.
+///
+/// # Errors
+/// Where the site answered something else.
+pub fn expect_identity(reply: Reply) -> Result<IdentityView, Failure> {
+    match reply {
+        Reply::Identity(identity) => Ok(identity),
+        _ => Err(unexpected()),
+    }
+}
+
+/// A site that answers what was not asked.
+pub fn unexpected() -> Failure {
+    Failure::new(ErrorKind::Internal, "the site answered something else than was asked; it may be of another version")
+}

@@ -1,0 +1,106 @@
+//! `authros demo`: the paper's crime-scene mission, told with figures. Four robots take odometry
+//! and pictures; CURA A shares them with CURA B, a stranger and a forger are refused, B is
+//! revoked. Every figure is counted, none is assumed; `ok` says that all of them are right.
+
+mod locks;
+mod mission;
+mod witness;
+
+use serde::Serialize;
+
+use self::mission::Mission;
+use super::args::DemoArguments;
+use super::connect::Context;
+use super::output::Output;
+use crate::config::Config;
+use crate::model::ErrorKind;
+use crate::paths::Home;
+use crate::service::Failure;
+
+/// Transactions and gas of the mission, deployment and registration included.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+pub struct Work {
+    /// Transactions in blocks.
+    pub transactions: u64,
+    /// Gas they used.
+    pub gas: u64,
+}
+
+/// What the demo prints.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
+pub struct Story {
+    /// Messages captured by CURA A.
+    pub captured: u64,
+    /// Of these in a block.
+    pub anchored: u64,
+    /// Of these re-read and checked against the chain.
+    pub verified: u64,
+    /// Records that CURA B opened while granted.
+    pub opened_by_grantee: u64,
+    /// Whether the stranger got nothing.
+    pub refused_stranger: bool,
+    /// Whether the flipped bit and every other forgery was refused, each by its own check.
+    pub refused_tampered: bool,
+    /// Records sealed after the revocation that CURA B opened with every key kept.
+    pub opened_after_revoke: u64,
+    /// Pictures that CURA B restored byte-identical to what the robot sent.
+    pub restored_images: u64,
+    /// Messages lost in transport or in the recorder.
+    pub lost: u64,
+    /// The chain's work.
+    pub chain: Work,
+    /// Whether everything is as it must be.
+    pub ok: bool,
+}
+
+/// Runs the demo; exit 0 with `ok: true`, else 1.
+///
+/// # Errors
+/// Where a step cannot be taken at all.
+pub async fn run(mut context: Context, arguments: DemoArguments, output: &Output) -> Result<u8, Failure> {
+    if context.config.robots == 0 {
+        return Err(Failure::new(ErrorKind::Usage, "the demo needs robots; give --robots 1 to 32, and no real ROS master"));
+    }
+    let temporary = match context.global.home {
+        Some(_) => None,
+        None => Some(temporary_home(&mut context)?),
+    };
+    let mission = Mission::start(&context, arguments.seconds, *output).await?;
+    let told = mission.run().await;
+    drop(temporary);
+    let story = told?;
+    output.result(&story, || text(&story));
+    Ok(if story.ok { 0 } else { ErrorKind::Internal.exit_code() })
+}
+
+fn temporary_home(context: &mut Context) -> Result<tempfile::TempDir, Failure> {
+    let directory = tempfile::Builder::new().prefix("authros-demo-").tempdir();
+    let directory = directory.map_err(|error| Failure::new(ErrorKind::Home, format!("no temporary directory can be made: {error}")))?;
+    context.home = Home::new(directory.path().to_owned());
+    // The settings of the standard home are not those of this one.
+    let global = context.global.clone();
+    context.config = Config::resolve(&|name| global.setting(name), &|name| std::env::var(name).ok(), None)?;
+    Ok(directory)
+}
+
+fn yes(value: bool) -> &'static str {
+    if value { "yes" } else { "NO" }
+}
+
+fn text(story: &Story) -> String {
+    [
+        String::new(),
+        format!("  captured             {:>8}", story.captured),
+        format!("  anchored             {:>8}", story.anchored),
+        format!("  verified             {:>8}", story.verified),
+        format!("  lost                 {:>8}", story.lost),
+        format!("  opened by grantee    {:>8}", story.opened_by_grantee),
+        format!("  pictures restored    {:>8}  byte-identical", story.restored_images),
+        format!("  stranger refused     {:>8}", yes(story.refused_stranger)),
+        format!("  tampering refused    {:>8}", yes(story.refused_tampered)),
+        format!("  opened after revoke  {:>8}", story.opened_after_revoke),
+        format!("  chain                {:>8}  transactions, {} gas", story.chain.transactions, story.chain.gas),
+        format!("  {}", if story.ok { "all as it must be" } else { "NOT as it must be" }),
+    ]
+    .join("\n")
+}

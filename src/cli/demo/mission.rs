@@ -1,0 +1,319 @@
+//! The mission step by step, through the same commands that console and command line use; only
+//! the attacker's steps go past them.
+
+use std::sync::Arc;
+
+use tokio::task::block_in_place;
+
+use super::locks::{self, Genuine};
+use super::witness::Witness;
+use super::{Story, Work};
+use crate::cli::connect::{Context, ProfileNeed, unexpected};
+use crate::cli::output::Output;
+use crate::crypto::{Anchor, EpochKey, Expected, GrantedKeys, open, topic_key};
+use crate::model::{Address, ErrorKind, ProfileName, Timestamp, TopicName, Verdict};
+use crate::pipeline::reader::Reader;
+use crate::pipeline::{Network, Owner};
+use crate::service::reply::{CaptureSummary, OpenedView, RecordView};
+use crate::service::{Client, Command, Epochs, Failure, Needs, Reply, Site, UploadQuery};
+
+/// One person of the story.
+struct Person {
+    client: Client,
+    address: Address,
+    owner: Arc<Owner>,
+}
+
+/// The running mission.
+pub struct Mission {
+    site: Arc<Site>,
+    network: Network,
+    first_block: u64,
+    cura_a: Person,
+    cura_b: Person,
+    stranger: Person,
+    topics: Vec<TopicName>,
+    pictures: usize,
+    witness: Witness,
+    milliseconds: u64,
+    output: Output,
+}
+
+impl Mission {
+    /// Starts site and robots, makes and registers the three persons.
+    ///
+    /// # Errors
+    /// Where the home is in use, or a part does not start.
+    pub async fn start(context: &Context, seconds: u64, output: Output) -> Result<Self, Failure> {
+        let root = context.home.root().display();
+        let in_use = || Failure::new(ErrorKind::Home, format!("a site of {root} runs already; end it, or give the demo another --home"));
+        let lock = context.lock()?.ok_or_else(in_use)?;
+        let site = Site::start(context.home.clone(), context.config.clone(), lock, Needs { ros: true, chain: true })?;
+        let first_block = site.chain().await?.head().await?.number + 1;
+        let cura_a = person(context, &site, "cura-a", output).await?;
+        let cura_b = person(context, &site, "cura-b", output).await?;
+        let stranger = person(context, &site, "stranger", output).await?;
+        let robots = context.config.robots;
+        let names = (1..=robots).flat_map(|number| [format!("/robot{number}/odom"), format!("/robot{number}/camera/compressed")]);
+        let topics: Result<Vec<TopicName>, _> = names.map(|name| name.parse()).collect();
+        let topics = topics.map_err(|error: crate::model::topic::NameError| crate::service::failure::internal(error.to_string()))?;
+        let watched: Vec<String> = topics.iter().map(ToString::to_string).filter(|topic| topic.contains("camera")).collect();
+        let uri = site.ros_uri().await?;
+        let witness = block_in_place(|| Witness::start(&uri, &watched))?;
+        let network = site.network().await?;
+        output.note(&format!("{robots} SIMULATED robots; CURA A {}, CURA B {}", cura_a.address, cura_b.address));
+        let milliseconds = seconds * 1000;
+        Ok(Self { site, network, first_block, cura_a, cura_b, stranger, topics, pictures: 0, witness, milliseconds, output })
+    }
+
+    /// Plays the story and counts.
+    ///
+    /// # Errors
+    /// Where a step cannot be taken at all; a check that fails is in the story.
+    pub async fn run(mut self) -> Result<Story, Failure> {
+        let played = self.play().await;
+        let site = Arc::clone(&self.site);
+        drop(self);
+        site.stop().await;
+        played
+    }
+
+    async fn play(&mut self) -> Result<Story, Failure> {
+        let first = self.capture(self.milliseconds * 6 / 10).await?;
+        self.output.note(&format!("A captured and anchored {} messages, {} verified", first.captured, first.verified));
+        self.grant().await?;
+        let records = self.shared_records().await?;
+        let mut story = Story { captured: first.captured, verified: first.verified, lost: first.lost, ..Story::default() };
+        self.open_all(&records, &mut story).await?;
+        self.output.note(&format!("A granted B; B checked and opened {} records, restored {} pictures", story.opened_by_grantee, story.restored_images));
+        story.refused_stranger = self.stranger_is_refused(&records).await?;
+        story.refused_tampered = self.tampering_is_refused(&records).await?;
+        let kept = self.kept_keys()?;
+        self.cura_a.client.request(Command::Revoke { grantee: self.cura_b.address }).await?;
+        let revoked_at = Timestamp::now();
+        let second = self.capture(self.milliseconds - self.milliseconds * 6 / 10).await?;
+        story.captured += second.captured;
+        story.verified += second.verified;
+        story.lost += second.lost;
+        story.opened_after_revoke = self.open_after_revoke(revoked_at, &kept).await?;
+        self.output.note(&format!("A revoked B; of {} later records B opened {}", second.captured, story.opened_after_revoke));
+        story.anchored = self.anchored().await?;
+        story.chain = self.work().await?;
+        let all = u64::try_from(records.len()).unwrap_or(0);
+        story.ok = first.captured > 0
+            && second.captured > 0
+            && story.lost == 0
+            && story.verified == story.captured
+            && story.anchored >= story.captured
+            && all == first.captured
+            && story.opened_by_grantee == all
+            && story.restored_images > 0
+            && story.restored_images == u64::try_from(self.pictures).unwrap_or(0)
+            && story.refused_stranger
+            && story.refused_tampered
+            && story.opened_after_revoke == 0;
+        Ok(story)
+    }
+
+    async fn capture(&self, milliseconds: u64) -> Result<CaptureSummary, Failure> {
+        let command = Command::Capture {
+            topics: self.topics.clone(),
+            type_name: None,
+            count: None,
+            milliseconds: Some(milliseconds),
+            tags: vec![("mission".to_owned(), "crime-scene".to_owned())],
+        };
+        match self.cura_a.client.request(command).await? {
+            Reply::Captured(summary) => Ok(summary),
+            _ => Err(unexpected()),
+        }
+    }
+
+    async fn grant(&self) -> Result<(), Failure> {
+        let grantee = self.cura_b.address;
+        self.cura_a.client.request(Command::Grant { grantee, topics: Vec::new(), epochs: Epochs::Current, expires: None }).await?;
+        Ok(())
+    }
+
+    async fn shared_records(&self) -> Result<Vec<RecordView>, Failure> {
+        let mut records: Vec<RecordView> = Vec::new();
+        let mut after = None;
+        loop {
+            let query = UploadQuery { owner: Some(self.cura_a.address), limit: 1000, after, ..UploadQuery::default() };
+            let Reply::Records(page) = self.cura_b.client.request(Command::ListShared(query)).await? else { return Err(unexpected()) };
+            // A kept home may hold records of an earlier mission under earlier epochs.
+            records.extend(page.records.into_iter().filter(|record| record.epoch >= self.epoch()));
+            after = page.next;
+            if after.is_none() {
+                return Ok(records);
+            }
+        }
+    }
+
+    fn epoch(&self) -> u64 {
+        self.cura_a.owner.sealing().map_or(0, |keys| keys.epoch)
+    }
+
+    async fn open_all(&mut self, records: &[RecordView], story: &mut Story) -> Result<(), Failure> {
+        for record in records {
+            if record.type_name == "sensor_msgs/CompressedImage" {
+                self.pictures += 1;
+            }
+            let Reply::Check(checked) = self.cura_b.client.request(Command::CheckShared { id: record.id.clone() }).await? else {
+                return Err(unexpected());
+            };
+            let opened = self.cura_b.client.request(Command::OpenShared { id: record.id.clone() }).await;
+            let Ok(Reply::Opened(opened)) = opened else { continue };
+            if checked.verdict == Verdict::Verified && opened.verdict == Verdict::Verified {
+                story.opened_by_grantee += 1;
+                story.restored_images += u64::from(self.is_restored(&opened));
+            }
+        }
+        Ok(())
+    }
+
+    fn is_restored(&self, opened: &OpenedView) -> bool {
+        let sent = opened.body.as_ref().is_some_and(|body| self.witness.saw(body));
+        let picture = opened.picture.as_ref().is_some_and(|bytes| bytes.starts_with(&[0xff, 0xd8]) && bytes.ends_with(&[0xff, 0xd9]));
+        sent && picture
+    }
+
+    async fn stranger_is_refused(&self, records: &[RecordView]) -> Result<bool, Failure> {
+        let query = UploadQuery { limit: 1000, ..UploadQuery::default() };
+        let Reply::Records(page) = self.stranger.client.request(Command::ListShared(query)).await? else { return Err(unexpected()) };
+        let mut refused = page.records.is_empty();
+        for record in records.iter().take(20) {
+            for command in [Command::CheckShared { id: record.id.clone() }, Command::OpenShared { id: record.id.clone() }] {
+                let answer = self.stranger.client.request(command).await;
+                refused &= answer.is_err_and(|failure| failure.kind == ErrorKind::Refused);
+            }
+        }
+        self.output.note(if refused { "a stranger was refused" } else { "A STRANGER WAS NOT REFUSED" });
+        Ok(refused)
+    }
+
+    async fn tampering_is_refused(&self, records: &[RecordView]) -> Result<bool, Failure> {
+        let [one, other, ..] = records else { return Ok(false) };
+        let flipped = self.flipped_bit_is_refused(one).await?;
+        let plant = &self.site.plant;
+        let take = |record: &RecordView| -> Result<Genuine, Failure> {
+            let row = block_in_place(|| plant.ledger.record(record.digest))?.ok_or_else(unexpected)?;
+            Genuine::take(plant, &self.network, &self.cura_a.owner, row)
+        };
+        // Same topic and epoch, so that one key opens both and only the named check can refuse.
+        let other = records.iter().find(|record| record.topic == one.topic && record.id != one.id).unwrap_or(other);
+        let (one, other) = (take(one)?, take(other)?);
+        let broken = locks::broken(plant.provider, &one, &other)?;
+        let unanchored = self.never_anchored_is_told(&one).await?;
+        if !broken.is_empty() {
+            self.output.note(&format!("FORGERIES PASSED THE CHECK OF {}", broken.join(", ")));
+        }
+        let refused = flipped && broken.is_empty() && unanchored;
+        self.output.note(if refused { "a flipped bit and five forgeries were refused, each by its own check" } else { "TAMPERING WAS NOT REFUSED" });
+        Ok(refused)
+    }
+
+    async fn flipped_bit_is_refused(&self, record: &RecordView) -> Result<bool, Failure> {
+        let vault = &self.site.plant.vault;
+        let genuine = block_in_place(|| vault.get(record.digest))?.ok_or_else(unexpected)?;
+        let mut forged = genuine.clone();
+        if let Some(byte) = forged.last_mut() {
+            *byte ^= 1;
+        }
+        block_in_place(|| vault.replace(record.digest, &forged))?;
+        let checked = self.cura_b.client.request(Command::CheckShared { id: record.id.clone() }).await;
+        let opened = self.cura_b.client.request(Command::OpenShared { id: record.id.clone() }).await;
+        block_in_place(|| vault.replace(record.digest, &genuine))?;
+        let told = matches!(checked, Ok(Reply::Check(view)) if view.verdict == Verdict::Tampered);
+        Ok(told && opened.is_err_and(|failure| failure.kind == ErrorKind::Tampered))
+    }
+
+    async fn never_anchored_is_told(&self, genuine: &Genuine) -> Result<bool, Failure> {
+        let plant = &self.site.plant;
+        let (row, blob) = locks::never_anchored(plant, genuine)?;
+        block_in_place(|| plant.vault.put(&[(row.digest, &blob)]))?;
+        let reader = Reader { plant, network: &self.network, reader: &self.cura_b.owner };
+        let verdict = reader.open(&row).await.map(|opened| opened.verdict);
+        block_in_place(|| plant.vault.delete(row.digest))?;
+        Ok(verdict.is_ok_and(|verdict| verdict == Verdict::Unanchored))
+    }
+
+    /// Every epoch key that B ever received.
+    fn kept_keys(&self) -> Result<Vec<(u64, EpochKey)>, Failure> {
+        let reader = Reader { plant: &self.site.plant, network: &self.network, reader: &self.cura_b.owner };
+        let mut kept = Vec::new();
+        for grant in reader.grants_of(self.cura_a.address) {
+            for epoch in grant.envelopes.keys() {
+                if let GrantedKeys::All { epochs, .. } = &reader.open_envelope(&grant, *epoch)?.keys {
+                    kept.extend(epochs.iter().cloned());
+                }
+            }
+        }
+        Ok(kept)
+    }
+
+    async fn open_after_revoke(&self, revoked_at: Timestamp, kept: &[(u64, EpochKey)]) -> Result<u64, Failure> {
+        let query = crate::store::RecordQuery {
+            owner: Some(self.cura_a.address),
+            since: Some(revoked_at),
+            limit: 10_000,
+            ..crate::store::RecordQuery::default()
+        };
+        let rows = block_in_place(|| self.site.plant.ledger.list(&query))?.rows;
+        let provider = self.site.plant.provider;
+        let mut opened = 0;
+        for row in rows {
+            let asked = self.cura_b.client.request(Command::OpenShared { id: row.id.clone() }).await.is_ok();
+            let blob = block_in_place(|| self.site.plant.vault.get(row.digest))?.ok_or_else(unexpected)?;
+            let expected = Expected::any_of(self.network.domain, self.cura_a.address);
+            let signer = self.cura_a.owner.signing();
+            let by_key = kept.iter().any(|(_, key)| {
+                let key = topic_key(key, &row.topic);
+                open(provider, &blob, &row.signature, &signer.public, Anchor::Chain(row.digest), &key, &expected).is_ok()
+            });
+            opened += u64::from(asked || by_key);
+        }
+        Ok(opened)
+    }
+
+    async fn anchored(&self) -> Result<u64, Failure> {
+        let query = crate::store::RecordQuery {
+            owner: Some(self.cura_a.address),
+            kind: Some(crate::model::RecordKind::Data),
+            limit: 10_000,
+            newest_first: true,
+            ..crate::store::RecordQuery::default()
+        };
+        let mut anchored = 0;
+        let mut query = query;
+        loop {
+            let page = block_in_place(|| self.site.plant.ledger.list(&query))?;
+            for row in &page.rows {
+                let in_this_mission = row.block.is_some_and(|block| block >= self.first_block);
+                if in_this_mission && self.network.chain.anchored(row.owner, row.digest).await? {
+                    anchored += 1;
+                }
+            }
+            query.after = page.next;
+            if query.after.is_none() {
+                return Ok(anchored);
+            }
+        }
+    }
+
+    async fn work(&self) -> Result<Work, Failure> {
+        let head = self.network.chain.head().await?.number;
+        let (transactions, gas) = self.network.chain.work(self.first_block, head).await?;
+        Ok(Work { transactions, gas })
+    }
+}
+
+async fn person(context: &Context, site: &Arc<Site>, name: &str, output: Output) -> Result<Person, Failure> {
+    let profile: ProfileName = crate::cli::parse::value(name)?;
+    let client = site.client(profile.clone());
+    let own = Context { global: context.global.clone(), home: context.home.clone(), profile: profile.clone(), config: context.config.clone() };
+    own.prepare(&client, ProfileNeed::Made, &output).await?;
+    client.request(Command::Register).await?;
+    let owner = site.unlocked(&profile)?;
+    Ok(Person { client, address: owner.address, owner })
+}

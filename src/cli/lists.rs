@@ -1,0 +1,159 @@
+//! Results as text for people.
+
+use super::output::table;
+use crate::config::SettingView;
+use crate::model::Verdict;
+use crate::service::reply::{ChainView, GrantRow, IdentityView, KeysView, OpenedView, Provenance, RecordPage, TopicRow};
+
+fn pairs(rows: &[(&str, String)]) -> String {
+    let width = rows.iter().map(|(name, _)| name.len()).max().unwrap_or(0);
+    rows.iter().map(|(name, value)| format!("{name:width$}  {value}")).collect::<Vec<_>>().join("\n")
+}
+
+fn yes(value: bool) -> String {
+    if value { "yes" } else { "no" }.to_owned()
+}
+
+fn or_dash<T: ToString>(value: Option<T>) -> String {
+    value.map_or_else(|| "-".to_owned(), |value| value.to_string())
+}
+
+/// The exit code of a check.
+pub fn verdict_code(verdict: Verdict) -> u8 {
+    match verdict {
+        Verdict::Verified | Verdict::Unanchored => 0,
+        Verdict::Tampered | Verdict::Missing => crate::model::ErrorKind::Tampered.exit_code(),
+        Verdict::NoKey => crate::model::ErrorKind::Refused.exit_code(),
+    }
+}
+
+/// Every setting.
+pub fn settings(settings: &[SettingView]) -> String {
+    let rows: Vec<Vec<String>> = settings
+        .iter()
+        .map(|setting| vec![setting.name.to_owned(), setting.value.clone(), setting.source.clone(), setting.text.to_owned()])
+        .collect();
+    table(&["setting", "value", "from", "meaning"], &rows)
+}
+
+/// One identity.
+pub fn identity(view: &IdentityView) -> String {
+    pairs(&[
+        ("profile", view.profile.to_string()),
+        ("exists", yes(view.exists)),
+        ("registered", yes(view.registered)),
+        ("address", or_dash(view.address)),
+        ("epoch", or_dash(view.epoch)),
+        ("fingerprint", or_dash(view.fingerprint.as_ref())),
+        ("signing key", or_dash(view.signing_key)),
+        ("envelope key", or_dash(view.envelope_key)),
+    ])
+}
+
+/// The keys.
+pub fn keys(view: &KeysView) -> String {
+    let head = pairs(&[
+        ("EOA", view.address.to_string()),
+        ("SM2 signing", view.signing_fingerprint.clone()),
+        ("SM2 envelope", view.envelope_fingerprint.clone()),
+    ]);
+    let rows: Vec<Vec<String>> = view
+        .epochs
+        .iter()
+        .map(|epoch| vec![epoch.epoch.to_string(), if epoch.current { "current" } else { "past" }.to_owned(), epoch.token.to_string()])
+        .collect();
+    format!("{head}\n\n{}", table(&["epoch", "state", "token"], &rows))
+}
+
+/// The graph.
+pub fn topics(rows: &[TopicRow]) -> String {
+    let row = |row: &TopicRow| {
+        vec![
+            row.topic.clone(),
+            row.type_name.clone().unwrap_or_else(|| "-".to_owned()),
+            row.publishers.join(" "),
+            row.hz.map_or_else(|| "-".to_owned(), |hz| format!("{hz:.1}")),
+            if row.watched { "watched" } else { "" }.to_owned(),
+            if row.simulated { "SIMULATED" } else { "" }.to_owned(),
+        ]
+    };
+    let rows: Vec<Vec<String>> = rows.iter().map(row).collect();
+    table(&["topic", "type", "publishers", "Hz", "", ""], &rows)
+}
+
+/// A page of records.
+pub fn records(page: &RecordPage) -> String {
+    let rows: Vec<Vec<String>> = page
+        .records
+        .iter()
+        .map(|record| {
+            vec![
+                record.id.clone(),
+                record.seq.to_string(),
+                record.topic.clone(),
+                record.state.clone(),
+                record.bytes.to_string(),
+                record.captured_at.to_string(),
+                or_dash(record.block),
+                if record.simulated { "SIMULATED" } else { "" }.to_owned(),
+            ]
+        })
+        .collect();
+    let list = table(&["id", "seq", "topic", "state", "bytes", "captured", "block", ""], &rows);
+    match &page.next {
+        Some(next) => format!("{list}\nmore: --after {next}"),
+        None => list,
+    }
+}
+
+/// One record's way.
+pub fn provenance(view: &Provenance) -> String {
+    let record = &view.record;
+    let mut rows = vec![("id", record.id.clone()), ("topic", record.topic.clone()), ("type", record.type_name.clone())];
+    rows.extend(view.steps.iter().map(|(word, text)| (word.as_str(), text.clone())));
+    pairs(&rows)
+}
+
+/// Grants.
+pub fn grants(rows: &[GrantRow]) -> String {
+    let row = |row: &GrantRow| {
+        vec![
+            row.direction.clone(),
+            if row.direction == "given" { row.grantee } else { row.owner }.to_string(),
+            row.state.clone(),
+            row.epoch.to_string(),
+            or_dash(row.expires),
+            if row.topics.is_empty() { "all topics".to_owned() } else { row.topics.join(" ") },
+        ]
+    };
+    let rows: Vec<Vec<String>> = rows.iter().map(row).collect();
+    table(&["", "account", "state", "epoch", "expires", "topics"], &rows)
+}
+
+/// The chain.
+pub fn chain(view: &ChainView) -> String {
+    pairs(&[
+        ("kind", view.kind.clone()),
+        ("client", view.client.clone()),
+        ("consensus", view.consensus.clone()),
+        ("chain id", view.chain_id.to_string()),
+        ("genesis", view.genesis.to_string()),
+        ("block", view.block.to_string()),
+        ("contract", or_dash(view.contract)),
+        ("balance", format!("{} wei", view.balance)),
+        ("nonce", view.nonce.to_string()),
+        ("pending", view.pending.to_string()),
+    ])
+}
+
+/// An opened record.
+pub fn opened(view: &OpenedView) -> String {
+    let record = &view.record;
+    let mut lines = vec![
+        format!("{}  {}  seq {}  {}", record.id, record.topic, record.seq, view.verdict.word().to_uppercase()),
+        format!("{} from {} captured {}", record.type_name, view.caller_id, record.captured_at),
+    ];
+    lines.extend(view.tags.iter().map(|(key, value)| format!("tag {key} = {value}")));
+    lines.extend(view.fields.iter().map(|(path, text)| format!("  {path}: {text}")));
+    lines.join("\n")
+}

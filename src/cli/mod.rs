@@ -1,0 +1,67 @@
+//! Arguments in, results out: the headless twin of the console, over the same commands.
+//!
+//! stdout carries the result and nothing else, stderr the rest; `--json` changes the format,
+//! never the channel. Nothing here does work of its own but the demo's story.
+
+pub mod args;
+mod capture;
+mod connect;
+mod console;
+mod demo;
+mod lists;
+mod output;
+mod parse;
+mod passphrase;
+mod serve;
+mod verbs;
+
+use std::process::ExitCode;
+
+use clap::Parser;
+
+use self::args::{Arguments, Verb};
+use self::connect::Context;
+use self::output::Output;
+use crate::service::Failure;
+
+/// Runs the program; the exit code follows from the kind of error.
+pub fn main() -> ExitCode {
+    let arguments = match Arguments::try_parse() {
+        Ok(arguments) => arguments,
+        Err(error) => {
+            let code = error.exit_code();
+            // A closed stdout or stderr leaves nobody to tell.
+            drop(error.print());
+            return ExitCode::from(u8::try_from(code).unwrap_or(2));
+        }
+    };
+    let output = Output::new(arguments.global.json);
+    let result = tokio::runtime::Builder::new_multi_thread()
+        .enable_all()
+        .build()
+        .map_err(|error| Failure::new(crate::model::ErrorKind::Internal, format!("threads cannot be started: {error}")))
+        .and_then(|runtime| {
+            let result = run(&runtime, arguments, &output);
+            runtime.shutdown_timeout(std::time::Duration::from_secs(3));
+            result
+        });
+    match result {
+        Ok(code) => ExitCode::from(code),
+        Err(failure) => {
+            output.failure(&failure);
+            ExitCode::from(failure.kind.exit_code())
+        }
+    }
+}
+
+fn run(runtime: &tokio::runtime::Runtime, arguments: Arguments, output: &Output) -> Result<u8, Failure> {
+    let context = Context::new(arguments.global)?;
+    match arguments.verb {
+        None => console::run(runtime, context, args::ConsoleArguments::default()),
+        Some(Verb::Console(console)) => console::run(runtime, context, console),
+        Some(Verb::Serve) => runtime.block_on(serve::run(context, output)),
+        Some(Verb::Demo(demo)) => runtime.block_on(demo::run(context, demo, output)),
+        Some(Verb::Capture(capture)) => runtime.block_on(capture::run(context, capture, output)),
+        Some(verb) => runtime.block_on(verbs::run(context, verb, output)),
+    }
+}

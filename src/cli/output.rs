@@ -1,0 +1,67 @@
+//! Where results go: stdout, as JSON or as text; everything else to stderr.
+
+use std::io::Write as _;
+
+use serde::Serialize;
+
+use crate::model::clean_lines;
+use crate::service::Failure;
+
+/// Widest line of text, characters.
+const WIDEST: usize = 2000;
+
+/// The result channel.
+#[derive(Debug, Clone, Copy)]
+pub struct Output {
+    json: bool,
+}
+
+impl Output {
+    /// JSON or text.
+    pub fn new(json: bool) -> Self {
+        Self { json }
+    }
+
+    /// Whether results are JSON.
+    pub fn is_json(self) -> bool {
+        self.json
+    }
+
+    /// The result: `value` as one JSON document, or `text`.
+    pub fn result<T: Serialize>(self, value: &T, text: impl FnOnce() -> String) {
+        let line = if self.json { serde_json::to_string(value).unwrap_or_default() } else { clean_lines(&text(), WIDEST) };
+        let mut stdout = std::io::stdout().lock();
+        // A reader that went away wants no more.
+        drop(writeln!(stdout, "{line}").and_then(|()| stdout.flush()));
+    }
+
+    /// A word beside the result, for people.
+    pub fn note(self, text: &str) {
+        drop(writeln!(std::io::stderr().lock(), "{}", clean_lines(text, WIDEST)));
+    }
+
+    /// Why it failed.
+    pub fn failure(self, failure: &Failure) {
+        if self.json {
+            let document = serde_json::json!({ "error": { "kind": failure.kind, "message": failure.message } });
+            self.result(&document, String::new);
+        }
+        self.note(&format!("authros: {}", failure.message));
+    }
+}
+
+/// Columns of text, each as wide as its widest cell.
+pub fn table(head: &[&str], rows: &[Vec<String>]) -> String {
+    let width = |column: usize| {
+        let cells = rows.iter().filter_map(|row| row.get(column)).map(|cell| cell.chars().count());
+        cells.chain(head.get(column).map(|cell| cell.chars().count())).max().unwrap_or(0)
+    };
+    let widths: Vec<usize> = (0..head.len()).map(width).collect();
+    let line = |cells: Vec<&str>| {
+        let padded = cells.iter().zip(&widths).map(|(cell, width)| format!("{cell:width$}"));
+        padded.collect::<Vec<_>>().join("  ").trim_end().to_owned()
+    };
+    let mut lines = vec![line(head.to_vec())];
+    lines.extend(rows.iter().map(|row| line(row.iter().map(String::as_str).collect())));
+    lines.join("\n")
+}

@@ -1,0 +1,196 @@
+//! Capture against publishers that misbehave: hung, too long, gapped, restarted.
+
+use std::io::{Read as _, Write as _};
+use std::net::{TcpListener, TcpStream};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use super::*;
+use crate::ros::slave::{BusLink, Node, SlaveServer};
+use crate::ros::tcpros::ConnectionHeader;
+use crate::ros::xmlrpc::call;
+use crate::ros::{EmbeddedMaster, MessageSink};
+
+const TOPIC: &str = "/t";
+const HEADER: &str = "Header header\n================================================================================\n\
+    MSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n";
+
+/// A node whose slave API is sound; what its TCPROS port does is up to the test.
+struct Publisher {
+    port: u16,
+}
+
+impl Node for Publisher {
+    fn master_uri(&self) -> String {
+        String::new()
+    }
+    fn subscriptions(&self) -> Vec<(String, String)> {
+        Vec::new()
+    }
+    fn publications(&self) -> Vec<(String, String)> {
+        Vec::new()
+    }
+    fn links(&self) -> Vec<BusLink> {
+        Vec::new()
+    }
+    fn publishers_changed(&self, _topic: &str) {}
+    fn outlet(&self, _topic: &str) -> Option<(String, u16)> {
+        Some(("127.0.0.1".into(), self.port))
+    }
+    fn shutdown_asked(&self, _by: &str, _reason: &str) {}
+}
+
+/// Registers a publisher of [`TOPIC`] and returns its port to accept at.
+fn publisher(master: &EmbeddedMaster, name: &str) -> (SlaveServer, TcpListener) {
+    let listener = TcpListener::bind("127.0.0.1:0").expect("bind");
+    let port = listener.local_addr().expect("address").port();
+    let slave = SlaveServer::start("127.0.0.1", Arc::new(Publisher { port })).expect("slave");
+    let params = [name, TOPIC, "a/Stamped", &slave.uri].map(Into::into);
+    let master = Endpoint::parse(master.uri()).expect("uri");
+    call(&master, "registerPublisher", &params, Instant::now() + Duration::from_secs(5)).expect("registered");
+    (slave, listener)
+}
+
+/// Accepts the capture and shakes hands.
+fn welcome(listener: &TcpListener, name: &str) -> TcpStream {
+    let (mut stream, _) = listener.accept().expect("accept");
+    let mut length = [0; 4];
+    stream.read_exact(&mut length).expect("length");
+    let mut request = vec![0; usize::try_from(u32::from_le_bytes(length)).expect("small")];
+    stream.read_exact(&mut request).expect("request");
+    let request = ConnectionHeader::parse(&request).expect("header");
+    assert_eq!(
+        (request.get("topic"), request.get("md5sum"), request.get("tcp_nodelay")),
+        (Some(TOPIC), Some("*"), Some("1"))
+    );
+    let md5sum = crate::ros::md5sum("a/Stamped", HEADER).expect("definition");
+    let fields = [("callerid", name), ("type", "a/Stamped"), ("md5sum", &*md5sum), ("message_definition", HEADER)];
+    stream.write_all(&ConnectionHeader::new(fields).to_bytes()).expect("header");
+    stream
+}
+
+fn send(stream: &mut TcpStream, seq: u32) {
+    let body = [seq.to_le_bytes().as_slice(), &[0; 12]].concat();
+    stream.write_all(&[16u32.to_le_bytes().as_slice(), &body].concat()).expect("message");
+}
+
+#[derive(Default)]
+struct Kept {
+    seqs: Mutex<Vec<(String, u32)>>,
+    notices: Mutex<Vec<CaptureNotice>>,
+}
+
+impl Kept {
+    fn seqs(&self, of: &str) -> Vec<u32> {
+        self.seqs.lock().expect("lock").iter().filter(|(name, _)| name == of).map(|(_, seq)| *seq).collect()
+    }
+
+    fn noticed(&self, wanted: impl Fn(&CaptureNotice) -> bool) -> usize {
+        self.notices.lock().expect("lock").iter().filter(|notice| wanted(notice)).count()
+    }
+}
+
+impl MessageSink for Kept {
+    fn accept(&self, message: Message) {
+        let seq = message.header_seq.expect("a header");
+        self.seqs.lock().expect("lock").push((message.caller_id.to_string(), seq));
+    }
+
+    fn notice(&self, notice: CaptureNotice) {
+        self.notices.lock().expect("lock").push(notice);
+    }
+}
+
+fn until(what: &str, condition: impl Fn() -> bool) {
+    let deadline = Instant::now() + Duration::from_secs(20);
+    while !condition() {
+        assert!(Instant::now() < deadline, "{what} did not come about");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+fn start(master: &EmbeddedMaster) -> (Capture, Arc<Kept>) {
+    let kept = Arc::new(Kept::default());
+    let options = CaptureOptions { master_uri: master.uri().into(), own_host: None, node_name: "/capture_test".into() };
+    let capture = Capture::start(options, Arc::clone(&kept) as _).expect("capture");
+    capture.watch(TOPIC.parse().expect("topic"), None);
+    (capture, kept)
+}
+
+#[test]
+fn a_hung_publisher_starves_nobody() {
+    let master = EmbeddedMaster::start().expect("master");
+    let (_hung_slave, hung) = publisher(&master, "/hung");
+    let (_slave, listener) = publisher(&master, "/sound");
+    let (capture, kept) = start(&master);
+    // The hung one takes the connection and never says a word.
+    let _silent = hung.accept().expect("accept");
+    let mut stream = welcome(&listener, "/sound");
+    for seq in 0..100 {
+        send(&mut stream, seq);
+    }
+    until("all messages", || kept.seqs("/sound") == (0..100).collect::<Vec<_>>());
+    let begun = Instant::now();
+    drop(capture);
+    assert!(begun.elapsed() < Duration::from_secs(5));
+}
+
+#[test]
+fn gaps_are_counted_across_a_reconnection_and_restarts_are_not() {
+    let master = EmbeddedMaster::start().expect("master");
+    let (_slave, listener) = publisher(&master, "/p");
+    let (capture, kept) = start(&master);
+    let mut stream = welcome(&listener, "/p");
+    for seq in [5, 6, 9, 9, 10] {
+        send(&mut stream, seq);
+    }
+    drop(stream);
+    let mut stream = welcome(&listener, "/p");
+    for seq in [12, 0, 1] {
+        send(&mut stream, seq);
+    }
+    until("all messages", || capture.status()[0].messages == 8);
+    assert_eq!(kept.seqs("/p"), [5, 6, 9, 9, 10, 12, 0, 1]);
+    assert_eq!(capture.status()[0].lost_in_transport, 3);
+    assert_eq!(kept.noticed(|notice| matches!(notice, CaptureNotice::LostInTransport { .. })), 2);
+    assert_eq!(kept.noticed(|notice| matches!(notice, CaptureNotice::PublisherLost { .. })), 1);
+}
+
+#[test]
+fn a_message_cut_short_is_none_and_one_too_long_is_refused() {
+    let master = EmbeddedMaster::start().expect("master");
+    let (_slave, listener) = publisher(&master, "/p");
+    let (capture, kept) = start(&master);
+    let mut stream = welcome(&listener, "/p");
+    send(&mut stream, 1);
+    stream.write_all(&[16, 0, 0, 0, 2, 0, 0, 0]).expect("half a message");
+    drop(stream);
+    let mut stream = welcome(&listener, "/p");
+    send(&mut stream, 2);
+    stream.write_all(&u32::MAX.to_le_bytes()).expect("a claim");
+    let refused = |notice: &CaptureNotice| matches!(notice, CaptureNotice::Refused { reason, .. } if reason.contains("4294967295"));
+    until("the refusal", || kept.noticed(refused) == 1);
+    assert_eq!(kept.seqs("/p"), [1, 2]);
+    assert_eq!((capture.status()[0].messages, capture.status()[0].lost_in_transport), (2, 0));
+}
+
+#[test]
+fn a_broken_connection_header_is_refused() {
+    for answer in [
+        ConnectionHeader::new([("error", "go \u{1b}away")]).to_bytes(),
+        ConnectionHeader::new([("type", "not a type"), ("md5sum", "*")]).to_bytes(),
+        ConnectionHeader::new([("type", "a/B"), ("md5sum", "*")]).to_bytes(),
+        vec![3, 0, 0, 0, 9, 9, 9],
+        vec![255, 255, 255, 255],
+    ] {
+        let master = EmbeddedMaster::start().expect("master");
+        let (_slave, listener) = publisher(&master, "/p");
+        let (capture, kept) = start(&master);
+        let (mut stream, _) = listener.accept().expect("accept");
+        stream.write_all(&answer).expect("answer");
+        until("the refusal", || kept.noticed(|notice| matches!(notice, CaptureNotice::Refused { .. })) == 1);
+        let controls = |notice: &CaptureNotice| matches!(notice, CaptureNotice::Refused { reason, .. } if reason.contains('\u{1b}'));
+        assert_eq!(kept.noticed(controls), 0);
+        assert_eq!(capture.status()[0].messages, 0);
+    }
+}

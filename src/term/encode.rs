@@ -1,0 +1,206 @@
+//! Cells to bytes: as few as the change needs, colours as the terminal has them.
+
+use ratatui::buffer::Cell;
+use ratatui::layout::Position;
+use ratatui::style::Modifier;
+use unicode_width::UnicodeWidthStr;
+
+use super::colour::{Depth, Sent};
+
+/// Opens a frame that the terminal shows all at once.
+pub const BEGIN_FRAME: &str = "\x1b[?2026h";
+/// Closes it.
+pub const END_FRAME: &str = "\x1b[?2026l";
+
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+struct Look {
+    foreground: Option<Sent>,
+    background: Option<Sent>,
+    modifier: Modifier,
+}
+
+/// Turns cells into bytes and remembers where the terminal's pen stands.
+#[derive(Debug)]
+pub struct Encoder {
+    depth: Depth,
+    look: Look,
+    pen: Option<Position>,
+    cursor: Option<Position>,
+    out: String,
+}
+
+impl Encoder {
+    /// For a terminal in its first state: no style, cursor hidden.
+    pub fn new(depth: Depth) -> Self {
+        Self { depth, look: Look::default(), pen: None, cursor: None, out: String::new() }
+    }
+
+    /// Writes one changed cell.
+    pub fn cell(&mut self, x: u16, y: u16, cell: &Cell) {
+        self.begin();
+        self.move_to(Position { x, y });
+        let look = Look {
+            foreground: self.depth.map(cell.fg),
+            background: self.depth.map(cell.bg),
+            modifier: cell.modifier,
+        };
+        self.set_look(look);
+        self.out.push_str(cell.symbol());
+        // Terminals differ on the width of what is not one column wide.
+        let narrow = cell.symbol().width() == 1;
+        self.pen = narrow.then_some(Position { x: x + 1, y });
+    }
+
+    /// Empties the screen.
+    pub fn clear(&mut self) {
+        self.begin();
+        self.set_look(Look::default());
+        self.out.push_str("\x1b[2J");
+        self.pen = None;
+    }
+
+    /// Shows the cursor at a place, or hides it; nothing is written if it is so already.
+    pub fn cursor(&mut self, wanted: Option<Position>) {
+        match wanted {
+            Some(position) if self.cursor != wanted || !self.out.is_empty() => {
+                self.begin();
+                self.move_to(position);
+                if self.cursor.is_none() {
+                    self.out.push_str("\x1b[?25h");
+                }
+            }
+            None if self.cursor.is_some() => {
+                self.begin();
+                self.out.push_str("\x1b[?25l");
+            }
+            _ => {}
+        }
+        self.cursor = wanted;
+    }
+
+    /// The bytes of the frame, wrapped for showing at once; empty where nothing changed.
+    pub fn take_frame(&mut self) -> String {
+        if !self.out.is_empty() {
+            if self.look != Look::default() {
+                self.set_look(Look::default());
+            }
+            self.out.push_str(END_FRAME);
+        }
+        std::mem::take(&mut self.out)
+    }
+
+    /// The terminal was used by others: nothing about it is known any more.
+    pub fn forget(&mut self) {
+        *self = Self::new(self.depth);
+    }
+
+    fn begin(&mut self) {
+        if self.out.is_empty() {
+            self.out.push_str(BEGIN_FRAME);
+        }
+    }
+
+    fn move_to(&mut self, to: Position) {
+        if self.pen == Some(to) {
+            return;
+        }
+        let (row, column) = (to.y + 1, to.x + 1);
+        let sequence = match self.pen {
+            Some(pen) if pen.y == to.y && pen.x < to.x => format!("\x1b[{}C", to.x - pen.x),
+            _ if column == 1 => format!("\x1b[{row}H"),
+            _ => format!("\x1b[{row};{column}H"),
+        };
+        self.out.push_str(&sequence);
+        self.pen = Some(to);
+    }
+
+    fn set_look(&mut self, look: Look) {
+        if self.look == look {
+            return;
+        }
+        self.look = look;
+        if look == Look::default() {
+            return self.out.push_str("\x1b[m");
+        }
+        self.out.push_str("\x1b[0");
+        let modifiers = [
+            (Modifier::BOLD, ";1"),
+            (Modifier::DIM, ";2"),
+            (Modifier::UNDERLINED, ";4"),
+            (Modifier::REVERSED, ";7"),
+        ];
+        for (_, code) in modifiers.into_iter().filter(|(modifier, _)| look.modifier.contains(*modifier)) {
+            self.out.push_str(code);
+        }
+        self.colour(look.foreground, 30);
+        self.colour(look.background, 40);
+        self.out.push('m');
+    }
+
+    fn colour(&mut self, colour: Option<Sent>, base: u8) {
+        let code = match colour {
+            Some(Sent::Rgb(red, green, blue)) => format!(";{};2;{red};{green};{blue}", base + 8),
+            Some(Sent::Indexed(index)) => format!(";{};5;{index}", base + 8),
+            Some(Sent::Basic(index)) if index < 8 => format!(";{}", base + index),
+            Some(Sent::Basic(index)) => format!(";{}", base + 52 + index),
+            None => return,
+        };
+        self.out.push_str(&code);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ratatui::style::{Color, Style};
+
+    fn cell(symbol: &'static str, style: Style) -> Cell {
+        let mut cell = Cell::new(symbol);
+        cell.set_style(style);
+        cell
+    }
+
+    #[test]
+    fn nothing_changed_is_no_byte() {
+        let mut encoder = Encoder::new(Depth::True);
+        encoder.cursor(None);
+        assert_eq!(encoder.take_frame(), "");
+        encoder.cursor(Some(Position { x: 3, y: 2 }));
+        assert_eq!(encoder.take_frame(), "\x1b[?2026h\x1b[3;4H\x1b[?25h\x1b[?2026l");
+        encoder.cursor(Some(Position { x: 3, y: 2 }));
+        assert_eq!(encoder.take_frame(), "");
+    }
+
+    #[test]
+    fn neighbours_share_move_and_style() {
+        let mut encoder = Encoder::new(Depth::Indexed);
+        let bold = Style::default().bold().fg(Color::Rgb(255, 0, 0));
+        encoder.cell(0, 0, &cell("a", bold));
+        encoder.cell(1, 0, &cell("b", bold));
+        encoder.cell(5, 0, &cell("c", Style::default()));
+        encoder.cell(7, 3, &cell("d", Style::default()));
+        assert_eq!(
+            encoder.take_frame(),
+            "\x1b[?2026h\x1b[1H\x1b[0;1;38;5;196mab\x1b[3C\x1b[mc\x1b[4;8Hd\x1b[?2026l"
+        );
+    }
+
+    #[test]
+    fn sixteen_colours_and_none() {
+        let style = Style::default().fg(Color::Rgb(255, 255, 255)).bg(Color::Rgb(0, 0, 0)).reversed();
+        let mut encoder = Encoder::new(Depth::Sixteen);
+        encoder.cell(0, 0, &cell("a", style));
+        assert!(encoder.take_frame().contains("\x1b[0;7;97;40ma\x1b[m"));
+        let mut encoder = Encoder::new(Depth::None);
+        encoder.cell(0, 0, &cell("a", style));
+        assert!(encoder.take_frame().contains("\x1b[0;7ma"));
+    }
+
+    #[test]
+    fn after_a_wide_character_the_place_is_said_anew() {
+        let mut encoder = Encoder::new(Depth::None);
+        encoder.cell(0, 0, &cell("机", Style::default()));
+        encoder.cell(2, 0, &cell("x", Style::default()));
+        assert!(encoder.take_frame().contains("机\x1b[1;3Hx"));
+    }
+}

@@ -1,0 +1,105 @@
+//! Writing of what the operator asked for: never over an existing file, for the owner alone.
+
+use std::fs::{DirBuilder, OpenOptions};
+use std::io::{self, ErrorKind, Write};
+use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
+use std::path::{Path, PathBuf};
+
+use crate::app::Contents;
+use crate::model::clean;
+
+/// How many names are tried before giving up.
+const TRIES: u32 = 1_000;
+
+/// Writes `files` below `base`, into a new `directory` if one is named; where they are now.
+///
+/// # Errors
+/// A sentence that says what could not be written, and what to do.
+pub fn write_all(base: &Path, directory: Option<&str>, files: &[Contents]) -> Result<String, String> {
+    let place = match directory {
+        Some(name) => fresh(&base.join(file_name(name)), |path| DirBuilder::new().mode(0o700).create(path))?.0,
+        None => base.to_owned(),
+    };
+    let mut written = place.clone();
+    for file in files {
+        written = write_one(&place, file)?;
+    }
+    let shown = if directory.is_some() || files.len() != 1 { place } else { written };
+    Ok(shown.display().to_string())
+}
+
+fn write_one(place: &Path, file: &Contents) -> Result<PathBuf, String> {
+    let wanted = place.join(file_name(&file.name));
+    let options = |path: &Path| OpenOptions::new().write(true).create_new(true).mode(0o600).open(path);
+    let (path, mut open) = fresh(&wanted, options)?;
+    open.write_all(&file.bytes).and_then(|()| open.sync_all()).map_err(|error| cannot(&path, &error))?;
+    Ok(path)
+}
+
+/// Makes the first of `name`, `name-2`, `name-3` … that is not there yet.
+fn fresh<T>(wanted: &Path, make: impl Fn(&Path) -> io::Result<T>) -> Result<(PathBuf, T), String> {
+    for number in 1..TRIES {
+        let path = if number == 1 { wanted.to_owned() } else { numbered(wanted, number) };
+        match make(&path) {
+            Ok(made) => return Ok((path, made)),
+            Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
+            Err(error) => return Err(cannot(&path, &error)),
+        }
+    }
+    Err(format!("{} and its like exist already; move them away", wanted.display()))
+}
+
+fn numbered(path: &Path, number: u32) -> PathBuf {
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    let extension = path.extension().map(|extension| format!(".{}", extension.to_string_lossy())).unwrap_or_default();
+    path.with_file_name(format!("{stem}-{number}{extension}"))
+}
+
+/// A name without any path in it.
+fn file_name(name: &str) -> String {
+    let plain = |character: char| if matches!(character, '/' | '\\' | '\0') { '_' } else { character };
+    let name: String = clean(name, 120).chars().map(plain).collect();
+    let name = name.trim_start_matches('.');
+    if name.is_empty() { "record".to_owned() } else { name.to_owned() }
+}
+
+fn cannot(path: &Path, error: &io::Error) -> String {
+    format!("{} cannot be written: {error}; start the console in a directory of your own", path.display())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::os::unix::fs::PermissionsExt;
+    use zeroize::Zeroizing;
+
+    fn file(name: &str, bytes: &[u8]) -> Contents {
+        Contents { name: name.to_owned(), bytes: Zeroizing::new(bytes.to_vec()) }
+    }
+
+    #[test]
+    fn a_file_is_never_overwritten_and_belongs_to_its_owner_alone() {
+        let base = tempfile::tempdir().expect("a directory");
+        let first = write_all(base.path(), None, &[file("a.jpg", b"1")]).expect("written");
+        let second = write_all(base.path(), None, &[file("a.jpg", b"2")]).expect("written");
+        assert!(first.ends_with("a.jpg") && second.ends_with("a-2.jpg"), "{first} {second}");
+        assert_eq!(std::fs::read(&first).expect("read"), b"1");
+        let mode = std::fs::metadata(&second).expect("metadata").permissions().mode();
+        assert_eq!(mode & 0o777, 0o600);
+    }
+
+    #[test]
+    fn no_name_leads_out_of_its_directory() {
+        let base = tempfile::tempdir().expect("a directory");
+        let place = write_all(base.path(), Some("../up"), &[file("../../x", b"1"), file("..", b"2")]).expect("written");
+        assert!(Path::new(&place).starts_with(base.path()), "{place}");
+        assert_eq!(std::fs::read_dir(&place).expect("listed").count(), 2);
+        assert_eq!(std::fs::read_dir(base.path()).expect("listed").count(), 1);
+    }
+
+    #[test]
+    fn what_cannot_be_written_says_so() {
+        let error = write_all(Path::new("/proc/none"), None, &[file("a", b"")]).expect_err("refused");
+        assert!(error.contains("/proc/none/a") && error.contains("directory of your own"), "{error}");
+    }
+}

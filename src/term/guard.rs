@@ -1,0 +1,104 @@
+//! Raw mode and alternate screen, and the way back: on quit, on a signal, on a panic.
+
+use std::io::{self, IsTerminal, Write};
+use std::panic::{self, PanicHookInfo};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+
+use crossterm::terminal::{disable_raw_mode, enable_raw_mode};
+
+/// Alternate screen, no cursor, bracketed paste.
+const ENTER: &str = "\x1b[?1049h\x1b[?25l\x1b[?2004h\x1b[2J";
+/// The way back, also out of a half-drawn frame.
+const LEAVE: &str = "\x1b[?2026l\x1b[m\x1b[?2004l\x1b[?25h\x1b[?1049l";
+/// Threads of the console begin with this.
+pub const THREAD_PREFIX: &str = "console-";
+
+static ENTERED: AtomicBool = AtomicBool::new(false);
+
+type Hook = Box<dyn Fn(&PanicHookInfo<'_>) + Send + Sync + 'static>;
+
+/// Holds the terminal in the console's modes; restores it when dropped.
+#[derive(Debug)]
+pub struct Guard {
+    _private: (),
+}
+
+impl Guard {
+    /// Takes the terminal. A panic of the console restores it before anything is printed;
+    /// a panic of another thread is given to `fault` and leaves it alone.
+    ///
+    /// # Errors
+    /// Where the terminal refuses.
+    pub fn enter(fault: impl Fn(String) + Send + Sync + 'static) -> io::Result<Self> {
+        take()?;
+        let previous: Arc<Hook> = Arc::new(panic::take_hook());
+        let console = thread::current().id();
+        panic::set_hook(Box::new(move |info| {
+            let thread = thread::current();
+            let own = thread.name().is_some_and(|name| name.starts_with(THREAD_PREFIX));
+            if own || thread.id() == console || !ENTERED.load(Ordering::SeqCst) {
+                restore();
+                previous(info);
+            } else {
+                fault(describe(info));
+            }
+        }));
+        Ok(Self { _private: () })
+    }
+}
+
+impl Drop for Guard {
+    fn drop(&mut self) {
+        restore();
+    }
+}
+
+/// Takes the terminal, at the beginning or after a suspension.
+///
+/// # Errors
+/// Where the terminal refuses.
+pub fn take() -> io::Result<()> {
+    enable_raw_mode()?;
+    ENTERED.store(true, Ordering::SeqCst);
+    write(ENTER)
+}
+
+/// Gives the terminal back, once; nothing is written to one that is gone.
+pub fn restore() {
+    if !ENTERED.swap(false, Ordering::SeqCst) {
+        return;
+    }
+    if io::stdin().is_terminal() {
+        // Nothing can be done for a terminal that fails now.
+        drop(write(LEAVE));
+        drop(disable_raw_mode());
+    }
+}
+
+/// The terminal is gone or stuck: write nothing to it any more.
+pub fn abandon() {
+    if ENTERED.swap(false, Ordering::SeqCst) && io::stdin().is_terminal() {
+        drop(disable_raw_mode());
+    }
+}
+
+/// Writes to the terminal, past any buffer of ours.
+///
+/// # Errors
+/// Where the terminal is gone.
+pub fn write(bytes: &str) -> io::Result<()> {
+    let mut out = io::stdout().lock();
+    out.write_all(bytes.as_bytes())?;
+    out.flush()
+}
+
+fn describe(info: &PanicHookInfo<'_>) -> String {
+    let place = info.location().map(|at| format!("{}:{}", at.file(), at.line())).unwrap_or_default();
+    let thread = thread::current();
+    let payload = info.payload();
+    let text = payload.downcast_ref::<&str>().copied();
+    let text = text.or_else(|| payload.downcast_ref::<String>().map(String::as_str)).unwrap_or("no reason given");
+    format!("a background task ({}) failed at {place}: {text}", thread.name().unwrap_or("unnamed"))
+}

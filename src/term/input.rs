@@ -1,0 +1,90 @@
+//! Keys, pastes and sizes, read by a thread of their own.
+
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::Duration;
+
+use crossterm::event::{self, Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
+use zeroize::Zeroizing;
+
+use super::guard::THREAD_PREFIX;
+use crate::app::{Action, Key};
+
+/// How long the thread waits for a key before it looks whether it should end.
+const PATIENCE: Duration = Duration::from_millis(500);
+
+/// Gives what is typed to `typed` until `stop` is set.
+///
+/// # Errors
+/// Where the thread cannot be started.
+pub fn start(stop: Arc<AtomicBool>, typed: impl Fn(Action) + Send + 'static) -> io::Result<()> {
+    let read = move || {
+        while !stop.load(Ordering::Relaxed) {
+            match event::poll(PATIENCE) {
+                Ok(true) => match event::read() {
+                    Ok(event) => actions(event).into_iter().for_each(&typed),
+                    Err(_) => thread::sleep(PATIENCE),
+                },
+                Ok(false) => {}
+                // The watchdog finds out whether the terminal is gone.
+                Err(_) => thread::sleep(PATIENCE),
+            }
+        }
+    };
+    thread::Builder::new().name(format!("{THREAD_PREFIX}input")).spawn(read).map(drop)
+}
+
+fn actions(event: Event) -> Vec<Action> {
+    match event {
+        Event::Key(key) if key.kind != KeyEventKind::Release => keys(key).into_iter().map(Action::Key).collect(),
+        Event::Paste(text) => vec![Action::Paste(Zeroizing::new(text))],
+        Event::Resize(columns, rows) => vec![Action::Resize { columns, rows }],
+        _ => Vec::new(),
+    }
+}
+
+/// A key press in the console's words. Escape and a key close together arrive as Alt and that
+/// key: they are taken apart again.
+fn keys(event: KeyEvent) -> Vec<Key> {
+    let control = event.modifiers.contains(KeyModifiers::CONTROL);
+    let alt = event.modifiers.contains(KeyModifiers::ALT);
+    let key = match event.code {
+        KeyCode::Char(character) if control => Key::Control(character.to_ascii_lowercase()),
+        KeyCode::Char(character) => Key::Char(character),
+        KeyCode::Enter => Key::Enter,
+        KeyCode::Esc => Key::Escape,
+        KeyCode::Tab => Key::Tab,
+        KeyCode::BackTab => Key::BackTab,
+        KeyCode::Backspace => Key::Backspace,
+        KeyCode::Delete => Key::Delete,
+        KeyCode::Up => Key::Up,
+        KeyCode::Down => Key::Down,
+        KeyCode::Left => Key::Left,
+        KeyCode::Right => Key::Right,
+        KeyCode::PageUp => Key::PageUp,
+        KeyCode::PageDown => Key::PageDown,
+        KeyCode::Home => Key::Home,
+        KeyCode::End => Key::End,
+        _ => return Vec::new(),
+    };
+    if alt { vec![Key::Escape, key] } else { vec![key] }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pressed(code: KeyCode, modifiers: KeyModifiers) -> Vec<Key> {
+        keys(KeyEvent::new(code, modifiers))
+    }
+
+    #[test]
+    fn keys_in_our_words() {
+        assert_eq!(pressed(KeyCode::Char('G'), KeyModifiers::SHIFT), [Key::Char('G')]);
+        assert_eq!(pressed(KeyCode::Char('c'), KeyModifiers::CONTROL), [Key::Control('c')]);
+        assert_eq!(pressed(KeyCode::Char('q'), KeyModifiers::ALT), [Key::Escape, Key::Char('q')]);
+        assert_eq!(pressed(KeyCode::F(5), KeyModifiers::NONE), []);
+    }
+}

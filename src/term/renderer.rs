@@ -1,0 +1,149 @@
+//! The thread that owns the screen: draws the newest frame only, and only when something changed.
+
+use std::io;
+use std::sync::{Arc, MutexGuard, PoisonError};
+use std::thread::{self, JoinHandle};
+use std::time::Instant;
+
+use ratatui::Terminal;
+use ratatui::layout::Size;
+
+use super::backend::FrameBackend;
+use super::budget::Budget;
+use super::colour::Depth;
+use super::guard::{self, THREAD_PREFIX};
+use super::stage::{Scene, Stage, Wish};
+use crate::ui;
+
+/// Draws frames into bytes.
+#[derive(Debug)]
+pub struct Painter {
+    terminal: Terminal<FrameBackend>,
+    size: (u16, u16),
+}
+
+impl Painter {
+    /// For a terminal of that depth and size.
+    pub fn new(depth: Depth, size: (u16, u16)) -> Self {
+        let backend = FrameBackend::new(depth, cells(size));
+        let Ok(terminal) = Terminal::new(backend);
+        Self { terminal, size }
+    }
+
+    /// The bytes that bring the terminal to the scene as it is now; empty where it is so.
+    pub fn paint(&mut self, scene: &mut Scene) -> String {
+        let anew = std::mem::take(&mut scene.anew);
+        if anew || self.size != scene.state.size {
+            self.size = scene.state.size;
+            self.terminal.backend_mut().forget();
+            self.terminal.backend_mut().resize(cells(self.size));
+            let Ok(()) = self.terminal.clear();
+        }
+        let Ok(_) = self.terminal.draw(|frame| ui::draw(frame, &scene.state, &scene.theme));
+        let mut bytes = self.terminal.backend_mut().take_frame();
+        bytes.push_str(&std::mem::take(&mut scene.extra));
+        bytes
+    }
+}
+
+fn cells((columns, rows): (u16, u16)) -> Size {
+    Size { width: columns.max(1), height: rows.max(1) }
+}
+
+/// Starts the thread; `failed` hears when the terminal takes no more bytes.
+///
+/// # Errors
+/// Where the thread cannot be started.
+pub fn start(
+    stage: Arc<Stage>,
+    mut painter: Painter,
+    mut budget: Budget,
+    failed: impl Fn(io::Error) + Send + 'static,
+) -> io::Result<JoinHandle<()>> {
+    let render = move || {
+        while let Some(bytes) = next_frame(&stage, &mut painter, &budget) {
+            if let Err(error) = send(&stage, &bytes) {
+                return failed(error);
+            }
+            budget.spend(bytes.len(), Instant::now());
+        }
+    };
+    thread::Builder::new().name(format!("{THREAD_PREFIX}renderer")).spawn(render)
+}
+
+/// Waits until a frame is due and differs from the one before; `None` = the end.
+fn next_frame(stage: &Stage, painter: &mut Painter, budget: &Budget) -> Option<String> {
+    let mut scene = stage.scene();
+    loop {
+        scene = due(stage, scene, budget)?;
+        scene.wish = Wish::None;
+        let bytes = painter.paint(&mut scene);
+        if !bytes.is_empty() {
+            return Some(bytes);
+        }
+    }
+}
+
+fn due<'a>(stage: &Stage, mut scene: MutexGuard<'a, Scene>, budget: &Budget) -> Option<MutexGuard<'a, Scene>> {
+    loop {
+        let pause = match scene.wish {
+            _ if scene.over => return None,
+            _ if scene.suspended => None,
+            Wish::None => None,
+            Wish::Data => Some(budget.wait(Instant::now())),
+            Wish::Now => Some(std::time::Duration::ZERO),
+        };
+        if pause.is_some_and(|pause| pause.is_zero()) {
+            return Some(scene);
+        }
+        scene = stage.wait(scene, pause);
+    }
+}
+
+/// Writes a frame, unless the terminal was given away while it was drawn.
+fn send(stage: &Stage, bytes: &str) -> io::Result<()> {
+    let _writing = stage.output.lock().unwrap_or_else(PoisonError::into_inner);
+    if stage.scene().suspended {
+        stage.scene().anew = true;
+        return Ok(());
+    }
+    guard::write(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::app::{Action, Key, Settings, State, update};
+    use crate::ui::Theme;
+
+    fn scene() -> Scene {
+        let theme = Theme::named("night").expect("embedded");
+        Stage::new(State::new(Settings::default()), theme).into_scene()
+    }
+
+    #[test]
+    fn a_frame_that_changes_nothing_is_no_byte() {
+        let mut scene = scene();
+        let mut painter = Painter::new(Depth::True, (80, 24));
+        let first = painter.paint(&mut scene);
+        assert!(!first.is_empty() && first.len() <= 6_000, "{}", first.len());
+        assert_eq!(painter.paint(&mut scene), "");
+        drop(update(&mut scene.state, Action::Key(Key::Char('2'))));
+        assert!(!painter.paint(&mut scene).is_empty());
+        assert_eq!(painter.paint(&mut scene), "");
+    }
+
+    #[test]
+    fn a_new_size_and_a_redraw_draw_all() {
+        let mut scene = scene();
+        let mut painter = Painter::new(Depth::None, (80, 24));
+        let first = painter.paint(&mut scene).len();
+        scene.anew = true;
+        let again = painter.paint(&mut scene);
+        assert!(again.contains("\x1b[2J") && again.len() >= first);
+        drop(update(&mut scene.state, Action::Resize { columns: 120, rows: 40 }));
+        assert!(painter.paint(&mut scene).contains("\x1b[2J"));
+        drop(update(&mut scene.state, Action::Resize { columns: 0, rows: 0 }));
+        painter.paint(&mut scene);
+    }
+}

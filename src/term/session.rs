@@ -1,0 +1,302 @@
+//! One run of the console: wires keys, signals, answers and events to `app::update`, and its
+//! effects to the site, the terminal and the files.
+
+use std::io::{self, IsTerminal};
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::{Arc, MutexGuard, PoisonError, TryLockError};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use tokio::runtime::Handle;
+use tokio::sync::broadcast::error::RecvError;
+
+use super::budget::{Budget, OVER_SSH};
+use super::colour::Depth;
+use super::renderer::{self, Painter};
+use super::signals::{self, Listener};
+use super::stage::{Stage, Wish};
+use super::{ConsoleOptions, ExitReason, TermError, clipboard, files, guard, input};
+use crate::app::{Action, Contents, Effect, Settings, State, update};
+use crate::model::Timestamp;
+use crate::service::client::site_gone;
+use crate::service::{Client, Command};
+use crate::ui::Theme;
+
+/// How often the terminal is looked for.
+const WATCH_EVERY: Duration = Duration::from_secs(1);
+/// How long sizes are let settle.
+const SETTLE: Duration = Duration::from_millis(40);
+/// How long a frame being written is waited for before the terminal counts as stuck.
+const STUCK_AFTER: Duration = Duration::from_millis(400);
+
+/// What reaches the updating thread.
+enum Heard {
+    Act(Action),
+    Signal(i32),
+    TerminalFailed,
+}
+
+/// One run of the console.
+pub struct Session {
+    client: Client,
+    handle: Handle,
+    stage: Arc<Stage>,
+    ears: Receiver<Heard>,
+    mouth: Sender<Heard>,
+    stop: Arc<AtomicBool>,
+    directory: PathBuf,
+    resized: Option<(u16, u16, Instant)>,
+    watched_at: Instant,
+    _guard: guard::Guard,
+    _signals: Listener,
+}
+
+impl Session {
+    /// Takes the terminal and draws the first frame.
+    pub fn open(client: Client, handle: &Handle, options: ConsoleOptions) -> Result<Self, TermError> {
+        let depth = Depth::from_environment(|name| std::env::var(name).ok());
+        let theme = theme(&options, depth)?;
+        let directory = options.directory.clone().map_or_else(std::env::current_dir, Ok)?;
+        let mut state = State::new(Settings {
+            profile: client.profile().clone(),
+            read_only: options.read_only,
+            directory: directory.clone(),
+            home: std::env::var_os("HOME").map(PathBuf::from),
+        });
+        state.now = Timestamp::now();
+        state.size = crossterm::terminal::size()?;
+        let (mouth, ears) = channel();
+        let signals = Listener::start(sender(&mouth, Heard::Signal))?;
+        let guard = guard::Guard::enter(sender(&mouth, |fault| Heard::Act(Action::Fault(fault))))?;
+        let painter = Painter::new(depth, state.size);
+        let stage = Arc::new(Stage::new(state, theme));
+        let budget = Budget::new(bytes_per_second(&options), Instant::now());
+        renderer::start(Arc::clone(&stage), painter, budget, sender(&mouth, |_| Heard::TerminalFailed))?;
+        let stop = Arc::new(AtomicBool::new(false));
+        input::start(Arc::clone(&stop), sender(&mouth, Heard::Act))?;
+        let session = Self {
+            client,
+            handle: handle.clone(),
+            stage,
+            ears,
+            mouth,
+            stop,
+            directory,
+            resized: None,
+            watched_at: Instant::now(),
+            _guard: guard,
+            _signals: signals,
+        };
+        session.listen();
+        Ok(session)
+    }
+
+    /// Runs until the console ends, and restores the terminal.
+    pub fn run(mut self) -> Result<ExitReason, TermError> {
+        let effects = crate::app::update::start(&mut self.stage.scene().state);
+        let mut ended = self.carry_out(effects);
+        while ended.is_none() {
+            let heard = self.ears.recv_timeout(self.patience());
+            ended = match heard {
+                Ok(heard) => self.hear(heard),
+                Err(RecvTimeoutError::Timeout) => None,
+                Err(RecvTimeoutError::Disconnected) => Some(Err(TermError::Fault("its threads ended".to_owned()))),
+            };
+            ended = ended.or_else(|| self.look_around());
+        }
+        self.close(matches!(ended, Some(Ok(ExitReason::TerminalGone))));
+        ended.unwrap_or(Ok(ExitReason::Quit))
+    }
+
+    /// Forwards what the site tells.
+    fn listen(&self) {
+        let mut events = self.client.events();
+        let say = sender(&self.mouth, Heard::Act);
+        self.handle.spawn(async move {
+            loop {
+                match events.recv().await {
+                    Ok(event) => say(Action::Told(event)),
+                    Err(RecvError::Lagged(_)) => say(Action::Missed),
+                    Err(RecvError::Closed) => return,
+                }
+            }
+        });
+    }
+
+    /// How long nothing has to happen before the next look around.
+    fn patience(&self) -> Duration {
+        let deadline = self.stage.scene().state.deadline();
+        let now = Timestamp::now();
+        let due = deadline.map(|at| Duration::from_nanos(at.0.saturating_sub(now.0)));
+        let settled = self.resized.map(|(_, _, at)| at.saturating_duration_since(Instant::now()));
+        [due, settled].into_iter().flatten().fold(WATCH_EVERY, Duration::min)
+    }
+
+    fn hear(&mut self, heard: Heard) -> Option<Result<ExitReason, TermError>> {
+        match heard {
+            Heard::Act(Action::Resize { columns, rows }) => {
+                self.resized = Some((columns, rows, Instant::now() + SETTLE));
+                None
+            }
+            Heard::Act(action) => self.act(action),
+            Heard::Signal(signal) if signals::ends(signal) => Some(Ok(ended_by(signal))),
+            Heard::Signal(signal) if signals::suspends(signal) => self.suspend(),
+            Heard::Signal(_) => None,
+            Heard::TerminalFailed if io::stdin().is_terminal() => {
+                Some(Err(TermError::Fault("the terminal takes no more output".to_owned())))
+            }
+            Heard::TerminalFailed => Some(Ok(ExitReason::TerminalGone)),
+        }
+    }
+
+    /// Is the terminal still there, has time changed anything?
+    fn look_around(&mut self) -> Option<Result<ExitReason, TermError>> {
+        if self.watched_at.elapsed() >= WATCH_EVERY {
+            self.watched_at = Instant::now();
+            if !io::stdin().is_terminal() {
+                return Some(Ok(ExitReason::TerminalGone));
+            }
+        }
+        if let Some((columns, rows, _)) = self.resized.take_if(|(_, _, at)| *at <= Instant::now()) {
+            return self.act(Action::Resize { columns, rows });
+        }
+        let deadline = self.stage.scene().state.deadline();
+        if deadline.is_some_and(|at| at <= Timestamp::now()) {
+            return self.act(Action::Tick(Timestamp::now()));
+        }
+        None
+    }
+
+    fn act(&mut self, action: Action) -> Option<Result<ExitReason, TermError>> {
+        let wish = match action {
+            Action::Answered { .. } | Action::Told(_) | Action::Missed | Action::Tick(_) => Wish::Data,
+            _ => Wish::Now,
+        };
+        let effects = self.stage.change(wish, |scene| {
+            let mut effects = update(&mut scene.state, Action::Tick(Timestamp::now()));
+            effects.extend(update(&mut scene.state, action));
+            effects
+        });
+        self.carry_out(effects)
+    }
+
+    fn carry_out(&mut self, effects: Vec<Effect>) -> Option<Result<ExitReason, TermError>> {
+        for effect in effects {
+            match effect {
+                Effect::Send(command, tag) => self.ask(command, move |result| Action::Answered { tag, result }),
+                Effect::Quit => return Some(Ok(ExitReason::Quit)),
+                Effect::Leave(failure) => return Some(Ok(ExitReason::Refused(failure))),
+                Effect::Suspend => return self.suspend(),
+                Effect::Redraw => self.stage.change(Wish::Now, |scene| scene.anew = true),
+                Effect::NextTheme => self.next_theme(),
+                Effect::CopyText(text) => {
+                    self.stage.change(Wish::Now, |scene| scene.extra.push_str(&clipboard::sequence(&text)));
+                }
+                Effect::WriteFiles { directory, files } => self.write(directory, files),
+            }
+        }
+        None
+    }
+
+    fn ask<F>(&self, command: Command, action: F)
+    where
+        F: FnOnce(Result<crate::service::Reply, crate::service::Failure>) -> Action + Send + 'static,
+    {
+        let answer = self.client.send(command);
+        let say = sender(&self.mouth, Heard::Act);
+        self.handle.spawn(async move { say(action(answer.await.unwrap_or_else(|_| Err(site_gone())))) });
+    }
+
+    fn write(&self, directory: Option<String>, contents: Vec<Contents>) {
+        let (base, say) = (self.directory.clone(), sender(&self.mouth, Heard::Act));
+        self.handle.spawn_blocking(move || {
+            say(Action::FilesWritten(files::write_all(&base, directory.as_deref(), &contents)));
+        });
+    }
+
+    fn next_theme(&self) {
+        self.stage.change(Wish::Now, |scene| {
+            let name = Theme::name_after(&scene.theme.name);
+            if let Ok(theme) = Theme::named(name) {
+                scene.theme = theme.with_ascii(scene.theme.ascii);
+                drop(update(&mut scene.state, Action::ThemeIs(name.to_owned())));
+            }
+        });
+    }
+
+    /// Gives the terminal to the shell until this process is continued.
+    fn suspend(&mut self) -> Option<Result<ExitReason, TermError>> {
+        self.stage.change(Wish::None, |scene| scene.suspended = true);
+        let stage = Arc::clone(&self.stage);
+        {
+            let _writing = stage.output.lock().unwrap_or_else(PoisonError::into_inner);
+            guard::restore();
+            if let Err(error) = signals::stop_here() {
+                return Some(Err(error.into()));
+            }
+            if let Err(error) = guard::take() {
+                return Some(Err(error.into()));
+            }
+        }
+        let size = crossterm::terminal::size().ok();
+        stage.change(Wish::Now, |scene| {
+            scene.suspended = false;
+            scene.anew = true;
+        });
+        if let Some((columns, rows)) = size {
+            let ended = self.act(Action::Resize { columns, rows });
+            if ended.is_some() {
+                return ended;
+            }
+        }
+        self.act(Action::Resumed)
+    }
+
+    /// Ends the threads and gives the terminal back.
+    fn close(&self, gone: bool) {
+        self.stop.store(true, Ordering::Relaxed);
+        self.stage.change(Wish::None, |scene| scene.over = true);
+        let writing = if gone { None } else { finished(&self.stage) };
+        if writing.is_some() {
+            guard::restore();
+        } else {
+            guard::abandon();
+        }
+    }
+}
+
+/// Waits for the frame being written; `None` where the terminal takes no bytes.
+fn finished(stage: &Stage) -> Option<MutexGuard<'_, ()>> {
+    let patience = Instant::now() + STUCK_AFTER;
+    loop {
+        match stage.output.try_lock() {
+            Ok(writing) => return Some(writing),
+            Err(TryLockError::Poisoned(poisoned)) => return Some(poisoned.into_inner()),
+            Err(TryLockError::WouldBlock) if Instant::now() >= patience => return None,
+            Err(TryLockError::WouldBlock) => thread::sleep(Duration::from_millis(5)),
+        }
+    }
+}
+
+fn ended_by(signal: i32) -> ExitReason {
+    if io::stdin().is_terminal() { ExitReason::Signal(signal) } else { ExitReason::TerminalGone }
+}
+
+fn sender<T, W: Fn(T) -> Heard>(mouth: &Sender<Heard>, wrap: W) -> impl Fn(T) + use<T, W> {
+    let mouth = mouth.clone();
+    // After the end nobody listens, and nothing is lost by it.
+    move |thing| drop(mouth.send(wrap(thing)))
+}
+
+fn theme(options: &ConsoleOptions, depth: Depth) -> Result<Theme, TermError> {
+    let fitting = if depth == Depth::None { "mono" } else { "night" };
+    let theme = Theme::named(options.theme.as_deref().unwrap_or(fitting))?;
+    Ok(theme.with_ascii(options.ascii))
+}
+
+fn bytes_per_second(options: &ConsoleOptions) -> Option<u32> {
+    let over_ssh = std::env::var_os("SSH_CONNECTION").is_some();
+    options.bytes_per_second.or_else(|| over_ssh.then_some(OVER_SSH))
+}

@@ -1,0 +1,63 @@
+//! Signals become events; afterwards they end the process again as they always did.
+
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::thread;
+
+use signal_hook::consts::signal::{SIGCONT, SIGHUP, SIGINT, SIGQUIT, SIGTERM, SIGTSTP};
+use signal_hook::iterator::{Handle, Signals};
+use signal_hook::{flag, low_level};
+
+use super::guard::THREAD_PREFIX;
+
+/// Signals that end the console.
+const ENDING: [i32; 4] = [SIGTERM, SIGHUP, SIGINT, SIGQUIT];
+
+/// Whether a signal asks for a suspension.
+pub fn suspends(signal: i32) -> bool {
+    signal == SIGTSTP
+}
+
+/// Whether a signal ends the console.
+pub fn ends(signal: i32) -> bool {
+    ENDING.contains(&signal)
+}
+
+/// Listens until dropped.
+#[derive(Debug)]
+pub struct Listener {
+    handle: Handle,
+}
+
+impl Listener {
+    /// Gives every signal to `heard`, from a thread of its own.
+    ///
+    /// # Errors
+    /// Where the handlers cannot be installed.
+    pub fn start(heard: impl Fn(i32) + Send + 'static) -> io::Result<Self> {
+        let mut signals = Signals::new(ENDING.into_iter().chain([SIGTSTP, SIGCONT]))?;
+        let handle = signals.handle();
+        let wait = move || signals.forever().for_each(heard);
+        thread::Builder::new().name(format!("{THREAD_PREFIX}signals")).spawn(wait)?;
+        Ok(Self { handle })
+    }
+}
+
+impl Drop for Listener {
+    fn drop(&mut self) {
+        self.handle.close();
+        for signal in ENDING {
+            // Without this the closed handler would swallow the signal for good.
+            drop(flag::register_conditional_default(signal, Arc::new(AtomicBool::new(true))));
+        }
+    }
+}
+
+/// Stops this process until it is continued.
+///
+/// # Errors
+/// Where the signal cannot be raised.
+pub fn stop_here() -> io::Result<()> {
+    low_level::emulate_default_handler(SIGTSTP)
+}

@@ -1,0 +1,70 @@
+//! The Chain screen.
+
+use ratatui::layout::Rect;
+
+use super::canvas::{Canvas, below, row};
+use super::keys::line;
+use super::theme::Role;
+use super::topics::empty;
+use super::words;
+use crate::app::State;
+use crate::app::feed::Feed;
+use crate::service::reply::ChainView;
+
+/// Draws the screen.
+pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
+    canvas.put(area, "Chain", Role::Title);
+    let area = below(area, 1);
+    match &state.chain {
+        Some(chain) => draw_chain(canvas, area, state, chain),
+        None => drop(canvas.put(area, empty(state, Feed::Chain, "Asking…"), Role::Dim)),
+    }
+}
+
+fn draw_chain(canvas: &mut Canvas, area: Rect, state: &State, chain: &ChainView) {
+    let contract = chain.contract.map_or_else(|| "not deployed yet".to_owned(), |contract| contract.to_string());
+    let lines = [
+        ("Kind", chain.kind.clone()),
+        ("Node", chain.client.clone()),
+        ("Consensus", chain.consensus.clone()),
+        ("Chain id", chain.chain_id.to_string()),
+        ("Genesis", chain.genesis.to_string()),
+        ("Block", words::count(chain.block)),
+        ("Contract", contract),
+        ("Address", state.address().map_or_else(|| "no identity yet".to_owned(), |address| address.to_string())),
+        ("Balance", ether(&chain.balance)),
+        ("Next nonce", chain.nonce.to_string()),
+        ("Pending", format!("{} own transactions not in a block", chain.pending)),
+    ];
+    for (place, (label, value)) in (0u16..).zip(&lines) {
+        line(canvas, row(area, place), label, value, Role::Body);
+    }
+    if let Some(failure) = &state.feeds.slot(Feed::Chain).failure {
+        canvas.put(row(area, 12), &failure.message, Role::Bad);
+    }
+}
+
+/// Wei as ether where it is a round number of at least a millionth.
+fn ether(wei: &str) -> String {
+    const DIGITS: usize = 18;
+    if wei.len() + 6 <= DIGITS || !wei.bytes().all(|digit| digit.is_ascii_digit()) {
+        return format!("{wei} wei");
+    }
+    let padded = format!("{wei:0>width$}", width = DIGITS + 1);
+    let (whole, part) = padded.split_at(padded.len() - DIGITS);
+    format!("{whole}.{} ether", &part[..6])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn balances_read_as_ether() {
+        assert_eq!(ether("0"), "0 wei");
+        assert_eq!(ether("1500000000000000000"), "1.500000 ether");
+        assert_eq!(ether("1234567890123"), "0.000001 ether");
+        assert_eq!(ether("100000000000000000000"), "100.000000 ether");
+        assert_eq!(ether("many"), "many wei");
+    }
+}

@@ -1,0 +1,52 @@
+//! The Grants screen.
+
+use ratatui::layout::Rect;
+
+use super::canvas::Canvas;
+use super::table::{Column, Sheet, draw as draw_table};
+use super::theme::Role;
+use super::topics::empty;
+use crate::app::State;
+use crate::app::feed::Feed;
+use crate::app::screens::grants::{SORTS, day, is_active, is_given, key, other_side, scope};
+use crate::service::reply::GrantRow;
+
+const COLUMNS: &[Column] = &[
+    Column::text("State", 8),
+    Column::text("", 8),
+    Column::text("Account", 13),
+    Column::text("Full address", 42).from(130),
+    Column::wide("Topics"),
+    Column::number("Epoch", 6),
+    Column::text("Ends UTC", 16).from(75),
+    Column::number("Block", 8).from(100),
+];
+
+/// Draws the screen.
+pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
+    let grants = &state.grants;
+    let rows = grants.visible();
+    let keys: Vec<String> = rows.iter().map(|row| key(row)).collect();
+    let readers = grants.rows.iter().filter(|row| is_given(row) && is_active(row)).count();
+    let order = SORTS[grants.table.sort % SORTS.len()];
+    let note = format!("{} of {}, by {order}; {readers} can read new records now", rows.len(), grants.rows.len());
+    let cells = |index: usize| rows.get(index).map_or_else(Vec::new, |row| cells(row));
+    let empty = empty(state, Feed::Grants, "Nothing granted or received yet: g grants.");
+    let sheet = Sheet { title: "Grants", note, columns: COLUMNS, keys: &keys, cells: &cells, table: &grants.table, empty };
+    draw_table(canvas, area, &sheet);
+}
+
+fn cells(row: &GrantRow) -> Vec<(String, Role)> {
+    let role = if is_active(row) { Role::Good } else { Role::Dim };
+    let direction = if is_given(row) { "given to" } else { "got from" };
+    vec![
+        (row.state.clone(), role),
+        (direction.to_owned(), Role::Body),
+        (other_side(row).short(), Role::Accent),
+        (other_side(row).to_string(), Role::Dim),
+        (scope(&row.topics), Role::Body),
+        (row.epoch.to_string(), Role::Body),
+        (row.expires.map_or_else(|| "no end".to_owned(), day), Role::Dim),
+        (row.block.to_string(), Role::Dim),
+    ]
+}

@@ -1,0 +1,71 @@
+//! The Keys screen: identity, fingerprints, epochs.
+
+use ratatui::layout::Rect;
+
+use super::canvas::{Canvas, below, right_of, row};
+use super::theme::Role;
+use crate::app::State;
+use crate::app::feed::Feed;
+use crate::service::reply::{EpochView, IdentityView, KeysView};
+
+/// Columns of the labels.
+const LABEL: u16 = 12;
+
+/// Draws a label and its value.
+pub fn line(canvas: &mut Canvas, area: Rect, label: &str, value: &str, role: Role) {
+    canvas.put(Rect { width: LABEL.min(area.width), ..area }, label, Role::Dim);
+    canvas.put(right_of(area, LABEL), value, role);
+}
+
+/// Draws the screen.
+pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
+    canvas.put(area, "Keys", Role::Title);
+    let area = below(area, 1);
+    match &state.identity {
+        None => drop(canvas.put(area, "The site is starting…", Role::Dim)),
+        Some(identity) if !identity.exists => {
+            let text = "This profile has no identity yet: n makes one.";
+            canvas.put(area, text, Role::Body);
+        }
+        Some(identity) => draw_identity(canvas, area, state, identity),
+    }
+}
+
+fn draw_identity(canvas: &mut Canvas, area: Rect, state: &State, identity: &IdentityView) {
+    let address = identity.address.map(|address| address.to_string()).unwrap_or_default();
+    let (keyring, keyring_role) =
+        if identity.unlocked { ("unlocked", Role::Good) } else { ("locked: u unlocks it", Role::Warning) };
+    let (chain, chain_role) = if identity.registered {
+        ("registered", Role::Good)
+    } else {
+        ("not registered: R registers it", Role::Warning)
+    };
+    line(canvas, row(area, 0), "Profile", identity.profile.as_str(), Role::Body);
+    line(canvas, row(area, 1), "Keyring", keyring, keyring_role);
+    line(canvas, row(area, 2), "On chain", chain, chain_role);
+    line(canvas, row(area, 3), "Address", &address, Role::Accent);
+    canvas.put(right_of(row(area, 4), LABEL), "y copies it; give it to whoever shall share with you", Role::Dim);
+    let rest = below(area, 6);
+    match &state.keys {
+        Some(keys) => draw_keys(canvas, rest, keys),
+        None => {
+            let failure = state.feeds.slot(Feed::Keys).failure.as_ref();
+            canvas.put(rest, failure.map_or("Asking for the keys…", |failure| &failure.message), Role::Dim);
+        }
+    }
+}
+
+fn draw_keys(canvas: &mut Canvas, area: Rect, keys: &KeysView) {
+    line(canvas, row(area, 0), "SM2 signs", &keys.signing_fingerprint, Role::Body);
+    line(canvas, row(area, 1), "SM2 opens", &keys.envelope_fingerprint, Role::Body);
+    let area = below(area, 3);
+    canvas.puts(area, &[("SM4 epochs", Role::Title), ("  newest first; token = public commitment", Role::Dim)]);
+    let mut epochs: Vec<&EpochView> = keys.epochs.iter().collect();
+    epochs.sort_by_key(|epoch| std::cmp::Reverse(epoch.epoch));
+    for (place, epoch) in (1u16..area.height).zip(epochs) {
+        let now = if epoch.current { "seals now" } else { "" };
+        let number = format!("{:>6}  ", epoch.epoch);
+        let token = format!("{}…  ", epoch.token.to_hex().chars().take(16).collect::<String>());
+        canvas.puts(row(area, place), &[(&number, Role::Body), (&token, Role::Dim), (now, Role::Good)]);
+    }
+}

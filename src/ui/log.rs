@@ -1,0 +1,41 @@
+//! The Log screen: notices and audit lines, newest first.
+
+use ratatui::layout::Rect;
+
+use super::bottom::level;
+use super::canvas::Canvas;
+use super::table::{Column, Sheet, draw as draw_table};
+use super::theme::Role;
+use crate::app::State;
+use crate::app::screens::log::{LogLine, level_word};
+use crate::service::NoticeLevel;
+
+const COLUMNS: &[Column] =
+    &[Column::text("UTC", 8), Column::text("Level", 7), Column::text("From", 11), Column::wide("What")];
+
+/// Draws the screen.
+pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
+    let log = &state.log;
+    let lines = log.visible();
+    let keys: Vec<String> = lines.iter().map(|line| line.source.clone()).collect();
+    let least = match log.least {
+        NoticeLevel::Info => "all levels",
+        NoticeLevel::Warning => "warnings and errors",
+        NoticeLevel::Error => "errors",
+    };
+    let note = format!("{} lines, {least}, newest first", lines.len());
+    let cells = |index: usize| lines.get(index).map_or_else(Vec::new, |line| cells(line));
+    let sheet =
+        Sheet { title: "Log", note, columns: COLUMNS, keys: &keys, cells: &cells, table: &log.table, empty: "Nothing yet." };
+    draw_table(canvas, area, &sheet);
+}
+
+fn cells(line: &LogLine) -> Vec<(String, Role)> {
+    let role = if line.level == NoticeLevel::Info { Role::Dim } else { level(line.level).1 };
+    vec![
+        (line.at.clock(), Role::Dim),
+        (level_word(line.level).to_owned(), role),
+        (line.source.clone(), Role::Dim),
+        (line.text.clone(), Role::Body),
+    ]
+}

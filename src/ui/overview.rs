@@ -1,0 +1,137 @@
+//! The Overview: health, life line, alerts, first steps, busiest topics.
+
+use ratatui::layout::Rect;
+
+use super::canvas::{Canvas, below, right_of, row};
+use super::table::{Column, draw_plain};
+use super::theme::Role;
+use super::{bottom, first_run, header, topics, words};
+use crate::app::State;
+use crate::app::alerts::alerts;
+use crate::app::feed::Feed;
+use crate::service::reply::{LifeLine, SiteView};
+
+/// Below so many rows blank lines are left out and only the next step is shown.
+const ROOMY_FROM: u16 = 18;
+/// The most alerts shown on a roomy screen.
+const MOST_ALERTS: usize = 4;
+
+const COLUMNS: &[Column] = &[
+    Column::wide("Busiest topics"),
+    Column::text("Type", 24).from(100),
+    Column::number("Hz", 7),
+    Column::number("kB/s", 8),
+    Column::text("", 7),
+    Column::text("", 9),
+];
+
+/// Draws the screen.
+pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
+    let roomy = area.height >= ROOMY_FROM;
+    let gap = u16::from(roomy);
+    let mut rest = area;
+    match &state.site {
+        Some(site) => {
+            rest = draw_health(canvas, rest, site);
+            rest = draw_life(canvas, below(rest, gap), state, &site.life);
+        }
+        None => {
+            canvas.put(row(rest, 0), "The site is starting…", Role::Dim);
+            rest = below(rest, 1);
+        }
+    }
+    rest = draw_alerts(canvas, below(rest, gap), state, if roomy { MOST_ALERTS } else { 1 });
+    rest = first_run::draw(canvas, rest, state, roomy);
+    draw_busiest(canvas, rest, state);
+}
+
+fn draw_health(canvas: &mut Canvas, area: Rect, site: &SiteView) -> Rect {
+    for (line, part) in (0u16..).zip(&site.health) {
+        let (dot, role, _) = header::level(part);
+        let place = row(area, line);
+        canvas.put(place, &part.part, Role::Body);
+        let rest = canvas.puts(right_of(place, 9), &[(dot, role), (" ", Role::Body), (&part.text, Role::Body)]);
+        if part.part == "ros" && site.robots > 0 {
+            let robots = format!(" {} robots ", site.robots);
+            canvas.puts(rest, &[(&robots, Role::Body), ("SIMULATED", Role::Badge)]);
+        }
+    }
+    below(area, u16::try_from(site.health.len()).unwrap_or(4))
+}
+
+fn draw_life(canvas: &mut Canvas, area: Rect, state: &State, life: &LifeLine) -> Rect {
+    let stations = [
+        ("captured", life.captured),
+        ("sealed", life.sealed),
+        ("stored", life.stored),
+        ("anchored", life.anchored),
+        ("confirmed", life.confirmed),
+        ("verified", life.verified),
+    ];
+    let width = (area.width / 6).min(16);
+    for (place, (name, count)) in (0u16..).zip(stations) {
+        let column = Rect { width, ..right_of(area, place * width) };
+        let count = words::count(count);
+        let arrow = if place == 5 { "" } else { " ›" };
+        canvas.puts(row(column, 0), &[(name, Role::Title), (arrow, Role::Dim)]);
+        canvas.put(row(column, 1), &count, if place == 5 { Role::Good } else { Role::Accent });
+    }
+    draw_losses(canvas, row(area, 2), state, life);
+    below(area, 3)
+}
+
+fn draw_losses(canvas: &mut Canvas, area: Rect, state: &State, life: &LifeLine) {
+    let flow = format!("in {:.1}/s, verified {:.1}/s, ", state.rates.captured, state.rates.verified);
+    let pending = format!("{} pending", words::count(life.pending));
+    let mut rest = canvas.puts(area, &[(&flow, Role::Dim), (&pending, Role::Body)]);
+    let counts = [
+        ("lost", life.lost_in_transport, Role::Warning),
+        ("dropped", life.dropped, Role::Warning),
+        ("quarantined", life.quarantined, Role::Warning),
+        ("tampered", life.tampered, Role::Bad),
+    ];
+    if counts.iter().all(|(_, count, _)| *count == 0) {
+        canvas.put(rest, ", nothing lost, dropped or tampered", Role::Dim);
+    }
+    for (name, count, role) in counts.into_iter().filter(|(_, count, _)| *count > 0) {
+        rest = canvas.puts(rest, &[(", ", Role::Dim), (&words::count(count), role), (" ", role), (name, role)]);
+    }
+}
+
+fn draw_alerts(canvas: &mut Canvas, area: Rect, state: &State, most: usize) -> Rect {
+    let found = alerts(state);
+    let shown = found.len().min(most);
+    for (line, (level, text)) in (0u16..).zip(found.iter().take(shown)) {
+        let (mark, role) = bottom::level(*level);
+        canvas.puts(row(area, line), &[(mark, role), (text, role)]);
+    }
+    let gap = u16::from(most > 1 && shown > 0);
+    below(area, u16::try_from(shown).unwrap_or(0) + gap)
+}
+
+fn draw_busiest(canvas: &mut Canvas, area: Rect, state: &State) {
+    if area.height < 2 {
+        return;
+    }
+    if state.topics.rows.is_empty() {
+        let failure = state.feeds.slot(Feed::Topics).failure.as_ref();
+        let text = match failure {
+            Some(failure) => failure.message.as_str(),
+            None if state.awaits(Feed::Topics) => "Asking for the topics…",
+            None => "No topic is published yet; they appear here by themselves.",
+        };
+        canvas.put(area, text, Role::Dim);
+        return;
+    }
+    let rows = state.topics.busiest(usize::from(area.height - 1)).into_iter().map(|row| {
+        vec![
+            (row.topic.clone(), Role::Body),
+            (row.type_name.clone().unwrap_or_default(), Role::Dim),
+            (words::rate(row.hz), Role::Accent),
+            (words::kilobytes(row.bytes_per_second), Role::Body),
+            topics::watched(row),
+            topics::simulated(row.simulated),
+        ]
+    });
+    draw_plain(canvas, area, COLUMNS, rows.collect());
+}

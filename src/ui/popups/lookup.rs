@@ -1,0 +1,127 @@
+//! What was asked for by id: provenance of a record, an opened record.
+
+use ratatui::layout::Rect;
+
+use super::framed;
+use crate::app::popup::Lookup;
+use crate::model::{Verdict, clean};
+use crate::service::reply::{OpenedView, Provenance, RecordView};
+use crate::ui::canvas::{Canvas, columns, right_of, row};
+use crate::ui::records::state_role;
+use crate::ui::theme::Role;
+use crate::ui::words::{size, wrap};
+
+/// Columns of the labels of provenance steps.
+const STEP: u16 = 14;
+/// The widest a view of a record grows.
+const WIDEST: u16 = 110;
+
+type Piece = (String, Role);
+
+/// Draws where a record comes from and where it stands.
+pub fn draw_provenance(canvas: &mut Canvas, area: Rect, lookup: &Lookup<Provenance>) {
+    draw(canvas, area, lookup, "Provenance of record", |view, width| {
+        let mut lines = record_lines(&view.record);
+        lines.push(Vec::new());
+        for (word, evidence) in &view.steps {
+            let role = state_role(word);
+            let pieces = wrap(&clean(evidence, 500), width.saturating_sub(STEP));
+            for (index, piece) in pieces.into_iter().enumerate() {
+                let label = if index == 0 { clean(word, 13) } else { String::new() };
+                lines.push(vec![(pad(&label, STEP), role), (piece, Role::Body)]);
+            }
+        }
+        lines
+    });
+}
+
+/// Draws an opened record: verdict, tags, fields.
+pub fn draw_record(canvas: &mut Canvas, area: Rect, lookup: &Lookup<OpenedView>) {
+    draw(canvas, area, lookup, "Record", |view, width| {
+        let mut lines = vec![verdict_line(view.verdict)];
+        lines.extend(record_lines(&view.record));
+        if !view.caller_id.is_empty() {
+            lines.push(labelled("sent by", view.caller_id.clone(), Role::Body));
+        }
+        let tags: Vec<String> = view.tags.iter().map(|(name, value)| format!("{name}={value}")).collect();
+        if !tags.is_empty() {
+            lines.push(labelled("tags", tags.join("  "), Role::Dim));
+        }
+        if let Some(picture) = &view.picture {
+            let text = format!("{}; W writes it to a file", size(length(picture)));
+            lines.push(labelled("picture", text, Role::Accent));
+        }
+        lines.push(Vec::new());
+        let widest = view.fields.iter().map(|(path, _)| columns(path)).max().unwrap_or(0);
+        let label = (widest + 2).min(width / 2);
+        lines.extend(view.fields.iter().map(|(path, value)| vec![(pad(path, label), Role::Dim), (value.clone(), Role::Body)]));
+        lines
+    });
+}
+
+fn draw<T>(
+    canvas: &mut Canvas,
+    area: Rect,
+    lookup: &Lookup<T>,
+    title: &str,
+    lines: impl Fn(&T, u16) -> Vec<Vec<Piece>>,
+) {
+    let width = WIDEST.min(area.width.saturating_sub(6));
+    let lines = match &lookup.answer {
+        None => vec![vec![("Asking…".to_owned(), Role::Dim)]],
+        Some(Err(failure)) => {
+            wrap(&clean(&failure.message, 500), width).into_iter().map(|line| vec![(line, Role::Bad)]).collect()
+        }
+        Some(Ok(view)) => lines(view, width),
+    };
+    let height = u16::try_from(lines.len()).unwrap_or(u16::MAX);
+    let inner = framed(canvas, area, &format!("{title} {}", lookup.id), width, height);
+    let rows = usize::from(inner.height);
+    let first = lookup.scroll.min(lines.len().saturating_sub(rows));
+    for (place, line) in (0..inner.height).zip(lines.iter().skip(first)) {
+        let pieces: Vec<(&str, Role)> = line.iter().map(|(text, role)| (text.as_str(), *role)).collect();
+        canvas.puts(row(inner, place), &pieces);
+    }
+    if lines.len() > first + rows {
+        let more = format!(" {} more lines below ", lines.len() - first - rows);
+        let edge = Rect { y: inner.bottom().min(area.bottom().saturating_sub(1)), height: 1, ..inner };
+        canvas.put_right(right_of(edge, 0), &more, Role::Dim);
+    }
+}
+
+fn record_lines(record: &RecordView) -> Vec<Vec<Piece>> {
+    let mut type_name = labelled("type", record.type_name.clone(), Role::Body);
+    if record.simulated {
+        type_name.extend([("  ".to_owned(), Role::Body), ("SIMULATED".to_owned(), Role::Badge)]);
+    }
+    let facts = format!("seq {}, epoch {}, {}", record.seq, record.epoch, size(record.bytes));
+    let mut lines = vec![labelled("topic", record.topic.clone(), Role::Accent), type_name, labelled("record", facts, Role::Body)];
+    lines.push(labelled("captured", record.captured_at.to_string(), Role::Body));
+    lines.extend(record.owner.map(|owner| labelled("owner", owner.to_string(), Role::Body)));
+    lines.push(labelled("digest", record.digest.to_hex(), Role::Dim));
+    lines
+}
+
+fn verdict_line(verdict: Verdict) -> Vec<Piece> {
+    let (text, role) = match verdict {
+        Verdict::Verified => ("verified: equal to the chain's digest, signature valid", Role::Good),
+        Verdict::Unanchored => ("unanchored: signature valid, but the digest is not on the chain yet", Role::Warning),
+        Verdict::Tampered => ("tampered: the stored bytes are not the ones anchored or signed", Role::Bad),
+        Verdict::Missing => ("missing: the stored bytes are gone", Role::Bad),
+        Verdict::NoKey => ("no key: no key of this profile opens it", Role::Warning),
+    };
+    vec![(text.to_owned(), role)]
+}
+
+fn labelled(label: &str, value: String, role: Role) -> Vec<Piece> {
+    vec![(pad(label, 10), Role::Dim), (value, role)]
+}
+
+fn pad(text: &str, width: u16) -> String {
+    let missing = usize::from(width.saturating_sub(columns(text)));
+    format!("{text}{}", " ".repeat(missing))
+}
+
+fn length(bytes: &[u8]) -> u64 {
+    u64::try_from(bytes.len()).unwrap_or(u64::MAX)
+}

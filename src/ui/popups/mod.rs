@@ -1,0 +1,81 @@
+//! What lies over a screen: a frame in its middle, one file per popup.
+
+mod form;
+mod help;
+mod lookup;
+mod palette;
+
+use ratatui::layout::Rect;
+
+use super::canvas::{Canvas, columns, row};
+use super::theme::Role;
+use super::words::wrap;
+use crate::app::State;
+use crate::app::popup::{Confirm, Popup};
+use crate::model::clean;
+
+/// Draws a popup into the middle of `area`.
+pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, popup: &Popup) {
+    match popup {
+        Popup::Palette(palette) => palette::draw(canvas, area, state, palette),
+        Popup::Help { scroll } => help::draw(canvas, area, state, *scroll),
+        Popup::Confirm(confirm) => draw_confirm(canvas, area, confirm),
+        Popup::Form(_, form) => form::draw(canvas, area, form),
+        Popup::Provenance(lookup) => lookup::draw_provenance(canvas, area, lookup),
+        Popup::Record(lookup) => lookup::draw_record(canvas, area, lookup),
+        Popup::Quit { waiting } => draw_quit(canvas, area, state, *waiting),
+    }
+}
+
+/// A framed place of at most that size in the middle of `area`; the room inside.
+fn framed(canvas: &mut Canvas, area: Rect, title: &str, width: u16, height: u16) -> Rect {
+    let width = (width + 4).min(area.width.saturating_sub(2));
+    let height = (height + 2).min(area.height);
+    let x = area.x + (area.width - width) / 2;
+    let y = area.y + (area.height - height) / 2;
+    canvas.frame(Rect { x, y, width, height }, title)
+}
+
+/// A framed text with lines broken where needed; the last line is the answer's.
+fn draw_text(canvas: &mut Canvas, area: Rect, title: &str, lines: &[String], answer: &[(&str, Role)]) {
+    let widest = lines.iter().map(|line| columns(line)).max().unwrap_or(0);
+    let width = widest.max(40).min(area.width.saturating_sub(6));
+    let lines: Vec<String> = lines.iter().flat_map(|line| wrap(&clean(line, 2_000), width)).collect();
+    let height = u16::try_from(lines.len()).unwrap_or(u16::MAX).saturating_add(2);
+    let inner = framed(canvas, area, title, width, height);
+    let last = inner.height.saturating_sub(1);
+    for (place, line) in (0..last.saturating_sub(1)).zip(&lines) {
+        canvas.put(row(inner, place), line, Role::Body);
+    }
+    canvas.puts(row(inner, last), answer);
+}
+
+fn draw_confirm(canvas: &mut Canvas, area: Rect, confirm: &Confirm) {
+    let answer =
+        [("y", Role::Key), (" ", Role::Body), (confirm.yes, Role::Warning), ("    any other key: no", Role::Dim)];
+    draw_text(canvas, area, &confirm.title, &confirm.lines, &answer);
+}
+
+fn draw_quit(canvas: &mut Canvas, area: Rect, state: &State, waiting: bool) {
+    let pending = state.pending_records();
+    let mut lines: Vec<String> = state.work.iter().filter(|tag| tag.is_work()).map(|tag| tag.words()).collect();
+    if pending > 0 {
+        lines.push(format!("{pending} records are not verified yet."));
+        lines.push("Nothing is lost: they are sealed on disk and go on at the next start.".to_owned());
+    }
+    if pending > 0 && state.watches() {
+        lines.push("Watched topics bring new ones all the time; unwatch them to come to an end.".to_owned());
+    }
+    if lines.is_empty() {
+        lines.push("Nothing is pending any more.".to_owned());
+    }
+    if waiting {
+        lines.push("Leaving by itself when all is done…".to_owned());
+    }
+    let mut answer = vec![("y", Role::Key), (" quit now    ", Role::Body)];
+    if !waiting {
+        answer.extend([("w", Role::Key), (" quit when done    ", Role::Body)]);
+    }
+    answer.push(("any other key: stay", Role::Dim));
+    draw_text(canvas, area, "Quit?", &lines, &answer);
+}

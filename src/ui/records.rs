@@ -1,0 +1,112 @@
+//! The Uploads and Shared screens: a page of records.
+
+use ratatui::layout::Rect;
+
+use super::canvas::Canvas;
+use super::table::{Column, Sheet, draw as draw_table};
+use super::theme::Role;
+use super::topics::{empty, simulated};
+use super::words;
+use crate::app::State;
+use crate::app::feed::Feed;
+use crate::app::screens::records::{Records, Wanted};
+use crate::service::reply::RecordView;
+
+const UPLOADS: &[Column] = &[
+    Column::text("State", 11),
+    Column::wide("Topic"),
+    Column::text("Type", 26).from(120),
+    Column::number("Seq", 7),
+    Column::number("Size", 8),
+    Column::text("UTC", 8),
+    Column::number("Epoch", 5).from(130),
+    Column::number("Block", 8).from(100),
+    Column::text("Id", 16).from(140),
+    Column::text("", 3).below(70),
+    Column::text("", 9).from(70),
+];
+
+const SHARED: &[Column] = &[
+    Column::text("State", 11),
+    Column::text("Owner", 13),
+    Column::wide("Topic"),
+    Column::text("Type", 26).from(120),
+    Column::number("Seq", 7),
+    Column::number("Size", 8),
+    Column::text("UTC", 8).from(70),
+    Column::number("Epoch", 5).from(130),
+    Column::number("Block", 8).from(110),
+    Column::text("Id", 16).from(150),
+    Column::text("", 3).below(100),
+    Column::text("", 9).from(100),
+];
+
+/// Draws the Uploads screen.
+pub fn draw_uploads(canvas: &mut Canvas, area: Rect, state: &State) {
+    let nothing = "No record yet: watch a topic (2, then w).";
+    draw(canvas, area, state, &state.uploads, ("Uploads", UPLOADS, empty(state, Feed::Uploads, nothing)));
+}
+
+/// Draws the Shared screen.
+pub fn draw_shared(canvas: &mut Canvas, area: Rect, state: &State) {
+    let nothing = "Nobody shares with you yet: give others your address (6, then y).";
+    draw(canvas, area, state, &state.shared, ("Shared with me", SHARED, empty(state, Feed::Shared, nothing)));
+}
+
+fn draw(canvas: &mut Canvas, area: Rect, state: &State, records: &Records, look: (&str, &[Column], &str)) {
+    let (title, columns, empty) = look;
+    let rows = records.visible(&state.topics.rows);
+    let keys: Vec<String> = rows.iter().map(|row| row.id.clone()).collect();
+    let with_owner = columns.iter().any(|column| column.title == "Owner");
+    let cells = |index: usize| rows.get(index).map_or_else(Vec::new, |row| cells(row, with_owner));
+    let empty = if records.table.filter.text().is_empty() { empty } else { "No record matches the filter." };
+    let note = note(records, &Wanted::read(records.table.filter.text(), &state.topics.rows));
+    let sheet = Sheet { title, note, columns, keys: &keys, cells: &cells, table: &records.table, empty };
+    draw_table(canvas, area, &sheet);
+}
+
+fn note(records: &Records, wanted: &Wanted) -> String {
+    let order = if records.table.sort == 0 { "newest first" } else { "oldest first" };
+    let mut note = format!("{order}, page {}", records.path.len() + 1);
+    if records.next.is_some() {
+        note.push_str(", more below");
+    }
+    if let Some(topic) = &wanted.topic {
+        note.push_str(&format!(", only {topic}"));
+    }
+    if !wanted.rest.is_empty() {
+        note.push_str(", within this page");
+    }
+    note
+}
+
+fn cells(row: &RecordView, with_owner: bool) -> Vec<(String, Role)> {
+    let topic = if row.kind == "data" { row.topic.clone() } else { format!("{} ({})", row.topic, row.kind) };
+    let mut cells = vec![(row.state.clone(), state_role(&row.state))];
+    if with_owner {
+        cells.push((row.owner.map(|owner| owner.short()).unwrap_or_default(), Role::Accent));
+    }
+    cells.extend([
+        (topic, Role::Body),
+        (row.type_name.clone(), Role::Dim),
+        (row.seq.to_string(), Role::Body),
+        (words::size(row.bytes), Role::Body),
+        (row.captured_at.clock(), Role::Dim),
+        (row.epoch.to_string(), Role::Dim),
+        (row.block.map(|block| block.to_string()).unwrap_or_default(), Role::Dim),
+        (row.id.clone(), Role::Dim),
+        if row.simulated { ("SIM".to_owned(), Role::Warning) } else { Default::default() },
+        simulated(row.simulated),
+    ]);
+    cells
+}
+
+/// The role of a record's state.
+pub fn state_role(state: &str) -> Role {
+    match state {
+        "verified" => Role::Good,
+        "tampered" | "missing" => Role::Bad,
+        "quarantined" | "dropped" => Role::Warning,
+        _ => Role::Accent,
+    }
+}

@@ -1,0 +1,93 @@
+//! The Topics screen.
+
+use ratatui::layout::Rect;
+
+use super::canvas::{Canvas, row};
+use super::table::{Column, Sheet, draw as draw_table};
+use super::theme::Role;
+use super::words;
+use crate::app::State;
+use crate::app::feed::Feed;
+use crate::app::screens::topics::SORTS;
+use crate::service::reply::TopicRow;
+
+const COLUMNS: &[Column] = &[
+    Column::wide("Topic"),
+    Column::text("Type", 22).from(100),
+    Column::text("Publishers", 24).from(170),
+    Column::text("Watched", 7),
+    Column::number("Hz", 7),
+    Column::number("kB/s", 8),
+    Column::text("Lately", 8).from(110),
+    Column::number("Captured", 9).from(130),
+    Column::number("Lost t/r", 8).from(70),
+    Column::text("Last UTC", 8).from(120),
+    Column::text("", 9),
+];
+
+/// Draws the screen.
+pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
+    let topics = &state.topics;
+    let rows = topics.visible();
+    let keys: Vec<String> = rows.iter().map(|row| row.topic.clone()).collect();
+    let mut note = format!("{} of {}, by {}", rows.len(), topics.rows.len(), SORTS[topics.table.sort % SORTS.len()]);
+    if !topics.table.marks.is_empty() {
+        note.push_str(&format!(", {} marked", topics.table.marks.len()));
+    }
+    let cells = |index: usize| rows.get(index).map_or_else(Vec::new, |row| cells(state, row));
+    let empty = empty(state, Feed::Topics, "No topic is published yet; they appear here by themselves.");
+    let sheet = Sheet { title: "Topics", note, columns: COLUMNS, keys: &keys, cells: &cells, table: &topics.table, empty };
+    let (table, detail) = (Rect { height: area.height - 1, ..area }, row(area, area.height - 1));
+    draw_table(canvas, table, &sheet);
+    if let Some(selected) = topics.selected() {
+        draw_detail(canvas, detail, selected);
+    }
+}
+
+/// What the columns of a narrow screen leave out of the selected topic.
+fn draw_detail(canvas: &mut Canvas, area: Rect, topic: &TopicRow) {
+    let publishers = if topic.publishers.is_empty() { "nobody".to_owned() } else { topic.publishers.join(" ") };
+    let captured = format!("  {} captured", words::count(topic.messages));
+    let last = topic.last_message.map(|last| format!(", last {}", last.clock())).unwrap_or_default();
+    let type_name = topic.type_name.as_deref().unwrap_or("type not known yet");
+    canvas.puts(area, &[(type_name, Role::Accent), (" from ", Role::Dim), (&publishers, Role::Body)]);
+    canvas.put_right(area, &format!("{captured}{last}"), Role::Dim);
+}
+
+/// What to say of a feed without rows.
+pub fn empty<'a>(state: &'a State, feed: Feed, nothing: &'a str) -> &'a str {
+    match &state.feeds.slot(feed).failure {
+        Some(failure) => &failure.message,
+        None if state.awaits(feed) && state.site.is_none() => "The site is starting…",
+        None if state.awaits(feed) && state.feeds.slot(feed).outstanding => "Asking…",
+        None => nothing,
+    }
+}
+
+fn cells(state: &State, row: &TopicRow) -> Vec<(String, Role)> {
+    let lost = format!("{}/{}", row.lost_in_transport, row.lost_in_recorder);
+    let any_lost = row.lost_in_transport + row.lost_in_recorder > 0;
+    vec![
+        (row.topic.clone(), Role::Body),
+        (row.type_name.clone().unwrap_or_default(), Role::Dim),
+        (row.publishers.join(" "), Role::Dim),
+        watched(row),
+        (words::rate(row.hz), Role::Accent),
+        (words::kilobytes(row.bytes_per_second), Role::Body),
+        (words::sparkline(&state.topics.samples(&row.topic)), Role::Accent),
+        (words::count(row.messages), Role::Body),
+        (lost, if any_lost { Role::Warning } else { Role::Dim }),
+        (row.last_message.map(crate::model::Timestamp::clock).unwrap_or_default(), Role::Dim),
+        simulated(row.simulated),
+    ]
+}
+
+/// The cell that says whether a topic is watched.
+pub fn watched(row: &TopicRow) -> (String, Role) {
+    if row.watched { ("watched".to_owned(), Role::Good) } else { ("-".to_owned(), Role::Dim) }
+}
+
+/// The cell that says what comes from a simulated robot.
+pub fn simulated(simulated: bool) -> (String, Role) {
+    if simulated { ("SIMULATED".to_owned(), Role::Warning) } else { Default::default() }
+}
