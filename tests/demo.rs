@@ -34,7 +34,8 @@ fn expect_the_whole_story(told: &Value) {
 fn the_demo_of_the_readme_shows_the_whole_mission() {
     let _alone = heavy();
     let home = Home::new();
-    let told = Authros::bare(home.root()).json_within(180, &["demo"]);
+    let temporary = home.root().to_str().expect("UTF-8");
+    let told = Authros::bare(home.root()).with_variable("TMPDIR", temporary).json_within(180, &["demo"]);
     expect_the_whole_story(&told);
     // Four robots for ten seconds at 20 Hz odometry and 2 Hz pictures: 880; a slow machine may be late by a third.
     assert!((580..=960).contains(&count(&told, "captured")), "{told}");

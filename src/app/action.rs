@@ -32,7 +32,7 @@ pub enum Action {
         /// Which question.
         tag: Tag,
         /// Its answer.
-        result: Result<Reply, Failure>,
+        result: Box<Result<Reply, Failure>>,
     },
     /// The site tells something.
     Told(Event),

@@ -40,11 +40,11 @@ fn health(part: &PartHealth) -> Option<(NoticeLevel, String)> {
 
 fn life(life: &LifeLine) -> Vec<(NoticeLevel, String)> {
     let counted = [
-        (life.tampered, NoticeLevel::Error, "differ from the chain (3, then / tampered)"),
-        (life.quarantined, NoticeLevel::Warning, "held back: their publisher is not the pinned one"),
-        (life.dropped, NoticeLevel::Warning, "dropped by the recorder before they were acknowledged"),
-        (life.lost_in_transport, NoticeLevel::Warning, "lost in transport before they arrived here"),
+        (life.tampered, NoticeLevel::Error, "tampered: not the bytes that were anchored (3, then / tampered)"),
+        (life.quarantined, NoticeLevel::Warning, "quarantined: sent by a node that is not the pinned publisher"),
+        (life.dropped, NoticeLevel::Warning, "dropped by the recorder before they were sealed"),
+        (life.lost_in_transport, NoticeLevel::Warning, "lost in transport, before they arrived here"),
     ];
     let seen = counted.into_iter().filter(|(count, ..)| *count > 0);
-    seen.map(|(count, level, what)| (level, format!("{count} messages {what}"))).collect()
+    seen.map(|(count, level, what)| (level, format!("{count} {what}"))).collect()
 }

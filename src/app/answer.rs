@@ -126,7 +126,10 @@ fn done(state: &mut State, tag: &Tag, reply: Reply) -> Vec<Effect> {
         Reply::Key(secret) => {
             let Tag::ExportKey(kind) = tag else { return Vec::new() };
             let bytes = Zeroizing::new(secret.expose().to_vec());
-            return vec![Effect::WriteFiles { directory: None, files: vec![Contents { name: key_file(state, *kind), bytes }] }];
+            return vec![Effect::WriteFiles {
+                directory: None,
+                files: vec![Contents { name: key_file(state, *kind), bytes }],
+            }];
         }
         Reply::Keys(keys) => {
             state.keys = Some(keys);

@@ -28,9 +28,9 @@ pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
         Verb::Sort => given(state.screen.sorts(), "nothing to sort here"),
         Verb::Mark | Verb::MarkAll | Verb::Watch | Verb::Details | Verb::Open | Verb::Check | Verb::Export => {
             given(entry.works_on(state.screen), "other screen")?;
-            given(!state.row_keys().is_empty(), "no row")
+            given(state.has_rows(), "no row")
         }
-        Verb::Copy => given(super::perform::copied(state).is_some(), "nothing here to copy"),
+        Verb::Copy => given(copyable(state), "nothing here to copy"),
         Verb::Level => given(state.screen == Screen::Log, "other screen"),
         _ => Ok(()),
     }
@@ -38,6 +38,15 @@ pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
 
 fn given(condition: bool, reason: &'static str) -> Result<(), &'static str> {
     if condition { Ok(()) } else { Err(reason) }
+}
+
+fn copyable(state: &State) -> bool {
+    match state.screen {
+        Screen::Keys => state.address().is_some(),
+        Screen::Chain => state.chain.as_ref().is_some_and(|chain| chain.contract.is_some()),
+        Screen::Log => false,
+        _ => state.has_rows(),
+    }
 }
 
 fn create(state: &State) -> Result<(), &'static str> {

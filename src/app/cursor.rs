@@ -45,6 +45,17 @@ impl State {
         }
     }
 
+    /// Whether the table on screen shows any row.
+    pub fn has_rows(&self) -> bool {
+        let plain = self.table().is_some_and(|table| table.filter.text().is_empty());
+        match self.screen {
+            Screen::Topics => self.topics.any_visible(),
+            Screen::Uploads if plain => !self.uploads.rows.is_empty(),
+            Screen::Shared if plain => !self.shared.rows.is_empty(),
+            _ => !self.row_keys().is_empty(),
+        }
+    }
+
     /// The key of the row under the cursor.
     pub fn row_key(&self) -> Option<String> {
         let keys = self.row_keys();
@@ -112,6 +123,10 @@ pub fn sort(state: &mut State) {
 pub fn filter_key(state: &mut State, key: Key) {
     if state.table_mut().is_some_and(|table| table.filter_key(key)) {
         restart_records(state);
+    }
+    let keys = state.row_keys();
+    if let Some(table) = state.table_mut().filter(|table| !table.filtering) {
+        table.settle(&keys);
     }
 }
 

@@ -104,7 +104,9 @@ impl Feeds {
 
     /// Everything is out of date.
     pub fn touch_all(&mut self) {
-        self.0.iter_mut().for_each(|slot| slot.stale = true);
+        for slot in &mut self.0 {
+            slot.stale = true;
+        }
     }
 
     /// The question itself changed (page, filter): ask anew and drop an answer under way.

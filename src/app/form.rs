@@ -105,7 +105,9 @@ impl Form {
             Key::Escape => return FormStep::Cancel,
             Key::Enter if self.focus + 1 >= self.lines.len() => return FormStep::Submit,
             Key::Enter | Key::Tab | Key::Down => self.focus = (self.focus + 1) % self.lines.len().max(1),
-            Key::BackTab | Key::Up => self.focus = self.focus.checked_sub(1).unwrap_or(self.lines.len().saturating_sub(1)),
+            Key::BackTab | Key::Up => {
+                self.focus = self.focus.checked_sub(1).unwrap_or(self.lines.len().saturating_sub(1))
+            }
             _ => self.edit(key),
         }
         FormStep::Stay

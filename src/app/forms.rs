@@ -100,7 +100,8 @@ pub fn read_grant(form: &Form, own: Option<Address>, now: Timestamp) -> Result<G
         return Err((0, "that is your own address; write the reader's".to_owned()));
     }
     let names = form.text(1).split([' ', ',']).filter(|name| !name.is_empty());
-    let topics: Vec<TopicName> = names.map(str::parse).collect::<Result<_, _>>().map_err(|error| (1, format!("{error}")))?;
+    let topics: Vec<TopicName> =
+        names.map(str::parse).collect::<Result<_, _>>().map_err(|error| (1, format!("{error}")))?;
     if topics.len() > MOST_TOPICS {
         return Err((1, format!("a grant covers at most {MOST_TOPICS} topics, or all")));
     }

@@ -7,6 +7,18 @@ pub fn score(needle: &str, text: &str) -> Option<usize> {
     needle.split_whitespace().map(|word| word_score(word, &text)).sum()
 }
 
+/// The rows that match: those that hold every word as it is, or where there are none, those
+/// that hold its letters in their order.
+pub fn narrow<T>(needle: &str, rows: Vec<T>, text: impl Fn(&T) -> String) -> Vec<T> {
+    if needle.trim().is_empty() {
+        return rows;
+    }
+    let whole: Vec<bool> = rows.iter().map(|row| whole_words(needle, &text(row))).collect();
+    let any = whole.contains(&true);
+    let kept = rows.into_iter().zip(whole);
+    kept.filter(|(row, whole)| *whole || !any && score(needle, &text(row)).is_some()).map(|(row, _)| row).collect()
+}
+
 /// Whether every word of `needle` stands in `text` as it is.
 pub fn whole_words(needle: &str, text: &str) -> bool {
     let text = text.to_lowercase();
@@ -44,5 +56,13 @@ mod tests {
         assert_eq!(score("mdo", "/robot1/odom"), None);
         assert!(score("gr", "grant") < score("gr", "go-overview first"));
         assert_eq!(score("X", ""), None);
+    }
+
+    #[test]
+    fn scattered_letters_count_only_where_no_whole_word_does() {
+        let narrowed = |needle| narrow(needle, vec!["/robot1/camera/odometer", "/robot1/odom"], ToString::to_string);
+        assert_eq!(narrowed("robot1/odom"), ["/robot1/odom"]);
+        assert_eq!(narrowed("rbtcmr"), ["/robot1/camera/odometer"]);
+        assert_eq!(narrowed("").len(), 2);
     }
 }

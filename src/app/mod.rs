@@ -33,7 +33,7 @@ pub mod verb;
 pub mod when;
 
 #[cfg(test)]
-mod tests;
+pub mod tests;
 
 pub use action::{Action, Contents, Effect, Errand, Tag};
 pub use key::Key;

@@ -91,7 +91,9 @@ fn mark(state: &mut State) {
         table.toggle_mark(&key);
     }
     let keys = state.row_keys();
-    state.table_mut().map(|table| table.step(&keys, 1));
+    if let Some(table) = state.table_mut() {
+        table.step(&keys, 1);
+    }
 }
 
 fn dismiss(state: &mut State) {

@@ -174,10 +174,9 @@ fn submit(state: &mut State, purpose: Purpose, form: &Form) -> Result<Vec<Effect
 fn record_key(state: &mut State, mut lookup: Lookup<OpenedView>, key: Key) -> Vec<Effect> {
     let mut effects = Vec::new();
     match key {
-        Key::Char('W') => effects.extend(lookup.found().and_then(writable).map(|file| Effect::WriteFiles {
-            directory: None,
-            files: vec![file],
-        })),
+        Key::Char('W') => effects.extend(
+            lookup.found().and_then(writable).map(|file| Effect::WriteFiles { directory: None, files: vec![file] }),
+        ),
         Key::Char('y') => {
             let digest = lookup.found().map(|view| view.record.digest.to_hex());
             effects.extend(digest.map(|digest| copy(state, digest)));

@@ -41,6 +41,13 @@ impl Table {
         self.selected = keys.get(self.index).filter(|_| bound).map(|key| key.as_ref().to_owned());
     }
 
+    /// Binds the cursor to the row it is on, so that rows coming in above do not move it.
+    pub fn settle<K: AsRef<str>>(&mut self, keys: &[K]) {
+        if self.selected.is_none() {
+            self.select(keys, self.position(keys));
+        }
+    }
+
     /// Moves the cursor by so many rows; false where it could not move.
     pub fn step<K: AsRef<str>>(&mut self, keys: &[K], by: isize) -> bool {
         let from = self.position(keys);
@@ -65,7 +72,11 @@ impl Table {
                 self.filter.clear();
                 return true;
             }
-            _ => return self.filter.key(key),
+            _ => {
+                // What is typed looks for something new: the best match is the first row.
+                (self.selected, self.index) = (None, 0);
+                return self.filter.key(key);
+            }
         }
         false
     }

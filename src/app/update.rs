@@ -37,7 +37,7 @@ fn act(state: &mut State, action: Action) -> Vec<Effect> {
     match action {
         Action::Do(verb) => return perform(state, verb),
         Action::Key(key) => return pressed(state, key),
-        Action::Answered { tag, result } => return answered(state, &tag, result),
+        Action::Answered { tag, result } => return answered(state, &tag, *result),
         Action::Told(event) => return told(state, event),
         Action::Paste(text) if state.popups.is_empty() => cursor::filter_paste(state, &text),
         Action::Paste(text) => popup_paste(state, &text),
@@ -166,4 +166,3 @@ pub fn under_way(state: &State) -> Option<String> {
     let more = work.count();
     Some(if more > 0 { format!("{} and {more} more", first.words()) } else { first.words() })
 }
-

@@ -149,16 +149,28 @@ pub static VERBS: &[Entry] = &[
     entry(Verb::Open, "open-own", "open", &[Key::Char('o')], "Check, decrypt and show an own record")
         .on(&[Screen::Uploads])
         .unlisted(),
-    entry(Verb::Check, "check", "check", &[Key::Char('c')], "Compare the stored bytes with the chain and the signature")
-        .on(&[Screen::Shared]),
+    entry(
+        Verb::Check,
+        "check",
+        "check",
+        &[Key::Char('c')],
+        "Compare the stored bytes with the chain and the signature",
+    )
+    .on(&[Screen::Shared]),
     entry(Verb::Export, "export", "export", &[Key::Char('e')], "Write the record's files for others to check")
         .on(&[Screen::Uploads]),
     entry(Verb::Grant, "grant", "grant", &[Key::Char('g')], "Let another account open your records")
         .on(&[Screen::Overview, Screen::Topics, Screen::Grants])
         .changing(),
-    entry(Verb::Revoke, "revoke", "revoke", &[Key::Char('x')], "Stop sharing: the next record is sealed under a new key")
-        .on(&[Screen::Grants])
-        .changing(),
+    entry(
+        Verb::Revoke,
+        "revoke",
+        "revoke",
+        &[Key::Char('x')],
+        "Stop sharing: the next record is sealed under a new key",
+    )
+    .on(&[Screen::Grants])
+    .changing(),
     entry(Verb::CreateIdentity, "create-identity", "new identity", &[Key::Char('n')], "Make keys and register them")
         .on(&[Screen::Overview, Screen::Keys])
         .changing(),
@@ -166,9 +178,15 @@ pub static VERBS: &[Entry] = &[
     entry(Verb::Register, "register", "register", &[Key::Char('R')], "Put the identity on the chain")
         .on(&[Screen::Keys])
         .changing(),
-    entry(Verb::LoadKey, "load-key", "load key", &[Key::Char('L')], "Put a key from a file in place of the present one")
-        .on(&[Screen::Overview, Screen::Keys])
-        .changing(),
+    entry(
+        Verb::LoadKey,
+        "load-key",
+        "load key",
+        &[Key::Char('L')],
+        "Put a key from a file in place of the present one",
+    )
+    .on(&[Screen::Overview, Screen::Keys])
+    .changing(),
     entry(Verb::Rotate, "rotate-keys", "rotate", &[Key::Char('r')], "Begin a new epoch under a new key")
         .on(&[Screen::Keys])
         .changing(),
@@ -193,7 +211,13 @@ pub static VERBS: &[Entry] = &[
     entry(Verb::Last, "last", "", &[Key::End, Key::Char('G')], "To the last row").on(TABLES).unlisted(),
     entry(Verb::NextScreen, "next-screen", "", &[Key::Tab], "To the next screen"),
     entry(Verb::PreviousScreen, "previous-screen", "", &[Key::BackTab], "To the screen before"),
-    entry(Verb::Go(Screen::Overview), "go-overview", "", &[Key::Char('1')], "Health, life line, alerts, busiest topics"),
+    entry(
+        Verb::Go(Screen::Overview),
+        "go-overview",
+        "",
+        &[Key::Char('1')],
+        "Health, life line, alerts, busiest topics",
+    ),
     entry(Verb::Go(Screen::Topics), "go-topics", "", &[Key::Char('2')], "Topics of the ROS graph"),
     entry(Verb::Go(Screen::Uploads), "go-uploads", "", &[Key::Char('3')], "Your records and their states"),
     entry(Verb::Go(Screen::Shared), "go-shared", "", &[Key::Char('4')], "Records others share with you"),

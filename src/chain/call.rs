@@ -182,7 +182,10 @@ impl Call {
             Self::Lend { device, until } => vec![word(device.0), number(seconds(*until)?)],
             Self::Recall { device } => vec![word(device.0)],
             Self::SetOpen { open: yes } | Self::SetPaused { paused: yes } => vec![AbiToken::Bool(*yes)],
-            Self::Admit { account } | Self::Suspend { account } | Self::Restore { account } | Self::Nominate { account } => {
+            Self::Admit { account }
+            | Self::Suspend { account }
+            | Self::Restore { account }
+            | Self::Nominate { account } => {
                 vec![address(*account)]
             }
             Self::Succeed { lost, successor } => vec![address(*lost), address(*successor)],
@@ -258,7 +261,9 @@ mod tests {
             envelope: vec![1; length],
         };
         assert!(grant(None, Scope::All, 1).encode().is_ok());
-        assert!(grant(Some(Timestamp::from_seconds(9)), Scope::Topics(vec![TopicId([1; 16]); 32]), 4096).encode().is_ok());
+        assert!(
+            grant(Some(Timestamp::from_seconds(9)), Scope::Topics(vec![TopicId([1; 16]); 32]), 4096).encode().is_ok()
+        );
         for bad in [
             grant(Some(Timestamp(1_500_000_000)), Scope::All, 1),
             grant(Some(Timestamp(0)), Scope::All, 1),

@@ -247,7 +247,7 @@ where
 fn consensus(latest: &RawBlock, client: &str) -> &'static str {
     /// What QBFT and IBFT write into the mix hash.
     const BYZANTINE: &str = "0x63746963616c2062797a616e74696e65206661756c7420746f6c6572616e6365";
-    let difficulty = latest.difficulty.as_str().map_or("0x0", |text| text);
+    let difficulty = latest.difficulty.as_str().unwrap_or("0x0");
     let client = client.to_lowercase();
     if ["anvil", "ganache", "hardhat"].iter().any(|name| client.contains(name)) {
         "dev"

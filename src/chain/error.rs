@@ -33,7 +33,7 @@ pub enum ChainError {
     /// The chain is not the one that was pinned.
     #[error(
         "the chain at {url} is not the pinned one: its {what} is {found}, pinned is {pinned}; start the pinned chain \
-         again, or take this one over with `authros chain adopt`"
+         again, or use another --home for this one"
     )]
     Swapped {
         /// Where.

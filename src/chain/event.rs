@@ -8,6 +8,7 @@ use crate::model::{Address, Digest, GrantTerms, Hash, Identity, Scope, SignerId,
 
 /// A change of the contract's state, as its event tells it.
 #[derive(Debug, Clone, PartialEq, Eq)]
+#[allow(missing_docs, reason = "each variant's line names its fields")]
 pub enum Event {
     /// An account registered at epoch 1.
     Registered { owner: Address, identity: Identity, epoch: u64 },
@@ -82,7 +83,8 @@ impl Event {
         let event = artefact.abi.events().find(|event| event.signature().0 == first.0).ok_or("an unknown event")?;
         let topics = topics.iter().map(|topic| H256(topic.0)).collect();
         let log = event.parse_log(RawLog { topics, data: data.to_vec() }).map_err(|error| error.to_string())?;
-        let mut fields = Fields(log.params.into_iter().map(|parameter| parameter.value).collect::<Vec<_>>().into_iter());
+        let mut fields =
+            Fields(log.params.into_iter().map(|parameter| parameter.value).collect::<Vec<_>>().into_iter());
         fields.event(&event.name).ok_or_else(|| format!("a malformed event {}", event.name))
     }
 }
@@ -212,7 +214,8 @@ mod tests {
             let topics: Vec<Hash> = std::iter::once(Hash(event.signature().0))
                 .chain(event.inputs.iter().filter(|input| input.indexed).map(|_| Hash([0; 32])))
                 .collect();
-            let plain: Vec<AbiToken> = event.inputs.iter().filter(|input| !input.indexed).map(|input| zero(&input.kind)).collect();
+            let plain: Vec<AbiToken> =
+                event.inputs.iter().filter(|input| !input.indexed).map(|input| zero(&input.kind)).collect();
             let decoded = Event::decode(&topics, &ethers::abi::encode(&plain));
             assert!(decoded.is_ok(), "{}: {decoded:?}", event.name);
         }

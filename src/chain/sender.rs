@@ -20,6 +20,9 @@ use crate::model::{Address, Hash, bytes::hex};
 /// How long a deployment may wait for its block.
 const DEPLOYMENT: Duration = Duration::from_secs(60);
 
+/// The most that is offered on top of the base fee, wei.
+const LARGEST_TIP: u64 = 1_000_000_000;
+
 impl Chain {
     /// Signs a call as a legacy transaction. Nothing is sent.
     ///
@@ -91,10 +94,17 @@ impl Chain {
         self.inner.gas.lock().unwrap_or_else(PoisonError::into_inner).clear();
     }
 
-    /// The node's price and a quarter, for a base fee that rises until the transaction is mined.
+    /// What a legacy transaction offers for its gas: twice the base fee, which may rise until it is
+    /// mined, and a tip of at most 1 gwei. Where there is no base fee, the node's own price: a bump
+    /// would feed on itself, for nodes quote what was paid last.
     async fn gas_price(&self) -> Result<U256, ChainError> {
+        let block: Value = self.rpc("eth_getBlockByNumber", json!(["latest", false])).await?;
+        let base = block.get("baseFeePerGas").and_then(Value::as_str).and_then(|text| U256::from_str_radix(text, 16).ok());
         let price: U256 = self.rpc("eth_gasPrice", json!([])).await?;
-        Ok(price.saturating_add(price / 4))
+        Ok(match base.filter(|base| !base.is_zero()) {
+            Some(base) => base * 2 + price.saturating_sub(base).min(U256::from(LARGEST_TIP)),
+            None => price,
+        })
     }
 
     /// Sends signed bytes.
@@ -135,7 +145,7 @@ impl Chain {
 
     async fn raw_receipt(&self, hash: Hash) -> Result<Option<(RawReceipt, Value)>, ChainError> {
         const METHOD: &str = "eth_getTransactionReceipt";
-        let value: Value = self.rpc(METHOD, json!([format!("0x{hash}")])).await?;
+        let value: Value = self.rpc(METHOD, json!([hash.to_string()])).await?;
         if value.get("blockHash").is_none_or(Value::is_null) {
             return Ok(None);
         }

@@ -171,7 +171,9 @@ async fn another_chains_transaction_is_refused() {
     let error = other.broadcast(&signed.raw).await.expect_err("refused");
     assert!(matches!(&error, ChainError::Rejected { reason, .. } if reason.contains("chain id")), "{error}");
     let huge = vec![0xf9; 200_000];
-    assert!(matches!(other.broadcast(&huge).await, Err(ChainError::Rejected { reason, .. }) if reason.contains("oversized")));
+    assert!(
+        matches!(other.broadcast(&huge).await, Err(ChainError::Rejected { reason, .. }) if reason.contains("oversized"))
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -185,8 +187,14 @@ async fn a_restart_keeps_everything() {
     chain.broadcast(&pending.raw).await.expect("sent");
     drop(chain);
     let chain = reopened(home.path(), &pin).await.expect("opens again");
-    assert_eq!(chain.block(receipt.block).await.map(|block| block.map(|block| block.hash)), Ok(Some(receipt.block_hash)));
-    assert_eq!(chain.block(head.expect("head").number).await.expect("block"), chain.block(receipt.block).await.expect("block"));
+    assert_eq!(
+        chain.block(receipt.block).await.map(|block| block.map(|block| block.hash)),
+        Ok(Some(receipt.block_hash))
+    );
+    assert_eq!(
+        chain.block(head.expect("head").number).await.expect("block"),
+        chain.block(receipt.block).await.expect("block")
+    );
     assert_eq!(chain.events(0, receipt.block).await, Ok(events));
     assert!(mined(&chain, pending.hash).await.success, "what waited was sealed before the end");
     let now = chain.account(eoa.address()).await.expect("reads").expect("registered");

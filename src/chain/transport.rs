@@ -233,7 +233,8 @@ mod tests {
         for good in ["http://127.0.0.1:8545", "ws://localhost:8546/x", "ipc:/tmp/geth.ipc", "/tmp/geth.ipc"] {
             assert!(line(good).is_ok(), "{good}");
         }
-        for bad in ["", "127.0.0.1:8545", "https://node", "wss://node", "ipc:geth.ipc", "geth.ipc", "http://", "/tmp/x"] {
+        for bad in ["", "127.0.0.1:8545", "https://node", "wss://node", "ipc:geth.ipc", "geth.ipc", "http://", "/tmp/x"]
+        {
             assert!(line(bad).is_err(), "{bad}");
         }
         assert_eq!(shown("http://me:secret@host:1/a@b"), "http://host:1/a@b");

@@ -42,7 +42,7 @@ impl Chain {
             match self.logs(next, last).await {
                 Ok(logs) => {
                     for log in logs {
-                        found.push(self.decode(log)?);
+                        found.push(self.decode(&log)?);
                     }
                     next = last + 1;
                     chunk = CHUNK.min(chunk * 2);
@@ -66,13 +66,13 @@ impl Chain {
         Ok(logs)
     }
 
-    fn decode(&self, log: RawLog) -> Result<EventAt, ChainError> {
+    fn decode(&self, log: &RawLog) -> Result<EventAt, ChainError> {
         let topics: Vec<Hash> = log.topics.iter().map(|topic| Hash(topic.0)).collect();
         let event = Event::decode(&topics, &log.data).map_err(|reason| self.misunderstood("eth_getLogs", &reason))?;
         Ok(EventAt {
             block: log.block_number.as_u64(),
             block_hash: Hash(log.block_hash.0),
-            timestamp: log.block_timestamp.map(|timestamp| timestamp.as_u64()),
+            timestamp: log.block_timestamp.as_ref().map(U64::as_u64),
             transaction: Hash(log.transaction_hash.0),
             log_index: log.log_index.as_u64(),
             event,

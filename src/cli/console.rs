@@ -1,6 +1,6 @@
 //! `authros`: the console on this home's site, embedded or joined.
 
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use tokio::sync::{broadcast, mpsc};
 
@@ -10,8 +10,8 @@ use super::passphrase;
 use crate::model::{ErrorKind, Timestamp};
 use crate::service::client::site_gone;
 use crate::service::event::NoticeLevel;
-use crate::service::{Call, Client, Command, Event, Failure, Needs};
-use crate::term::{self, ConsoleOptions};
+use crate::service::{Call, Client, Command, Event, Failure, Needs, Site};
+use crate::term::{self, ConsoleOptions, ExitReason};
 
 /// Runs the console until it is left; the exit code is the terminal's.
 ///
@@ -24,36 +24,48 @@ pub fn run(runtime: &tokio::runtime::Runtime, context: Context, arguments: Conso
             "the console needs a terminal, and this is none; without one use `authros demo`, `authros capture` or `authros serve`",
         ));
     }
-    let _guard = runtime.enter();
     let (events, _) = broadcast::channel(1024);
     let (calls, waiting) = mpsc::unbounded_channel();
     let client = Client::new(context.profile.clone(), calls, events.clone());
-    // The home is claimed before the first frame, so that a refusal is a plain line on stderr.
-    let connection = runtime.block_on(connect(&context))?;
-    let site = connection.site.clone();
-    runtime.spawn(relay(connection.client.clone(), waiting, events));
-    runtime.spawn(unlock(context, connection.client));
+    let site = Arc::new(OnceLock::new());
+    // The first frame does not wait for the site: calls are answered as soon as it is there.
+    runtime.spawn(serve(context, Arc::clone(&site), waiting, events));
     let options = ConsoleOptions { theme: arguments.theme, ascii: arguments.ascii, read_only: arguments.read_only, ..ConsoleOptions::default() };
-    let ended = term::run(client, options);
-    if let Some(site) = site {
-        runtime.block_on(site.stop());
+    let ended = term::run(client, runtime.handle(), &options);
+    if let Some(site) = site.get() {
+        runtime.block_on(Arc::clone(site).stop());
     }
     let reason = ended.map_err(|error| Failure::new(error.kind(), error.to_string()))?;
-    Ok(reason.exit_code())
-}
-
-async fn connect(context: &Context) -> Result<Connection, Failure> {
-    let connection = context.connect(Needs { ros: true, chain: true }).await?;
-    match connection.client.request(Command::OpenConsole).await {
-        Ok(_) => Ok(connection),
-        Err(failure) => {
-            connection.close().await;
-            Err(failure)
-        }
+    match reason {
+        ExitReason::Refused(failure) => Err(failure),
+        reason => Ok(reason.exit_code()),
     }
 }
 
-async fn relay(site: Client, mut calls: mpsc::UnboundedReceiver<Call>, events: broadcast::Sender<Event>) {
+type Calls = mpsc::UnboundedReceiver<Call>;
+
+async fn serve(context: Context, site: Arc<OnceLock<Arc<Site>>>, waiting: Calls, events: broadcast::Sender<Event>) {
+    match context.connect(Needs { ros: true, chain: true }).await {
+        Ok(Connection { client, site: own }) => {
+            if let Some(own) = own {
+                // Set once: this is the only place.
+                drop(site.set(own));
+            }
+            tokio::spawn(unlock(context, client.clone()));
+            relay(client, waiting, events).await;
+        }
+        Err(failure) => refuse(waiting, &failure).await,
+    }
+}
+
+async fn refuse(mut waiting: Calls, failure: &Failure) {
+    while let Some(Call { answer, .. }) = waiting.recv().await {
+        // A console that no longer waits is no fault.
+        drop(answer.send(Err(failure.clone())));
+    }
+}
+
+async fn relay(site: Client, mut calls: Calls, events: broadcast::Sender<Event>) {
     let mut heard = site.events();
     loop {
         tokio::select! {
@@ -80,7 +92,6 @@ async fn relay(site: Client, mut calls: mpsc::UnboundedReceiver<Call>, events: b
 
 /// Opens the keyring by itself where its passphrase was given or lies beside it.
 async fn unlock(context: Context, client: Client) {
-    let context = Arc::new(context);
     if !context.home.keyring(&context.profile).exists() {
         return;
     }

@@ -42,7 +42,8 @@ pub fn main() -> ExitCode {
         .map_err(|error| Failure::new(crate::model::ErrorKind::Internal, format!("threads cannot be started: {error}")))
         .and_then(|runtime| {
             let result = run(&runtime, arguments, &output);
-            runtime.shutdown_timeout(std::time::Duration::from_secs(3));
+            // All is flushed; tasks that still wait end with the process, not one by one.
+            std::mem::forget(runtime);
             result
         });
     match result {

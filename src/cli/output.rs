@@ -22,11 +22,6 @@ impl Output {
         Self { json }
     }
 
-    /// Whether results are JSON.
-    pub fn is_json(self) -> bool {
-        self.json
-    }
-
     /// The result: `value` as one JSON document, or `text`.
     pub fn result<T: Serialize>(self, value: &T, text: impl FnOnce() -> String) {
         let line = if self.json { serde_json::to_string(value).unwrap_or_default() } else { clean_lines(&text(), WIDEST) };

@@ -40,7 +40,7 @@ fn nibble(character: u8) -> Option<u8> {
 }
 
 macro_rules! fixed_bytes {
-    ($($(#[$doc:meta])* $name:ident($size:literal);)*) => {$(
+    ($($(#[$doc:meta])* $name:ident($size:literal) $prefix:literal;)*) => {$(
         $(#[$doc])*
         #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
         pub struct $name(pub [u8; $size]);
@@ -67,7 +67,7 @@ macro_rules! fixed_bytes {
 
         impl fmt::Display for $name {
             fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-                formatter.write_str(&self.to_hex())
+                write!(formatter, concat!($prefix, "{}"), self.to_hex())
             }
         }
 
@@ -90,7 +90,7 @@ macro_rules! fixed_bytes {
 
         impl Serialize for $name {
             fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-                serializer.serialize_str(&self.to_hex())
+                serializer.collect_str(self)
             }
         }
 
@@ -105,29 +105,30 @@ macro_rules! fixed_bytes {
 
 fixed_bytes! {
     /// SM3 of a record's stored bytes: what the chain keeps.
-    Digest(32);
+    Digest(32) "";
     /// Public commitment to an epoch's key; selects an epoch, authenticates nobody.
-    Token(32);
+    Token(32) "";
     /// Binds every signed, derived or hashed structure to one chain and contract.
-    Domain(32);
+    Domain(32) "";
     /// A 32-byte hash that is not a record digest: transactions, blocks, code, genesis.
-    Hash(32);
+    /// Written with 0x before it, as Ethereum tools do.
+    Hash(32) "0x";
     /// Pseudonym of a topic, computable only by readers.
-    TopicId(16);
+    TopicId(16) "";
     /// Pseudonym of a type or tag, for queries.
-    FilterId(8);
+    FilterId(8) "";
     /// One ledger file's life; new per ledger and per restore.
-    RecorderId(16);
+    RecorderId(16) "";
     /// SM3 of a signer's public key.
-    SignerId(32);
+    SignerId(32) "";
     /// Fresh randomness of one record.
-    Salt(24);
+    Salt(24) "";
     /// Commitment of a record to its keys.
-    Commit(32);
+    Commit(32) "";
     /// An SM2 public key, affine x || y.
-    PublicKey(64);
+    PublicKey(64) "";
     /// A raw SM2 signature, r || s.
-    Signature(64);
+    Signature(64) "";
 }
 
 #[cfg(test)]
@@ -140,6 +141,8 @@ mod tests {
         assert_eq!(id.to_hex().parse::<TopicId>(), Ok(id));
         assert_eq!(format!("0x{id}").parse::<TopicId>(), Ok(id));
         assert!("a5".parse::<TopicId>().is_err());
+        assert_eq!(Hash([1; 32]).to_string(), format!("0x{}", "01".repeat(32)));
+        assert_eq!(Hash([1; 32]).to_string().parse::<Hash>(), Ok(Hash([1; 32])));
         assert_eq!(unhex("abc"), None);
         assert_eq!(unhex("zz"), None);
         assert_eq!(unhex("é0"), None);

@@ -9,11 +9,13 @@ use tokio::task::block_in_place;
 
 use crate::chain::{Call, Chain, ChainError, Receipt};
 use crate::crypto::EoaSecret;
-use crate::model::{Address, Digest, Hash, clean};
+use crate::model::{Address, Digest, Hash, Timestamp, clean};
 use crate::store::{Ledger, NewTransaction, TransactionOutcome};
 
 use super::PipelineError;
 
+/// A transaction signed less long ago than this is not sent again, nanoseconds.
+const QUIET: u64 = 4_000_000_000;
 /// How long a single transaction may take until its sender is told that it waits.
 const PATIENCE: Duration = Duration::from_secs(120);
 
@@ -139,7 +141,7 @@ impl Sender {
         if open.is_empty() {
             return Ok((0, Vec::new()));
         }
-        let mined = chain.nonce(account, false).await?;
+        let (now, mined) = (Timestamp::now(), chain.nonce(account, false).await?);
         let (mut waiting, mut refused) = (0, Vec::new());
         for row in open {
             if row.nonce < mined {
@@ -155,6 +157,9 @@ impl Sender {
                 continue;
             }
             waiting += 1;
+            if now.0.saturating_sub(row.signed_at.0) < QUIET {
+                continue;
+            }
             match chain.broadcast(&row.raw).await {
                 Ok(_) | Err(ChainError::AlreadyKnown | ChainError::NonceTooLow) => {}
                 Err(error) => return Err(error.into()),

@@ -17,12 +17,24 @@ pub fn verify_round(plant: &Plant, network: &Network) -> Result<usize, PipelineE
     let rows = plant.ledger.in_state(None, RecordState::Confirmed, ROUND)?;
     let (mut good, mut bad) = (Vec::new(), Vec::new());
     for row in &rows {
+        put_back(plant, row)?;
         let verified = is_sound(plant, network, row)?;
         if verified { &mut good } else { &mut bad }.push(row.digest);
     }
     settle(plant, &good, RecordState::Verified)?;
     settle(plant, &bad, RecordState::Tampered)?;
     Ok(rows.len())
+}
+
+/// A vault that is only a cache may have forgotten the record; the ledger still has its copy.
+fn put_back(plant: &Plant, row: &RecordRow) -> Result<(), PipelineError> {
+    if plant.vault.durable() || plant.vault.contains(row.digest)? {
+        return Ok(());
+    }
+    if let Some(copy) = plant.ledger.local_copy(row.digest)? {
+        plant.vault.put(&[(row.digest, &copy)])?;
+    }
+    Ok(())
 }
 
 fn is_sound(plant: &Plant, network: &Network, row: &RecordRow) -> Result<bool, PipelineError> {

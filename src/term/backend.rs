@@ -45,7 +45,9 @@ impl Backend for FrameBackend {
     type Error = Infallible;
 
     fn draw<'a, I: Iterator<Item = (u16, u16, &'a Cell)>>(&mut self, content: I) -> Result<(), Infallible> {
-        content.for_each(|(x, y, cell)| self.encoder.cell(x, y, cell));
+        for (x, y, cell) in content {
+            self.encoder.cell(x, y, cell);
+        }
         Ok(())
     }
 

@@ -28,9 +28,9 @@ impl Budget {
     /// So many bytes were sent, for a key or for data.
     pub fn spend(&mut self, bytes: usize, now: Instant) {
         let bytes = u32::try_from(bytes).unwrap_or(u32::MAX);
-        let cost = self.bytes_per_second.map_or(Duration::ZERO, |rate| {
-            Duration::from_secs_f64(f64::from(bytes) / f64::from(rate))
-        });
+        let cost = self
+            .bytes_per_second
+            .map_or(Duration::ZERO, |rate| Duration::from_secs_f64(f64::from(bytes) / f64::from(rate)));
         // A debt of earlier frames is kept: keys draw at once, data pays for them.
         self.next = self.next.max(now) + cost;
         self.next = self.next.max(now + LEAST_GAP);

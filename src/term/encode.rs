@@ -39,11 +39,8 @@ impl Encoder {
     pub fn cell(&mut self, x: u16, y: u16, cell: &Cell) {
         self.begin();
         self.move_to(Position { x, y });
-        let look = Look {
-            foreground: self.depth.map(cell.fg),
-            background: self.depth.map(cell.bg),
-            modifier: cell.modifier,
-        };
+        let look =
+            Look { foreground: self.depth.map(cell.fg), background: self.depth.map(cell.bg), modifier: cell.modifier };
         self.set_look(look);
         self.out.push_str(cell.symbol());
         // Terminals differ on the width of what is not one column wide.
@@ -123,12 +120,8 @@ impl Encoder {
             return self.out.push_str("\x1b[m");
         }
         self.out.push_str("\x1b[0");
-        let modifiers = [
-            (Modifier::BOLD, ";1"),
-            (Modifier::DIM, ";2"),
-            (Modifier::UNDERLINED, ";4"),
-            (Modifier::REVERSED, ";7"),
-        ];
+        let modifiers =
+            [(Modifier::BOLD, ";1"), (Modifier::DIM, ";2"), (Modifier::UNDERLINED, ";4"), (Modifier::REVERSED, ";7")];
         for (_, code) in modifiers.into_iter().filter(|(modifier, _)| look.modifier.contains(*modifier)) {
             self.out.push_str(code);
         }
@@ -179,10 +172,7 @@ mod tests {
         encoder.cell(1, 0, &cell("b", bold));
         encoder.cell(5, 0, &cell("c", Style::default()));
         encoder.cell(7, 3, &cell("d", Style::default()));
-        assert_eq!(
-            encoder.take_frame(),
-            "\x1b[?2026h\x1b[1H\x1b[0;1;38;5;196mab\x1b[3C\x1b[mc\x1b[4;8Hd\x1b[?2026l"
-        );
+        assert_eq!(encoder.take_frame(), "\x1b[?2026h\x1b[1H\x1b[0;1;38;5;196mab\x1b[3C\x1b[mc\x1b[4;8Hd\x1b[?2026l");
     }
 
     #[test]

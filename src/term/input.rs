@@ -22,18 +22,23 @@ const PATIENCE: Duration = Duration::from_millis(500);
 pub fn start(stop: Arc<AtomicBool>, typed: impl Fn(Action) + Send + 'static) -> io::Result<()> {
     let read = move || {
         while !stop.load(Ordering::Relaxed) {
-            match event::poll(PATIENCE) {
-                Ok(true) => match event::read() {
-                    Ok(event) => actions(event).into_iter().for_each(&typed),
-                    Err(_) => thread::sleep(PATIENCE),
-                },
-                Ok(false) => {}
+            match next() {
+                Ok(heard) => {
+                    for action in heard {
+                        typed(action);
+                    }
+                }
                 // The watchdog finds out whether the terminal is gone.
                 Err(_) => thread::sleep(PATIENCE),
             }
         }
     };
     thread::Builder::new().name(format!("{THREAD_PREFIX}input")).spawn(read).map(drop)
+}
+
+/// What was typed next; nothing where nothing was for a while.
+fn next() -> io::Result<Vec<Action>> {
+    if event::poll(PATIENCE)? { event::read().map(actions) } else { Ok(Vec::new()) }
 }
 
 fn actions(event: Event) -> Vec<Action> {

@@ -108,7 +108,7 @@ pub fn is_interactive() -> bool {
 ///
 /// # Errors
 /// [`TermError`] where there is no terminal, or it fails.
-pub fn run(client: Client, handle: &Handle, options: ConsoleOptions) -> Result<ExitReason, TermError> {
+pub fn run(client: Client, handle: &Handle, options: &ConsoleOptions) -> Result<ExitReason, TermError> {
     if !is_interactive() {
         return Err(TermError::NotATerminal);
     }

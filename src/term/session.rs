@@ -55,9 +55,9 @@ pub struct Session {
 
 impl Session {
     /// Takes the terminal and draws the first frame.
-    pub fn open(client: Client, handle: &Handle, options: ConsoleOptions) -> Result<Self, TermError> {
+    pub fn open(client: Client, handle: &Handle, options: &ConsoleOptions) -> Result<Self, TermError> {
         let depth = Depth::from_environment(|name| std::env::var(name).ok());
-        let theme = theme(&options, depth)?;
+        let theme = theme(options, depth)?;
         let directory = options.directory.clone().map_or_else(std::env::current_dir, Ok)?;
         let mut state = State::new(Settings {
             profile: client.profile().clone(),
@@ -72,7 +72,7 @@ impl Session {
         let guard = guard::Guard::enter(sender(&mouth, |fault| Heard::Act(Action::Fault(fault))))?;
         let painter = Painter::new(depth, state.size);
         let stage = Arc::new(Stage::new(state, theme));
-        let budget = Budget::new(bytes_per_second(&options), Instant::now());
+        let budget = Budget::new(bytes_per_second(options), Instant::now());
         renderer::start(Arc::clone(&stage), painter, budget, sender(&mouth, |_| Heard::TerminalFailed))?;
         let stop = Arc::new(AtomicBool::new(false));
         input::start(Arc::clone(&stop), sender(&mouth, Heard::Act))?;
@@ -143,6 +143,7 @@ impl Session {
             Heard::Act(action) => self.act(action),
             Heard::Signal(signal) if signals::ends(signal) => Some(Ok(ended_by(signal))),
             Heard::Signal(signal) if signals::suspends(signal) => self.suspend(),
+            Heard::Signal(signal) if signals::continues(signal) => self.retake(),
             Heard::Signal(_) => None,
             Heard::TerminalFailed if io::stdin().is_terminal() => {
                 Some(Err(TermError::Fault("the terminal takes no more output".to_owned())))
@@ -185,7 +186,9 @@ impl Session {
     fn carry_out(&mut self, effects: Vec<Effect>) -> Option<Result<ExitReason, TermError>> {
         for effect in effects {
             match effect {
-                Effect::Send(command, tag) => self.ask(command, move |result| Action::Answered { tag, result }),
+                Effect::Send(command, tag) => {
+                    self.ask(command, move |result| Action::Answered { tag, result: Box::new(result) })
+                }
                 Effect::Quit => return Some(Ok(ExitReason::Quit)),
                 Effect::Leave(failure) => return Some(Ok(ExitReason::Refused(failure))),
                 Effect::Suspend => return self.suspend(),
@@ -229,29 +232,29 @@ impl Session {
     /// Gives the terminal to the shell until this process is continued.
     fn suspend(&mut self) -> Option<Result<ExitReason, TermError>> {
         self.stage.change(Wish::None, |scene| scene.suspended = true);
-        let stage = Arc::clone(&self.stage);
-        {
-            let _writing = stage.output.lock().unwrap_or_else(PoisonError::into_inner);
+        let stopped = {
+            let _writing = self.stage.output.lock().unwrap_or_else(PoisonError::into_inner);
             guard::restore();
-            if let Err(error) = signals::stop_here() {
-                return Some(Err(error.into()));
-            }
-            if let Err(error) = guard::take() {
-                return Some(Err(error.into()));
-            }
+            signals::stop_here()
+        };
+        if let Err(error) = stopped {
+            return Some(Err(error.into()));
         }
-        let size = crossterm::terminal::size().ok();
-        stage.change(Wish::Now, |scene| {
-            scene.suspended = false;
-            scene.anew = true;
-        });
-        if let Some((columns, rows)) = size {
-            let ended = self.act(Action::Resize { columns, rows });
-            if ended.is_some() {
-                return ended;
-            }
+        self.stage.change(Wish::None, |scene| scene.suspended = false);
+        self.retake().or_else(|| self.act(Action::Resumed))
+    }
+
+    /// Takes the terminal again after others had it.
+    fn retake(&mut self) -> Option<Result<ExitReason, TermError>> {
+        let taken = {
+            let _writing = self.stage.output.lock().unwrap_or_else(PoisonError::into_inner);
+            guard::take().and_then(|()| crossterm::terminal::size())
+        };
+        self.stage.change(Wish::Now, |scene| scene.anew = true);
+        match taken {
+            Ok((columns, rows)) => self.act(Action::Resize { columns, rows }),
+            Err(error) => Some(Err(error.into())),
         }
-        self.act(Action::Resumed)
     }
 
     /// Ends the threads and gives the terminal back.

@@ -19,6 +19,11 @@ pub fn suspends(signal: i32) -> bool {
     signal == SIGTSTP
 }
 
+/// Whether a signal says that this process was stopped from outside and runs again.
+pub fn continues(signal: i32) -> bool {
+    signal == SIGCONT
+}
+
 /// Whether a signal ends the console.
 pub fn ends(signal: i32) -> bool {
     ENDING.contains(&signal)

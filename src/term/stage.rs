@@ -49,15 +49,8 @@ pub struct Stage {
 impl Stage {
     /// With a first frame wanted.
     pub fn new(state: State, theme: Theme) -> Self {
-        let scene = Scene {
-            state,
-            theme,
-            wish: Wish::Now,
-            anew: false,
-            extra: String::new(),
-            suspended: false,
-            over: false,
-        };
+        let scene =
+            Scene { state, theme, wish: Wish::Now, anew: false, extra: String::new(), suspended: false, over: false };
         Self { scene: Mutex::new(scene), bell: Condvar::new(), output: Mutex::new(()) }
     }
 

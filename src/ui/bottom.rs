@@ -5,11 +5,11 @@ use ratatui::layout::Rect;
 use super::canvas::{Canvas, columns, row};
 use super::theme::Role;
 use super::words::wrap;
+use crate::app::State;
 use crate::app::available::available;
 use crate::app::popup_keys::hints;
 use crate::app::update::under_way;
 use crate::app::verb::{Entry, VERBS, Verb};
-use crate::app::State;
 use crate::service::NoticeLevel;
 
 /// The most lines a message takes.

@@ -15,7 +15,9 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, roomy: bool) -> Rect
     }
     let next = steps.iter().position(|step| !step.done);
     if !roomy {
-        next.into_iter().for_each(|place| draw_step(canvas, row(area, 0), &steps[place], place, true));
+        if let Some((place, step)) = steps.iter().enumerate().find(|(_, step)| !step.done) {
+            draw_step(canvas, row(area, 0), step, place, true);
+        }
         return below(area, 1);
     }
     canvas.puts(row(area, 0), &[("First steps", Role::Title), ("  press the key", Role::Dim)]);

@@ -16,7 +16,7 @@ const COLUMNS: &[Column] = &[
     Column::text("", 8),
     Column::text("Account", 13),
     Column::text("Full address", 42).from(130),
-    Column::wide("Topics"),
+    Column::name("Topics"),
     Column::number("Epoch", 6),
     Column::text("Ends UTC", 16).from(75),
     Column::number("Block", 8).from(100),
@@ -32,7 +32,8 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
     let note = format!("{} of {}, by {order}; {readers} can read new records now", rows.len(), grants.rows.len());
     let cells = |index: usize| rows.get(index).map_or_else(Vec::new, |row| cells(row));
     let empty = empty(state, Feed::Grants, "Nothing granted or received yet: g grants.");
-    let sheet = Sheet { title: "Grants", note, columns: COLUMNS, keys: &keys, cells: &cells, table: &grants.table, empty };
+    let sheet =
+        Sheet { title: "Grants", note, columns: COLUMNS, keys: &keys, cells: &cells, table: &grants.table, empty };
     draw_table(canvas, area, &sheet);
 }
 

@@ -4,6 +4,7 @@ use ratatui::layout::Rect;
 
 use super::canvas::{Canvas, columns, right_of, row};
 use super::theme::Role;
+use crate::app::feed::Feed;
 use crate::app::{Screen, State};
 use crate::service::reply::{HealthLevel, PartHealth};
 
@@ -31,9 +32,10 @@ fn draw_first(canvas: &mut Canvas, area: Rect, state: &State) {
     if let Some(address) = state.address().filter(|_| area.width >= ADDRESS_FROM) {
         rest = canvas.puts(rest, &[(&address.short(), Role::Dim), ("  ", Role::Body)]);
     }
-    match &state.site {
-        Some(site) => draw_health(canvas, rest, &site.health),
-        None => drop(canvas.put(rest, "site starting…", Role::Warning)),
+    match (&state.site, &state.feeds.slot(Feed::Site).failure) {
+        (_, Some(_)) => drop(canvas.put(rest, "✖ the site does not answer", Role::Bad)),
+        (Some(site), None) => draw_health(canvas, rest, &site.health),
+        (None, None) => drop(canvas.put(rest, "site starting…", Role::Warning)),
     }
 }
 

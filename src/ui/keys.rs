@@ -46,12 +46,11 @@ fn draw_identity(canvas: &mut Canvas, area: Rect, state: &State, identity: &Iden
     line(canvas, row(area, 3), "Address", &address, Role::Accent);
     canvas.put(right_of(row(area, 4), LABEL), "y copies it; give it to whoever shall share with you", Role::Dim);
     let rest = below(area, 6);
-    match &state.keys {
-        Some(keys) => draw_keys(canvas, rest, keys),
-        None => {
-            let failure = state.feeds.slot(Feed::Keys).failure.as_ref();
-            canvas.put(rest, failure.map_or("Asking for the keys…", |failure| &failure.message), Role::Dim);
-        }
+    if let Some(keys) = &state.keys {
+        draw_keys(canvas, rest, keys);
+    } else {
+        let failure = state.feeds.slot(Feed::Keys).failure.as_ref();
+        canvas.put(rest, failure.map_or("Asking for the keys…", |failure| &failure.message), Role::Dim);
     }
 }
 

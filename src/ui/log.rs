@@ -23,10 +23,17 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
         NoticeLevel::Warning => "warnings and errors",
         NoticeLevel::Error => "errors",
     };
-    let note = format!("{} lines, {least}, newest first", lines.len());
+    let note = format!("{} of {} lines, {least}, newest first", lines.len(), log.count());
     let cells = |index: usize| lines.get(index).map_or_else(Vec::new, |line| cells(line));
-    let sheet =
-        Sheet { title: "Log", note, columns: COLUMNS, keys: &keys, cells: &cells, table: &log.table, empty: "Nothing yet." };
+    let sheet = Sheet {
+        title: "Log",
+        note,
+        columns: COLUMNS,
+        keys: &keys,
+        cells: &cells,
+        table: &log.table,
+        empty: "Nothing yet.",
+    };
     draw_table(canvas, area, &sheet);
 }
 

@@ -9,6 +9,7 @@ use super::{bottom, first_run, header, topics, words};
 use crate::app::State;
 use crate::app::alerts::alerts;
 use crate::app::feed::Feed;
+use crate::model::clean;
 use crate::service::reply::{LifeLine, SiteView};
 
 /// Below so many rows blank lines are left out and only the next step is shown.
@@ -17,8 +18,8 @@ const ROOMY_FROM: u16 = 18;
 const MOST_ALERTS: usize = 4;
 
 const COLUMNS: &[Column] = &[
-    Column::wide("Busiest topics"),
-    Column::text("Type", 24).from(100),
+    Column::name("Busiest topics"),
+    Column::text("Type", 27).from(100),
     Column::number("Hz", 7),
     Column::number("kB/s", 8),
     Column::text("", 7),
@@ -30,15 +31,18 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
     let roomy = area.height >= ROOMY_FROM;
     let gap = u16::from(roomy);
     let mut rest = area;
-    match &state.site {
-        Some(site) => {
-            rest = draw_health(canvas, rest, site);
-            rest = draw_life(canvas, below(rest, gap), state, &site.life);
+    if let Some(site) = &state.site {
+        rest = draw_health(canvas, rest, site);
+        rest = draw_life(canvas, below(rest, gap), state, &site.life);
+    } else {
+        let failure = state.feeds.slot(Feed::Site).failure.as_ref();
+        let (text, role) =
+            failure.map_or(("The site is starting…", Role::Dim), |failure| (&failure.message, Role::Bad));
+        let lines = words::wrap(&clean(text, 500), rest.width);
+        for (line, text) in (0u16..).zip(&lines) {
+            canvas.put(row(rest, line), text, role);
         }
-        None => {
-            canvas.put(row(rest, 0), "The site is starting…", Role::Dim);
-            rest = below(rest, 1);
-        }
+        rest = below(rest, u16::try_from(lines.len()).unwrap_or(1));
     }
     rest = draw_alerts(canvas, below(rest, gap), state, if roomy { MOST_ALERTS } else { 1 });
     rest = first_run::draw(canvas, rest, state, roomy);
@@ -50,11 +54,15 @@ fn draw_health(canvas: &mut Canvas, area: Rect, site: &SiteView) -> Rect {
         let (dot, role, _) = header::level(part);
         let place = row(area, line);
         canvas.put(place, &part.part, Role::Body);
-        let rest = canvas.puts(right_of(place, 9), &[(dot, role), (" ", Role::Body), (&part.text, Role::Body)]);
+        let mut rest = right_of(place, 9);
         if part.part == "ros" && site.robots > 0 {
-            let robots = format!(" {} robots ", site.robots);
-            canvas.puts(rest, &[(&robots, Role::Body), ("SIMULATED", Role::Badge)]);
+            // What is simulated must be said, whatever else has to be cut.
+            let badge = canvas.put_right(rest, "SIMULATED", Role::Badge);
+            rest.width -= badge;
+            let robots = canvas.put_right(rest, &format!(" {} robots ", site.robots), Role::Body);
+            rest.width -= robots;
         }
+        canvas.puts(rest, &[(dot, role), (" ", Role::Body), (&part.text, Role::Body)]);
     }
     below(area, u16::try_from(site.health.len()).unwrap_or(4))
 }

@@ -14,8 +14,8 @@ use crate::service::reply::RecordView;
 
 const UPLOADS: &[Column] = &[
     Column::text("State", 11),
-    Column::wide("Topic"),
-    Column::text("Type", 26).from(120),
+    Column::name("Topic"),
+    Column::text("Type", 27).from(120),
     Column::number("Seq", 7),
     Column::number("Size", 8),
     Column::text("UTC", 8),
@@ -29,8 +29,8 @@ const UPLOADS: &[Column] = &[
 const SHARED: &[Column] = &[
     Column::text("State", 11),
     Column::text("Owner", 13),
-    Column::wide("Topic"),
-    Column::text("Type", 26).from(120),
+    Column::name("Topic"),
+    Column::text("Type", 27).from(120),
     Column::number("Seq", 7),
     Column::number("Size", 8),
     Column::text("UTC", 8).from(70),
@@ -95,7 +95,7 @@ fn cells(row: &RecordView, with_owner: bool) -> Vec<(String, Role)> {
         (row.epoch.to_string(), Role::Dim),
         (row.block.map(|block| block.to_string()).unwrap_or_default(), Role::Dim),
         (row.id.clone(), Role::Dim),
-        if row.simulated { ("SIM".to_owned(), Role::Warning) } else { Default::default() },
+        (if row.simulated { "SIM".to_owned() } else { String::new() }, Role::Warning),
         simulated(row.simulated),
     ]);
     cells

@@ -6,12 +6,17 @@ use super::canvas::{Canvas, below, columns, right_of, row};
 use super::theme::Role;
 use crate::app::table::Table;
 
+/// The widest a column of names grows.
+const WIDEST_NAME: u16 = 56;
+
 /// One column.
 pub struct Column {
     /// Its head.
     pub title: &'static str,
     /// Its width; 0 = what is left (one column of a table).
     pub width: u16,
+    /// The most it takes.
+    pub most: u16,
     /// Whether it stands at the right edge of its column.
     pub right: bool,
     /// Shown from so many columns of the terminal on.
@@ -21,19 +26,24 @@ pub struct Column {
 }
 
 impl Column {
-    /// A column that takes what is left; it carries the cursor.
+    /// A column of names that takes what is left, up to [`WIDEST_NAME`]; it carries the cursor.
+    pub const fn name(title: &'static str) -> Self {
+        Self { title, width: 0, most: WIDEST_NAME, right: false, from: 0, below: u16::MAX }
+    }
+
+    /// A column that takes all that is left; it carries the cursor.
     pub const fn wide(title: &'static str) -> Self {
-        Self { title, width: 0, right: false, from: 0, below: u16::MAX }
+        Self { title, width: 0, most: u16::MAX, right: false, from: 0, below: u16::MAX }
     }
 
     /// A column of words.
     pub const fn text(title: &'static str, width: u16) -> Self {
-        Self { title, width, right: false, from: 0, below: u16::MAX }
+        Self { title, width, most: width, right: false, from: 0, below: u16::MAX }
     }
 
     /// A column of numbers.
     pub const fn number(title: &'static str, width: u16) -> Self {
-        Self { title, width, right: true, from: 0, below: u16::MAX }
+        Self { title, width, most: width, right: true, from: 0, below: u16::MAX }
     }
 
     /// The same, only on terminals with fewer columns.
@@ -114,7 +124,7 @@ fn draw_title(canvas: &mut Canvas, area: Rect, sheet: &Sheet) {
 
 fn draw_row(canvas: &mut Canvas, area: Rect, sheet: &Sheet, widths: &[u16], index: usize, here: bool) {
     let marked = sheet.keys.get(index).is_some_and(|key| sheet.table.marks.contains(key));
-    canvas.puts(area, &[(if here { "▌" } else { " " }, Role::Accent), (if marked { "✓" } else { " " }, Role::Accent)]);
+    canvas.puts(area, &[(if here { "▌" } else { " " }, Role::Body), (if marked { "✓" } else { " " }, Role::Body)]);
     let mut cells = (sheet.cells)(index).into_iter();
     draw_cells(canvas, area, sheet.columns, widths, |column| {
         let (text, role) = cells.next().unwrap_or_default();
@@ -136,7 +146,11 @@ fn draw_cells(
             continue;
         }
         let place = Rect { width: (*width).min(rest.width), ..rest };
-        if column.right { canvas.put_right(place, &text, role) } else { canvas.put(place, &text, role) };
+        if column.right {
+            canvas.put_right(place, &text, role)
+        } else {
+            canvas.put(place, &text, role)
+        };
         rest = right_of(rest, width + 1);
     }
 }
@@ -148,7 +162,7 @@ fn widths(columns: &[Column], whole: u16) -> Vec<u16> {
     let left = whole.saturating_sub(GUTTER + fixed).max(8);
     let width = |column: &Column| match (shown(column), column.width) {
         (false, _) => 0,
-        (true, 0) => left,
+        (true, 0) => left.min(column.most),
         (true, width) => width,
     };
     columns.iter().map(width).collect()

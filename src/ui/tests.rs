@@ -1,1 +1,194 @@
-//! t
+//! Every screen and popup as text at the sizes operators have, and hostile text on all of them.
+
+mod hostile;
+
+use ratatui::Terminal;
+use ratatui::backend::TestBackend;
+
+use super::{Theme, draw};
+use crate::app::tests::{Robot, fixtures};
+use crate::app::{Action, Key, Screen, Settings, State, Tag};
+use crate::model::ErrorKind;
+use crate::service::reply::{HealthLevel, LifeLine, SiteView};
+use crate::service::{Event, NoticeLevel, Part, Reply};
+
+const SIZES: [(u16, u16); 3] = [(80, 24), (120, 40), (60, 18)];
+
+/// The state drawn at its size, as text.
+fn shown(state: &State, theme: &Theme) -> String {
+    let (columns, rows) = state.size;
+    let mut terminal = Terminal::new(TestBackend::new(columns, rows)).expect("a terminal");
+    terminal.draw(|frame| draw(frame, state, theme)).expect("drawn");
+    let buffer = terminal.backend().buffer();
+    let line = |row: u16| -> String { (0..columns).map(|column| buffer[(column, row)].symbol()).collect() };
+    (0..rows).map(|row| line(row).trim_end().to_owned() + "\n").collect()
+}
+
+fn night() -> Theme {
+    Theme::named("night").expect("embedded")
+}
+
+/// A console at work, of that size, on that screen.
+fn at(screen: Screen, (columns, rows): (u16, u16)) -> Robot {
+    let mut robot = Robot::at_work(true);
+    robot.act(Action::Resize { columns, rows });
+    robot.act(Action::Do(crate::app::Verb::Go(screen)));
+    robot.site_answers(true);
+    robot
+}
+
+fn compare(name: &str, text: &str) {
+    let mut settings = insta::Settings::clone_current();
+    settings.set_prepend_module_to_snapshot(false);
+    settings.set_omit_expression(true);
+    settings.set_snapshot_path("snapshots");
+    settings.bind(|| insta::assert_snapshot!(name, text));
+}
+
+#[test]
+fn every_screen_at_every_size() {
+    for screen in Screen::ALL {
+        let pages = SIZES.map(|size| {
+            let state = at(screen, size).state;
+            format!("{}x{}\n{}", size.0, size.1, shown(&state, &night()))
+        });
+        compare(&screen.title().to_lowercase(), &pages.join("\n"));
+    }
+}
+
+/// One popup each, opened by keys.
+fn popups() -> Vec<(&'static str, Robot)> {
+    let size = SIZES[0];
+    let mut popups = Vec::new();
+    let mut add = |name, screen, open: &dyn Fn(&mut Robot)| {
+        let mut robot = at(screen, size);
+        open(&mut robot);
+        popups.push((name, robot));
+    };
+    add("palette", Screen::Overview, &|robot| robot.types(":re"));
+    add("help", Screen::Topics, &|robot| robot.types("?"));
+    add("grant", Screen::Grants, &|robot| robot.types("g"));
+    add("grant refused", Screen::Grants, &|robot| {
+        robot.types("g0x12");
+        for _ in 0..4 {
+            robot.presses(Key::Enter);
+        }
+    });
+    add("grant asked", Screen::Grants, &|robot| {
+        robot.types("g0x5aAeb6053F3E94C9b9A09f33669435E7Ef1BeAed");
+        for _ in 0..4 {
+            robot.presses(Key::Enter);
+        }
+    });
+    add("revoke asked", Screen::Grants, &|robot| robot.types("x"));
+    add("load key", Screen::Keys, &|robot| robot.types("L"));
+    add("rotation asked", Screen::Keys, &|robot| robot.types("r"));
+    add("provenance", Screen::Uploads, &|robot| {
+        robot.presses(Key::Enter);
+        robot.is_answered(&Tag::Show("00000000000003e8".into()), Ok(Reply::Provenance(fixtures::provenance(1_000))));
+    });
+    for (name, camera) in [("odometry", false), ("picture", true)] {
+        add(name, Screen::Shared, &move |robot| {
+            robot.presses(Key::Enter);
+            let opened = fixtures::opened(1_000, camera);
+            robot.is_answered(&Tag::Open("00000000000003e8".into()), Ok(Reply::Opened(Box::new(opened))));
+        });
+    }
+    popups
+}
+
+#[test]
+fn every_popup() {
+    let pages: Vec<String> =
+        popups().iter().map(|(name, robot)| format!("{name}\n{}", shown(&robot.state, &night()))).collect();
+    compare("popups", &pages.join("\n"));
+}
+
+#[test]
+fn before_during_and_in_trouble() {
+    let mut pages = Vec::new();
+    let mut page = |name: &str, state: &State| pages.push(format!("{name}\n{}", shown(state, &night())));
+    let starting = Robot::opens(Settings::default());
+    page("starting", &starting.state);
+    let mut fresh = Robot::at_work(false);
+    page("a new profile", &fresh.state);
+    fresh.types("n");
+    fresh.types("correct horse");
+    page("its passphrase", &fresh.state);
+    page("in trouble", &in_trouble().state);
+    let mut leaving = in_trouble();
+    leaving.types("fq");
+    page("leaving, frozen", &leaving.state);
+    let mut small = at(Screen::Topics, (59, 18));
+    small.state.size = (59, 18);
+    page("too small", &small.state);
+    compare("states", &pages.join("\n"));
+}
+
+fn in_trouble() -> Robot {
+    let mut robot = Robot::at_work(true);
+    robot.hears_of(Part::Health);
+    let mut site = SiteView {
+        life: LifeLine { pending: 45, tampered: 1, dropped: 12, lost_in_transport: 3, ..fixtures::site().life },
+        ..fixtures::site()
+    };
+    site.health[1].level = HealthLevel::Waiting;
+    site.health[1].text = "retry in 4 s".to_owned();
+    site.health[2].level = HealthLevel::Failed;
+    site.health[2].text = "redis://127.0.0.1:6379 evicts keys; set maxmemory-policy noeviction".to_owned();
+    robot.is_answered(&Tag::Feed(crate::app::feed::Feed::Site, 0), Ok(Reply::Site(site)));
+    let text = "vault: redis://127.0.0.1:6379 evicts keys, so nothing is stored there; set maxmemory-policy noeviction \
+                and the vault goes on by itself, nothing sealed is lost meanwhile";
+    let notice = Event::Notice { at: fixtures::NOW, level: NoticeLevel::Error, text: text.to_owned() };
+    robot.act(Action::Told(notice));
+    robot
+}
+
+#[test]
+fn a_failed_list_says_why_in_its_place() {
+    let mut robot = Robot::at_work(true);
+    robot.types("7");
+    let tag = Tag::Feed(crate::app::feed::Feed::Chain, 0);
+    robot.is_answered(&tag, Err(fixtures::failure(ErrorKind::Unreachable, "http://127.0.0.1:8545 does not answer")));
+    assert!(shown(&robot.state, &night()).contains("127.0.0.1:8545 does not answer"));
+}
+
+#[test]
+fn every_theme_shows_the_same_words_and_ascii_only_ascii() {
+    let screens = Screen::ALL.into_iter().map(|screen| ("", at(screen, SIZES[0])));
+    for (_, robot) in screens.chain(popups()) {
+        let text = shown(&robot.state, &night());
+        for name in ["day", "contrast", "mono"] {
+            assert_eq!(shown(&robot.state, &Theme::named(name).expect("embedded")), text, "{name}");
+        }
+        let ascii = shown(&robot.state, &night().with_ascii(true));
+        assert!(ascii.is_ascii());
+        assert_eq!(ascii.len(), text.chars().count(), "nothing moves");
+    }
+}
+
+#[test]
+fn the_busiest_topics_are_on_the_first_screen_by_their_full_names() {
+    let robot = Robot::at_work(false);
+    let text = shown(&robot.state, &night());
+    let place = |name| text.find(name).expect(name);
+    assert!(place("/robot1/odom") < place("/robot1/camera/compressed"));
+    assert!(text.contains("SIMULATED"));
+}
+
+#[test]
+fn no_screen_breaks_at_any_size() {
+    for columns in (0..140).step_by(7) {
+        for rows in 0..40 {
+            let mut robot = Robot::at_work(true);
+            robot.act(Action::Resize { columns, rows });
+            for keys in ["1", "2", "3", "4", "5", "6", "7", "8", "9", ":", "\u{1b}g"] {
+                for key in keys.chars() {
+                    robot.presses(if key == '\u{1b}' { Key::Escape } else { Key::Char(key) });
+                }
+                robot.site_answers(true);
+                shown(&robot.state, &night());
+            }
+        }
+    }
+}

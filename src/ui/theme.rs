@@ -56,6 +56,7 @@ impl Role {
 /// The look of one role, as written in a theme file.
 #[derive(Debug, Clone, Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
+#[allow(clippy::struct_excessive_bools, reason = "each is a key of the theme file")]
 struct Paint {
     fg: Option<String>,
     bg: Option<String>,
@@ -132,7 +133,8 @@ impl Theme {
     /// # Errors
     /// [`ThemeError`] naming what is wrong.
     pub fn parse(text: &str) -> Result<Self, ThemeError> {
-        let file: ThemeFile = toml::from_str(text).map_err(|error| ThemeError::Syntax(clean(&error.to_string(), 200)))?;
+        let file: ThemeFile =
+            toml::from_str(text).map_err(|error| ThemeError::Syntax(clean(&error.to_string(), 200)))?;
         let mut styles = [Style::default(); Role::ALL.len()];
         for (style, role) in styles.iter_mut().zip(Role::ALL) {
             *style = file.roles.get(&role).ok_or(ThemeError::Missing(role))?.style()?;

@@ -12,9 +12,9 @@ use crate::app::screens::topics::SORTS;
 use crate::service::reply::TopicRow;
 
 const COLUMNS: &[Column] = &[
-    Column::wide("Topic"),
-    Column::text("Type", 22).from(100),
-    Column::text("Publishers", 24).from(170),
+    Column::name("Topic"),
+    Column::text("Type", 27).from(100),
+    Column::text("Publishers", 24).from(ALL_FROM),
     Column::text("Watched", 7),
     Column::number("Hz", 7),
     Column::number("kB/s", 8),
@@ -24,6 +24,9 @@ const COLUMNS: &[Column] = &[
     Column::text("Last UTC", 8).from(120),
     Column::text("", 9),
 ];
+
+/// From so many columns on everything about a topic has its column.
+const ALL_FROM: u16 = 170;
 
 /// Draws the screen.
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
@@ -36,22 +39,26 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
     }
     let cells = |index: usize| rows.get(index).map_or_else(Vec::new, |row| cells(state, row));
     let empty = empty(state, Feed::Topics, "No topic is published yet; they appear here by themselves.");
-    let sheet = Sheet { title: "Topics", note, columns: COLUMNS, keys: &keys, cells: &cells, table: &topics.table, empty };
-    let (table, detail) = (Rect { height: area.height - 1, ..area }, row(area, area.height - 1));
-    draw_table(canvas, table, &sheet);
-    if let Some(selected) = topics.selected() {
-        draw_detail(canvas, detail, selected);
+    let sheet =
+        Sheet { title: "Topics", note, columns: COLUMNS, keys: &keys, cells: &cells, table: &topics.table, empty };
+    let narrow = area.width < ALL_FROM;
+    draw_table(canvas, Rect { height: area.height - u16::from(narrow), ..area }, &sheet);
+    if let Some(selected) = topics.selected().filter(|_| narrow) {
+        draw_detail(canvas, row(area, area.height - 1), selected);
     }
 }
 
-/// What the columns of a narrow screen leave out of the selected topic.
+/// What the columns of a narrow screen leave out of the selected topic; it changes with every
+/// move of the cursor, so it is kept cheap: no colours.
 fn draw_detail(canvas: &mut Canvas, area: Rect, topic: &TopicRow) {
     let publishers = if topic.publishers.is_empty() { "nobody".to_owned() } else { topic.publishers.join(" ") };
-    let captured = format!("  {} captured", words::count(topic.messages));
     let last = topic.last_message.map(|last| format!(", last {}", last.clock())).unwrap_or_default();
     let type_name = topic.type_name.as_deref().unwrap_or("type not known yet");
-    canvas.puts(area, &[(type_name, Role::Accent), (" from ", Role::Dim), (&publishers, Role::Body)]);
-    canvas.put_right(area, &format!("{captured}{last}"), Role::Dim);
+    let lost = topic.lost_in_transport + topic.lost_in_recorder;
+    let lost = if lost > 0 { format!(", {} lost", words::count(lost)) } else { String::new() };
+    let captured = words::count(topic.messages);
+    let detail = format!("{type_name} from {publishers}: {captured} captured{lost}{last}");
+    canvas.put(area, &detail, Role::Body);
 }
 
 /// What to say of a feed without rows.
@@ -89,5 +96,5 @@ pub fn watched(row: &TopicRow) -> (String, Role) {
 
 /// The cell that says what comes from a simulated robot.
 pub fn simulated(simulated: bool) -> (String, Role) {
-    if simulated { ("SIMULATED".to_owned(), Role::Warning) } else { Default::default() }
+    (if simulated { "SIMULATED".to_owned() } else { String::new() }, Role::Warning)
 }

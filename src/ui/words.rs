@@ -60,7 +60,7 @@ pub fn wrap(text: &str, width: u16) -> Vec<String> {
         if last > 0 && last + 1 + word.width() > width {
             lines.push(String::new());
         } else if last > 0 {
-            lines.last_mut().into_iter().for_each(|line| line.push(' '));
+            append_word(&mut lines, " ", width);
         }
         append_word(&mut lines, word, width);
     }

@@ -44,15 +44,15 @@ impl Grants {
     pub fn set(&mut self, mut rows: Vec<GrantRow>) {
         rows.truncate(MOST_GRANTS);
         self.rows = rows;
+        let keys = self.keys();
+        self.table.settle(&keys);
     }
 
     /// The rows to show, filtered and in order.
     pub fn visible(&self) -> Vec<&GrantRow> {
-        let filter = self.table.filter.text();
-        let text = |row: &GrantRow| {
-            format!("{} {} {} {}", row.direction, row.state, other_side(row), row.topics.join(" "))
-        };
-        let mut rows: Vec<_> = self.rows.iter().filter(|row| fuzzy::score(filter, &text(row)).is_some()).collect();
+        let text =
+            |row: &&GrantRow| format!("{} {} {} {}", row.direction, row.state, other_side(row), row.topics.join(" "));
+        let mut rows = fuzzy::narrow(self.table.filter.text(), self.rows.iter().collect(), text);
         match self.table.sort {
             1 => rows.sort_by_key(|row| (other_side(row), std::cmp::Reverse(row.block))),
             2 => rows.sort_by_key(|row| (row.state.clone(), std::cmp::Reverse(row.block))),

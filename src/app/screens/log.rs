@@ -37,21 +37,21 @@ pub struct Log {
     pub table: Table,
     /// The least urgent level shown.
     pub least: NoticeLevel,
-    count: u64,
+    told: u64,
 }
 
 impl Default for Log {
     fn default() -> Self {
         let table = Table::following();
-        Self { notices: VecDeque::new(), audit: Vec::new(), table, least: NoticeLevel::Info, count: 0 }
+        Self { notices: VecDeque::new(), audit: Vec::new(), table, least: NoticeLevel::Info, told: 0 }
     }
 }
 
 impl Log {
     /// Keeps a notice.
     pub fn notice(&mut self, at: Timestamp, level: NoticeLevel, text: &str) {
-        self.count += 1;
-        let source = format!("notice {}", self.count);
+        self.told += 1;
+        let source = format!("notice {}", self.told);
         self.notices.push_front(LogLine { at, level, source, text: clean(text, WIDEST) });
         self.notices.truncate(MOST_NOTICES);
     }
@@ -63,11 +63,15 @@ impl Log {
 
     /// The lines to show, newest first.
     pub fn visible(&self) -> Vec<&LogLine> {
-        let filter = self.table.filter.text();
-        let wanted = |line: &&LogLine| line.level >= self.least && fuzzy::score(filter, &line.text).is_some();
-        let mut lines: Vec<_> = self.notices.iter().chain(&self.audit).filter(wanted).collect();
+        let urgent = self.notices.iter().chain(&self.audit).filter(|line| line.level >= self.least).collect();
+        let mut lines = fuzzy::narrow(self.table.filter.text(), urgent, |line: &&LogLine| line.text.clone());
         lines.sort_by_key(|line| std::cmp::Reverse(line.at));
         lines
+    }
+
+    /// How many lines there are.
+    pub fn count(&self) -> usize {
+        self.notices.len() + self.audit.len()
     }
 
     /// The keys of the lines shown.

@@ -92,7 +92,7 @@ impl Records {
     /// The rows to show.
     pub fn visible(&self, topics: &[TopicRow]) -> Vec<&RecordView> {
         let rest = Wanted::read(self.table.filter.text(), topics).rest;
-        self.rows.iter().filter(|row| fuzzy::score(&rest, &haystack(row)).is_some()).collect()
+        fuzzy::narrow(&rest, self.rows.iter().collect(), |row| haystack(row))
     }
 
     /// Back to the first page, as after a new filter or order.

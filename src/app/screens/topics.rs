@@ -20,7 +20,7 @@ pub const SORTS: [&str; 4] = ["name", "Hz", "bytes/s", "watched"];
 /// Topics of the graph.
 #[derive(Debug, Default)]
 pub struct Topics {
-    /// All rows, as they came.
+    /// All rows, by name.
     pub rows: Vec<TopicRow>,
     /// Cursor, filter, order, marks.
     pub table: Table,
@@ -32,9 +32,12 @@ impl Topics {
     /// Takes new rows over.
     pub fn set(&mut self, mut rows: Vec<TopicRow>, now: Timestamp) {
         rows.truncate(MOST_TOPICS);
+        rows.sort_by(|one, other| one.topic.cmp(&other.topic));
         self.rows = rows;
         let rows = &self.rows;
         self.table.marks.retain(|mark| rows.iter().any(|row| row.topic == *mark));
+        let keys = self.keys();
+        self.table.settle(&keys);
         if now.0.saturating_sub(self.sampled_at.0) >= SAMPLE_EVERY {
             self.sampled_at = now;
             self.sample();
@@ -59,11 +62,15 @@ impl Topics {
 
     /// The rows to show, filtered and in order.
     pub fn visible(&self) -> Vec<&TopicRow> {
-        let filter = self.table.filter.text();
-        let text = |row: &TopicRow| format!("{} {}", row.topic, row.type_name.as_deref().unwrap_or(""));
-        let mut rows: Vec<_> = self.rows.iter().filter(|row| fuzzy::score(filter, &text(row)).is_some()).collect();
-        rows.sort_by(|one, other| order(self.table.sort, one, other).then_with(|| one.topic.cmp(&other.topic)));
+        let mut rows = fuzzy::narrow(self.table.filter.text(), self.rows.iter().collect(), |row| haystack(row));
+        // A stable order: what is equal stays in the order of names.
+        rows.sort_by(|one, other| order(self.table.sort, one, other));
         rows
+    }
+
+    /// Whether any row passes the filter.
+    pub fn any_visible(&self) -> bool {
+        self.rows.iter().any(|row| fuzzy::score(self.table.filter.text(), &haystack(row)).is_some())
     }
 
     /// The names of the rows shown.
@@ -74,7 +81,7 @@ impl Topics {
     /// The busiest, by Hz, then by name.
     pub fn busiest(&self, limit: usize) -> Vec<&TopicRow> {
         let mut rows: Vec<_> = self.rows.iter().collect();
-        rows.sort_by(|one, other| descending(one.hz, other.hz).then_with(|| one.topic.cmp(&other.topic)));
+        rows.sort_by(|one, other| descending(one.hz, other.hz));
         rows.truncate(limit);
         rows
     }
@@ -93,6 +100,10 @@ impl Topics {
         }
         self.rows.iter().filter(|row| self.table.marks.contains(&row.topic)).collect()
     }
+}
+
+fn haystack(row: &TopicRow) -> String {
+    format!("{} {}", row.topic, row.type_name.as_deref().unwrap_or(""))
 }
 
 fn order(sort: usize, one: &TopicRow, other: &TopicRow) -> Ordering {

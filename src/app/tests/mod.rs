@@ -1,1 +1,142 @@
-//! tests
+//! Robot users: each file is one behaviour, as an operator would tell it.
+
+pub mod fixtures;
+
+mod first_use;
+mod freezing;
+mod granting;
+mod keys;
+mod leaving;
+mod palette;
+mod pulling;
+mod records;
+mod watching;
+
+use zeroize::Zeroizing;
+
+use super::popup::{Lookup, Popup};
+use super::{Action, Effect, Key, Screen, Settings, State, Tag, update};
+use crate::model::Timestamp;
+use crate::service::{Command, Event, Failure, Part, Reply};
+
+/// Someone at the keyboard, with a site that answers when told to.
+pub struct Robot {
+    /// The console.
+    pub state: State,
+    /// What was sent and not yet answered.
+    pub sent: Vec<(Command, Tag)>,
+    /// Other effects so far.
+    pub effects: Vec<Effect>,
+}
+
+impl Robot {
+    /// Opens the console; nothing is answered yet.
+    pub fn opens(settings: Settings) -> Self {
+        let mut state = State::new(settings);
+        state.now = fixtures::NOW;
+        let effects = super::update::start(&mut state);
+        let mut robot = Self { state, sent: Vec::new(), effects: Vec::new() };
+        robot.note(effects);
+        robot
+    }
+
+    /// Opens it on a site that has answered everything.
+    pub fn at_work(exists: bool) -> Self {
+        let mut robot = Self::opens(Settings::default());
+        robot.site_answers(exists);
+        robot
+    }
+
+    /// Whatever the console asked for its screens is answered from the fixtures, until it is content.
+    pub fn site_answers(&mut self, exists: bool) {
+        while let Some(place) = self.sent.iter().position(|(_, tag)| matches!(tag, Tag::Feed(..) | Tag::OpenConsole)) {
+            let (command, tag) = self.sent.remove(place);
+            self.act(Action::Answered { tag, result: Box::new(Ok(fixtures::reply(&command, exists))) });
+        }
+    }
+
+    /// Something happens.
+    pub fn act(&mut self, action: Action) {
+        let effects = update(&mut self.state, action);
+        self.note(effects);
+    }
+
+    fn note(&mut self, effects: Vec<Effect>) {
+        for effect in effects {
+            match effect {
+                Effect::Send(command, tag) => self.sent.push((command, tag)),
+                other => self.effects.push(other),
+            }
+        }
+    }
+
+    /// Presses keys, one per character.
+    pub fn types(&mut self, text: &str) {
+        text.chars().for_each(|character| self.presses(Key::Char(character)));
+    }
+
+    /// Presses one key.
+    pub fn presses(&mut self, key: Key) {
+        self.act(Action::Key(key));
+    }
+
+    /// Pastes.
+    pub fn pastes(&mut self, text: &str) {
+        self.act(Action::Paste(Zeroizing::new(text.to_owned())));
+    }
+
+    /// Time passes.
+    pub fn waits(&mut self, seconds: u64) {
+        self.act(Action::Tick(Timestamp(self.state.now.0 + seconds * 1_000_000_000)));
+    }
+
+    /// The site tells of a change.
+    pub fn hears_of(&mut self, part: Part) {
+        self.act(Action::Told(Event::Changed { part }));
+    }
+
+    /// The site answers the question with that tag.
+    pub fn is_answered(&mut self, tag: &Tag, result: Result<Reply, Failure>) {
+        let place = self.sent.iter().position(|(_, sent)| sent == tag).expect("it was asked");
+        let (_, tag) = self.sent.remove(place);
+        self.act(Action::Answered { tag, result: Box::new(result) });
+    }
+
+    /// The commands under way that are no pulls, by tag.
+    pub fn work(&self) -> Vec<Tag> {
+        let tags = self.sent.iter().map(|(_, tag)| tag.clone());
+        tags.filter(|tag| !matches!(tag, Tag::Feed(..) | Tag::OpenConsole)).collect()
+    }
+
+    /// The message shown.
+    pub fn message(&self) -> &str {
+        self.state.toasts.shown().map_or("", |toast| &toast.text)
+    }
+
+    /// The error in the form on top.
+    pub fn form_error(&self) -> Option<&str> {
+        match self.state.popups.last() {
+            Some(Popup::Form(_, form)) => form.error.as_deref(),
+            _ => None,
+        }
+    }
+}
+
+/// The answer in a lookup popup, where it is the topmost.
+pub fn record_shown(state: &State) -> Option<&Lookup<crate::service::reply::OpenedView>> {
+    match state.popups.last() {
+        Some(Popup::Record(lookup)) => Some(lookup),
+        _ => None,
+    }
+}
+
+#[test]
+fn number_keys_and_tab_go_from_screen_to_screen() {
+    let mut robot = Robot::at_work(true);
+    robot.types("9");
+    assert_eq!(robot.state.screen, Screen::Log);
+    robot.presses(Key::Tab);
+    assert_eq!(robot.state.screen, Screen::Overview);
+    robot.presses(Key::BackTab);
+    assert_eq!(robot.state.screen, Screen::Log);
+}

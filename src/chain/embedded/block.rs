@@ -171,7 +171,9 @@ impl Receipt {
     pub fn accrue(&self, bloom: &mut Bloom) {
         for log in &self.logs {
             bloom.accrue(BloomInput::Raw(log.address.as_bytes()));
-            log.topics.iter().for_each(|topic| bloom.accrue(BloomInput::Raw(&topic.0)));
+            for topic in &log.topics {
+                bloom.accrue(BloomInput::Raw(&topic.0));
+            }
         }
     }
 }
@@ -180,9 +182,9 @@ impl Encodable for Log {
     fn rlp_append(&self, stream: &mut RlpStream) {
         stream.begin_list(3).append(&&self.address.0[..]);
         stream.begin_list(self.topics.len());
-        self.topics.iter().for_each(|topic| {
+        for topic in &self.topics {
             stream.append(&&topic.0[..]);
-        });
+        }
         stream.append(&self.data);
     }
 }
@@ -201,7 +203,7 @@ impl Decodable for Log {
 impl Encodable for Receipt {
     fn rlp_append(&self, stream: &mut RlpStream) {
         stream.begin_list(6).append(&self.success).append(&self.gas_used).append(&self.cumulative_gas);
-        stream.append(&self.contract.as_ref().map_or(&[][..], |address| address.as_bytes()));
+        stream.append(&self.contract.as_ref().map_or(&[][..], Address::as_bytes));
         stream.append(&self.output).append_list(&self.logs);
     }
 }

@@ -12,7 +12,9 @@ use crate::chain::artefact::artefact;
 use crate::chain::call::{address, word};
 use crate::chain::error::decode_revert;
 use crate::chain::{Call, Event};
-use crate::model::*;
+use crate::model::{
+    Address, Digest, GrantTerms, Hash, Identity, PublicKey, Scope, Signature, SignerId, Timestamp, Token, TopicId,
+};
 
 const ADMIN: Address = Address([0xad; 20]);
 const A: Address = Address([0xa; 20]);
@@ -132,7 +134,9 @@ impl World {
         let input = artefact.encode(name, arguments).expect("encodes");
         let message = Message { from, to: Some(self.contract), value: U256::zero(), input, gas: 1_000_000 };
         match self.machine.call(&self.place, &message) {
-            Answer::Returned(output, _) => artefact.function(name).expect("name").decode_output(&output).expect("decodes"),
+            Answer::Returned(output, _) => {
+                artefact.function(name).expect("name").decode_output(&output).expect("decodes")
+            }
             other => panic!("{name}: {other:?}"),
         }
     }

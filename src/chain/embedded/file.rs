@@ -145,7 +145,8 @@ impl ChainFile {
         mut visit: impl FnMut(u64, Hash, Vec<u8>, Vec<Mined>) -> Result<(), ChainError>,
     ) -> Result<(), ChainError> {
         let blame = |error: rusqlite::Error| self.blame(&error);
-        let mut blocks = self.connection.prepare("SELECT number, hash, header FROM block ORDER BY number").map_err(blame)?;
+        let mut blocks =
+            self.connection.prepare("SELECT number, hash, header FROM block ORDER BY number").map_err(blame)?;
         let mut rows = blocks.query([]).map_err(blame)?;
         while let Some(row) = rows.next().map_err(blame)? {
             let (number, hash, header) = header_columns(row).map_err(blame)?;
@@ -160,7 +161,8 @@ impl ChainFile {
     /// [`ChainError`] where the file cannot be read.
     pub fn block(&self, number: u64) -> Result<Option<(Hash, Vec<u8>)>, ChainError> {
         let query = "SELECT number, hash, header FROM block WHERE number = ?1";
-        self.one(query, params![integer(number)], header_columns).map(|found| found.map(|(_, hash, header)| (hash, header)))
+        self.one(query, params![integer(number)], header_columns)
+            .map(|found| found.map(|(_, hash, header)| (hash, header)))
     }
 
     /// The number of the block with this hash.
@@ -221,7 +223,8 @@ impl ChainFile {
     fn many<const N: usize>(&self, query: &str, values: [u64; N]) -> Result<Vec<Mined>, ChainError> {
         let blame = |error: rusqlite::Error| self.blame(&error);
         let mut statement = self.connection.prepare_cached(query).map_err(blame)?;
-        let rows = statement.query_map(rusqlite::params_from_iter(values.map(integer)), mined_columns).map_err(blame)?;
+        let rows =
+            statement.query_map(rusqlite::params_from_iter(values.map(integer)), mined_columns).map_err(blame)?;
         rows.collect::<Result<_, _>>().map_err(blame)
     }
 

@@ -5,7 +5,11 @@ use serde_json::{Value, json};
 
 use super::block::{GAS_LIMIT, Header, Log, Receipt, created_address};
 use super::transaction::Transaction;
-use crate::model::{Address, Hash, address::AddressError, bytes::{hex, unhex}};
+use crate::model::{
+    Address, Hash,
+    address::AddressError,
+    bytes::{hex, unhex},
+};
 
 /// Where a transaction was mined.
 #[derive(Clone, Copy)]

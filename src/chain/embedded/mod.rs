@@ -29,6 +29,9 @@ use super::{BlockRef, ChainError};
 /// How long the thread sleeps when nothing is due.
 const IDLE: Duration = Duration::from_secs(3600);
 
+/// The most requests answered before the clock is looked at again.
+const BURST: usize = 256;
+
 enum Request {
     Rpc { method: String, parameters: Value, reply: oneshot::Sender<Result<Value, Fault>> },
     Dump(oneshot::Sender<Result<Vec<Vec<u8>>, ChainError>>),
@@ -102,7 +105,9 @@ fn serve(mut node: Node, inbox: &Receiver<Request>, announce: &watch::Sender<Blo
         let open = match inbox.recv_timeout(node.due().unwrap_or(IDLE)) {
             Ok(request) => {
                 handle(&mut node, request);
-                inbox.try_iter().take(1024).for_each(|request| handle(&mut node, request));
+                for more in inbox.try_iter().take(BURST) {
+                    handle(&mut node, more);
+                }
                 true
             }
             Err(RecvTimeoutError::Timeout) => true,

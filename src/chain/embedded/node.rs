@@ -173,10 +173,11 @@ fn found(file: &mut ChainFile) -> Result<Founding, ChainError> {
     let id = id.iter().fold(0u64, |id, byte| id << 8 | u64::from(*byte));
     let founding = Founding { chain_id: (1 << 40) + id % (1 << 47), signer: draw_signer()? };
     let unique = Hash::from_slice(unique).ok_or_else(|| ChainError::Internal("no randomness".into()))?;
-    let genesis = Header::genesis(address_of(&founding.signer), unique, Timestamp::now().seconds());
-    let mut sealed = genesis;
-    sealed.seal(&founding.signer).ok_or_else(|| ChainError::Internal("the genesis block could not be sealed".into()))?;
-    file.found(&founding, &sealed)?;
+    let mut genesis = Header::genesis(address_of(&founding.signer), unique, Timestamp::now().seconds());
+    genesis
+        .seal(&founding.signer)
+        .ok_or_else(|| ChainError::Internal("the genesis block could not be sealed".into()))?;
+    file.found(&founding, &genesis)?;
     Ok(founding)
 }
 
@@ -212,7 +213,10 @@ fn rerun(
     let transactions = mined.iter().map(decode).collect::<Result<Vec<_>, _>>()?;
     let place = Environment { number: header.number, timestamp: header.timestamp, beneficiary };
     let outcome = machine.run(&place, transactions);
-    let again = Header { extra: header.extra.clone(), ..self::header(header.parent, header.number, header.timestamp, &outcome) };
+    let again = Header {
+        extra: header.extra.clone(),
+        ..self::header(header.parent, header.number, header.timestamp, &outcome)
+    };
     if again != *header {
         return Err("running its transactions again gives another block".into());
     }
@@ -222,7 +226,9 @@ fn rerun(
 
 fn header(parent: Hash, number: u64, timestamp: u64, outcome: &Outcome) -> Header {
     let mut bloom = Bloom::zero();
-    outcome.receipts.iter().for_each(|receipt| receipt.accrue(&mut bloom));
+    for receipt in &outcome.receipts {
+        receipt.accrue(&mut bloom);
+    }
     Header {
         parent,
         state_root: outcome.state_root,

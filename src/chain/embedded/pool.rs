@@ -104,7 +104,9 @@ impl Pool {
     /// The nonce after the last one that waits without a gap from `next` on.
     pub fn next_nonce(&self, sender: Address, next: u64) -> u64 {
         let Some(lane) = self.senders.get(&sender) else { return next };
-        lane.range(next..).map(|(nonce, _)| *nonce).fold(next, |free, nonce| if nonce == free { free + 1 } else { free })
+        lane.range(next..)
+            .map(|(nonce, _)| *nonce)
+            .fold(next, |free, nonce| if nonce == free { free + 1 } else { free })
     }
 
     /// A transaction that waits.

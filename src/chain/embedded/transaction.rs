@@ -117,7 +117,7 @@ impl Transaction {
     fn signing_hash(&self, chain_id: u64) -> [u8; 32] {
         let mut list = RlpStream::new_list(9);
         list.append(&self.nonce).append(&self.gas_price).append(&self.gas_limit);
-        list.append(&self.to.as_ref().map_or(&[][..], |to| to.as_bytes()));
+        list.append(&self.to.as_ref().map_or(&[][..], Address::as_bytes));
         list.append(&self.value).append(&self.input).append(&chain_id).append(&0u8).append(&0u8);
         keccak256(list.out())
     }

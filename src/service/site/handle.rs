@@ -62,7 +62,8 @@ impl Site {
 
     fn claim(&self, profile: ProfileName, claims: &Claims) -> Result<Reply, Failure> {
         let mut consoles = self.consoles.lock().unwrap_or_else(PoisonError::into_inner);
-        if !consoles.insert(profile.clone()) {
+        let own = claims.lock().unwrap_or_else(PoisonError::into_inner).contains(&profile);
+        if !consoles.insert(profile.clone()) && !own {
             return Err(Failure::new(
                 ErrorKind::Home,
                 format!("a console of profile '{profile}' is open already; close it, or open another profile with --profile"),

@@ -46,6 +46,9 @@ use crate::store::{AuditLog, Ledger, SiteLock, open_vault};
 /// Memory for captured messages that wait to be sealed, bytes.
 const RING_BYTES: usize = 192 * 1024 * 1024;
 
+/// How long the nodes may take to leave the ROS graph.
+const LEAVING: std::time::Duration = std::time::Duration::from_secs(3);
+
 /// Which parts this run needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Needs {
@@ -75,6 +78,7 @@ pub struct Site {
     chain_silent: AtomicBool,
     deploying: tokio::sync::Mutex<()>,
     sealer: Mutex<Option<std::thread::JoinHandle<()>>>,
+    ros_task: Mutex<Option<tokio::task::JoinHandle<()>>>,
     _lock: SiteLock,
 }
 
@@ -109,6 +113,7 @@ impl Site {
             chain_silent: AtomicBool::new(false),
     deploying: tokio::sync::Mutex::default(),
             sealer: Mutex::default(),
+            ros_task: Mutex::default(),
             _lock: lock,
         });
         site.warn_of_policy();
@@ -166,6 +171,10 @@ impl Site {
     /// Ends the site: no further capture, all captured messages acknowledged, files closed.
     pub async fn stop(self: Arc<Self>) {
         self.ros.send_replace(RosState::Off);
+        let ros = self.ros_task.lock().unwrap_or_else(std::sync::PoisonError::into_inner).take();
+        if let Some(task) = ros {
+            drop(tokio::time::timeout(LEAVING, task).await);
+        }
         self.ring.close();
         let sealer = self.sealer.lock().unwrap_or_else(std::sync::PoisonError::into_inner).take();
         if let Some(thread) = sealer {

@@ -85,7 +85,7 @@ impl Site {
         view.signing_key = Some(public.signing);
         view.envelope_key = Some(public.envelope);
         view.fingerprint = Some(Fingerprint::of(&public.signing).to_string());
-        if let Some(network) = self.network_now() {
+        if let Ok(network) = self.network().await {
             view.registered = network.directory.identity(public.address).is_ok_and(|identity| identity.signing == public.signing);
             view.epoch = Some(network.directory.epoch(public.address)).filter(|epoch| *epoch > 0);
         }

@@ -86,25 +86,27 @@ impl Site {
             }
             tokio::select! {
                 () = tokio::time::sleep(Duration::from_secs(2)) => {}
-                () = self.stopped() => return,
+                () = self.leaving() => return,
             }
         };
         self.ros.send_replace(RosState::Up(Arc::clone(&link)));
         self.changed(Part::Health);
         self.changed(Part::Topics);
-        let mut ros = self.ros.subscribe();
         loop {
             tokio::select! {
                 () = tokio::time::sleep(LOOK) => {}
-                ended = ros.wait_for(|state| matches!(state, RosState::Off)) => {
-                    drop(ended);
-                    break;
-                }
+                () = self.leaving() => break,
             }
             self.look_at_graph(&link).await;
         }
         // The nodes unregister at the master and their threads are joined: not on an async thread.
         drop(tokio::task::spawn_blocking(move || drop(link)).await);
+    }
+
+    async fn leaving(&self) {
+        let mut ros = self.ros.subscribe();
+        // An error means that the site is gone, which is an end too.
+        drop(ros.wait_for(|state| matches!(state, RosState::Off)).await);
     }
 
     fn start_ros(&self) -> Result<RosLink, Failure> {

@@ -62,10 +62,10 @@ impl Site {
             steps.push(step("stored", self.plant.vault.name().to_owned()));
         }
         if let Some(transaction) = row.transaction {
-            steps.push(step("transaction", format!("0x{transaction}")));
+            steps.push(step("transaction", transaction.to_string()));
         }
         if let (Some(block), Some(hash)) = (row.block, row.block_hash) {
-            steps.push(step("block", format!("{block} 0x{hash}")));
+            steps.push(step("block", format!("{block} {hash}")));
             let head = *self.scanned.borrow();
             steps.push(step("confirmations", format!("{}", (head + 1).saturating_sub(block))));
         }

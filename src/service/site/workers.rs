@@ -16,7 +16,8 @@ pub(super) fn start(site: &Arc<Site>, needs: Needs) -> Result<(), Failure> {
     tokio::spawn(Arc::clone(&site.hub).run());
     if needs.ros {
         start_sealer(site)?;
-        tokio::spawn(Arc::clone(site).keep_ros());
+        let task = tokio::spawn(Arc::clone(site).keep_ros());
+        *site.ros_task.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = Some(task);
     }
     if needs.chain {
         if !site.plant.vault.durable() {

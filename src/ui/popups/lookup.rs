@@ -54,7 +54,9 @@ pub fn draw_record(canvas: &mut Canvas, area: Rect, lookup: &Lookup<OpenedView>)
         lines.push(Vec::new());
         let widest = view.fields.iter().map(|(path, _)| columns(path)).max().unwrap_or(0);
         let label = (widest + 2).min(width / 2);
-        lines.extend(view.fields.iter().map(|(path, value)| vec![(pad(path, label), Role::Dim), (value.clone(), Role::Body)]));
+        lines.extend(
+            view.fields.iter().map(|(path, value)| vec![(pad(path, label), Role::Dim), (value.clone(), Role::Body)]),
+        );
         lines
     });
 }
@@ -95,7 +97,8 @@ fn record_lines(record: &RecordView) -> Vec<Vec<Piece>> {
         type_name.extend([("  ".to_owned(), Role::Body), ("SIMULATED".to_owned(), Role::Badge)]);
     }
     let facts = format!("seq {}, epoch {}, {}", record.seq, record.epoch, size(record.bytes));
-    let mut lines = vec![labelled("topic", record.topic.clone(), Role::Accent), type_name, labelled("record", facts, Role::Body)];
+    let mut lines =
+        vec![labelled("topic", record.topic.clone(), Role::Accent), type_name, labelled("record", facts, Role::Body)];
     lines.push(labelled("captured", record.captured_at.to_string(), Role::Body));
     lines.extend(record.owner.map(|owner| labelled("owner", owner.to_string(), Role::Body)));
     lines.push(labelled("digest", record.digest.to_hex(), Role::Dim));

@@ -10,8 +10,8 @@ use ratatui::layout::Rect;
 use super::canvas::{Canvas, columns, row};
 use super::theme::Role;
 use super::words::wrap;
-use crate::app::State;
 use crate::app::popup::{Confirm, Popup};
+use crate::app::{State, Tag};
 use crate::model::clean;
 
 /// Draws a popup into the middle of `area`.
@@ -58,7 +58,7 @@ fn draw_confirm(canvas: &mut Canvas, area: Rect, confirm: &Confirm) {
 
 fn draw_quit(canvas: &mut Canvas, area: Rect, state: &State, waiting: bool) {
     let pending = state.pending_records();
-    let mut lines: Vec<String> = state.work.iter().filter(|tag| tag.is_work()).map(|tag| tag.words()).collect();
+    let mut lines: Vec<String> = state.work.iter().filter(|tag| tag.is_work()).map(Tag::words).collect();
     if pending > 0 {
         lines.push(format!("{pending} records are not verified yet."));
         lines.push("Nothing is lost: they are sealed on disk and go on at the next start.".to_owned());

@@ -1,0 +1,136 @@
+//! Uploads and shared records: pages, filters, provenance, opening, checking, writing.
+
+use super::{Robot, fixtures, record_shown};
+use crate::app::popup::Popup;
+use crate::app::{Effect, Key, Tag};
+use crate::model::{ErrorKind, RecordState, Verdict};
+use crate::service::reply::CheckView;
+use crate::service::{Command, Part, Reply, UploadQuery};
+
+fn at(screen: char) -> Robot {
+    let mut robot = Robot::at_work(true);
+    robot.presses(Key::Char(screen));
+    robot.site_answers(true);
+    robot
+}
+
+fn asked(robot: &Robot) -> &UploadQuery {
+    let query = robot.sent.iter().rev().find_map(|(command, _)| match command {
+        Command::ListUploads(query) | Command::ListShared(query) => Some(query),
+        _ => None,
+    });
+    query.expect("records were asked for")
+}
+
+#[test]
+fn only_as_many_records_are_asked_for_as_fit_the_screen() {
+    let mut robot = Robot::at_work(true);
+    robot.types("3");
+    assert_eq!((asked(&robot).limit, asked(&robot).newest_first), (18, true));
+    robot.site_answers(true);
+    robot.act(crate::app::Action::Resize { columns: 200, rows: 50 });
+    assert_eq!(asked(&robot).limit, 44);
+    robot.site_answers(true);
+    assert_eq!(robot.state.uploads.rows.len(), 44);
+}
+
+#[test]
+fn moving_past_the_end_turns_the_page_and_back() {
+    let mut robot = at('3');
+    robot.presses(Key::End);
+    robot.presses(Key::Down);
+    assert_eq!(asked(&robot).after.as_deref(), Some("982"));
+    robot.site_answers(true);
+    assert_eq!(robot.state.uploads.rows[0].seq, 982);
+    robot.presses(Key::Up);
+    assert_eq!(asked(&robot).after, None);
+    robot.site_answers(true);
+    assert_eq!(robot.state.uploads.rows[0].seq, 1_000);
+}
+
+#[test]
+fn a_filter_asks_the_site_for_states_and_topics_and_narrows_the_page_by_the_rest() {
+    let mut robot = at('3');
+    robot.types("/verified robot2 000003e");
+    robot.presses(Key::Enter);
+    let query = asked(&robot);
+    assert_eq!(query.state, Some(RecordState::Verified));
+    assert_eq!(query.topic.as_ref().map(ToString::to_string).as_deref(), Some("/robot2/odom"));
+    robot.site_answers(true);
+    let shown = robot.state.uploads.visible(&robot.state.topics.rows).len();
+    assert!(shown > 0 && shown < robot.state.uploads.rows.len());
+    robot.presses(Key::Escape);
+    assert_eq!(asked(&robot).state, None, "esc takes the filter away");
+}
+
+#[test]
+fn enter_shows_provenance_at_once_and_fills_it_when_it_comes() {
+    let mut robot = at('3');
+    robot.presses(Key::Enter);
+    let Some(Popup::Provenance(lookup)) = robot.state.popups.last() else { panic!("no popup") };
+    assert!(lookup.answer.is_none());
+    let tag = Tag::Show("00000000000003e8".into());
+    robot.is_answered(&tag, Ok(Reply::Provenance(fixtures::provenance(1_000))));
+    let Some(Popup::Provenance(lookup)) = robot.state.popups.last() else { panic!("no popup") };
+    assert_eq!(lookup.found().map(|found| found.steps.len()), Some(7));
+    robot.hears_of(Part::Uploads);
+    assert!(robot.work().is_empty(), "a verified record is not asked for again");
+    robot.types("q");
+    assert!(robot.state.popups.is_empty());
+}
+
+#[test]
+fn an_answer_to_a_closed_popup_opens_nothing() {
+    let mut robot = at('3');
+    robot.presses(Key::Enter);
+    robot.presses(Key::Escape);
+    robot.is_answered(&Tag::Show("00000000000003e8".into()), Ok(Reply::Provenance(fixtures::provenance(1_000))));
+    assert!(robot.state.popups.is_empty());
+}
+
+#[test]
+fn a_shared_record_is_opened_and_its_picture_written() {
+    let mut robot = at('4');
+    robot.presses(Key::Enter);
+    assert!(record_shown(&robot.state).is_some_and(|lookup| lookup.answer.is_none()));
+    robot
+        .is_answered(&Tag::Open("00000000000003e8".into()), Ok(Reply::Opened(Box::new(fixtures::opened(1_000, true)))));
+    robot.types("W");
+    let Some(Effect::WriteFiles { directory: None, files }) = robot.effects.last() else { panic!("nothing written") };
+    assert_eq!((files[0].name.as_str(), files[0].bytes.len()), ("robot1_camera_compressed-1000.jpg", 58_211));
+}
+
+#[test]
+fn a_record_that_cannot_be_opened_says_why_in_its_place() {
+    let mut robot = at('4');
+    robot.presses(Key::Enter);
+    let refusal = fixtures::failure(ErrorKind::Refused, "no grant covers this record");
+    robot.is_answered(&Tag::Open("00000000000003e8".into()), Err(refusal));
+    let lookup = record_shown(&robot.state).expect("open");
+    assert!(matches!(&lookup.answer, Some(Err(failure)) if failure.message.contains("no grant")));
+    robot.types("W");
+    assert!(robot.effects.is_empty());
+}
+
+#[test]
+fn a_check_that_finds_tampering_stays_until_seen() {
+    let mut robot = at('4');
+    robot.types("c");
+    let tag = Tag::Check("00000000000003e8".into());
+    let found = |verdict| CheckView {
+        id: "3e8".into(),
+        verdict,
+        digest: fixtures::record(1, "").digest,
+        transaction: None,
+        block: Some(7),
+    };
+    robot.is_answered(&tag, Ok(Reply::Check(found(Verdict::Tampered))));
+    robot.waits(100);
+    assert!(robot.message().contains("tampered"));
+    robot.presses(Key::Escape);
+    robot.types("c");
+    robot.is_answered(&tag, Ok(Reply::Check(found(Verdict::Verified))));
+    assert!(robot.message().contains("verified, anchored in block 7"));
+    robot.waits(3);
+    assert_eq!(robot.message(), "");
+}

@@ -1,0 +1,116 @@
+//! Watching topics: marks, the way through the identity, and back.
+
+use super::{Robot, fixtures};
+use crate::app::popup::{Popup, Purpose};
+use crate::app::{Key, Tag};
+use crate::model::ErrorKind;
+use crate::service::{Command, Part, Reply};
+
+fn at_topics(exists: bool) -> Robot {
+    let mut robot = Robot::at_work(exists);
+    robot.types("2");
+    robot.site_answers(exists);
+    robot
+}
+
+/// The robot with the cursor on the row of that topic.
+fn on(mut robot: Robot, topic: &str) -> Robot {
+    robot.types(&format!("/{topic}"));
+    robot.presses(Key::Enter);
+    robot
+}
+
+#[test]
+fn w_watches_the_topic_under_the_cursor() {
+    let mut robot = on(at_topics(true), "robot2");
+    robot.types("w");
+    assert_eq!(robot.work(), [Tag::Watch("/robot2/odom".into())]);
+    robot.is_answered(&Tag::Watch("/robot2/odom".into()), Ok(Reply::Done));
+    assert_eq!(robot.message(), "now watching /robot2/odom");
+}
+
+#[test]
+fn w_on_a_watched_topic_unwatches_it() {
+    let mut robot = on(at_topics(true), "/robot1/odom");
+    robot.types("w");
+    assert_eq!(robot.work(), [Tag::Unwatch("/robot1/odom".into())]);
+}
+
+#[test]
+fn marked_topics_are_watched_together_and_the_watched_ones_left_alone() {
+    let mut robot = on(at_topics(true), "robot");
+    robot.types("a");
+    assert_eq!(robot.state.topics.table.marks.len(), 3);
+    robot.types("w");
+    let wanted = ["/robot1/camera/compressed", "/robot2/odom"].map(|topic| Tag::Watch(topic.into()));
+    assert_eq!(robot.work(), wanted);
+    assert!(robot.state.topics.table.marks.is_empty());
+}
+
+#[test]
+fn without_an_identity_the_way_leads_through_making_one_and_goes_on() {
+    let mut robot = on(at_topics(false), "robot2");
+    robot.types("w");
+    assert!(
+        matches!(&robot.state.popups[..], [Popup::Form(Purpose::CreateIdentity, form)] if form.notes[1].contains("/robot2/odom"))
+    );
+    robot.types("correct horse");
+    robot.presses(Key::Tab);
+    robot.types("correct horse");
+    robot.presses(Key::Enter);
+    robot.is_answered(&Tag::CreateIdentity, Ok(Reply::Identity(fixtures::identity(true, true, false))));
+    robot.is_answered(&Tag::Register, Ok(fixtures::transaction("registered")));
+    assert_eq!(robot.work(), [Tag::Watch("/robot2/odom".into())]);
+}
+
+#[test]
+fn a_locked_keyring_is_unlocked_first() {
+    let mut robot = on(at_topics(true), "robot2");
+    robot.state.identity = Some(fixtures::identity(true, false, true));
+    robot.types("w");
+    robot.types("passphrase");
+    robot.presses(Key::Enter);
+    robot.is_answered(&Tag::Unlock, Ok(Reply::Done));
+    assert!(robot.work().is_empty(), "waits until the identity is known to be unlocked");
+    robot.site_answers(true);
+    assert_eq!(robot.work(), [Tag::Watch("/robot2/odom".into())]);
+}
+
+#[test]
+fn giving_up_on_the_passphrase_says_what_was_not_done() {
+    let mut robot = on(at_topics(false), "robot2");
+    robot.types("w");
+    robot.presses(Key::Escape);
+    assert_eq!(robot.message(), "not done: watching /robot2/odom");
+    robot.hears_of(Part::Identity);
+    robot.site_answers(true);
+    assert!(robot.work().is_empty());
+}
+
+#[test]
+fn a_registration_that_fails_drops_what_waited_and_stays_on_screen() {
+    let mut robot = on(at_topics(false), "robot2");
+    robot.state.identity = Some(fixtures::identity(true, true, false));
+    robot.types("w");
+    robot.is_answered(&Tag::Register, Err(fixtures::failure(ErrorKind::Unreachable, "node does not answer")));
+    robot.waits(60);
+    assert!(robot.message().contains("node does not answer"));
+    assert!(robot.work().is_empty() && robot.state.identity_path.is_none());
+}
+
+#[test]
+fn a_topic_with_a_name_that_is_none_is_refused_in_words() {
+    let mut robot = on(at_topics(true), "evil");
+    robot.types("w");
+    assert!(robot.work().is_empty());
+    assert!(robot.message().contains("is not a topic name") && !robot.message().contains('\u{1b}'));
+}
+
+#[test]
+fn read_only_watches_nothing() {
+    let mut robot = on(at_topics(true), "robot2");
+    robot.state.settings.read_only = true;
+    robot.types("w");
+    assert_eq!(robot.message(), "watch: read-only");
+    assert!(!robot.sent.iter().any(|(command, _)| matches!(command, Command::WatchTopic { .. })));
+}

@@ -1,0 +1,98 @@
+//! Hostile text in every place the site can put text: no foreign control reaches a cell.
+
+use proptest::prelude::*;
+use ratatui::Terminal;
+use ratatui::backend::TestBackend;
+
+use crate::app::tests::{Robot, fixtures};
+use crate::app::{Action, Key, Tag};
+use crate::model::{ErrorKind, Verdict};
+use crate::service::reply::{GrantRow, PartHealth, RecordView, SiteView, TopicRow};
+use crate::service::{Event, NoticeLevel, Part, Reply};
+use crate::ui::{Theme, draw};
+
+fn assert_harmless(robot: &Robot) {
+    let theme = Theme::named("night").expect("embedded");
+    let (columns, rows) = robot.state.size;
+    let mut terminal = Terminal::new(TestBackend::new(columns, rows)).expect("a terminal");
+    terminal.draw(|frame| draw(frame, &robot.state, &theme)).expect("drawn");
+    for cell in terminal.backend().buffer().content() {
+        for character in cell.symbol().chars() {
+            let foreign = character.is_control()
+                || matches!(character, '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2060}'..='\u{206f}' | '\u{feff}');
+            assert!(!foreign, "{character:?}");
+        }
+    }
+}
+
+fn topic(text: &str) -> TopicRow {
+    let text = || text.to_owned();
+    TopicRow { topic: text(), type_name: Some(text()), publishers: vec![text()], ..fixtures::topic("/a", 1.0) }
+}
+
+fn record(text: &str) -> RecordView {
+    let text = || text.to_owned();
+    RecordView { topic: text(), type_name: text(), kind: text(), state: text(), id: text(), ..fixtures::record(1, "") }
+}
+
+/// Puts `text` wherever the site can.
+fn infect(robot: &mut Robot, text: &str) {
+    let failure = fixtures::failure(ErrorKind::Refused, text);
+    let site = SiteView {
+        health: vec![PartHealth { text: text.to_owned(), part: text.to_owned(), ..fixtures::site().health[0].clone() }],
+        ..fixtures::site()
+    };
+    robot.state.site = Some(site);
+    robot.state.topics.rows = vec![topic(text), topic("/robot1/odom")];
+    robot.state.uploads.rows = vec![record(text)];
+    robot.state.shared.rows = vec![record(text)];
+    let grant = fixtures::grant("given", fixtures::OTHER, text, 1);
+    robot.state.grants.rows = vec![GrantRow { topics: vec![text.to_owned()], ..grant }];
+    robot.state.log.notice(fixtures::NOW, NoticeLevel::Error, text);
+    if let Some(chain) = &mut robot.state.chain {
+        chain.client = text.to_owned();
+        chain.balance = text.to_owned();
+    }
+    robot.act(Action::Told(Event::Notice { at: fixtures::NOW, level: NoticeLevel::Error, text: text.to_owned() }));
+    robot.hears_of(Part::Health);
+    robot.is_answered(&Tag::Feed(crate::app::feed::Feed::Site, 0), Err(failure));
+}
+
+fn open_everything(robot: &mut Robot, text: &str) {
+    let mut opened = fixtures::opened(1, true);
+    opened.record = record(text);
+    opened.verdict = Verdict::Unanchored;
+    opened.caller_id = text.to_owned();
+    opened.tags = vec![(text.to_owned(), text.to_owned())];
+    opened.fields = vec![(text.to_owned(), text.to_owned()); 3];
+    robot.types("4");
+    robot.presses(Key::Enter);
+    assert_harmless(robot);
+    if let Some((_, tag)) = robot.sent.iter().find(|(_, tag)| matches!(tag, Tag::Open(_))).cloned() {
+        robot.is_answered(&tag, Ok(Reply::Opened(Box::new(opened))));
+        assert_harmless(robot);
+        robot.presses(Key::Escape);
+    }
+    robot.types("2wg");
+    assert_harmless(robot);
+    robot.pastes(text);
+    assert_harmless(robot);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 200, ..ProptestConfig::default() })]
+    #[test]
+    fn no_foreign_control_reaches_a_cell(text in "(\\PC|[\u{0}-\u{1f}\u{7f}-\u{9f}\u{200b}-\u{200f}\u{202a}-\u{202e}\u{2066}-\u{2069}\u{feff}]|机|é){0,60}") {
+        let mut robot = Robot::at_work(true);
+        for screen in '1'..='9' {
+            robot.presses(Key::Char(screen));
+            robot.site_answers(true);
+        }
+        infect(&mut robot, &text);
+        for screen in '1'..='9' {
+            robot.presses(Key::Char(screen));
+            assert_harmless(&robot);
+        }
+        open_everything(&mut robot, &text);
+    }
+}
