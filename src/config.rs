@@ -308,7 +308,7 @@ fn parsed<T: FromStr<Err: fmt::Display>>(values: &Values, name: &'static str) ->
 fn url(values: &Values, name: &'static str, schemes: &[&str]) -> Result<Option<String>, ConfigError> {
     let Some(text) = value(values, name) else { return Ok(None) };
     let usable = text.len() <= 500 && !text.chars().any(char::is_control) && schemes.iter().any(|scheme| text.starts_with(scheme));
-    if usable || text.ends_with(".ipc") && schemes.contains(&"ipc://") {
+    if usable || Path::new(text).extension().is_some_and(|end| end == "ipc") && schemes.contains(&"ipc://") {
         return Ok(Some(text.to_owned()));
     }
     Err(wrong(values, name, &format!("it begins with {}", schemes.join(", "))))

@@ -40,11 +40,6 @@ impl Field {
         &self.text
     }
 
-    /// The text without the space around it.
-    pub fn trimmed(&self) -> &str {
-        self.text.trim()
-    }
-
     /// What may be shown.
     pub fn shown(&self) -> String {
         if self.masked { "•".repeat(self.text.chars().count()) } else { self.text.to_string() }

@@ -68,7 +68,7 @@ impl Work {
     /// Whether a foreign file may ask for it: at most 512 MiB and 16 times the usual time.
     pub fn is_bearable(self) -> bool {
         let bytes = 128u64.saturating_mul(u64::from(self.r)).saturating_mul(1 << self.log_n.min(40));
-        let usual = 128 * 8 << 17;
+        let usual = (128 * 8) << 17;
         self.r > 0 && self.p > 0 && bytes <= 4 * usual && bytes.saturating_mul(u64::from(self.p)) <= 16 * usual
     }
 }

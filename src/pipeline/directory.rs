@@ -211,8 +211,8 @@ impl Directory {
     /// own at that block. A lent device's key is not on the chain, so its record names only its hash.
     pub fn signing_key(&self, owner: Address, signer: SignerId, block: Option<u64>) -> Option<PublicKey> {
         let account = self.account(owner)?;
-        let known = account.identities.iter().filter(|identity| block.is_none_or(|block| identity.block <= block));
-        known.last().filter(|identity| identity.proven && signer_id(&identity.signing) == signer).map(|identity| identity.signing)
+        let mut known = account.identities.iter().rev().filter(|identity| block.is_none_or(|block| identity.block <= block));
+        known.next().filter(|identity| identity.proven && signer_id(&identity.signing) == signer).map(|identity| identity.signing)
     }
 
     /// Grants that match, oldest first.

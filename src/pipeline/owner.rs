@@ -1,5 +1,6 @@
 //! An owner: a profile whose keyring is open in this site.
 
+use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
 
@@ -109,9 +110,8 @@ impl Owner {
             let mut keyring = self.keyring();
             let sm4 = keyring.keyring.sm4.clone();
             let network = keyring.keyring.networks.entry(domain).or_insert_with(|| NetworkKeys { epochs: BTreeMap::new(), current: 0 });
-            if !network.epochs.contains_key(&epoch) {
-                let secret = EpochSecret { salt: EpochSalt::generate()?, sm4, state: EpochState::Pending };
-                network.epochs.insert(epoch, secret);
+            if let Entry::Vacant(place) = network.epochs.entry(epoch) {
+                place.insert(EpochSecret { salt: EpochSalt::generate()?, sm4, state: EpochState::Pending });
                 keyring.save()?;
             }
         }

@@ -46,7 +46,7 @@ struct Numbered<T> {
 #[serde(rename_all = "snake_case")]
 enum FromSite {
     Greeting(Greeting),
-    Answer { number: u64, with: Result<Reply, Failure> },
+    Answer { number: u64, with: Box<Result<Reply, Failure>> },
     Event(Event),
 }
 
@@ -117,7 +117,7 @@ async fn serve_joiner(site: Arc<Site>, stream: UnixStream) {
         let lines = lines.clone();
         tokio::spawn(async move {
             let with = answered.await.unwrap_or_else(|_| Err(super::client::site_gone()));
-            send(&lines, &FromSite::Answer { number, with });
+            send(&lines, &FromSite::Answer { number, with: Box::new(with) });
         });
     }
 }
@@ -237,7 +237,7 @@ async fn speak(
                 Some(FromSite::Answer { number, with }) => {
                     if let Some(answer) = waiting.remove(&number) {
                         // Nobody waiting for the answer any more is no fault.
-                        drop(answer.send(with));
+                        drop(answer.send(*with));
                     }
                 }
                 Some(FromSite::Event(event)) => drop(events.send(event)),

@@ -60,9 +60,23 @@ impl Drop for Guard {
 /// # Errors
 /// Where the terminal refuses.
 pub fn take() -> io::Result<()> {
-    enable_raw_mode()?;
+    if ENTERED.load(Ordering::SeqCst) {
+        // The shell may have changed the modes behind our back; a second enabling alone does nothing.
+        patiently(disable_raw_mode)?;
+    }
+    patiently(enable_raw_mode)?;
     ENTERED.store(true, Ordering::SeqCst);
     write(ENTER)
+}
+
+/// In the background a change of modes stops the process, and is interrupted when it goes on.
+fn patiently(change: impl Fn() -> io::Result<()>) -> io::Result<()> {
+    loop {
+        match change() {
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            result => return result,
+        }
+    }
 }
 
 /// Gives the terminal back, once; nothing is written to one that is gone.

@@ -51,7 +51,7 @@ pub enum ExitReason {
     Refused(Failure),
     /// A signal asked for it.
     Signal(i32),
-    /// The terminal vanished; nothing may be printed.
+    /// The terminal vanished or hung up (SIGHUP); nothing may be printed.
     TerminalGone,
 }
 

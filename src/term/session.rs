@@ -106,7 +106,7 @@ impl Session {
             };
             ended = ended.or_else(|| self.look_around());
         }
-        self.close(matches!(ended, Some(Ok(ExitReason::TerminalGone))));
+        self.close();
         ended.unwrap_or(Ok(ExitReason::Quit))
     }
 
@@ -258,10 +258,10 @@ impl Session {
     }
 
     /// Ends the threads and gives the terminal back.
-    fn close(&self, gone: bool) {
+    fn close(&self) {
         self.stop.store(true, Ordering::Relaxed);
         self.stage.change(Wish::None, |scene| scene.over = true);
-        let writing = if gone { None } else { finished(&self.stage) };
+        let writing = finished(&self.stage);
         if writing.is_some() {
             guard::restore();
         } else {
@@ -284,7 +284,8 @@ fn finished(stage: &Stage) -> Option<MutexGuard<'_, ()>> {
 }
 
 fn ended_by(signal: i32) -> ExitReason {
-    if io::stdin().is_terminal() { ExitReason::Signal(signal) } else { ExitReason::TerminalGone }
+    let gone = signals::hangs_up(signal) || !io::stdin().is_terminal();
+    if gone { ExitReason::TerminalGone } else { ExitReason::Signal(signal) }
 }
 
 fn sender<T, W: Fn(T) -> Heard>(mouth: &Sender<Heard>, wrap: W) -> impl Fn(T) + use<T, W> {

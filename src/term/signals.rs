@@ -24,6 +24,11 @@ pub fn continues(signal: i32) -> bool {
     signal == SIGCONT
 }
 
+/// Whether a signal says that the terminal hung up.
+pub fn hangs_up(signal: i32) -> bool {
+    signal == SIGHUP
+}
+
 /// Whether a signal ends the console.
 pub fn ends(signal: i32) -> bool {
     ENDING.contains(&signal)

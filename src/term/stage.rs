@@ -60,6 +60,7 @@ impl Stage {
     }
 
     /// The scene, once nobody shares it any more.
+    #[cfg(test)]
     pub fn into_scene(self) -> Scene {
         self.scene.into_inner().unwrap_or_else(PoisonError::into_inner)
     }

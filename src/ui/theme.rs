@@ -156,9 +156,9 @@ impl Theme {
 
 impl Paint {
     fn style(&self) -> Result<Style, ThemeError> {
-        let mut style = Style::default();
-        style.fg = self.fg.as_deref().map(colour).transpose()?;
-        style.bg = self.bg.as_deref().map(colour).transpose()?;
+        let fg = self.fg.as_deref().map(colour).transpose()?;
+        let bg = self.bg.as_deref().map(colour).transpose()?;
+        let mut style = Style { fg, bg, ..Style::default() };
         let wanted = [
             (self.bold, Modifier::BOLD),
             (self.dim, Modifier::DIM),

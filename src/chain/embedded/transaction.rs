@@ -138,7 +138,7 @@ impl Transaction {
 pub fn recover(hash: &[u8; 32], signature: &Signature, parity: RecoveryId) -> Option<Address> {
     let key = VerifyingKey::recover_from_prehash(hash, signature, parity).ok()?;
     let point = key.to_encoded_point(false);
-    point.as_bytes().get(1..)?.try_into().ok().map(|xy| Address::from_public_key(xy))
+    point.as_bytes().get(1..)?.try_into().ok().map(Address::from_public_key)
 }
 
 #[cfg(test)]

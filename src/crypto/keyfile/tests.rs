@@ -82,7 +82,7 @@ fn sm2_keys_as_pem_and_hex() {
     assert!(refused(b"-----BEGIN ENCRYPTED PRIVATE KEY-----").contains("encrypted"));
     assert!(refused(b"-----BEGIN EC PRIVATE KEY-----").contains("SEC1"));
     assert!(refused(b"-----BEGIN PUBLIC KEY-----").contains("public key"));
-    assert!(refused(pem.replace("A", "B").as_bytes()).contains("no SM2 key"));
+    assert!(refused(pem.replace('A', "B").as_bytes()).contains("no SM2 key"));
 }
 
 #[test]

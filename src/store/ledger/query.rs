@@ -295,7 +295,7 @@ impl Lane {
         let Range { low, high, .. } = self.range;
         let limit = i64::try_from(chunk).unwrap_or(i64::MAX);
         let bounds = [self.stream, low.captured_at, low.n, high.captured_at, high.n, limit].map(Some);
-        let values = bounds.into_iter().chain([state.map(i64::from)].into_iter().filter(Option::is_some));
+        let values = bounds.into_iter().chain(state.map(|state| Some(i64::from(state))));
         let keys = statement.query_map(rusqlite::params_from_iter(values), |row| {
             Ok(Key { captured_at: row.get(0)?, n: row.get(1)? })
         })?;

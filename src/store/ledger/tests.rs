@@ -380,7 +380,11 @@ fn whatever_was_acknowledged_is_there_after_a_crash() {
             let acknowledged = (1..=3).map(|w| ledger.next_seq(Address([w; 20]), TopicId([1; 16])).expect("seq"));
             let acknowledged: Vec<u64> = acknowledged.collect();
             let (from, to) = (path.to_owned(), crash.path().to_owned());
-            ledger.write(move |_| Ok(copy_files(&from, &to))).expect("copied");
+            let copied = ledger.write(move |_| {
+                copy_files(&from, &to);
+                Ok(())
+            });
+            copied.expect("copied");
             let after = Ledger::open(&crash.path().join("ledger.db")).expect("opens");
             for (writer, next) in (1u8..).zip(acknowledged) {
                 let found = after.next_seq(Address([writer; 20]), TopicId([1; 16])).expect("seq");
