@@ -6,7 +6,7 @@ mod support;
 use std::fs;
 
 use serde_json::Value;
-use support::{Authros, Home, count, heavy};
+use support::{Authros, Home, count, heavy, skipped};
 
 /// The story must hold whatever the number of robots and the length.
 fn expect_the_whole_story(told: &Value) {
@@ -65,4 +65,29 @@ fn without_json_it_is_a_story_with_figures_and_no_escape_codes() {
         assert!(outcome.stdout.to_lowercase().contains(word), "no word of '{word}': {outcome}");
     }
     assert!(!outcome.stdout.contains('\u{1b}'), "{outcome}");
+}
+
+/// The build whose checks can be switched off one by one lies beside the product's own.
+fn faulty() -> Option<std::path::PathBuf> {
+    let built = std::path::Path::new(env!("CARGO_BIN_EXE_authros")).with_file_name("authros-faulty");
+    built.exists().then_some(built)
+}
+
+#[test]
+fn each_check_switched_off_makes_the_demo_say_that_it_is_not_ok() {
+    let Some(program) = faulty() else {
+        skipped!("authros-faulty is not built; tests/run builds it");
+    };
+    let _alone = heavy();
+    let checks = ["digest", "signature", "commit", "tag", "anchor", "revoke", "restore", "authorise"];
+    for fault in checks {
+        let home = Home::new();
+        let authros = home.authros().with_program(&program).with_variable("AUTHROS_FAULT", fault).with(&["--json"]);
+        let told = authros.spawn(&["demo", "--seconds", "2", "--robots", "1"]).wait(120).expect_code(1).document();
+        assert_eq!(told["ok"], false, "without the check '{fault}': {told}");
+    }
+    let home = Home::new();
+    let authros = home.authros().with_program(&program).with(&["--json"]);
+    let told = authros.spawn(&["demo", "--seconds", "2", "--robots", "1"]).wait(120).expect_code(0).document();
+    assert_eq!(told["ok"], true, "with every check on: {told}");
 }

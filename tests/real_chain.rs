@@ -33,7 +33,7 @@ fn expect_anchored_once(node: &Anvil, authros: &Authros) -> Vec<Value> {
     let logs = logs_of(node, &contract, &records);
     assert!(logs.iter().all(|&times| times == 1), "every digest is in one log: {logs:?}");
     for record in records.iter().step_by(10) {
-        let receipt = node.call("eth_getTransactionReceipt", &json!([format!("0x{}", text(record, "transaction"))]));
+        let receipt = node.call("eth_getTransactionReceipt", &json!([record["transaction"]]));
         assert_eq!(
             (&receipt["status"], &receipt["blockNumber"]),
             (&"0x1".into(), &format!("0x{:x}", count(record, "block")).into())

@@ -152,7 +152,10 @@ fn a_record_shows_its_way_from_message_to_verified() {
     let records = authros.records(&["uploads", "list"]);
     assert_eq!(records.len(), 1);
     let record = &records[0];
-    assert_eq!((&record["seq"], &record["state"], &record["simulated"]), (&1.into(), &"verified".into(), &true.into()));
+    assert_eq!(
+        (&record["kind"], &record["state"], &record["simulated"]),
+        (&"data".into(), &"verified".into(), &true.into())
+    );
     assert_eq!(
         (&record["topic"], &record["type"]),
         (&"/robot1/camera/compressed".into(), &"sensor_msgs/CompressedImage".into())
@@ -161,7 +164,11 @@ fn a_record_shows_its_way_from_message_to_verified() {
         record["bytes"].as_u64().is_some_and(|bytes| (20_000..200_000).contains(&bytes)),
         "a real picture: {record}"
     );
-    assert!(record["block"].is_u64() && text(record, "transaction").len() == 64, "{record}");
+    assert!(record["block"].is_u64() && unhex(&text(record, "transaction")).len() == 32, "{record}");
+
+    let definitions = authros.records(&["uploads", "list", "--kind", "definition"]);
+    assert_eq!(definitions.len(), 1, "the definition travels once, as a record of its own");
+    assert_eq!((&definitions[0]["seq"], &record["seq"]), (&1.into(), &2.into()), "and before its first use");
 
     let shown = authros.json(&["uploads", "show", &text(record, "id")]);
     assert_eq!(shown["digest"], record["digest"]);

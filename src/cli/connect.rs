@@ -147,9 +147,15 @@ impl Context {
 }
 
 impl Connection {
-    /// Ends the site where this process is it.
+    /// Ends the site where this process is it, once no joined process waits for an answer of it.
     pub async fn close(self) {
         if let Some(site) = self.site {
+            while site.guests() > 0 {
+                tokio::select! {
+                    () = tokio::time::sleep(std::time::Duration::from_millis(50)) => {}
+                    () = super::serve::asked_to_end() => break,
+                }
+            }
             site.stop().await;
         }
     }

@@ -4,6 +4,10 @@
 
 mod locks;
 mod mission;
+#[cfg(test)]
+mod secrets;
+#[cfg(test)]
+mod tests;
 mod witness;
 
 use serde::Serialize;

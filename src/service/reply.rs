@@ -91,7 +91,7 @@ pub struct TopicRow {
     pub hz: Option<f64>,
     /// Bytes a second over the last 5 s; `None` = not measured.
     pub bytes_per_second: Option<f64>,
-    /// Messages captured since it is watched.
+    /// Messages of it that this profile has captured.
     pub messages: u64,
     /// Lost before capture (header.seq gaps).
     pub lost_in_transport: u64,

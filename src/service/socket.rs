@@ -114,8 +114,9 @@ async fn serve_joiner(site: Arc<Site>, stream: UnixStream) {
         if calls.send(Call { request: with, answer }).is_err() {
             return;
         }
-        let lines = lines.clone();
+        let (lines, guest) = (lines.clone(), site.welcome());
         tokio::spawn(async move {
+            let _guest = guest;
             let with = answered.await.unwrap_or_else(|_| Err(super::client::site_gone()));
             send(&lines, &FromSite::Answer { number, with: Box::new(with) });
         });

@@ -50,6 +50,7 @@ impl Home {
     pub fn authros(&self) -> Authros {
         let site = self.path();
         Authros {
+            program: env!("CARGO_BIN_EXE_authros").into(),
             root: self.root().to_owned(),
             options: vec!["--home".into(), site.to_str().expect("UTF-8").to_owned()],
             environment: Vec::new(),
@@ -82,6 +83,7 @@ pub fn files_below(directory: &Path) -> Vec<PathBuf> {
 /// The program with the options a test gives to all of its commands.
 #[derive(Debug, Clone)]
 pub struct Authros {
+    program: PathBuf,
     root: PathBuf,
     options: Vec<String>,
     environment: Vec<(String, String)>,
@@ -90,7 +92,8 @@ pub struct Authros {
 impl Authros {
     /// In a `HOME` and without `--home`.
     pub fn bare(root: &Path) -> Self {
-        Self { root: root.to_owned(), options: Vec::new(), environment: Vec::new() }
+        let program = env!("CARGO_BIN_EXE_authros").into();
+        Self { program, root: root.to_owned(), options: Vec::new(), environment: Vec::new() }
     }
 
     /// The same with more options, given behind every command's own.
@@ -98,6 +101,11 @@ impl Authros {
         let mut more = self.clone();
         more.options.extend(options.iter().map(|&option| option.to_owned()));
         more
+    }
+
+    /// The same with another build of the program.
+    pub fn with_program(&self, program: &Path) -> Self {
+        Self { program: program.to_owned(), ..self.clone() }
     }
 
     /// The same with an environment variable.
@@ -124,7 +132,7 @@ impl Authros {
 
     /// Starts a command that runs beside the test.
     pub fn spawn(&self, arguments: &[&str]) -> Running {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_authros"));
+        let mut command = Command::new(&self.program);
         command.args(self.arguments(arguments)).env_clear().envs(self.variables()).current_dir(&self.root);
         Running::start(command)
     }

@@ -104,7 +104,7 @@ pub fn level_word(level: NoticeLevel) -> &'static str {
 }
 
 fn audit_line(view: AuditView) -> LogLine {
-    let good = ["ok", "done"].contains(&view.outcome.as_str());
+    let good = ["ok", "done", "begun"].contains(&view.outcome.as_str());
     let level = if good { NoticeLevel::Info } else { NoticeLevel::Warning };
     let text = format!("{} {} {}: {}", view.profile, view.action, view.subject, view.outcome);
     LogLine { at: view.at, level, source: format!("audit {}", view.line), text: clean(&text, WIDEST) }

@@ -18,21 +18,21 @@ use crate::service::reply::{CaptureSummary, OpenedView, RecordView};
 use crate::service::{Client, Command, Epochs, Failure, Needs, Reply, Site, UploadQuery};
 
 /// One person of the story.
-struct Person {
+pub(super) struct Person {
     client: Client,
-    address: Address,
-    owner: Arc<Owner>,
+    pub(super) address: Address,
+    pub(super) owner: Arc<Owner>,
 }
 
 /// The running mission.
 pub struct Mission {
-    site: Arc<Site>,
-    network: Network,
+    pub(super) site: Arc<Site>,
+    pub(super) network: Network,
     first_block: u64,
-    cura_a: Person,
-    cura_b: Person,
-    stranger: Person,
-    topics: Vec<TopicName>,
+    pub(super) cura_a: Person,
+    pub(super) cura_b: Person,
+    pub(super) stranger: Person,
+    pub(super) topics: Vec<TopicName>,
     pictures: usize,
     witness: Witness,
     milliseconds: u64,
@@ -78,7 +78,11 @@ impl Mission {
         played
     }
 
-    async fn play(&mut self) -> Result<Story, Failure> {
+    /// The story itself; the site goes on.
+    ///
+    /// # Errors
+    /// Where a step cannot be taken at all.
+    pub(super) async fn play(&mut self) -> Result<Story, Failure> {
         let first = self.capture(self.milliseconds * 6 / 10).await?;
         self.output.note(&format!("A captured and anchored {} messages, {} verified", first.captured, first.verified));
         self.grant().await?;

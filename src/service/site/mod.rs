@@ -21,7 +21,7 @@ mod view;
 mod workers;
 
 use std::collections::{BTreeMap, HashSet};
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, RwLock};
 
 use tokio::sync::{broadcast, mpsc, watch};
@@ -76,10 +76,20 @@ pub struct Site {
     ros: watch::Sender<RosState>,
     stopping: watch::Sender<bool>,
     chain_silent: AtomicBool,
+    guests: AtomicUsize,
     deploying: tokio::sync::Mutex<()>,
     sealer: Mutex<Option<std::thread::JoinHandle<()>>>,
     ros_task: Mutex<Option<tokio::task::JoinHandle<()>>>,
     _lock: SiteLock,
+}
+
+/// A request of a joined process.
+pub(super) struct Guest(Arc<Site>);
+
+impl Drop for Guest {
+    fn drop(&mut self) {
+        self.0.guests.fetch_sub(1, Ordering::AcqRel);
+    }
 }
 
 impl Site {
@@ -111,6 +121,7 @@ impl Site {
             ros: watch::channel(if needs.ros { RosState::Starting } else { RosState::Off }).0,
             stopping: watch::channel(false).0,
             chain_silent: AtomicBool::new(false),
+            guests: AtomicUsize::new(0),
     deploying: tokio::sync::Mutex::default(),
             sealer: Mutex::default(),
             ros_task: Mutex::default(),
@@ -154,6 +165,17 @@ impl Site {
 
     pub(crate) fn changed(&self, part: Part) {
         self.hub.changed(part);
+    }
+
+    /// A joined process asks something; counted until the guard is dropped.
+    pub(super) fn welcome(self: &Arc<Self>) -> Guest {
+        self.guests.fetch_add(1, Ordering::AcqRel);
+        Guest(Arc::clone(self))
+    }
+
+    /// Requests of joined processes that are not answered yet.
+    pub fn guests(&self) -> usize {
+        self.guests.load(Ordering::Acquire)
     }
 
     /// Whether the site is ending.

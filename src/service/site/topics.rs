@@ -1,5 +1,6 @@
 //! Topics of the graph: listed with their rates, watched and unwatched.
 
+use std::collections::HashMap;
 use std::sync::Arc;
 
 use tokio::task::block_in_place;
@@ -31,7 +32,9 @@ impl Site {
                 rows.push(self.topic_row(topic.as_str(), type_name.as_ref().map(TypeName::as_str), Vec::new(), false, now));
             }
         }
+        let captured = self.captured_by_topic(profile)?;
         for row in &mut rows {
+            row.messages = captured.get(&row.topic).copied().unwrap_or(0);
             row.watched = watches.iter().any(|(topic, _)| topic.as_str() == row.topic);
         }
         rows.sort_by(|one, other| one.topic.cmp(&other.topic));
@@ -49,11 +52,17 @@ impl Site {
             simulated,
             hz: rate.map(|rate| rate.hz),
             bytes_per_second: rate.map(|rate| rate.bytes_per_second),
-            messages: rate.map_or(0, |rate| rate.messages),
+            messages: 0,
             lost_in_transport: losses.in_transport,
             lost_in_recorder: losses.in_recorder,
             last_message: rate.and_then(|rate| rate.last),
         }
+    }
+
+    fn captured_by_topic(&self, profile: &ProfileName) -> Result<HashMap<String, u64>, Failure> {
+        let Some(owner) = self.owner(profile) else { return Ok(HashMap::new()) };
+        let counts = block_in_place(|| self.plant.ledger.counts(Some(owner.address)))?;
+        Ok(counts.topics.into_iter().map(|topic| (topic.topic, topic.captured)).collect())
     }
 
     fn watches(&self, profile: &ProfileName) -> Result<Watches, Failure> {
