@@ -5,9 +5,10 @@ mod support;
 
 use std::collections::BTreeSet;
 
-use support::{Authros, Console, Home, heavy, list, text, wait_until};
+use support::{Authros, Console, Home, heavy, list, poll, text, wait_until};
 
 const TOPIC: &str = "/robot1/odom";
+const PASSPHRASE: &str = "a console's passphrase";
 
 fn one_robot(home: &Home) -> Authros {
     home.authros().with(&["--robots", "1"])
@@ -50,9 +51,8 @@ fn signals_restore_the_terminal() {
 fn a_topic_watched_with_a_key_is_seen_verified() {
     let home = Home::new();
     let authros = one_robot(&home);
-    let passphrase = home.file("passphrase", "a console's passphrase\n", 0o600);
-    let authros = authros.with(&["--passphrase-file", &passphrase]);
-    authros.enrol();
+    let passphrase = home.file("passphrase", PASSPHRASE, 0o600);
+    authros.with(&["--passphrase-file", &passphrase]).enrol();
     let mut console = Console::open(&authros);
     console.wait_for(TOPIC, 10);
     console.press("2");
@@ -66,15 +66,21 @@ fn a_topic_watched_with_a_key_is_seen_verified() {
     assert!(!list(&uploads, "records").is_empty(), "what the console captured is kept");
 }
 
-/// Finds odometry in the table of topics by a filter, and watches it with one key.
+/// Finds odometry by a filter and watches it with one key; only now is the passphrase asked for.
 fn watch_odometry(console: &mut Console, authros: &Authros) {
     console.press("/");
-    console.press("robot1/odom\r");
+    console.press("odometry\r");
+    wait_until(10, "the filter leaves one topic", || Some(()).filter(|()| !console.shown().contains("/robot1/camera")));
     console.press("w");
-    wait_until(30, "odometry is watched", || {
+    console.wait_for("Passphrase", 10);
+    console.press(PASSPHRASE);
+    assert!(!console.shown().contains(PASSPHRASE), "never shown");
+    console.press("\r");
+    let watched = poll(30, || {
         let topics = list(&authros.json(&["topics", "list"]), "topics");
         topics.into_iter().find(|topic| topic["topic"] == TOPIC && topic["watched"] == true)
     });
+    assert!(watched.is_some(), "not watched by w:\n{}", console.shown());
 }
 
 #[test]

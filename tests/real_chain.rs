@@ -104,14 +104,28 @@ fn an_account_the_operator_already_has_is_used() {
 }
 
 #[test]
-fn an_account_without_ether_is_told_so() {
+fn an_account_with_too_little_ether_is_told_so() {
     let _alone = heavy();
     let Some(node) = Anvil::start(&[]) else { skipped!(NO_NODE) };
     let home = Home::new();
     let authros = home.authros().with(&["--chain", &node.http(), "--robots", "0"]);
     let address = text(&authros.json(&["identity", "create"]), "address");
+    // One wei: a development node gives only to an account that holds nothing.
+    node.call("anvil_setBalance", &json!([address, "0x1"]));
     let message = authros.fails(5, &["register"]);
-    assert!(message.contains(&address), "says which account to fund: {message}");
+    assert!(message.contains("ether"), "{message}");
+    assert_eq!(authros.json(&["identity", "show"])["registered"], false);
+}
+
+#[test]
+fn a_development_node_pays_for_a_newcomer() {
+    let _alone = heavy();
+    let Some(node) = Anvil::start(&[]) else { skipped!(NO_NODE) };
+    let home = Home::new();
+    let authros = home.authros().with(&["--chain", &node.http(), "--robots", "1"]);
+    authros.capture(&[TOPIC], 2);
+    let balance = text(&authros.json(&["chain", "status"]), "balance");
+    assert!(balance.parse::<u128>().is_ok_and(|wei| wei > 0), "{balance}");
 }
 
 #[test]

@@ -34,8 +34,21 @@ impl Site {
             topic_ids: Some(readable),
             ..record_query(query)
         };
-        let page = self.blocking(move |site| Ok(site.plant.ledger.list(&query)?)).await?;
-        Ok(record_page(page, true))
+        let reader = Reader { plant: &self.plant, network: &network, reader: owner };
+        self.readable_page(&reader, query).await
+    }
+
+    /// The next page with a record that the reader's keys open; such pages may be short.
+    async fn readable_page(self: &Arc<Self>, reader: &Reader<'_>, mut query: RecordQuery) -> Result<RecordPage, Failure> {
+        loop {
+            let asked = query.clone();
+            let mut page = self.blocking(move |site| Ok(site.plant.ledger.list(&asked)?)).await?;
+            page.rows.retain(|row| reader.topic_key(row).is_ok());
+            if !page.rows.is_empty() || page.next.is_none() {
+                return Ok(record_page(page, true));
+            }
+            query.after = page.next;
+        }
     }
 
     async fn readable_topics(self: &Arc<Self>, scopes: &HashMap<Address, Scope>) -> Result<Vec<TopicId>, Failure> {
