@@ -91,16 +91,66 @@ pub struct Definition {
 
 /// Every setting, in the order shown.
 pub const DEFINITIONS: [Definition; 10] = [
-    Definition { name: "ros.master", variable: "ROS_MASTER_URI", default: "", text: "URI of a real ROS master; empty = embedded master" },
-    Definition { name: "ros.host", variable: "ROS_HOSTNAME", default: "", text: "name or address other ROS nodes reach this machine by; ROS_IP counts too" },
-    Definition { name: "ros.meter", variable: "AUTHROS_METER", default: "auto", text: "measure rates of: all topics, watched ones, or auto (all on the embedded master)" },
-    Definition { name: "robots", variable: "AUTHROS_ROBOTS", default: "4", text: "simulated robots on the embedded master, 0 to 32" },
-    Definition { name: "chain.url", variable: "AUTHROS_CHAIN", default: "", text: "node to use: http://, ws:// or ipc path; empty = embedded chain" },
-    Definition { name: "chain.contract", variable: "AUTHROS_CONTRACT", default: "", text: "address of the AuthROS contract; empty = deploy one at first registration" },
-    Definition { name: "vault.url", variable: "AUTHROS_VAULT", default: "", text: "redis://host:port; empty = embedded vault" },
-    Definition { name: "crypto.provider", variable: "AUTHROS_CRYPTO_PROVIDER", default: "rustcrypto", text: "rustcrypto or libsm" },
-    Definition { name: "anchor.mode", variable: "AUTHROS_ANCHOR_MODE", default: "each", text: "each = one dataUpload per record" },
-    Definition { name: "confirmations", variable: "AUTHROS_CONFIRMATIONS", default: "1", text: "blocks until an anchor counts as confirmed, its own included, 1 to 1000" },
+    Definition {
+        name: "ros.master",
+        variable: "ROS_MASTER_URI",
+        default: "",
+        text: "URI of a real ROS master; empty = embedded master",
+    },
+    Definition {
+        name: "ros.host",
+        variable: "ROS_HOSTNAME",
+        default: "",
+        text: "name or address other ROS nodes reach this machine by; ROS_IP counts too",
+    },
+    Definition {
+        name: "ros.meter",
+        variable: "AUTHROS_METER",
+        default: "auto",
+        text: "measure rates of: all topics, watched ones, or auto (all on the embedded master)",
+    },
+    Definition {
+        name: "robots",
+        variable: "AUTHROS_ROBOTS",
+        default: "4",
+        text: "simulated robots on the embedded master, 0 to 32",
+    },
+    Definition {
+        name: "chain.url",
+        variable: "AUTHROS_CHAIN",
+        default: "",
+        text: "node to use: http://, ws:// or ipc path; empty = embedded chain",
+    },
+    Definition {
+        name: "chain.contract",
+        variable: "AUTHROS_CONTRACT",
+        default: "",
+        text: "address of the AuthROS contract; empty = deploy one at first registration",
+    },
+    Definition {
+        name: "vault.url",
+        variable: "AUTHROS_VAULT",
+        default: "",
+        text: "redis://host:port; empty = embedded vault",
+    },
+    Definition {
+        name: "crypto.provider",
+        variable: "AUTHROS_CRYPTO_PROVIDER",
+        default: "rustcrypto",
+        text: "rustcrypto or libsm",
+    },
+    Definition {
+        name: "anchor.mode",
+        variable: "AUTHROS_ANCHOR_MODE",
+        default: "each",
+        text: "each = one dataUpload per record",
+    },
+    Definition {
+        name: "confirmations",
+        variable: "AUTHROS_CONFIRMATIONS",
+        default: "1",
+        text: "blocks until an anchor counts as confirmed, its own included, 1 to 1000",
+    },
 ];
 
 /// Which topics' rates are measured.
@@ -169,7 +219,8 @@ impl Config {
     }
 
     fn typed(values: BTreeMap<&'static str, (String, Source)>) -> Result<Self, ConfigError> {
-        let text = |name: &'static str| values.get(name).map(|(value, _)| value.as_str()).filter(|value| !value.is_empty());
+        let text =
+            |name: &'static str| values.get(name).map(|(value, _)| value.as_str()).filter(|value| !value.is_empty());
         let ros_master = url(&values, "ros.master", &["http://"])?;
         let meter = match (text("ros.meter"), &ros_master) {
             (Some("all"), _) | (Some("auto"), None) => MeterMode::All,
@@ -234,7 +285,8 @@ fn find(
     if let Some(value) = flags(definition.name) {
         return (value, Source::Flag);
     }
-    let variables: &[&'static str] = if definition.name == "ros.host" { &["ROS_HOSTNAME", "ROS_IP"] } else { &[definition.variable] };
+    let variables: &[&'static str] =
+        if definition.name == "ros.host" { &["ROS_HOSTNAME", "ROS_IP"] } else { &[definition.variable] };
     for variable in variables {
         if let Some(value) = environment(variable).filter(|value| !value.is_empty()) {
             return (value, Source::Environment(variable));
@@ -280,7 +332,8 @@ fn flatten(
 
 fn line_of(text: &str, name: &str) -> usize {
     let key = name.rsplit('.').next().unwrap_or(name);
-    let found = text.lines().position(|line| line.trim_start().trim_start_matches('"').starts_with(key) || line.contains(name));
+    let found =
+        text.lines().position(|line| line.trim_start().trim_start_matches('"').starts_with(key) || line.contains(name));
     found.map_or(1, |index| index + 1)
 }
 
@@ -288,7 +341,12 @@ type Values = BTreeMap<&'static str, (String, Source)>;
 
 fn wrong(values: &Values, name: &'static str, what: &str) -> ConfigError {
     let (value, source) = values.get(name).cloned().unwrap_or((String::new(), Source::Default));
-    ConfigError::Value { name, value: clean(&without_password(&value), 100), source_name: source.to_string(), what: what.to_owned() }
+    ConfigError::Value {
+        name,
+        value: clean(&without_password(&value), 100),
+        source_name: source.to_string(),
+        what: what.to_owned(),
+    }
 }
 
 fn value<'a>(values: &'a Values, name: &str) -> Option<&'a str> {
@@ -296,7 +354,8 @@ fn value<'a>(values: &'a Values, name: &str) -> Option<&'a str> {
 }
 
 fn number(values: &Values, name: &'static str, least: u64, most: u64) -> Result<u64, ConfigError> {
-    let parsed = value(values, name).and_then(|text| text.parse().ok()).filter(|number| (least..=most).contains(number));
+    let parsed =
+        value(values, name).and_then(|text| text.parse().ok()).filter(|number| (least..=most).contains(number));
     parsed.ok_or_else(|| wrong(values, name, &format!("write a whole number from {least} to {most}")))
 }
 
@@ -307,7 +366,9 @@ fn parsed<T: FromStr<Err: fmt::Display>>(values: &Values, name: &'static str) ->
 
 fn url(values: &Values, name: &'static str, schemes: &[&str]) -> Result<Option<String>, ConfigError> {
     let Some(text) = value(values, name) else { return Ok(None) };
-    let usable = text.len() <= 500 && !text.chars().any(char::is_control) && schemes.iter().any(|scheme| text.starts_with(scheme));
+    let usable = text.len() <= 500
+        && !text.chars().any(char::is_control)
+        && schemes.iter().any(|scheme| text.starts_with(scheme));
     if usable || Path::new(text).extension().is_some_and(|end| end == "ipc") && schemes.contains(&"ipc://") {
         return Ok(Some(text.to_owned()));
     }
@@ -336,7 +397,10 @@ mod tests {
     #[test]
     fn flag_beats_environment_beats_file() {
         let file = "robots = 1\n[chain]\nurl = \"http://file\"\n";
-        let environment = |name: &str| (name == "AUTHROS_ROBOTS" || name == "AUTHROS_CHAIN").then(|| if name == "AUTHROS_ROBOTS" { "2".to_owned() } else { "http://env".to_owned() });
+        let environment = |name: &str| {
+            (name == "AUTHROS_ROBOTS" || name == "AUTHROS_CHAIN")
+                .then(|| if name == "AUTHROS_ROBOTS" { "2".to_owned() } else { "http://env".to_owned() })
+        };
         let flags = |name: &str| (name == "robots").then(|| "3".to_owned());
         let config = Config::resolve(&flags, &environment, Some((Path::new("c"), file))).expect("resolves");
         assert_eq!((config.robots, config.chain_url.as_deref()), (3, Some("http://env")));

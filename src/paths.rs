@@ -97,7 +97,9 @@ mod tests {
     #[test]
     fn standard_homes() {
         let with = |pairs: &'static [(&str, &str)]| {
-            Home::standard(&move |name| pairs.iter().find(|(key, _)| *key == name).map(|(_, value)| (*value).to_owned()))
+            Home::standard(&move |name| {
+                pairs.iter().find(|(key, _)| *key == name).map(|(_, value)| (*value).to_owned())
+            })
         };
         assert_eq!(with(&[("HOME", "/h")]).root(), Path::new("/h/.local/share/authros"));
         assert_eq!(with(&[("HOME", "/h"), ("XDG_DATA_HOME", "/x")]).root(), Path::new("/x/authros"));

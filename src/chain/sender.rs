@@ -99,7 +99,8 @@ impl Chain {
     /// would feed on itself, for nodes quote what was paid last.
     async fn gas_price(&self) -> Result<U256, ChainError> {
         let block: Value = self.rpc("eth_getBlockByNumber", json!(["latest", false])).await?;
-        let base = block.get("baseFeePerGas").and_then(Value::as_str).and_then(|text| U256::from_str_radix(text, 16).ok());
+        let base =
+            block.get("baseFeePerGas").and_then(Value::as_str).and_then(|text| U256::from_str_radix(text, 16).ok());
         let price: U256 = self.rpc("eth_gasPrice", json!([])).await?;
         Ok(match base.filter(|base| !base.is_zero()) {
             Some(base) => base * 2 + price.saturating_sub(base).min(U256::from(LARGEST_TIP)),

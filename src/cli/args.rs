@@ -375,7 +375,9 @@ mod tests {
 
     #[test]
     fn flags_may_stand_behind_the_verb() {
-        let parsed = Arguments::try_parse_from(["authros", "capture", "--topic", "/a", "--count", "3", "--json", "--home", "/x"]);
+        let parsed = Arguments::try_parse_from([
+            "authros", "capture", "--topic", "/a", "--count", "3", "--json", "--home", "/x",
+        ]);
         let arguments = parsed.expect("parses");
         assert!(arguments.global.json);
         assert!(matches!(arguments.verb, Some(Verb::Capture(capture)) if capture.count == Some(3)));

@@ -64,7 +64,13 @@ fn text(summary: &CaptureSummary) -> String {
         .iter()
         .map(|topic| {
             let type_name = topic.type_name.clone().unwrap_or_else(|| "never seen".to_owned());
-            vec![topic.topic.clone(), type_name, topic.captured.to_string(), topic.verified.to_string(), topic.lost.to_string()]
+            vec![
+                topic.topic.clone(),
+                type_name,
+                topic.captured.to_string(),
+                topic.verified.to_string(),
+                topic.lost.to_string(),
+            ]
         })
         .collect();
     table(&["topic", "type", "captured", "verified", "lost"], &rows)
@@ -72,16 +78,25 @@ fn text(summary: &CaptureSummary) -> String {
 
 fn code(summary: &CaptureSummary, output: &Output) -> u8 {
     if summary.verified < summary.captured {
-        output.note("authros: some records differ from what was anchored; `authros uploads list --state tampered` names them");
+        output.note(
+            "authros: some records differ from what was anchored; `authros uploads list --state tampered` names them",
+        );
         return ErrorKind::Tampered.exit_code();
     }
-    let unseen: Vec<&str> = summary.topics.iter().filter(|topic| topic.captured == 0).map(|topic| topic.topic.as_str()).collect();
+    let unseen: Vec<&str> =
+        summary.topics.iter().filter(|topic| topic.captured == 0).map(|topic| topic.topic.as_str()).collect();
     if !unseen.is_empty() || summary.lost > 0 {
         if summary.lost > 0 {
-            output.note(&format!("authros: {} messages were lost before capture; they are counted, not hidden", summary.lost));
+            output.note(&format!(
+                "authros: {} messages were lost before capture; they are counted, not hidden",
+                summary.lost
+            ));
         }
         if !unseen.is_empty() {
-            output.note(&format!("authros: nothing arrived on {}; check the name with `authros topics list`", unseen.join(", ")));
+            output.note(&format!(
+                "authros: nothing arrived on {}; check the name with `authros topics list`",
+                unseen.join(", ")
+            ));
         }
         return ErrorKind::Incomplete.exit_code();
     }

@@ -65,8 +65,12 @@ impl Context {
         let path = home.config();
         let text = match std::fs::read_to_string(&path) {
             Ok(text) => Some(text),
-            Err(error) if matches!(error.kind(), std::io::ErrorKind::NotFound | std::io::ErrorKind::NotADirectory) => None,
-            Err(error) => return Err(Failure::new(ErrorKind::Input, format!("{} cannot be read: {error}", path.display()))),
+            Err(error) if matches!(error.kind(), std::io::ErrorKind::NotFound | std::io::ErrorKind::NotADirectory) => {
+                None
+            }
+            Err(error) => {
+                return Err(Failure::new(ErrorKind::Input, format!("{} cannot be read: {error}", path.display())));
+            }
         };
         let file = text.as_deref().map(|text| (path.as_path(), text));
         Ok(Config::resolve(&|name| global.setting(name), &environment, file)?)
@@ -90,7 +94,10 @@ impl Context {
             tokio::time::sleep(std::time::Duration::from_millis(100)).await;
         }
         let root = self.home.root().display();
-        Err(Failure::new(ErrorKind::Home, format!("{root} is in use by another process that does not answer; end it, or use another --home")))
+        Err(Failure::new(
+            ErrorKind::Home,
+            format!("{root} is in use by another process that does not answer; end it, or use another --home"),
+        ))
     }
 
     /// The home's lock, if no other process holds it.
@@ -109,7 +116,9 @@ impl Context {
             if self.config.source(setting.name) == Source::Flag && setting.value != *theirs {
                 return Err(Failure::new(
                     ErrorKind::Usage,
-                    format!("the running site of this home has {name} = '{theirs}'; leave the flag out, or end that site first"),
+                    format!(
+                        "the running site of this home has {name} = '{theirs}'; leave the flag out, or end that site first"
+                    ),
                 ));
             }
         }
@@ -137,7 +146,10 @@ impl Context {
             let passphrase = passphrase::given(&self.global, &self.home, &self.profile)?.ok_or_else(|| {
                 Failure::new(
                     ErrorKind::Refused,
-                    format!("the keyring of profile '{}' is locked; give --passphrase-file or --passphrase-fd", self.profile),
+                    format!(
+                        "the keyring of profile '{}' is locked; give --passphrase-file or --passphrase-fd",
+                        self.profile
+                    ),
                 )
             })?;
             client.request(Command::Unlock { passphrase }).await?;

@@ -63,7 +63,10 @@ pub struct Story {
 /// Where a step cannot be taken at all.
 pub async fn run(mut context: Context, arguments: DemoArguments, output: &Output) -> Result<u8, Failure> {
     if context.config.robots == 0 {
-        return Err(Failure::new(ErrorKind::Usage, "the demo needs robots; give --robots 1 to 32, and no real ROS master"));
+        return Err(Failure::new(
+            ErrorKind::Usage,
+            "the demo needs robots; give --robots 1 to 32, and no real ROS master",
+        ));
     }
     let temporary = match context.global.home {
         Some(_) => None,
@@ -79,7 +82,8 @@ pub async fn run(mut context: Context, arguments: DemoArguments, output: &Output
 
 fn temporary_home(context: &mut Context) -> Result<tempfile::TempDir, Failure> {
     let directory = tempfile::Builder::new().prefix("authros-demo-").tempdir();
-    let directory = directory.map_err(|error| Failure::new(ErrorKind::Home, format!("no temporary directory can be made: {error}")))?;
+    let directory = directory
+        .map_err(|error| Failure::new(ErrorKind::Home, format!("no temporary directory can be made: {error}")))?;
     context.home = Home::new(directory.path().to_owned());
     // The settings of the standard home are not those of this one.
     let global = context.global.clone();

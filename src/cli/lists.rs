@@ -3,7 +3,9 @@
 use super::output::table;
 use crate::config::SettingView;
 use crate::model::Verdict;
-use crate::service::reply::{ChainView, GrantRow, IdentityView, KeysView, OpenedView, Provenance, RecordPage, TopicRow};
+use crate::service::reply::{
+    ChainView, GrantRow, IdentityView, KeysView, OpenedView, Provenance, RecordPage, TopicRow,
+};
 
 fn pairs(rows: &[(&str, String)]) -> String {
     let width = rows.iter().map(|(name, _)| name.len()).max().unwrap_or(0);
@@ -31,7 +33,9 @@ pub fn verdict_code(verdict: Verdict) -> u8 {
 pub fn settings(settings: &[SettingView]) -> String {
     let rows: Vec<Vec<String>> = settings
         .iter()
-        .map(|setting| vec![setting.name.to_owned(), setting.value.clone(), setting.source.clone(), setting.text.to_owned()])
+        .map(|setting| {
+            vec![setting.name.to_owned(), setting.value.clone(), setting.source.clone(), setting.text.to_owned()]
+        })
         .collect();
     table(&["setting", "value", "from", "meaning"], &rows)
 }
@@ -60,7 +64,13 @@ pub fn keys(view: &KeysView) -> String {
     let rows: Vec<Vec<String>> = view
         .epochs
         .iter()
-        .map(|epoch| vec![epoch.epoch.to_string(), if epoch.current { "current" } else { "past" }.to_owned(), epoch.token.to_string()])
+        .map(|epoch| {
+            vec![
+                epoch.epoch.to_string(),
+                if epoch.current { "current" } else { "past" }.to_owned(),
+                epoch.token.to_string(),
+            ]
+        })
         .collect();
     format!("{head}\n\n{}", table(&["epoch", "state", "token"], &rows))
 }

@@ -24,7 +24,8 @@ impl Output {
 
     /// The result: `value` as one JSON document, or `text`.
     pub fn result<T: Serialize>(self, value: &T, text: impl FnOnce() -> String) {
-        let line = if self.json { serde_json::to_string(value).unwrap_or_default() } else { clean_lines(&text(), WIDEST) };
+        let line =
+            if self.json { serde_json::to_string(value).unwrap_or_default() } else { clean_lines(&text(), WIDEST) };
         let mut stdout = std::io::stdout().lock();
         // A reader that went away wants no more.
         drop(writeln!(stdout, "{line}").and_then(|()| stdout.flush()));

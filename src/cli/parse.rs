@@ -4,7 +4,7 @@ use std::fmt::Display;
 use std::str::FromStr;
 use std::time::Duration;
 
-use crate::model::{ErrorKind, RecordState, RecordKind, Timestamp, clean};
+use crate::model::{ErrorKind, RecordKind, RecordState, Timestamp, clean};
 use crate::service::{Failure, UploadQuery};
 
 use super::args::ListArguments;
@@ -45,7 +45,10 @@ pub fn duration(text: &str) -> Result<Duration, Failure> {
         Some(milliseconds) if (1..=315_360_000_000).contains(&milliseconds) => Ok(Duration::from_millis(milliseconds)),
         _ => Err(Failure::new(
             ErrorKind::Input,
-            format!("'{}' is not a length of time; write a number and ms, s, m, h or d, as 10s or 30d", clean(text, 40)),
+            format!(
+                "'{}' is not a length of time; write a number and ms, s, m, h or d, as 10s or 30d",
+                clean(text, 40)
+            ),
         )),
     }
 }
@@ -55,7 +58,9 @@ pub fn duration(text: &str) -> Result<Duration, Failure> {
 /// # Errors
 /// A [`Failure`] of kind `Input` that says how to write it.
 pub fn tag(text: &str) -> Result<(String, String), Failure> {
-    let usable = |key: &str| !key.is_empty() && key.len() <= 64 && key.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'_' || b == b'-');
+    let usable = |key: &str| {
+        !key.is_empty() && key.len() <= 64 && key.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'_' || b == b'-')
+    };
     match text.split_once('=') {
         Some((key, value)) if usable(key) && value.len() <= 1024 => Ok((key.to_owned(), value.to_owned())),
         _ => Err(Failure::new(
@@ -84,7 +89,8 @@ fn moment(text: &str) -> Result<Timestamp, Failure> {
 /// A [`Failure`] of kind `Input` naming the filter at fault.
 pub fn query(arguments: &ListArguments) -> Result<UploadQuery, Failure> {
     let states: Vec<(&str, RecordState)> = RecordState::ALL.iter().map(|state| (state.word(), *state)).collect();
-    let kinds: Vec<(&str, RecordKind)> = (1..=9).filter_map(RecordKind::from_code).map(|kind| (kind.word(), kind)).collect();
+    let kinds: Vec<(&str, RecordKind)> =
+        (1..=9).filter_map(RecordKind::from_code).map(|kind| (kind.word(), kind)).collect();
     if !(1..=1000).contains(&arguments.limit) {
         return Err(Failure::new(ErrorKind::Input, format!("--limit {} is not between 1 and 1000", arguments.limit)));
     }

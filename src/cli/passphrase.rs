@@ -25,12 +25,15 @@ fn first_line(text: &str) -> SecretText {
 /// Where the file cannot be read, or others may read it.
 pub fn from_file(path: &Path) -> Result<SecretText, Failure> {
     let bytes = private_file::read_private(path, LONGEST)?;
-    let text = std::str::from_utf8(&bytes).map_err(|_| Failure::new(ErrorKind::Input, format!("{} is not text", path.display())))?;
+    let text = std::str::from_utf8(&bytes)
+        .map_err(|_| Failure::new(ErrorKind::Input, format!("{} is not text", path.display())))?;
     Ok(first_line(text))
 }
 
 fn from_descriptor(number: u32) -> Result<SecretText, Failure> {
-    let unreadable = |error: std::io::Error| Failure::new(ErrorKind::Input, format!("no passphrase can be read from descriptor {number}: {error}"));
+    let unreadable = |error: std::io::Error| {
+        Failure::new(ErrorKind::Input, format!("no passphrase can be read from descriptor {number}: {error}"))
+    };
     let file = std::fs::File::open(format!("/proc/self/fd/{number}")).map_err(unreadable)?;
     let mut text = zeroize::Zeroizing::new(String::new());
     file.take(LONGEST as u64).read_to_string(&mut text).map_err(unreadable)?;
@@ -56,7 +59,12 @@ pub fn given(global: &Global, home: &Home, profile: &ProfileName) -> Result<Opti
 ///
 /// # Errors
 /// Where the file cannot be written.
-pub fn given_or_new(global: &Global, home: &Home, profile: &ProfileName, output: &Output) -> Result<SecretText, Failure> {
+pub fn given_or_new(
+    global: &Global,
+    home: &Home,
+    profile: &ProfileName,
+    output: &Output,
+) -> Result<SecretText, Failure> {
     if let Some(secret) = given(global, home, profile)? {
         return Ok(secret);
     }

@@ -4,9 +4,9 @@ use tokio::signal::unix::{SignalKind, signal};
 
 use super::connect::{Context, ProfileNeed};
 use super::output::Output;
+use crate::model::ErrorKind;
 use crate::service::event::NoticeLevel;
 use crate::service::{Command, Event, Failure, Needs};
-use crate::model::ErrorKind;
 
 /// Waits for SIGINT, SIGTERM or SIGHUP.
 pub async fn asked_to_end() {
@@ -31,7 +31,10 @@ pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
     let connection = context.connect(Needs { ros: true, chain: true }).await?;
     if connection.site.is_none() {
         let root = context.home.root().display();
-        return Err(Failure::new(ErrorKind::Home, format!("a site of {root} runs already; commands join it by themselves")));
+        return Err(Failure::new(
+            ErrorKind::Home,
+            format!("a site of {root} runs already; commands join it by themselves"),
+        ));
     }
     let prepared = async {
         context.prepare(&connection.client, ProfileNeed::Made, output).await?;
@@ -49,7 +52,9 @@ pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
         return Err(failure);
     }
     let ready = serde_json::json!({ "serving": context.home.root().display().to_string(), "profile": context.profile });
-    output.result(&ready, || format!("serving {} for profile '{}'; end it with Ctrl-C", context.home.root().display(), context.profile));
+    output.result(&ready, || {
+        format!("serving {} for profile '{}'; end it with Ctrl-C", context.home.root().display(), context.profile)
+    });
     follow(&connection.client, output).await;
     connection.close().await;
     Ok(0)

@@ -2,7 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use super::args::{ChainVerb, ConfigVerb, EpochsChoice, ExportKind, GrantArguments, GrantsVerb, IdentityVerb, KeysVerb, SharedVerb, TopicsVerb, UploadsVerb, Verb};
+use super::args::{
+    ChainVerb, ConfigVerb, EpochsChoice, ExportKind, GrantArguments, GrantsVerb, IdentityVerb, KeysVerb, SharedVerb,
+    TopicsVerb, UploadsVerb, Verb,
+};
 use super::connect::{Context, ProfileNeed};
 use super::output::Output;
 use super::{lists, parse, passphrase};
@@ -51,7 +54,9 @@ fn config(context: &Context, verb: &ConfigVerb, output: &Output) -> u8 {
     let settings = context.config.show();
     match verb {
         ConfigVerb::Show => output.result(&serde_json::json!({ "settings": settings }), || lists::settings(&settings)),
-        ConfigVerb::Check => output.result(&serde_json::json!({ "ok": true }), || "the settings can be used".to_owned()),
+        ConfigVerb::Check => {
+            output.result(&serde_json::json!({ "ok": true }), || "the settings can be used".to_owned())
+        }
     }
     0
 }
@@ -74,7 +79,9 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
         Verb::Topics(TopicsVerb::Unwatch { topic }) => {
             Plan::new(NEITHER, NoProfile, Command::UnwatchTopic { topic: parse::value(&topic)? })
         }
-        Verb::Uploads(UploadsVerb::List(list)) => Plan::new(NEITHER, NoProfile, Command::ListUploads(parse::query(&list)?)),
+        Verb::Uploads(UploadsVerb::List(list)) => {
+            Plan::new(NEITHER, NoProfile, Command::ListUploads(parse::query(&list)?))
+        }
         Verb::Uploads(UploadsVerb::Show { id }) => Plan::new(CHAIN, NoProfile, Command::ShowUpload { id }),
         Verb::Uploads(UploadsVerb::Export { id, dir }) => {
             Plan { out: Some(dir), ..Plan::new(CHAIN, Unlocked, Command::ExportUpload { id }) }
@@ -84,7 +91,9 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
         Verb::Grants(GrantsVerb::List) => Plan::new(CHAIN, Unlocked, Command::ListGrants),
         Verb::Shared(SharedVerb::List(list)) => Plan::new(CHAIN, Unlocked, Command::ListShared(parse::query(&list)?)),
         Verb::Shared(SharedVerb::Check { id }) => Plan::new(CHAIN, Unlocked, Command::CheckShared { id }),
-        Verb::Shared(SharedVerb::Open { id, out }) => Plan { out, ..Plan::new(CHAIN, Unlocked, Command::OpenShared { id }) },
+        Verb::Shared(SharedVerb::Open { id, out }) => {
+            Plan { out, ..Plan::new(CHAIN, Unlocked, Command::OpenShared { id }) }
+        }
         Verb::Chain(ChainVerb::Status) => Plan::new(CHAIN, NoProfile, Command::ChainStatus),
         Verb::Config(_) | Verb::Capture(_) | Verb::Serve | Verb::Demo(_) | Verb::Console(_) => {
             return Err(super::connect::unexpected());
@@ -104,8 +113,10 @@ fn keys(verb: KeysVerb) -> Result<Plan, Failure> {
         KeysVerb::Load { sm4, sm2, eoa, keystore_passphrase_file } => {
             let choices = [(KeyKind::Sm4, sm4), (KeyKind::Sm2, sm2), (KeyKind::Eoa, eoa)];
             let chosen = choices.into_iter().find_map(|(kind, path)| path.map(|path| (kind, path)));
-            let (kind, path) = chosen.ok_or_else(|| Failure::new(ErrorKind::Usage, "name the key with --sm4, --sm2 or --eoa"))?;
-            let command = Command::LoadKey { kind, path: absolute(&path)?, passphrase: secret(keystore_passphrase_file)? };
+            let (kind, path) =
+                chosen.ok_or_else(|| Failure::new(ErrorKind::Usage, "name the key with --sm4, --sm2 or --eoa"))?;
+            let command =
+                Command::LoadKey { kind, path: absolute(&path)?, passphrase: secret(keystore_passphrase_file)? };
             Plan::new(CHAIN, ProfileNeed::Made, command)
         }
         KeysVerb::Export { kind, out, keystore_passphrase_file } => {
@@ -115,7 +126,10 @@ fn keys(verb: KeysVerb) -> Result<Plan, Failure> {
                 ExportKind::Eoa => KeyKind::Eoa,
             };
             let passphrase: Option<SecretText> = secret(keystore_passphrase_file)?;
-            Plan { out: Some(out), ..Plan::new(NEITHER, ProfileNeed::Unlocked, Command::ExportKey { kind, passphrase }) }
+            Plan {
+                out: Some(out),
+                ..Plan::new(NEITHER, ProfileNeed::Unlocked, Command::ExportKey { kind, passphrase })
+            }
         }
     })
 }
@@ -177,7 +191,9 @@ fn show(reply: Reply, out: Option<&Path>, output: &Output) -> Result<u8, Failure
         Reply::Key(secret) => {
             let path = out.ok_or_else(super::connect::unexpected)?;
             private_file::create_private(path, secret.expose())?;
-            output.result(&serde_json::json!({ "file": path.display().to_string() }), || format!("written to {} (0600)", path.display()));
+            output.result(&serde_json::json!({ "file": path.display().to_string() }), || {
+                format!("written to {} (0600)", path.display())
+            });
         }
         Reply::Captured(_) | Reply::Site(_) | Reply::Audit(_) => return Err(super::connect::unexpected()),
     }

@@ -32,9 +32,7 @@ impl FromStr for ProfileName {
 
     fn from_str(text: &str) -> Result<Self, ProfileNameError> {
         let body = |b: u8| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'-' || b == b'_';
-        let valid = (1..=32).contains(&text.len())
-            && text.as_bytes()[0].is_ascii_lowercase()
-            && text.bytes().all(body);
+        let valid = (1..=32).contains(&text.len()) && text.as_bytes()[0].is_ascii_lowercase() && text.bytes().all(body);
         if valid { Ok(Self(text.to_owned())) } else { Err(ProfileNameError(super::clean(text, 40))) }
     }
 }

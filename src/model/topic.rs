@@ -43,8 +43,8 @@ impl FromStr for TopicName {
     type Err = NameError;
 
     fn from_str(text: &str) -> Result<Self, NameError> {
-        let valid = text.len() <= LONGEST_NAME
-            && text.strip_prefix('/').is_some_and(|rest| rest.split('/').all(is_part));
+        let valid =
+            text.len() <= LONGEST_NAME && text.strip_prefix('/').is_some_and(|rest| rest.split('/').all(is_part));
         if valid { Ok(Self(text.to_owned())) } else { Err(NameError::Topic(super::clean(text, 80))) }
     }
 }

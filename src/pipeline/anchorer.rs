@@ -19,17 +19,20 @@ const MOST_OPEN: usize = 1024;
 ///
 /// # Errors
 /// Of chain and ledger; nothing is lost, the records stay `stored`.
-pub async fn anchor_round(plant: &Plant, network: &Network, sender: &Sender, owner: &Owner) -> Result<usize, PipelineError> {
+pub async fn anchor_round(
+    plant: &Plant,
+    network: &Network,
+    sender: &Sender,
+    owner: &Owner,
+) -> Result<usize, PipelineError> {
     let open = block_in_place(|| plant.ledger.open_transactions(owner.address))?.len();
     if open >= MOST_OPEN {
         return Ok(0);
     }
     let rows = block_in_place(|| plant.ledger.in_state(Some(owner.address), RecordState::Stored, ROUND))?;
     let Some(account) = network.directory.account(owner.address) else { return Ok(0) };
-    let calls: Vec<(Call, String, Vec<Digest>)> = rows
-        .iter()
-        .filter_map(|row| account.tokens.get(&row.epoch).map(|token| upload(row, *token)))
-        .collect();
+    let calls: Vec<(Call, String, Vec<Digest>)> =
+        rows.iter().filter_map(|row| account.tokens.get(&row.epoch).map(|token| upload(row, *token))).collect();
     if calls.is_empty() {
         return Ok(0);
     }

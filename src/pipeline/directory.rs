@@ -153,14 +153,20 @@ impl Directory {
             }
             Event::Granted { terms, envelope } => grant(state, terms, envelope, at),
             Event::Wrapped { owner, grantee, epoch, envelope } => {
-                let found = state.grants.iter_mut().rev().find(|grant| grant.terms.owner == *owner && grant.terms.grantee == *grantee);
+                let found = state
+                    .grants
+                    .iter_mut()
+                    .rev()
+                    .find(|grant| grant.terms.owner == *owner && grant.terms.grantee == *grantee);
                 if let Some(grant) = found {
                     grant.envelopes.entry(*epoch).or_insert_with(|| hex(envelope));
                 }
             }
             Event::Revoked { owner, grantee, epoch, token } => {
                 begin_epoch(state, *owner, *epoch, *token);
-                let matching = |grant: &&mut Granted| grant.terms.owner == *owner && grant.terms.grantee == *grantee && grant.revoked.is_none();
+                let matching = |grant: &&mut Granted| {
+                    grant.terms.owner == *owner && grant.terms.grantee == *grantee && grant.revoked.is_none()
+                };
                 state.grants.iter_mut().filter(matching).for_each(|grant| grant.revoked = Some(*epoch));
             }
             Event::Rotated { owner, epoch, token } => begin_epoch(state, *owner, *epoch, *token),
@@ -173,7 +179,10 @@ impl Directory {
             }
             Event::Recalled { owner, device } => {
                 let devices = &mut state.accounts.entry(*owner).or_default().devices;
-                devices.iter_mut().filter(|lending| lending.device == *device && lending.recalled.is_none()).for_each(|lending| lending.recalled = Some(at.block));
+                devices
+                    .iter_mut()
+                    .filter(|lending| lending.device == *device && lending.recalled.is_none())
+                    .for_each(|lending| lending.recalled = Some(at.block));
             }
             _ => {}
         }
@@ -194,7 +203,12 @@ impl Directory {
 
     /// The account's current epoch; 0 = not registered.
     pub fn epoch(&self, owner: Address) -> u64 {
-        self.state.read().unwrap_or_else(PoisonError::into_inner).accounts.get(&owner).map_or(0, |account| account.epoch)
+        self.state
+            .read()
+            .unwrap_or_else(PoisonError::into_inner)
+            .accounts
+            .get(&owner)
+            .map_or(0, |account| account.epoch)
     }
 
     /// The account's current identity.
@@ -211,8 +225,12 @@ impl Directory {
     /// own at that block. A lent device's key is not on the chain, so its record names only its hash.
     pub fn signing_key(&self, owner: Address, signer: SignerId, block: Option<u64>) -> Option<PublicKey> {
         let account = self.account(owner)?;
-        let mut known = account.identities.iter().rev().filter(|identity| block.is_none_or(|block| identity.block <= block));
-        known.next().filter(|identity| identity.proven && signer_id(&identity.signing) == signer).map(|identity| identity.signing)
+        let mut known =
+            account.identities.iter().rev().filter(|identity| block.is_none_or(|block| identity.block <= block));
+        known
+            .next()
+            .filter(|identity| identity.proven && signer_id(&identity.signing) == signer)
+            .map(|identity| identity.signing)
     }
 
     /// Grants that match, oldest first.
@@ -235,10 +253,14 @@ fn grant(state: &mut State, terms: &GrantTerms, envelope: &[u8], at: &EventAt) {
     }
     let mut envelopes = BTreeMap::new();
     // A grant renewed in a later epoch keeps what earlier envelopes opened.
-    for grant in state.grants.iter().filter(|grant| grant.revoked.is_none() && grant.terms.owner == terms.owner && grant.terms.grantee == terms.grantee) {
+    for grant in state.grants.iter().filter(|grant| {
+        grant.revoked.is_none() && grant.terms.owner == terms.owner && grant.terms.grantee == terms.grantee
+    }) {
         envelopes.extend(grant.envelopes.clone());
     }
-    state.grants.retain(|grant| grant.revoked.is_some() || grant.terms.owner != terms.owner || grant.terms.grantee != terms.grantee);
+    state.grants.retain(|grant| {
+        grant.revoked.is_some() || grant.terms.owner != terms.owner || grant.terms.grantee != terms.grantee
+    });
     envelopes.insert(terms.epoch, hex(envelope));
     let (terms, block, transaction) = (terms.clone(), at.block, at.transaction);
     state.grants.push(Granted { terms, envelopes, block, transaction, revoked: None });

@@ -25,7 +25,9 @@ pub enum PipelineError {
     #[error("{0} is not registered on this contract; its owner runs `authros register` first")]
     Unregistered(Address),
     /// The account's identity on the chain does not prove itself.
-    #[error("the identity that {0} registered does not verify, so it counts as unregistered; ask its owner to register again")]
+    #[error(
+        "the identity that {0} registered does not verify, so it counts as unregistered; ask its owner to register again"
+    )]
     BadIdentity(Address),
     /// No grant covers what was asked.
     #[error("{owner} does not share {what} with {reader}; ask for `authros grant {reader}`")]
@@ -41,7 +43,9 @@ pub enum PipelineError {
     #[error("no record '{0}' is known here; `authros uploads list` and `authros shared list` name those that are")]
     NoRecord(String),
     /// The vault no longer holds a record.
-    #[error("the ciphertext of record {0} is missing from the vault; restore it from a backup, its digest stays on the chain")]
+    #[error(
+        "the ciphertext of record {0} is missing from the vault; restore it from a backup, its digest stays on the chain"
+    )]
     Missing(String),
     /// The keyring has no key of an epoch.
     #[error("the keyring has no key of epoch {0}; restore the newest keyring of this profile")]

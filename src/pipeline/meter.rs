@@ -75,7 +75,12 @@ impl Meter {
             bytes += bucket.bytes;
         }
         let per_second = |total: u64| u32::try_from(total).map_or(f64::from(u32::MAX), f64::from) / span_seconds(span);
-        Some(Rate { hz: per_second(messages), bytes_per_second: per_second(bytes), messages: track.messages, last: track.last })
+        Some(Rate {
+            hz: per_second(messages),
+            bytes_per_second: per_second(bytes),
+            messages: track.messages,
+            last: track.last,
+        })
     }
 }
 

@@ -92,7 +92,12 @@ impl Owner {
     /// Numbers of the epochs in the keyring, oldest first.
     pub fn epochs(&self, domain: Domain) -> Vec<u64> {
         let keyring = self.keyring();
-        keyring.keyring.networks.get(&domain).map(|network| network.epochs.keys().copied().collect()).unwrap_or_default()
+        keyring
+            .keyring
+            .networks
+            .get(&domain)
+            .map(|network| network.epochs.keys().copied().collect())
+            .unwrap_or_default()
     }
 
     /// Token of an epoch in the keyring.
@@ -109,7 +114,11 @@ impl Owner {
         {
             let mut keyring = self.keyring();
             let sm4 = keyring.keyring.sm4.clone();
-            let network = keyring.keyring.networks.entry(domain).or_insert_with(|| NetworkKeys { epochs: BTreeMap::new(), current: 0 });
+            let network = keyring
+                .keyring
+                .networks
+                .entry(domain)
+                .or_insert_with(|| NetworkKeys { epochs: BTreeMap::new(), current: 0 });
             if let Entry::Vacant(place) = network.epochs.entry(epoch) {
                 place.insert(EpochSecret { salt: EpochSalt::generate()?, sm4, state: EpochState::Pending });
                 keyring.save()?;

@@ -32,7 +32,9 @@ impl Reader<'_> {
     /// Active grants of `owner` to this reader.
     pub fn grants_of(&self, owner: Address) -> Vec<Granted> {
         let (reader, now) = (self.reader.address, Timestamp::now());
-        self.network.directory.grants(|grant| grant.terms.owner == owner && grant.terms.grantee == reader && grant.is_active(now))
+        self.network
+            .directory
+            .grants(|grant| grant.terms.owner == owner && grant.terms.grantee == reader && grant.is_active(now))
     }
 
     /// Whether the chain's grants let this reader see the record at all.
@@ -45,7 +47,11 @@ impl Reader<'_> {
         if own || crate::crypto::fault::is_off("authorise") || granted() {
             return Ok(());
         }
-        Err(PipelineError::NotGranted { owner: row.owner, reader: self.reader.address, what: format!("record {}", row.id) })
+        Err(PipelineError::NotGranted {
+            owner: row.owner,
+            reader: self.reader.address,
+            what: format!("record {}", row.id),
+        })
     }
 
     /// Checks a record without opening it (the paper's `Data_Check`).
@@ -66,7 +72,8 @@ impl Reader<'_> {
 
     async fn is_anchored(&self, row: &RecordRow) -> Result<bool, PipelineError> {
         let confirmed = matches!(row.state, RecordState::Confirmed | RecordState::Verified | RecordState::Tampered);
-        Ok(confirmed && (crate::crypto::fault::is_off("anchor") || self.network.chain.anchored(row.owner, row.digest).await?))
+        Ok(confirmed
+            && (crate::crypto::fault::is_off("anchor") || self.network.chain.anchored(row.owner, row.digest).await?))
     }
 
     /// Checks and decrypts a record.
@@ -76,7 +83,8 @@ impl Reader<'_> {
     /// of this reader opens it; a missing blob is tampering too.
     pub async fn open(&self, row: &RecordRow) -> Result<OpenedRecord, PipelineError> {
         self.authorise(row)?;
-        let blob = block_in_place(|| self.plant.vault.get(row.digest))?.ok_or_else(|| PipelineError::Missing(row.id.clone()))?;
+        let blob = block_in_place(|| self.plant.vault.get(row.digest))?
+            .ok_or_else(|| PipelineError::Missing(row.id.clone()))?;
         let anchor = if self.is_anchored(row).await? { Anchor::Chain(row.digest) } else { Anchor::Unanchored };
         let unknown_signer = || CryptoError::Tampered("the signer was not the owner's at the anchoring block");
         let signer = self.network.directory.signing_key(row.owner, row.signer, row.block).ok_or_else(unknown_signer)?;
@@ -130,7 +138,8 @@ impl Reader<'_> {
         let terms = GrantTerms { epoch, ..grant.terms.clone() };
         let owner = self.network.directory.identity(grant.terms.owner)?;
         let secret = self.reader.envelope();
-        let wrapped = unwrap(self.plant.provider, &self.network.domain, &envelope, &terms, &owner.signing, &secret.secret)?;
+        let wrapped =
+            unwrap(self.plant.provider, &self.network.domain, &envelope, &terms, &owner.signing, &secret.secret)?;
         let wrapped = Arc::new(wrapped);
         self.reader.opened.lock().unwrap_or_else(PoisonError::into_inner).insert(digest, Arc::clone(&wrapped));
         Ok(wrapped)
@@ -140,7 +149,11 @@ impl Reader<'_> {
     ///
     /// # Errors
     /// Of the ledger. `None` where no readable record holds it.
-    pub async fn definition(&self, row: &RecordRow, opened: &OpenedRecord) -> Result<Option<Definition>, PipelineError> {
+    pub async fn definition(
+        &self,
+        row: &RecordRow,
+        opened: &OpenedRecord,
+    ) -> Result<Option<Definition>, PipelineError> {
         let query = RecordQuery {
             owner: Some(row.owner),
             topic_ids: Some(vec![row.topic_id]),

@@ -213,8 +213,12 @@ impl MessageSink for Recorder {
 /// A notice as an operator reads it; `None` for what is told elsewhere.
 fn words(notice: &CaptureNotice) -> Option<(bool, String)> {
     let told = match notice {
-        CaptureNotice::PublisherConnected { .. } | CaptureNotice::MasterBack | CaptureNotice::MasterLost { .. } => return None,
-        CaptureNotice::PublisherLost { topic, caller_id, reason } => (false, format!("{caller_id} no longer publishes {topic}: {reason}")),
+        CaptureNotice::PublisherConnected { .. } | CaptureNotice::MasterBack | CaptureNotice::MasterLost { .. } => {
+            return None;
+        }
+        CaptureNotice::PublisherLost { topic, caller_id, reason } => {
+            (false, format!("{caller_id} no longer publishes {topic}: {reason}"))
+        }
         CaptureNotice::PublisherUnreachable { topic, publisher, reason } => {
             (true, format!("{publisher} publishes {topic} but cannot be read, it is tried again: {reason}"))
         }
@@ -224,8 +228,12 @@ fn words(notice: &CaptureNotice) -> Option<(bool, String)> {
         CaptureNotice::LostInTransport { topic, caller_id, count } => {
             (true, format!("{count} messages of {caller_id} on {topic} never arrived: counted as lost in transport"))
         }
-        CaptureNotice::Refused { topic, publisher, reason } => (true, format!("{publisher} on {topic} was refused: {reason}")),
-        CaptureNotice::ShutdownAsked { by, reason } => (true, format!("{by} asked this node to end ({reason}); it goes on")),
+        CaptureNotice::Refused { topic, publisher, reason } => {
+            (true, format!("{publisher} on {topic} was refused: {reason}"))
+        }
+        CaptureNotice::ShutdownAsked { by, reason } => {
+            (true, format!("{by} asked this node to end ({reason}); it goes on"))
+        }
     };
     Some((told.0, clean(&told.1, 300)))
 }

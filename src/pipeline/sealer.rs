@@ -46,7 +46,14 @@ const MOST_HASHES: usize = 1024;
 impl Sealer {
     /// A sealer over `plant`; `sessions` learn which records they wait for.
     pub fn new(plant: Plant, sessions: Arc<Sessions>) -> Self {
-        Self { plant, sessions, boot_id: boot_id(), seqs: HashMap::new(), definitions: HashSet::new(), hashes: HashMap::new() }
+        Self {
+            plant,
+            sessions,
+            boot_id: boot_id(),
+            seqs: HashMap::new(),
+            definitions: HashSet::new(),
+            hashes: HashMap::new(),
+        }
     }
 
     /// Works until the ring is closed and empty. `acknowledged` is called after each round.
@@ -57,7 +64,9 @@ impl Sealer {
             }
             let mut pause = Duration::from_millis(100);
             while let Err(error) = self.round(&items) {
-                self.plant.observer.alert(true, format!("captured messages cannot be stored, they wait in memory: {error}"));
+                self.plant
+                    .observer
+                    .alert(true, format!("captured messages cannot be stored, they wait in memory: {error}"));
                 std::thread::sleep(pause);
                 pause = (pause * 2).min(Duration::from_secs(5));
             }
@@ -152,7 +161,12 @@ impl Sealer {
         Ok(Ready { sealed, row, definition: None, item: None })
     }
 
-    fn next_seq(&self, owner: Address, topic: TopicId, seqs: &HashMap<(Address, TopicId), u64>) -> Result<u64, PipelineError> {
+    fn next_seq(
+        &self,
+        owner: Address,
+        topic: TopicId,
+        seqs: &HashMap<(Address, TopicId), u64>,
+    ) -> Result<u64, PipelineError> {
         let key = (owner, topic);
         match seqs.get(&key).or_else(|| self.seqs.get(&key)) {
             Some(last) => Ok(last + 1),
@@ -162,7 +176,8 @@ impl Sealer {
 
     fn head(&self, item: &CapturedMessage, length: usize) -> Head {
         let message = &*item.message;
-        let mut tags: BTreeMap<String, String> = item.sessions.iter().flat_map(|session| session.tags().iter().cloned()).collect();
+        let mut tags: BTreeMap<String, String> =
+            item.sessions.iter().flat_map(|session| session.tags().iter().cloned()).collect();
         if item.simulated {
             tags.insert("simulated".to_owned(), "true".to_owned());
         }

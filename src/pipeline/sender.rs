@@ -90,14 +90,26 @@ impl Sender {
     /// # Errors
     /// `Reverted` with the contract's reason, before anything is sent where the node can tell;
     /// `NotMined` after two minutes; errors of chain and ledger.
-    pub async fn send(&self, chain: &Chain, eoa: &EoaSecret, call: Call, purpose: &str) -> Result<(Hash, Receipt), PipelineError> {
+    pub async fn send(
+        &self,
+        chain: &Chain,
+        eoa: &EoaSecret,
+        call: Call,
+        purpose: &str,
+    ) -> Result<(Hash, Receipt), PipelineError> {
         chain.simulate(eoa.address(), &call).await?;
         let hashes = self.submit(chain, eoa, vec![(call, purpose.to_owned(), Vec::new())]).await?;
         let hash = hashes.first().copied().ok_or_else(|| PipelineError::NotMined(purpose.to_owned()))?;
         self.wait_mined(chain, eoa.address(), hash, purpose).await
     }
 
-    async fn wait_mined(&self, chain: &Chain, account: Address, hash: Hash, purpose: &str) -> Result<(Hash, Receipt), PipelineError> {
+    async fn wait_mined(
+        &self,
+        chain: &Chain,
+        account: Address,
+        hash: Hash,
+        purpose: &str,
+    ) -> Result<(Hash, Receipt), PipelineError> {
         let deadline = Instant::now() + PATIENCE;
         let mut head = chain.head().await?.number;
         loop {
@@ -124,7 +136,11 @@ impl Sender {
 
     fn close(&self, hash: Hash, receipt: &Receipt) -> Result<(), PipelineError> {
         let outcome = if receipt.success {
-            TransactionOutcome::Mined { block: receipt.block, block_hash: receipt.block_hash, gas_used: Some(receipt.gas_used) }
+            TransactionOutcome::Mined {
+                block: receipt.block,
+                block_hash: receipt.block_hash,
+                gas_used: Some(receipt.gas_used),
+            }
         } else {
             TransactionOutcome::Reverted { reason: clean(receipt.reason.as_deref().unwrap_or(""), 200) }
         };
@@ -148,7 +164,11 @@ impl Sender {
                 match chain.receipt(row.hash).await? {
                     Some(receipt) => {
                         if !receipt.success {
-                            refused.push(format!("{}: {}", row.purpose, clean(receipt.reason.as_deref().unwrap_or("reverted"), 200)));
+                            refused.push(format!(
+                                "{}: {}",
+                                row.purpose,
+                                clean(receipt.reason.as_deref().unwrap_or("reverted"), 200)
+                            ));
                         }
                         self.close(row.hash, &receipt)?;
                     }

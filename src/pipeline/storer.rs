@@ -40,7 +40,9 @@ pub fn run(plant: &Plant, stopped: &dyn Fn() -> bool, wait: &dyn Fn(Duration), s
                 stored();
             }
             Err(error) => {
-                plant.observer.alert(true, format!("the vault does not take records, they wait in the ledger: {error}"));
+                plant
+                    .observer
+                    .alert(true, format!("the vault does not take records, they wait in the ledger: {error}"));
                 wait(pause);
                 pause = (pause * 2).min(Duration::from_secs(8));
             }

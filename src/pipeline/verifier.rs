@@ -58,7 +58,10 @@ fn settle(plant: &Plant, digests: &[Digest], state: RecordState) -> Result<(), P
         plant.observer.verified(digests);
     } else {
         plant.observer.tampered(digests);
-        plant.observer.alert(true, format!("{} records differ from what was anchored, or are gone from the vault", digests.len()));
+        plant.observer.alert(
+            true,
+            format!("{} records differ from what was anchored, or are gone from the vault", digests.len()),
+        );
     }
     plant.observer.records_changed();
     Ok(())

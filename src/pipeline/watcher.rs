@@ -41,7 +41,11 @@ pub async fn watch_round(plant: &Plant, network: &Network) -> Result<BlockRef, P
     while from <= head.number {
         let to = head.number.min(from + CHUNK - 1);
         let events = network.chain.events(from, to).await?;
-        let hash = if to == head.number { head.hash } else { network.chain.block(to).await?.map_or(head.hash, |block| block.hash) };
+        let hash = if to == head.number {
+            head.hash
+        } else {
+            network.chain.block(to).await?.map_or(head.hash, |block| block.hash)
+        };
         block_in_place(|| write(plant, network, &events, to, hash))?;
         from = to + 1;
     }
@@ -76,7 +80,13 @@ fn reorganised(plant: &Plant, network: &Network, deployed_at: u64) -> Result<(),
     Ok(())
 }
 
-fn write(plant: &Plant, network: &Network, events: &[EventAt], to: u64, hash: crate::model::Hash) -> Result<(), PipelineError> {
+fn write(
+    plant: &Plant,
+    network: &Network,
+    events: &[EventAt],
+    to: u64,
+    hash: crate::model::Hash,
+) -> Result<(), PipelineError> {
     let sightings: Vec<Sighting> = events.iter().filter_map(sighting).collect();
     let changed = !sightings.is_empty() && plant.ledger.mined(&sightings)? > 0;
     let applied = events.iter().filter(|event| network.directory.apply(event)).count();
@@ -93,7 +103,13 @@ fn write(plant: &Plant, network: &Network, events: &[EventAt], to: u64, hash: cr
 
 fn sighting(at: &EventAt) -> Option<Sighting> {
     let Event::DataUploaded { owner, digest, .. } = &at.event else { return None };
-    Some(Sighting { owner: *owner, digest: *digest, transaction: at.transaction, block: at.block, block_hash: at.block_hash })
+    Some(Sighting {
+        owner: *owner,
+        digest: *digest,
+        transaction: at.transaction,
+        block: at.block,
+        block_hash: at.block_hash,
+    })
 }
 
 /// How long to wait for a next block before looking again.

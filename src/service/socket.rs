@@ -66,7 +66,9 @@ fn reachable(path: &Path) -> std::io::Result<(PathBuf, Option<std::fs::File>)> {
 /// Where the socket cannot be made.
 pub fn listen(site: &Arc<Site>) -> Result<(), Failure> {
     let path = site.home.socket();
-    let unusable = |error: std::io::Error| Failure::new(ErrorKind::Home, format!("the socket {} cannot be made: {error}", path.display()));
+    let unusable = |error: std::io::Error| {
+        Failure::new(ErrorKind::Home, format!("the socket {} cannot be made: {error}", path.display()))
+    };
     match std::fs::remove_file(&path) {
         Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(unusable(error)),
         _ => {}
@@ -197,7 +199,10 @@ pub async fn join(home: &Home, profile: ProfileName) -> Result<Option<(Client, G
         return Ok(None);
     }
     let Ok(FromSite::Greeting(greeting)) = serde_json::from_slice(&line) else {
-        return Err(Failure::new(ErrorKind::Home, "the running site of this home is of another version; end it and start again"));
+        return Err(Failure::new(
+            ErrorKind::Home,
+            "the running site of this home is of another version; end it and start again",
+        ));
     };
     let (events, _) = broadcast::channel(1024);
     let (calls, receiver) = mpsc::unbounded_channel();

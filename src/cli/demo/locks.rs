@@ -29,7 +29,13 @@ impl Genuine {
         Ok(Self { blob, key, pair: owner.signing(), expected, row })
     }
 
-    fn open(&self, provider: &dyn Provider, blob: &[u8], signature: &Signature, anchor: Anchor) -> Result<(), CryptoError> {
+    fn open(
+        &self,
+        provider: &dyn Provider,
+        blob: &[u8],
+        signature: &Signature,
+        anchor: Anchor,
+    ) -> Result<(), CryptoError> {
         open(provider, blob, signature, &self.pair.public, anchor, &self.key, &self.expected).map(drop)
     }
 
@@ -85,8 +91,17 @@ pub fn broken(provider: &dyn Provider, one: &Genuine, other: &Genuine) -> Result
 /// # Errors
 /// Where it cannot be sealed.
 pub fn never_anchored(plant: &Plant, one: &Genuine) -> Result<(RecordRow, Vec<u8>), Failure> {
-    let (header, _) = crate::model::Header::parse(&one.blob).map_err(|error| crate::service::failure::internal(error.to_string()))?;
-    let opened = open(plant.provider, &one.blob, &one.row.signature, &one.pair.public, Anchor::Unanchored, &one.key, &one.expected)?;
+    let (header, _) =
+        crate::model::Header::parse(&one.blob).map_err(|error| crate::service::failure::internal(error.to_string()))?;
+    let opened = open(
+        plant.provider,
+        &one.blob,
+        &one.row.signature,
+        &one.pair.public,
+        Anchor::Unanchored,
+        &one.key,
+        &one.expected,
+    )?;
     let request = SealRequest {
         domain: header.domain,
         owner: header.owner,

@@ -46,7 +46,12 @@ impl Mission {
     /// Where the home is in use, or a part does not start.
     pub async fn start(context: &Context, seconds: u64, output: Output) -> Result<Self, Failure> {
         let root = context.home.root().display();
-        let in_use = || Failure::new(ErrorKind::Home, format!("a site of {root} runs already; end it, or give the demo another --home"));
+        let in_use = || {
+            Failure::new(
+                ErrorKind::Home,
+                format!("a site of {root} runs already; end it, or give the demo another --home"),
+            )
+        };
         let lock = context.lock()?.ok_or_else(in_use)?;
         let site = Site::start(context.home.clone(), context.config.clone(), lock, Needs { ros: true, chain: true })?;
         let first_block = site.chain().await?.head().await?.number + 1;
@@ -54,16 +59,31 @@ impl Mission {
         let cura_b = person(context, &site, "cura-b", output).await?;
         let stranger = person(context, &site, "stranger", output).await?;
         let robots = context.config.robots;
-        let names = (1..=robots).flat_map(|number| [format!("/robot{number}/odom"), format!("/robot{number}/camera/compressed")]);
+        let names = (1..=robots)
+            .flat_map(|number| [format!("/robot{number}/odom"), format!("/robot{number}/camera/compressed")]);
         let topics: Result<Vec<TopicName>, _> = names.map(|name| name.parse()).collect();
-        let topics = topics.map_err(|error: crate::model::topic::NameError| crate::service::failure::internal(error.to_string()))?;
-        let watched: Vec<String> = topics.iter().map(ToString::to_string).filter(|topic| topic.contains("camera")).collect();
+        let topics = topics
+            .map_err(|error: crate::model::topic::NameError| crate::service::failure::internal(error.to_string()))?;
+        let watched: Vec<String> =
+            topics.iter().map(ToString::to_string).filter(|topic| topic.contains("camera")).collect();
         let uri = site.ros_uri().await?;
         let witness = block_in_place(|| Witness::start(&uri, &watched))?;
         let network = site.network().await?;
         output.note(&format!("{robots} SIMULATED robots; CURA A {}, CURA B {}", cura_a.address, cura_b.address));
         let milliseconds = seconds * 1000;
-        Ok(Self { site, network, first_block, cura_a, cura_b, stranger, topics, pictures: 0, witness, milliseconds, output })
+        Ok(Self {
+            site,
+            network,
+            first_block,
+            cura_a,
+            cura_b,
+            stranger,
+            topics,
+            pictures: 0,
+            witness,
+            milliseconds,
+            output,
+        })
     }
 
     /// Plays the story and counts.
@@ -87,9 +107,13 @@ impl Mission {
         self.output.note(&format!("A captured and anchored {} messages, {} verified", first.captured, first.verified));
         self.grant().await?;
         let records = self.shared_records().await?;
-        let mut story = Story { captured: first.captured, verified: first.verified, lost: first.lost, ..Story::default() };
+        let mut story =
+            Story { captured: first.captured, verified: first.verified, lost: first.lost, ..Story::default() };
         self.open_all(&records, &mut story).await?;
-        self.output.note(&format!("A granted B; B checked and opened {} records, restored {} pictures", story.opened_by_grantee, story.restored_images));
+        self.output.note(&format!(
+            "A granted B; B checked and opened {} records, restored {} pictures",
+            story.opened_by_grantee, story.restored_images
+        ));
         story.refused_stranger = self.stranger_is_refused(&records).await?;
         story.refused_tampered = self.tampering_is_refused(&records).await?;
         let kept = self.kept_keys()?;
@@ -100,7 +124,8 @@ impl Mission {
         story.verified += second.verified;
         story.lost += second.lost;
         story.opened_after_revoke = self.open_after_revoke(revoked_at, &kept).await?;
-        self.output.note(&format!("A revoked B; of {} later records B opened {}", second.captured, story.opened_after_revoke));
+        self.output
+            .note(&format!("A revoked B; of {} later records B opened {}", second.captured, story.opened_after_revoke));
         story.anchored = self.anchored().await?;
         story.chain = self.work().await?;
         let all = u64::try_from(records.len()).unwrap_or(0);
@@ -135,7 +160,10 @@ impl Mission {
 
     async fn grant(&self) -> Result<(), Failure> {
         let grantee = self.cura_b.address;
-        self.cura_a.client.request(Command::Grant { grantee, topics: Vec::new(), epochs: Epochs::Current, expires: None }).await?;
+        self.cura_a
+            .client
+            .request(Command::Grant { grantee, topics: Vec::new(), epochs: Epochs::Current, expires: None })
+            .await?;
         Ok(())
     }
 
@@ -144,7 +172,9 @@ impl Mission {
         let mut after = None;
         loop {
             let query = UploadQuery { owner: Some(self.cura_a.address), limit: 1000, after, ..UploadQuery::default() };
-            let Reply::Records(page) = self.cura_b.client.request(Command::ListShared(query)).await? else { return Err(unexpected()) };
+            let Reply::Records(page) = self.cura_b.client.request(Command::ListShared(query)).await? else {
+                return Err(unexpected());
+            };
             // A kept home may hold records of an earlier mission under earlier epochs.
             records.extend(page.records.into_iter().filter(|record| record.epoch >= self.epoch()));
             after = page.next;
@@ -163,7 +193,9 @@ impl Mission {
             if record.type_name == "sensor_msgs/CompressedImage" {
                 self.pictures += 1;
             }
-            let Reply::Check(checked) = self.cura_b.client.request(Command::CheckShared { id: record.id.clone() }).await? else {
+            let Reply::Check(checked) =
+                self.cura_b.client.request(Command::CheckShared { id: record.id.clone() }).await?
+            else {
                 return Err(unexpected());
             };
             let opened = self.cura_b.client.request(Command::OpenShared { id: record.id.clone() }).await;
@@ -178,16 +210,23 @@ impl Mission {
 
     fn is_restored(&self, opened: &OpenedView) -> bool {
         let sent = opened.body.as_ref().is_some_and(|body| self.witness.saw(body));
-        let picture = opened.picture.as_ref().is_some_and(|bytes| bytes.starts_with(&[0xff, 0xd8]) && bytes.ends_with(&[0xff, 0xd9]));
+        let picture = opened
+            .picture
+            .as_ref()
+            .is_some_and(|bytes| bytes.starts_with(&[0xff, 0xd8]) && bytes.ends_with(&[0xff, 0xd9]));
         sent && picture
     }
 
     async fn stranger_is_refused(&self, records: &[RecordView]) -> Result<bool, Failure> {
         let query = UploadQuery { limit: 1000, ..UploadQuery::default() };
-        let Reply::Records(page) = self.stranger.client.request(Command::ListShared(query)).await? else { return Err(unexpected()) };
+        let Reply::Records(page) = self.stranger.client.request(Command::ListShared(query)).await? else {
+            return Err(unexpected());
+        };
         let mut refused = page.records.is_empty();
         for record in records.iter().take(20) {
-            for command in [Command::CheckShared { id: record.id.clone() }, Command::OpenShared { id: record.id.clone() }] {
+            for command in
+                [Command::CheckShared { id: record.id.clone() }, Command::OpenShared { id: record.id.clone() }]
+            {
                 let answer = self.stranger.client.request(command).await;
                 refused &= answer.is_err_and(|failure| failure.kind == ErrorKind::Refused);
             }
@@ -213,7 +252,11 @@ impl Mission {
             self.output.note(&format!("FORGERIES PASSED THE CHECK OF {}", broken.join(", ")));
         }
         let refused = flipped && broken.is_empty() && unanchored;
-        self.output.note(if refused { "a flipped bit and five forgeries were refused, each by its own check" } else { "TAMPERING WAS NOT REFUSED" });
+        self.output.note(if refused {
+            "a flipped bit and five forgeries were refused, each by its own check"
+        } else {
+            "TAMPERING WAS NOT REFUSED"
+        });
         Ok(refused)
     }
 
@@ -273,7 +316,8 @@ impl Mission {
             let signer = self.cura_a.owner.signing();
             let by_key = kept.iter().any(|(_, key)| {
                 let key = topic_key(key, &row.topic);
-                open(provider, &blob, &row.signature, &signer.public, Anchor::Chain(row.digest), &key, &expected).is_ok()
+                open(provider, &blob, &row.signature, &signer.public, Anchor::Chain(row.digest), &key, &expected)
+                    .is_ok()
             });
             opened += u64::from(asked || by_key);
         }
@@ -315,7 +359,12 @@ impl Mission {
 async fn person(context: &Context, site: &Arc<Site>, name: &str, output: Output) -> Result<Person, Failure> {
     let profile: ProfileName = crate::cli::parse::value(name)?;
     let client = site.client(profile.clone());
-    let own = Context { global: context.global.clone(), home: context.home.clone(), profile: profile.clone(), config: context.config.clone() };
+    let own = Context {
+        global: context.global.clone(),
+        home: context.home.clone(),
+        profile: profile.clone(),
+        config: context.config.clone(),
+    };
     own.prepare(&client, ProfileNeed::Made, &output).await?;
     client.request(Command::Register).await?;
     let owner = site.unlocked(&profile)?;

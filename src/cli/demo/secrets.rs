@@ -26,7 +26,15 @@ impl Mission {
     /// Where a record cannot be opened.
     pub async fn secrets(&self) -> Result<Named, Failure> {
         let mut named = Named::new();
-        let names = ["cura-a", "cura-b", "stranger", "nav_msgs/Odometry", "sensor_msgs/CompressedImage", "crime-scene", "simulated"];
+        let names = [
+            "cura-a",
+            "cura-b",
+            "stranger",
+            "nav_msgs/Odometry",
+            "sensor_msgs/CompressedImage",
+            "crime-scene",
+            "simulated",
+        ];
         named.extend(names.iter().map(|name| ((*name).to_owned(), name.as_bytes().to_vec())));
         named.extend(self.topics.iter().map(|topic| (topic.to_string(), topic.as_str().as_bytes().to_vec())));
         for person in [&self.cura_a, &self.cura_b, &self.stranger] {
@@ -36,7 +44,10 @@ impl Mission {
         for row in self.some_rows()? {
             let opened = reader.open(&row).await?;
             let middle = opened.body.len() / 2;
-            named.push((format!("plaintext of {}", row.id), opened.body.get(middle..middle + 24).unwrap_or(&opened.body).to_vec()));
+            named.push((
+                format!("plaintext of {}", row.id),
+                opened.body.get(middle..middle + 24).unwrap_or(&opened.body).to_vec(),
+            ));
         }
         Ok(named)
     }
@@ -53,7 +64,13 @@ impl Mission {
         for network in keys.networks.values() {
             for (epoch, secret) in &network.epochs {
                 add("epoch salt", secret.salt.expose());
-                let key = crate::crypto::epoch_key(&secret.sm4, secret.salt.expose(), &self.network.domain, &owner.address, *epoch);
+                let key = crate::crypto::epoch_key(
+                    &secret.sm4,
+                    secret.salt.expose(),
+                    &self.network.domain,
+                    &owner.address,
+                    *epoch,
+                );
                 add("epoch key", key.expose());
                 for topic in &self.topics {
                     add("topic key", topic_key(&key, topic.as_str()).expose());

@@ -33,7 +33,11 @@ impl Witness {
     /// Where no node can be started.
     pub fn start(master_uri: &str, topics: &[String]) -> Result<Self, Failure> {
         let hashes = Arc::new(Hashes::default());
-        let options = CaptureOptions { master_uri: master_uri.to_owned(), own_host: None, node_name: "/authros_witness".to_owned() };
+        let options = CaptureOptions {
+            master_uri: master_uri.to_owned(),
+            own_host: None,
+            node_name: "/authros_witness".to_owned(),
+        };
         let capture = Capture::start(options, hashes.clone())?;
         for topic in topics.iter().filter_map(|topic| topic.parse().ok()) {
             capture.watch(topic, None);

@@ -10,7 +10,13 @@ use crate::store::AuditEntry;
 
 impl Site {
     /// Writes one line; it is durable when this returns.
-    pub(super) async fn record_audit(self: &Arc<Self>, profile: &ProfileName, action: &str, subject: &str, outcome: &str) -> Result<(), Failure> {
+    pub(super) async fn record_audit(
+        self: &Arc<Self>,
+        profile: &ProfileName,
+        action: &str,
+        subject: &str,
+        outcome: &str,
+    ) -> Result<(), Failure> {
         let entry = AuditEntry {
             at: Timestamp::now(),
             profile: profile.to_string(),
@@ -22,7 +28,12 @@ impl Site {
     }
 
     /// No durable line, no deed: written before what it tells of.
-    pub(super) async fn audit_first(self: &Arc<Self>, owner: &Owner, action: &str, subject: &str) -> Result<(), Failure> {
+    pub(super) async fn audit_first(
+        self: &Arc<Self>,
+        owner: &Owner,
+        action: &str,
+        subject: &str,
+    ) -> Result<(), Failure> {
         self.record_audit(&owner.profile, action, subject, "begun").await
     }
 

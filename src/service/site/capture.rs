@@ -46,7 +46,13 @@ impl Site {
         Ok(summary(&session))
     }
 
-    fn begin(&self, owner: &Arc<Owner>, topics: &[String], type_name: Option<&TypeName>, session: &Arc<CaptureSession>) {
+    fn begin(
+        &self,
+        owner: &Arc<Owner>,
+        topics: &[String],
+        type_name: Option<&TypeName>,
+        session: &Arc<CaptureSession>,
+    ) {
         for topic in topics {
             self.recorder.join(topic, owner, type_name.cloned(), session);
         }

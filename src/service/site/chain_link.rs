@@ -41,7 +41,9 @@ impl Site {
         match std::fs::read(&path) {
             Ok(bytes) => serde_json::from_slice(&bytes).map(Some).map_err(|_| {
                 let path = path.display();
-                input(format!("{path} is damaged, so the chain this home is bound to is unknown; restore the file from a backup"))
+                input(format!(
+                    "{path} is damaged, so the chain this home is bound to is unknown; restore the file from a backup"
+                ))
             }),
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
             Err(error) => Err(Failure::new(ErrorKind::Home, format!("{} cannot be read: {error}", path.display()))),
@@ -74,7 +76,8 @@ impl Site {
             None => Endpoint::Embedded { directory: self.home.chain() },
         };
         let pinned = self.pin()?;
-        let options = ChainOptions { endpoint, contract: self.config.contract, pinned, confirmations: self.config.confirmations };
+        let options =
+            ChainOptions { endpoint, contract: self.config.contract, pinned, confirmations: self.config.confirmations };
         let chain = Chain::connect(options).await?;
         if let Some(pin) = chain.pin() {
             self.save_pin(&pin)?;
@@ -130,7 +133,9 @@ impl Site {
     pub(crate) async fn network(&self) -> Result<Network, Failure> {
         match self.settled_network().await? {
             NetworkState::Up(network) => Ok(*network),
-            NetworkState::Bare(_) => Err(input("no contract is deployed yet; `authros register` deploys one, or set chain.contract")),
+            NetworkState::Bare(_) => {
+                Err(input("no contract is deployed yet; `authros register` deploys one, or set chain.contract"))
+            }
             _ => Err(off()),
         }
     }
@@ -153,7 +158,10 @@ impl Site {
         self.save_pin(&pin)?;
         self.use_network(chain, &pin).await?;
         self.record_audit(&owner.profile, "deploy", &pin.contract.to_string(), "done").await?;
-        self.hub.notice(NoticeLevel::Info, &format!("contract {} deployed; {} administers it", pin.contract, owner.address));
+        self.hub.notice(
+            NoticeLevel::Info,
+            &format!("contract {} deployed; {} administers it", pin.contract, owner.address),
+        );
         self.network().await
     }
 

@@ -20,7 +20,9 @@ impl Site {
         let Request { profile, command } = request;
         match command {
             Command::OpenConsole => self.claim(profile, claims),
-            Command::CreateIdentity { passphrase } => self.create_identity(profile, passphrase).await.map(Reply::Identity),
+            Command::CreateIdentity { passphrase } => {
+                self.create_identity(profile, passphrase).await.map(Reply::Identity)
+            }
             Command::ShowIdentity => self.identity_view(&profile).await.map(Reply::Identity),
             Command::Unlock { passphrase } => self.unlock(profile, passphrase).await.map(Reply::Identity),
             Command::ListTopics => Ok(Reply::Topics(self.topic_rows(&profile).await?)),
@@ -41,7 +43,9 @@ impl Site {
         match command {
             Command::Register => self.register(&owner).await.map(Reply::Identity),
             Command::ListKeys => self.keys_view(&owner).await.map(Reply::Keys),
-            Command::LoadKey { kind, path, passphrase } => self.load_key(&owner, kind, path, passphrase).await.map(Reply::Keys),
+            Command::LoadKey { kind, path, passphrase } => {
+                self.load_key(&owner, kind, path, passphrase).await.map(Reply::Keys)
+            }
             Command::RotateKeys => self.rotate(&owner, "asked for").await.map(Reply::Transaction),
             Command::ExportKey { kind, passphrase } => self.export_key(&owner, kind, passphrase).await.map(Reply::Key),
             Command::Capture { topics, type_name, count, milliseconds, tags } => {
@@ -66,7 +70,9 @@ impl Site {
         if !consoles.insert(profile.clone()) && !own {
             return Err(Failure::new(
                 ErrorKind::Home,
-                format!("a console of profile '{profile}' is open already; close it, or open another profile with --profile"),
+                format!(
+                    "a console of profile '{profile}' is open already; close it, or open another profile with --profile"
+                ),
             ));
         }
         claims.lock().unwrap_or_else(PoisonError::into_inner).insert(profile);

@@ -59,7 +59,9 @@ impl Site {
     async fn take_up_epoch(self: &Arc<Self>, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
         let on_chain = network.directory.epoch(owner.address);
         let known = owner.epochs(network.domain);
-        if owner.token(network.domain, on_chain) != network.directory.account(owner.address).and_then(|account| account.tokens.get(&on_chain).copied()) {
+        if owner.token(network.domain, on_chain)
+            != network.directory.account(owner.address).and_then(|account| account.tokens.get(&on_chain).copied())
+        {
             return Err(crate::service::failure::refused(format!(
                 "the keyring of '{}' lacks the key of its current epoch {on_chain}; restore the newest keyring, or begin a new epoch with `authros keys rotate`",
                 owner.profile

@@ -52,7 +52,9 @@ impl Site {
     ) -> Result<KeysView, Failure> {
         let registered = match self.network().await {
             Ok(network) => network.directory.identity(owner.address).is_ok().then_some(network),
-            Err(_) if self.home.pin().exists() => return Err(self.network().await.err().unwrap_or_else(|| refused("the chain is not up"))),
+            Err(_) if self.home.pin().exists() => {
+                return Err(self.network().await.err().unwrap_or_else(|| refused("the chain is not up")));
+            }
             Err(_) => None,
         };
         self.audit_first(owner, "load key", &format!("{kind:?}").to_lowercase()).await?;
@@ -65,7 +67,12 @@ impl Site {
         self.keys_view(&owner).await
     }
 
-    async fn load_sm4(self: &Arc<Self>, owner: &Arc<Owner>, path: PathBuf, registered: bool) -> Result<Arc<Owner>, Failure> {
+    async fn load_sm4(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        path: PathBuf,
+        registered: bool,
+    ) -> Result<Arc<Owner>, Failure> {
         let key = self.blocking(move |_| Ok(keyfile::load_sm4(&path)?)).await?;
         {
             let mut keyring = owner.keyring();
@@ -78,14 +85,20 @@ impl Site {
         Ok(Arc::clone(owner))
     }
 
-    async fn load_sm2(self: &Arc<Self>, owner: &Arc<Owner>, path: PathBuf, network: Option<&Network>) -> Result<Arc<Owner>, Failure> {
+    async fn load_sm2(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        path: PathBuf,
+        network: Option<&Network>,
+    ) -> Result<Arc<Owner>, Failure> {
         let provider = self.plant.provider;
         let pair = self.blocking(move |_| Ok(SmKeyPair::from_secret(provider, keyfile::load_sm2(&path)?)?)).await?;
         if let Some(network) = network {
             let _one_at_a_time = owner.changes.lock().await;
             self.drain(owner).await?;
             let epoch = network.directory.epoch(owner.address);
-            let token = owner.token(network.domain, epoch).ok_or_else(|| refused("the keyring lacks the current epoch"))?;
+            let token =
+                owner.token(network.domain, epoch).ok_or_else(|| refused("the keyring lacks the current epoch"))?;
             let envelope = owner.envelope();
             let identity = prove(provider, &network.domain, &owner.address, &pair, &envelope.public, token)?;
             let call = Call::RotateKeys { identity };
@@ -116,7 +129,9 @@ impl Site {
             }
             if tokio::time::Instant::now() > deadline {
                 let pending = counts.pending_of_any_kind();
-                return Err(refused(format!("{pending} records signed by the present key are not verified yet; try again when they are")));
+                return Err(refused(format!(
+                    "{pending} records signed by the present key are not verified yet; try again when they are"
+                )));
             }
             tokio::time::sleep(Duration::from_millis(100)).await;
         }
@@ -139,7 +154,8 @@ impl Site {
         if !rows.is_empty() {
             return Err(refused(format!("records of {} wait to be anchored; register first", owner.address)));
         }
-        let key = self.blocking(move |_| Ok(keyfile::load_eoa(&path, passphrase.as_ref().map(SecretText::expose))?)).await?;
+        let key =
+            self.blocking(move |_| Ok(keyfile::load_eoa(&path, passphrase.as_ref().map(SecretText::expose))?)).await?;
         {
             let mut keyring = owner.keyring();
             keyring.keyring.eoa = key;
@@ -165,7 +181,8 @@ impl Site {
             KeyKind::Sm4 => keyfile::sm4_hex(&sm4).as_bytes().to_vec(),
             KeyKind::Sm2 => keyfile::sm2_pem(&signing.secret)?.as_bytes().to_vec(),
             KeyKind::Eoa => {
-                let passphrase = passphrase.ok_or_else(|| input("a V3 keystore needs a passphrase; give --keystore-passphrase-file"))?;
+                let passphrase = passphrase
+                    .ok_or_else(|| input("a V3 keystore needs a passphrase; give --keystore-passphrase-file"))?;
                 self.blocking(move |_| Ok(keyfile::eoa_keystore(&eoa, passphrase.expose())?.into_bytes())).await?
             }
         };

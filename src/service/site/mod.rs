@@ -122,7 +122,7 @@ impl Site {
             stopping: watch::channel(false).0,
             chain_silent: AtomicBool::new(false),
             guests: AtomicUsize::new(0),
-    deploying: tokio::sync::Mutex::default(),
+            deploying: tokio::sync::Mutex::default(),
             sealer: Mutex::default(),
             ros_task: Mutex::default(),
             _lock: lock,

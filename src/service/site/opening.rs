@@ -15,7 +15,11 @@ use crate::store::RecordQuery;
 
 impl Site {
     /// Records of all owners with an active grant to this profile, within each grant's scope.
-    pub(super) async fn list_shared(self: &Arc<Self>, owner: &Arc<Owner>, query: UploadQuery) -> Result<RecordPage, Failure> {
+    pub(super) async fn list_shared(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        query: UploadQuery,
+    ) -> Result<RecordPage, Failure> {
         let network = self.network().await?;
         let (me, now) = (owner.address, Timestamp::now());
         let grants = network.directory.grants(|grant| grant.terms.grantee == me && grant.is_active(now));
@@ -39,7 +43,11 @@ impl Site {
     }
 
     /// The next page with a record that the reader's keys open; such pages may be short.
-    async fn readable_page(self: &Arc<Self>, reader: &Reader<'_>, mut query: RecordQuery) -> Result<RecordPage, Failure> {
+    async fn readable_page(
+        self: &Arc<Self>,
+        reader: &Reader<'_>,
+        mut query: RecordQuery,
+    ) -> Result<RecordPage, Failure> {
         loop {
             let asked = query.clone();
             let mut page = self.blocking(move |site| Ok(site.plant.ledger.list(&asked)?)).await?;
@@ -84,11 +92,13 @@ impl Site {
         let network = self.network().await?;
         let reader = Reader { plant: &self.plant, network: &network, reader: owner };
         let allowed = reader.authorise(&row);
-        self.record_audit(&owner.profile, "decrypt", &row.id, if allowed.is_ok() { "begun" } else { "refused" }).await?;
+        self.record_audit(&owner.profile, "decrypt", &row.id, if allowed.is_ok() { "begun" } else { "refused" })
+            .await?;
         allowed?;
         let opened = reader.open(&row).await?;
         let definition = reader.definition(&row, &opened).await?;
-        let decoded = definition.as_ref().and_then(|definition| definition.decode(&opened.body, Limits::default()).ok());
+        let decoded =
+            definition.as_ref().and_then(|definition| definition.decode(&opened.body, Limits::default()).ok());
         let picture = definition
             .as_ref()
             .and_then(|definition| definition.compressed_image(&opened.body))

@@ -13,10 +13,16 @@ use crate::service::reply::{Failure, IdentityView};
 
 impl Site {
     /// Makes keys and a keyring for a new profile, and opens it.
-    pub(super) async fn create_identity(self: &Arc<Self>, profile: ProfileName, secret: SecretText) -> Result<IdentityView, Failure> {
+    pub(super) async fn create_identity(
+        self: &Arc<Self>,
+        profile: ProfileName,
+        secret: SecretText,
+    ) -> Result<IdentityView, Failure> {
         let path = self.home.keyring(&profile);
         if path.exists() {
-            return Err(refused(format!("profile '{profile}' exists already; `authros --profile {profile} identity show` shows it")));
+            return Err(refused(format!(
+                "profile '{profile}' exists already; `authros --profile {profile} identity show` shows it"
+            )));
         }
         let passphrase = Passphrase::new(secret.expose().to_owned())?;
         let unlocked = self
@@ -31,7 +37,11 @@ impl Site {
     }
 
     /// Opens the keyring of a profile for this site.
-    pub(super) async fn unlock(self: &Arc<Self>, profile: ProfileName, secret: SecretText) -> Result<IdentityView, Failure> {
+    pub(super) async fn unlock(
+        self: &Arc<Self>,
+        profile: ProfileName,
+        secret: SecretText,
+    ) -> Result<IdentityView, Failure> {
         if self.owner(&profile).is_none() {
             let path = self.home.keyring(&profile);
             let passphrase = Passphrase::new(secret.expose().to_owned())?;
@@ -86,7 +96,8 @@ impl Site {
         view.envelope_key = Some(public.envelope);
         view.fingerprint = Some(Fingerprint::of(&public.signing).to_string());
         if let Ok(network) = self.network().await {
-            view.registered = network.directory.identity(public.address).is_ok_and(|identity| identity.signing == public.signing);
+            view.registered =
+                network.directory.identity(public.address).is_ok_and(|identity| identity.signing == public.signing);
             view.epoch = Some(network.directory.epoch(public.address)).filter(|epoch| *epoch > 0);
         }
         Ok(view)

@@ -121,11 +121,24 @@ impl Site {
             Some(_) if robots > 0 => Some(Fleet::start(&uri, robots, FleetOptions::default())?),
             _ => None,
         };
-        self.recorder.set_simulated(if fleet.is_some() { (1..=robots).map(|number| format!("/robot{number}_sim")).collect() } else { Vec::new() });
+        self.recorder.set_simulated(if fleet.is_some() {
+            (1..=robots).map(|number| format!("/robot{number}_sim")).collect()
+        } else {
+            Vec::new()
+        });
         let options = CaptureOptions { master_uri: uri.clone(), own_host: self.config.ros_host.clone(), node_name };
         let capture = Capture::start(options, self.recorder.clone())?;
         let embedded = master.is_some();
-        let link = RosLink { uri, embedded, capture, robots: if fleet.is_some() { robots } else { 0 }, fleet, graph, topics: std::sync::RwLock::default(), _master: master };
+        let link = RosLink {
+            uri,
+            embedded,
+            capture,
+            robots: if fleet.is_some() { robots } else { 0 },
+            fleet,
+            graph,
+            topics: std::sync::RwLock::default(),
+            _master: master,
+        };
         link.look()?;
         self.follow_wishes(&link);
         Ok(link)
@@ -156,7 +169,8 @@ impl Site {
 
     /// Subscribes to what is wanted or measured, and to nothing else.
     fn follow_wishes(&self, link: &RosLink) {
-        let mut wanted: BTreeSet<TopicName> = self.recorder.wanted().iter().filter_map(|topic| topic.parse().ok()).collect();
+        let mut wanted: BTreeSet<TopicName> =
+            self.recorder.wanted().iter().filter_map(|topic| topic.parse().ok()).collect();
         if self.config.meter == MeterMode::All {
             wanted.extend(link.topics().iter().filter_map(|topic| topic.name.parse::<TopicName>().ok()));
         }

@@ -4,10 +4,10 @@ use std::sync::Arc;
 
 use super::Site;
 use crate::chain::Call;
-use crate::model::{Address, GrantTerms, Scope, Timestamp, TopicName};
 use crate::model::grant::MOST_TOPICS;
-use crate::pipeline::directory::Granted;
+use crate::model::{Address, GrantTerms, Scope, Timestamp, TopicName};
 use crate::pipeline::Owner;
+use crate::pipeline::directory::Granted;
 use crate::service::command::Epochs;
 use crate::service::event::Part;
 use crate::service::failure::{input, refused};
@@ -63,14 +63,23 @@ impl Site {
     }
 
     /// Stops sharing with an account. What it has read cannot be recalled.
-    pub(super) async fn revoke(self: &Arc<Self>, owner: &Arc<Owner>, grantee: Address) -> Result<TransactionView, Failure> {
+    pub(super) async fn revoke(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        grantee: Address,
+    ) -> Result<TransactionView, Failure> {
         let network = self.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
         if self.active_grant(&network, owner.address, grantee).is_none() {
-            return Err(refused(format!("{grantee} has no active grant of {}; `authros grants list` shows who has", owner.address)));
+            return Err(refused(format!(
+                "{grantee} has no active grant of {}; `authros grants list` shows who has",
+                owner.address
+            )));
         }
         let purpose = format!("revoke {grantee}");
-        let mut view = self.begin_epoch(owner, &network, &purpose, |new_token| Call::AuthorityRevoke { grantee, new_token }).await?;
+        let mut view = self
+            .begin_epoch(owner, &network, &purpose, |new_token| Call::AuthorityRevoke { grantee, new_token })
+            .await?;
         view.text = format!(
             "{grantee} can read nothing sealed from now on (epoch {}); what was already read cannot be recalled",
             view.epoch
@@ -80,7 +89,10 @@ impl Site {
 
     fn active_grant(&self, network: &crate::pipeline::Network, owner: Address, grantee: Address) -> Option<Granted> {
         let now = Timestamp::now();
-        network.directory.grants(|grant| grant.terms.owner == owner && grant.terms.grantee == grantee && grant.is_active(now)).pop()
+        network
+            .directory
+            .grants(|grant| grant.terms.owner == owner && grant.terms.grantee == grantee && grant.is_active(now))
+            .pop()
     }
 
     fn remember_topics(&self, owner: &Owner, grantee: Address, topics: &[String]) -> Result<(), Failure> {
@@ -102,7 +114,12 @@ impl Site {
         grants.iter().map(|grant| self.grant_row(owner, &network, grant)).collect()
     }
 
-    fn grant_row(&self, owner: &Owner, network: &crate::pipeline::Network, grant: &Granted) -> Result<GrantRow, Failure> {
+    fn grant_row(
+        &self,
+        owner: &Owner,
+        network: &crate::pipeline::Network,
+        grant: &Granted,
+    ) -> Result<GrantRow, Failure> {
         let given = grant.terms.owner == owner.address;
         let topics = match &grant.terms.scope {
             Scope::All => Vec::new(),
@@ -135,7 +152,8 @@ impl Site {
         let reader = crate::pipeline::reader::Reader { plant: &self.plant, network, reader: owner };
         match reader.open_envelope(grant, grant.terms.epoch).as_deref() {
             Ok(crate::crypto::WrappedKeys { keys: crate::crypto::GrantedKeys::Topics { keys }, .. }) => {
-                let mut names: Vec<String> = keys.iter().map(|(_, topic, _, _)| crate::model::clean(topic, 255)).collect();
+                let mut names: Vec<String> =
+                    keys.iter().map(|(_, topic, _, _)| crate::model::clean(topic, 255)).collect();
                 names.sort();
                 names.dedup();
                 names

@@ -26,7 +26,9 @@ impl Site {
         let (level, text) = match &*self.ros.borrow() {
             RosState::Off => (HealthLevel::Absent, "not part of this run".to_owned()),
             RosState::Starting => (HealthLevel::Waiting, "starting".to_owned()),
-            RosState::Up(link) if link.embedded => (HealthLevel::Ok, format!("embedded master, {} SIMULATED robots", link.robots)),
+            RosState::Up(link) if link.embedded => {
+                (HealthLevel::Ok, format!("embedded master, {} SIMULATED robots", link.robots))
+            }
             RosState::Up(link) => (HealthLevel::Ok, link.uri.clone()),
             RosState::Down { failure, .. } => (HealthLevel::Failed, failure.message.clone()),
         };
@@ -42,7 +44,9 @@ impl Site {
             NetworkState::Bare(_) => (HealthLevel::Ok, format!("{name}, no contract yet")),
             NetworkState::Up(_) if silent => (HealthLevel::Waiting, format!("{name} does not answer, retry in 2 s")),
             NetworkState::Up(_) => (HealthLevel::Ok, name),
-            NetworkState::Down { failure, retry } => (HealthLevel::Failed, format!("retry in {retry} s: {}", failure.message)),
+            NetworkState::Down { failure, retry } => {
+                (HealthLevel::Failed, format!("retry in {retry} s: {}", failure.message))
+            }
         };
         part("chain", level, &text)
     }
@@ -71,7 +75,8 @@ impl Site {
         };
         let counts = self.plant.ledger.counts(Some(owner.address))?;
         let at_least = |least: RecordState| -> u64 {
-            let states = RecordState::ALL.into_iter().filter(|state| *state >= least && *state <= RecordState::Verified);
+            let states =
+                RecordState::ALL.into_iter().filter(|state| *state >= least && *state <= RecordState::Verified);
             states.map(|state| counts.data_in(state)).sum()
         };
         let tampered = counts.data_in(RecordState::Tampered);

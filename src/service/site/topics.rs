@@ -29,7 +29,13 @@ impl Site {
             .collect();
         for (topic, type_name) in &watches {
             if !rows.iter().any(|row| row.topic == topic.as_str()) {
-                rows.push(self.topic_row(topic.as_str(), type_name.as_ref().map(TypeName::as_str), Vec::new(), false, now));
+                rows.push(self.topic_row(
+                    topic.as_str(),
+                    type_name.as_ref().map(TypeName::as_str),
+                    Vec::new(),
+                    false,
+                    now,
+                ));
             }
         }
         let captured = self.captured_by_topic(profile)?;
@@ -41,7 +47,14 @@ impl Site {
         Ok(rows)
     }
 
-    fn topic_row(&self, topic: &str, type_name: Option<&str>, publishers: Vec<String>, simulated: bool, now: Timestamp) -> TopicRow {
+    fn topic_row(
+        &self,
+        topic: &str,
+        type_name: Option<&str>,
+        publishers: Vec<String>,
+        simulated: bool,
+        now: Timestamp,
+    ) -> TopicRow {
         let rate = self.recorder.meter().rate(topic, now);
         let losses = self.recorder.losses(topic);
         TopicRow {
@@ -100,7 +113,11 @@ impl Site {
     }
 
     /// Stops capturing a topic.
-    pub(super) async fn unwatch_topic(self: &Arc<Self>, profile: &ProfileName, topic: &TopicName) -> Result<Reply, Failure> {
+    pub(super) async fn unwatch_topic(
+        self: &Arc<Self>,
+        profile: &ProfileName,
+        topic: &TopicName,
+    ) -> Result<Reply, Failure> {
         block_in_place(|| {
             let mut watches = self.watches(profile)?;
             watches.retain(|(watched, _)| watched != topic);

@@ -20,13 +20,19 @@ impl Site {
         }
         let path = self.home.keyring(profile);
         if !path.exists() {
-            return Err(input(format!("profile '{profile}' has no identity yet; make one with `authros --profile {profile} identity create`")));
+            return Err(input(format!(
+                "profile '{profile}' has no identity yet; make one with `authros --profile {profile} identity create`"
+            )));
         }
         Ok(tokio::task::block_in_place(|| read_public(&path))?.address)
     }
 
     /// Own records; needs no passphrase.
-    pub(super) async fn list_uploads(self: &Arc<Self>, profile: &ProfileName, query: UploadQuery) -> Result<RecordPage, Failure> {
+    pub(super) async fn list_uploads(
+        self: &Arc<Self>,
+        profile: &ProfileName,
+        query: UploadQuery,
+    ) -> Result<RecordPage, Failure> {
         let owner = self.address_of(profile)?;
         let query = crate::store::RecordQuery { owner: Some(owner), ..record_query(query) };
         let page = self.blocking(move |site| Ok(site.plant.ledger.list(&query)?)).await?;
@@ -74,7 +80,11 @@ impl Site {
     }
 
     /// The files by which others check a record with openssl and a node.
-    pub(super) async fn export_upload(self: &Arc<Self>, owner: &Arc<Owner>, id: &str) -> Result<Vec<ExportedFile>, Failure> {
+    pub(super) async fn export_upload(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        id: &str,
+    ) -> Result<Vec<ExportedFile>, Failure> {
         let row = self.own_record(&owner.profile, id).await?;
         let network = self.network().await?;
         self.audit_first(owner, "export record", &row.id).await?;
@@ -82,7 +92,8 @@ impl Site {
         let blob = self.blocking(move |site| Ok(site.plant.vault.get(digest)?)).await?;
         let blob = blob.ok_or_else(|| PipelineError::Missing(row.id.clone()))?;
         let signer = network.directory.signing_key(row.owner, row.signer, row.block);
-        let signer = signer.ok_or_else(|| refused("the record's signing key is not among those registered on the chain"))?;
+        let signer =
+            signer.ok_or_else(|| refused("the record's signing key is not among those registered on the chain"))?;
         let signed = record::signed_bytes(&network.domain, &row.digest);
         let pin = network.chain.pin();
         let proof = serde_json::json!({

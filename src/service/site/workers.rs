@@ -48,7 +48,9 @@ fn start_storer(site: &Arc<Site>) -> Result<(), Failure> {
     let (plant, hub, weak) = (site.plant.clone(), Arc::clone(&site.hub), Arc::downgrade(site));
     let stopped = move || weak.upgrade().is_none_or(|site| site.is_stopping());
     thread("storer", move || {
-        storer::run(&plant, &stopped, &|pause| std::thread::sleep(pause.min(Duration::from_secs(1))), &|| hub.stored.notify_waiters());
+        storer::run(&plant, &stopped, &|pause| std::thread::sleep(pause.min(Duration::from_secs(1))), &|| {
+            hub.stored.notify_waiters()
+        });
     })?;
     Ok(())
 }
@@ -79,7 +81,10 @@ async fn watch(site: Arc<Site>) {
         };
         if let Some(problem) = pause {
             site.chain_answers(false);
-            site.hub.notice(NoticeLevel::Error, &format!("the chain does not answer; anchoring waits, nothing is lost: {problem}"));
+            site.hub.notice(
+                NoticeLevel::Error,
+                &format!("the chain does not answer; anchoring waits, nothing is lost: {problem}"),
+            );
             tokio::time::sleep(Duration::from_secs(2)).await;
         }
     }
@@ -90,10 +95,15 @@ async fn resend(site: &Arc<Site>, network: &Network) {
         match site.sender.resend(&network.chain, owner.address).await {
             Ok((_, refused)) => {
                 for reason in refused {
-                    site.hub.notice(NoticeLevel::Error, &format!("the contract refused a transaction of {}: {reason}", owner.profile));
+                    site.hub.notice(
+                        NoticeLevel::Error,
+                        &format!("the contract refused a transaction of {}: {reason}", owner.profile),
+                    );
                 }
             }
-            Err(error) => site.hub.notice(NoticeLevel::Error, &format!("transactions of {} wait: {error}", owner.profile)),
+            Err(error) => {
+                site.hub.notice(NoticeLevel::Error, &format!("transactions of {} wait: {error}", owner.profile))
+            }
         }
     }
 }
@@ -143,7 +153,8 @@ pub(super) async fn anchor(site: Arc<Site>, owner: Arc<Owner>) {
             }
             Ok(_) => site.changed(Part::Uploads),
             Err(error) => {
-                site.hub.notice(NoticeLevel::Error, &format!("records of {} wait to be anchored: {error}", owner.profile));
+                site.hub
+                    .notice(NoticeLevel::Error, &format!("records of {} wait to be anchored: {error}", owner.profile));
                 tokio::time::sleep(pause).await;
                 pause = (pause * 2).min(Duration::from_secs(10));
             }
@@ -164,10 +175,17 @@ impl Site {
                 let epoch = network.directory.epoch(owner.address);
                 let now = Timestamp::now();
                 let due = network.directory.grants(|grant| {
-                    grant.terms.owner == owner.address && grant.word(now) == "expired" && grant.envelopes.contains_key(&epoch)
+                    grant.terms.owner == owner.address
+                        && grant.word(now) == "expired"
+                        && grant.envelopes.contains_key(&epoch)
                 });
-                if !due.is_empty() && let Err(failure) = self.rotate(&owner, "a grant expired").await {
-                    self.hub.notice(NoticeLevel::Error, &format!("a grant of {} has expired, but {}", owner.profile, failure.message));
+                if !due.is_empty()
+                    && let Err(failure) = self.rotate(&owner, "a grant expired").await
+                {
+                    self.hub.notice(
+                        NoticeLevel::Error,
+                        &format!("a grant of {} has expired, but {}", owner.profile, failure.message),
+                    );
                 }
             }
         }
