@@ -218,3 +218,20 @@ fn a_watched_topic_is_captured_until_it_is_unwatched() {
     std::thread::sleep(std::time::Duration::from_secs(1));
     assert_eq!(two.alice.records(&["uploads", "list"]).len(), settled, "nothing more comes");
 }
+
+#[test]
+fn a_followed_list_tells_each_change_of_state_on_a_line_of_its_own() {
+    let two = two_profiles();
+    let follower = two.alice.with(&["--json"]).spawn(&["uploads", "list", "--follow"]);
+    two.alice.capture(&["/robot1/odom"], 3);
+    let verified = || follower.stdout().lines().filter(|line| line.contains("\"state\":\"verified\"")).count();
+    support::wait_until(30, "all three are told verified", || (verified() >= 3).then_some(()));
+    let outcome = follower.stop("INT", 20).expect_code(0);
+    let mut last = std::collections::BTreeMap::new();
+    for line in outcome.stdout.lines() {
+        let record: serde_json::Value = serde_json::from_str(line).expect("one document a line");
+        let before = last.insert(support::text(&record, "id"), support::text(&record, "state"));
+        assert_ne!(before, last.get(&support::text(&record, "id")).cloned(), "told only when it changed: {line}");
+    }
+    assert_eq!(last.values().filter(|state| *state == "verified").count(), 3);
+}

@@ -251,6 +251,9 @@ pub struct ListArguments {
     /// Newest first
     #[arg(long)]
     pub newest: bool,
+    /// Go on: one line for each record whenever its state changes
+    #[arg(long, conflicts_with_all = ["after", "newest"])]
+    pub follow: bool,
 }
 
 /// `uploads …`

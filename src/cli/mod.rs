@@ -8,6 +8,7 @@ mod capture;
 mod connect;
 mod console;
 mod demo;
+mod follow;
 mod lists;
 mod output;
 mod parse;
@@ -19,7 +20,7 @@ use std::process::ExitCode;
 
 use clap::Parser;
 
-use self::args::{Arguments, Verb};
+use self::args::{Arguments, SharedVerb, UploadsVerb, Verb};
 use self::connect::Context;
 use self::output::Output;
 use crate::service::Failure;
@@ -63,6 +64,12 @@ fn run(runtime: &tokio::runtime::Runtime, arguments: Arguments, output: &Output)
         Some(Verb::Serve) => runtime.block_on(serve::run(context, output)),
         Some(Verb::Demo(demo)) => runtime.block_on(demo::run(context, demo, output)),
         Some(Verb::Capture(capture)) => runtime.block_on(capture::run(context, capture, output)),
+        Some(Verb::Uploads(UploadsVerb::List(list))) if list.follow => {
+            runtime.block_on(follow::run(context, follow::Which::Uploads, parse::query(&list)?, output))
+        }
+        Some(Verb::Shared(SharedVerb::List(list))) if list.follow => {
+            runtime.block_on(follow::run(context, follow::Which::Shared, parse::query(&list)?, output))
+        }
         Some(verb) => runtime.block_on(verbs::run(context, verb, output)),
     }
 }

@@ -58,6 +58,11 @@ pub enum PipelineError {
         /// The contract's words, cleaned.
         reason: String,
     },
+    /// The account cannot pay for gas.
+    #[error(
+        "{0} has not enough ether to pay for the transaction's gas; send it some on this chain, then repeat the command"
+    )]
+    NoEther(Address),
     /// A transaction is not mined in time; it stays stored and is sent again.
     #[error("{0} is sent but not in a block yet; it is kept and will be sent again, look at `authros chain status`")]
     NotMined(String),
@@ -74,12 +79,22 @@ impl PipelineError {
             Self::Store(error) => error.kind(),
             Self::Chain(error) => error.kind(),
             Self::Ros(error) => error.kind(),
-            Self::Unregistered(_) | Self::BadIdentity(_) | Self::NotGranted { .. } => ErrorKind::Refused,
+            Self::NoEther(_) | Self::Unregistered(_) | Self::BadIdentity(_) | Self::NotGranted { .. } => {
+                ErrorKind::Refused
+            }
             Self::Reverted { .. } | Self::Refused(_) => ErrorKind::Refused,
             Self::NoRecord(_) => ErrorKind::Input,
             Self::Missing(_) => ErrorKind::Tampered,
             Self::UnknownEpoch(_) => ErrorKind::Refused,
             Self::NotMined(_) => ErrorKind::Incomplete,
         }
+    }
+}
+
+/// An error of the chain met while `account` was to pay.
+pub(super) fn of_payer(error: ChainError, account: Address) -> PipelineError {
+    match error {
+        ChainError::InsufficientFunds => PipelineError::NoEther(account),
+        other => other.into(),
     }
 }

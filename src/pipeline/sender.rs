@@ -13,6 +13,7 @@ use crate::model::{Address, Digest, Hash, Timestamp, clean};
 use crate::store::{Ledger, NewTransaction, TransactionOutcome};
 
 use super::PipelineError;
+use super::error::of_payer;
 
 /// A transaction signed less long ago than this is not sent again, nanoseconds.
 const QUIET: u64 = 4_000_000_000;
@@ -66,7 +67,7 @@ impl Sender {
         let mut nonce = self.next_nonce(chain, account, &lane).await?;
         let mut rows = Vec::with_capacity(calls.len());
         for (call, purpose, digests) in calls {
-            let signed = chain.sign(eoa, nonce, &call).await?;
+            let signed = chain.sign(eoa, nonce, &call).await.map_err(|error| of_payer(error, account))?;
             rows.push(NewTransaction { hash: signed.hash, account, nonce, raw: signed.raw, purpose, digests });
             nonce += 1;
         }
@@ -97,7 +98,7 @@ impl Sender {
         call: Call,
         purpose: &str,
     ) -> Result<(Hash, Receipt), PipelineError> {
-        chain.simulate(eoa.address(), &call).await?;
+        chain.simulate(eoa.address(), &call).await.map_err(|error| of_payer(error, eoa.address()))?;
         let hashes = self.submit(chain, eoa, vec![(call, purpose.to_owned(), Vec::new())]).await?;
         let hash = hashes.first().copied().ok_or_else(|| PipelineError::NotMined(purpose.to_owned()))?;
         self.wait_mined(chain, eoa.address(), hash, purpose).await
@@ -182,7 +183,7 @@ impl Sender {
             }
             match chain.broadcast(&row.raw).await {
                 Ok(_) | Err(ChainError::AlreadyKnown | ChainError::NonceTooLow) => {}
-                Err(error) => return Err(error.into()),
+                Err(error) => return Err(of_payer(error, account)),
             }
         }
         Ok((waiting, refused))

@@ -1,0 +1,93 @@
+//! `uploads list --follow`, `shared list --follow`: one line for each record whenever its state changes.
+
+use std::collections::HashMap;
+use std::time::Duration;
+
+use super::connect::{Context, ProfileNeed, unexpected};
+use super::output::Output;
+use crate::model::Timestamp;
+use crate::service::reply::{RecordPage, RecordView};
+use crate::service::{Client, Command, Event, Failure, Needs, Part, Reply, UploadQuery};
+
+/// Records captured longer ago than this before the newest are looked at no more, nanoseconds.
+const WINDOW: u64 = 60_000_000_000;
+
+/// Which list.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Which {
+    /// Own records.
+    Uploads,
+    /// Records shared with this profile.
+    Shared,
+}
+
+/// Follows until a signal ends it; opens the site, robots and chain included, where none runs.
+///
+/// # Errors
+/// What the site says.
+pub async fn run(context: Context, which: Which, query: UploadQuery, output: &Output) -> Result<u8, Failure> {
+    let connection = context.connect(Needs { ros: true, chain: true }).await?;
+    let followed = async {
+        context.prepare(&connection.client, ProfileNeed::Unlocked, output).await?;
+        follow(&connection.client, which, query, output).await
+    };
+    let followed = tokio::select! {
+        followed = followed => followed,
+        () = super::serve::asked_to_end() => Ok(()),
+    };
+    connection.close().await;
+    followed.map(|()| 0)
+}
+
+async fn follow(client: &Client, which: Which, mut query: UploadQuery, output: &Output) -> Result<(), Failure> {
+    let mut events = client.events();
+    let mut told: HashMap<String, (Timestamp, String)> = HashMap::new();
+    query.newest_first = false;
+    let begin = query.since;
+    loop {
+        let newest = told.values().map(|(at, _)| *at).max();
+        query.since = newest.map(|at| Timestamp(at.0.saturating_sub(WINDOW))).max(begin);
+        query.after = None;
+        loop {
+            let page = page(client, which, &query).await?;
+            page.records.iter().for_each(|record| tell(record, &mut told, output));
+            query.after = page.next;
+            if query.after.is_none() {
+                break;
+            }
+        }
+        if let Some(newest) = newest {
+            told.retain(|_, (at, _)| at.0 + 2 * WINDOW > newest.0);
+        }
+        wait(&mut events).await;
+    }
+}
+
+async fn page(client: &Client, which: Which, query: &UploadQuery) -> Result<RecordPage, Failure> {
+    let command = match which {
+        Which::Uploads => Command::ListUploads(query.clone()),
+        Which::Shared => Command::ListShared(query.clone()),
+    };
+    match client.request(command).await? {
+        Reply::Records(page) => Ok(page),
+        _ => Err(unexpected()),
+    }
+}
+
+fn tell(record: &RecordView, told: &mut HashMap<String, (Timestamp, String)>, output: &Output) {
+    let known = told.insert(record.id.clone(), (record.captured_at, record.state.clone()));
+    if known.is_none_or(|(_, state)| state != record.state) {
+        output.result(record, || format!("{}  {:10}  {}  {}", record.id, record.state, record.topic, record.seq));
+    }
+}
+
+async fn wait(events: &mut tokio::sync::broadcast::Receiver<Event>) {
+    let changed = async {
+        while let Ok(event) = events.recv().await {
+            if event == (Event::Changed { part: Part::Uploads }) {
+                return;
+            }
+        }
+    };
+    drop(tokio::time::timeout(Duration::from_secs(1), changed).await);
+}
