@@ -11,8 +11,11 @@ mod development;
 mod embedded;
 mod error;
 mod event;
+mod genesis;
 mod reader;
+mod sealing;
 mod sender;
+pub mod serve;
 #[cfg(test)]
 mod tests;
 mod transport;
@@ -27,6 +30,8 @@ use serde::{Deserialize, Serialize};
 pub use self::call::{Call, LONGEST_ENVELOPE, MOST_WRAPS};
 pub use self::error::{ChainError, explain};
 pub use self::event::Event;
+pub use self::genesis::{Allocation, GUIDE, Genesis, GenesisKind};
+pub use self::sealing::Sealing;
 pub use crate::model::Consensus;
 use crate::model::{Address, Digest, Hash, Identity, Timestamp, Token};
 

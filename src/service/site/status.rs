@@ -120,6 +120,7 @@ impl Site {
             nonce: status.nonce.unwrap_or(0),
             pending: open as u64,
             client: clean(&status.client, 100),
+            sealing: chain.sealing().await?,
         })
     }
 }
