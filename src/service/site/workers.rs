@@ -4,7 +4,6 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::{Needs, Site};
-use crate::model::Timestamp;
 use crate::pipeline::anchorer::Anchorer;
 use crate::pipeline::sealer::Sealer;
 use crate::pipeline::{Network, Owner, storer, verifier, watcher};
@@ -182,19 +181,10 @@ impl Site {
             }
             let Some(network) = self.network_now() else { continue };
             for owner in self.all_owners() {
-                let epoch = network.directory.epoch(owner.address);
-                let now = Timestamp::now();
-                let due = network.directory.grants(|grant| {
-                    grant.terms.owner == owner.address
-                        && grant.word(now) == "expired"
-                        && grant.envelopes.contains_key(&epoch)
-                });
-                if !due.is_empty()
-                    && let Err(failure) = self.rotate(&owner, "a grant expired").await
-                {
+                if let Err(failure) = self.end_expired(&owner, &network).await {
                     self.hub.notice(
                         NoticeLevel::Error,
-                        &format!("a grant of {} has expired, but {}", owner.profile, failure.message),
+                        &format!("a grant of {} has run out or soon will, but {}", owner.profile, failure.message),
                     );
                 }
             }
