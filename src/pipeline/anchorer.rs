@@ -3,15 +3,14 @@
 use tokio::task::block_in_place;
 
 use crate::chain::Call;
-use crate::model::{Digest, RecordState};
+use crate::model::RecordState;
 use crate::store::RecordRow;
 
+use super::sender::Outgoing;
 use super::{Network, Owner, PipelineError, Plant, Sender};
 
 /// Records a round: one ledger commit for so many signed transactions.
 const ROUND: usize = 128;
-/// Transactions of one account that may wait for a block.
-const MOST_OPEN: usize = 1024;
 
 /// Anchors up to [`ROUND`] stored records of `owner`; returns how many were submitted.
 ///
@@ -25,13 +24,13 @@ pub async fn anchor_round(
     sender: &Sender,
     owner: &Owner,
 ) -> Result<usize, PipelineError> {
-    let open = block_in_place(|| plant.ledger.open_transactions(owner.address))?.len();
-    if open >= MOST_OPEN {
+    let room = sender.room(owner.address)?.min(ROUND);
+    if room == 0 {
         return Ok(0);
     }
-    let rows = block_in_place(|| plant.ledger.in_state(Some(owner.address), RecordState::Stored, ROUND))?;
+    let rows = block_in_place(|| plant.ledger.in_state(Some(owner.address), RecordState::Stored, room))?;
     let Some(account) = network.directory.account(owner.address) else { return Ok(0) };
-    let calls: Vec<(Call, String, Vec<Digest>)> =
+    let calls: Vec<Outgoing> =
         rows.iter().filter_map(|row| account.tokens.get(&row.epoch).map(|token| upload(row, *token))).collect();
     if calls.is_empty() {
         return Ok(0);
@@ -40,7 +39,7 @@ pub async fn anchor_round(
     Ok(sender.submit(&network.chain, &eoa, calls).await?.len())
 }
 
-fn upload(row: &RecordRow, token: crate::model::Token) -> (Call, String, Vec<Digest>) {
+fn upload(row: &RecordRow, token: crate::model::Token) -> Outgoing {
     let call = Call::DataUpload { digest: row.digest, token, timestamp: row.captured_at };
-    (call, "dataUpload".to_owned(), vec![row.digest])
+    Outgoing { call, purpose: "dataUpload".to_owned(), digests: vec![row.digest] }
 }

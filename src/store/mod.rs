@@ -14,7 +14,8 @@ pub use audit::{AuditEntry, AuditFault, AuditLine, AuditLog};
 pub use error::StoreError;
 pub use files::{ConsoleLock, SiteLock, atomic_write};
 pub use ledger::{
-    KeptEvent, LOST_IN_TRANSPORT, Ledger, NewRecord, NewTransaction, RecordPage, RecordQuery, RecordRow, Sighting,
-    StateCounts, TopicCounts, TransactionOutcome, TransactionRow, TransactionState,
+    KeptEvent, LOST_IN_TRANSPORT, LaneCount, Ledger, NewRecord, NewTransaction, OpenTransaction, RecordPage,
+    RecordQuery, RecordRow, Reissue, Sighting, StateCounts, TopicCounts, TransactionOutcome, TransactionRow,
+    TransactionState,
 };
 pub use vault::{Usage, Vault, open_vault};

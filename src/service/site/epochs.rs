@@ -71,12 +71,12 @@ impl Site {
         let ledger = self.plant.ledger.clone();
         let account = owner.address;
         for _ in 0..60 {
-            let open = tokio::task::block_in_place(|| ledger.open_transactions(account))?;
-            if !open.iter().any(|row| row.digests.is_empty()) {
+            let open = tokio::task::block_in_place(|| ledger.open_lane(account))?;
+            if open.iter().all(|row| row.anchors) {
                 return Ok(());
             }
             let head = network.chain.head().await?.number;
-            self.sender.resend(&network.chain, account).await?;
+            self.sender.tend(&network.chain, &owner.eoa()).await?;
             network.chain.next_block(head, std::time::Duration::from_secs(1)).await?;
         }
         Err(refused(format!("transactions of '{}' from before are still not in a block", owner.profile)))
