@@ -1,6 +1,7 @@
 //! A nonce lane while it is held: nobody else signs for the account meanwhile.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
 
 use tokio::sync::OwnedMutexGuard;
 use tokio::task::block_in_place;
@@ -140,8 +141,11 @@ impl Lane<'_> {
         let (sender, chain, account) = (self.sender, self.chain, self.account);
         drop(self.held);
         let hashes = sent.iter().map(|(hash, _)| *hash).collect();
+        let begun = Instant::now();
         for (hash, raw) in sent {
-            if !sender.hand_in(chain, account, hash, &raw).await {
+            // A lost answer says nothing about the next one; a node that takes its time for each does.
+            let handed = sender.hand_in(chain, account, hash, &raw).await;
+            if handed == HandedIn::Refused || handed == HandedIn::Lost && begun.elapsed() > BROKEN {
                 break;
             }
         }
@@ -149,19 +153,42 @@ impl Lane<'_> {
     }
 }
 
+/// What became of bytes that were handed to the node.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum HandedIn {
+    /// The node has them, or will be asked about their nonce.
+    Held,
+    /// No answer came: the node may have them or not.
+    Lost,
+    /// The node does not take them now.
+    Refused,
+}
+
+/// With broken answers, bytes are handed in one after the other for no longer than this.
+pub(super) const BROKEN: Duration = Duration::from_secs(8);
+
 impl Sender {
-    /// Hands stored bytes to the node; `false` where it makes no sense to hand in the next ones now.
-    pub(super) async fn hand_in(&self, chain: &Chain, account: Address, hash: Hash, raw: &[u8]) -> bool {
+    /// Hands stored bytes to the node.
+    pub(super) async fn hand_in(&self, chain: &Chain, account: Address, hash: Hash, raw: &[u8]) -> HandedIn {
         let answer = chain.broadcast(raw).await;
         let cell = self.cell(account);
-        let known = matches!(answer, Ok(_) | Err(ChainError::AlreadyKnown | ChainError::NonceTooLow));
-        if known || matches!(answer, Err(ChainError::Underpriced | ChainError::Reverted { .. })) {
-            // What becomes of a refused one is decided when the lane is tended next.
-            cell.memory().sent(hash);
+        match answer {
+            Ok(_) | Err(ChainError::AlreadyKnown | ChainError::NonceTooLow | ChainError::Reverted { .. }) => {
+                cell.memory().sent(hash);
+                HandedIn::Held
+            }
+            Err(ChainError::Underpriced) => {
+                let mut memory = cell.memory();
+                memory.sent(hash);
+                memory.cheap.insert(hash);
+                HandedIn::Held
+            }
+            Err(ChainError::InsufficientFunds) => {
+                self.pause(account, PauseReason::NoEther);
+                HandedIn::Refused
+            }
+            Err(ChainError::Unreachable { .. } | ChainError::Answer { .. }) => HandedIn::Lost,
+            Err(_) => HandedIn::Refused,
         }
-        if matches!(answer, Err(ChainError::InsufficientFunds)) {
-            self.pause(account, PauseReason::NoEther);
-        }
-        known
     }
 }

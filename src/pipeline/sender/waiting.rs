@@ -13,7 +13,7 @@ use crate::pipeline::PipelineError;
 use crate::store::{NewTransaction, OpenTransaction, Reissue};
 
 use super::Sender;
-use super::lane::Cell;
+use super::lane::{BROKEN, Cell};
 use super::price::{Priced, is_outbid};
 use super::state::PauseReason;
 
@@ -170,7 +170,12 @@ impl Round<'_> {
             let length = if row.nonce < held { REMINDER } else { QUIET };
             !replaced.contains(&row.hash) && cell.memory().is_quiet(row.hash, length)
         };
+        let begun = Instant::now();
+        let (mut answered, mut lost) = (false, None);
         for row in self.rows.iter().filter(due).take(ROUND) {
+            if lost.is_some() && begun.elapsed() > BROKEN {
+                break;
+            }
             let Some((raw, offer)) = self.offer_of(cell, row)? else { continue };
             match self.chain.broadcast(&raw).await {
                 Ok(_) | Err(ChainError::AlreadyKnown | ChainError::NonceTooLow | ChainError::Reverted { .. }) => {}
@@ -178,12 +183,20 @@ impl Round<'_> {
                     cell.memory().cheap.insert(row.hash);
                 }
                 Err(ChainError::InsufficientFunds) => return self.cheapen(market, row, &raw, offer).await,
-                Err(error @ (ChainError::Unreachable { .. } | ChainError::Answer { .. })) => return Err(error.into()),
+                Err(error @ (ChainError::Unreachable { .. } | ChainError::Answer { .. })) => {
+                    // The node may have it all the same, and the next answer may arrive.
+                    lost = Some(error);
+                    continue;
+                }
                 Err(error) => return Ok(Some(PauseReason::Refused { why: clean(&error.to_string(), 200) })),
             }
+            answered = true;
             cell.memory().sent(row.hash);
         }
-        Ok(None)
+        match lost.filter(|_| !answered) {
+            Some(error) => Err(error.into()),
+            None => Ok(None),
+        }
     }
 
     /// The account cannot pay what was offered: where far less is asked by now, less is offered.
