@@ -11,6 +11,7 @@ mod development;
 mod embedded;
 mod error;
 mod event;
+mod fees;
 pub mod merkle;
 mod reader;
 mod sender;
@@ -28,6 +29,7 @@ use serde::{Deserialize, Serialize};
 pub use self::call::{Call, LONGEST_ENVELOPE, MOST_WRAPS};
 pub use self::error::{ChainError, explain};
 pub use self::event::Event;
+pub use self::fees::{Market, Offered, call_data, is_same_call, offered};
 use crate::model::{Address, Digest, Hash, Identity, Timestamp, Token};
 
 /// Where the chain is.

@@ -12,7 +12,6 @@ use crate::pipeline::{Network, Owner};
 use crate::service::event::Part;
 use crate::service::failure::refused;
 use crate::service::reply::{Failure, TransactionView};
-use crate::store::Anchors;
 
 /// How long before an expiry the next epoch is readied, nanoseconds.
 const FORESIGHT: u64 = 60_000_000_000;
@@ -122,12 +121,12 @@ impl Site {
         let ledger = self.plant.ledger.clone();
         let account = owner.address;
         for _ in 0..60 {
-            let open = tokio::task::block_in_place(|| ledger.open_transactions(account))?;
-            if !open.iter().any(|row| row.anchors == Anchors::Nothing) {
+            let open = tokio::task::block_in_place(|| ledger.open_lane(account))?;
+            if open.iter().all(|row| row.anchors) {
                 return Ok(());
             }
             let head = network.chain.head().await?.number;
-            self.sender.resend(&network.chain, account).await?;
+            self.sender.tend(&network.chain, &owner.eoa()).await?;
             network.chain.next_block(head, std::time::Duration::from_secs(1)).await?;
         }
         Err(refused(format!("transactions of '{}' from before are still not in a block", owner.profile)))
