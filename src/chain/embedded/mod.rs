@@ -5,7 +5,11 @@
 
 mod block;
 #[cfg(test)]
+mod contract_model;
+#[cfg(test)]
 mod contract_tests;
+#[cfg(test)]
+mod differential_tests;
 mod file;
 mod json;
 mod machine;
