@@ -8,7 +8,7 @@ use std::str::FromStr;
 use serde::Serialize;
 
 use crate::crypto::ProviderName;
-use crate::model::{Address, ErrorKind, clean};
+use crate::model::{Address, Consensus, ErrorKind, clean};
 
 /// Why the settings cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -90,7 +90,7 @@ pub struct Definition {
 }
 
 /// Every setting, in the order shown.
-pub const DEFINITIONS: [Definition; 10] = [
+pub const DEFINITIONS: [Definition; 11] = [
     Definition {
         name: "ros.master",
         variable: "ROS_MASTER_URI",
@@ -126,6 +126,12 @@ pub const DEFINITIONS: [Definition; 10] = [
         variable: "AUTHROS_CONTRACT",
         default: "",
         text: "address of the AuthROS contract; empty = deploy one at first registration",
+    },
+    Definition {
+        name: "chain.consensus",
+        variable: "AUTHROS_CONSENSUS",
+        default: "",
+        text: "embedded chain: poa[:SIGNERS:PERIOD_MS] or pow[:DIFFICULTY]; empty = as founded, new ones poa",
     },
     Definition {
         name: "vault.url",
@@ -191,6 +197,8 @@ pub struct Config {
     pub chain_url: Option<String>,
     /// The contract's address.
     pub contract: Option<Address>,
+    /// What the embedded chain's consensus must be; a new one is founded with it.
+    pub consensus: Option<Consensus>,
     /// A real Redis.
     pub vault_url: Option<String>,
     /// Which SM implementation.
@@ -239,6 +247,7 @@ impl Config {
             ros_master,
             chain_url: url(&values, "chain.url", &["http://", "ws://", "ipc://", "/"])?,
             contract: parsed(&values, "chain.contract")?,
+            consensus: parsed(&values, "chain.consensus")?,
             vault_url: url(&values, "vault.url", &["redis://", "redis+unix://", "unix://"])?,
             provider: parsed(&values, "crypto.provider")?.unwrap_or_default(),
             confirmations: number(&values, "confirmations", 1, 1000)?,

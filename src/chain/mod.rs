@@ -27,6 +27,7 @@ use serde::{Deserialize, Serialize};
 pub use self::call::{Call, LONGEST_ENVELOPE, MOST_WRAPS};
 pub use self::error::{ChainError, explain};
 pub use self::event::Event;
+pub use crate::model::Consensus;
 use crate::model::{Address, Digest, Hash, Identity, Timestamp, Token};
 
 /// Where the chain is.
@@ -36,6 +37,9 @@ pub enum Endpoint {
     Embedded {
         /// Holds `chain.db`; made where it is missing.
         directory: PathBuf,
+        /// How its blocks are sealed; `None` = as it was founded, and [`Consensus::POA`] for a new one.
+        /// A chain founded otherwise is refused.
+        consensus: Option<Consensus>,
     },
     /// A node.
     Node {

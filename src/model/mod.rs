@@ -5,6 +5,7 @@
 
 pub mod address;
 pub mod bytes;
+pub mod consensus;
 pub mod display;
 pub mod error_kind;
 pub mod grant;
@@ -21,6 +22,7 @@ pub use address::Address;
 pub use bytes::{
     Commit, Digest, Domain, FilterId, Hash, PublicKey, RecorderId, Salt, Signature, SignerId, Token, TopicId,
 };
+pub use consensus::Consensus;
 pub use display::{clean, clean_lines};
 pub use error_kind::ErrorKind;
 pub use grant::{GrantTerms, Scope};

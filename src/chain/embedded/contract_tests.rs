@@ -69,7 +69,7 @@ fn anchor(root: u8, previous: u8) -> Call {
 
 impl World {
     pub(super) fn new(open: bool) -> Self {
-        let place = Environment { number: 1, timestamp: 1_000, beneficiary: Address([0xee; 20]) };
+        let place = Environment { number: 1, timestamp: 1_000, difficulty: 2, beneficiary: Address([0xee; 20]) };
         let machine = Machine::new(5, Hash([0; 32]));
         let contract = created_address(ADMIN, 0);
         let mut world = Self { machine, contract, nonces: HashMap::new(), place, gas: 0, logs: Vec::new() };

@@ -28,7 +28,7 @@ use tokio::sync::{oneshot, watch};
 
 use self::node::Node;
 pub use self::rpc::Fault;
-use super::{BlockRef, ChainError};
+use super::{BlockRef, ChainError, Consensus};
 
 /// How long the thread sleeps when nothing is due.
 const IDLE: Duration = Duration::from_secs(3600);
@@ -53,10 +53,10 @@ impl Embedded {
     ///
     /// # Errors
     /// [`ChainError::File`] or [`ChainError::Tampered`].
-    pub async fn open(directory: PathBuf) -> Result<Self, ChainError> {
+    pub async fn open(directory: PathBuf, asked: Option<Consensus>) -> Result<Self, ChainError> {
         let (requests, inbox) = channel();
         let (opened, answer) = oneshot::channel();
-        let run = move || match Node::open(&directory) {
+        let run = move || match Node::open(&directory, asked) {
             Ok(node) => {
                 let (announce, head) = watch::channel(node.head);
                 if opened.send(Ok(head)).is_ok() {
@@ -91,6 +91,11 @@ impl Embedded {
         let (reply, answer) = oneshot::channel();
         self.requests.send(Request::Dump(reply)).map_err(|_| gone())?;
         answer.await.unwrap_or_else(|_| Err(gone()))
+    }
+
+    /// How its blocks are sealed.
+    pub fn consensus(&self) -> Consensus {
+        Consensus::POA
     }
 
     /// Announces every new head.

@@ -12,7 +12,7 @@ use super::file::{ChainFile, Founding, Mined};
 use super::machine::{Environment, Machine, Outcome};
 use super::pool::Pool;
 use super::transaction::Transaction;
-use crate::chain::{BlockRef, ChainError};
+use crate::chain::{BlockRef, ChainError, Consensus};
 use crate::model::{Address, Hash, Timestamp};
 
 /// The least time between two blocks.
@@ -48,8 +48,12 @@ impl Node {
     ///
     /// # Errors
     /// [`ChainError::File`], or [`ChainError::Tampered`] where the file was changed.
-    pub fn open(directory: &Path) -> Result<Self, ChainError> {
+    pub fn open(directory: &Path, asked: Option<Consensus>) -> Result<Self, ChainError> {
         let mut file = ChainFile::open(directory)?;
+        if let Some(asked) = asked.filter(|asked| *asked != Consensus::POA) {
+            let path = directory.join("chain.db");
+            return Err(ChainError::OtherConsensus { path, founded: Consensus::POA, asked });
+        }
         let founding = match file.founding()? {
             Some(founding) => founding,
             None => found(&mut file)?,
@@ -130,7 +134,7 @@ impl Node {
     /// Where the next block takes place.
     pub fn next_place(&self) -> Environment {
         let timestamp = Timestamp::now().seconds().max(self.head.timestamp);
-        Environment { number: self.head.number + 1, timestamp, beneficiary: self.beneficiary }
+        Environment { number: self.head.number + 1, timestamp, difficulty: 2, beneficiary: self.beneficiary }
     }
 
     /// Seals a block of what waits. A block that cannot be written has not happened.
@@ -211,7 +215,8 @@ fn rerun(
 ) -> Result<Outcome, String> {
     let decode = |one: &Mined| Transaction::decode(&one.raw, chain_id, Some(one.sender));
     let transactions = mined.iter().map(decode).collect::<Result<Vec<_>, _>>()?;
-    let place = Environment { number: header.number, timestamp: header.timestamp, beneficiary };
+    let place =
+        Environment { number: header.number, timestamp: header.timestamp, difficulty: header.difficulty, beneficiary };
     let outcome = machine.run(&place, transactions);
     let again = Header {
         extra: header.extra.clone(),
