@@ -1,9 +1,9 @@
 // Compiles each contract of this folder into its artefact, or checks that the committed artefacts are what the sources
 // give.
 //   node compile.mjs [--check] SOLC [MORE_SOLC ...]
-// SOLC is the folder of the npm module solc 0.7.6, whose output is the artefact; each further one
-// (the newest 0.8) must compile the source without an error or a warning, its advice against
-// old EVM versions aside: private networks are old.
+// SOLC is the folder of the npm module solc 0.7.6, whose output is the artefact; each further one (the newest 0.8) must
+// compile the source too. No compiler may give an error or a warning (advice against old EVM versions aside: private
+// networks are old) or an opcode that Istanbul lacks, and each function and event needs its NatSpec.
 import { createHash } from "node:crypto";
 import { readFileSync, writeFileSync } from "node:fs";
 import { createRequire } from "node:module";
@@ -13,6 +13,8 @@ import { fileURLToPath } from "node:url";
 const HERE = dirname(fileURLToPath(import.meta.url));
 const CONTRACTS = ["AuthROS", "bench/Prototype"];
 const DEPRECATED = /Support for EVM versions older than \w+ is deprecated/;
+const YOUNGER_THAN_ISTANBUL = /\b(PUSH0|MCOPY|TLOAD|TSTORE|BASEFEE|BLOBHASH|BLOBBASEFEE|PREVRANDAO|CLZ)\b/;
+const OUTPUTS = ["abi", "userdoc", "devdoc", "metadata", "evm.bytecode", "evm.deployedBytecode"];
 const SETTINGS = {
   evmVersion: "istanbul",
   metadata: { bytecodeHash: "none" },
@@ -21,7 +23,7 @@ const SETTINGS = {
 
 function compile(folder, name, source) {
   const solc = createRequire(import.meta.url)(resolve(folder));
-  const outputSelection = { "*": { "*": ["abi", "evm.bytecode.object", "evm.deployedBytecode.object", "metadata"] } };
+  const outputSelection = { "*": { "*": OUTPUTS } };
   const input = {
     language: "Solidity",
     sources: { [`${name}.sol`]: { content: source } },
@@ -29,8 +31,29 @@ function compile(folder, name, source) {
   };
   const output = JSON.parse(solc.compile(JSON.stringify(input)));
   const complaints = (output.errors ?? []).map((error) => error.formattedMessage).filter((text) => !DEPRECATED.test(text));
+  const contract = output.contracts?.[`${name}.sol`]?.[name];
+  if (contract !== undefined) complaints.push(...youngOpcodes(contract), ...undocumented(contract));
   if (complaints.length > 0) throw new Error(`solc ${solc.version()}:\n${complaints.join("\n")}`);
-  return { version: solc.version(), contract: output.contracts[`${name}.sol`][name] };
+  return { version: solc.version(), contract };
+}
+
+function youngOpcodes({ evm }) {
+  const young = YOUNGER_THAN_ISTANBUL.exec(`${evm.bytecode.opcodes} ${evm.deployedBytecode.opcodes}`);
+  return young === null ? [] : [`the code has ${young[1]}, which Istanbul lacks`];
+}
+
+/** What of the ABI lacks a notice, or a parameter of a function its description. */
+function undocumented({ abi, userdoc, devdoc }) {
+  const lacking = [];
+  for (const entry of abi) {
+    const signature = `${entry.name}(${(entry.inputs ?? []).map((input) => input.type).join(",")})`;
+    if (entry.type === "event" && userdoc.events?.[signature] === undefined) lacking.push(`event ${signature}: no notice`);
+    if (entry.type !== "function") continue;
+    if (userdoc.methods[signature] === undefined) lacking.push(`${signature}: no notice`);
+    const told = devdoc.methods[signature]?.params ?? {};
+    for (const { name } of entry.inputs) if (name !== "" && told[name] === undefined) lacking.push(`${signature}: no ${name}`);
+  }
+  return lacking;
 }
 
 const sha256 = (bytes) => createHash("sha256").update(bytes).digest("hex");

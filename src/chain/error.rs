@@ -204,6 +204,7 @@ pub fn explain(code: &str) -> String {
         "suspended" => "the administrator suspended the account; ask the administrator",
         "paused" => "the administrator paused the contract; try again later",
         "closed" => "registration is closed; ask the administrator to admit the account",
+        "successor" => "the successor is suspended or lost itself; name another account",
         "succeeded" => "the account has a successor and stays suspended; use the successor's account",
         "token unknown" => "the account never registered this token; check that the keyring belongs to this account",
         "token used" => "the token belongs to an earlier epoch; rotate again with a fresh key",
