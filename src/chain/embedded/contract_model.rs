@@ -77,7 +77,8 @@ pub struct Model {
     /// Who was named to.
     pub nominee: Address,
     open: bool,
-    paused: bool,
+    /// Whether changes are stopped.
+    pub paused: bool,
     admitted: BTreeSet<Address>,
     successors: BTreeMap<Address, Address>,
     accounts: BTreeMap<Address, Account>,
@@ -393,6 +394,7 @@ impl Model {
         self.registered(lost)?;
         self.registered(successor)?;
         require(lost != successor, "self")?;
+        require(!self.account(successor).suspended, "successor")?;
         self.successors.insert(lost, successor);
         self.account_mut(lost).suspended = true;
         one("Succeeded", vec![address(lost), address(successor)])
@@ -406,6 +408,17 @@ impl Model {
     /// An account's epoch; 0 where it is not registered.
     pub fn epoch(&self, who: Address) -> u64 {
         self.account(who).epoch
+    }
+
+    /// Who holds a grant of an owner that was not revoked.
+    pub fn holders(&self, owner: Address) -> Vec<Address> {
+        let held = self.grants.iter().filter(|((from, _), grant)| *from == owner && grant.active);
+        held.map(|((_, to), _)| *to).collect()
+    }
+
+    /// The first byte of a device that an owner lends.
+    pub fn lent(&self, owner: Address) -> Option<u8> {
+        self.loans.iter().find(|((from, _), loan)| *from == owner && loan.0).map(|((_, device), _)| device[0])
     }
 
     /// The root that an account anchored last.

@@ -1,14 +1,16 @@
 //! The contract in the EVM against the plain Rust model of it, on random sequences of calls: every one must
 //! give the same refusal or the same events, and leave the same state to read.
 
+mod steps;
+
 use std::collections::BTreeMap;
 
 use ethers::abi::{RawLog, Token as AbiToken};
 use ethers::types::H256;
-use proptest::collection::vec;
 use proptest::prelude::*;
 use proptest::test_runner::{RngAlgorithm, TestRng, TestRunner};
 
+use self::steps::{Administration, Move, Pick, Step, sequence};
 use super::contract_model::{Caller, Emitted, Model, Reason};
 use super::contract_tests::{ADMIN, World};
 use crate::chain::Call;
@@ -26,111 +28,9 @@ const FRESH: u8 = 100;
 /// What a sequence must be able to reach: every function and every reason code of the contract.
 const REACHED: &str = "register rotateKeys rotate dataUpload anchor authorityGrant wrap authorityRevoke lend recall admit \
     setOpen suspend restore setPaused succeed nominate acceptAdministrator administrator closed empty envelope epoch \
-    expired grantee length nominee paused previous registered scope self succeeded suspended unchanged unregistered wrapped";
+    expired grantee length nominee paused previous registered scope self succeeded successor suspended unchanged unregistered wrapped";
 /// Reason codes of two words.
 const REACHED_TOO: [&str; 5] = ["digest used", "no grant", "no loan", "token unknown", "token used"];
-
-/// Which token a call names.
-#[derive(Debug, Clone, Copy)]
-enum Pick {
-    Current,
-    Fresh,
-    Word(u8),
-}
-
-/// One step of a sequence; people are places in [`PEOPLE`].
-#[derive(Debug, Clone)]
-enum Step {
-    Wait(u64),
-    Register { token: Pick, length: usize },
-    RotateKeys { token: Pick, key: u8, length: usize },
-    Upload { digest: u8, token: Pick, lengths: [usize; 3] },
-    Grant { to: usize, back: u64, ends: Option<u64>, topics: usize, envelope: usize },
-    Wrap { to: Vec<usize>, back: u64, envelopes: Vec<usize> },
-    Revoke { from: usize, token: Pick },
-    Rotate { token: Pick },
-    Anchor { root: u8, count: u64, previous: Option<u8> },
-    Lend { device: u8, ends: Option<u64> },
-    Recall { device: u8 },
-    Administer { act: Administration, whom: usize, other: usize, yes: bool },
-    Accept,
-}
-
-#[derive(Debug, Clone, Copy)]
-enum Administration {
-    Admit,
-    SetOpen,
-    Suspend,
-    Restore,
-    SetPaused,
-    Succeed,
-    Nominate,
-}
-
-fn pick() -> impl Strategy<Value = Pick> {
-    prop_oneof![3 => Just(Pick::Current), 4 => Just(Pick::Fresh), 2 => (0..WORDS).prop_map(Pick::Word)]
-}
-
-/// Mostly `right`, else anything around it.
-fn length(right: usize) -> impl Strategy<Value = usize> {
-    prop_oneof![12 => Just(right), 1 => Just(right - 1), 1 => Just(right + 1), 1 => Just(0)]
-}
-
-fn envelope() -> impl Strategy<Value = usize> {
-    prop_oneof![12 => 1usize..70, 1 => Just(0), 1 => Just(4096), 1 => Just(4097)]
-}
-
-/// Seconds from now; some ends lie behind when they are given, and some are passed later.
-fn ends() -> impl Strategy<Value = Option<u64>> {
-    prop_oneof![2 => Just(None), 1 => Just(Some(0)), 4 => (1u64..60).prop_map(Some)]
-}
-
-fn person() -> std::ops::Range<usize> {
-    0..PEOPLE.len()
-}
-
-fn own_step() -> impl Strategy<Value = Step> {
-    let timestamp = prop_oneof![6 => Just(8usize), 1 => Just(0), 1 => Just(32), 1 => Just(33)];
-    prop_oneof![
-        3 => (pick(), length(224)).prop_map(|(token, length)| Step::Register { token, length }),
-        2 => (pick(), any::<u8>(), length(224)).prop_map(|(token, key, length)| Step::RotateKeys { token, key, length }),
-        6 => (0..WORDS, pick(), [length(32).boxed(), length(32).boxed(), timestamp.boxed()])
-            .prop_map(|(digest, token, lengths)| Step::Upload { digest, token, lengths }),
-        8 => (person(), 0u64..3, ends(), prop_oneof![3 => Just(0usize), 3 => 1usize..4, 1 => Just(32), 1 => Just(33)], envelope())
-            .prop_map(|(to, back, ends, topics, envelope)| Step::Grant { to, back, ends, topics, envelope }),
-        6 => (vec(person(), 0..4), 0u64..3, vec(envelope(), 0..4))
-            .prop_map(|(to, back, envelopes)| Step::Wrap { to, back, envelopes }),
-        1 => (31usize..35).prop_map(|many| Step::Wrap { to: vec![0; many], back: 0, envelopes: vec![1; many] }),
-        4 => (person(), pick()).prop_map(|(from, token)| Step::Revoke { from, token }),
-        3 => pick().prop_map(|token| Step::Rotate { token }),
-        5 => (0..WORDS, 0u64..4, prop::option::weighted(0.3, 0..WORDS))
-            .prop_map(|(root, count, previous)| Step::Anchor { root, count, previous }),
-        3 => (0..WORDS, ends()).prop_map(|(device, ends)| Step::Lend { device, ends }),
-        3 => (0..WORDS).prop_map(|device| Step::Recall { device }),
-        2 => Just(Step::Accept),
-        3 => (0u64..40).prop_map(Step::Wait),
-    ]
-}
-
-fn administration() -> impl Strategy<Value = Step> {
-    use Administration::{Admit, Nominate, Restore, SetOpen, SetPaused, Succeed, Suspend};
-    let act = prop_oneof![
-        3 => Just(Admit), 2 => Just(SetOpen), 3 => Just(Suspend), 4 => Just(Restore), 3 => Just(SetPaused),
-        1 => Just(Succeed), 2 => Just(Nominate),
-    ];
-    let paused = prop::bool::weighted(0.3);
-    (act, person(), person(), paused).prop_map(|(act, whom, other, yes)| Step::Administer { act, whom, other, yes })
-}
-
-/// Who takes it, whether the one whose turn it is (administrator, nominee) takes it instead, and what.
-type Move = (usize, bool, Step);
-
-/// An open or closed contract, who registers first, and what follows.
-fn sequence() -> impl Strategy<Value = (bool, usize, Vec<Move>)> {
-    let step = prop_oneof![5 => own_step().boxed(), 1 => administration().boxed()];
-    let moves = vec((person(), prop::bool::weighted(0.75), step), 1..90);
-    (prop::bool::weighted(0.8), 0usize..5, moves)
-}
 
 fn identity(token: [u8; 32], key: u8) -> Identity {
     let envelope = PublicKey([key.wrapping_add(1); 64]);
@@ -170,18 +70,44 @@ impl Both {
         ends.map_or(0, |seconds| self.world.place.timestamp + seconds)
     }
 
-    fn act(&mut self, (who, in_turn, step): &Move) -> Result<(), TestCaseError> {
+    fn act(&mut self, (who, fits, step): &Move) -> Result<(), TestCaseError> {
         let sender = match step {
-            Step::Administer { .. } if *in_turn => self.model.administrator,
-            Step::Accept if *in_turn && self.model.nominee != Address([0; 20]) => self.model.nominee,
+            Step::Administer { .. } if *fits => self.model.administrator,
+            Step::Accept if *fits && self.model.nominee != Address([0; 20]) => self.model.nominee,
             _ => PEOPLE[*who],
         };
         if let Step::Wait(seconds) = step {
             self.world.place.timestamp += seconds;
             return Ok(());
         }
-        let (name, arguments) = self.message(sender, step);
+        let step = if *fits { self.fitted(sender, step) } else { step.clone() };
+        let (name, arguments) = self.message(sender, &step);
         self.compare(sender, name, &arguments)
+    }
+
+    /// The step about someone or something that it can take effect on, where there is one.
+    fn fitted(&self, sender: Address, step: &Step) -> Step {
+        let holders = self.model.holders(sender);
+        let holder =
+            |index: usize| PEOPLE.iter().position(|person| Some(person) == holders.get(index % holders.len().max(1)));
+        match step {
+            Step::Revoke { from, token } => Step::Revoke { from: holder(*from).unwrap_or(*from), token: *token },
+            Step::Wrap { to, back, envelopes } if to.len() < 4 => {
+                let to: Vec<usize> = to.iter().map(|one| holder(*one).unwrap_or(*one)).collect();
+                let envelopes = to.iter().zip(envelopes.iter().cycle()).map(|(_, length)| *length).collect();
+                Step::Wrap { to, back: *back, envelopes }
+            }
+            Step::Recall { device } => Step::Recall { device: self.model.lent(sender).unwrap_or(*device) },
+            Step::Administer { act: Administration::SetPaused, whom, other, yes } => {
+                let yes = *yes && !self.model.paused;
+                Step::Administer { act: Administration::SetPaused, whom: *whom, other: *other, yes }
+            }
+            other => other.clone(),
+        }
+    }
+
+    fn epoch(&self, sender: Address, back: u64) -> u64 {
+        (self.model.epoch(sender) + 1).saturating_sub(back)
     }
 
     /// Name and arguments of a step: through [`Call`] where that can say it, else as the ABI alone lets it through.
@@ -191,13 +117,10 @@ impl Both {
             Step::RotateKeys { token, key, length } => ("rotateKeys", self.identity(sender, *token, *key, *length)),
             Step::Upload { digest, token, lengths } => self.upload(sender, *digest, *token, *lengths),
             Step::Grant { to, back, ends, topics, envelope } => {
-                let epoch = self.model.epoch(sender) + 1 - back.min(&(self.model.epoch(sender) + 1));
+                let epoch = self.epoch(sender, *back);
                 grant(PEOPLE[*to], epoch, self.end(*ends), *topics, *envelope)
             }
-            Step::Wrap { to, back, envelopes } => {
-                let epoch = self.model.epoch(sender) + 1 - back.min(&(self.model.epoch(sender) + 1));
-                wrap(to, epoch, envelopes)
-            }
+            Step::Wrap { to, back, envelopes } => wrap(to, self.epoch(sender, *back), envelopes),
             Step::Revoke { from, token } => {
                 let new_token = Token(self.pick(sender, *token));
                 encoded(&Call::AuthorityRevoke { grantee: PEOPLE[*from], new_token })
@@ -376,7 +299,7 @@ fn play(open: bool, registered: usize, moves: &[Move]) -> Result<BTreeMap<String
 }
 
 fn cases() -> u32 {
-    if std::env::var_os("AUTHROS_LONG").is_some() { 3000 } else { 64 }
+    if std::env::var_os("AUTHROS_LONG").is_some() { 5000 } else { 96 }
 }
 
 proptest! {
