@@ -8,7 +8,7 @@ use std::str::FromStr;
 use serde::Serialize;
 
 use crate::crypto::ProviderName;
-use crate::model::{Address, AnchorMode, ErrorKind, clean};
+use crate::model::{Address, AnchorMode, Consensus, ErrorKind, clean};
 
 /// Why the settings cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -90,7 +90,7 @@ pub struct Definition {
 }
 
 /// Every setting, in the order shown.
-pub const DEFINITIONS: [Definition; 12] = [
+pub const DEFINITIONS: [Definition; 13] = [
     Definition {
         name: "ros.master",
         variable: "ROS_MASTER_URI",
@@ -132,6 +132,12 @@ pub const DEFINITIONS: [Definition; 12] = [
         variable: "AUTHROS_MAX_FEE",
         default: "1000",
         text: "most gwei per gas a transaction may offer, replacements included; empty = no cap",
+    },
+    Definition {
+        name: "chain.consensus",
+        variable: "AUTHROS_CONSENSUS",
+        default: "",
+        text: "embedded chain: poa[:SIGNERS:PERIOD_MS] or pow[:DIFFICULTY]; empty = as founded, new ones poa",
     },
     Definition {
         name: "vault.url",
@@ -207,6 +213,8 @@ pub struct Config {
     pub max_fee: Option<u128>,
     /// Accounts that anchor side by side, the owner's included.
     pub lanes: u8,
+    /// What the embedded chain's consensus must be; a new one is founded with it.
+    pub consensus: Option<Consensus>,
     /// A real Redis.
     pub vault_url: Option<String>,
     /// Which SM implementation.
@@ -258,6 +266,7 @@ impl Config {
                 None => None,
             },
             lanes: u8::try_from(number(&values, "anchor.lanes", 1, 8)?).unwrap_or(1),
+            consensus: parsed(&values, "chain.consensus")?,
             vault_url: url(&values, "vault.url", &["redis://", "redis+unix://", "unix://"])?,
             provider: parsed(&values, "crypto.provider")?.unwrap_or_default(),
             anchor_mode: parsed(&values, "anchor.mode")?.unwrap_or_default(),
