@@ -12,6 +12,7 @@ mod embedded;
 mod error;
 mod event;
 mod fees;
+pub mod merkle;
 mod reader;
 mod sender;
 #[cfg(test)]

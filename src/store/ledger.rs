@@ -5,6 +5,7 @@
 //! just running them again. Ciphertext for good lies in the vault, not here.
 
 mod append;
+mod batches;
 mod counts;
 mod edges;
 mod lanes;
@@ -27,6 +28,7 @@ use super::StoreError;
 use super::database::{self, Schema};
 use crate::model::RecorderId;
 
+pub use batches::{Anchors, BatchPlace, NewBatch, RootSighting, WaitingBatch};
 pub use counts::{LOST_IN_TRANSPORT, StateCounts, TopicCounts};
 pub use edges::is_legal;
 pub use lanes::{LaneCount, OpenTransaction, Reissue};
@@ -38,7 +40,11 @@ pub(super) use writer::Session;
 
 const SCHEMA: Schema = Schema {
     application: 0x4155_4c31,
-    steps: &[include_str!("ledger/schema_1.sql"), include_str!("ledger/schema_3.sql")],
+    steps: &[
+        include_str!("ledger/schema_1.sql"),
+        include_str!("ledger/schema_2.sql"),
+        include_str!("ledger/schema_3.sql"),
+    ],
 };
 const READERS_KEPT: usize = 4;
 

@@ -8,10 +8,10 @@ use tokio::task::block_in_place;
 
 use crate::chain::{Call, Chain, ChainError};
 use crate::crypto::EoaSecret;
-use crate::model::{Address, Digest, Hash};
+use crate::model::{Address, Hash};
 use crate::pipeline::PipelineError;
 use crate::pipeline::error::of_payer;
-use crate::store::NewTransaction;
+use crate::store::{Anchors, NewTransaction};
 
 use super::Sender;
 use super::price::Priced;
@@ -26,13 +26,13 @@ pub struct Outgoing {
     /// What it is for, in a word: `anchor`, `grant`, ….
     pub purpose: String,
     /// The records that it anchors.
-    pub digests: Vec<Digest>,
+    pub anchors: Anchors,
 }
 
 impl Outgoing {
     /// A call that anchors no record.
     pub fn plain(call: Call, purpose: &str) -> Self {
-        Self { call, purpose: purpose.to_owned(), digests: Vec::new() }
+        Self { call, purpose: purpose.to_owned(), anchors: Anchors::Nothing }
     }
 }
 
@@ -129,11 +129,11 @@ impl Lane<'_> {
         let price = self.price().await?;
         let mut nonce = self.next_nonce().await?;
         let mut rows = Vec::with_capacity(outgoing.len());
-        for Outgoing { call, purpose, digests } in outgoing {
+        for Outgoing { call, purpose, anchors } in outgoing {
             let signed = self.chain.sign_at(self.eoa, nonce, &call, price).await;
             let signed = signed.map_err(|error| of_payer(error, self.account))?;
             let (hash, account, raw) = (signed.hash, self.account, signed.raw);
-            rows.push(NewTransaction { hash, account, nonce, raw, purpose, digests });
+            rows.push(NewTransaction { hash, account, nonce, raw, purpose, anchors });
             nonce += 1;
         }
         let sent: Vec<(Hash, Vec<u8>)> = rows.iter().map(|row| (row.hash, row.raw.clone())).collect();

@@ -4,7 +4,7 @@ use super::*;
 use crate::chain::Call;
 use crate::model::{RecordState, SignerId};
 use crate::pipeline::fixture::{Process, by_hand};
-use crate::store::{NewTransaction, Reissue};
+use crate::store::{Anchors, NewTransaction, Reissue};
 
 fn lend(number: u8) -> Call {
     Call::Lend { device: SignerId([number; 32]), until: None }
@@ -18,8 +18,8 @@ fn states(process: &Process, hash: Hash) -> TransactionState {
 async fn keep(process: &Process, nonce: u64, outgoing: &Outgoing) -> (Hash, Vec<u8>) {
     let signed = process.network.chain.sign(&process.eoa, nonce, &outgoing.call).await.expect("signs");
     let (account, raw) = (process.eoa.address(), signed.raw.clone());
-    let (purpose, digests) = (outgoing.purpose.clone(), outgoing.digests.clone());
-    let row = NewTransaction { hash: signed.hash, account, nonce, raw, purpose, digests };
+    let (purpose, anchors) = (outgoing.purpose.clone(), outgoing.anchors.clone());
+    let row = NewTransaction { hash: signed.hash, account, nonce, raw, purpose, anchors };
     process.plant.ledger.submit(row).expect("kept");
     (signed.hash, signed.raw)
 }
@@ -133,7 +133,7 @@ async fn an_account_that_cannot_pay_pauses_its_lane_and_tells_once() {
     // Gas costs nothing here, so what cannot be paid is ether to be sent along.
     let signed = process.network.chain.sign_transfer(&process.eoa, nonce, account, 5, 0).expect("signs");
     let (hash, raw) = (signed.hash, signed.raw);
-    let row = NewTransaction { hash, account, nonce, raw, purpose: "x".to_owned(), digests: Vec::new() };
+    let row = NewTransaction { hash, account, nonce, raw, purpose: "x".to_owned(), anchors: Anchors::Nothing };
     process.plant.ledger.submit(row).expect("kept");
     process
         .rounds_until("it is paused", |process| {

@@ -10,7 +10,7 @@ use crate::chain::{Chain, ChainError, Market, Offered, offered};
 use crate::crypto::EoaSecret;
 use crate::model::{Address, Hash, clean};
 use crate::pipeline::PipelineError;
-use crate::store::{NewTransaction, OpenTransaction, Reissue};
+use crate::store::{Anchors, NewTransaction, OpenTransaction, Reissue};
 
 use super::Sender;
 use super::lane::{BROKEN, Cell};
@@ -96,7 +96,7 @@ impl Round<'_> {
                 nonce,
                 raw: signed.raw.clone(),
                 purpose: HOLE.to_owned(),
-                digests: Vec::new(),
+                anchors: Anchors::Nothing,
             };
             block_in_place(|| self.sender.ledger.submit(row))?;
             self.sender.hand_in(self.chain, self.account, signed.hash, &signed.raw).await;

@@ -11,7 +11,7 @@ use tokio::task::block_in_place;
 
 use crate::chain::{BlockRef, Event, EventAt};
 use crate::model::Hash;
-use crate::store::Sighting;
+use crate::store::{RootSighting, Sighting};
 
 use super::{Network, PipelineError, Plant};
 
@@ -102,7 +102,9 @@ async fn stands(network: &Network, block: Option<(u64, Hash)>) -> Result<bool, P
 
 fn write(plant: &Plant, network: &Network, events: &[EventAt], to: (u64, Hash)) -> Result<(), PipelineError> {
     let sightings: Vec<Sighting> = events.iter().filter_map(sighting).collect();
-    let changed = !sightings.is_empty() && plant.ledger.mined(&sightings)? > 0;
+    let roots: Vec<RootSighting> = events.iter().filter_map(root_sighting).collect();
+    let mut changed = !sightings.is_empty() && plant.ledger.mined(&sightings)? > 0;
+    changed |= !roots.is_empty() && plant.ledger.anchored(&roots)? > 0;
     let applied = events.iter().filter(|event| network.directory.apply(event)).count();
     if applied > 0 {
         plant.ledger.put_setting(DIRECTORY, &network.directory.write_down())?;
@@ -122,6 +124,18 @@ fn sighting(at: &EventAt) -> Option<Sighting> {
     Some(Sighting {
         owner: *owner,
         digest: *digest,
+        transaction: at.transaction,
+        block: at.block,
+        block_hash: at.block_hash,
+    })
+}
+
+fn root_sighting(at: &EventAt) -> Option<RootSighting> {
+    let Event::Anchored { account, root, count, .. } = &at.event else { return None };
+    Some(RootSighting {
+        account: *account,
+        root: *root,
+        count: *count,
         transaction: at.transaction,
         block: at.block,
         block_hash: at.block_hash,
