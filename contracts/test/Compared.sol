@@ -38,6 +38,11 @@ abstract contract Compared is Mirror {
         vm.assertEq(authros.admitted(owner), admitted[owner], "admitted");
         vm.assertEq(authros.successorOf(owner), successorOf[owner], "successor");
         vm.assertEq(authros.headOf(owner), headOf[owner], "head");
+        address heir = owner;
+        for (uint256 step = 0; step < people.length; step++) {
+            heir = authros.successorOf(heir);
+        }
+        vm.assertEq(heir, address(0), "who follows the successors comes to an end");
     }
 
     function compareWords(address owner) private view {
