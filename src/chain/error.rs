@@ -32,8 +32,8 @@ pub enum ChainError {
     Url(String),
     /// The chain is not the one that was pinned.
     #[error(
-        "the chain at {url} is not the pinned one: its {what} is {found}, pinned is {pinned}; start the pinned chain \
-         again, or use another --home for this one"
+        "the chain at {url} is not the pinned one: its {what} is {found}, pinned is {pinned}; anchoring is \
+         stopped and nothing is lost; start the pinned chain again, or decide with `authros chain adopt` to go on here"
     )]
     Swapped {
         /// Where.
@@ -204,6 +204,7 @@ pub fn explain(code: &str) -> String {
         "suspended" => "the administrator suspended the account; ask the administrator",
         "paused" => "the administrator paused the contract; try again later",
         "closed" => "registration is closed; ask the administrator to admit the account",
+        "successor" => "the successor is suspended or lost itself; name another account",
         "succeeded" => "the account has a successor and stays suspended; use the successor's account",
         "token unknown" => "the account never registered this token; check that the keyring belongs to this account",
         "token used" => "the token belongs to an earlier epoch; rotate again with a fresh key",

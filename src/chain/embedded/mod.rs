@@ -7,7 +7,11 @@
 mod authority;
 mod block;
 #[cfg(test)]
+mod contract_model;
+#[cfg(test)]
 mod contract_tests;
+#[cfg(test)]
+mod differential_tests;
 mod file;
 mod founding;
 mod json;

@@ -134,6 +134,7 @@ fn block_number(node: &Node, tag: &Value) -> Option<u64> {
 }
 
 /// The block that a tag, a number or a hash means; `None` inside where there is none.
+#[allow(clippy::option_option, reason = "outside: is it a name of a block; inside: is there one")]
 fn block_named(node: &Node, which: &Value) -> Option<Option<u64>> {
     match read_hash(which) {
         Some(hash) => node.file.number_of(hash).ok(),

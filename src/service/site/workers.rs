@@ -4,9 +4,10 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::{Needs, Site};
-use crate::model::Timestamp;
+use crate::chain::ChainError;
+use crate::pipeline::anchorer::Anchorer;
 use crate::pipeline::sealer::Sealer;
-use crate::pipeline::{Network, Owner, anchorer, storer, verifier, watcher};
+use crate::pipeline::{Network, Owner, PipelineError, storer, verifier, watcher};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::internal;
 use crate::service::reply::Failure;
@@ -74,8 +75,12 @@ async fn watch(site: Arc<Site>) {
                     site.changed(Part::Chain);
                     site.hub.confirmed.notify_one();
                 }
-                resend(&site, &network).await;
+                tend(&site, &network).await;
                 network.chain.next_block(head.number, watcher::PATIENCE).await.err().map(|error| error.to_string())
+            }
+            Err(PipelineError::Chain(error @ ChainError::Swapped { .. })) => {
+                site.lose_chain(error.into());
+                continue;
             }
             Err(error) => Some(error.to_string()),
         };
@@ -90,10 +95,10 @@ async fn watch(site: Arc<Site>) {
     }
 }
 
-async fn resend(site: &Arc<Site>, network: &Network) {
+async fn tend(site: &Arc<Site>, network: &Network) {
     for owner in site.all_owners() {
-        match site.sender.resend(&network.chain, owner.address).await {
-            Ok((_, refused)) => {
+        match site.sender.tend(&network.chain, &owner.eoa()).await {
+            Ok(refused) => {
                 for reason in refused {
                     site.hub.notice(
                         NoticeLevel::Error,
@@ -134,6 +139,9 @@ async fn verify(site: Arc<Site>) {
 /// Anchors the records of one owner until the owner is closed or the site ends.
 pub(super) async fn anchor(site: Arc<Site>, owner: Arc<Owner>) {
     let mut pause = Duration::from_millis(250);
+    let mut anchorer = Anchorer::new(site.config.anchor_mode);
+    let lanes = [owner.eoa()];
+    let mut scanned = site.scanned.subscribe();
     while !site.is_stopping() {
         let still_open = site.owner(&owner.profile).is_some_and(|other| Arc::ptr_eq(&other, &owner));
         if !still_open {
@@ -143,15 +151,21 @@ pub(super) async fn anchor(site: Arc<Site>, owner: Arc<Owner>) {
             tokio::time::sleep(Duration::from_millis(200)).await;
             continue;
         };
-        match anchorer::anchor_round(&site.plant, &network, &site.sender, &owner).await {
-            Ok(0) => {
+        match anchorer.round(&site.plant, &network, &site.sender, &owner, &lanes).await {
+            Ok(round) => {
                 pause = Duration::from_millis(250);
-                tokio::select! {
-                    () = site.hub.stored.notified() => {}
-                    () = tokio::time::sleep(Duration::from_secs(1)) => {}
+                if round.submitted > 0 {
+                    site.changed(Part::Uploads);
+                }
+                if !round.next.is_zero() {
+                    tokio::select! {
+                        () = site.hub.stored.notified() => {}
+                        // A block may have freed a lane.
+                        _ = scanned.changed() => {}
+                        () = tokio::time::sleep(round.next) => {}
+                    }
                 }
             }
-            Ok(_) => site.changed(Part::Uploads),
             Err(error) => {
                 site.hub
                     .notice(NoticeLevel::Error, &format!("records of {} wait to be anchored: {error}", owner.profile));
@@ -172,19 +186,10 @@ impl Site {
             }
             let Some(network) = self.network_now() else { continue };
             for owner in self.all_owners() {
-                let epoch = network.directory.epoch(owner.address);
-                let now = Timestamp::now();
-                let due = network.directory.grants(|grant| {
-                    grant.terms.owner == owner.address
-                        && grant.word(now) == "expired"
-                        && grant.envelopes.contains_key(&epoch)
-                });
-                if !due.is_empty()
-                    && let Err(failure) = self.rotate(&owner, "a grant expired").await
-                {
+                if let Err(failure) = self.end_expired(&owner, &network).await {
                     self.hub.notice(
                         NoticeLevel::Error,
-                        &format!("a grant of {} has expired, but {}", owner.profile, failure.message),
+                        &format!("a grant of {} has run out or soon will, but {}", owner.profile, failure.message),
                     );
                 }
             }

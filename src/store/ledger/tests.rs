@@ -1,5 +1,6 @@
 //! The ledger's tests: single behaviours here, random operations in `model`, random queries in `pages`.
 
+mod adoption;
 mod model;
 mod pages;
 mod speed;
@@ -55,7 +56,7 @@ fn transaction(number: u8, digests: &[Digest]) -> NewTransaction {
         nonce: u64::from(number),
         raw: vec![number; 100],
         purpose: "anchor".to_owned(),
-        digests: digests.to_vec(),
+        anchors: Anchors::Digests(digests.to_vec()),
     }
 }
 
