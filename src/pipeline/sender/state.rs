@@ -39,8 +39,13 @@ impl PauseReason {
 
     /// What happened and what to do, for the account whose lane it is.
     pub fn text(&self, account: Address) -> String {
+        format!("anchoring of {account} is paused, nothing is lost: {}", self.cause(account))
+    }
+
+    /// What stands in the way, and what to do about it.
+    pub fn cause(&self, account: Address) -> String {
         let gwei = |wei: &u128| wei.div_ceil(1_000_000_000);
-        let what = match self {
+        match self {
             Self::NoEther => format!("{account} has not enough ether to pay for gas; send it some on this chain"),
             Self::FeeCap { needed, cap } => format!(
                 "the network asks for {} gwei per gas, more than chain.max_fee = {} allows; wait, or raise the setting",
@@ -49,8 +54,7 @@ impl PauseReason {
             ),
             Self::Stalled => "the network makes no blocks; check its signers or miners".to_owned(),
             Self::Refused { why } => format!("the node refuses transactions of {account}: {why}"),
-        };
-        format!("anchoring of {account} is paused, nothing is lost: {what}")
+        }
     }
 }
 
