@@ -138,7 +138,7 @@ mod tests {
                     {"name": "count", "type": "uint8"}],
             },
             "primaryType": "Example",
-            "domain": {"name": "AuthROS", "version": "1", "salt": format!("0x{domain}")},
+            "domain": {"name": "AuthROS", "version": "1", "salt": domain.0},
             "message": {
                 "id": format!("0x{}", "05".repeat(32)), "text": "robot-1", "data": "0x010203",
                 "account": Address([9; 20]).to_string(), "count": 2},

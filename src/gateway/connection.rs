@@ -13,21 +13,22 @@ use crate::model::wire::WireError;
 use crate::model::{Digest, Timestamp};
 
 use super::code::{Code, Refusal};
-use super::command::{Answer, Command, Inner, Request, Speaker, split};
-use super::desk::{Binding, Caller, Desk};
+use super::command::{Answer, Inner, Speaker, split};
+use super::desk::{Caller, Desk};
 use super::frame::FrameKind;
-use super::hello::{Agreed, Context, GatewayHello, Identified, ListSummary, Purpose};
-use super::identity_check::{allocate, check_account, check_records, check_registration, check_signed, check_token};
+use super::hello::{Context, GatewayHello, Identified, ListSummary, Purpose};
 use super::limits::{Charge, Limits, Peers, Seat};
 use super::line::{Line, LineError};
-use super::parts::{Assembler, Message};
+use super::parts::Assembler;
 use super::receipt::Receipt;
 use super::server::stopped;
 use super::session::{LONGEST_LIFE, Session};
 use super::system_keys::cabinet::Cabinet;
 
+mod commands;
 mod feeds;
 
+use commands::Commands;
 use feeds::Feeds;
 
 /// An allocation asks the chain: it has so many times the patience of a hello.
@@ -250,7 +251,11 @@ impl Connection {
         self.frame(&mut session, &mut desk, &mut assembler, first.0, &first.1).await?;
         let end = Instant::now() + LONGEST_LIFE;
         loop {
-            match self.next(end, desk.feeds.as_mut()).await? {
+            let next = self.next(end, desk.feeds.as_mut()).await;
+            if session.is_spent(std::time::Instant::now()) {
+                return Err(Refusal::new(Code::Session, "the session's frames or its hour are over").into());
+            }
+            match next? {
                 Next::Frame(FrameKind::Transfer, payload) => {
                     let pause = self.seat.pace(std::time::Instant::now(), payload.len());
                     if pause > Duration::ZERO {
@@ -323,110 +328,5 @@ async fn next_fed(feeds: Option<&mut Feeds>) -> feeds::Fed {
     match feeds {
         Some(feeds) => feeds.next().await,
         None => std::future::pending().await,
-    }
-}
-
-impl Shared {
-    async fn allocation_answer(
-        &self,
-        agreed: &Agreed,
-        name: &crate::model::ProfileName,
-        message: &Message<()>,
-    ) -> Result<Answer, Refusal> {
-        if !message.command.is_for_allocation() {
-            return Err(Refusal::new(Code::NotHere, format_args!("{:?} without a transport key", message.command)));
-        }
-        match Request::parse(message.command, &message.body)? {
-            Request::SystemKeys => Ok(Answer::SystemKeys(self.list().1)),
-            Request::Ping => Ok(Answer::Time(Timestamp::now())),
-            Request::Register(registration) => {
-                check_registration(&self.context, &registration)?;
-                self.desk.register(&registration).await.map(Answer::Registered)
-            }
-            Request::KeyAllocation(request) => {
-                let now = Timestamp::now();
-                let secret = self.with_cabinet(|cabinet| cabinet.secret(&request.system_key, now).cloned());
-                // One at a time: between reading and writing a binding nobody else writes it.
-                let _held = self.binding.lock().await;
-                let desk = self.desk.as_ref();
-                let digest = allocate(&self.context, desk, agreed, name, &request, secret.as_ref()).await?;
-                let receipt = self.receipt(Timestamp::now(), vec![digest])?;
-                Ok(Answer::Receipt(Command::KeyAllocation, receipt))
-            }
-            _ => Err(Refusal::new(Code::NotHere, "a command for another session")),
-        }
-    }
-}
-
-/// What a session under a transport key may do.
-struct Commands {
-    agreed: Agreed,
-    caller: Caller,
-    binding: Binding,
-    feeds: Option<Feeds>,
-}
-
-impl Commands {
-    async fn answer(&mut self, shared: &Shared, message: &Message<Charge>) -> Result<Answer, Refusal> {
-        let desk = shared.desk.as_ref();
-        check_token(desk, &self.caller, message.token).await?;
-        let request = Request::parse(message.command, &message.body)?;
-        if message.command.is_signed() {
-            check_signed(&shared.context, &self.agreed, &self.caller, message)?;
-        }
-        match request {
-            Request::Ping => return Ok(Answer::Time(Timestamp::now())),
-            Request::SystemKeys => return Ok(Answer::SystemKeys(shared.list().1)),
-            Request::Upload(upload) => return self.store(shared, message.command, vec![upload]).await,
-            Request::UploadMany(uploads) => return self.store(shared, message.command, uploads).await,
-            _ => check_account(desk, &self.binding).await?,
-        }
-        match request {
-            Request::Query(query) => desk.query(&self.caller, &query).await.map(Answer::Page),
-            Request::Check(digests) => desk.check(&self.caller, &digests).await.map(Answer::Standings),
-            Request::Fetch(digest) => {
-                desk.fetch(&self.caller, &digest).await.map(|record| Answer::Record(Box::new(record)))
-            }
-            Request::Subscribe(selection) => {
-                let feeds = self.feeds.get_or_insert_with(Feeds::new);
-                feeds.check_room(message.request, shared.limits().subscriptions)?;
-                let entries = desk.subscribe(&self.caller, &selection).await?;
-                feeds.add(message.request, entries);
-                Ok(Answer::Done(Command::Subscribe))
-            }
-            Request::Unsubscribe(subscription) => {
-                self.feeds.as_mut().map(|feeds| feeds.remove(subscription));
-                Ok(Answer::Done(Command::Unsubscribe))
-            }
-            Request::GrantNotice(notice) => {
-                desk.grant(&self.caller, &notice).await?;
-                self.noted(shared, message)
-            }
-            Request::RevokeNotice(notice) => {
-                desk.revoke(&self.caller, &notice).await?;
-                self.noted(shared, message)
-            }
-            _ => Err(Refusal::new(Code::NotHere, "a command for a session without a transport key")),
-        }
-    }
-
-    fn noted(&self, shared: &Shared, message: &Message<Charge>) -> Result<Answer, Refusal> {
-        let digest = Digest(shared.provider().sm3(&[&message.body]));
-        let receipt = shared.receipt(Timestamp::now(), vec![digest])?;
-        Ok(Answer::Receipt(message.command, receipt))
-    }
-
-    async fn store(
-        &self,
-        shared: &Shared,
-        command: Command,
-        uploads: Vec<super::command::Upload>,
-    ) -> Result<Answer, Refusal> {
-        let desk = shared.desk.as_ref();
-        let records = check_records(shared.context, desk, &self.caller, uploads).await?;
-        check_account(desk, &self.binding).await?;
-        let digests = records.iter().map(|record| record.digest).collect();
-        let time = desk.store(&self.caller, records).await?;
-        shared.receipt(time, digests).map(|receipt| Answer::Receipt(command, receipt))
     }
 }

@@ -151,6 +151,16 @@ impl ClientAgreed {
         &self.0.agreed
     }
 
+    /// The steps of the key agreement, for test vectors.
+    #[cfg(test)]
+    pub(super) fn steps(&self) -> Vec<(&'static str, Vec<u8>)> {
+        vec![
+            ("shared secret", self.0.secret.to_vec()),
+            ("transcript digest", self.0.transcript.0.to_vec()),
+            ("identify key and nonce", self.0.identify_key().to_vec()),
+        ]
+    }
+
     /// The payload of the identify frame, and the session. A session for transfer needs the transport key.
     ///
     /// # Errors

@@ -44,8 +44,8 @@ pub enum Side {
 
 /// Key and iv of one direction.
 pub struct DirectionKeys {
-    pub(super) key: Zeroizing<[u8; 16]>,
-    pub(super) iv: Zeroizing<[u8; 12]>,
+    key: Zeroizing<[u8; 16]>,
+    iv: Zeroizing<[u8; 12]>,
 }
 
 impl DirectionKeys {
@@ -67,8 +67,8 @@ impl DirectionKeys {
 
 /// The keys of both directions.
 pub struct SessionKeys {
-    pub(super) from_client: DirectionKeys,
-    pub(super) from_gateway: DirectionKeys,
+    from_client: DirectionKeys,
+    from_gateway: DirectionKeys,
 }
 
 impl SessionKeys {
@@ -169,6 +169,19 @@ impl Session {
         let opened = self.opened(payload);
         self.broken |= opened.is_err();
         opened
+    }
+
+    /// Keys and ivs of a client's session, for test vectors.
+    #[cfg(test)]
+    pub(super) fn key_bytes(&self) -> Vec<(&'static str, Vec<u8>)> {
+        let bytes = |keys: &DirectionKeys| [&keys.key[..], &keys.iv[..]].concat();
+        vec![("client key and iv", bytes(&self.sending.keys)), ("gateway key and iv", bytes(&self.receiving.keys))]
+    }
+
+    /// Forgets that a frame was refused, for tests that try many.
+    #[cfg(test)]
+    pub(super) fn mend(&mut self) {
+        self.broken = false;
     }
 
     fn opened(&mut self, payload: &[u8]) -> Result<(u64, Zeroizing<Vec<u8>>), Refusal> {
