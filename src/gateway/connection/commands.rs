@@ -83,7 +83,7 @@ impl Commands {
                 Ok(Answer::Done(Command::Subscribe))
             }
             Request::Unsubscribe(subscription) => {
-                self.feeds.as_mut().map(|feeds| feeds.remove(subscription));
+                self.feeds.iter_mut().for_each(|feeds| feeds.remove(subscription));
                 Ok(Answer::Done(Command::Unsubscribe))
             }
             Request::GrantNotice(notice) => {

@@ -285,3 +285,65 @@ async fn registrations_pass_only_with_a_valid_proof() {
     assert_eq!(register(prove(&alice.signing)).await.expect("passed on"), Hash([0x99; 32]));
     assert_eq!(stage.desk.state().registrations.len(), 1);
 }
+
+/// Resident memory of this process, KiB.
+fn resident() -> u64 {
+    let status = std::fs::read_to_string("/proc/self/status").expect("Linux");
+    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).expect("a line of resident memory");
+    line.trim().trim_end_matches(" kB").parse().expect("a number")
+}
+
+/// `cargo test --release --lib -- --ignored --nocapture idle_sessions`
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "measures the memory of the whole process: run it alone"]
+async fn idle_sessions_cost_little_memory() {
+    const COUNT: usize = 5_000;
+    let generous = Limits { connections_of_peer: COUNT + 10, handshake_burst: 10_000.0, ..Limits::default() };
+    let stage = Stage::with(generous).await;
+    let alice = alice();
+    let credentials = stage.enrol(&alice).await;
+    let (mut clients, before) = (Vec::with_capacity(COUNT), resident());
+    for _ in 0..COUNT {
+        clients.push(stage.connect(&credentials).await.expect("connects"));
+    }
+    assert_eq!(stage.server.connections(), COUNT);
+    let used = resident() - before;
+    println!("{COUNT} idle sessions, both ends in this process: {used} KiB, {} bytes each", used * 1024 / 5_000);
+    let last = clients.last_mut().expect("connected");
+    last.upload(vec![alice.record(&alice.signing, 1, b"still served")]).await.expect("receipt");
+}
+
+/// `cargo test --release --lib -- --ignored --nocapture uploads_per_second`
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "measures time: run it alone"]
+async fn uploads_per_second_beside_the_bound_of_verification() {
+    let stage = Stage::new().await;
+    let alice = alice();
+    let mut client = stage.connect(&stage.enrol(&alice).await).await.expect("connects");
+    for (size, count) in [(1024, 4_000u64), (58 * 1024, 800)] {
+        let record = |seq| alice.record(&alice.signing, seq, &vec![7; size]);
+        let records: Vec<Upload> = (1..=count).map(record).collect();
+        let begun = std::time::Instant::now();
+        for record in &records {
+            let domain = context().domain;
+            let digest = Digest(context().provider.sm3(&[&record.blob]));
+            let signed = crate::crypto::record::signed_bytes(&domain, &digest);
+            context().provider.verify(&alice.signing.public, &signed, &record.signature).expect("valid");
+        }
+        let bound = begun.elapsed();
+        let begun = std::time::Instant::now();
+        for window in records.chunks(32) {
+            let mut sent = Vec::new();
+            for record in window {
+                sent.push(client.send(&Request::Upload(record.clone())).await.expect("sends"));
+            }
+            for number in sent {
+                let (answered, answer) = client.receive(Duration::from_secs(30)).await.expect("answers");
+                assert!(answered == number && matches!(answer, Answer::Receipt(..)));
+            }
+        }
+        let taken = begun.elapsed();
+        let rate = |time: Duration| f64::from(u32::try_from(count).expect("small")) / time.as_secs_f64();
+        println!("{size} bytes: {:.0}/s accepted, SM3 and SM2 verification alone {:.0}/s", rate(taken), rate(bound));
+    }
+}
