@@ -110,6 +110,9 @@ pub enum Verb {
     /// Records shared with this profile: list, check, open
     #[command(subcommand)]
     Shared(SharedVerb),
+    /// Devices that may sign: lend, recall, list
+    #[command(subcommand)]
+    Devices(super::adopt::DevicesVerb),
     /// The chain
     #[command(subcommand)]
     Chain(ChainVerb),
@@ -333,6 +336,8 @@ pub enum SharedVerb {
 pub enum ChainVerb {
     /// Node, contract, block, balance, pending transactions
     Status,
+    /// Go on with the chain that is there now, in place of the one this home is bound to
+    Adopt,
 }
 
 /// `config …`

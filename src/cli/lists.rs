@@ -3,6 +3,7 @@
 use super::output::table;
 use crate::config::SettingView;
 use crate::model::Verdict;
+use crate::pipeline::sender::LaneState;
 use crate::service::reply::{
     ChainView, GrantRow, IdentityView, KeysView, OpenedView, Provenance, RecordPage, TopicRow,
 };
@@ -142,7 +143,8 @@ pub fn grants(rows: &[GrantRow]) -> String {
 
 /// The chain.
 pub fn chain(view: &ChainView) -> String {
-    pairs(&[
+    let paused = |lane: &LaneState| lane.paused.as_ref().map(|reason| ("paused", reason.text(lane.account)));
+    let mut rows = vec![
         ("kind", view.kind.clone()),
         ("client", view.client.clone()),
         ("consensus", view.consensus.clone()),
@@ -153,7 +155,9 @@ pub fn chain(view: &ChainView) -> String {
         ("balance", format!("{} wei", view.balance)),
         ("nonce", view.nonce.to_string()),
         ("pending", view.pending.to_string()),
-    ])
+    ];
+    rows.extend(view.lanes.iter().filter_map(paused));
+    pairs(&rows)
 }
 
 /// An opened record.
