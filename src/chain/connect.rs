@@ -72,7 +72,7 @@ impl Chain {
         let client: Option<String> = rpc(&provider, "web3_clientVersion", json!([])).await.ok();
         let client = clean(&client.unwrap_or_else(|| "unknown".into()), 80);
         let consensus = match options.endpoint {
-            Endpoint::Embedded { .. } => "poa",
+            Endpoint::Embedded { .. } => provider.as_ref().embedded().map_or("poa", |chain| chain.consensus().word()),
             Endpoint::Node { .. } => consensus(&latest, &client),
         };
         let inner = Inner {

@@ -1,8 +1,12 @@
 //! The command line: every verb and flag, in the words of the issue and the console.
 
+mod chain;
+
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+
+pub use self::chain::{ChainVerb, GenesisArguments, GenesisChoice};
 
 /// Share robot data under proof: messages sealed with SM4, signed with SM2, anchored by SM3
 /// digest on a private Ethereum network. Without a command it opens the operator console.
@@ -44,6 +48,9 @@ pub struct Global {
     /// Address of the `AuthROS` contract on that chain
     #[arg(long, global = true, value_name = "ADDRESS")]
     pub contract: Option<String>,
+    /// How the embedded chain seals: poa, poa:SIGNERS:PERIOD_MS, pow or pow:DIFFICULTY
+    #[arg(long, global = true, value_name = "NAME")]
+    pub consensus: Option<String>,
     /// Real Redis, as redis://host:6379
     #[arg(long, global = true, value_name = "URL")]
     pub vault: Option<String>,
@@ -68,6 +75,7 @@ impl Global {
             "ros.master" => self.ros_master.clone(),
             "chain.url" => self.chain.clone(),
             "chain.contract" => self.contract.clone(),
+            "chain.consensus" => self.consensus.clone(),
             "vault.url" => self.vault.clone(),
             "robots" => self.robots.clone(),
             "confirmations" => self.confirmations.clone(),
@@ -329,15 +337,6 @@ pub enum SharedVerb {
         #[arg(long, value_name = "FILE")]
         out: Option<PathBuf>,
     },
-}
-
-/// `chain …`
-#[derive(Debug, Subcommand)]
-pub enum ChainVerb {
-    /// Node, contract, block, balance, pending transactions
-    Status,
-    /// Go on with the chain that is there now, in place of the one this home is bound to
-    Adopt,
 }
 
 /// `config …`

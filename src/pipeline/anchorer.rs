@@ -4,8 +4,8 @@ use std::time::{Duration, Instant};
 
 use tokio::task::block_in_place;
 
-use crate::chain::Call;
 use crate::chain::merkle::{Leaf, MOST_LEAVES, Tree};
+use crate::chain::{Call, ChainError};
 use crate::crypto::EoaSecret;
 use crate::model::{Address, AnchorMode, RecordState, Timestamp, Token};
 use crate::store::{Anchors, NewBatch, RecordRow, WaitingBatch};
@@ -146,8 +146,12 @@ async fn send(
     };
     let call = Call::Anchor { root: batch.root, count: batch.count, previous };
     let outgoing = Outgoing { call, purpose: "anchor".to_owned(), anchors: Anchors::Batch(batch.root) };
-    let submitted = held.submit(vec![outgoing]).await?.len();
-    Ok(Round { submitted, next: Duration::ZERO })
+    match held.submit(vec![outgoing]).await {
+        Ok(hashes) => Ok(Round { submitted: hashes.len(), next: Duration::ZERO }),
+        // Where its gas must be estimated anew, the root before it has to be mined first.
+        Err(PipelineError::Chain(ChainError::Reverted { .. })) if !open.is_empty() => Ok(Round::wait(IDLE)),
+        Err(error) => Err(error),
+    }
 }
 
 /// Up to [`ROUND`] stored records, one transaction each. Those sealed under an epoch that the chain

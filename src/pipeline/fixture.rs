@@ -62,7 +62,7 @@ pub const TOKEN: Token = Token([3; 32]);
 pub async fn embedded(directory: &Path, pinned: Option<Pin>) -> Chain {
     let deadline = Instant::now() + Duration::from_secs(20);
     loop {
-        let endpoint = Endpoint::Embedded { directory: directory.to_owned() };
+        let endpoint = Endpoint::Embedded { directory: directory.to_owned(), consensus: None };
         match Chain::connect(ChainOptions { endpoint, contract: None, pinned: pinned.clone(), confirmations: 1 }).await
         {
             Ok(chain) => return chain,

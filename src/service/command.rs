@@ -226,6 +226,13 @@ pub enum Command {
     ChainStatus,
     /// Go on with the chain that is there now instead of the pinned one.
     AdoptChain,
+    /// Put the contract on the chain and pin it; refused where one is pinned already.
+    DeployContract,
+    /// Answer other tools' JSON-RPC over the embedded chain, until the connection that asks for it ends.
+    ServeChain {
+        /// Where, on loopback.
+        address: std::net::SocketAddr,
+    },
     /// Health, counts and alerts of the whole site.
     SiteStatus,
     /// The newest audit lines.

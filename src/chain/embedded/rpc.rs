@@ -9,6 +9,7 @@ use super::file::Mined;
 use super::json::{self, Mining, data, quantity, read_address, read_data, read_hash, read_quantity};
 use super::machine::{Answer, CALL_GAS_LIMIT, Message};
 use super::node::Node;
+use super::sealing::Sealing;
 use super::transaction::Transaction;
 use crate::chain::ChainError;
 use crate::model::{Address, Hash};
@@ -63,8 +64,9 @@ pub fn answer(node: &mut Node, method: &str, parameters: Value) -> Reply {
         "net_version" => Ok(Value::String(node.chain_id.to_string())),
         "net_listening" => Ok(Value::Bool(true)),
         "net_peerCount" | "eth_gasPrice" | "eth_maxPriorityFeePerGas" => Ok(quantity(0)),
-        "web3_clientVersion" => Ok(Value::String(concat!("AuthROS/v", env!("CARGO_PKG_VERSION"), "/embedded").into())),
-        "eth_syncing" | "eth_mining" => Ok(Value::Bool(false)),
+        "web3_clientVersion" => Ok(Value::String(client_version(node))),
+        "eth_syncing" => Ok(Value::Bool(false)),
+        "eth_mining" => Ok(Value::Bool(node.is_mining())),
         "eth_accounts" => Ok(json!([])),
         "eth_blockNumber" => Ok(quantity(node.head.number)),
         "eth_feeHistory" => fee_history(node, &parameters),
@@ -91,11 +93,31 @@ fn read(node: &Node, method: &str, parameters: &Parameters) -> Reply {
             Some(number) => block(node, number, whole(parameters)),
             None => Ok(Value::Null),
         },
+        "eth_getBlockTransactionCountByNumber" | "eth_getBlockTransactionCountByHash" => {
+            let number = parameters.at(0, |which| block_named(node, which))?;
+            number.map_or(Ok(Value::Null), |number| count(node, number))
+        }
+        "eth_getTransactionByBlockNumberAndIndex" | "eth_getTransactionByBlockHashAndIndex" => {
+            let number = parameters.at(0, |which| block_named(node, which))?;
+            let index = parameters.at(1, read_quantity)?;
+            number.map_or(Ok(Value::Null), |number| transaction_at(node, number, index))
+        }
         "eth_getTransactionByHash" => transaction(node, parameters.at(0, read_hash)?),
         "eth_getTransactionReceipt" => receipt(node, parameters.at(0, read_hash)?),
         "eth_getLogs" => logs(node, parameters),
+        "clique_getSigners" if matches!(node.sealing, Sealing::Authority(_)) => {
+            Ok(node.sealing.addresses().iter().map(|signer| data(&signer.0)).collect())
+        }
         _ => Err(Fault::new(-32601, format!("the method {method} does not exist/is not available"))),
     }
+}
+
+fn client_version(node: &Node) -> String {
+    let sealing = match node.sealing {
+        Sealing::Authority(_) => "proof of authority",
+        Sealing::Work { .. } => "proof of work by Keccak-256, not ethash",
+    };
+    format!("AuthROS/v{}/embedded ({sealing})", env!("CARGO_PKG_VERSION"))
 }
 
 fn whole(parameters: &Parameters) -> bool {
@@ -109,6 +131,25 @@ fn block_number(node: &Node, tag: &Value) -> Option<u64> {
         "earliest" => Some(0),
         _ => read_quantity(tag).and_then(|number| u64::try_from(number).ok()),
     }
+}
+
+/// The block that a tag, a number or a hash means; `None` inside where there is none.
+fn block_named(node: &Node, which: &Value) -> Option<Option<u64>> {
+    match read_hash(which) {
+        Some(hash) => node.file.number_of(hash).ok(),
+        None => Some(block_number(node, which).filter(|number| *number <= node.head.number)),
+    }
+}
+
+fn count(node: &Node, number: u64) -> Reply {
+    Ok(quantity(node.file.block_transactions(number)?.len()))
+}
+
+fn transaction_at(node: &Node, number: u64, index: U256) -> Reply {
+    let all = node.file.block_transactions(number)?;
+    let Some(mined) = all.iter().find(|one| U256::from(one.position) == index) else { return Ok(Value::Null) };
+    let place = mining(node, number, mined.position)?;
+    Ok(json::transaction(&decode(node, mined)?, node.chain_id, Some(place)))
 }
 
 fn require_newest(node: &Node, tag: Option<&Value>) -> Result<(), Fault> {
@@ -199,7 +240,7 @@ fn block(node: &Node, number: u64, whole: bool) -> Reply {
         let full = || json::transaction(&decoded, node.chain_id, Some(place));
         shown.push(if whole { full() } else { data(&decoded.hash.0) });
     }
-    Ok(json::block(&header, hash, size, shown))
+    Ok(json::block(&header, hash, size, node.sealing.total_difficulty(number), shown))
 }
 
 fn decode(node: &Node, mined: &Mined) -> Result<Transaction, Fault> {

@@ -84,7 +84,7 @@ impl Site {
     async fn chain_there(&self) -> Result<Chain, Failure> {
         let endpoint = match &self.config.chain_url {
             Some(url) => Endpoint::Node { url: url.clone() },
-            None => Endpoint::Embedded { directory: self.home.chain() },
+            None => Endpoint::Embedded { directory: self.home.chain(), consensus: self.config.consensus },
         };
         let confirmations = self.config.confirmations;
         let options = ChainOptions { endpoint, contract: None, pinned: None, confirmations };

@@ -114,7 +114,7 @@ impl Site {
         }
         let endpoint = match &self.config.chain_url {
             Some(url) => Endpoint::Node { url: url.clone() },
-            None => Endpoint::Embedded { directory: self.home.chain() },
+            None => Endpoint::Embedded { directory: self.home.chain(), consensus: self.config.consensus },
         };
         let pinned = self.pin()?;
         let options =

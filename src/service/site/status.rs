@@ -130,6 +130,7 @@ impl Site {
             pending,
             lanes,
             client: clean(&status.client, 100),
+            sealing: chain.sealing().await?,
         })
     }
 }

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use super::{Needs, Site};
 use crate::chain::ChainError;
-use crate::model::{Domain, Timestamp};
+use crate::model::Domain;
 use crate::pipeline::adoption::{self, Word};
 use crate::pipeline::anchorer::{Anchorer, Round};
 use crate::pipeline::sealer::Sealer;
@@ -190,19 +190,10 @@ impl Site {
             }
             let Some(network) = self.network_now() else { continue };
             for owner in self.all_owners() {
-                let epoch = network.directory.epoch(owner.address);
-                let now = Timestamp::now();
-                let due = network.directory.grants(|grant| {
-                    grant.terms.owner == owner.address
-                        && grant.word(now) == "expired"
-                        && grant.envelopes.contains_key(&epoch)
-                });
-                if !due.is_empty()
-                    && let Err(failure) = self.rotate(&owner, "a grant expired").await
-                {
+                if let Err(failure) = self.end_expired(&owner, &network).await {
                     self.hub.notice(
                         NoticeLevel::Error,
-                        &format!("a grant of {} has expired, but {}", owner.profile, failure.message),
+                        &format!("a grant of {} has run out or soon will, but {}", owner.profile, failure.message),
                     );
                 }
             }

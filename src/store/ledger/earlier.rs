@@ -184,8 +184,8 @@ mod tests {
         assert_eq!(left, Ok(Left { kept: 1, anew: 4 }));
         let states: Vec<_> =
             (1..=6).map(|n| ledger.record(Digest([n; 32])).expect("read").expect("kept").state).collect();
-        use RecordState::{Batched, Stored, Verified};
-        assert_eq!(states, [Verified, Stored, Batched, Batched, Stored, Stored]);
+        let [verified, stored, batched] = [RecordState::Verified, RecordState::Stored, RecordState::Batched];
+        assert_eq!(states, [verified, stored, batched, batched, stored, stored]);
         let anchor = ledger.earlier_anchor(Digest([1; 32])).expect("read").expect("kept");
         assert_eq!((anchor.domain, anchor.block, anchor.transaction), (Domain([8; 32]), 5, Some(Hash([1; 32]))));
         assert_eq!(ledger.earlier_anchor(Digest([2; 32])), Ok(None));
