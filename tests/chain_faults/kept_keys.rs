@@ -164,7 +164,8 @@ async fn a_grantee_who_kept_every_key_opens_nothing_sealed_after_the_revoke() {
     two.alice.json(&["revoke", &two.bob_address]);
     let revoked = Timestamp::now();
     two.take(20);
-    let kept = keep_everything(&two.end()).await;
+    let home = two.end();
+    let kept = keep_everything(&home).await;
     kept.expect_shut_out(granted, revoking, revoked);
 }
 
@@ -182,6 +183,7 @@ async fn a_grantee_who_kept_every_key_opens_nothing_sealed_after_the_expiry() {
     two.take(40);
     let state = text(&list(&two.alice.json(&["grants", "list"]), "grants")[0], "state");
     assert_eq!(state, "expired");
-    let kept = keep_everything(&two.end()).await;
+    let home = two.end();
+    let kept = keep_everything(&home).await;
     kept.expect_shut_out(granted, expiry, expiry);
 }
