@@ -8,7 +8,7 @@ use std::str::FromStr;
 use serde::Serialize;
 
 use crate::crypto::ProviderName;
-use crate::model::{Address, ErrorKind, clean};
+use crate::model::{Address, AnchorMode, ErrorKind, clean};
 
 /// Why the settings cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -142,8 +142,8 @@ pub const DEFINITIONS: [Definition; 10] = [
     Definition {
         name: "anchor.mode",
         variable: "AUTHROS_ANCHOR_MODE",
-        default: "each",
-        text: "each = one dataUpload per record",
+        default: "batch",
+        text: "batch = Merkle roots, about one transaction a second; each = one dataUpload per record",
     },
     Definition {
         name: "confirmations",
@@ -195,6 +195,8 @@ pub struct Config {
     pub vault_url: Option<String>,
     /// Which SM implementation.
     pub provider: ProviderName,
+    /// How digests go on the chain.
+    pub anchor_mode: AnchorMode,
     /// Blocks until confirmed.
     pub confirmations: u64,
 }
@@ -227,10 +229,6 @@ impl Config {
             (Some("watched"), _) | (Some("auto"), Some(_)) => MeterMode::Watched,
             _ => return Err(wrong(&values, "ros.meter", "write all, watched or auto")),
         };
-        let mode = text("anchor.mode").unwrap_or_default();
-        if mode != "each" {
-            return Err(wrong(&values, "anchor.mode", "this version anchors each record by itself; write each"));
-        }
         let robots = number(&values, "robots", 0, 32)?;
         Ok(Self {
             ros_host: text("ros.host").map(str::to_owned),
@@ -241,6 +239,7 @@ impl Config {
             contract: parsed(&values, "chain.contract")?,
             vault_url: url(&values, "vault.url", &["redis://", "redis+unix://", "unix://"])?,
             provider: parsed(&values, "crypto.provider")?.unwrap_or_default(),
+            anchor_mode: parsed(&values, "anchor.mode")?.unwrap_or_default(),
             confirmations: number(&values, "confirmations", 1, 1000)?,
             values,
         })

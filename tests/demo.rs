@@ -22,10 +22,9 @@ fn expect_the_whole_story(told: &Value) {
     assert!(pictures > 0 && pictures < opened, "{told}");
     assert_eq!(told["refused_stranger"], true, "{told}");
     assert_eq!(told["refused_tampered"], true, "{told}");
-    assert!(
-        count(&told["chain"], "transactions") > count(told, "anchored"),
-        "deployment, registrations, grants: {told}"
-    );
+    // Three registrations, a grant, a revoke, and about a batch a second.
+    let transactions = count(&told["chain"], "transactions");
+    assert!(transactions >= 7 && transactions < captured / 5, "{told}");
     assert!(count(&told["chain"], "gas") > 21_000 * count(&told["chain"], "transactions"), "{told}");
     assert_eq!(told["ok"], true, "{told}");
 }
@@ -79,7 +78,7 @@ fn each_check_switched_off_makes_the_demo_say_that_it_is_not_ok() {
         skipped!("authros-faulty is not built; tests/run builds it");
     };
     let _alone = heavy();
-    let checks = ["digest", "signature", "commit", "tag", "anchor", "revoke", "restore", "authorise"];
+    let checks = ["digest", "signature", "commit", "tag", "anchor", "proof", "revoke", "restore", "authorise"];
     for fault in checks {
         let home = Home::new();
         let authros = home.authros().with_program(&program).with_variable("AUTHROS_FAULT", fault).with(&["--json"]);

@@ -11,6 +11,7 @@ mod development;
 mod embedded;
 mod error;
 mod event;
+pub mod merkle;
 mod reader;
 mod sender;
 #[cfg(test)]

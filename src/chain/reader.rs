@@ -130,6 +130,16 @@ impl Chain {
         Ok(answer.number()? != 0)
     }
 
+    /// The block in which an account first anchored a root, and over how many leaves.
+    ///
+    /// # Errors
+    /// The node's.
+    pub async fn root_anchored(&self, account: Address, root: Hash) -> Result<Option<(u64, u64)>, ChainError> {
+        let mut answer = self.view(account, "anchorOf", &[address(account), word(root.0)]).await?;
+        let (block, count) = (answer.number()?, answer.number()?);
+        Ok((block != 0).then_some((block, count)))
+    }
+
     /// The root that an account anchored last; zero before the first.
     ///
     /// # Errors

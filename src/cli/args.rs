@@ -56,7 +56,7 @@ pub struct Global {
     /// rustcrypto or libsm
     #[arg(long, global = true, value_name = "NAME")]
     pub crypto_provider: Option<String>,
-    /// each
+    /// batch (Merkle roots) or each (one transaction per record)
     #[arg(long, global = true, value_name = "MODE")]
     pub anchor_mode: Option<String>,
 }

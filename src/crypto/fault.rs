@@ -4,7 +4,8 @@
 //! environment variable `AUTHROS_FAULT` names the check. In every other build each is constantly on.
 
 /// The checks that can be named.
-pub const CHECKS: [&str; 8] = ["digest", "signature", "commit", "tag", "anchor", "revoke", "restore", "authorise"];
+pub const CHECKS: [&str; 9] =
+    ["digest", "signature", "commit", "tag", "anchor", "proof", "revoke", "restore", "authorise"];
 
 /// Whether the check is switched off: never, in a build without the feature.
 #[cfg(not(feature = "fault"))]

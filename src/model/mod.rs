@@ -4,6 +4,7 @@
 //! sanitiser for untrusted text live here. Nothing here touches a key, a file or a socket.
 
 pub mod address;
+pub mod anchor_mode;
 pub mod bytes;
 pub mod display;
 pub mod error_kind;
@@ -18,6 +19,7 @@ pub mod topic;
 pub mod wire;
 
 pub use address::Address;
+pub use anchor_mode::AnchorMode;
 pub use bytes::{
     Commit, Digest, Domain, FilterId, Hash, PublicKey, RecorderId, Salt, Signature, SignerId, Token, TopicId,
 };

@@ -1,46 +1,169 @@
-//! Puts the digests of stored records on the chain, one `dataUpload` each, in the owner's lane.
+//! Puts stored records on the chain: as Merkle batches, or one `dataUpload` each.
+
+use std::time::{Duration, Instant};
 
 use tokio::task::block_in_place;
 
 use crate::chain::Call;
-use crate::model::{Digest, RecordState};
-use crate::store::RecordRow;
+use crate::chain::merkle::{Leaf, MOST_LEAVES, Tree};
+use crate::crypto::EoaSecret;
+use crate::model::{Address, AnchorMode, Hash, RecordState, Timestamp, Token};
+use crate::store::{Anchors, NewBatch, RecordRow, WaitingBatch};
 
+use super::pace::{LONGEST_WAIT, Pace};
+use super::sender::Outgoing;
 use super::{Network, Owner, PipelineError, Plant, Sender};
 
-/// Records a round: one ledger commit for so many signed transactions.
+/// Records a round, one by one: one ledger commit for so many signed transactions.
 const ROUND: usize = 128;
-/// Transactions of one account that may wait for a block.
-const MOST_OPEN: usize = 1024;
+/// Transactions of one account that may wait for a block, one by one.
+const MOST_OPEN: u64 = 1024;
+/// Batches of one account that may wait for a block; while they do, the next one widens.
+const MOST_OPEN_BATCHES: usize = 2;
+/// How long to wait where only the chain can bring news.
+const IDLE: Duration = Duration::from_secs(1);
 
-/// Anchors up to [`ROUND`] stored records of `owner`; returns how many were submitted.
-///
-/// Records sealed under an epoch that the chain does not know yet wait for it.
-///
-/// # Errors
-/// Of chain and ledger; nothing is lost, the records stay `stored`.
-pub async fn anchor_round(
-    plant: &Plant,
-    network: &Network,
-    sender: &Sender,
-    owner: &Owner,
-) -> Result<usize, PipelineError> {
-    let open = block_in_place(|| plant.ledger.open_transactions(owner.address))?.len();
-    if open >= MOST_OPEN {
-        return Ok(0);
-    }
-    let rows = block_in_place(|| plant.ledger.in_state(Some(owner.address), RecordState::Stored, ROUND))?;
-    let Some(account) = network.directory.account(owner.address) else { return Ok(0) };
-    let calls: Vec<(Call, String, Vec<Digest>)> =
-        rows.iter().filter_map(|row| account.tokens.get(&row.epoch).map(|token| upload(row, *token))).collect();
-    if calls.is_empty() {
-        return Ok(0);
-    }
-    let eoa = owner.eoa();
-    Ok(sender.submit(&network.chain, &eoa, calls).await?.len())
+/// Anchors the records of one owner; keeps nothing that the ledger does not know.
+pub struct Anchorer {
+    mode: AnchorMode,
+    pace: Pace,
 }
 
-fn upload(row: &RecordRow, token: crate::model::Token) -> (Call, String, Vec<Digest>) {
+/// What a round did.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Round {
+    /// Transactions that were signed and kept.
+    pub submitted: usize,
+    /// How long until there may be more to do, if nothing is stored and no block comes before.
+    pub next: Duration,
+}
+
+impl Round {
+    fn wait(next: Duration) -> Self {
+        Self { submitted: 0, next }
+    }
+}
+
+impl Anchorer {
+    /// An anchorer of one owner's records.
+    pub fn new(mode: AnchorMode) -> Self {
+        Self { mode, pace: Pace::default() }
+    }
+
+    /// Does what is due now. `lanes` are the accounts that anchor batches side by side, the owner's
+    /// own first; records one by one go through the owner's own alone.
+    ///
+    /// # Errors
+    /// Of chain and ledger; nothing is lost, the records stay `stored` or `batched`.
+    pub async fn round(
+        &mut self,
+        plant: &Plant,
+        network: &Network,
+        sender: &Sender,
+        owner: &Owner,
+        lanes: &[EoaSecret],
+    ) -> Result<Round, PipelineError> {
+        if network.directory.epoch(owner.address) == 0 {
+            return Ok(Round::wait(IDLE));
+        }
+        let Some((lane, open)) = free_lane(plant, lanes)? else { return Ok(Round::wait(IDLE)) };
+        // Batches that were closed before come first, whatever the mode is now.
+        let waiting = block_in_place(|| plant.ledger.waiting_batches(owner.address, 1))?;
+        if let Some(batch) = waiting.first() {
+            return send(network, sender, lane, &open, *batch).await;
+        }
+        match self.mode {
+            AnchorMode::Each => one_by_one(plant, network, sender, owner).await,
+            AnchorMode::Batch => match self.close(plant, owner.address)? {
+                Ok(batch) => send(network, sender, lane, &open, batch).await,
+                Err(due_in) => Ok(Round::wait(due_in)),
+            },
+        }
+    }
+
+    /// Closes a batch where one is due; else how long until then.
+    fn close(&mut self, plant: &Plant, owner: Address) -> Result<Result<WaitingBatch, Duration>, PipelineError> {
+        block_in_place(|| {
+            let (waiting, oldest) = plant.ledger.unbatched(owner)?;
+            let Some(oldest) = oldest.filter(|_| waiting > 0) else { return Ok(Err(LONGEST_WAIT)) };
+            let age = Duration::from_nanos(Timestamp::now().0.saturating_sub(oldest.0));
+            let due_in = self.pace.due_in(usize::try_from(waiting).unwrap_or(usize::MAX), age);
+            if !due_in.is_zero() {
+                return Ok(Err(due_in));
+            }
+            let leaves = plant.ledger.stored_leaves(owner, MOST_LEAVES)?;
+            let Some(batch) = close_batch(plant, owner, &leaves)? else { return Ok(Err(LONGEST_WAIT)) };
+            self.pace.closed(leaves.len(), Instant::now());
+            Ok(Ok(batch))
+        })
+    }
+}
+
+/// Closes a batch over these leaves.
+pub(super) fn close_batch(
+    plant: &Plant,
+    owner: Address,
+    leaves: &[Leaf],
+) -> Result<Option<WaitingBatch>, PipelineError> {
+    let Some(tree) = Tree::new(leaves.iter().map(Leaf::hash).collect()) else { return Ok(None) };
+    let places = leaves.iter().enumerate();
+    let leaves: Vec<_> = places.map(|(index, leaf)| (leaf.digest, tree.path(index))).collect();
+    let batch = WaitingBatch { root: tree.root(), count: leaves.len() as u64 };
+    plant.ledger.close_batch(NewBatch { owner, root: batch.root, leaves })?;
+    plant.observer.records_changed();
+    Ok(Some(batch))
+}
+
+/// The account with the fewest open batches, and their roots; `None` where all have their fill.
+fn free_lane<'a>(plant: &Plant, lanes: &'a [EoaSecret]) -> Result<Option<(&'a EoaSecret, Vec<Hash>)>, PipelineError> {
+    block_in_place(|| {
+        let mut best: Option<(&EoaSecret, Vec<Hash>)> = None;
+        for lane in lanes {
+            let open = plant.ledger.open_roots(lane.address())?;
+            if open.len() < best.as_ref().map_or(MOST_OPEN_BATCHES, |(_, fewest)| fewest.len()) {
+                best = Some((lane, open));
+            }
+        }
+        Ok(best)
+    })
+}
+
+async fn send(
+    network: &Network,
+    sender: &Sender,
+    lane: &EoaSecret,
+    open: &[Hash],
+    batch: WaitingBatch,
+) -> Result<Round, PipelineError> {
+    let previous = match open.last() {
+        Some(root) => *root,
+        None => network.chain.anchor_head(lane.address()).await?,
+    };
+    let call = Call::Anchor { root: batch.root, count: batch.count, previous };
+    let outgoing = Outgoing { call, purpose: "anchor".to_owned(), anchors: Anchors::Batch(batch.root) };
+    let submitted = sender.submit(&network.chain, lane, vec![outgoing]).await?.len();
+    Ok(Round { submitted, next: Duration::ZERO })
+}
+
+/// Up to [`ROUND`] stored records, one transaction each. Those sealed under an epoch that the chain
+/// does not know yet wait for it.
+async fn one_by_one(plant: &Plant, network: &Network, sender: &Sender, owner: &Owner) -> Result<Round, PipelineError> {
+    if block_in_place(|| plant.ledger.count_open(owner.address))? >= MOST_OPEN {
+        return Ok(Round::wait(IDLE));
+    }
+    let rows = block_in_place(|| plant.ledger.in_state(Some(owner.address), RecordState::Stored, ROUND))?;
+    let Some(account) = network.directory.account(owner.address) else { return Ok(Round::wait(IDLE)) };
+    let known = |row: &RecordRow| account.tokens.get(&row.epoch).map(|token| upload(row, *token));
+    let uploads: Vec<Outgoing> = rows.iter().filter_map(known).collect();
+    if uploads.is_empty() {
+        return Ok(Round::wait(IDLE));
+    }
+    let eoa = owner.eoa();
+    let submitted = sender.submit(&network.chain, &eoa, uploads).await?.len();
+    Ok(Round { submitted, next: Duration::ZERO })
+}
+
+fn upload(row: &RecordRow, token: Token) -> Outgoing {
     let call = Call::DataUpload { digest: row.digest, token, timestamp: row.captured_at };
-    (call, "dataUpload".to_owned(), vec![row.digest])
+    Outgoing { call, purpose: "dataUpload".to_owned(), anchors: Anchors::Digests(vec![row.digest]) }
 }

@@ -9,6 +9,8 @@ pub mod epoch;
 pub mod error;
 pub mod meter;
 pub mod owner;
+pub mod pace;
+pub mod proof;
 pub mod reader;
 pub mod recorder;
 pub mod ring;
@@ -16,6 +18,8 @@ pub mod sealer;
 pub mod sender;
 pub mod session;
 pub mod storer;
+#[cfg(test)]
+mod tests;
 pub mod verifier;
 pub mod watcher;
 
@@ -23,7 +27,7 @@ pub use directory::Directory;
 pub use error::PipelineError;
 pub use owner::Owner;
 pub use recorder::Recorder;
-pub use sender::Sender;
+pub use sender::{Outgoing, Sender};
 pub use session::CaptureSession;
 
 use std::sync::Arc;

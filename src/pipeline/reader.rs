@@ -13,7 +13,7 @@ use crate::ros::Definition;
 use crate::store::{RecordQuery, RecordRow};
 
 use super::directory::Granted;
-use super::{Network, Owner, PipelineError, Plant};
+use super::{Network, Owner, PipelineError, Plant, proof};
 
 /// Definition records looked at for one message, at most.
 const MOST_DEFINITIONS: usize = 200;
@@ -72,8 +72,7 @@ impl Reader<'_> {
 
     async fn is_anchored(&self, row: &RecordRow) -> Result<bool, PipelineError> {
         let confirmed = matches!(row.state, RecordState::Confirmed | RecordState::Verified | RecordState::Tampered);
-        Ok(confirmed
-            && (crate::crypto::fault::is_off("anchor") || self.network.chain.anchored(row.owner, row.digest).await?))
+        Ok(confirmed && proof::is_anchored(self.plant, self.network, row).await?)
     }
 
     /// Checks and decrypts a record.

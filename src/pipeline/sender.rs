@@ -9,8 +9,8 @@ use tokio::task::block_in_place;
 
 use crate::chain::{Call, Chain, ChainError, Receipt};
 use crate::crypto::EoaSecret;
-use crate::model::{Address, Digest, Hash, Timestamp, clean};
-use crate::store::{Ledger, NewTransaction, TransactionOutcome};
+use crate::model::{Address, Hash, Timestamp, clean};
+use crate::store::{Anchors, Ledger, NewTransaction, TransactionOutcome};
 
 use super::PipelineError;
 use super::error::of_payer;
@@ -19,6 +19,17 @@ use super::error::of_payer;
 const QUIET: u64 = 4_000_000_000;
 /// How long a single transaction may take until its sender is told that it waits.
 const PATIENCE: Duration = Duration::from_secs(120);
+
+/// A call to be signed and sent.
+#[derive(Debug, Clone)]
+pub struct Outgoing {
+    /// What the contract is to do.
+    pub call: Call,
+    /// What it is for, in a word.
+    pub purpose: String,
+    /// The records that it anchors.
+    pub anchors: Anchors,
+}
 
 #[derive(Default)]
 struct Lane {
@@ -50,7 +61,7 @@ impl Sender {
         Ok(open.iter().map(|row| row.nonce + 1).fold(mined, u64::max))
     }
 
-    /// Signs, stores and sends `calls` in order, each with the records it anchors.
+    /// Signs, stores and sends `calls` in order.
     ///
     /// # Errors
     /// Of the chain while signing, of the ledger while storing. A transaction that is stored but
@@ -59,16 +70,16 @@ impl Sender {
         &self,
         chain: &Chain,
         eoa: &EoaSecret,
-        calls: Vec<(Call, String, Vec<Digest>)>,
+        calls: Vec<Outgoing>,
     ) -> Result<Vec<Hash>, PipelineError> {
         let account = eoa.address();
         let lane = self.lane(account);
         let mut lane = lane.lock().await;
         let mut nonce = self.next_nonce(chain, account, &lane).await?;
         let mut rows = Vec::with_capacity(calls.len());
-        for (call, purpose, digests) in calls {
+        for Outgoing { call, purpose, anchors } in calls {
             let signed = chain.sign(eoa, nonce, &call).await.map_err(|error| of_payer(error, account))?;
-            rows.push(NewTransaction { hash: signed.hash, account, nonce, raw: signed.raw, purpose, digests });
+            rows.push(NewTransaction { hash: signed.hash, account, nonce, raw: signed.raw, purpose, anchors });
             nonce += 1;
         }
         let sent: Vec<(Hash, Vec<u8>)> = rows.iter().map(|row| (row.hash, row.raw.clone())).collect();
@@ -99,7 +110,9 @@ impl Sender {
         purpose: &str,
     ) -> Result<(Hash, Receipt), PipelineError> {
         chain.simulate(eoa.address(), &call).await.map_err(|error| of_payer(error, eoa.address()))?;
-        let hashes = self.submit(chain, eoa, vec![(call, purpose.to_owned(), Vec::new())]).await?;
+        let hashes = self
+            .submit(chain, eoa, vec![Outgoing { call, purpose: purpose.to_owned(), anchors: Anchors::Nothing }])
+            .await?;
         let hash = hashes.first().copied().ok_or_else(|| PipelineError::NotMined(purpose.to_owned()))?;
         self.wait_mined(chain, eoa.address(), hash, purpose).await
     }

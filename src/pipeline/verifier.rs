@@ -4,7 +4,7 @@ use crate::crypto::{Anchor, check};
 use crate::model::{Digest, RecordState};
 use crate::store::RecordRow;
 
-use super::{Network, PipelineError, Plant};
+use super::{Network, PipelineError, Plant, proof};
 
 /// Records a round.
 const ROUND: usize = 128;
@@ -41,9 +41,10 @@ fn is_sound(plant: &Plant, network: &Network, row: &RecordRow) -> Result<bool, P
     let Some(blob) = plant.vault.get(row.digest)? else { return Ok(false) };
     let Some(signer) = network.directory.signing_key(row.owner, row.signer, row.block) else { return Ok(false) };
     let checked = check(plant.provider, &blob, &row.signature, &signer, Anchor::Chain(row.digest));
-    Ok(checked.is_ok_and(|(header, digest, _)| {
+    let same = checked.is_ok_and(|(header, digest, _)| {
         digest == row.digest && header.owner == row.owner && header.seq == row.seq && header.domain == network.domain
-    }))
+    });
+    Ok(same && proof::was_sighted(plant, row)?)
 }
 
 fn settle(plant: &Plant, digests: &[Digest], state: RecordState) -> Result<(), PipelineError> {

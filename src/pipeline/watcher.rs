@@ -6,7 +6,7 @@ use std::time::Duration;
 use tokio::task::block_in_place;
 
 use crate::chain::{BlockRef, Event, EventAt};
-use crate::store::Sighting;
+use crate::store::{RootSighting, Sighting};
 
 use super::{Network, PipelineError, Plant};
 
@@ -88,7 +88,9 @@ fn write(
     hash: crate::model::Hash,
 ) -> Result<(), PipelineError> {
     let sightings: Vec<Sighting> = events.iter().filter_map(sighting).collect();
-    let changed = !sightings.is_empty() && plant.ledger.mined(&sightings)? > 0;
+    let roots: Vec<RootSighting> = events.iter().filter_map(root_sighting).collect();
+    let mut changed = !sightings.is_empty() && plant.ledger.mined(&sightings)? > 0;
+    changed |= !roots.is_empty() && plant.ledger.anchored(&roots)? > 0;
     let applied = events.iter().filter(|event| network.directory.apply(event)).count();
     if applied > 0 {
         plant.ledger.put_setting(DIRECTORY, &network.directory.write_down())?;
@@ -106,6 +108,18 @@ fn sighting(at: &EventAt) -> Option<Sighting> {
     Some(Sighting {
         owner: *owner,
         digest: *digest,
+        transaction: at.transaction,
+        block: at.block,
+        block_hash: at.block_hash,
+    })
+}
+
+fn root_sighting(at: &EventAt) -> Option<RootSighting> {
+    let Event::Anchored { account, root, count, .. } = &at.event else { return None };
+    Some(RootSighting {
+        account: *account,
+        root: *root,
+        count: *count,
         transaction: at.transaction,
         block: at.block,
         block_hash: at.block_hash,

@@ -5,6 +5,7 @@
 //! just running them again. Ciphertext for good lies in the vault, not here.
 
 mod append;
+mod batches;
 mod counts;
 mod edges;
 mod query;
@@ -25,6 +26,7 @@ use super::StoreError;
 use super::database::{self, Schema};
 use crate::model::RecorderId;
 
+pub use batches::{Anchors, BatchPlace, NewBatch, RootSighting, WaitingBatch};
 pub use counts::{LOST_IN_TRANSPORT, StateCounts, TopicCounts};
 pub use edges::is_legal;
 pub use query::{RecordPage, RecordQuery};
@@ -33,7 +35,10 @@ pub use sightings::{KeptEvent, Sighting};
 pub use transactions::{NewTransaction, TransactionOutcome, TransactionRow, TransactionState};
 pub(super) use writer::Session;
 
-const SCHEMA: Schema = Schema { application: 0x4155_4c31, steps: &[include_str!("ledger/schema_1.sql")] };
+const SCHEMA: Schema = Schema {
+    application: 0x4155_4c31,
+    steps: &[include_str!("ledger/schema_1.sql"), include_str!("ledger/schema_2.sql")],
+};
 const READERS_KEPT: usize = 4;
 
 /// The ledger of a home. Clones share one file, one writing thread and one pool of readers.

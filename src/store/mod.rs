@@ -14,7 +14,8 @@ pub use audit::{AuditEntry, AuditFault, AuditLine, AuditLog};
 pub use error::StoreError;
 pub use files::{ConsoleLock, SiteLock, atomic_write};
 pub use ledger::{
-    KeptEvent, LOST_IN_TRANSPORT, Ledger, NewRecord, NewTransaction, RecordPage, RecordQuery, RecordRow, Sighting,
-    StateCounts, TopicCounts, TransactionOutcome, TransactionRow, TransactionState,
+    Anchors, BatchPlace, KeptEvent, LOST_IN_TRANSPORT, Ledger, NewBatch, NewRecord, NewTransaction, RecordPage,
+    RecordQuery, RecordRow, RootSighting, Sighting, StateCounts, TopicCounts, TransactionOutcome, TransactionRow,
+    TransactionState, WaitingBatch,
 };
 pub use vault::{Usage, Vault, open_vault};

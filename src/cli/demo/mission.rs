@@ -13,7 +13,7 @@ use crate::cli::output::Output;
 use crate::crypto::{Anchor, EpochKey, Expected, GrantedKeys, open, topic_key};
 use crate::model::{Address, ErrorKind, ProfileName, Timestamp, TopicName, Verdict};
 use crate::pipeline::reader::Reader;
-use crate::pipeline::{Network, Owner};
+use crate::pipeline::{Network, Owner, proof};
 use crate::service::reply::{CaptureSummary, OpenedView, RecordView};
 use crate::service::{Client, Command, Epochs, Failure, Needs, Reply, Site, UploadQuery};
 
@@ -248,12 +248,13 @@ impl Mission {
         let (one, other) = (take(one)?, take(other)?);
         let broken = locks::broken(plant.provider, &one, &other)?;
         let unanchored = self.never_anchored_is_told(&one).await?;
+        let unproven = self.path_of_another_is_refused(&one, &other)?;
         if !broken.is_empty() {
             self.output.note(&format!("FORGERIES PASSED THE CHECK OF {}", broken.join(", ")));
         }
-        let refused = flipped && broken.is_empty() && unanchored;
+        let refused = flipped && broken.is_empty() && unanchored && unproven;
         self.output.note(if refused {
-            "a flipped bit and five forgeries were refused, each by its own check"
+            "a flipped bit and six forgeries were refused, each by its own check"
         } else {
             "TAMPERING WAS NOT REFUSED"
         });
@@ -283,6 +284,13 @@ impl Mission {
         let verdict = reader.open(&row).await.map(|opened| opened.verdict);
         block_in_place(|| plant.vault.delete(row.digest))?;
         Ok(verdict.is_ok_and(|verdict| verdict == Verdict::Unanchored))
+    }
+
+    /// A record that claims another's place in its batch. Where digests are anchored one by one no
+    /// record has a place to claim.
+    fn path_of_another_is_refused(&self, one: &Genuine, other: &Genuine) -> Result<bool, Failure> {
+        let place = block_in_place(|| self.site.plant.ledger.batch_place(one.row.digest))?;
+        Ok(place.is_none_or(|place| !proof::is_included(&place, &other.row)))
     }
 
     /// Every epoch key that B ever received.
@@ -338,7 +346,7 @@ impl Mission {
             let page = block_in_place(|| self.site.plant.ledger.list(&query))?;
             for row in &page.rows {
                 let in_this_mission = row.block.is_some_and(|block| block >= self.first_block);
-                if in_this_mission && self.network.chain.anchored(row.owner, row.digest).await? {
+                if in_this_mission && proof::is_anchored(&self.site.plant, &self.network, row).await? {
                     anchored += 1;
                 }
             }

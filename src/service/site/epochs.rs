@@ -12,6 +12,7 @@ use crate::pipeline::{Network, Owner};
 use crate::service::event::Part;
 use crate::service::failure::refused;
 use crate::service::reply::{Failure, TransactionView};
+use crate::store::Anchors;
 
 /// Envelopes a `wrap` transaction carries at most, to stay below 32 KB.
 const ENVELOPES_A_CALL: usize = 8;
@@ -72,7 +73,7 @@ impl Site {
         let account = owner.address;
         for _ in 0..60 {
             let open = tokio::task::block_in_place(|| ledger.open_transactions(account))?;
-            if !open.iter().any(|row| row.digests.is_empty()) {
+            if !open.iter().any(|row| row.anchors == Anchors::Nothing) {
                 return Ok(());
             }
             let head = network.chain.head().await?.number;

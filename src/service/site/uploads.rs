@@ -11,7 +11,7 @@ use crate::pipeline::{Owner, PipelineError};
 use crate::service::command::UploadQuery;
 use crate::service::failure::{input, internal, refused};
 use crate::service::reply::{ExportedFile, Failure, Provenance, RecordPage};
-use crate::store::RecordRow;
+use crate::store::{BatchPlace, RecordRow};
 
 impl Site {
     fn address_of(&self, profile: &ProfileName) -> Result<Address, Failure> {
@@ -67,6 +67,17 @@ impl Site {
         if row.state >= RecordState::Stored {
             steps.push(step("stored", self.plant.vault.name().to_owned()));
         }
+        let digest = row.digest;
+        let place = self.blocking(move |site| Ok(site.plant.ledger.batch_place(digest)?)).await?;
+        if let Some(place) = &place {
+            let inclusion = &place.inclusion;
+            steps.push(step("batch", format!("root {}, closed {}", inclusion.root, place.closed_at)));
+            let (index, count, hashes) = (inclusion.index + 1, inclusion.count, inclusion.path.len());
+            steps.push(step("proof", format!("leaf {index} of {count}, {hashes} hashes to the root")));
+        }
+        if let Some(account) = place.and_then(|place| place.account) {
+            steps.push(step("witness", account.to_string()));
+        }
         if let Some(transaction) = row.transaction {
             steps.push(step("transaction", transaction.to_string()));
         }
@@ -89,7 +100,8 @@ impl Site {
         let network = self.network().await?;
         self.audit_first(owner, "export record", &row.id).await?;
         let digest = row.digest;
-        let blob = self.blocking(move |site| Ok(site.plant.vault.get(digest)?)).await?;
+        let stored = move |site: &Self| Ok((site.plant.vault.get(digest)?, site.plant.ledger.batch_place(digest)?));
+        let (blob, place) = self.blocking(stored).await?;
         let blob = blob.ok_or_else(|| PipelineError::Missing(row.id.clone()))?;
         let signer = network.directory.signing_key(row.owner, row.signer, row.block);
         let signer =
@@ -112,7 +124,7 @@ impl Site {
             "chain_id": network.chain.chain_id(),
             "genesis": network.chain.genesis(),
             "contract": pin.map(|pin| pin.contract),
-            "anchor": { "mode": "each", "transaction": row.transaction, "block": row.block, "block_hash": row.block_hash },
+            "anchor": anchor_json(&row, place.as_ref()),
             "state": row.state.word(),
         });
         let proof = serde_json::to_vec_pretty(&proof).map_err(|error| internal(error.to_string()))?;
@@ -125,4 +137,27 @@ impl Site {
             file("proof.json", proof),
         ])
     }
+}
+
+/// Where the digest is on the chain, and for a batched one the path from its leaf to the root.
+fn anchor_json(row: &RecordRow, place: Option<&BatchPlace>) -> serde_json::Value {
+    let (transaction, block, block_hash) = (row.transaction, row.block, row.block_hash);
+    let Some(place) = place else {
+        return serde_json::json!({
+            "mode": "each", "transaction": transaction, "block": block, "block_hash": block_hash,
+        });
+    };
+    let inclusion = &place.inclusion;
+    serde_json::json!({
+        "mode": "batch",
+        "leaf": row.leaf().hash(),
+        "index": inclusion.index,
+        "count": inclusion.count,
+        "path": inclusion.path,
+        "root": inclusion.root,
+        "account": place.account,
+        "transaction": transaction,
+        "block": block,
+        "block_hash": block_hash,
+    })
 }

@@ -5,8 +5,9 @@ use std::time::Duration;
 
 use super::{Needs, Site};
 use crate::model::Timestamp;
+use crate::pipeline::anchorer::Anchorer;
 use crate::pipeline::sealer::Sealer;
-use crate::pipeline::{Network, Owner, anchorer, storer, verifier, watcher};
+use crate::pipeline::{Network, Owner, storer, verifier, watcher};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::internal;
 use crate::service::reply::Failure;
@@ -134,6 +135,9 @@ async fn verify(site: Arc<Site>) {
 /// Anchors the records of one owner until the owner is closed or the site ends.
 pub(super) async fn anchor(site: Arc<Site>, owner: Arc<Owner>) {
     let mut pause = Duration::from_millis(250);
+    let mut anchorer = Anchorer::new(site.config.anchor_mode);
+    let lanes = [owner.eoa()];
+    let mut scanned = site.scanned.subscribe();
     while !site.is_stopping() {
         let still_open = site.owner(&owner.profile).is_some_and(|other| Arc::ptr_eq(&other, &owner));
         if !still_open {
@@ -143,15 +147,21 @@ pub(super) async fn anchor(site: Arc<Site>, owner: Arc<Owner>) {
             tokio::time::sleep(Duration::from_millis(200)).await;
             continue;
         };
-        match anchorer::anchor_round(&site.plant, &network, &site.sender, &owner).await {
-            Ok(0) => {
+        match anchorer.round(&site.plant, &network, &site.sender, &owner, &lanes).await {
+            Ok(round) => {
                 pause = Duration::from_millis(250);
-                tokio::select! {
-                    () = site.hub.stored.notified() => {}
-                    () = tokio::time::sleep(Duration::from_secs(1)) => {}
+                if round.submitted > 0 {
+                    site.changed(Part::Uploads);
+                }
+                if !round.next.is_zero() {
+                    tokio::select! {
+                        () = site.hub.stored.notified() => {}
+                        // A block may have freed a lane.
+                        _ = scanned.changed() => {}
+                        () = tokio::time::sleep(round.next) => {}
+                    }
                 }
             }
-            Ok(_) => site.changed(Part::Uploads),
             Err(error) => {
                 site.hub
                     .notice(NoticeLevel::Error, &format!("records of {} wait to be anchored: {error}", owner.profile));

@@ -77,13 +77,13 @@ impl Ledger {
         })
     }
 
-    /// Puts tampered records whose bytes are right again back to where they belong: mined, submitted or
+    /// Puts tampered records whose bytes are right again back to where they belong: mined, submitted, batched or
     /// stored, by what the chain has of them. Returns how many were put back.
     ///
     /// # Errors
     /// [`StoreError::Database`] and its kin.
     pub fn heal(&self, digests: &[Digest]) -> Result<u64, StoreError> {
-        [RecordState::Mined, RecordState::Submitted, RecordState::Stored]
+        [RecordState::Mined, RecordState::Submitted, RecordState::Batched, RecordState::Stored]
             .into_iter()
             .try_fold(0, |healed, to| Ok(healed + self.advance(digests, RecordState::Tampered, to)?))
     }
@@ -149,7 +149,12 @@ fn move_sql(to: RecordState) -> &'static str {
             "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2 AND block IS NULL AND tx IS NOT NULL"
         }
         RecordState::Stored => {
-            "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2 AND block IS NULL AND tx IS NULL"
+            "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2 AND block IS NULL AND tx IS NULL
+             AND NOT EXISTS (SELECT 1 FROM leaves WHERE record = n)"
+        }
+        RecordState::Batched => {
+            "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2 AND block IS NULL AND tx IS NULL
+             AND EXISTS (SELECT 1 FROM leaves WHERE record = n)"
         }
         _ => "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2",
     }

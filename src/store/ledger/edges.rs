@@ -9,6 +9,8 @@ use crate::model::RecordState::{
 pub(super) enum By {
     /// A worker, with `advance`.
     Worker,
+    /// The anchorer closes a batch.
+    Batch,
     /// The sender signs a transaction.
     Submit,
     /// The sender's transaction failed or was replaced.
@@ -21,12 +23,11 @@ pub(super) enum By {
     Reorg,
 }
 
-const EDGES: [(RecordState, RecordState, By); 32] = [
+const EDGES: [(RecordState, RecordState, By); 36] = [
     (Sealed, Stored, By::Worker),
     (Sealed, Quarantined, By::Worker),
     (Stored, Quarantined, By::Worker),
-    (Stored, Batched, By::Worker),
-    (Batched, Stored, By::Worker),
+    (Stored, Batched, By::Batch),
     (Confirmed, Verified, By::Worker),
     (Sealed, Tampered, By::Worker),
     (Stored, Tampered, By::Worker),
@@ -37,22 +38,27 @@ const EDGES: [(RecordState, RecordState, By); 32] = [
     (Verified, Tampered, By::Worker),
     (Quarantined, Tampered, By::Worker),
     (Tampered, Stored, By::Worker),
+    (Tampered, Batched, By::Worker),
     (Tampered, Submitted, By::Worker),
     (Tampered, Mined, By::Worker),
     (Tampered, Confirmed, By::Worker),
     (Stored, Submitted, By::Submit),
     (Batched, Submitted, By::Submit),
     (Submitted, Stored, By::Close),
+    (Submitted, Batched, By::Close),
     (Sealed, Mined, By::Sight),
     (Stored, Mined, By::Sight),
     (Batched, Mined, By::Sight),
     (Submitted, Mined, By::Sight),
     (Mined, Confirmed, By::Confirm),
     (Mined, Submitted, By::Reorg),
+    (Mined, Batched, By::Reorg),
     (Mined, Stored, By::Reorg),
     (Confirmed, Submitted, By::Reorg),
+    (Confirmed, Batched, By::Reorg),
     (Confirmed, Stored, By::Reorg),
     (Verified, Submitted, By::Reorg),
+    (Verified, Batched, By::Reorg),
     (Verified, Stored, By::Reorg),
 ];
 

@@ -5,6 +5,7 @@ use std::collections::HashMap;
 use rusqlite::{Connection, Row};
 use serde::{Deserialize, Serialize};
 
+use crate::chain::merkle::Leaf;
 use crate::model::{
     Address, Digest, Hash, RecordKind, RecordState, RecorderId, Signature, SignerId, Timestamp, TopicId,
 };
@@ -126,6 +127,14 @@ pub(super) fn streams(connection: &Connection) -> Result<Vec<Stream>, StoreError
         })
     })?;
     Ok(rows.collect::<Result<_, _>>()?)
+}
+
+impl RecordRow {
+    /// What its batch binds.
+    pub fn leaf(&self) -> Leaf {
+        let Self { owner, recorder, topic_id, seq, digest, .. } = *self;
+        Leaf { owner, recorder, topic_id, seq, digest }
+    }
 }
 
 /// Columns of [`record`], in order.

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::append::count;
 use super::edges::{By, may};
-use super::{Ledger, database::whole, rows};
+use super::{Ledger, batches, database::whole, rows};
 use crate::model::{Address, Digest, Hash, RecordState};
 use crate::store::StoreError;
 
@@ -78,7 +78,7 @@ impl Ledger {
 
     /// Blocks from this one on are gone: their mined and confirmed records lose their block. Where the
     /// record's own transaction was signed here, it counts as open again and the record as submitted, so
-    /// that the sender sends the same bytes again; else the record is stored and will be anchored anew.
+    /// that the sender sends the same bytes again; else the record is stored, or batched, and will be anchored anew.
     /// Returns how many records moved.
     ///
     /// Verified records stay: a block deeper than the confirmations asked for is gone only where the
@@ -124,6 +124,7 @@ impl Ledger {
                 )?
                 .execute([block])?;
             connection.prepare_cached("DELETE FROM events WHERE block >= ?1")?.execute([block])?;
+            batches::take_back(connection, block)?;
             connection
                 .prepare_cached(
                     "UPDATE records SET tx = NULL, block = NULL, block_hash = NULL WHERE state = ?1 AND block >= ?2",
@@ -204,9 +205,9 @@ fn standing(connection: &Connection, sighting: &Sighting) -> Result<Option<Stand
 
 /// Takes the block from the records of one state; our own open transactions keep theirs as submitted.
 fn unplace(connection: &Connection, from: RecordState, block: i64) -> Result<u64, StoreError> {
-    let (stored, submitted) = (RecordState::Stored, RecordState::Submitted);
-    if !may(By::Reorg, from, stored) || !may(By::Reorg, from, submitted) {
-        return Err(StoreError::IllegalEdge { from, to: stored });
+    let (stored, batched, submitted) = (RecordState::Stored, RecordState::Batched, RecordState::Submitted);
+    if let Some(to) = [stored, batched, submitted].into_iter().find(|to| !may(By::Reorg, from, *to)) {
+        return Err(StoreError::IllegalEdge { from, to });
     }
     let open = "(SELECT 1 FROM transactions WHERE hash = records.tx AND transactions.state = 0)";
     let back = |condition: &str, values: &str| {
@@ -217,10 +218,12 @@ fn unplace(connection: &Connection, from: RecordState, block: i64) -> Result<u64
     };
     let again =
         connection.prepare_cached(&back("", "state = ?3"))?.execute(params![from.code(), block, submitted.code()])?;
-    let anew = connection.prepare_cached(&back("NOT", "state = ?3, tx = NULL"))?.execute(params![
+    let waiting = "state = CASE WHEN EXISTS (SELECT 1 FROM leaves WHERE record = n) THEN ?4 ELSE ?3 END, tx = NULL";
+    let anew = connection.prepare_cached(&back("NOT", waiting))?.execute(params![
         from.code(),
         block,
-        stored.code()
+        stored.code(),
+        batched.code()
     ])?;
     Ok(count(again) + count(anew))
 }

@@ -55,7 +55,7 @@ fn transaction(number: u8, digests: &[Digest]) -> NewTransaction {
         nonce: u64::from(number),
         raw: vec![number; 100],
         purpose: "anchor".to_owned(),
-        digests: digests.to_vec(),
+        anchors: Anchors::Digests(digests.to_vec()),
     }
 }
 

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::edges::{By, may};
 use super::rows::{out_of_range, unsigned};
-use super::{Ledger, database::whole, rows};
+use super::{Anchors, Ledger, batches, database::whole, rows};
 use crate::model::{Address, Digest, Hash, RecordState, Timestamp, clean};
 use crate::store::StoreError;
 
@@ -23,7 +23,7 @@ pub struct NewTransaction {
     /// What it is for, in a word: `anchor`, `grant`, ….
     pub purpose: String,
     /// The records that it anchors.
-    pub digests: Vec<Digest>,
+    pub anchors: Anchors,
 }
 
 /// Where a transaction stands.
@@ -83,7 +83,7 @@ pub struct TransactionRow {
     /// What it is for.
     pub purpose: String,
     /// The records that it anchors.
-    pub digests: Vec<Digest>,
+    pub anchors: Anchors,
     /// When it was kept here.
     pub signed_at: Timestamp,
     /// Where it stands.
@@ -99,10 +99,10 @@ pub struct TransactionRow {
 }
 
 const COLUMNS: &str =
-    "hash, account, nonce, raw, purpose, digests, signed_at, state, block, gas_used, reason, replaced_by";
+    "hash, account, nonce, raw, purpose, digests, signed_at, state, block, gas_used, reason, replaced_by, batch";
 
 impl Ledger {
-    /// Keeps a signed transaction and moves its records from stored (or batched) to submitted, in one
+    /// Keeps a signed transaction and moves its records (stored ones, or those of its batch) to submitted, in one
     /// commit. Keeping the same open transaction again changes nothing.
     ///
     /// # Errors
@@ -145,7 +145,7 @@ impl Ledger {
     }
 
     /// Notes how a transaction ended. Where it failed or was replaced, its submitted records are stored
-    /// again; where it was mined they wait for the watcher ([`Ledger::mined`]).
+    /// (or batched) again; where it was mined they wait for the watcher ([`Ledger::mined`]).
     ///
     /// # Errors
     /// [`StoreError::Transaction`] where the ledger does not hold it.
@@ -205,11 +205,16 @@ fn keep(connection: &Connection, new: &NewTransaction) -> Result<(), StoreError>
     if taken {
         return Err(transaction_error(new.hash, "has the nonce of another open transaction"));
     }
-    let digests: Vec<u8> = new.digests.iter().flat_map(|digest| digest.0).collect();
+    let (digests, batch): (&[Digest], _) = match &new.anchors {
+        Anchors::Nothing => (&[], None),
+        Anchors::Digests(digests) => (digests, None),
+        Anchors::Batch(root) => (&[], Some(root.0)),
+    };
+    let bytes: Vec<u8> = digests.iter().flat_map(|digest| digest.0).collect();
     connection
         .prepare_cached(
-            "INSERT INTO transactions (hash, account, nonce, raw, purpose, digests, signed_at, state)
-             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, 0)",
+            "INSERT INTO transactions (hash, account, nonce, raw, purpose, digests, signed_at, state, batch)
+             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, 0, ?8)",
         )?
         .execute(params![
             new.hash.0,
@@ -217,10 +222,14 @@ fn keep(connection: &Connection, new: &NewTransaction) -> Result<(), StoreError>
             nonce,
             new.raw,
             new.purpose,
-            digests,
-            whole("time", Timestamp::now().0)?
+            bytes,
+            whole("time", Timestamp::now().0)?,
+            batch,
         ])?;
-    new.digests.iter().try_for_each(|digest| mark(connection, *digest, new.hash))
+    match new.anchors {
+        Anchors::Batch(root) => batches::submit(connection, root, new.hash, new.account),
+        _ => digests.iter().try_for_each(|digest| mark(connection, *digest, new.hash)),
+    }
 }
 
 fn mark(connection: &Connection, digest: Digest, hash: Hash) -> Result<(), StoreError> {
@@ -228,7 +237,9 @@ fn mark(connection: &Connection, digest: Digest, hash: Hash) -> Result<(), Store
         .prepare_cached("SELECT state FROM records WHERE digest = ?1")?
         .query_row([digest.0], |row| rows::state(row, 0))
         .optional()?;
-    if !found.is_some_and(|state| may(By::Submit, state, RecordState::Submitted)) {
+    // A batched record is anchored with its batch, never by itself.
+    let ready = |state| state != RecordState::Batched && may(By::Submit, state, RecordState::Submitted);
+    if !found.is_some_and(ready) {
         return Err(StoreError::NotReady { digest, found: found.map_or("unknown", RecordState::word) });
     }
     connection.prepare_cached("UPDATE records SET state = ?2, tx = ?3 WHERE digest = ?1")?.execute(params![
@@ -260,11 +271,14 @@ fn close(connection: &Connection, hash: Hash, outcome: TransactionOutcome) -> Re
     if state == TransactionState::Mined { Ok(()) } else { release(connection, hash) }
 }
 
-/// Records of a transaction that will never be mined are stored again.
+/// Records of a transaction that will never be mined are stored (or batched) again.
 fn release(connection: &Connection, hash: Hash) -> Result<(), StoreError> {
-    let digests: Vec<u8> = connection
-        .prepare_cached("SELECT digests FROM transactions WHERE hash = ?1")?
-        .query_row([hash.0], |row| row.get(0))?;
+    let (digests, batch): (Vec<u8>, Option<[u8; 32]>) = connection
+        .prepare_cached("SELECT digests, batch FROM transactions WHERE hash = ?1")?
+        .query_row([hash.0], |row| Ok((row.get(0)?, row.get(1)?)))?;
+    if let Some(root) = batch {
+        return batches::release(connection, Hash(root), hash);
+    }
     let mut statement = connection.prepare_cached(
         "UPDATE records SET state = CASE state WHEN ?3 THEN ?4 ELSE state END, tx = NULL
          WHERE digest = ?1 AND tx = ?2 AND block IS NULL AND state IN (?3, ?5)",
@@ -286,7 +300,11 @@ fn transaction_row(row: &Row<'_>) -> rusqlite::Result<TransactionRow> {
         nonce: unsigned(row, 2)?,
         raw: row.get(3)?,
         purpose: row.get(4)?,
-        digests: digests.chunks_exact(Digest::LENGTH).filter_map(Digest::from_slice).collect(),
+        anchors: match row.get::<_, Option<_>>(12)?.map(Hash) {
+            Some(root) => Anchors::Batch(root),
+            None if digests.is_empty() => Anchors::Nothing,
+            None => Anchors::Digests(digests.chunks_exact(Digest::LENGTH).filter_map(Digest::from_slice).collect()),
+        },
         signed_at: Timestamp(unsigned(row, 6)?),
         state: TransactionState::ALL.get(state).copied().ok_or_else(|| out_of_range(7))?,
         block: row.get::<_, Option<i64>>(8)?.map(i64::cast_unsigned),

@@ -5,8 +5,11 @@ use std::collections::{BTreeMap, HashMap};
 use proptest::prelude::*;
 use proptest::sample::Index;
 
+mod batch;
+
 use super::*;
 use RecordState::{Batched, Confirmed, Mined, Sealed, Stored, Submitted, Tampered, Verified};
+use batch::Batch;
 
 const STATES: [RecordState; 8] = [Sealed, Stored, Batched, Submitted, Mined, Confirmed, Verified, Tampered];
 
@@ -17,6 +20,9 @@ enum Step {
     Advance { picked: Vec<Index>, from: usize, to: usize },
     Heal(Vec<Index>),
     Submit(Vec<Index>),
+    CloseBatch(Vec<Index>),
+    SubmitBatch(Index),
+    SeeBatch { picked: Index, own: bool, block: u64 },
     Close { picked: Index, how: u8, block: u64 },
     Replace { picked: Index, kept: usize },
     See { picked: Vec<Index>, own: bool, block: u64 },
@@ -39,6 +45,10 @@ fn step() -> impl Strategy<Value = Step> {
             .prop_map(|(picked, from, to)| Step::Advance { picked, from, to }),
         1 => picked().prop_map(Step::Heal),
         5 => picked().prop_map(Step::Submit),
+        5 => picked().prop_map(Step::CloseBatch),
+        5 => any::<Index>().prop_map(Step::SubmitBatch),
+        4 => (any::<Index>(), any::<bool>(), block())
+            .prop_map(|(picked, own, block)| Step::SeeBatch { picked, own, block }),
         3 => (any::<Index>(), 0u8..3, block()).prop_map(|(picked, how, block)| Step::Close { picked, how, block }),
         1 => (any::<Index>(), 0usize..4).prop_map(|(picked, kept)| Step::Replace { picked, kept }),
         5 => (picked(), any::<bool>(), block()).prop_map(|(picked, own, block)| Step::See { picked, own, block }),
@@ -57,6 +67,7 @@ struct Known {
     state: RecordState,
     transaction: Option<Hash>,
     block: Option<u64>,
+    batch: Option<usize>,
 }
 
 #[derive(Debug, Clone)]
@@ -70,6 +81,7 @@ struct Sent {
 struct Model {
     records: Vec<Known>,
     sent: Vec<Sent>,
+    batches: Vec<Batch>,
     dropped: BTreeMap<u8, u64>,
     hashes: u8,
 }
@@ -95,7 +107,7 @@ impl Model {
             let kind = if data { RecordKind::Data } else { RecordKind::Gap };
             let local_copy = sealed.then(|| vec![*topic; 50]);
             let new = NewRecord { kind, state, local_copy, ..record(owner, *topic, seq) };
-            self.records.push(Known { new: new.clone(), state, transaction: None, block: None });
+            self.records.push(Known { new: new.clone(), state, transaction: None, block: None, batch: None });
             added.push(new);
         }
         added
@@ -108,7 +120,8 @@ impl Model {
             let possible = match to {
                 Mined | Confirmed => known.block.is_some(),
                 Submitted => known.block.is_none() && known.transaction.is_some(),
-                Stored => known.block.is_none() && known.transaction.is_none(),
+                Stored => known.block.is_none() && known.transaction.is_none() && known.batch.is_none(),
+                Batched => known.block.is_none() && known.transaction.is_none() && known.batch.is_some(),
                 _ => true,
             };
             if known.state == from && possible {
@@ -119,21 +132,31 @@ impl Model {
         moved
     }
 
-    fn new_transaction(&mut self, nonce: Option<u64>, digests: Vec<Digest>) -> NewTransaction {
+    fn new_transaction(&mut self, nonce: Option<u64>, anchors: Anchors) -> NewTransaction {
         self.hashes += 1;
-        let new = transaction(self.hashes, &digests);
-        NewTransaction { nonce: nonce.unwrap_or(new.nonce), ..new }
+        let new = transaction(self.hashes, &[]);
+        NewTransaction { nonce: nonce.unwrap_or(new.nonce), anchors, ..new }
     }
 
     /// Whether the ledger may keep it; notes it where it may.
     fn submit(&mut self, new: &NewTransaction) -> bool {
-        let ready = |known: &&mut Known| new.digests.contains(&known.new.digest);
-        let mut picked: Vec<_> = self.records.iter_mut().filter(ready).collect();
-        if picked.iter().any(|known| !matches!(known.state, Stored | Batched)) {
-            return false;
-        }
-        for known in &mut picked {
-            (known.state, known.transaction) = (Submitted, Some(new.hash));
+        match &new.anchors {
+            Anchors::Nothing => {}
+            Anchors::Batch(root) => {
+                if !self.submit_batch(*root, new.hash) {
+                    return false;
+                }
+            }
+            Anchors::Digests(digests) => {
+                let ready = |known: &&mut Known| digests.contains(&known.new.digest);
+                let mut picked: Vec<_> = self.records.iter_mut().filter(ready).collect();
+                if picked.iter().any(|known| known.state != Stored) {
+                    return false;
+                }
+                for known in &mut picked {
+                    (known.state, known.transaction) = (Submitted, Some(new.hash));
+                }
+            }
         }
         self.sent.push(Sent { new: new.clone(), state: TransactionState::Open, block: None });
         true
@@ -143,6 +166,11 @@ impl Model {
         let sent = &mut self.sent[index];
         (sent.state, sent.block) = (state, block);
         let hash = Some(sent.new.hash);
+        if state != TransactionState::Mined
+            && let Anchors::Batch(root) = sent.new.anchors
+        {
+            return self.release_batch(root, hash);
+        }
         for known in self.records.iter_mut().filter(|k| k.transaction == hash && k.block.is_none()) {
             if state != TransactionState::Mined && matches!(known.state, Submitted | Tampered) {
                 known.transaction = None;
@@ -169,14 +197,20 @@ impl Model {
         for sent in self.sent.iter_mut().filter(|s| s.state == TransactionState::Mined && gone(s.block)) {
             (sent.state, sent.block) = (TransactionState::Open, None);
         }
+        let open: Vec<Hash> =
+            self.sent.iter().filter(|s| s.state == TransactionState::Open).map(|s| s.new.hash).collect();
+        for batch in self.batches.iter_mut().filter(|batch| gone(batch.block)) {
+            batch.block = None;
+            batch.transaction = batch.transaction.filter(|hash| open.contains(hash));
+        }
         let mut moved = 0;
         for known in self.records.iter_mut().filter(|known| gone(known.block)) {
             if known.state == Tampered {
                 (known.transaction, known.block) = (None, None);
             } else if states.contains(&known.state) {
-                let open = |s: &Sent| Some(s.new.hash) == known.transaction && s.state == TransactionState::Open;
-                let ours = self.sent.iter().any(open);
-                known.state = if ours { Submitted } else { Stored };
+                let ours = known.transaction.is_some_and(|hash| open.contains(&hash));
+                let waiting = if known.batch.is_some() { Batched } else { Stored };
+                known.state = if ours { Submitted } else { waiting };
                 known.transaction = known.transaction.filter(|_| ours);
                 known.block = None;
                 moved += 1;
@@ -222,7 +256,7 @@ impl Pair {
             }
             Step::Heal(picked) => {
                 let picked = self.model.pick(&picked);
-                let healed = [Mined, Submitted, Stored].map(|to| self.model.advance(&picked, Tampered, to));
+                let healed = [Mined, Submitted, Batched, Stored].map(|to| self.model.advance(&picked, Tampered, to));
                 assert_eq!(self.ledger().heal(&self.model.digests(&picked)), Ok(healed.iter().sum()));
             }
             Step::DropCopies(picked) => {
@@ -246,7 +280,7 @@ impl Pair {
         match step {
             Step::Submit(picked) => {
                 let digests = self.model.digests(&self.model.pick(&picked));
-                let new = self.model.new_transaction(None, digests);
+                let new = self.model.new_transaction(None, Anchors::Digests(digests));
                 let kept = self.ledger().submit(new.clone());
                 assert_eq!(kept.is_ok(), self.model.submit(&new), "{kept:?}");
             }
@@ -267,6 +301,16 @@ impl Pair {
                 };
                 assert_eq!(self.ledger().close_transaction(hash, outcome), Ok(()));
                 self.model.close(index, state, block);
+            }
+            Step::CloseBatch(picked) => self.close_batch(&picked),
+            Step::SubmitBatch(picked) if !self.model.batches.is_empty() => {
+                let root = picked.get(&self.model.batches).root;
+                let new = self.model.new_transaction(None, Anchors::Batch(root));
+                let kept = self.ledger().submit(new.clone());
+                assert_eq!(kept.is_ok(), self.model.submit(&new), "{kept:?}");
+            }
+            Step::SeeBatch { picked, own, block } if !self.model.batches.is_empty() => {
+                self.see_batch(picked.index(self.model.batches.len()), own, block);
             }
             Step::Replace { picked, kept } if !self.model.sent.is_empty() => self.replace(&picked, kept),
             Step::See { picked, own, block } => {
@@ -306,16 +350,20 @@ impl Pair {
     fn replace(&mut self, picked: &Index, kept: usize) {
         let index = picked.index(self.model.sent.len());
         let old = self.model.sent[index].clone();
-        let digests = old.new.digests.iter().take(kept).copied().collect();
-        let new = self.model.new_transaction(Some(old.new.nonce), digests);
+        let anchors = match &old.new.anchors {
+            Anchors::Digests(digests) => Anchors::Digests(digests.iter().take(kept).copied().collect()),
+            _ if kept == 0 => Anchors::Nothing,
+            other => other.clone(),
+        };
+        let new = self.model.new_transaction(Some(old.new.nonce), anchors);
         let answer = self.ledger().replace_transaction(old.new.hash, new.clone());
-        let before = (self.model.records.clone(), self.model.sent.clone());
+        let before = (self.model.records.clone(), self.model.sent.clone(), self.model.batches.clone());
         let possible = old.state == TransactionState::Open && {
             self.model.close(index, TransactionState::Replaced, None);
             self.model.submit(&new)
         };
         if !possible {
-            (self.model.records, self.model.sent) = before;
+            (self.model.records, self.model.sent, self.model.batches) = before;
         }
         assert_eq!(answer.is_ok(), possible, "{answer:?}");
     }
@@ -342,11 +390,17 @@ impl Pair {
         }
         let open = self.ledger().open_transactions(Address([1; 20])).expect("open");
         let model = self.model.sent.iter().filter(|sent| sent.state == TransactionState::Open);
-        let mut model: Vec<_> = model.map(|sent| (sent.new.nonce, sent.new.hash, sent.new.digests.clone())).collect();
-        model.sort();
-        let mut open: Vec<_> = open.into_iter().map(|row| (row.nonce, row.hash, row.digests)).collect();
-        open.sort();
+        // A transaction that anchors an empty list anchors nothing.
+        let plain = |anchors: &Anchors| match anchors {
+            Anchors::Digests(digests) if digests.is_empty() => Anchors::Nothing,
+            other => other.clone(),
+        };
+        let mut model: Vec<_> = model.map(|sent| (sent.new.nonce, sent.new.hash, plain(&sent.new.anchors))).collect();
+        model.sort_by_key(|sent| (sent.0, sent.1));
+        let mut open: Vec<_> = open.into_iter().map(|row| (row.nonce, row.hash, row.anchors)).collect();
+        open.sort_by_key(|row| (row.0, row.1));
         assert_eq!(open, model);
+        self.compare_batches();
         self.recount();
     }
 

@@ -1,0 +1,181 @@
+//! Anchoring as a whole: ledger, anchorer, sender, watcher and the embedded chain.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use super::anchorer::Anchorer;
+use super::{Directory, Network, Observer, Owner, Plant, Sender, proof, watcher};
+use crate::chain::{Call, Chain, ChainOptions, Endpoint};
+use crate::crypto::sm3::sm3;
+use crate::crypto::{Keyring, Passphrase, ProviderName, UnlockedKeyring, domain, prove, provider};
+use crate::model::{
+    AnchorMode, Digest, ProfileName, RecordKind, RecordState, Signature, SignerId, Timestamp, Token, TopicId,
+};
+use crate::store::{Ledger, NewRecord, RecordQuery, RecordRow, open_vault};
+
+/// Gas of one batch, at most.
+const MOST_GAS: u64 = 70_000;
+
+struct Deaf;
+
+impl Observer for Deaf {
+    fn records_changed(&self) {}
+    fn verified(&self, _: &[Digest]) {}
+    fn tampered(&self, _: &[Digest]) {}
+    fn directory_changed(&self) {}
+    fn alert(&self, _: bool, text: String) {
+        panic!("{text}");
+    }
+}
+
+struct Line {
+    plant: Plant,
+    network: Network,
+    sender: Sender,
+    owner: Owner,
+    _home: tempfile::TempDir,
+}
+
+impl Line {
+    /// A registered owner on a fresh embedded chain.
+    async fn new() -> Self {
+        let home = tempfile::tempdir().expect("temporary directory");
+        let plant = plant(home.path());
+        let keyring = Keyring::generate(plant.provider).expect("keys");
+        let passphrase = Passphrase::new("correct horse battery".to_owned()).expect("long enough");
+        let keyring = UnlockedKeyring::create(keyring, &home.path().join("keys/k"), &passphrase).expect("keyring");
+        let owner = Owner::new("owner".parse::<ProfileName>().expect("a name"), keyring);
+        let directory = home.path().join("chain");
+        let endpoint = Endpoint::Embedded { directory };
+        let options = ChainOptions { endpoint, contract: None, pinned: None, confirmations: 1 };
+        let chain = Chain::connect(options).await.expect("a chain");
+        let pin = chain.deploy(&owner.eoa()).await.expect("deployed");
+        let domain = domain(pin.chain_id, &pin.genesis, &pin.contract);
+        let directory = Arc::new(Directory::new(domain, plant.provider));
+        let network = Network { chain, domain, directory, confirmations: 1 };
+        let sender = Sender::new(plant.ledger.clone());
+        let (signing, envelope) = (owner.signing(), owner.envelope().public);
+        let identity = prove(plant.provider, &domain, &owner.address, &signing, &envelope, Token([1; 32]));
+        let call = Call::Register { identity: identity.expect("proven") };
+        sender.send(&network.chain, &owner.eoa(), call, "register").await.expect("registered");
+        let line = Self { plant, network, sender, owner, _home: home };
+        line.watch().await;
+        line
+    }
+
+    async fn watch(&self) -> u64 {
+        watcher::watch_round(&self.plant, &self.network).await.expect("scanned").number
+    }
+
+    fn append(&self, topic: u8, from: u64, count: u64) {
+        let records = (from..from + count).map(|seq| record(&self.owner, topic, seq)).collect();
+        self.plant.ledger.append(records).expect("acknowledged");
+    }
+
+    fn count(&self, state: RecordState) -> u64 {
+        self.plant.ledger.counts(None).expect("counts").data_in(state)
+    }
+
+    /// Anchors until all is confirmed; `feed` adds records between the rounds and says whether it has more.
+    async fn drain(&self, mode: AnchorMode, all: u64, mut feed: impl FnMut() -> bool) {
+        let (mut anchorer, lanes) = (Anchorer::new(mode), [self.owner.eoa()]);
+        loop {
+            let more = feed();
+            let round = anchorer.round(&self.plant, &self.network, &self.sender, &self.owner, &lanes).await;
+            let round = round.expect("a round");
+            let head = self.watch().await;
+            if !more && self.count(RecordState::Confirmed) == all {
+                return;
+            }
+            if round.submitted == 0 && !more {
+                self.network.chain.next_block(head, round.next).await.expect("a block");
+            }
+            self.sender.resend(&self.network.chain, self.owner.address).await.expect("closed");
+        }
+    }
+
+    async fn is_anchored(&self, row: &RecordRow) -> bool {
+        proof::is_anchored(&self.plant, &self.network, row).await.expect("answer")
+    }
+
+    fn rows(&self, limit: usize) -> Vec<RecordRow> {
+        self.plant.ledger.list(&RecordQuery { limit, ..RecordQuery::default() }).expect("a page").rows
+    }
+}
+
+fn plant(home: &Path) -> Plant {
+    Plant {
+        ledger: Ledger::open(&home.join("ledger.db")).expect("a ledger"),
+        vault: open_vault(None, home).expect("a vault"),
+        provider: provider(ProviderName::default()),
+        observer: Arc::new(Deaf),
+    }
+}
+
+fn record(owner: &Owner, topic: u8, seq: u64) -> NewRecord {
+    NewRecord {
+        digest: Digest(sm3(&[&[topic], &seq.to_be_bytes()])),
+        owner: owner.address,
+        topic_id: TopicId([topic; 16]),
+        seq,
+        epoch: 1,
+        kind: RecordKind::Data,
+        signer: SignerId([1; 32]),
+        signature: Signature([7; 64]),
+        topic: format!("/robot{topic}/odom"),
+        type_name: "nav_msgs/Odometry".to_owned(),
+        bytes: 100,
+        captured_at: Timestamp(u64::from(topic) << 32 | seq),
+        simulated: true,
+        state: RecordState::Stored,
+        local_copy: None,
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_hundred_thousand_records_take_a_handful_of_transactions() {
+    let line = Line::new().await;
+    let begin = line.watch().await;
+    let mut fed = 0;
+    let feed = || {
+        if fed < 100_000 {
+            line.append(u8::try_from(fed / 5_000).expect("twenty topics"), fed + 1, 2_500);
+            fed += 2_500;
+        }
+        fed < 100_000
+    };
+    line.drain(AnchorMode::Batch, 100_000, feed).await;
+    let (transactions, gas) = line.network.chain.work(begin + 1, line.watch().await).await.expect("work");
+    assert!((7..=60).contains(&transactions), "{transactions} transactions for 100,000 records");
+    assert!(gas <= transactions * MOST_GAS, "{gas} gas in {transactions} transactions");
+    let rows = line.rows(10_000);
+    for row in rows.iter().step_by(rows.len() / 1_000) {
+        assert!(line.is_anchored(row).await, "{}", row.id);
+        let other = RecordRow { seq: row.seq + 1, ..row.clone() };
+        assert!(!line.is_anchored(&other).await, "another's number");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn both_modes_anchor_what_the_other_left() {
+    let line = Line::new().await;
+    line.append(1, 1, 40);
+    line.drain(AnchorMode::Each, 40, || false).await;
+    line.append(1, 41, 40);
+    line.drain(AnchorMode::Batch, 80, || false).await;
+    // A batch that was closed and not sent is anchored as one, also one by one.
+    line.append(1, 81, 10);
+    let leaves = line.plant.ledger.stored_leaves(line.owner.address, 100).expect("leaves");
+    let batch = super::anchorer::close_batch(&line.plant, line.owner.address, &leaves).expect("closed");
+    assert_eq!(batch.map(|batch| batch.count), Some(10));
+    line.drain(AnchorMode::Each, 90, || false).await;
+    for row in line.rows(100) {
+        assert!(line.is_anchored(&row).await, "{}", row.seq);
+        let place = line.plant.ledger.batch_place(row.digest).expect("read");
+        assert_eq!(place.is_some(), row.seq > 40);
+        let uploaded = line.network.chain.anchored(row.owner, row.digest).await.expect("answer");
+        assert_eq!(uploaded, row.seq <= 40, "one by one or in a batch, never both");
+    }
+    let never = RecordRow { digest: Digest([1; 32]), ..line.rows(1).remove(0) };
+    assert!(!line.is_anchored(&never).await);
+}

@@ -1,0 +1,331 @@
+//! Merkle batches: closing one, what waits to be anchored, what the chain has of it, a record's proof.
+
+use rusqlite::{Connection, OptionalExtension as _, Row, params};
+use serde::{Deserialize, Serialize};
+
+use super::append::count;
+use super::edges::{By, may};
+use super::rows::{self, unsigned};
+use super::{Ledger, database::whole};
+use crate::chain::merkle::{Inclusion, Leaf};
+use crate::model::{Address, Digest, Hash, RecordState, RecorderId, Timestamp, TopicId};
+use crate::store::StoreError;
+
+/// A batch to be closed.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct NewBatch {
+    /// Whose records.
+    pub owner: Address,
+    /// Merkle root over the leaves.
+    pub root: Hash,
+    /// The records in the order of their leaves, each with its path to the root.
+    pub leaves: Vec<(Digest, Vec<Hash>)>,
+}
+
+/// A closed batch that no transaction anchors yet.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct WaitingBatch {
+    /// Merkle root.
+    pub root: Hash,
+    /// Leaves.
+    pub count: u64,
+}
+
+/// A root found in a block.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct RootSighting {
+    /// Who anchored it.
+    pub account: Address,
+    /// The root.
+    pub root: Hash,
+    /// Over how many leaves, as the chain says.
+    pub count: u64,
+    /// The transaction that anchored it.
+    pub transaction: Hash,
+    /// Its block's number.
+    pub block: u64,
+    /// Its block's hash.
+    pub block_hash: Hash,
+}
+
+/// A record's place in its batch, and where that stands.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct BatchPlace {
+    /// Index, count, path and root.
+    pub inclusion: Inclusion,
+    /// When the batch was closed.
+    pub closed_at: Timestamp,
+    /// Who anchored the root, or tries to.
+    pub account: Option<Address>,
+    /// The block of the root's first anchoring.
+    pub block: Option<u64>,
+}
+
+/// What a transaction anchors.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Anchors {
+    /// No record: a grant, a registration, ….
+    Nothing,
+    /// These records, one by one.
+    Digests(Vec<Digest>),
+    /// All records of the batch with this root.
+    Batch(Hash),
+}
+
+impl Ledger {
+    /// Closes a batch: keeps its root and every record's path, and moves its records from stored to
+    /// batched, in one commit. Closing the same batch again changes nothing.
+    ///
+    /// # Errors
+    /// [`StoreError::NotReady`] where a record is not stored: then nothing is kept.
+    pub fn close_batch(&self, batch: NewBatch) -> Result<(), StoreError> {
+        self.write(move |session| close(session.connection, &batch))
+    }
+
+    /// Closed batches of an owner that no transaction anchors, oldest first.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn waiting_batches(&self, owner: Address, limit: usize) -> Result<Vec<WaitingBatch>, StoreError> {
+        self.read(|connection| {
+            let mut statement = connection.prepare_cached(
+                "SELECT root, count FROM batches INDEXED BY batches_waiting
+                 WHERE owner = ?1 AND tx IS NULL ORDER BY key LIMIT ?2",
+            )?;
+            let limit = i64::try_from(limit).unwrap_or(i64::MAX);
+            let rows = statement.query_map(params![owner.0, limit], |row| {
+                Ok(WaitingBatch { root: Hash(row.get(0)?), count: unsigned(row, 1)? })
+            })?;
+            Ok(rows.collect::<Result<_, _>>()?)
+        })
+    }
+
+    /// Roots that open transactions of an account anchor, by nonce.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn open_roots(&self, account: Address) -> Result<Vec<Hash>, StoreError> {
+        self.read(|connection| {
+            let mut statement = connection.prepare_cached(
+                "SELECT batch FROM transactions WHERE state = 0 AND account = ?1 AND batch IS NOT NULL ORDER BY nonce",
+            )?;
+            let rows = statement.query_map([account.0], |row| row.get(0).map(Hash))?;
+            Ok(rows.collect::<Result<_, _>>()?)
+        })
+    }
+
+    /// How many stored records of an owner wait for a batch, and when the first captured of them was
+    /// acknowledged.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn unbatched(&self, owner: Address) -> Result<(u64, Option<Timestamp>), StoreError> {
+        self.read(|connection| {
+            let found = connection
+                .prepare_cached(
+                    "SELECT coalesce(sum(coalesce((SELECT records FROM counters WHERE stream = streams.key AND state = ?2), 0)), 0),
+                     min((SELECT acknowledged_at FROM records INDEXED BY records_by_state
+                          WHERE state = ?2 AND stream = streams.key ORDER BY captured_at LIMIT 1))
+                     FROM streams JOIN topics ON topics.key = topic WHERE owner = ?1",
+                )?
+                .query_row(params![owner.0, RecordState::Stored.code()], |row| {
+                    Ok((unsigned(row, 0)?, row.get::<_, Option<i64>>(1)?.map(|at| Timestamp(at.cast_unsigned()))))
+                })?;
+            Ok(found)
+        })
+    }
+
+    /// Up to `limit` stored records of an owner as leaves, topic by topic in the order of capture.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn stored_leaves(&self, owner: Address, limit: usize) -> Result<Vec<Leaf>, StoreError> {
+        self.read(|connection| {
+            let mut statement = connection.prepare_cached(
+                "SELECT recorders.id, topics.topic_id, seq, digest FROM streams
+                 JOIN topics ON topics.key = streams.topic JOIN recorders ON recorders.key = topics.recorder
+                 JOIN records INDEXED BY records_by_state ON state = ?2 AND stream = streams.key
+                 WHERE topics.owner = ?1 ORDER BY streams.key, captured_at LIMIT ?3",
+            )?;
+            let limit = i64::try_from(limit).unwrap_or(i64::MAX);
+            let rows = statement.query_map(params![owner.0, RecordState::Stored.code(), limit], |row| {
+                let (recorder, topic_id) = (RecorderId(row.get(0)?), TopicId(row.get(1)?));
+                Ok(Leaf { owner, recorder, topic_id, seq: unsigned(row, 2)?, digest: Digest(row.get(3)?) })
+            })?;
+            Ok(rows.collect::<Result<_, _>>()?)
+        })
+    }
+
+    /// How many transactions of an account are in no block yet.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn count_open(&self, account: Address) -> Result<u64, StoreError> {
+        self.read(|connection| {
+            let sql = "SELECT count(*) FROM transactions WHERE state = 0 AND account = ?1";
+            Ok(connection.prepare_cached(sql)?.query_row([account.0], |row| unsigned(row, 0))?)
+        })
+    }
+
+    /// Takes in roots found on the chain: pending records of the batch are mined now, with this
+    /// transaction and block; those that stand in a block by themselves stay there. A root that stands in a block already keeps it: the earliest counts. Roots
+    /// of other ledgers, or over another number of leaves, are passed over. Returns how many records
+    /// changed; seeing the same again changes none.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like: then none is taken in.
+    pub fn anchored(&self, sightings: &[RootSighting]) -> Result<u64, StoreError> {
+        let sightings = sightings.to_vec();
+        self.write(move |session| {
+            sightings.iter().try_fold(0, |changed, sighting| Ok(changed + see(session.connection, sighting)?))
+        })
+    }
+
+    /// A record's place in its batch, where it is in one.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn batch_place(&self, digest: Digest) -> Result<Option<BatchPlace>, StoreError> {
+        self.read(|connection| {
+            let place = connection
+                .prepare_cached(
+                    "SELECT leaf, count, path, root, closed_at, account, batches.block
+                     FROM records JOIN leaves ON record = n JOIN batches ON key = batch WHERE digest = ?1",
+                )?
+                .query_row([digest.0], place)
+                .optional()?;
+            Ok(place)
+        })
+    }
+}
+
+fn place(row: &Row<'_>) -> rusqlite::Result<BatchPlace> {
+    let path: Vec<u8> = row.get(2)?;
+    Ok(BatchPlace {
+        inclusion: Inclusion {
+            index: unsigned(row, 0)?,
+            count: unsigned(row, 1)?,
+            path: path.chunks_exact(Hash::LENGTH).filter_map(Hash::from_slice).collect(),
+            root: Hash(row.get(3)?),
+        },
+        closed_at: Timestamp(unsigned(row, 4)?),
+        account: row.get::<_, Option<_>>(5)?.map(Address),
+        block: row.get::<_, Option<i64>>(6)?.map(i64::cast_unsigned),
+    })
+}
+
+fn close(connection: &Connection, batch: &NewBatch) -> Result<(), StoreError> {
+    if key_of(connection, batch.root)?.is_some() {
+        return Ok(());
+    }
+    let leaves = i64::try_from(batch.leaves.len()).unwrap_or(i64::MAX);
+    connection
+        .prepare_cached("INSERT INTO batches (root, owner, count, closed_at) VALUES (?1, ?2, ?3, ?4)")?
+        .execute(params![batch.root.0, batch.owner.0, leaves, whole("time", Timestamp::now().0)?])?;
+    let key = connection.last_insert_rowid();
+    let mut find = connection.prepare_cached("SELECT n, state FROM records WHERE digest = ?1")?;
+    let mut add = connection.prepare_cached("INSERT INTO leaves VALUES (?1, ?2, ?3, ?4)")?;
+    let mut move_on = connection.prepare_cached("UPDATE records SET state = ?2 WHERE n = ?1")?;
+    for (index, (digest, path)) in (0_i64..).zip(&batch.leaves) {
+        let found = find.query_row([digest.0], |row| Ok((row.get::<_, i64>(0)?, rows::state(row, 1)?))).optional()?;
+        let (record, state) = found.ok_or(StoreError::NotReady { digest: *digest, found: "unknown" })?;
+        if !may(By::Batch, state, RecordState::Batched) {
+            return Err(StoreError::NotReady { digest: *digest, found: state.word() });
+        }
+        let path: Vec<u8> = path.iter().flat_map(|step| step.0).collect();
+        add.execute(params![record, key, index, path])?;
+        move_on.execute(params![record, RecordState::Batched.code()])?;
+    }
+    Ok(())
+}
+
+fn key_of(connection: &Connection, root: Hash) -> Result<Option<i64>, StoreError> {
+    let key = connection
+        .prepare_cached("SELECT key FROM batches WHERE root = ?1")?
+        .query_row([root.0], |row| row.get(0))
+        .optional()?;
+    Ok(key)
+}
+
+fn see(connection: &Connection, sighting: &RootSighting) -> Result<u64, StoreError> {
+    let (block, leaves) = (whole("block", sighting.block)?, whole("count", sighting.count)?);
+    let found = connection
+        .prepare_cached("SELECT key FROM batches WHERE root = ?1 AND count = ?2 AND block IS NULL")?
+        .query_row(params![sighting.root.0, leaves], |row| row.get::<_, i64>(0))
+        .optional()?;
+    let Some(key) = found else { return Ok(0) };
+    connection
+        .prepare_cached("UPDATE batches SET account = ?2, tx = ?3, block = ?4, block_hash = ?5 WHERE key = ?1")?
+        .execute(params![key, sighting.account.0, sighting.transaction.0, block, sighting.block_hash.0])?;
+    let changed = connection
+        .prepare_cached(
+            "UPDATE records SET tx = ?2, block = ?3, block_hash = ?4,
+             state = CASE WHEN state IN (?5, ?6) THEN ?7 ELSE state END
+             WHERE block IS NULL AND n IN (SELECT record FROM leaves WHERE batch = ?1)",
+        )?
+        .execute(params![
+            key,
+            sighting.transaction.0,
+            block,
+            sighting.block_hash.0,
+            RecordState::Batched.code(),
+            RecordState::Submitted.code(),
+            RecordState::Mined.code(),
+        ])?;
+    Ok(count(changed))
+}
+
+/// A transaction that anchors the batch was signed: its records are submitted.
+pub(super) fn submit(
+    connection: &Connection,
+    root: Hash,
+    transaction: Hash,
+    account: Address,
+) -> Result<(), StoreError> {
+    let detail = |detail: &str| StoreError::Transaction { hash: transaction.to_hex(), detail: detail.to_owned() };
+    let key = key_of(connection, root)?.ok_or_else(|| detail("anchors a batch that the ledger does not hold"))?;
+    let taken = connection
+        .prepare_cached("UPDATE batches SET tx = ?2, account = ?3 WHERE key = ?1 AND tx IS NULL")?
+        .execute(params![key, transaction.0, account.0])?;
+    if taken == 0 {
+        return Err(detail("anchors a batch that another transaction anchors"));
+    }
+    connection
+        .prepare_cached(
+            "UPDATE records SET tx = ?2, state = CASE state WHEN ?3 THEN ?4 ELSE state END
+             WHERE block IS NULL AND n IN (SELECT record FROM leaves WHERE batch = ?1)",
+        )?
+        .execute(params![key, transaction.0, RecordState::Batched.code(), RecordState::Submitted.code()])?;
+    Ok(())
+}
+
+/// The transaction will never be mined: where nothing else anchored the batch, it waits again.
+pub(super) fn release(connection: &Connection, root: Hash, transaction: Hash) -> Result<(), StoreError> {
+    let Some(key) = key_of(connection, root)? else { return Ok(()) };
+    let freed = connection
+        .prepare_cached("UPDATE batches SET tx = NULL, account = NULL WHERE key = ?1 AND tx = ?2 AND block IS NULL")?
+        .execute(params![key, transaction.0])?;
+    if freed == 0 {
+        return Ok(());
+    }
+    connection
+        .prepare_cached(
+            "UPDATE records SET tx = NULL, state = CASE state WHEN ?3 THEN ?4 ELSE state END
+             WHERE block IS NULL AND tx = ?2 AND n IN (SELECT record FROM leaves WHERE batch = ?1)",
+        )?
+        .execute(params![key, transaction.0, RecordState::Submitted.code(), RecordState::Batched.code()])?;
+    Ok(())
+}
+
+/// Blocks from this one on are gone: batches lose their block, and their transaction unless it is open.
+pub(super) fn take_back(connection: &Connection, block: i64) -> Result<(), StoreError> {
+    connection
+        .prepare_cached(
+            "UPDATE batches SET block = NULL, block_hash = NULL,
+             account = CASE WHEN EXISTS (SELECT 1 FROM transactions WHERE hash = tx AND state = 0) THEN account END,
+             tx = CASE WHEN EXISTS (SELECT 1 FROM transactions WHERE hash = tx AND state = 0) THEN tx END
+             WHERE block >= ?1",
+        )?
+        .execute([block])?;
+    Ok(())
+}
