@@ -104,12 +104,7 @@ contract AuthROS {
     );
     /// @notice An owner lets a grantee read; an empty scope means all topics, expiry 0 no end.
     event Granted(
-        address indexed owner,
-        address indexed grantee,
-        uint64 epoch,
-        uint64 expiry,
-        bytes16[] scope,
-        bytes envelope
+        address indexed owner, address indexed grantee, uint64 epoch, uint64 expiry, bytes16[] scope, bytes envelope
     );
     /// @notice A grantee got the envelope of a further epoch.
     event Wrapped(address indexed owner, address indexed grantee, uint64 epoch, bytes envelope);
@@ -382,11 +377,13 @@ contract AuthROS {
     }
 
     /// @notice Names the account that continues the work of a lost one, which is suspended for good.
+    /// @dev A lost account stays suspended, so successors never form a circle and whoever follows them ends.
     /// @param lost the account whose key is lost or stolen
-    /// @param successor a registered account
+    /// @param successor a registered account that is not suspended
     function succeed(address lost, address successor) external onlyAdministrator {
         require(accounts[lost].epoch != 0 && accounts[successor].epoch != 0, "unregistered");
         require(lost != successor, "self");
+        require(!accounts[successor].suspended, "successor");
         successorOf[lost] = successor;
         accounts[lost].suspended = true;
         emit Succeeded(lost, successor);

@@ -8,7 +8,7 @@ use std::str::FromStr;
 use serde::Serialize;
 
 use crate::crypto::ProviderName;
-use crate::model::{Address, AnchorMode, ErrorKind, clean};
+use crate::model::{Address, AnchorMode, Consensus, ErrorKind, clean};
 
 /// Why the settings cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -90,7 +90,7 @@ pub struct Definition {
 }
 
 /// Every setting, in the order shown.
-pub const DEFINITIONS: [Definition; 10] = [
+pub const DEFINITIONS: [Definition; 13] = [
     Definition {
         name: "ros.master",
         variable: "ROS_MASTER_URI",
@@ -128,6 +128,18 @@ pub const DEFINITIONS: [Definition; 10] = [
         text: "address of the AuthROS contract; empty = deploy one at first registration",
     },
     Definition {
+        name: "chain.max_fee",
+        variable: "AUTHROS_MAX_FEE",
+        default: "1000",
+        text: "most gwei per gas a transaction may offer, replacements included; empty = no cap",
+    },
+    Definition {
+        name: "chain.consensus",
+        variable: "AUTHROS_CONSENSUS",
+        default: "",
+        text: "embedded chain: poa[:SIGNERS:PERIOD_MS] or pow[:DIFFICULTY]; empty = as founded, new ones poa",
+    },
+    Definition {
         name: "vault.url",
         variable: "AUTHROS_VAULT",
         default: "",
@@ -144,6 +156,12 @@ pub const DEFINITIONS: [Definition; 10] = [
         variable: "AUTHROS_ANCHOR_MODE",
         default: "batch",
         text: "batch = Merkle roots, about one transaction a second; each = one dataUpload per record",
+    },
+    Definition {
+        name: "anchor.lanes",
+        variable: "AUTHROS_ANCHOR_LANES",
+        default: "1",
+        text: "accounts that anchor side by side, the owner's included, 1 to 8",
     },
     Definition {
         name: "confirmations",
@@ -191,6 +209,12 @@ pub struct Config {
     pub chain_url: Option<String>,
     /// The contract's address.
     pub contract: Option<Address>,
+    /// The most wei per gas that a transaction may offer.
+    pub max_fee: Option<u128>,
+    /// Accounts that anchor side by side, the owner's included.
+    pub lanes: u8,
+    /// What the embedded chain's consensus must be; a new one is founded with it.
+    pub consensus: Option<Consensus>,
     /// A real Redis.
     pub vault_url: Option<String>,
     /// Which SM implementation.
@@ -237,6 +261,12 @@ impl Config {
             ros_master,
             chain_url: url(&values, "chain.url", &["http://", "ws://", "ipc://", "/"])?,
             contract: parsed(&values, "chain.contract")?,
+            max_fee: match text("chain.max_fee") {
+                Some(_) => Some(u128::from(number(&values, "chain.max_fee", 0, 1_000_000_000)?) * 1_000_000_000),
+                None => None,
+            },
+            lanes: u8::try_from(number(&values, "anchor.lanes", 1, 8)?).unwrap_or(1),
+            consensus: parsed(&values, "chain.consensus")?,
             vault_url: url(&values, "vault.url", &["redis://", "redis+unix://", "unix://"])?,
             provider: parsed(&values, "crypto.provider")?.unwrap_or_default(),
             anchor_mode: parsed(&values, "anchor.mode")?.unwrap_or_default(),

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use ethers::providers::JsonRpcError;
 
-use crate::model::{Address, ErrorKind, bytes::unhex, clean};
+use crate::model::{Address, Consensus, ErrorKind, bytes::unhex, clean};
 
 /// Why something on the chain did not happen.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -32,8 +32,8 @@ pub enum ChainError {
     Url(String),
     /// The chain is not the one that was pinned.
     #[error(
-        "the chain at {url} is not the pinned one: its {what} is {found}, pinned is {pinned}; start the pinned chain \
-         again, or use another --home for this one"
+        "the chain at {url} is not the pinned one: its {what} is {found}, pinned is {pinned}; anchoring is \
+         stopped and nothing is lost; start the pinned chain again, or decide with `authros chain adopt` to go on here"
     )]
     Swapped {
         /// Where.
@@ -104,6 +104,19 @@ pub enum ChainError {
         /// Why.
         reason: String,
     },
+    /// The embedded chain was founded with another consensus.
+    #[error(
+        "the embedded chain {} was founded with {founded}, and {asked} was asked for; leave `chain.consensus` empty, or \
+         use another --home", path.display()
+    )]
+    OtherConsensus {
+        /// The file.
+        path: PathBuf,
+        /// What it was founded with.
+        founded: Consensus,
+        /// What was asked for.
+        asked: Consensus,
+    },
     /// A fault of this program.
     #[error("internal error in the chain room: {0}; please report it")]
     Internal(String),
@@ -114,7 +127,7 @@ impl ChainError {
     pub fn kind(&self) -> ErrorKind {
         match self {
             Self::Unreachable { .. } | Self::Answer { .. } | Self::NotMined(_) => ErrorKind::Unreachable,
-            Self::Url(_) | Self::NoContract | Self::Input(_) => ErrorKind::Input,
+            Self::Url(_) | Self::NoContract | Self::OtherConsensus { .. } | Self::Input(_) => ErrorKind::Input,
             Self::Tampered { .. } => ErrorKind::Tampered,
             Self::File { .. } => ErrorKind::Home,
             Self::Internal(_) => ErrorKind::Internal,
@@ -191,6 +204,7 @@ pub fn explain(code: &str) -> String {
         "suspended" => "the administrator suspended the account; ask the administrator",
         "paused" => "the administrator paused the contract; try again later",
         "closed" => "registration is closed; ask the administrator to admit the account",
+        "successor" => "the successor is suspended or lost itself; name another account",
         "succeeded" => "the account has a successor and stays suspended; use the successor's account",
         "token unknown" => "the account never registered this token; check that the keyring belongs to this account",
         "token used" => "the token belongs to an earlier epoch; rotate again with a fresh key",

@@ -11,6 +11,7 @@ mod development;
 mod embedded;
 mod error;
 mod event;
+mod fees;
 pub mod merkle;
 mod reader;
 mod sender;
@@ -28,6 +29,8 @@ use serde::{Deserialize, Serialize};
 pub use self::call::{Call, LONGEST_ENVELOPE, MOST_WRAPS};
 pub use self::error::{ChainError, explain};
 pub use self::event::Event;
+pub use self::fees::{Market, Offered, call_data, is_same_call, offered};
+pub use crate::model::Consensus;
 use crate::model::{Address, Digest, Hash, Identity, Timestamp, Token};
 
 /// Where the chain is.
@@ -37,6 +40,9 @@ pub enum Endpoint {
     Embedded {
         /// Holds `chain.db`; made where it is missing.
         directory: PathBuf,
+        /// How its blocks are sealed; `None` = as it was founded, and [`Consensus::POA`] for a new one.
+        /// A chain founded otherwise is refused.
+        consensus: Option<Consensus>,
     },
     /// A node.
     Node {

@@ -8,7 +8,7 @@ use crate::crypto::EoaSecret;
 use crate::model::{ErrorKind, PublicKey, Signature};
 
 fn embedded(directory: &Path) -> ChainOptions {
-    let endpoint = Endpoint::Embedded { directory: directory.to_owned() };
+    let endpoint = Endpoint::Embedded { directory: directory.to_owned(), consensus: None };
     ChainOptions { endpoint, contract: None, pinned: None, confirmations: 1 }
 }
 

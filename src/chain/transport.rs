@@ -80,9 +80,9 @@ impl Transport {
     /// [`ChainError::Url`], or what opening the embedded chain gives.
     pub async fn open(endpoint: &Endpoint) -> Result<Self, ChainError> {
         match endpoint {
-            Endpoint::Embedded { directory } => {
+            Endpoint::Embedded { directory, consensus } => {
                 let url = format!("embedded:{}", directory.display());
-                Ok(Self { line: Line::Embedded(Embedded::open(directory.clone()).await?), url })
+                Ok(Self { line: Line::Embedded(Embedded::open(directory.clone(), *consensus).await?), url })
             }
             Endpoint::Node { url } => Ok(Self { line: line(url)?, url: shown(url) }),
         }

@@ -44,6 +44,9 @@ pub struct Global {
     /// Address of the `AuthROS` contract on that chain
     #[arg(long, global = true, value_name = "ADDRESS")]
     pub contract: Option<String>,
+    /// How the embedded chain seals: poa, poa:SIGNERS:PERIOD_MS, pow or pow:DIFFICULTY
+    #[arg(long, global = true, value_name = "NAME")]
+    pub consensus: Option<String>,
     /// Real Redis, as redis://host:6379
     #[arg(long, global = true, value_name = "URL")]
     pub vault: Option<String>,
@@ -68,6 +71,7 @@ impl Global {
             "ros.master" => self.ros_master.clone(),
             "chain.url" => self.chain.clone(),
             "chain.contract" => self.contract.clone(),
+            "chain.consensus" => self.consensus.clone(),
             "vault.url" => self.vault.clone(),
             "robots" => self.robots.clone(),
             "confirmations" => self.confirmations.clone(),

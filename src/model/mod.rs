@@ -6,6 +6,7 @@
 pub mod address;
 pub mod anchor_mode;
 pub mod bytes;
+pub mod consensus;
 pub mod display;
 pub mod error_kind;
 pub mod grant;
@@ -23,6 +24,7 @@ pub use anchor_mode::AnchorMode;
 pub use bytes::{
     Commit, Digest, Domain, FilterId, Hash, PublicKey, RecorderId, Salt, Signature, SignerId, Token, TopicId,
 };
+pub use consensus::Consensus;
 pub use display::{clean, clean_lines};
 pub use error_kind::ErrorKind;
 pub use grant::{GrantTerms, Scope};

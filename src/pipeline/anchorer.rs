@@ -4,8 +4,8 @@ use std::time::{Duration, Instant};
 
 use tokio::task::block_in_place;
 
-use crate::chain::Call;
 use crate::chain::merkle::{Leaf, MOST_LEAVES, Tree};
+use crate::chain::{Call, ChainError};
 use crate::crypto::EoaSecret;
 use crate::model::{Address, AnchorMode, Hash, RecordState, Timestamp, Token};
 use crate::store::{Anchors, NewBatch, RecordRow, WaitingBatch};
@@ -16,8 +16,6 @@ use super::{Network, Owner, PipelineError, Plant, Sender};
 
 /// Records a round, one by one: one ledger commit for so many signed transactions.
 const ROUND: usize = 128;
-/// Transactions of one account that may wait for a block, one by one.
-const MOST_OPEN: u64 = 1024;
 /// Batches of one account that may wait for a block; while they do, the next one widens.
 const MOST_OPEN_BATCHES: usize = 2;
 /// How long to wait where only the chain can bring news.
@@ -66,7 +64,7 @@ impl Anchorer {
         if network.directory.epoch(owner.address) == 0 {
             return Ok(Round::wait(IDLE));
         }
-        let Some((lane, open)) = free_lane(plant, lanes)? else { return Ok(Round::wait(IDLE)) };
+        let Some((lane, open)) = free_lane(plant, sender, lanes)? else { return Ok(Round::wait(IDLE)) };
         // Batches that were closed before come first, whatever the mode is now.
         let waiting = block_in_place(|| plant.ledger.waiting_batches(owner.address, 1))?;
         if let Some(batch) = waiting.first() {
@@ -114,11 +112,18 @@ pub(super) fn close_batch(
     Ok(Some(batch))
 }
 
-/// The account with the fewest open batches, and their roots; `None` where all have their fill.
-fn free_lane<'a>(plant: &Plant, lanes: &'a [EoaSecret]) -> Result<Option<(&'a EoaSecret, Vec<Hash>)>, PipelineError> {
+/// The account with the fewest open batches, and their roots; `None` where all have their fill or stand still.
+fn free_lane<'a>(
+    plant: &Plant,
+    sender: &Sender,
+    lanes: &'a [EoaSecret],
+) -> Result<Option<(&'a EoaSecret, Vec<Hash>)>, PipelineError> {
     block_in_place(|| {
         let mut best: Option<(&EoaSecret, Vec<Hash>)> = None;
         for lane in lanes {
+            if sender.room(lane.address())? == 0 {
+                continue;
+            }
             let open = plant.ledger.open_roots(lane.address())?;
             if open.len() < best.as_ref().map_or(MOST_OPEN_BATCHES, |(_, fewest)| fewest.len()) {
                 best = Some((lane, open));
@@ -141,17 +146,22 @@ async fn send(
     };
     let call = Call::Anchor { root: batch.root, count: batch.count, previous };
     let outgoing = Outgoing { call, purpose: "anchor".to_owned(), anchors: Anchors::Batch(batch.root) };
-    let submitted = sender.submit(&network.chain, lane, vec![outgoing]).await?.len();
-    Ok(Round { submitted, next: Duration::ZERO })
+    match sender.submit(&network.chain, lane, vec![outgoing]).await {
+        Ok(hashes) => Ok(Round { submitted: hashes.len(), next: Duration::ZERO }),
+        // Where its gas must be estimated anew, the root before it has to be mined first.
+        Err(PipelineError::Chain(ChainError::Reverted { .. })) if !open.is_empty() => Ok(Round::wait(IDLE)),
+        Err(error) => Err(error),
+    }
 }
 
 /// Up to [`ROUND`] stored records, one transaction each. Those sealed under an epoch that the chain
 /// does not know yet wait for it.
 async fn one_by_one(plant: &Plant, network: &Network, sender: &Sender, owner: &Owner) -> Result<Round, PipelineError> {
-    if block_in_place(|| plant.ledger.count_open(owner.address))? >= MOST_OPEN {
+    let room = sender.room(owner.address)?.min(ROUND);
+    if room == 0 {
         return Ok(Round::wait(IDLE));
     }
-    let rows = block_in_place(|| plant.ledger.in_state(Some(owner.address), RecordState::Stored, ROUND))?;
+    let rows = block_in_place(|| plant.ledger.in_state(Some(owner.address), RecordState::Stored, room))?;
     let Some(account) = network.directory.account(owner.address) else { return Ok(Round::wait(IDLE)) };
     let known = |row: &RecordRow| account.tokens.get(&row.epoch).map(|token| upload(row, *token));
     let uploads: Vec<Outgoing> = rows.iter().filter_map(known).collect();

@@ -4,6 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::anchorer::Anchorer;
+use super::sender::Policy;
 use super::{Directory, Network, Observer, Owner, Plant, Sender, proof, watcher};
 use crate::chain::{Call, Chain, ChainOptions, Endpoint};
 use crate::crypto::sm3::sm3;
@@ -46,14 +47,14 @@ impl Line {
         let keyring = UnlockedKeyring::create(keyring, &home.path().join("keys/k"), &passphrase).expect("keyring");
         let owner = Owner::new("owner".parse::<ProfileName>().expect("a name"), keyring);
         let directory = home.path().join("chain");
-        let endpoint = Endpoint::Embedded { directory };
+        let endpoint = Endpoint::Embedded { directory, consensus: None };
         let options = ChainOptions { endpoint, contract: None, pinned: None, confirmations: 1 };
         let chain = Chain::connect(options).await.expect("a chain");
         let pin = chain.deploy(&owner.eoa()).await.expect("deployed");
         let domain = domain(pin.chain_id, &pin.genesis, &pin.contract);
         let directory = Arc::new(Directory::new(domain, plant.provider));
         let network = Network { chain, domain, directory, confirmations: 1 };
-        let sender = Sender::new(plant.ledger.clone());
+        let sender = Sender::new(plant.ledger.clone(), Arc::clone(&plant.observer), Policy { cap: None });
         let (signing, envelope) = (owner.signing(), owner.envelope().public);
         let identity = prove(plant.provider, &domain, &owner.address, &signing, &envelope, Token([1; 32]));
         let call = Call::Register { identity: identity.expect("proven") };
@@ -90,7 +91,7 @@ impl Line {
             if round.submitted == 0 && !more {
                 self.network.chain.next_block(head, round.next).await.expect("a block");
             }
-            self.sender.resend(&self.network.chain, self.owner.address).await.expect("closed");
+            self.sender.tend(&self.network.chain, &lanes[0]).await.expect("tended");
         }
     }
 

@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::command::SecretBytes;
 use crate::model::{Address, Digest, ErrorKind, Hash, ProfileName, PublicKey, Timestamp, Token, Verdict};
+use crate::pipeline::sender::LaneState;
 
 /// Why a command failed, as a person reads it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
@@ -249,6 +250,9 @@ pub struct ChainView {
     pub pending: u64,
     /// The node's own name, cleaned.
     pub client: String,
+    /// How this profile's lanes stand: its own account's first, then its witnesses'.
+    #[serde(default)]
+    pub lanes: Vec<LaneState>,
 }
 
 /// How a part of the site is.

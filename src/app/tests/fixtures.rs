@@ -186,6 +186,7 @@ fn chain() -> ChainView {
         nonce: 12,
         pending: 1,
         client: "AuthROS embedded".to_owned(),
+        lanes: Vec::new(),
     }
 }
 

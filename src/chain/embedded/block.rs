@@ -1,6 +1,6 @@
 //! Block headers, receipts and logs of the embedded chain, their encoding and their seal.
 //!
-//! The header has the fields and the RLP of a Clique header, and its hash is Keccak-256 of that.
+//! The header has the fields and the RLP of Ethereum's before London, and its hash is Keccak-256 of that.
 //! Its three roots are plain commitments, not Merkle-Patricia tries: transactions = Keccak-256 of
 //! the RLP list of \[hash, sender\], receipts = of the RLP list of receipts, state = of the parent's
 //! state root and every account and slot that the block changed, in order.
@@ -39,7 +39,9 @@ pub struct Header {
     pub receipts_root: Hash,
     /// Addresses and topics of the logs.
     pub bloom: Bloom,
-    /// 1 for the genesis block, 2 for one sealed in turn.
+    /// Who gets the fees under proof of work; zero under proof of authority, as in Clique.
+    pub beneficiary: Address,
+    /// Proof of authority: 1 for the genesis block, 2 for one sealed in turn, 1 out of turn. Else the work.
     pub difficulty: u64,
     /// Height.
     pub number: u64,
@@ -47,41 +49,54 @@ pub struct Header {
     pub gas_used: u64,
     /// Seconds since 1970, never less than the parent's.
     pub timestamp: u64,
-    /// Vanity, the signer in the genesis block, and the seal.
+    /// Vanity; under proof of authority also the signers in the genesis block, and the seal.
     pub extra: Vec<u8>,
+    /// What the work found; 0 under proof of authority.
+    pub nonce: u64,
 }
 
 impl Header {
-    /// The first header of a chain whose one signer is `signer`; `nonce` makes it unique.
-    pub fn genesis(signer: Address, nonce: Hash, timestamp: u64) -> Self {
+    /// The first header of a chain, before its seal: `unique` makes it one of its kind. Without
+    /// `signers` it is one of proof of work for `beneficiary`.
+    pub fn genesis(signers: &[Address], beneficiary: Address, difficulty: u64, unique: Hash, timestamp: u64) -> Self {
+        let mut extra = unique.0.to_vec();
+        if !signers.is_empty() {
+            signers.iter().for_each(|signer| extra.extend(signer.as_bytes()));
+            extra.extend([0; SEAL]);
+        }
         Self {
             parent: Hash([0; 32]),
             state_root: Hash(keccak256([])),
             transactions_root: transactions_root(&[]),
             receipts_root: receipts_root(&[]),
             bloom: Bloom::zero(),
-            difficulty: 1,
+            beneficiary,
+            difficulty,
             number: 0,
             gas_used: 0,
             timestamp,
-            extra: [&nonce.0[..], signer.as_bytes(), &[0; SEAL]].concat(),
+            extra,
+            nonce: 0,
         }
     }
 
-    /// The RLP encoding, with as much of the extra data as given.
-    fn encode_with(&self, extra: &[u8]) -> Vec<u8> {
-        let mut list = RlpStream::new_list(15);
-        list.append(&&self.parent.0[..]).append(&&NO_UNCLES[..]).append(&&[0u8; 20][..]);
+    /// The RLP encoding, with as much of the extra data as given, with or without mix hash and nonce.
+    fn encode_with(&self, extra: &[u8], with_nonce: bool) -> Vec<u8> {
+        let mut list = RlpStream::new_list(if with_nonce { 15 } else { 13 });
+        list.append(&&self.parent.0[..]).append(&&NO_UNCLES[..]).append(&&self.beneficiary.0[..]);
         list.append(&&self.state_root.0[..]).append(&&self.transactions_root.0[..]);
         list.append(&&self.receipts_root.0[..]).append(&self.bloom).append(&self.difficulty);
         list.append(&self.number).append(&GAS_LIMIT).append(&self.gas_used).append(&self.timestamp);
-        list.append(&extra).append(&&[0u8; 32][..]).append(&&[0u8; 8][..]);
+        list.append(&extra);
+        if with_nonce {
+            list.append(&&[0u8; 32][..]).append(&&self.nonce.to_be_bytes()[..]);
+        }
         list.out().to_vec()
     }
 
     /// The RLP encoding, seal included.
     pub fn encode(&self) -> Vec<u8> {
-        self.encode_with(&self.extra)
+        self.encode_with(&self.extra, true)
     }
 
     /// From the RLP encoding.
@@ -95,14 +110,16 @@ impl Header {
             state_root: hash_at(&list, 3)?,
             transactions_root: hash_at(&list, 4)?,
             receipts_root: hash_at(&list, 5)?,
+            beneficiary: address_at(&list, 2)?.ok_or(DecoderError::RlpInvalidLength)?,
             bloom: list.val_at(6)?,
             difficulty: list.val_at(7)?,
             number: list.val_at(8)?,
             gas_used: list.val_at(10)?,
             timestamp: list.val_at(11)?,
             extra: list.val_at(12)?,
+            nonce: u64::from_be_bytes(list.at(14)?.data()?.try_into().map_err(|_| DecoderError::RlpInvalidLength)?),
         };
-        if header.extra.len() < VANITY + SEAL || header.encode() != bytes {
+        if header.extra.len() < VANITY || header.encode() != bytes {
             return Err(DecoderError::Custom("not a canonical header"));
         }
         Ok(header)
@@ -113,27 +130,35 @@ impl Header {
         Hash(keccak256(self.encode()))
     }
 
-    fn seal_hash(&self) -> [u8; 32] {
-        keccak256(self.encode_with(&self.extra[..self.extra.len() - SEAL]))
+    /// What the work is done over: the Keccak-256 of all but mix hash and nonce, as ethash's seal hash.
+    pub fn work_hash(&self) -> Hash {
+        Hash(keccak256(self.encode_with(&self.extra, false)))
+    }
+
+    /// What a signer signs: the Keccak-256 of all but the seal, as Clique's seal hash.
+    fn seal_hash(&self) -> Option<[u8; 32]> {
+        let unsealed = self.extra.len().checked_sub(SEAL)?;
+        Some(keccak256(self.encode_with(&self.extra[..unsealed], true)))
     }
 
     /// Puts the signer's seal into the extra data.
     pub fn seal(&mut self, signer: &SigningKey) -> Option<()> {
-        let (signature, parity) = signer.sign_prehash_recoverable(&self.seal_hash()).ok()?;
+        let (signature, parity) = signer.sign_prehash_recoverable(&self.seal_hash()?).ok()?;
         let at = self.extra.len() - SEAL;
         self.extra[at..at + 64].copy_from_slice(&signature.to_bytes());
         self.extra[at + 64] = parity.to_byte();
         Some(())
     }
 
-    /// Who sealed the block.
+    /// Who sealed the block, under proof of authority.
     pub fn sealer(&self) -> Option<Address> {
+        let seal_hash = self.seal_hash()?;
         let (scalars, parity) = self.extra[self.extra.len() - SEAL..].split_at(64);
-        recover(&self.seal_hash(), &Signature::from_slice(scalars).ok()?, RecoveryId::from_byte(parity[0])?)
+        recover(&seal_hash, &Signature::from_slice(scalars).ok()?, RecoveryId::from_byte(parity[0])?)
     }
 }
 
-/// Extra data of a block before it is sealed.
+/// Extra data of a block of proof of authority before it is sealed.
 pub fn unsealed_extra() -> Vec<u8> {
     vec![0; VANITY + SEAL]
 }
@@ -274,13 +299,18 @@ mod tests {
             let point = key().verifying_key().to_encoded_point(false);
             Address::from_public_key(point.as_bytes()[1..].try_into().expect("64 bytes"))
         };
-        let mut header = Header::genesis(signer, Hash([3; 32]), 5);
+        let mut header = Header::genesis(&[signer], Address([0; 20]), 1, Hash([3; 32]), 5);
         header.seal(&key()).expect("seals");
         assert_eq!(header.sealer(), Some(signer));
         let bytes = header.encode();
         assert_eq!(Header::decode(&bytes), Ok(header.clone()));
         header.timestamp += 1;
         assert_ne!(header.sealer(), Some(signer));
+        let worked = Header { nonce: 7, ..Header::genesis(&[], signer, 9, Hash([3; 32]), 5) };
+        assert_eq!(Header::decode(&worked.encode()), Ok(worked.clone()));
+        assert_eq!(worked.sealer(), None);
+        let other = Header { nonce: 8, ..worked.clone() };
+        assert!(other.work_hash() == worked.work_hash() && other.hash() != worked.hash());
     }
 
     #[test]

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use ethers::abi::Token as AbiToken;
 use ethers::types::U256;
 
-use super::block::{GAS_LIMIT, created_address};
+use super::block::{GAS_LIMIT, Log, created_address};
 use super::machine::{Answer, Environment, Machine, Message};
 use super::transaction::Transaction;
 use crate::chain::artefact::artefact;
@@ -16,17 +16,21 @@ use crate::model::{
     Address, Digest, GrantTerms, Hash, Identity, PublicKey, Scope, Signature, SignerId, Timestamp, Token, TopicId,
 };
 
-const ADMIN: Address = Address([0xad; 20]);
+pub(super) const ADMIN: Address = Address([0xad; 20]);
 const A: Address = Address([0xa; 20]);
 const B: Address = Address([0xb; 20]);
 const C: Address = Address([0xc; 20]);
 
-struct World {
+/// A chain with the contract on it.
+pub(super) struct World {
     machine: Machine,
     contract: Address,
     nonces: HashMap<Address, u64>,
-    place: Environment,
+    /// Where the next call takes place.
+    pub(super) place: Environment,
     gas: u64,
+    /// What the last call that took effect wrote.
+    pub(super) logs: Vec<Log>,
 }
 
 fn token(number: u8) -> Token {
@@ -64,11 +68,11 @@ fn anchor(root: u8, previous: u8) -> Call {
 }
 
 impl World {
-    fn new(open: bool) -> Self {
-        let place = Environment { number: 1, timestamp: 1_000, beneficiary: Address([0xee; 20]) };
+    pub(super) fn new(open: bool) -> Self {
+        let place = Environment { number: 1, timestamp: 1_000, difficulty: 2, beneficiary: Address([0xee; 20]) };
         let machine = Machine::new(5, Hash([0; 32]));
         let contract = created_address(ADMIN, 0);
-        let mut world = Self { machine, contract, nonces: HashMap::new(), place, gas: 0 };
+        let mut world = Self { machine, contract, nonces: HashMap::new(), place, gas: 0, logs: Vec::new() };
         let code = artefact().expect("artefact").creation(open).expect("code");
         world.run(ADMIN, None, 0, code).expect("deploys");
         world
@@ -112,7 +116,9 @@ impl World {
         if !receipt.success {
             return Err(decode_revert(&receipt.output).unwrap_or_else(|| "no reason".into()));
         }
-        Ok(receipt.logs.iter().map(|log| Event::decode(&log.topics, &log.data).expect("event")).collect())
+        let events = receipt.logs.iter().map(|log| Event::decode(&log.topics, &log.data).expect("event")).collect();
+        self.logs = receipt.logs;
+        Ok(events)
     }
 
     fn send(&mut self, sender: Address, call: &Call) -> Result<Event, String> {
@@ -124,19 +130,24 @@ impl World {
         assert_eq!(self.send(sender, call), Err(code.to_owned()), "{call:?}");
     }
 
-    fn raw(&mut self, sender: Address, name: &str, arguments: &[AbiToken]) -> Result<Vec<Event>, String> {
+    pub(super) fn raw(&mut self, sender: Address, name: &str, arguments: &[AbiToken]) -> Result<Vec<Event>, String> {
         let input = artefact().expect("artefact").encode(name, arguments).expect("encodes");
         self.run(sender, Some(self.contract), 0, input)
     }
 
     fn view(&self, from: Address, name: &str, arguments: &[AbiToken]) -> Vec<AbiToken> {
+        self.read(from, name, arguments).expect("reads")
+    }
+
+    pub(super) fn read(&self, from: Address, name: &str, arguments: &[AbiToken]) -> Result<Vec<AbiToken>, String> {
         let artefact = artefact().expect("artefact");
         let input = artefact.encode(name, arguments).expect("encodes");
         let message = Message { from, to: Some(self.contract), value: U256::zero(), input, gas: 1_000_000 };
         match self.machine.call(&self.place, &message) {
             Answer::Returned(output, _) => {
-                artefact.function(name).expect("name").decode_output(&output).expect("decodes")
+                Ok(artefact.function(name).expect("name").decode_output(&output).expect("decodes"))
             }
+            Answer::Reverted(output) => Err(decode_revert(&output).expect("a reason")),
             other => panic!("{name}: {other:?}"),
         }
     }

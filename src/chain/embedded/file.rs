@@ -15,10 +15,13 @@ use zeroize::Zeroizing;
 
 use super::block::{Header, Receipt};
 use super::transaction::Transaction;
-use crate::chain::ChainError;
+use crate::chain::{ChainError, Consensus};
 use crate::model::{Address, Hash};
 
-const VERSION: i64 = 1;
+/// A chain of one signer with the usual period, as every chain was at first.
+const PLAIN: i64 = 1;
+/// A chain that says its consensus.
+const CHOSEN: i64 = 2;
 const SCHEMA: &str = "
     CREATE TABLE IF NOT EXISTS chain (
         id INTEGER PRIMARY KEY CHECK (id = 1), version INTEGER NOT NULL, chain_id INTEGER NOT NULL, signer BLOB NOT NULL
@@ -28,13 +31,18 @@ const SCHEMA: &str = "
         block INTEGER NOT NULL, position INTEGER NOT NULL, hash BLOB NOT NULL UNIQUE, sender BLOB NOT NULL,
         raw BLOB NOT NULL, receipt BLOB NOT NULL, logs INTEGER NOT NULL, PRIMARY KEY (block, position)
     );";
+/// Of a [`CHOSEN`] chain only; the column `signer` then holds all keys in a row.
+const CONSENSUS: &str = "CREATE TABLE consensus (id INTEGER PRIMARY KEY CHECK (id = 1), words TEXT NOT NULL)";
+const KEY_LENGTH: usize = 32;
 
 /// What is drawn when a chain is made.
 pub struct Founding {
     /// Its chain id.
     pub chain_id: u64,
-    /// The key that seals its blocks.
-    pub signer: SigningKey,
+    /// How its blocks are sealed.
+    pub consensus: Consensus,
+    /// The keys that seal its blocks; under proof of work the one of the account that gets the fees.
+    pub keys: Vec<SigningKey>,
 }
 
 /// A mined transaction as it lies in the file.
@@ -88,12 +96,24 @@ impl ChainFile {
             .optional()
             .map_err(|error| self.blame(&error))?;
         let Some((version, chain_id, signer)) = row else { return Ok(None) };
-        if version != VERSION {
-            let reason = format!("it has version {version}, and this program reads version {VERSION}");
-            return Err(ChainError::File { path: self.path.clone(), reason });
-        }
-        let signer = SigningKey::from_slice(&signer).map_err(|_| self.tampered(0, "the signer's key is not a key"))?;
-        Ok(Some(Founding { chain_id, signer }))
+        let consensus = match version {
+            PLAIN => Consensus::POA,
+            CHOSEN => self.chosen()?,
+            _ => {
+                let reason = format!("it has version {version}, and this program reads versions {PLAIN} and {CHOSEN}");
+                return Err(ChainError::File { path: self.path.clone(), reason });
+            }
+        };
+        let keys: Result<Vec<_>, _> = signer.chunks(KEY_LENGTH).map(SigningKey::from_slice).collect();
+        let keys = keys.ok().filter(|keys| keys.len() == keys_of(&consensus));
+        let keys = keys.ok_or_else(|| self.tampered(0, "the signers' keys are not what they were"))?;
+        Ok(Some(Founding { chain_id, consensus, keys }))
+    }
+
+    fn chosen(&self) -> Result<Consensus, ChainError> {
+        let words: Option<String> = self.one("SELECT words FROM consensus", [], |row| row.get(0))?;
+        let consensus = words.and_then(|words| words.parse().ok());
+        consensus.ok_or_else(|| self.tampered(0, "its consensus is none that this program knows"))
     }
 
     /// Writes a new chain: founding and genesis block, all or nothing.
@@ -102,11 +122,18 @@ impl ChainFile {
     /// [`ChainError::File`] where it cannot be written.
     pub fn found(&mut self, founding: &Founding, genesis: &Header) -> Result<(), ChainError> {
         let path = self.path.clone();
-        let signer = Zeroizing::new(founding.signer.to_bytes());
+        let mut keys = Zeroizing::new(Vec::with_capacity(KEY_LENGTH * founding.keys.len()));
+        founding.keys.iter().for_each(|key| keys.extend_from_slice(&Zeroizing::new(key.to_bytes())[..]));
+        let version = if founding.consensus == Consensus::POA { PLAIN } else { CHOSEN };
         let mut write = || {
             let transaction = self.connection.transaction()?;
-            let values = params![VERSION, integer(founding.chain_id), &signer[..]];
+            let values = params![version, integer(founding.chain_id), &keys[..]];
             transaction.execute("INSERT INTO chain VALUES (1, ?1, ?2, ?3)", values)?;
+            if version == CHOSEN {
+                transaction.execute(CONSENSUS, [])?;
+                let words = founding.consensus.to_string();
+                transaction.execute("INSERT INTO consensus VALUES (1, ?1)", [words])?;
+            }
             insert_header(&transaction, genesis)?;
             transaction.commit()
         };
@@ -228,9 +255,22 @@ impl ChainFile {
         rows.collect::<Result<_, _>>().map_err(blame)
     }
 
+    /// Where it lies.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
     /// The error that a block is not what it was.
     pub fn tampered(&self, block: u64, what: &str) -> ChainError {
         ChainError::Tampered { path: self.path.clone(), block, what: what.to_owned() }
+    }
+}
+
+/// How many keys a chain holds.
+pub fn keys_of(consensus: &Consensus) -> usize {
+    match consensus {
+        Consensus::Poa { signers, .. } => usize::from(*signers),
+        Consensus::Pow { .. } => 1,
     }
 }
 

@@ -57,15 +57,15 @@ pub fn read_hash(value: &Value) -> Option<Hash> {
 }
 
 /// A block; `transactions` are hashes or whole objects.
-pub fn block(header: &Header, hash: Hash, size: usize, transactions: Vec<Value>) -> Value {
+pub fn block(header: &Header, hash: Hash, size: usize, total_difficulty: u128, transactions: Vec<Value>) -> Value {
     json!({
         "number": quantity(header.number), "hash": data(&hash.0), "parentHash": data(&header.parent.0),
         "stateRoot": data(&header.state_root.0), "transactionsRoot": data(&header.transactions_root.0),
         "receiptsRoot": data(&header.receipts_root.0), "logsBloom": data(header.bloom.as_bytes()),
-        "difficulty": quantity(header.difficulty), "totalDifficulty": quantity(1 + 2 * header.number),
+        "difficulty": quantity(header.difficulty), "totalDifficulty": quantity(total_difficulty),
         "gasLimit": quantity(GAS_LIMIT), "gasUsed": quantity(header.gas_used),
         "timestamp": quantity(header.timestamp), "extraData": data(&header.extra),
-        "miner": data(&[0; 20]), "mixHash": data(&[0; 32]), "nonce": data(&[0; 8]),
+        "miner": data(&header.beneficiary.0), "mixHash": data(&[0; 32]), "nonce": data(&header.nonce.to_be_bytes()),
         "sha3Uncles": "0x1dcc4de8dec75d7aab85b567b6ccd41ad312451b948a7413f0a142fd40d49347",
         "uncles": [], "size": quantity(size), "transactions": transactions,
     })

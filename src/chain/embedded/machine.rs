@@ -31,7 +31,9 @@ pub struct Environment {
     pub number: u64,
     /// Seconds since 1970.
     pub timestamp: u64,
-    /// Who gets the fees: the signer.
+    /// Its difficulty, as the DIFFICULTY instruction gives it.
+    pub difficulty: u64,
+    /// Who gets the fees: the signer or the miner.
     pub beneficiary: Address,
 }
 
@@ -94,7 +96,7 @@ impl Machine {
             timestamp: Word::from(place.timestamp),
             gas_limit: GAS_LIMIT,
             basefee: 0,
-            difficulty: Word::from(2),
+            difficulty: Word::from(place.difficulty),
             ..BlockEnv::default()
         };
         Context::mainnet()

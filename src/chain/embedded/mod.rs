@@ -1,20 +1,33 @@
-//! The embedded chain: a private proof-of-authority network of one signer, in this process.
+//! The embedded chain: a private network in this process, of proof of authority or of proof of work.
 //!
 //! revm executes, SQLite keeps, and JSON-RPC is the only way in, so the room above speaks to it
-//! exactly as to any other node. It runs on a thread of its own. Gas costs nothing.
+//! exactly as to any other node. It runs on a thread of its own, a search for work on a second one.
+//! Gas costs nothing, and no block is empty: sealing begins when something waits.
 
+mod authority;
 mod block;
 #[cfg(test)]
+mod contract_model;
+#[cfg(test)]
 mod contract_tests;
+#[cfg(test)]
+mod differential_tests;
 mod file;
+mod founding;
 mod json;
 mod machine;
 mod node;
 mod pool;
+mod proof;
+mod replay;
 mod rpc;
+mod sealing;
+#[cfg(test)]
+mod sealing_tests;
 mod transaction;
 
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread;
 use std::time::Duration;
@@ -24,7 +37,8 @@ use tokio::sync::{oneshot, watch};
 
 use self::node::Node;
 pub use self::rpc::Fault;
-use super::{BlockRef, ChainError};
+use super::{BlockRef, ChainError, Consensus};
+use crate::model::Address;
 
 /// How long the thread sleeps when nothing is due.
 const IDLE: Duration = Duration::from_secs(3600);
@@ -35,27 +49,58 @@ const BURST: usize = 256;
 enum Request {
     Rpc { method: String, parameters: Value, reply: oneshot::Sender<Result<Value, Fault>> },
     Dump(oneshot::Sender<Result<Vec<Vec<u8>>, ChainError>>),
+    Worked(u64),
+    End,
 }
 
-/// A handle on a running embedded chain; the chain ends, after sealing what waits, with its last handle.
+/// A handle on a running embedded chain; the chain ends with its last handle. Proof of authority then
+/// seals what waits (but where its period is a second or more), proof of work gives up its search: as on
+/// any stopped node, what waits must be sent again.
 #[derive(Debug, Clone)]
 pub struct Embedded {
-    requests: Sender<Request>,
+    line: Arc<Line>,
+}
+
+#[derive(Debug)]
+struct Line {
+    inlet: Inlet,
+    facts: Facts,
+}
+
+/// The way in. The chain ends with it.
+#[derive(Debug)]
+struct Inlet(Sender<Request>);
+
+/// What is known of an open chain.
+#[derive(Debug)]
+struct Facts {
     head: watch::Receiver<BlockRef>,
+    consensus: Consensus,
+    sealers: Vec<Address>,
+}
+
+impl Drop for Inlet {
+    fn drop(&mut self) {
+        // A search for work holds a sender too, so that the thread would not hear of the end otherwise.
+        drop(self.0.send(Request::End));
+    }
 }
 
 impl Embedded {
     /// Opens or founds the chain in `directory`.
     ///
     /// # Errors
-    /// [`ChainError::File`] or [`ChainError::Tampered`].
-    pub async fn open(directory: PathBuf) -> Result<Self, ChainError> {
+    /// [`ChainError::File`], [`ChainError::Tampered`] or [`ChainError::OtherConsensus`].
+    pub async fn open(directory: PathBuf, asked: Option<Consensus>) -> Result<Self, ChainError> {
         let (requests, inbox) = channel();
         let (opened, answer) = oneshot::channel();
-        let run = move || match Node::open(&directory) {
+        let inlet = Inlet(requests.clone());
+        let found = Arc::new(move |nonce| drop(requests.send(Request::Worked(nonce))));
+        let run = move || match Node::open(&directory, asked, found) {
             Ok(node) => {
                 let (announce, head) = watch::channel(node.head);
-                if opened.send(Ok(head)).is_ok() {
+                let facts = Facts { head, consensus: node.consensus, sealers: node.sealing.addresses() };
+                if opened.send(Ok(facts)).is_ok() {
                     serve(node, &inbox, &announce);
                 }
             }
@@ -63,8 +108,8 @@ impl Embedded {
         };
         let started = thread::Builder::new().name("authros-chain".into()).spawn(run);
         started.map_err(|error| ChainError::Internal(format!("the chain's thread cannot start: {error}")))?;
-        let head = answer.await.unwrap_or_else(|_| Err(gone()))?;
-        Ok(Self { requests, head })
+        let facts = answer.await.unwrap_or_else(|_| Err(gone()))?;
+        Ok(Self { line: Arc::new(Line { inlet, facts }) })
     }
 
     /// Answers a JSON-RPC request.
@@ -75,7 +120,7 @@ impl Embedded {
         let (reply, answer) = oneshot::channel();
         let lost = || Fault { code: -32603, message: gone().to_string(), data: None };
         let request = Request::Rpc { method: method.to_owned(), parameters, reply };
-        self.requests.send(request).map_err(|_| lost())?;
+        self.line.inlet.0.send(request).map_err(|_| lost())?;
         answer.await.unwrap_or_else(|_| Err(lost()))
     }
 
@@ -85,13 +130,23 @@ impl Embedded {
     /// [`ChainError`] where the file cannot be read.
     pub async fn dump(&self) -> Result<Vec<Vec<u8>>, ChainError> {
         let (reply, answer) = oneshot::channel();
-        self.requests.send(Request::Dump(reply)).map_err(|_| gone())?;
+        self.line.inlet.0.send(Request::Dump(reply)).map_err(|_| gone())?;
         answer.await.unwrap_or_else(|_| Err(gone()))
+    }
+
+    /// How its blocks are sealed.
+    pub fn consensus(&self) -> Consensus {
+        self.line.facts.consensus
+    }
+
+    /// Its signers in the order of their turns; under proof of work who gets the fees.
+    pub fn sealers(&self) -> &[Address] {
+        &self.line.facts.sealers
     }
 
     /// Announces every new head.
     pub fn head(&self) -> watch::Receiver<BlockRef> {
-        self.head.clone()
+        self.line.facts.head.clone()
     }
 }
 
@@ -99,36 +154,38 @@ fn gone() -> ChainError {
     ChainError::Internal("the embedded chain has stopped".into())
 }
 
-/// Answers what has come in, seals when a block is due, until all handles are gone.
+/// Answers what has come in, assembles a block when one is due, until all handles are gone.
 fn serve(mut node: Node, inbox: &Receiver<Request>, announce: &watch::Sender<BlockRef>) {
-    loop {
-        let open = match inbox.recv_timeout(node.due().unwrap_or(IDLE)) {
+    let mut open = true;
+    while open {
+        match inbox.recv_timeout(node.due().unwrap_or(IDLE)) {
             Ok(request) => {
-                handle(&mut node, request);
+                open = handle(&mut node, request);
                 for more in inbox.try_iter().take(BURST) {
-                    handle(&mut node, more);
+                    open &= handle(&mut node, more);
                 }
-                true
             }
-            Err(RecvTimeoutError::Timeout) => true,
-            Err(RecvTimeoutError::Disconnected) => false,
-        };
-        let due = node.due();
-        if due == Some(Duration::ZERO) || (!open && due.is_some()) {
-            node.seal();
-            announce.send_replace(node.head);
+            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => open = false,
         }
         if !open {
-            return;
+            node.finish();
+        } else if node.due() == Some(Duration::ZERO) {
+            node.assemble();
         }
+        announce.send_if_modified(|head| std::mem::replace(head, node.head) != node.head);
     }
 }
 
-fn handle(node: &mut Node, request: Request) {
+/// Does what is asked; `false` at the end.
+fn handle(node: &mut Node, request: Request) -> bool {
     match request {
         Request::Rpc { method, parameters, reply } => drop(reply.send(rpc::answer(node, &method, parameters))),
         Request::Dump(reply) => drop(reply.send(dump(node))),
+        Request::Worked(nonce) => node.worked(nonce),
+        Request::End => return false,
     }
+    true
 }
 
 fn dump(node: &Node) -> Result<Vec<Vec<u8>>, ChainError> {

@@ -1,26 +1,30 @@
-//! The chain itself: founding, replay, the pool and the sealing of blocks. Single-threaded.
+//! The chain itself: the pool, the assembling of blocks and their sealing. Single-threaded, but for the
+//! search of a proof of work: it goes on beside, one at a time, for the very block that was assembled.
 
 use std::path::Path;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use ethers::types::Bloom;
-use ethers::utils::rlp;
-use k256::ecdsa::SigningKey;
-
-use super::block::{GAS_LIMIT, Header, receipts_root, transactions_root, unsealed_extra};
-use super::file::{ChainFile, Founding, Mined};
+use super::authority::Turn;
+use super::block::{GAS_LIMIT, Header};
+use super::file::ChainFile;
+use super::founding;
 use super::machine::{Environment, Machine, Outcome};
 use super::pool::Pool;
+use super::proof::{self, Search};
+use super::replay::{assemble, replay};
+use super::sealing::Sealing;
 use super::transaction::Transaction;
-use crate::chain::{BlockRef, ChainError};
-use crate::model::{Address, Hash, Timestamp};
+use crate::chain::{BlockRef, ChainError, Consensus};
+use crate::model::{Hash, Timestamp};
 
-/// The least time between two blocks.
-pub const PERIOD: Duration = Duration::from_millis(100);
 /// How long sealing rests after the file could not be written.
 const REST: Duration = Duration::from_secs(1);
 /// The most transactions in a block, so that sealing never keeps readers waiting long.
 const MOST_TRANSACTIONS: usize = 4096;
+
+/// Hears of the nonce that a search found, on the search's thread.
+pub type Found = Arc<dyn Fn(u64) + Send + Sync>;
 
 /// One chain, open.
 pub struct Node {
@@ -32,68 +36,57 @@ pub struct Node {
     pub pool: Pool,
     /// Its chain id.
     pub chain_id: u64,
+    /// What it was founded with.
+    pub consensus: Consensus,
+    /// Who seals its blocks.
+    pub sealing: Sealing,
     /// Its newest block.
     pub head: BlockRef,
     /// Why the last block could not be written.
     pub trouble: Option<String>,
-    signer: SigningKey,
-    beneficiary: Address,
     not_before: Instant,
+    work: Option<Work>,
+    found: Found,
+}
+
+/// A block that waits for its proof of work.
+struct Work {
+    header: Header,
+    outcome: Outcome,
+    /// Ends when dropped.
+    _search: Search,
 }
 
 impl Node {
-    /// Opens the chain in `directory`, or founds one: draws its chain id and its signer.
+    /// Opens the chain in `directory`, or founds one with the consensus asked for: draws its chain id
+    /// and its keys.
     ///
     /// All blocks are replayed, and their hashes must come out as they are in the file.
     ///
     /// # Errors
-    /// [`ChainError::File`], or [`ChainError::Tampered`] where the file was changed.
-    pub fn open(directory: &Path) -> Result<Self, ChainError> {
+    /// [`ChainError::File`], [`ChainError::Tampered`] where the file was changed, or
+    /// [`ChainError::OtherConsensus`].
+    pub fn open(directory: &Path, asked: Option<Consensus>, found: Found) -> Result<Self, ChainError> {
         let mut file = ChainFile::open(directory)?;
-        let founding = match file.founding()? {
-            Some(founding) => founding,
-            None => found(&mut file)?,
-        };
-        let genesis = genesis(&file, &founding)?;
-        let beneficiary = address_of(&founding.signer);
-        let mut node = Self {
-            machine: Machine::new(founding.chain_id, genesis.state_root),
+        let (chain_id, consensus, mut sealing, genesis) = founding::open(&mut file, asked)?;
+        let mut machine = Machine::new(chain_id, genesis.state_root);
+        let head = replay(&file, &mut machine, &mut sealing, chain_id, genesis)?;
+        // The period holds over a restart, whatever became of the clock.
+        let due = (head.timestamp + sealing.period().as_secs()).saturating_sub(Timestamp::now().seconds());
+        let wait = if head.number == 0 { Duration::ZERO } else { Duration::from_secs(due).min(sealing.period()) };
+        Ok(Self {
+            machine,
             file,
             pool: Pool::default(),
-            chain_id: founding.chain_id,
-            head: reference(&genesis),
+            chain_id,
+            consensus,
+            sealing,
+            head: reference(&head),
             trouble: None,
-            signer: founding.signer,
-            beneficiary,
-            not_before: Instant::now(),
-        };
-        node.replay(genesis)?;
-        Ok(node)
-    }
-
-    fn replay(&mut self, genesis: Header) -> Result<(), ChainError> {
-        let (file, chain_id, beneficiary) = (&self.file, self.chain_id, self.beneficiary);
-        let machine = &mut self.machine;
-        let mut last = genesis;
-        file.replay(|number, hash, header, mined| {
-            if number == 0 {
-                return Ok(());
-            }
-            let blame = |what: &str| file.tampered(number, what);
-            let header = Header::decode(&header).map_err(|_| blame("its header is not a header"))?;
-            if header.hash() != hash || header.parent != last.hash() || header.number != number {
-                return Err(blame("its hash or its parent is not what it was"));
-            }
-            let outcome = rerun(machine, &header, beneficiary, chain_id, &mined).map_err(|what| blame(&what))?;
-            machine.apply(outcome);
-            last = header;
-            Ok(())
-        })?;
-        if last.sealer() != Some(beneficiary) {
-            return Err(file.tampered(last.number, "it is not sealed by the chain's signer"));
-        }
-        self.head = reference(&last);
-        Ok(())
+            not_before: Instant::now() + wait,
+            work: None,
+            found,
+        })
     }
 
     /// Takes a raw transaction into the pool.
@@ -121,135 +114,109 @@ impl Node {
         Ok(hash)
     }
 
-    /// How long until the next block is due; `None` while nothing can go into one.
+    fn turn(&self) -> Option<Turn> {
+        match &self.sealing {
+            Sealing::Authority(authority) => authority.turn(self.head.number + 1, self.head.hash),
+            Sealing::Work { difficulty, .. } => {
+                Some(Turn { signer: 0, difficulty: *difficulty, delay: Duration::ZERO })
+            }
+        }
+    }
+
+    /// How long until the next block is to be assembled; `None` while nothing can go into one, while a
+    /// proof of work is searched for, and while nobody may seal.
     pub fn due(&self) -> Option<Duration> {
-        let ready = self.pool.is_ready(|sender| self.machine.nonce(sender));
-        ready.then(|| self.not_before.saturating_duration_since(Instant::now()))
+        let ready = self.work.is_none() && self.pool.is_ready(|sender| self.machine.nonce(sender));
+        let turn = if ready { self.turn() } else { None };
+        turn.map(|turn| (self.not_before + turn.delay).saturating_duration_since(Instant::now()))
+    }
+
+    /// Whether a proof of work is being searched for.
+    pub fn is_mining(&self) -> bool {
+        self.work.is_some()
     }
 
     /// Where the next block takes place.
     pub fn next_place(&self) -> Environment {
-        let timestamp = Timestamp::now().seconds().max(self.head.timestamp);
-        Environment { number: self.head.number + 1, timestamp, beneficiary: self.beneficiary }
+        let signer = self.turn().map(|turn| turn.signer);
+        self.sealing.place(self.head.number + 1, self.head.timestamp, signer)
     }
 
-    /// Seals a block of what waits. A block that cannot be written has not happened.
-    pub fn seal(&mut self) {
+    /// Assembles a block of what waits, and seals it or begins to search for its proof of work.
+    pub fn assemble(&mut self) {
+        let Some(turn) = self.turn() else { return };
         let ready = self.pool.ready(MOST_TRANSACTIONS, GAS_LIMIT, |sender| self.machine.nonce(sender));
         let place = self.next_place();
         let outcome = self.machine.run(&place, ready);
-        self.not_before = Instant::now() + PERIOD;
+        self.not_before = Instant::now() + self.sealing.period();
         self.pool.forget(outcome.refused.iter().map(|(transaction, _)| transaction));
         if outcome.included.is_empty() {
             return;
         }
-        match self.write(&place, &outcome) {
-            Ok(head) => {
+        let mut header = assemble(&self.sealing, self.head.hash, &place, &outcome);
+        match &self.sealing {
+            Sealing::Authority(authority) => match authority.seal(&mut header, turn.signer) {
+                Some(()) => self.settle(&header, outcome, turn.signer),
+                None => self.rest(ChainError::Internal("a block could not be sealed".into())),
+            },
+            Sealing::Work { difficulty, .. } => match self.search(&header, *difficulty) {
+                Ok(search) => self.work = Some(Work { header, outcome, _search: search }),
+                Err(error) => self.rest(error),
+            },
+        }
+    }
+
+    fn search(&self, header: &Header, difficulty: u64) -> Result<Search, ChainError> {
+        let internal = |error: &dyn std::fmt::Display| ChainError::Internal(format!("no work can be done: {error}"));
+        let mut first = [0; 8];
+        getrandom::fill(&mut first).map_err(|error| internal(&error))?;
+        let found = Arc::clone(&self.found);
+        let tell = move |nonce| found(nonce);
+        let search = Search::start(header.work_hash(), difficulty, u64::from_be_bytes(first), tell);
+        search.map_err(|error| internal(&error))
+    }
+
+    /// Seals the assembled block with the nonce that its search found.
+    pub fn worked(&mut self, nonce: u64) {
+        let Some(Work { header, outcome, .. }) = self.work.take() else { return };
+        let header = Header { nonce, ..header };
+        if proof::seals(header.work_hash(), nonce, header.difficulty) {
+            self.settle(&header, outcome, 0);
+        }
+    }
+
+    /// Writes a sealed block. One that cannot be written has not happened.
+    fn settle(&mut self, header: &Header, outcome: Outcome, signer: usize) {
+        match self.file.append(header, &outcome.included, &outcome.receipts) {
+            Ok(()) => {
                 self.trouble = None;
                 self.pool.forget(&outcome.included);
                 self.machine.apply(outcome);
-                self.head = head;
+                self.head = reference(header);
+                if let Sealing::Authority(authority) = &mut self.sealing {
+                    authority.sealed(header.number, signer);
+                }
             }
-            Err(error) => {
-                self.trouble = Some(error.to_string());
-                self.not_before = Instant::now() + REST;
-            }
+            Err(error) => self.rest(error),
         }
     }
 
-    fn write(&mut self, place: &Environment, outcome: &Outcome) -> Result<BlockRef, ChainError> {
-        let mut header = header(self.head.hash, place.number, place.timestamp, outcome);
-        header.seal(&self.signer).ok_or_else(|| ChainError::Internal("a block could not be sealed".into()))?;
-        self.file.append(&header, &outcome.included, &outcome.receipts)?;
-        Ok(reference(&header))
+    fn rest(&mut self, error: ChainError) {
+        self.trouble = Some(error.to_string());
+        self.not_before = Instant::now() + REST;
     }
-}
 
-fn found(file: &mut ChainFile) -> Result<Founding, ChainError> {
-    let mut noise = [0; 40];
-    let blame = |error: &dyn std::fmt::Display| ChainError::Internal(format!("no randomness: {error}"));
-    getrandom::fill(&mut noise).map_err(|error| blame(&error))?;
-    let (unique, id) = noise.split_at(32);
-    let id = id.iter().fold(0u64, |id, byte| id << 8 | u64::from(*byte));
-    let founding = Founding { chain_id: (1 << 40) + id % (1 << 47), signer: draw_signer()? };
-    let unique = Hash::from_slice(unique).ok_or_else(|| ChainError::Internal("no randomness".into()))?;
-    let mut genesis = Header::genesis(address_of(&founding.signer), unique, Timestamp::now().seconds());
-    genesis
-        .seal(&founding.signer)
-        .ok_or_else(|| ChainError::Internal("the genesis block could not be sealed".into()))?;
-    file.found(&founding, &genesis)?;
-    Ok(founding)
-}
-
-fn draw_signer() -> Result<SigningKey, ChainError> {
-    let mut scalar = zeroize::Zeroizing::new([0; 32]);
-    loop {
-        getrandom::fill(&mut scalar[..]).map_err(|error| ChainError::Internal(format!("no randomness: {error}")))?;
-        if let Ok(signer) = SigningKey::from_slice(&scalar[..]) {
-            return Ok(signer);
+    /// Seals what waits where that can be done at once, at the end: work takes its time, and so does a
+    /// period of a second or more, which the next block's time would belie.
+    pub fn finish(&mut self) {
+        let at_once = self.turn().is_some_and(|turn| turn.delay.is_zero());
+        let brief = matches!(&self.sealing, Sealing::Authority(authority) if authority.period().as_secs() == 0);
+        if at_once && brief && self.due().is_some() {
+            self.assemble();
         }
-    }
-}
-
-fn genesis(file: &ChainFile, founding: &Founding) -> Result<Header, ChainError> {
-    let blame = |what: &str| file.tampered(0, what);
-    let (hash, header) = file.block(0)?.ok_or_else(|| blame("the genesis block is gone"))?;
-    let header = Header::decode(&header).map_err(|_| blame("its header is not a header"))?;
-    if header.hash() != hash || header.sealer() != Some(address_of(&founding.signer)) {
-        return Err(blame("its hash or its signer is not what it was"));
-    }
-    Ok(header)
-}
-
-/// Runs a block of the file again and compares all that its header commits to.
-fn rerun(
-    machine: &Machine,
-    header: &Header,
-    beneficiary: Address,
-    chain_id: u64,
-    mined: &[Mined],
-) -> Result<Outcome, String> {
-    let decode = |one: &Mined| Transaction::decode(&one.raw, chain_id, Some(one.sender));
-    let transactions = mined.iter().map(decode).collect::<Result<Vec<_>, _>>()?;
-    let place = Environment { number: header.number, timestamp: header.timestamp, beneficiary };
-    let outcome = machine.run(&place, transactions);
-    let again = Header {
-        extra: header.extra.clone(),
-        ..self::header(header.parent, header.number, header.timestamp, &outcome)
-    };
-    if again != *header {
-        return Err("running its transactions again gives another block".into());
-    }
-    let kept = outcome.receipts.iter().zip(mined).all(|(receipt, one)| rlp::encode(receipt)[..] == one.receipt[..]);
-    if kept { Ok(outcome) } else { Err("its receipts are not what they were".into()) }
-}
-
-fn header(parent: Hash, number: u64, timestamp: u64, outcome: &Outcome) -> Header {
-    let mut bloom = Bloom::zero();
-    for receipt in &outcome.receipts {
-        receipt.accrue(&mut bloom);
-    }
-    Header {
-        parent,
-        state_root: outcome.state_root,
-        transactions_root: transactions_root(&outcome.included),
-        receipts_root: receipts_root(&outcome.receipts),
-        bloom,
-        difficulty: 2,
-        number,
-        gas_used: outcome.receipts.last().map_or(0, |receipt| receipt.cumulative_gas),
-        timestamp,
-        extra: unsealed_extra(),
     }
 }
 
 fn reference(header: &Header) -> BlockRef {
     BlockRef { number: header.number, hash: header.hash(), timestamp: header.timestamp }
-}
-
-fn address_of(signer: &SigningKey) -> Address {
-    let point = signer.verifying_key().to_encoded_point(false);
-    let mut xy = [0; 64];
-    xy.copy_from_slice(&point.as_bytes()[1..65]);
-    Address::from_public_key(&xy)
 }

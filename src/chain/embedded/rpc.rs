@@ -9,6 +9,7 @@ use super::file::Mined;
 use super::json::{self, Mining, data, quantity, read_address, read_data, read_hash, read_quantity};
 use super::machine::{Answer, CALL_GAS_LIMIT, Message};
 use super::node::Node;
+use super::sealing::Sealing;
 use super::transaction::Transaction;
 use crate::chain::ChainError;
 use crate::model::{Address, Hash};
@@ -63,8 +64,9 @@ pub fn answer(node: &mut Node, method: &str, parameters: Value) -> Reply {
         "net_version" => Ok(Value::String(node.chain_id.to_string())),
         "net_listening" => Ok(Value::Bool(true)),
         "net_peerCount" | "eth_gasPrice" | "eth_maxPriorityFeePerGas" => Ok(quantity(0)),
-        "web3_clientVersion" => Ok(Value::String(concat!("AuthROS/v", env!("CARGO_PKG_VERSION"), "/embedded").into())),
-        "eth_syncing" | "eth_mining" => Ok(Value::Bool(false)),
+        "web3_clientVersion" => Ok(Value::String(client_version(node))),
+        "eth_syncing" => Ok(Value::Bool(false)),
+        "eth_mining" => Ok(Value::Bool(node.is_mining())),
         "eth_accounts" => Ok(json!([])),
         "eth_blockNumber" => Ok(quantity(node.head.number)),
         "eth_feeHistory" => fee_history(node, &parameters),
@@ -94,8 +96,19 @@ fn read(node: &Node, method: &str, parameters: &Parameters) -> Reply {
         "eth_getTransactionByHash" => transaction(node, parameters.at(0, read_hash)?),
         "eth_getTransactionReceipt" => receipt(node, parameters.at(0, read_hash)?),
         "eth_getLogs" => logs(node, parameters),
+        "clique_getSigners" if matches!(node.sealing, Sealing::Authority(_)) => {
+            Ok(node.sealing.addresses().iter().map(|signer| data(&signer.0)).collect())
+        }
         _ => Err(Fault::new(-32601, format!("the method {method} does not exist/is not available"))),
     }
+}
+
+fn client_version(node: &Node) -> String {
+    let sealing = match node.sealing {
+        Sealing::Authority(_) => "proof of authority",
+        Sealing::Work { .. } => "proof of work by Keccak-256, not ethash",
+    };
+    format!("AuthROS/v{}/embedded ({sealing})", env!("CARGO_PKG_VERSION"))
 }
 
 fn whole(parameters: &Parameters) -> bool {
@@ -199,7 +212,7 @@ fn block(node: &Node, number: u64, whole: bool) -> Reply {
         let full = || json::transaction(&decoded, node.chain_id, Some(place));
         shown.push(if whole { full() } else { data(&decoded.hash.0) });
     }
-    Ok(json::block(&header, hash, size, shown))
+    Ok(json::block(&header, hash, size, node.sealing.total_difficulty(number), shown))
 }
 
 fn decode(node: &Node, mined: &Mined) -> Result<Transaction, Fault> {

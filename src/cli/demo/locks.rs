@@ -9,7 +9,7 @@ use crate::store::RecordRow;
 
 /// A genuine record with everything that opens it.
 pub struct Genuine {
-    row: RecordRow,
+    pub(super) row: RecordRow,
     blob: Vec<u8>,
     key: TopicKey,
     pair: SmKeyPair,

@@ -40,6 +40,7 @@ use crate::model::ProfileName;
 use crate::paths::Home;
 use crate::pipeline::recorder::CapturedMessage;
 use crate::pipeline::ring::Ring;
+use crate::pipeline::sender::Policy;
 use crate::pipeline::{CaptureSession, Owner, Plant, Recorder, Sender};
 use crate::store::{AuditLog, Ledger, SiteLock, open_vault};
 
@@ -106,7 +107,7 @@ impl Site {
         let ring = Arc::new(Ring::new(RING_BYTES));
         let site = Arc::new(Self {
             recorder: Arc::new(Recorder::new(Arc::clone(&ring), hub.clone())),
-            sender: Arc::new(Sender::new(ledger)),
+            sender: Arc::new(Sender::new(ledger, hub.clone(), Policy { cap: config.max_fee })),
             audit: AuditLog::new(plant.ledger.clone()),
             home,
             config,

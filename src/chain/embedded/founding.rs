@@ -1,0 +1,90 @@
+//! The making of a new chain, and the recognition of an old one: chain id, keys, genesis block.
+
+use ethers::utils::keccak256;
+use k256::ecdsa::SigningKey;
+use zeroize::Zeroizing;
+
+use super::block::Header;
+use super::file::{ChainFile, Founding, keys_of};
+use super::sealing::Sealing;
+use crate::chain::{ChainError, Consensus};
+use crate::model::{Hash, Timestamp};
+
+/// Length of the random part of a genesis block that also commits to the consensus.
+const RANDOM: usize = 16;
+
+/// The chain of the file, or a new one; its sealing and its genesis block.
+///
+/// # Errors
+/// [`ChainError::OtherConsensus`] where another one is asked for than the chain was founded with,
+/// [`ChainError::Tampered`] where what was drawn at the founding does not fit the genesis block.
+pub fn open(file: &mut ChainFile, asked: Option<Consensus>) -> Result<(u64, Consensus, Sealing, Header), ChainError> {
+    let Founding { chain_id, consensus, keys } = match file.founding()? {
+        Some(founding) => founding,
+        None => found(file, asked.unwrap_or_default())?,
+    };
+    if let Some(asked) = asked.filter(|asked| *asked != consensus) {
+        return Err(ChainError::OtherConsensus { path: file.path().to_owned(), founded: consensus, asked });
+    }
+    let sealing = Sealing::new(&consensus, keys);
+    let genesis = genesis(file, &consensus, &sealing)?;
+    Ok((chain_id, consensus, sealing, genesis))
+}
+
+fn found(file: &mut ChainFile, consensus: Consensus) -> Result<Founding, ChainError> {
+    if !consensus.is_usable() {
+        return Err(ChainError::Input(format!("'{consensus}' is no usable consensus; see `chain.consensus`")));
+    }
+    let id = u64::from_be_bytes(noise()?);
+    let keys = (0..keys_of(&consensus)).map(|_| draw_key()).collect::<Result<Vec<_>, _>>()?;
+    let unique = if consensus == Consensus::POA { Hash(noise()?) } else { commitment(noise()?, &consensus) };
+    let sealing = Sealing::new(&consensus, keys.clone());
+    let mut genesis = sealing.genesis(unique, Timestamp::now().seconds());
+    if let Sealing::Authority(authority) = &sealing {
+        let sealed = authority.seal(&mut genesis, 0);
+        sealed.ok_or_else(|| ChainError::Internal("the genesis block could not be sealed".into()))?;
+    }
+    let founding = Founding { chain_id: (1 << 40) + id % (1 << 47), consensus, keys };
+    file.found(&founding, &genesis)?;
+    Ok(founding)
+}
+
+/// 16 random bytes, and as many of their Keccak-256 with the consensus, which so cannot be changed later.
+fn commitment(random: [u8; RANDOM], consensus: &Consensus) -> Hash {
+    let mut unique = keccak256([&random[..], consensus.to_string().as_bytes()].concat());
+    unique[..RANDOM].copy_from_slice(&random);
+    Hash(unique)
+}
+
+fn noise<const N: usize>() -> Result<[u8; N], ChainError> {
+    let mut noise = [0; N];
+    getrandom::fill(&mut noise).map_err(|error| ChainError::Internal(format!("no randomness: {error}")))?;
+    Ok(noise)
+}
+
+fn draw_key() -> Result<SigningKey, ChainError> {
+    let mut scalar = Zeroizing::new([0; 32]);
+    loop {
+        getrandom::fill(&mut scalar[..]).map_err(|error| ChainError::Internal(format!("no randomness: {error}")))?;
+        if let Ok(key) = SigningKey::from_slice(&scalar[..]) {
+            return Ok(key);
+        }
+    }
+}
+
+fn genesis(file: &ChainFile, consensus: &Consensus, sealing: &Sealing) -> Result<Header, ChainError> {
+    let blame = |what: &str| file.tampered(0, what);
+    let (hash, header) = file.block(0)?.ok_or_else(|| blame("the genesis block is gone"))?;
+    let header = Header::decode(&header).map_err(|_| blame("its header is not a header"))?;
+    if header.hash() != hash || !sealing.founded(&header) {
+        return Err(blame("its hash or its signers are not what they were"));
+    }
+    let committed = Sealing::unique(&header).is_some_and(|unique| {
+        let random = unique.0.first_chunk().copied().unwrap_or_default();
+        commitment(random, consensus) == unique
+    });
+    if *consensus != Consensus::POA && !committed {
+        return Err(blame("its consensus is not what it was"));
+    }
+    Ok(header)
+}
