@@ -80,9 +80,18 @@ pub fn lies(records: &[Value], anchors: &[Anchor]) -> Vec<String> {
         })
     };
     let mined = records.iter().filter(|record| says_mined(record));
-    let mut found: Vec<String> = mined.filter(lie).map(|record| format!("not on the chain: {record}")).collect();
+    let mut found: Vec<String> =
+        mined.filter(lie).map(|record| format!("not on the chain: {}", brief(record))).collect();
     found.extend(overfull(records, anchors));
     found
+}
+
+/// A record in as many words as a failed test needs.
+fn brief(record: &Value) -> String {
+    format!(
+        "{} seq {} {} block {} {}",
+        record["kind"], record["seq"], record["state"], record["block"], record["transaction"]
+    )
 }
 
 /// Batches that more records name than they have leaves.

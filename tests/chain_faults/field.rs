@@ -8,7 +8,7 @@ use serde_json::Value;
 use crate::evidence::{self, Anchor, expect_chained, expect_once, lies, says_mined};
 use crate::support::{Anvil, Authros, Home, Running, count, poll, text, wait_until};
 
-/// The topic that is captured; 20 messages a second.
+/// The first robot's topic; 20 messages a second.
 pub const TOPIC: &str = "/robot1/odom";
 /// Every kind of record that a site makes of its own accord.
 const KINDS: [&str; 4] = ["data", "definition", "gap", "adoption"];
@@ -41,6 +41,7 @@ pub struct Field {
     pub address: String,
     /// The contract in use.
     pub contract: RefCell<String>,
+    topics: Vec<String>,
     site: RefCell<Option<Running>>,
     known: RefCell<BTreeMap<String, Value>>,
 }
@@ -48,24 +49,33 @@ pub struct Field {
 impl Field {
     /// A new home whose site uses the node at `url`, with more options for every command.
     pub fn open(url: &str, mode: Mode, options: &[&str]) -> Self {
-        Self::in_home(Home::new(), url, mode, options)
+        Self::in_home(Home::new(), url, mode, 1, options)
     }
 
-    /// The same in a home that may hold something already.
-    pub fn in_home(home: Home, url: &str, mode: Mode, options: &[&str]) -> Self {
-        let authros = home.authros().with(&["--chain", url, "--anchor-mode", mode.word(), "--robots", "1"]);
+    /// The same in a home that may hold something already, with so many robots, each with a topic that is captured.
+    pub fn in_home(home: Home, url: &str, mode: Mode, robots: usize, options: &[&str]) -> Self {
+        let (word, number) = (mode.word(), robots.to_string());
+        let authros = home.authros().with(&["--chain", url, "--anchor-mode", word, "--robots", &number]);
         let authros = authros.with(options);
         let site = authros.serve(&home);
         let address = text(&authros.json(&["identity", "show"]), "address");
         let contract = text(&authros.json(&["chain", "status"]), "contract");
         let (site, contract) = (RefCell::new(Some(site)), RefCell::new(contract));
-        Self { home, authros, address, contract, site, known: RefCell::default() }
+        let topics = (1..=robots).map(|robot| format!("/robot{robot}/odom")).collect();
+        Self { home, authros, address, contract, topics, site, known: RefCell::default() }
     }
 
-    /// Takes messages of [`TOPIC`] until at least `least` more of them are acknowledged; returns all records.
+    /// Begins to capture the robots' topics.
+    pub fn watch(&self) {
+        for topic in &self.topics {
+            self.authros.run(&["topics", "watch", topic]).expect_code(0);
+        }
+    }
+
+    /// Takes messages until at least `least` more of them are acknowledged; returns all records.
     pub fn grow(&self, least: usize) -> Vec<Value> {
         let before = self.data().len();
-        self.authros.run(&["topics", "watch", TOPIC]).expect_code(0);
+        self.watch();
         wait_until(60, "records arrive", || (self.data().len() >= before + least).then_some(()));
         self.rest();
         self.records()
@@ -73,7 +83,9 @@ impl Field {
 
     /// Ends capturing, and waits until what is on its way is acknowledged.
     pub fn rest(&self) {
-        self.authros.run(&["topics", "unwatch", TOPIC]).expect_code(0);
+        for topic in &self.topics {
+            self.authros.run(&["topics", "unwatch", topic]).expect_code(0);
+        }
         let mut last = 0;
         wait_until(30, "the last record arrives", || {
             std::thread::sleep(std::time::Duration::from_millis(250));
@@ -128,10 +140,10 @@ impl Field {
 
     /// While the chain stands still: nothing but `anchored` records says that it is in a block, now and later.
     pub fn expect_still(&self, node: &Anvil, anchored: usize) {
-        for _ in 0..4 {
+        for _ in 0..3 {
             let mined = self.true_records(node).into_iter().filter(says_mined).count();
             assert_eq!(mined, anchored, "records in blocks while no block comes");
-            std::thread::sleep(std::time::Duration::from_millis(500));
+            std::thread::sleep(std::time::Duration::from_millis(400));
         }
     }
 
@@ -184,6 +196,16 @@ impl Field {
         }
         self.site.replace(Some(self.authros.spawn(&["serve"])));
         self.expect_told(words, 60);
+    }
+
+    /// Waits until `chain status` tells that this profile's lane stands still for this reason.
+    pub fn expect_paused(&self, reason: &str, seconds: u64) {
+        let mut lanes = Value::Null;
+        let paused = poll(seconds, || {
+            lanes = self.authros.json(&["chain", "status"])["lanes"].clone();
+            (lanes[0]["paused"]["reason"] == reason).then_some(())
+        });
+        assert!(paused.is_some(), "no lane paused for {reason}: {lanes}\n{}", self.said());
     }
 
     /// Transactions of the profile that the program counts as not yet in a block.

@@ -9,10 +9,11 @@ use authros::crypto::{
 use authros::model::{Domain, GrantTerms, Identity, ProfileName, RecordKind, Timestamp};
 use authros::store::{Ledger, RecordQuery, RecordRow, Vault, open_vault};
 
+use crate::NO_NODE;
 use crate::field::TOPIC;
-use crate::support::{Authros, Home, Running, heavy, list, text, wait_until};
+use crate::support::{Anvil, Authros, Home, Running, list, skipped, text, wait_until};
 
-/// Two profiles of one site on an embedded chain.
+/// Two profiles of one site.
 struct Two {
     home: Home,
     site: Running,
@@ -20,13 +21,19 @@ struct Two {
     bob_address: String,
 }
 
-fn two_profiles() -> Two {
+/// On the embedded chain, or at a node; alice's first records are taken.
+fn two_profiles(node: Option<&Anvil>) -> Two {
     let home = Home::new();
-    let site = home.authros().with(&["--robots", "1"]).serve(&home);
+    let url = node.map(Anvil::http);
+    let chain: Vec<&str> = url.iter().flat_map(|url| ["--chain", url]).collect();
+    let site = home.authros().with(&["--robots", "1"]).with(&chain).serve(&home);
     let (alice, bob) = (home.profile("alice"), home.profile("bob"));
     alice.enrol();
     let bob_address = bob.enrol();
-    Two { home, site, alice, bob_address }
+    alice.run(&["topics", "watch", TOPIC]).expect_code(0);
+    let two = Two { home, site, alice, bob_address };
+    two.take(5);
+    two
 }
 
 impl Two {
@@ -69,20 +76,23 @@ fn keyring(paths: &authros::paths::Home, name: &str) -> Keyring {
     Keyring::load(&paths.keyring(&profile), &passphrase).expect("the keyring opens")
 }
 
-async fn events(paths: &authros::paths::Home) -> (Pin, Vec<EventAt>) {
+async fn events(paths: &authros::paths::Home, node: Option<&Anvil>) -> (Pin, Vec<EventAt>) {
     let pin: Pin = serde_json::from_slice(&std::fs::read(paths.pin()).expect("a pin")).expect("JSON");
-    let endpoint = Endpoint::Embedded { directory: paths.chain() };
+    let endpoint = match node {
+        Some(node) => Endpoint::Node { url: node.http() },
+        None => Endpoint::Embedded { directory: paths.chain(), consensus: None },
+    };
     let options = ChainOptions { endpoint, contract: None, pinned: Some(pin.clone()), confirmations: 1 };
     let chain = Chain::connect(options).await.expect("the chain opens");
     (pin, chain.events(0, u64::MAX).await.expect("its events"))
 }
 
 /// Opens every envelope that was ever sent to `bob`, by grant or by wrap.
-async fn keep_everything(home: &Home) -> Kept {
+async fn keep_everything(home: &Home, node: Option<&Anvil>) -> Kept {
     let paths = authros::paths::Home::new(home.path());
     let provider = provider(ProviderName::RustCrypto);
     let (alice, bob) = (keyring(&paths, "alice").public(), keyring(&paths, "bob"));
-    let (pin, events) = events(&paths).await;
+    let (pin, events) = events(&paths, node).await;
     let domain = domain(pin.chain_id, &pin.genesis, &pin.contract);
     let owner = events.iter().find_map(|at| match &at.event {
         Event::Registered { owner, identity, .. } if *owner == alice.address => Some(*identity),
@@ -153,10 +163,7 @@ impl Kept {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_grantee_who_kept_every_key_opens_nothing_sealed_after_the_revoke() {
-    let _alone = heavy();
-    let two = two_profiles();
-    two.alice.run(&["topics", "watch", TOPIC]).expect_code(0);
-    two.take(5);
+    let two = two_profiles(None);
     two.alice.json(&["grant", &two.bob_address]);
     let granted = Timestamp::now();
     two.take(20);
@@ -165,25 +172,40 @@ async fn a_grantee_who_kept_every_key_opens_nothing_sealed_after_the_revoke() {
     let revoked = Timestamp::now();
     two.take(20);
     let home = two.end();
-    let kept = keep_everything(&home).await;
+    let kept = keep_everything(&home, None).await;
     kept.expect_shut_out(granted, revoking, revoked);
+}
+
+/// Captures over the end of a grant of some seconds; gives its beginning and its end.
+fn outlast_a_grant(two: &Two, meanwhile: impl FnOnce()) -> (Timestamp, Timestamp) {
+    two.alice.json(&["grant", &two.bob_address, "--expires", "5s"]);
+    let granted = Timestamp::now();
+    meanwhile();
+    let grant = || list(&two.alice.json(&["grants", "list"]), "grants").remove(0);
+    let expiry: Timestamp = serde_json::from_value(grant()["expires"].clone()).expect("a time");
+    wait_until(30, "the grant runs out", || (Timestamp::now() > expiry).then_some(()));
+    two.take(40);
+    assert_eq!(text(&grant(), "state"), "expired");
+    (granted, expiry)
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_grantee_who_kept_every_key_opens_nothing_sealed_after_the_expiry() {
-    let _alone = heavy();
-    let two = two_profiles();
-    two.alice.run(&["topics", "watch", TOPIC]).expect_code(0);
-    two.take(5);
-    two.alice.json(&["grant", &two.bob_address, "--expires", "5s"]);
-    let granted = Timestamp::now();
-    let rows = list(&two.alice.json(&["grants", "list"]), "grants");
-    let expiry: Timestamp = serde_json::from_value(rows[0]["expires"].clone()).expect("a time");
-    wait_until(30, "the grant runs out", || (Timestamp::now() > expiry).then_some(()));
-    two.take(40);
-    let state = text(&list(&two.alice.json(&["grants", "list"]), "grants")[0], "state");
-    assert_eq!(state, "expired");
+    let two = two_profiles(None);
+    let (granted, expiry) = outlast_a_grant(&two, || {});
     let home = two.end();
-    let kept = keep_everything(&home).await;
+    let kept = keep_everything(&home, None).await;
+    kept.expect_shut_out(granted, expiry, expiry);
+}
+
+/// The next epoch cannot reach the chain when the grant runs out; it begins all the same.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_grant_runs_out_on_a_chain_that_makes_no_blocks() {
+    let Some(node) = Anvil::start(&[]) else { skipped!(NO_NODE) };
+    let two = two_profiles(Some(&node));
+    let (granted, expiry) = outlast_a_grant(&two, || node.set_interval(0));
+    node.set_interval(1);
+    let home = two.end();
+    let kept = keep_everything(&home, Some(&node)).await;
     kept.expect_shut_out(granted, expiry, expiry);
 }

@@ -9,7 +9,7 @@ use crate::NO_NODE;
 use crate::evidence::{Anchor, Anchored};
 use crate::field::{Field, Mode};
 use crate::support::process::output_of;
-use crate::support::{Anvil, count, heavy, hex, skipped, system_program, text, unhex};
+use crate::support::{Anvil, count, hex, skipped, system_program, text, unhex};
 
 /// `openssl dgst -sm3` of a file.
 fn sm3_of_file(path: &Path) -> Vec<u8> {
@@ -101,7 +101,6 @@ fn openssl_and_the_chains_log_confirm_exported_records_of_batches() {
     if system_program("openssl").is_none() {
         skipped!("no openssl");
     }
-    let _alone = heavy();
     let Some(node) = Anvil::start(&[]) else { skipped!(NO_NODE) };
     let field = Field::open(&node.http(), Mode::Batch, &[]);
     node.set_interval(1);
@@ -128,7 +127,6 @@ fn openssl_and_the_chains_log_confirm_an_exported_single_upload() {
     if system_program("openssl").is_none() {
         skipped!("no openssl");
     }
-    let _alone = heavy();
     let Some(node) = Anvil::start(&[]) else { skipped!(NO_NODE) };
     let field = Field::open(&node.http(), Mode::Each, &[]);
     field.grow(3);

@@ -1,18 +1,17 @@
 //! The node dies and comes back with nothing: anchoring stops, the operator decides, nothing is lost.
 
 use crate::NO_NODE;
-use crate::evidence::says_mined;
-use crate::field::{Field, Mode, TOPIC, digests, states};
-use crate::support::{Anvil, heavy, skipped, text, wait_until};
+use crate::evidence::{expect_once, says_mined};
+use crate::field::{Field, Mode, digests, states};
+use crate::support::{Anvil, skipped, text, wait_until};
 
 fn expect_empty_restart_survived(mode: Mode, restarted: bool) {
-    let _alone = heavy();
     let Some(node) = Anvil::start(&[]) else { skipped!(NO_NODE) };
     let field = Field::open(&node.http(), mode, &[]);
     field.grow(10);
     let before = field.expect_settled(&node, 60);
 
-    field.authros.run(&["topics", "watch", TOPIC]).expect_code(0);
+    field.watch();
     let node = node.kill_and_start_empty(&[]);
     field.expect_told(&["chain adopt"], 60);
     wait_until(60, "what comes meanwhile is acknowledged", || (field.records().len() > before.len() + 5).then_some(()));
@@ -46,7 +45,7 @@ fn expect_empty_restart_survived(mode: Mode, restarted: bool) {
         .filter(|one| on_chain.iter().any(|it| one["transaction"] == it.transaction.as_str()))
         .cloned()
         .collect();
-    crate::evidence::expect_once(&named, &on_chain);
+    expect_once(&named, &on_chain);
     for record in after.iter().filter(|one| !digests(&before).contains(&text(one, "digest"))) {
         assert!(digests(&named).contains(&text(record, "digest")), "not on the adopted chain: {record}");
     }
@@ -66,7 +65,6 @@ fn batches_stop_at_an_emptied_node_until_it_is_adopted() {
 /// The node is away for a while and comes back as it was.
 #[test]
 fn a_node_that_comes_back_with_its_blocks_is_used_again() {
-    let _alone = heavy();
     let directory = tempfile::tempdir().expect("a temporary directory");
     let state = directory.path().join("state.json");
     let state = ["--state", state.to_str().expect("UTF-8"), "--preserve-historical-states"];
