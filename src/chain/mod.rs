@@ -12,9 +12,12 @@ mod embedded;
 mod error;
 mod event;
 mod fees;
+mod genesis;
 pub mod merkle;
 mod reader;
+mod sealing;
 mod sender;
+pub mod serve;
 #[cfg(test)]
 mod tests;
 mod transport;
@@ -30,6 +33,8 @@ pub use self::call::{Call, LONGEST_ENVELOPE, MOST_WRAPS};
 pub use self::error::{ChainError, explain};
 pub use self::event::Event;
 pub use self::fees::{Market, Offered, call_data, is_same_call, offered};
+pub use self::genesis::{Allocation, GUIDE, Genesis, GenesisKind};
+pub use self::sealing::Sealing;
 pub use crate::model::Consensus;
 use crate::model::{Address, Digest, Hash, Identity, Timestamp, Token};
 

@@ -7,7 +7,7 @@ use tokio::task::block_in_place;
 use crate::chain::merkle::{Leaf, MOST_LEAVES, Tree};
 use crate::chain::{Call, ChainError};
 use crate::crypto::EoaSecret;
-use crate::model::{Address, AnchorMode, Hash, RecordState, Timestamp, Token};
+use crate::model::{Address, AnchorMode, RecordState, Timestamp, Token};
 use crate::store::{Anchors, NewBatch, RecordRow, WaitingBatch};
 
 use super::pace::{LONGEST_WAIT, Pace};
@@ -64,16 +64,16 @@ impl Anchorer {
         if network.directory.epoch(owner.address) == 0 {
             return Ok(Round::wait(IDLE));
         }
-        let Some((lane, open)) = free_lane(plant, sender, lanes)? else { return Ok(Round::wait(IDLE)) };
+        let Some(lane) = free_lane(plant, sender, lanes)? else { return Ok(Round::wait(IDLE)) };
         // Batches that were closed before come first, whatever the mode is now.
         let waiting = block_in_place(|| plant.ledger.waiting_batches(owner.address, 1))?;
         if let Some(batch) = waiting.first() {
-            return send(network, sender, lane, &open, *batch).await;
+            return send(plant, network, sender, lane, *batch).await;
         }
         match self.mode {
             AnchorMode::Each => one_by_one(plant, network, sender, owner).await,
             AnchorMode::Batch => match self.close(plant, owner.address)? {
-                Ok(batch) => send(network, sender, lane, &open, batch).await,
+                Ok(batch) => send(plant, network, sender, lane, batch).await,
                 Err(due_in) => Ok(Round::wait(due_in)),
             },
         }
@@ -112,21 +112,18 @@ pub(super) fn close_batch(
     Ok(Some(batch))
 }
 
-/// The account with the fewest open batches, and their roots; `None` where all have their fill or stand still.
+/// The account with the fewest open batches; `None` where all have their fill or stand still.
 fn free_lane<'a>(
     plant: &Plant,
     sender: &Sender,
     lanes: &'a [EoaSecret],
-) -> Result<Option<(&'a EoaSecret, Vec<Hash>)>, PipelineError> {
+) -> Result<Option<&'a EoaSecret>, PipelineError> {
     block_in_place(|| {
-        let mut best: Option<(&EoaSecret, Vec<Hash>)> = None;
+        let (mut best, mut fewest) = (None, MOST_OPEN_BATCHES);
         for lane in lanes {
-            if sender.room(lane.address())? == 0 {
-                continue;
-            }
-            let open = plant.ledger.open_roots(lane.address())?;
-            if open.len() < best.as_ref().map_or(MOST_OPEN_BATCHES, |(_, fewest)| fewest.len()) {
-                best = Some((lane, open));
+            let open = plant.ledger.open_roots(lane.address())?.len();
+            if open < fewest && sender.room(lane.address())? > 0 {
+                (best, fewest) = (Some(lane), open);
             }
         }
         Ok(best)
@@ -134,19 +131,22 @@ fn free_lane<'a>(
 }
 
 async fn send(
+    plant: &Plant,
     network: &Network,
     sender: &Sender,
     lane: &EoaSecret,
-    open: &[Hash],
     batch: WaitingBatch,
 ) -> Result<Round, PipelineError> {
+    // Held from the look at what is open until the next one is signed, so that the chain of roots has no fork.
+    let held = sender.lane(&network.chain, lane).await;
+    let open = block_in_place(|| plant.ledger.open_roots(lane.address()))?;
     let previous = match open.last() {
         Some(root) => *root,
         None => network.chain.anchor_head(lane.address()).await?,
     };
     let call = Call::Anchor { root: batch.root, count: batch.count, previous };
     let outgoing = Outgoing { call, purpose: "anchor".to_owned(), anchors: Anchors::Batch(batch.root) };
-    match sender.submit(&network.chain, lane, vec![outgoing]).await {
+    match held.submit(vec![outgoing]).await {
         Ok(hashes) => Ok(Round { submitted: hashes.len(), next: Duration::ZERO }),
         // Where its gas must be estimated anew, the root before it has to be mined first.
         Err(PipelineError::Chain(ChainError::Reverted { .. })) if !open.is_empty() => Ok(Round::wait(IDLE)),

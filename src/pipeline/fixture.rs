@@ -41,8 +41,8 @@ impl Observer for Notes {
 
 /// One process: a ledger with its sender, on a chain.
 pub struct Process {
-    /// Where the ledger lies.
-    pub home: TempDir,
+    /// Where the ledger lies, until the test ends.
+    _home: TempDir,
     /// Ledger, vault, provider.
     pub plant: Plant,
     /// The chain.
@@ -62,7 +62,7 @@ pub const TOKEN: Token = Token([3; 32]);
 pub async fn embedded(directory: &Path, pinned: Option<Pin>) -> Chain {
     let deadline = Instant::now() + Duration::from_secs(20);
     loop {
-        let endpoint = Endpoint::Embedded { directory: directory.to_owned() };
+        let endpoint = Endpoint::Embedded { directory: directory.to_owned(), consensus: None };
         match Chain::connect(ChainOptions { endpoint, contract: None, pinned: pinned.clone(), confirmations: 1 }).await
         {
             Ok(chain) => return chain,
@@ -117,7 +117,7 @@ impl Process {
         watcher::restore(&plant, &network).expect("restores");
         watcher::watch_round(&plant, &network).await.expect("scans");
         let sender = Sender::new(plant.ledger.clone(), Arc::clone(&plant.observer), policy);
-        Self { home, plant, network, sender, notes, eoa }
+        Self { _home: home, plant, network, sender, notes, eoa }
     }
 
     /// A process on a fresh embedded chain with the contract, its account registered.
@@ -183,6 +183,17 @@ impl Process {
             if done(self) {
                 return;
             }
+            assert!(Instant::now() < deadline, "{what}: {:?}", self.plant.ledger.counts(None));
+            tokio::time::sleep(Duration::from_millis(30)).await;
+        }
+    }
+
+    /// As [`Self::rounds_until`], and whatever is stored is anchored meanwhile.
+    pub async fn work_until(&self, what: &str, mut done: impl FnMut(&Self) -> bool) {
+        let deadline = Instant::now() + Duration::from_secs(60);
+        while !done(self) {
+            self.anchor(16).await;
+            self.round().await;
             assert!(Instant::now() < deadline, "{what}: {:?}", self.plant.ledger.counts(None));
             tokio::time::sleep(Duration::from_millis(30)).await;
         }

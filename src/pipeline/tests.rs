@@ -91,7 +91,7 @@ impl Line {
             if round.submitted == 0 && !more {
                 self.network.chain.next_block(head, round.next).await.expect("a block");
             }
-            self.sender.tend(&self.network.chain, &lanes[0]).await.expect("tended");
+            self.sender.tend(&self.network.chain, &self.owner.eoa()).await.expect("closed");
         }
     }
 

@@ -187,6 +187,7 @@ fn chain() -> ChainView {
         pending: 1,
         client: "AuthROS embedded".to_owned(),
         lanes: Vec::new(),
+        sealing: crate::chain::Sealing::default(),
     }
 }
 

@@ -163,14 +163,17 @@ async fn a_network_without_blocks_is_told() {
 #[tokio::test(flavor = "multi_thread")]
 async fn replaced_blocks_are_filled_again() {
     let Some(node) = Anvil::start("replaced_blocks_are_filled_again", &[]) else { return };
-    let process = node.process(None, 20).await;
-    for depth in [1, 8] {
-        process.anchor(10).await;
-        let expected = if depth == 1 { 10 } else { 20 };
-        process.rounds_until("they are confirmed", |process| process.count(RecordState::Confirmed) == expected).await;
+    let process = node.process(None, 0).await;
+    for (round, depth) in [(0, 1), (1, 8), (2, 16)] {
+        process.store(round * 10..round * 10 + 10);
+        process
+            .work_until("they are confirmed", |process| process.count(RecordState::Confirmed) == round * 10 + 10)
+            .await;
         node.call("anvil_reorg", json!([depth, []])).await;
         node.call("evm_mine", json!([])).await;
     }
-    expect_all_once(&process, 20).await;
-    assert!(process.notes.with("replaced its last") > 0);
+    process.round().await;
+    process.work_until("all are confirmed", |process| process.count(RecordState::Confirmed) == 30).await;
+    assert!(process.anchored(0..30).await.into_iter().all(|times| times == 1));
+    assert!(process.notes.with("replaced its last") >= 2, "{:?}", process.notes.all());
 }

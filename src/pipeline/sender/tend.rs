@@ -147,7 +147,7 @@ impl Sender {
         }
         // A receipt is only worth something on the chain that the watcher follows; else it would be closed for
         // a block that is gone, and nobody would open it again.
-        if !chain.block(seen).await?.is_some_and(|block| block.hash == hash) {
+        if chain.block(seen).await?.is_none_or(|block| block.hash != hash) {
             return Ok(Vec::new());
         }
         let (mut closings, mut refused) = (Vec::new(), Vec::new());

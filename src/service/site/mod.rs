@@ -7,6 +7,7 @@ mod audit;
 mod capture;
 mod chain_link;
 mod epochs;
+mod exposure;
 mod handle;
 mod identity;
 mod keys;
@@ -148,7 +149,7 @@ impl Site {
 
     /// Answers calls until their sender is gone; consoles claimed through it are then free again.
     pub async fn serve(self: Arc<Self>, mut calls: mpsc::UnboundedReceiver<Call>) {
-        let claims = Arc::new(Mutex::new(HashSet::new()));
+        let claims = handle::Claims::default();
         while let Some(Call { request, answer }) = calls.recv().await {
             let (site, claims) = (Arc::clone(&self), Arc::clone(&claims));
             tokio::spawn(async move {

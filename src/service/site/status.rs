@@ -120,6 +120,7 @@ impl Site {
             pending: lanes.iter().map(|lane| lane.open).sum(),
             lanes,
             client: clean(&status.client, 100),
+            sealing: chain.sealing().await?,
         })
     }
 }

@@ -179,18 +179,22 @@ impl Ledger {
     }
 }
 
-/// Moves records and batches from one transaction to another.
+/// Moves records and a batch from one transaction to another.
 fn hand_over(connection: &Connection, from: Hash, to: Hash) -> Result<(), StoreError> {
-    connection
-        .prepare_cached(
-            "UPDATE records SET tx = ?2 WHERE tx = ?1 AND block IS NULL AND n IN
-             (SELECT record FROM leaves JOIN batches ON batches.key = leaves.batch WHERE batches.tx = ?1)",
-        )?
-        .execute([from.0, to.0])?;
-    connection.prepare_cached("UPDATE batches SET tx = ?2 WHERE tx = ?1 AND block IS NULL")?.execute([from.0, to.0])?;
-    let digests: Vec<u8> = connection
-        .prepare_cached("SELECT digests FROM transactions WHERE hash = ?1")?
-        .query_row([from.0], |row| row.get(0))?;
+    let (digests, batch): (Vec<u8>, Option<[u8; 32]>) = connection
+        .prepare_cached("SELECT digests, batch FROM transactions WHERE hash = ?1")?
+        .query_row([from.0], |row| Ok((row.get(0)?, row.get(1)?)))?;
+    if let Some(root) = batch {
+        connection
+            .prepare_cached("UPDATE batches SET tx = ?3 WHERE root = ?1 AND tx = ?2 AND block IS NULL")?
+            .execute([root, from.0, to.0])?;
+        connection
+            .prepare_cached(
+                "UPDATE records SET tx = ?3 WHERE tx = ?2 AND block IS NULL AND n IN
+                 (SELECT record FROM leaves JOIN batches ON key = batch WHERE root = ?1)",
+            )?
+            .execute([root, from.0, to.0])?;
+    }
     let mut statement =
         connection.prepare_cached("UPDATE records SET tx = ?3 WHERE digest = ?1 AND tx = ?2 AND block IS NULL")?;
     for digest in digests.chunks_exact(crate::model::Digest::LENGTH) {
