@@ -27,7 +27,6 @@ fn private(directory: &Path) {
 }
 
 fn expect_interleaving(mode: Mode) {
-    let _alone = heavy();
     let Some(node) = Anvil::start(&[]) else { skipped!(NO_NODE) };
     let one = Field::open(&node.http(), mode, &[]);
     let contract = one.contract.borrow().clone();
@@ -77,7 +76,6 @@ fn transfers(node: &Anvil, address: &str) -> usize {
 
 /// Something else spends the account's nonces while records are anchored with it.
 fn expect_foreign_transactions_survived(mode: Mode) {
-    let _alone = heavy();
     let Some(node) = Anvil::start(&[]) else { skipped!(NO_NODE) };
     let field = Field::open(&node.http(), mode, &[]);
     node.set_interval(1);
