@@ -118,6 +118,9 @@ pub enum Verb {
     /// Records shared with this profile: list, check, open
     #[command(subcommand)]
     Shared(SharedVerb),
+    /// Devices that may sign: lend, recall, list
+    #[command(subcommand)]
+    Devices(super::adopt::DevicesVerb),
     /// The chain
     #[command(subcommand)]
     Chain(ChainVerb),

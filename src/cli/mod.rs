@@ -3,6 +3,7 @@
 //! stdout carries the result and nothing else, stderr the rest; `--json` changes the format,
 //! never the channel. Nothing here does work of its own but the demo's story.
 
+mod adopt;
 pub mod args;
 mod capture;
 mod chain;

@@ -31,7 +31,7 @@ mod openssl_tests;
 mod vector_tests;
 
 pub use der::{signature_der, signature_from_der};
-pub use derive::{domain, epoch_key, filter_id, signer_id, token, topic_id, topic_key};
+pub use derive::{domain, epoch_key, filter_id, signer_id, token, topic_id, topic_key, witness_secret};
 pub use envelope::{GrantedKeys, WrappedKeys, unwrap, wrap};
 pub use error::CryptoError;
 pub use identity::{check_identity, prove};

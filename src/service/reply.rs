@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::command::SecretBytes;
 use crate::chain::{Pin, Sealing};
-use crate::model::{Address, Digest, ErrorKind, Hash, ProfileName, PublicKey, Timestamp, Token, Verdict};
+use crate::model::{Address, Digest, ErrorKind, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token, Verdict};
 use crate::pipeline::sender::LaneState;
 
 /// Why a command failed, as a person reads it.
@@ -228,6 +228,21 @@ pub struct GrantRow {
     pub transaction: Hash,
 }
 
+/// One device that was lent.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct DeviceRow {
+    /// SM3 of its public key.
+    pub device: SignerId,
+    /// `lent`, `expired` or `recalled`.
+    pub state: String,
+    /// Block of the loan.
+    pub from: u64,
+    /// When the loan ends.
+    pub until: Option<Timestamp>,
+    /// Block of the recall.
+    pub recalled: Option<u64>,
+}
+
 /// The chain as seen from here.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ChainView {
@@ -432,6 +447,8 @@ pub enum Reply {
     Transaction(TransactionView),
     /// To `ListGrants`.
     Grants(Vec<GrantRow>),
+    /// To `ListDevices`.
+    Devices(Vec<DeviceRow>),
     /// To `CheckShared`.
     Check(CheckView),
     /// To `OpenShared`.

@@ -10,6 +10,8 @@ use clap::{Args, Subcommand, ValueEnum};
 pub enum ChainVerb {
     /// Node, consensus, contract, block, balance, pending transactions
     Status,
+    /// Go on with the chain that is there now, in place of the one this home is bound to
+    Adopt,
     /// Put the contract on the chain with this profile's account, and pin it
     Deploy,
     /// Answer other tools' JSON-RPC (cast, web3, curl) over the embedded chain, on this machine only
