@@ -11,6 +11,7 @@ mod development;
 mod embedded;
 mod error;
 mod event;
+mod foreign;
 pub mod merkle;
 mod reader;
 mod sender;
@@ -28,6 +29,8 @@ use serde::{Deserialize, Serialize};
 pub use self::call::{Call, LONGEST_ENVELOPE, MOST_WRAPS};
 pub use self::error::{ChainError, explain};
 pub use self::event::Event;
+pub use self::foreign::{ForeignContract, created_address};
+pub use self::work::BlockWork;
 pub use crate::model::Consensus;
 use crate::model::{Address, Digest, Hash, Identity, Timestamp, Token};
 

@@ -39,7 +39,7 @@ impl Chain {
         self.sign_raw(&wallet, nonce, Some(contract), data, gas).await
     }
 
-    async fn sign_raw(
+    pub(super) async fn sign_raw(
         &self,
         wallet: &LocalWallet,
         nonce: u64,
@@ -72,7 +72,7 @@ impl Chain {
     }
 
     /// The node's estimate and a quarter.
-    async fn estimate(&self, from: Address, to: Option<Address>, data: &[u8]) -> Result<u64, ChainError> {
+    pub(super) async fn estimate(&self, from: Address, to: Option<Address>, data: &[u8]) -> Result<u64, ChainError> {
         let mut message = json!({ "from": from.to_string(), "data": format!("0x{}", hex(data)) });
         if let Some(to) = to {
             message["to"] = json!(to.to_string());
@@ -194,7 +194,7 @@ impl Chain {
 }
 
 /// The key in ethers' form; it is wiped when dropped.
-fn wallet(eoa: &EoaSecret) -> Result<LocalWallet, ChainError> {
+pub(super) fn wallet(eoa: &EoaSecret) -> Result<LocalWallet, ChainError> {
     LocalWallet::from_bytes(&eoa.expose()[..]).map_err(|error| unsigned(&error))
 }
 

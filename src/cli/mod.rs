@@ -4,6 +4,7 @@
 //! never the channel. Nothing here does work of its own but the demo's story.
 
 pub mod args;
+mod bench;
 mod capture;
 mod connect;
 mod console;
@@ -57,8 +58,13 @@ pub fn main() -> ExitCode {
 }
 
 fn run(runtime: &tokio::runtime::Runtime, arguments: Arguments, output: &Output) -> Result<u8, Failure> {
+    let verb = match arguments.verb {
+        // Needs no home, so it does not look at one.
+        Some(Verb::Bench(bench)) => return runtime.block_on(bench::run(&arguments.global, bench, output)),
+        other => other,
+    };
     let context = Context::new(arguments.global)?;
-    match arguments.verb {
+    match verb {
         None => console::run(runtime, context, args::ConsoleArguments::default()),
         Some(Verb::Console(console)) => console::run(runtime, context, console),
         Some(Verb::Serve) => runtime.block_on(serve::run(context, output)),

@@ -95,7 +95,7 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
             Plan { out, ..Plan::new(CHAIN, Unlocked, Command::OpenShared { id }) }
         }
         Verb::Chain(ChainVerb::Status) => Plan::new(CHAIN, NoProfile, Command::ChainStatus),
-        Verb::Config(_) | Verb::Capture(_) | Verb::Serve | Verb::Demo(_) | Verb::Console(_) => {
+        Verb::Config(_) | Verb::Capture(_) | Verb::Serve | Verb::Demo(_) | Verb::Bench(_) | Verb::Console(_) => {
             return Err(super::connect::unexpected());
         }
     })
