@@ -22,7 +22,7 @@ contract AuthROS {
     }
 
     /// @dev What an owner granted one account, and how often it was revoked before. `scope` is zero for all
-    ///      topics, else the Keccak-256 of the topic ids.
+    ///      topics, else the Keccak-256 of the topic ids, each filled up with zeros to 32 bytes.
     struct Grant {
         bool active;
         uint64 epoch;
@@ -80,14 +80,17 @@ contract AuthROS {
     mapping(address => mapping(address => Grant)) public grantOf;
     /// @notice The envelope that an owner gave a grantee for an epoch.
     mapping(address => mapping(address => mapping(uint64 => Envelope))) public envelopeOf;
-    /// @notice The root that an account anchored last.
-    mapping(address => bytes32) public headOf;
     /// @notice When an account first anchored a root, and over how many leaves.
     mapping(address => mapping(bytes32 => Anchor)) public anchorOf;
     /// @notice Whether an owner lends a device its signature.
     mapping(address => mapping(bytes32 => Loan)) public loanOf;
 
+    /// @dev Stands for "no root yet" in `heads`: a word that is not zero is cheaper to replace.
+    bytes32 private constant NO_ROOT = bytes32(type(uint256).max);
+
     mapping(address => Account) private accounts;
+    /// @dev Written at registration already, so that the first anchor costs what each further one does.
+    mapping(address => bytes32) private heads;
 
     /// @notice An account registered; it stands at epoch 1.
     event Registered(address indexed owner, bytes32 indexed token, bytes identity);
@@ -176,6 +179,7 @@ contract AuthROS {
         bytes32 token = tokenOf(identity);
         account.keys = 1;
         account.identity = identity;
+        heads[msg.sender] = NO_ROOT;
         setToken(account, token);
         emit Registered(msg.sender, token, identity);
     }
@@ -244,17 +248,15 @@ contract AuthROS {
     /// @notice Anchors the Merkle root of a batch, chained to the sender's last one.
     /// @dev The sender is a witness of time and existence; authorship is the SM2 signature in each record.
     ///      Where a root is anchored twice, the earliest counts.
-    /// @param root Merkle root, SM3
+    /// @param root Merkle root, SM3; neither all zeros nor all ones
     /// @param count number of leaves
     /// @param previous the sender's last root, zero for the first
     function anchor(bytes32 root, uint64 count, bytes32 previous) external acting {
-        require(root != 0 && count != 0, "empty");
-        require(headOf[msg.sender] == previous, "previous");
-        headOf[msg.sender] = root;
-        Anchor storage first = anchorOf[msg.sender][root];
-        if (first.blockNumber == 0) {
-            first.blockNumber = uint64(block.number);
-            first.count = count;
+        require(root != 0 && root != NO_ROOT && count != 0, "empty");
+        require(headOf(msg.sender) == previous, "previous");
+        heads[msg.sender] = root;
+        if (anchorOf[msg.sender][root].blockNumber == 0) {
+            anchorOf[msg.sender][root] = Anchor(uint64(block.number), count);
         }
         emit Anchored(msg.sender, root, count, previous);
     }
@@ -438,6 +440,14 @@ contract AuthROS {
         last = account.last;
     }
 
+    /// @notice The root that an account anchored last.
+    /// @param account who
+    /// @return root the last one; zero where there is none
+    function headOf(address account) public view returns (bytes32 root) {
+        root = heads[account];
+        if (root == NO_ROOT) root = 0;
+    }
+
     // ---- inner ----
 
     /// @dev Begins the sender's next epoch with a token that it never used.
@@ -476,7 +486,7 @@ contract AuthROS {
         return grant.active && (grant.expiry == 0 || block.timestamp < grant.expiry);
     }
 
-    /// @dev Zero for all topics, else the hash of their ids.
+    /// @dev Zero for all topics, else the hash of their ids, each filled up with zeros to 32 bytes.
     function scopeHash(bytes16[] calldata scope) private pure returns (bytes32) {
         return scope.length == 0 ? bytes32(0) : keccak256(abi.encodePacked(scope));
     }

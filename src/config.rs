@@ -1,5 +1,7 @@
 //! Settings: flag over environment over `config.toml` over default, each with where it came from.
 
+mod definitions;
+
 use std::collections::BTreeMap;
 use std::fmt;
 use std::path::Path;
@@ -7,6 +9,7 @@ use std::str::FromStr;
 
 use serde::Serialize;
 
+pub use self::definitions::{DEFINITIONS, Definition};
 use crate::crypto::ProviderName;
 use crate::model::{Address, AnchorMode, Consensus, ErrorKind, clean};
 
@@ -76,89 +79,6 @@ impl fmt::Display for Source {
     }
 }
 
-/// What a setting is.
-#[derive(Debug)]
-pub struct Definition {
-    /// Its name in `config.toml` and in `config show`.
-    pub name: &'static str,
-    /// Its environment variable.
-    pub variable: &'static str,
-    /// Its default; empty = embedded or chosen by the program.
-    pub default: &'static str,
-    /// One line for people.
-    pub text: &'static str,
-}
-
-/// Every setting, in the order shown.
-pub const DEFINITIONS: [Definition; 11] = [
-    Definition {
-        name: "ros.master",
-        variable: "ROS_MASTER_URI",
-        default: "",
-        text: "URI of a real ROS master; empty = embedded master",
-    },
-    Definition {
-        name: "ros.host",
-        variable: "ROS_HOSTNAME",
-        default: "",
-        text: "name or address other ROS nodes reach this machine by; ROS_IP counts too",
-    },
-    Definition {
-        name: "ros.meter",
-        variable: "AUTHROS_METER",
-        default: "auto",
-        text: "measure rates of: all topics, watched ones, or auto (all on the embedded master)",
-    },
-    Definition {
-        name: "robots",
-        variable: "AUTHROS_ROBOTS",
-        default: "4",
-        text: "simulated robots on the embedded master, 0 to 32",
-    },
-    Definition {
-        name: "chain.url",
-        variable: "AUTHROS_CHAIN",
-        default: "",
-        text: "node to use: http://, ws:// or ipc path; empty = embedded chain",
-    },
-    Definition {
-        name: "chain.contract",
-        variable: "AUTHROS_CONTRACT",
-        default: "",
-        text: "address of the AuthROS contract; empty = deploy one at first registration",
-    },
-    Definition {
-        name: "chain.consensus",
-        variable: "AUTHROS_CONSENSUS",
-        default: "",
-        text: "embedded chain: poa[:SIGNERS:PERIOD_MS] or pow[:DIFFICULTY]; empty = as founded, new ones poa",
-    },
-    Definition {
-        name: "vault.url",
-        variable: "AUTHROS_VAULT",
-        default: "",
-        text: "redis://host:port; empty = embedded vault",
-    },
-    Definition {
-        name: "crypto.provider",
-        variable: "AUTHROS_CRYPTO_PROVIDER",
-        default: "rustcrypto",
-        text: "rustcrypto or libsm",
-    },
-    Definition {
-        name: "anchor.mode",
-        variable: "AUTHROS_ANCHOR_MODE",
-        default: "batch",
-        text: "batch = Merkle roots, about one transaction a second; each = one dataUpload per record",
-    },
-    Definition {
-        name: "confirmations",
-        variable: "AUTHROS_CONFIRMATIONS",
-        default: "1",
-        text: "blocks until an anchor counts as confirmed, its own included, 1 to 1000",
-    },
-];
-
 /// Which topics' rates are measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum MeterMode {
@@ -197,6 +117,10 @@ pub struct Config {
     pub chain_url: Option<String>,
     /// The contract's address.
     pub contract: Option<Address>,
+    /// The most wei per gas that a transaction may offer.
+    pub max_fee: Option<u128>,
+    /// Accounts that anchor side by side, the owner's included.
+    pub lanes: u8,
     /// What the embedded chain's consensus must be; a new one is founded with it.
     pub consensus: Option<Consensus>,
     /// A real Redis.
@@ -245,6 +169,11 @@ impl Config {
             ros_master,
             chain_url: url(&values, "chain.url", &["http://", "ws://", "ipc://", "/"])?,
             contract: parsed(&values, "chain.contract")?,
+            max_fee: match text("chain.max_fee") {
+                Some(_) => Some(u128::from(number(&values, "chain.max_fee", 0, 1_000_000_000)?) * 1_000_000_000),
+                None => None,
+            },
+            lanes: u8::try_from(number(&values, "anchor.lanes", 1, 8)?).unwrap_or(1),
             consensus: parsed(&values, "chain.consensus")?,
             vault_url: url(&values, "vault.url", &["redis://", "redis+unix://", "unix://"])?,
             provider: parsed(&values, "crypto.provider")?.unwrap_or_default(),

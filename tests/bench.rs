@@ -39,9 +39,8 @@ fn expect_nothing_left(home: &Home) {
 }
 
 fn row<'a>(rows: &'a [Value], way: &str, records: u64, bytes: u64) -> &'a Value {
-    let found = rows.iter().find(|row| {
-        row["way"] == way && count(row, "records") == records && count(row, "bytes") == bytes
-    });
+    let found =
+        rows.iter().find(|row| row["way"] == way && count(row, "records") == records && count(row, "bytes") == bytes);
     found.unwrap_or_else(|| panic!("no row {way} {records} {bytes}: {rows:?}"))
 }
 
@@ -107,8 +106,10 @@ fn uploaders_succeed_on_every_network() {
     for row in &rows {
         assert_eq!(count(row, "gas_limit"), 0xffff_ffff, "{row}");
         match row["consensus"].as_str() {
-            Some("poa") => assert_eq!((number(&row["paper"], "total_from"), number(row, "period_set")), (308.0, 100.0)),
-            Some("pow") => assert_eq!((number(&row["paper"], "total_to"), count(row, "difficulty")), (1100.0, 0x4c_ccc8)),
+            Some("poa") => assert_eq!((number(&row["paper"], "total_from"), count(row, "period_set")), (308.0, 100)),
+            Some("pow") => {
+                assert_eq!((number(&row["paper"], "total_to"), count(row, "difficulty")), (1100.0, 0x4c_ccc8))
+            }
             _ => assert!(row["paper"].is_null()),
         }
     }
@@ -145,9 +146,7 @@ fn a_signal_ends_a_bench_and_leaves_nothing() {
     let _alone = heavy();
     let home = Home::new();
     let running = bare(&home).spawn(&["bench", "consensus", "--uploaders", "500"]);
-    support::wait_until(60, "the bench has begun", || {
-        std::fs::read_dir(home.root()).ok()?.flatten().next()
-    });
+    support::wait_until(60, "the bench has begun", || std::fs::read_dir(home.root()).ok()?.flatten().next());
     let outcome = running.stop("INT", 30);
     assert_eq!(outcome.code, Some(8), "{outcome}");
     assert!(outcome.stderr.contains("ended before it was done"), "{outcome}");

@@ -96,6 +96,10 @@ contract DigestsTest is World {
     function test_anchors_are_chained_per_sender() public {
         refused(A, "previous");
         authros.anchor(bytes32(uint256(1)), 5, bytes32(uint256(9)));
+        refused(A, "previous");
+        authros.anchor(bytes32(uint256(1)), 5, bytes32(type(uint256).max));
+        vm.assertEq(authros.headOf(A), bytes32(0), "no root yet");
+        vm.assertEq(authros.headOf(STRANGER), bytes32(0), "nor any of a stranger");
         vm.roll(70);
         by(A);
         authros.anchor(bytes32(uint256(1)), 5, bytes32(0));
@@ -131,6 +135,8 @@ contract DigestsTest is World {
     function test_nothing_empty_is_anchored() public {
         refused(A, "empty");
         authros.anchor(bytes32(0), 5, bytes32(0));
+        refused(A, "empty");
+        authros.anchor(bytes32(type(uint256).max), 5, bytes32(0));
         refused(A, "empty");
         authros.anchor(bytes32(uint256(1)), 0, bytes32(0));
         refused(STRANGER, "unregistered");

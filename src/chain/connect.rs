@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::Duration;
 
 use ethers::providers::{Provider, RpcError};
-use ethers::types::U64;
+use ethers::types::{U64, U256};
 use ethers::utils::keccak256;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -35,7 +35,7 @@ pub(super) struct Inner {
 /// A block as a node gives it, as far as we read it.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(rename_all = "camelCase")]
-struct RawBlock {
+pub(super) struct RawBlock {
     number: U64,
     hash: ethers::types::H256,
     timestamp: U64,
@@ -45,6 +45,8 @@ struct RawBlock {
     extra_data: String,
     #[serde(default)]
     mix_hash: String,
+    #[serde(default)]
+    pub base_fee_per_gas: Option<U256>,
 }
 
 /// Where a log stands.
@@ -96,20 +98,46 @@ impl Chain {
         }
     }
 
-    async fn hold_against(&self, contract: Option<Address>, pin: Pin) -> Result<(), ChainError> {
-        let same = |what, pinned: String, found: String| {
-            if pinned == found { Ok(()) } else { Err(ChainError::Swapped { url: self.url(), what, pinned, found }) }
-        };
-        same("chain id", pin.chain_id.to_string(), self.chain_id().to_string())?;
-        same("genesis block", pin.genesis.to_hex(), self.genesis().to_hex())?;
-        if let Some(contract) = contract {
-            same("contract", pin.contract.to_string(), contract.to_string())?;
-        }
+    /// Asks again what is there, and holds it against what is in use: chain id, genesis block, contract code.
+    ///
+    /// # Errors
+    /// [`ChainError::Swapped`] where the chain behind the URL is another one by now, or was wiped;
+    /// [`ChainError::NoContract`] before a contract is used, or the node's.
+    pub async fn identify(&self) -> Result<(), ChainError> {
+        let pin = self.pin().ok_or(ChainError::NoContract)?;
+        let chain_id: U64 = self.rpc("eth_chainId", json!([])).await?;
+        let genesis: RawBlock = self.rpc("eth_getBlockByNumber", json!(["0x0", false])).await?;
+        self.same("chain id", pin.chain_id.to_string(), chain_id.to_string())?;
+        self.same("genesis block", pin.genesis.to_hex(), Hash(genesis.hash.0).to_hex())?;
+        self.same_code(&pin).await
+    }
+
+    fn same(&self, what: &'static str, pinned: String, found: String) -> Result<(), ChainError> {
+        if pinned == found { Ok(()) } else { Err(ChainError::Swapped { url: self.url(), what, pinned, found }) }
+    }
+
+    async fn same_code(&self, pin: &Pin) -> Result<(), ChainError> {
         let code = self.code_hash(pin.contract).await?;
         let found = code.map_or_else(|| "no code".to_owned(), |hash| hash.to_hex());
-        same("contract code hash", pin.code_hash.to_hex(), found)?;
+        self.same("contract code hash", pin.code_hash.to_hex(), found)
+    }
+
+    async fn hold_against(&self, contract: Option<Address>, pin: Pin) -> Result<(), ChainError> {
+        self.same("chain id", pin.chain_id.to_string(), self.chain_id().to_string())?;
+        self.same("genesis block", pin.genesis.to_hex(), self.genesis().to_hex())?;
+        if let Some(contract) = contract {
+            self.same("contract", pin.contract.to_string(), contract.to_string())?;
+        }
+        self.same_code(&pin).await?;
         self.set_pin(pin);
         Ok(())
+    }
+
+    /// The same line with another pin, as if the chain behind it had been swapped.
+    #[cfg(test)]
+    pub fn pretending(&self, pin: Pin) -> Self {
+        self.set_pin(pin);
+        self.clone()
     }
 
     /// Uses a contract that somebody deployed, after its code was found to be this program's artefact.
@@ -139,7 +167,7 @@ impl Chain {
     async fn deployment_block(&self, contract: Address) -> Result<u64, ChainError> {
         let signature = artefact()?.event_signature("AdministratorChanged")?;
         let filter = json!({
-            "address": contract.to_string(), "topics": [format!("0x{signature}")], "fromBlock": "0x0", "toBlock": "latest",
+            "address": contract.to_string(), "topics": [signature.to_string()], "fromBlock": "0x0", "toBlock": "latest",
         });
         match self.rpc::<Vec<RawPlace>>("eth_getLogs", json!([filter])).await {
             Ok(logs) => Ok(logs.first().map_or(0, |log| log.block_number.as_u64())),
@@ -219,7 +247,7 @@ impl Chain {
 }
 
 impl RawBlock {
-    fn reference(&self) -> BlockRef {
+    pub(super) fn reference(&self) -> BlockRef {
         let timestamp = self.timestamp.as_u64();
         BlockRef { number: self.number.as_u64(), hash: Hash(self.hash.0), timestamp }
     }

@@ -32,8 +32,8 @@ pub enum ChainError {
     Url(String),
     /// The chain is not the one that was pinned.
     #[error(
-        "the chain at {url} is not the pinned one: its {what} is {found}, pinned is {pinned}; start the pinned chain \
-         again, or use another --home for this one"
+        "the chain at {url} is not the pinned one: its {what} is {found}, pinned is {pinned}; anchoring is \
+         stopped and nothing is lost; start the pinned chain again, or decide with `authros chain adopt` to go on here"
     )]
     Swapped {
         /// Where.

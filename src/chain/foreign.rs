@@ -1,9 +1,10 @@
 //! Contracts that are not AuthROS, deployed and called by their bytes: only to compare what they cost.
 
 use ethers::abi::{Abi, Token as AbiToken};
+use ethers::types::{H160, TransactionRequest};
 use serde::Deserialize;
 
-use super::sender::wallet;
+use super::sender::{sign_request, wallet};
 use super::{Chain, ChainError, SignedTransaction};
 use crate::crypto::EoaSecret;
 use crate::model::{Address, bytes::unhex};
@@ -63,13 +64,17 @@ impl Chain {
         data: Vec<u8>,
     ) -> Result<SignedTransaction, ChainError> {
         let gas = self.estimate(eoa.address(), to, &data).await?;
-        self.sign_raw(&wallet(eoa)?, nonce, to, data, gas).await
+        let price = self.market().await?.offer();
+        let mut request = TransactionRequest::new().nonce(nonce).gas(gas).gas_price(price);
+        request = request.data(data).value(0u64).chain_id(self.chain_id());
+        request.to = to.map(|to| H160(to.0).into());
+        sign_request(&wallet(eoa)?, request)
     }
 }
 
 /// The address of the contract that `sender` creates with `nonce`.
 pub fn created_address(sender: Address, nonce: u64) -> Address {
-    Address(ethers::utils::get_contract_address(ethers::types::H160(sender.0), nonce).0)
+    Address(ethers::utils::get_contract_address(H160(sender.0), nonce).0)
 }
 
 #[cfg(test)]

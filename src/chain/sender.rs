@@ -3,7 +3,7 @@
 use std::sync::PoisonError;
 use std::time::{Duration, Instant};
 
-use ethers::signers::{LocalWallet, Signer};
+use ethers::signers::LocalWallet;
 use ethers::types::transaction::eip2718::TypedTransaction;
 use ethers::types::{H160, TransactionRequest, U64, U256};
 use ethers::utils::keccak256;
@@ -20,9 +20,6 @@ use crate::model::{Address, Hash, bytes::hex};
 /// How long a deployment may wait for its block.
 const DEPLOYMENT: Duration = Duration::from_secs(60);
 
-/// The most that is offered on top of the base fee, wei.
-const LARGEST_TIP: u64 = 1_000_000_000;
-
 impl Chain {
     /// Signs a call as a legacy transaction. Nothing is sent.
     ///
@@ -32,33 +29,17 @@ impl Chain {
     /// # Errors
     /// [`ChainError::Reverted`] where the contract would refuse the call, [`ChainError::Input`], or the node's.
     pub async fn sign(&self, eoa: &EoaSecret, nonce: u64, call: &Call) -> Result<SignedTransaction, ChainError> {
-        let contract = self.contract()?;
-        let data = call.encode()?;
-        let wallet = wallet(eoa)?;
-        let gas = self.gas_for(Address(wallet.address().0), contract, call, &data).await?;
-        self.sign_raw(&wallet, nonce, Some(contract), data, gas).await
+        let price = self.market().await?.offer();
+        self.sign_at(eoa, nonce, call, price).await
     }
 
-    pub(super) async fn sign_raw(
+    pub(super) async fn gas_for(
         &self,
-        wallet: &LocalWallet,
-        nonce: u64,
-        to: Option<Address>,
-        data: Vec<u8>,
-        gas_limit: u64,
-    ) -> Result<SignedTransaction, ChainError> {
-        let gas_price = self.gas_price().await?;
-        let mut request = TransactionRequest::new().nonce(nonce).gas(gas_limit).gas_price(gas_price);
-        request = request.data(data).value(0u64).chain_id(self.chain_id());
-        request.to = to.map(|to| H160(to.0).into());
-        let transaction = TypedTransaction::Legacy(request);
-        let signature = wallet.sign_transaction_sync(&transaction).map_err(|error| unsigned(&error))?;
-        let raw = transaction.rlp_signed(&signature).to_vec();
-        let gas_price = u128::try_from(gas_price).map_err(|_| self.misunderstood("eth_gasPrice", "it is too large"))?;
-        Ok(SignedTransaction { hash: Hash(keccak256(&raw)), nonce, raw, gas_limit, gas_price })
-    }
-
-    async fn gas_for(&self, from: Address, to: Address, call: &Call, data: &[u8]) -> Result<u64, ChainError> {
+        from: Address,
+        to: Address,
+        call: &Call,
+        data: &[u8],
+    ) -> Result<u64, ChainError> {
         let key = (from, call.name());
         let known = self.inner.gas.lock().unwrap_or_else(PoisonError::into_inner).get(&key).copied();
         if let Some(gas) = known {
@@ -92,20 +73,6 @@ impl Chain {
 
     pub(super) fn forget_gas(&self) {
         self.inner.gas.lock().unwrap_or_else(PoisonError::into_inner).clear();
-    }
-
-    /// What a legacy transaction offers for its gas: twice the base fee, which may rise until it is
-    /// mined, and a tip of at most 1 gwei. Where there is no base fee, the node's own price: a bump
-    /// would feed on itself, for nodes quote what was paid last.
-    async fn gas_price(&self) -> Result<U256, ChainError> {
-        let block: Value = self.rpc("eth_getBlockByNumber", json!(["latest", false])).await?;
-        let base =
-            block.get("baseFeePerGas").and_then(Value::as_str).and_then(|text| U256::from_str_radix(text, 16).ok());
-        let price: U256 = self.rpc("eth_gasPrice", json!([])).await?;
-        Ok(match base.filter(|base| !base.is_zero()) {
-            Some(base) => base * 2 + price.saturating_sub(base).min(U256::from(LARGEST_TIP)),
-            None => price,
-        })
     }
 
     /// Sends signed bytes.
@@ -163,7 +130,9 @@ impl Chain {
         let data = artefact.creation(true)?;
         let gas = self.estimate(eoa.address(), None, &data).await?;
         let nonce = self.nonce(eoa.address(), true).await?;
-        let signed = self.sign_raw(&wallet(eoa)?, nonce, None, data, gas).await?;
+        let price = self.market().await?.offer();
+        let creation = TransactionRequest::new().nonce(nonce).gas(gas).gas_price(price).data(data).value(0u64);
+        let signed = sign_request(&wallet(eoa)?, creation.chain_id(self.chain_id()))?;
         let hash = self.broadcast(&signed.raw).await?;
         let receipt = self.await_receipt(hash, DEPLOYMENT).await?;
         let Some(contract) = receipt.contract_address.filter(|_| receipt.status.is_none_or(|s| !s.is_zero())) else {
@@ -191,6 +160,18 @@ impl Chain {
             self.next_block(head, left.min(Duration::from_secs(1))).await?;
         }
     }
+}
+
+/// Signs a request that has nonce, gas, price and chain id.
+pub(super) fn sign_request(wallet: &LocalWallet, request: TransactionRequest) -> Result<SignedTransaction, ChainError> {
+    let missing = || ChainError::Internal("signing: a transaction lacks a field".into());
+    let number = |value: Option<U256>| value.and_then(|value| u64::try_from(value).ok()).ok_or_else(missing);
+    let (nonce, gas_limit) = (number(request.nonce)?, number(request.gas)?);
+    let gas_price = request.gas_price.and_then(|price| u128::try_from(price).ok()).ok_or_else(missing)?;
+    let transaction = TypedTransaction::Legacy(request);
+    let signature = wallet.sign_transaction_sync(&transaction).map_err(|error| unsigned(&error))?;
+    let raw = transaction.rlp_signed(&signature).to_vec();
+    Ok(SignedTransaction { hash: Hash(keccak256(&raw)), nonce, raw, gas_limit, gas_price })
 }
 
 /// The key in ethers' form; it is wiped when dropped.

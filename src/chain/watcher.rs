@@ -4,14 +4,19 @@ use std::time::{Duration, Instant};
 
 use ethers::types::{Bytes, H160, H256, U64};
 use serde::{Deserialize, Serialize};
-use serde_json::json;
+use serde_json::{Value, json};
 
+use super::artefact::artefact;
 use super::connect::POLL;
 use super::{BlockRef, Chain, ChainError, Event, EventAt};
 use crate::model::Hash;
 
 /// The most blocks asked for at once; fewer where a node finds that too many.
 const CHUNK: u64 = 2000;
+
+/// The events that registrations, grants and loans are rebuilt from.
+const CHANGES: [&str; 8] =
+    ["Registered", "KeysRotated", "Granted", "Wrapped", "Revoked", "Rotated", "Lent", "Recalled"];
 
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(rename_all = "camelCase")]
@@ -34,12 +39,28 @@ impl Chain {
     /// # Errors
     /// [`ChainError::NoContract`], or the node's.
     pub async fn events(&self, from: u64, to: u64) -> Result<Vec<EventAt>, ChainError> {
+        self.collect(from, to, &Value::Null).await
+    }
+
+    /// As [`Chain::events`], without uploads and anchors: what registrations and grants are rebuilt from.
+    ///
+    /// # Errors
+    /// As [`Chain::events`].
+    pub async fn changes(&self, from: u64, to: u64) -> Result<Vec<EventAt>, ChainError> {
+        let mut wanted = Vec::new();
+        for name in CHANGES {
+            wanted.push(artefact()?.event_signature(name)?.to_string());
+        }
+        self.collect(from, to, &json!([wanted])).await
+    }
+
+    async fn collect(&self, from: u64, to: u64, topics: &Value) -> Result<Vec<EventAt>, ChainError> {
         let to = to.min(self.head().await?.number);
         let (mut next, mut chunk) = (from, CHUNK);
         let mut found = Vec::new();
         while next <= to {
             let last = to.min(next + chunk - 1);
-            match self.logs(next, last).await {
+            match self.logs(next, last, topics).await {
                 Ok(logs) => {
                     for log in logs {
                         found.push(self.decode(&log)?);
@@ -56,11 +77,14 @@ impl Chain {
         Ok(found)
     }
 
-    async fn logs(&self, from: u64, to: u64) -> Result<Vec<RawLog>, ChainError> {
+    async fn logs(&self, from: u64, to: u64, topics: &Value) -> Result<Vec<RawLog>, ChainError> {
         let contract = self.contract()?;
-        let filter = json!({
+        let mut filter = json!({
             "address": contract.to_string(), "fromBlock": format!("{from:#x}"), "toBlock": format!("{to:#x}"),
         });
+        if !topics.is_null() {
+            filter["topics"] = topics.clone();
+        }
         let mut logs: Vec<RawLog> = self.rpc("eth_getLogs", json!([filter])).await?;
         logs.retain(|log| !log.removed && log.address.0 == contract.0);
         Ok(logs)

@@ -1,11 +1,14 @@
 //! The command line: every verb and flag, in the words of the issue and the console.
 
 mod bench;
+mod chain;
 
 use std::path::PathBuf;
 
-pub use self::bench::{BenchArguments, BenchVerb, ConsensusArguments};
 use clap::{Args, Parser, Subcommand, ValueEnum};
+
+pub use self::bench::{BenchArguments, BenchVerb, ConsensusArguments};
+pub use self::chain::{ChainVerb, GenesisArguments, GenesisChoice};
 
 /// Share robot data under proof: messages sealed with SM4, signed with SM2, anchored by SM3
 /// digest on a private Ethereum network. Without a command it opens the operator console.
@@ -335,13 +338,6 @@ pub enum SharedVerb {
         #[arg(long, value_name = "FILE")]
         out: Option<PathBuf>,
     },
-}
-
-/// `chain …`
-#[derive(Debug, Subcommand)]
-pub enum ChainVerb {
-    /// Node, contract, block, balance, pending transactions
-    Status,
 }
 
 /// `config …`

@@ -2,9 +2,9 @@
 
 use super::output::table;
 use crate::config::SettingView;
-use crate::model::Verdict;
+use crate::model::{Address, Verdict};
 use crate::service::reply::{
-    ChainView, GrantRow, IdentityView, KeysView, OpenedView, Provenance, RecordPage, TopicRow,
+    ChainView, DeployedView, GrantRow, IdentityView, KeysView, OpenedView, Provenance, RecordPage, TopicRow,
 };
 
 fn pairs(rows: &[(&str, String)]) -> String {
@@ -153,6 +153,29 @@ pub fn chain(view: &ChainView) -> String {
         ("balance", format!("{} wei", view.balance)),
         ("nonce", view.nonce.to_string()),
         ("pending", view.pending.to_string()),
+        ("period", or_dash(view.sealing.period.map(|period| format!("at least {period} ms between blocks")))),
+        ("difficulty", or_dash(view.sealing.difficulty.as_ref().map(|hashes| format!("{hashes} hashes a block")))),
+        ("sealers", listed(&view.sealing.sealers)),
+    ])
+}
+
+fn listed(accounts: &[Address]) -> String {
+    if accounts.is_empty() {
+        "-".to_owned()
+    } else {
+        accounts.iter().map(Address::to_string).collect::<Vec<_>>().join(" ")
+    }
+}
+
+/// A contract put on the chain.
+pub fn deployed(view: &DeployedView) -> String {
+    pairs(&[
+        ("contract", view.pin.contract.to_string()),
+        ("administrator", view.administrator.to_string()),
+        ("chain id", view.pin.chain_id.to_string()),
+        ("genesis", view.pin.genesis.to_string()),
+        ("block", view.pin.deployed_at.to_string()),
+        ("code hash", view.pin.code_hash.to_string()),
     ])
 }
 

@@ -6,6 +6,7 @@
 pub mod args;
 mod bench;
 mod capture;
+mod chain;
 mod connect;
 mod console;
 mod demo;
@@ -21,7 +22,7 @@ use std::process::ExitCode;
 
 use clap::Parser;
 
-use self::args::{Arguments, SharedVerb, UploadsVerb, Verb};
+use self::args::{Arguments, ChainVerb, SharedVerb, UploadsVerb, Verb};
 use self::connect::Context;
 use self::output::Output;
 use crate::service::Failure;
@@ -69,6 +70,8 @@ fn run(runtime: &tokio::runtime::Runtime, arguments: Arguments, output: &Output)
         Some(Verb::Console(console)) => console::run(runtime, context, console),
         Some(Verb::Serve) => runtime.block_on(serve::run(context, output)),
         Some(Verb::Demo(demo)) => runtime.block_on(demo::run(context, demo, output)),
+        Some(Verb::Chain(ChainVerb::Serve { listen })) => runtime.block_on(chain::serve(context, listen, output)),
+        Some(Verb::Chain(ChainVerb::Genesis(genesis))) => chain::genesis(&genesis, output),
         Some(Verb::Capture(capture)) => runtime.block_on(capture::run(context, capture, output)),
         Some(Verb::Uploads(UploadsVerb::List(list))) if list.follow => {
             runtime.block_on(follow::run(context, follow::Which::Uploads, parse::query(&list)?, output))

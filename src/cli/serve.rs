@@ -60,7 +60,8 @@ pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
     Ok(0)
 }
 
-async fn follow(client: &crate::service::Client, output: &Output) {
+/// Shows the site's warnings until a signal, or the site's end.
+pub async fn follow(client: &crate::service::Client, output: &Output) {
     let mut events = client.events();
     let end = asked_to_end();
     tokio::pin!(end);

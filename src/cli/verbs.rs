@@ -95,7 +95,14 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
             Plan { out, ..Plan::new(CHAIN, Unlocked, Command::OpenShared { id }) }
         }
         Verb::Chain(ChainVerb::Status) => Plan::new(CHAIN, NoProfile, Command::ChainStatus),
-        Verb::Config(_) | Verb::Capture(_) | Verb::Serve | Verb::Demo(_) | Verb::Bench(_) | Verb::Console(_) => {
+        Verb::Chain(ChainVerb::Deploy) => Plan::new(CHAIN, Made, Command::DeployContract),
+        Verb::Chain(ChainVerb::Serve { .. } | ChainVerb::Genesis(_))
+        | Verb::Config(_)
+        | Verb::Capture(_)
+        | Verb::Serve
+        | Verb::Demo(_)
+        | Verb::Bench(_)
+        | Verb::Console(_) => {
             return Err(super::connect::unexpected());
         }
     })
@@ -164,6 +171,7 @@ fn show(reply: Reply, out: Option<&Path>, output: &Output) -> Result<u8, Failure
         Reply::Transaction(view) => output.result(&view, || view.text.clone()),
         Reply::Grants(rows) => output.result(&serde_json::json!({ "grants": rows }), || lists::grants(&rows)),
         Reply::Chain(view) => output.result(&view, || lists::chain(&view)),
+        Reply::Deployed(view) => output.result(&view, || lists::deployed(&view)),
         Reply::Check(view) => {
             output.result(&view, || format!("{}: {}", view.id, view.verdict.word()));
             return Ok(lists::verdict_code(view.verdict));
@@ -195,7 +203,9 @@ fn show(reply: Reply, out: Option<&Path>, output: &Output) -> Result<u8, Failure
                 format!("written to {} (0600)", path.display())
             });
         }
-        Reply::Captured(_) | Reply::Site(_) | Reply::Audit(_) => return Err(super::connect::unexpected()),
+        Reply::Captured(_) | Reply::Served(_) | Reply::Site(_) | Reply::Audit(_) => {
+            return Err(super::connect::unexpected());
+        }
     }
     Ok(0)
 }

@@ -4,10 +4,10 @@ use std::time::{Duration, Instant};
 
 use tokio::task::block_in_place;
 
-use crate::chain::Call;
 use crate::chain::merkle::{Leaf, MOST_LEAVES, Tree};
+use crate::chain::{Call, ChainError};
 use crate::crypto::EoaSecret;
-use crate::model::{Address, AnchorMode, Hash, RecordState, Timestamp, Token};
+use crate::model::{Address, AnchorMode, RecordState, Timestamp, Token};
 use crate::store::{Anchors, NewBatch, RecordRow, WaitingBatch};
 
 use super::pace::{LONGEST_WAIT, Pace};
@@ -16,8 +16,6 @@ use super::{Network, Owner, PipelineError, Plant, Sender};
 
 /// Records a round, one by one: one ledger commit for so many signed transactions.
 const ROUND: usize = 128;
-/// Transactions of one account that may wait for a block, one by one.
-const MOST_OPEN: u64 = 1024;
 /// Batches of one account that may wait for a block; while they do, the next one widens.
 const MOST_OPEN_BATCHES: usize = 2;
 /// How long to wait where only the chain can bring news.
@@ -66,16 +64,16 @@ impl Anchorer {
         if network.directory.epoch(owner.address) == 0 {
             return Ok(Round::wait(IDLE));
         }
-        let Some((lane, open)) = free_lane(plant, lanes)? else { return Ok(Round::wait(IDLE)) };
+        let Some(lane) = free_lane(plant, sender, lanes)? else { return Ok(Round::wait(IDLE)) };
         // Batches that were closed before come first, whatever the mode is now.
         let waiting = block_in_place(|| plant.ledger.waiting_batches(owner.address, 1))?;
         if let Some(batch) = waiting.first() {
-            return send(network, sender, lane, &open, *batch).await;
+            return send(plant, network, sender, lane, *batch).await;
         }
         match self.mode {
             AnchorMode::Each => one_by_one(plant, network, sender, owner).await,
             AnchorMode::Batch => match self.close(plant, owner.address)? {
-                Ok(batch) => send(network, sender, lane, &open, batch).await,
+                Ok(batch) => send(plant, network, sender, lane, batch).await,
                 Err(due_in) => Ok(Round::wait(due_in)),
             },
         }
@@ -114,14 +112,18 @@ pub(super) fn close_batch(
     Ok(Some(batch))
 }
 
-/// The account with the fewest open batches, and their roots; `None` where all have their fill.
-fn free_lane<'a>(plant: &Plant, lanes: &'a [EoaSecret]) -> Result<Option<(&'a EoaSecret, Vec<Hash>)>, PipelineError> {
+/// The account with the fewest open batches; `None` where all have their fill or stand still.
+fn free_lane<'a>(
+    plant: &Plant,
+    sender: &Sender,
+    lanes: &'a [EoaSecret],
+) -> Result<Option<&'a EoaSecret>, PipelineError> {
     block_in_place(|| {
-        let mut best: Option<(&EoaSecret, Vec<Hash>)> = None;
+        let (mut best, mut fewest) = (None, MOST_OPEN_BATCHES);
         for lane in lanes {
-            let open = plant.ledger.open_roots(lane.address())?;
-            if open.len() < best.as_ref().map_or(MOST_OPEN_BATCHES, |(_, fewest)| fewest.len()) {
-                best = Some((lane, open));
+            let open = plant.ledger.open_roots(lane.address())?.len();
+            if open < fewest && sender.room(lane.address())? > 0 {
+                (best, fewest) = (Some(lane), open);
             }
         }
         Ok(best)
@@ -129,29 +131,37 @@ fn free_lane<'a>(plant: &Plant, lanes: &'a [EoaSecret]) -> Result<Option<(&'a Eo
 }
 
 async fn send(
+    plant: &Plant,
     network: &Network,
     sender: &Sender,
     lane: &EoaSecret,
-    open: &[Hash],
     batch: WaitingBatch,
 ) -> Result<Round, PipelineError> {
+    // Held from the look at what is open until the next one is signed, so that the chain of roots has no fork.
+    let held = sender.lane(&network.chain, lane).await;
+    let open = block_in_place(|| plant.ledger.open_roots(lane.address()))?;
     let previous = match open.last() {
         Some(root) => *root,
         None => network.chain.anchor_head(lane.address()).await?,
     };
     let call = Call::Anchor { root: batch.root, count: batch.count, previous };
     let outgoing = Outgoing { call, purpose: "anchor".to_owned(), anchors: Anchors::Batch(batch.root) };
-    let submitted = sender.submit(&network.chain, lane, vec![outgoing]).await?.len();
-    Ok(Round { submitted, next: Duration::ZERO })
+    match held.submit(vec![outgoing]).await {
+        Ok(hashes) => Ok(Round { submitted: hashes.len(), next: Duration::ZERO }),
+        // Where its gas must be estimated anew, the root before it has to be mined first.
+        Err(PipelineError::Chain(ChainError::Reverted { .. })) if !open.is_empty() => Ok(Round::wait(IDLE)),
+        Err(error) => Err(error),
+    }
 }
 
 /// Up to [`ROUND`] stored records, one transaction each. Those sealed under an epoch that the chain
 /// does not know yet wait for it.
 async fn one_by_one(plant: &Plant, network: &Network, sender: &Sender, owner: &Owner) -> Result<Round, PipelineError> {
-    if block_in_place(|| plant.ledger.count_open(owner.address))? >= MOST_OPEN {
+    let room = sender.room(owner.address)?.min(ROUND);
+    if room == 0 {
         return Ok(Round::wait(IDLE));
     }
-    let rows = block_in_place(|| plant.ledger.in_state(Some(owner.address), RecordState::Stored, ROUND))?;
+    let rows = block_in_place(|| plant.ledger.in_state(Some(owner.address), RecordState::Stored, room))?;
     let Some(account) = network.directory.account(owner.address) else { return Ok(Round::wait(IDLE)) };
     let known = |row: &RecordRow| account.tokens.get(&row.epoch).map(|token| upload(row, *token));
     let uploads: Vec<Outgoing> = rows.iter().filter_map(known).collect();

@@ -94,6 +94,9 @@ impl Granted {
 struct State {
     accounts: BTreeMap<Address, Account>,
     grants: Vec<Granted>,
+    /// The block of the last event that changed anything.
+    #[serde(default)]
+    newest: u64,
 }
 
 /// Registrations and grants of one contract.
@@ -123,9 +126,20 @@ impl Directory {
         serde_json::to_string(&(self.domain, &*state)).unwrap_or_default()
     }
 
-    /// Forgets everything, before a scan from the contract's first block.
-    pub fn clear(&self) {
-        *self.state.write().unwrap_or_else(PoisonError::into_inner) = State::default();
+    /// An empty directory of the same network.
+    pub fn blank(&self) -> Self {
+        Self::new(self.domain, self.provider)
+    }
+
+    /// Takes over the whole state of another one at once, after replaced blocks were read anew into it.
+    pub fn become_like(&self, other: &Self) {
+        let state = other.state.read().unwrap_or_else(PoisonError::into_inner).clone();
+        *self.state.write().unwrap_or_else(PoisonError::into_inner) = state;
+    }
+
+    /// The block of the last event that changed anything; 0 before the first.
+    pub fn newest(&self) -> u64 {
+        self.state.read().unwrap_or_else(PoisonError::into_inner).newest
     }
 
     /// Applies one event; returns whether anything changed.
@@ -137,7 +151,11 @@ impl Directory {
         }
         let old = state.clone();
         self.change(&mut state, at);
-        *state != old
+        let changed = *state != old;
+        if changed {
+            state.newest = state.newest.max(at.block);
+        }
+        changed
     }
 
     fn change(&self, state: &mut State, at: &EventAt) {

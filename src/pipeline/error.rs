@@ -66,6 +66,9 @@ pub enum PipelineError {
     /// A transaction is not mined in time; it stays stored and is sent again.
     #[error("{0} is sent but not in a block yet; it is kept and will be sent again, look at `authros chain status`")]
     NotMined(String),
+    /// The chain changed again and again while it was read.
+    #[error("the chain changes while it is read; it is read again, check that all nodes behind the URL agree")]
+    Unsteady,
     /// A grant or revoke that the state of things does not allow.
     #[error("{0}")]
     Refused(String),
@@ -86,7 +89,7 @@ impl PipelineError {
             Self::NoRecord(_) => ErrorKind::Input,
             Self::Missing(_) => ErrorKind::Tampered,
             Self::UnknownEpoch(_) => ErrorKind::Refused,
-            Self::NotMined(_) => ErrorKind::Incomplete,
+            Self::NotMined(_) | Self::Unsteady => ErrorKind::Incomplete,
         }
     }
 }

@@ -7,6 +7,8 @@ pub mod anchorer;
 pub mod directory;
 pub mod epoch;
 pub mod error;
+#[cfg(test)]
+mod fixture;
 pub mod meter;
 pub mod owner;
 pub mod pace;

@@ -8,7 +8,7 @@ use crate::crypto::{
     CryptoError, EoaSecret, EpochKey, EpochSalt, EpochSecret, EpochState, IndexKey, NetworkKeys, SmKeyPair,
     UnlockedKeyring, WrappedKeys, epoch_key, signer_id, token, topic_id,
 };
-use crate::model::{Address, Digest, Domain, ProfileName, PublicKey, Token, TopicId};
+use crate::model::{Address, Digest, Domain, ProfileName, PublicKey, Timestamp, Token, TopicId};
 
 use super::PipelineError;
 use super::epoch::EpochKeys;
@@ -20,11 +20,18 @@ pub struct Owner {
     /// Its EOA.
     pub address: Address,
     keyring: Mutex<UnlockedKeyring>,
-    sealing: RwLock<Option<Arc<EpochKeys>>>,
+    sealing: RwLock<Sealing>,
     /// Envelopes opened so far, by SM3 of the envelope.
     pub(super) opened: Mutex<HashMap<Digest, Arc<WrappedKeys>>>,
     /// Changes of epochs, keys and grants happen one at a time.
     pub changes: tokio::sync::Mutex<()>,
+}
+
+/// What seals new records, and what will from a moment on.
+#[derive(Default)]
+struct Sealing {
+    keys: Option<Arc<EpochKeys>>,
+    next: Option<(Timestamp, Arc<EpochKeys>)>,
 }
 
 impl Owner {
@@ -78,8 +85,21 @@ impl Owner {
     }
 
     /// The keys that seal new records; `None` until an epoch was begun or resumed.
+    ///
+    /// What was captured after the moment given to [`Self::seal_from`] is never sealed under the keys
+    /// before it, whether or not anybody was awake at that moment.
     pub fn sealing(&self) -> Option<Arc<EpochKeys>> {
-        self.sealing.read().unwrap_or_else(PoisonError::into_inner).clone()
+        {
+            let sealing = self.sealing.read().unwrap_or_else(PoisonError::into_inner);
+            if sealing.next.as_ref().is_none_or(|(from, _)| Timestamp::now() < *from) {
+                return sealing.keys.clone();
+            }
+        }
+        let mut sealing = self.sealing.write().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, keys)) = sealing.next.take_if(|(from, _)| Timestamp::now() >= *from) {
+            sealing.keys = Some(keys);
+        }
+        sealing.keys.clone()
     }
 
     /// The key of an epoch of this owner on a network, where the keyring has it.
@@ -132,6 +152,26 @@ impl Owner {
     /// # Errors
     /// Where the keyring has no such epoch, or cannot be saved.
     pub fn seal_under(&self, domain: Domain, epoch: u64) -> Result<(), PipelineError> {
+        let keys = self.epoch_keys(domain, epoch)?;
+        *self.sealing.write().unwrap_or_else(PoisonError::into_inner) = Sealing { keys: Some(keys), next: None };
+        Ok(())
+    }
+
+    /// From `moment` on records are sealed under `epoch`, which is in the keyring; of two such moments
+    /// the earlier counts.
+    ///
+    /// # Errors
+    /// Where the keyring has no such epoch, or cannot be saved.
+    pub fn seal_from(&self, moment: Timestamp, domain: Domain, epoch: u64) -> Result<(), PipelineError> {
+        let keys = self.epoch_keys(domain, epoch)?;
+        let mut sealing = self.sealing.write().unwrap_or_else(PoisonError::into_inner);
+        if sealing.next.as_ref().is_none_or(|(from, _)| moment < *from) {
+            sealing.next = Some((moment, keys));
+        }
+        Ok(())
+    }
+
+    fn epoch_keys(&self, domain: Domain, epoch: u64) -> Result<Arc<EpochKeys>, PipelineError> {
         let key = self.epoch_key(domain, epoch).ok_or(PipelineError::UnknownEpoch(epoch))?;
         let token = token(&domain, &self.address, epoch, &key);
         let keys = EpochKeys {
@@ -144,8 +184,7 @@ impl Owner {
             index: self.index(),
             topics: Mutex::default(),
         };
-        *self.sealing.write().unwrap_or_else(PoisonError::into_inner) = Some(Arc::new(keys));
-        Ok(())
+        Ok(Arc::new(keys))
     }
 
     /// The chain has this epoch: noted in the keyring.

@@ -4,6 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::anchorer::Anchorer;
+use super::sender::Policy;
 use super::{Directory, Network, Observer, Owner, Plant, Sender, proof, watcher};
 use crate::chain::{Call, Chain, ChainOptions, Endpoint};
 use crate::crypto::sm3::sm3;
@@ -53,7 +54,7 @@ impl Line {
         let domain = domain(pin.chain_id, &pin.genesis, &pin.contract);
         let directory = Arc::new(Directory::new(domain, plant.provider));
         let network = Network { chain, domain, directory, confirmations: 1 };
-        let sender = Sender::new(plant.ledger.clone());
+        let sender = Sender::new(plant.ledger.clone(), Arc::clone(&plant.observer), Policy { cap: None });
         let (signing, envelope) = (owner.signing(), owner.envelope().public);
         let identity = prove(plant.provider, &domain, &owner.address, &signing, &envelope, Token([1; 32]));
         let call = Call::Register { identity: identity.expect("proven") };
@@ -90,7 +91,7 @@ impl Line {
             if round.submitted == 0 && !more {
                 self.network.chain.next_block(head, round.next).await.expect("a block");
             }
-            self.sender.resend(&self.network.chain, self.owner.address).await.expect("closed");
+            self.sender.tend(&self.network.chain, &self.owner.eoa()).await.expect("closed");
         }
     }
 

@@ -210,6 +210,13 @@ pub enum Command {
     },
     /// The chain as seen by this profile.
     ChainStatus,
+    /// Put the contract on the chain and pin it; refused where one is pinned already.
+    DeployContract,
+    /// Answer other tools' JSON-RPC over the embedded chain, until the connection that asks for it ends.
+    ServeChain {
+        /// Where, on loopback.
+        address: std::net::SocketAddr,
+    },
     /// Health, counts and alerts of the whole site.
     SiteStatus,
     /// The newest audit lines.

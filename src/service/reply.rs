@@ -3,7 +3,9 @@
 use serde::{Deserialize, Serialize};
 
 use super::command::SecretBytes;
+use crate::chain::{Pin, Sealing};
 use crate::model::{Address, Digest, ErrorKind, Hash, ProfileName, PublicKey, Timestamp, Token, Verdict};
+use crate::pipeline::sender::LaneState;
 
 /// Why a command failed, as a person reads it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
@@ -249,6 +251,33 @@ pub struct ChainView {
     pub pending: u64,
     /// The node's own name, cleaned.
     pub client: String,
+    /// How this profile's lanes stand: its own account's first, then its witnesses'.
+    #[serde(default)]
+    pub lanes: Vec<LaneState>,
+    /// Who seals the blocks, and how often.
+    #[serde(flatten)]
+    pub sealing: Sealing,
+}
+
+/// A contract that was put on the chain.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct DeployedView {
+    /// Chain, contract, code and block.
+    #[serde(flatten)]
+    pub pin: Pin,
+    /// Who administers it: the account that deployed it.
+    pub administrator: Address,
+}
+
+/// A chain that other tools can read.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ServedView {
+    /// Where.
+    pub url: String,
+    /// EIP-155 chain id.
+    pub chain_id: u64,
+    /// The contract, where there is one.
+    pub contract: Option<Address>,
 }
 
 /// How a part of the site is.
@@ -409,6 +438,10 @@ pub enum Reply {
     Opened(Box<OpenedView>),
     /// To `ChainStatus`.
     Chain(ChainView),
+    /// To `DeployContract`.
+    Deployed(DeployedView),
+    /// To `ServeChain`.
+    Served(ServedView),
     /// To `SiteStatus`.
     Site(SiteView),
     /// To `ListAudit`.

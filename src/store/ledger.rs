@@ -8,12 +8,14 @@ mod append;
 mod batches;
 mod counts;
 mod edges;
+mod lanes;
 mod query;
 mod rows;
 mod settings;
 mod sightings;
 #[cfg(test)]
 mod tests;
+mod trail;
 mod transactions;
 mod writer;
 
@@ -29,6 +31,7 @@ use crate::model::RecorderId;
 pub use batches::{Anchors, BatchPlace, NewBatch, RootSighting, WaitingBatch};
 pub use counts::{LOST_IN_TRANSPORT, StateCounts, TopicCounts};
 pub use edges::is_legal;
+pub use lanes::{LaneCount, OpenTransaction, Reissue};
 pub use query::{RecordPage, RecordQuery};
 pub use rows::{NewRecord, RecordRow};
 pub use sightings::{KeptEvent, Sighting};
@@ -37,7 +40,11 @@ pub(super) use writer::Session;
 
 const SCHEMA: Schema = Schema {
     application: 0x4155_4c31,
-    steps: &[include_str!("ledger/schema_1.sql"), include_str!("ledger/schema_2.sql")],
+    steps: &[
+        include_str!("ledger/schema_1.sql"),
+        include_str!("ledger/schema_2.sql"),
+        include_str!("ledger/schema_3.sql"),
+    ],
 };
 const READERS_KEPT: usize = 4;
 

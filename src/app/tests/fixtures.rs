@@ -186,6 +186,8 @@ fn chain() -> ChainView {
         nonce: 12,
         pending: 1,
         client: "AuthROS embedded".to_owned(),
+        lanes: Vec::new(),
+        sealing: crate::chain::Sealing::default(),
     }
 }
 

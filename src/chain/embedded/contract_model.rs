@@ -102,6 +102,7 @@ fn number(value: u64) -> AbiToken {
     AbiToken::Uint(value.into())
 }
 
+#[allow(clippy::unnecessary_wraps, reason = "the last word of a step, beside those that fail")]
 fn one(name: &'static str, fields: Vec<AbiToken>) -> Done {
     Ok(vec![Emitted(name, fields)])
 }

@@ -148,7 +148,7 @@ impl World {
                 Ok(artefact.function(name).expect("name").decode_output(&output).expect("decodes"))
             }
             Answer::Reverted(output) => Err(decode_revert(&output).expect("a reason")),
-            other => panic!("{name}: {other:?}"),
+            other @ Answer::Failed(_) => panic!("{name}: {other:?}"),
         }
     }
 

@@ -93,6 +93,15 @@ fn read(node: &Node, method: &str, parameters: &Parameters) -> Reply {
             Some(number) => block(node, number, whole(parameters)),
             None => Ok(Value::Null),
         },
+        "eth_getBlockTransactionCountByNumber" | "eth_getBlockTransactionCountByHash" => {
+            let number = parameters.at(0, |which| block_named(node, which))?;
+            number.map_or(Ok(Value::Null), |number| count(node, number))
+        }
+        "eth_getTransactionByBlockNumberAndIndex" | "eth_getTransactionByBlockHashAndIndex" => {
+            let number = parameters.at(0, |which| block_named(node, which))?;
+            let index = parameters.at(1, read_quantity)?;
+            number.map_or(Ok(Value::Null), |number| transaction_at(node, number, index))
+        }
         "eth_getTransactionByHash" => transaction(node, parameters.at(0, read_hash)?),
         "eth_getTransactionReceipt" => receipt(node, parameters.at(0, read_hash)?),
         "eth_getLogs" => logs(node, parameters),
@@ -122,6 +131,26 @@ fn block_number(node: &Node, tag: &Value) -> Option<u64> {
         "earliest" => Some(0),
         _ => read_quantity(tag).and_then(|number| u64::try_from(number).ok()),
     }
+}
+
+/// The block that a tag, a number or a hash means; `None` inside where there is none.
+#[allow(clippy::option_option, reason = "outside: is it a name of a block; inside: is there one")]
+fn block_named(node: &Node, which: &Value) -> Option<Option<u64>> {
+    match read_hash(which) {
+        Some(hash) => node.file.number_of(hash).ok(),
+        None => Some(block_number(node, which).filter(|number| *number <= node.head.number)),
+    }
+}
+
+fn count(node: &Node, number: u64) -> Reply {
+    Ok(quantity(node.file.block_transactions(number)?.len()))
+}
+
+fn transaction_at(node: &Node, number: u64, index: U256) -> Reply {
+    let all = node.file.block_transactions(number)?;
+    let Some(mined) = all.iter().find(|one| U256::from(one.position) == index) else { return Ok(Value::Null) };
+    let place = mining(node, number, mined.position)?;
+    Ok(json::transaction(&decode(node, mined)?, node.chain_id, Some(place)))
 }
 
 fn require_newest(node: &Node, tag: Option<&Value>) -> Result<(), Fault> {

@@ -296,7 +296,7 @@ fn a_forged_seal_is_noticed() {
         (directory, nonce)
     };
     let (work, nonce) = sealed(Consensus::Pow { difficulty: 500 });
-    let idle = |header: &Header| (0..).find(|nonce| !proof::seals(header.work_hash(), *nonce, 500)).expect("most");
+    let idle = |header: &Header| (0..1_000).find(|nonce| !proof::seals(header.work_hash(), *nonce, 500)).expect("most");
     forge(work.path(), 4, |header| header.nonce = idle(header));
     tampered(work.path(), "its nonce does not show the work");
     forge(work.path(), 4, |header| header.nonce = nonce);

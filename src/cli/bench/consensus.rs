@@ -80,7 +80,7 @@ struct Row {
     gas: u64,
     blocks: usize,
     /// As set, milliseconds; `None` where the chain has none or does not tell.
-    period_set: Option<f64>,
+    period_set: Option<u64>,
     /// Between blocks of the run, as seen, milliseconds; `None` for a single block.
     period_seen: Option<f64>,
     difficulty: Option<u64>,
@@ -152,11 +152,6 @@ fn row(network: &Network, mode: AnchorMode, outcome: Outcome) -> Row {
     let uploaders = number(outcome.uploaders);
     let succeeded = outcome.responses.len();
     let (total, on_chain) = (milliseconds(outcome.total), milliseconds(outcome.on_chain));
-    let (period_set, difficulty) = match network.preset {
-        Some(Consensus::Poa { period, .. }) => (Some(milliseconds(period)), None),
-        Some(Consensus::Pow { difficulty }) => (None, Some(difficulty)),
-        None => (None, None),
-    };
     Row {
         network: network.kind,
         consensus: network.consensus.clone(),
@@ -178,9 +173,9 @@ fn row(network: &Network, mode: AnchorMode, outcome: Outcome) -> Row {
         transactions: outcome.transactions,
         gas: outcome.gas,
         blocks: outcome.blocks.len(),
-        period_set,
+        period_set: network.sealing.period,
         period_seen: period_seen(&outcome.blocks),
-        difficulty,
+        difficulty: network.sealing.difficulty.as_ref().and_then(|text| text.parse().ok()),
         gas_limit: network.gas_limit,
         paper: Paper::of(&network.consensus, uploaders),
         responses: outcome.responses,
@@ -256,7 +251,7 @@ fn presets(rows: &[Row]) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     for row in rows {
         let sealing = match (row.period_set, row.difficulty) {
-            (Some(period), _) => format!("block period at least {} ms", decimal(period)),
+            (Some(period), _) => format!("block period at least {period} ms"),
             (None, Some(difficulty)) => format!("difficulty {difficulty:#x}, no fixed period"),
             (None, None) => "period as the node has it".to_owned(),
         };

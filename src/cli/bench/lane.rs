@@ -35,17 +35,21 @@ pub struct Posted {
 pub async fn post(network: &Network, mined: &Mined, account: &Account, call: &Call) -> Result<Posted, Failure> {
     let _turn = network.line.acquire().await.map_err(|_| internal("the line is closed"))?;
     let nonce = account.next_nonce();
-    let signed = sign(&network.chain, account, nonce, call).await?;
+    let signed = sign(network, account, nonce, call).await?;
     let told = mined.expect(signed.hash);
     let sent = Instant::now();
     broadcast(&network.chain, &signed.raw).await?;
     Ok(Posted { hash: signed.hash, sent, told })
 }
 
-async fn sign(chain: &Chain, account: &Account, nonce: u64, call: &Call) -> Result<SignedTransaction, ChainError> {
+async fn sign(network: &Network, account: &Account, nonce: u64, call: &Call) -> Result<SignedTransaction, ChainError> {
     let mut attempt = 1;
     loop {
-        match chain.sign(&account.eoa, nonce, call).await {
+        let signed = match network.price().await {
+            Ok(price) => network.chain.sign_at(&account.eoa, nonce, call, price).await,
+            Err(error) => Err(error),
+        };
+        match signed {
             Err(ChainError::Unreachable { .. }) if attempt < ATTEMPTS => tokio::time::sleep(PAUSE).await,
             answered => return answered,
         }

@@ -6,11 +6,11 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use tempfile::TempDir;
-use tokio::sync::Semaphore;
+use tokio::sync::{Mutex, Semaphore};
 
 use super::account::Account;
 use super::storer::Storer;
-use crate::chain::{Chain, ChainError, ChainOptions, Consensus, Endpoint, Receipt};
+use crate::chain::{Chain, ChainError, ChainOptions, Consensus, Endpoint, Receipt, Sealing, SignedTransaction};
 use crate::crypto::{EoaSecret, Provider};
 use crate::model::{ErrorKind, Hash};
 use crate::service::Failure;
@@ -19,6 +19,8 @@ use crate::service::failure::internal;
 /// How long a single transaction may wait for its block.
 const PATIENCE: Duration = Duration::from_secs(120);
 
+/// How long a gas price is good.
+const PRICE_HOLDS: Duration = Duration::from_secs(1);
 /// Requests to a node at once, so that neither runs out of descriptors.
 const MOST_REQUESTS: usize = 64;
 
@@ -39,8 +41,8 @@ pub struct Network {
     pub consensus: String,
     /// The node's name and version.
     pub client: String,
-    /// The embedded chain's consensus, which has its period or difficulty.
-    pub preset: Option<Consensus>,
+    /// Its period or difficulty, as far as it tells.
+    pub sealing: Sealing,
     /// The most gas in a block.
     pub gas_limit: u64,
     /// The chain.
@@ -51,6 +53,7 @@ pub struct Network {
     pub storer: Storer,
     /// Requests in flight.
     pub line: Semaphore,
+    price: Mutex<Option<(Instant, u128)>>,
     _directory: TempDir,
 }
 
@@ -71,22 +74,39 @@ impl Network {
         let other = join(&chain, other, provider).await?;
         let status = chain.status(None).await?;
         let head = chain.block_work(status.block).await?.ok_or_else(|| internal("the newest block is gone"))?;
-        let preset = match place {
-            Place::Embedded(consensus) => Some(*consensus),
-            Place::Node(_) => None,
-        };
+        let embedded = matches!(place, Place::Embedded(_));
         Ok(Self {
-            kind: if preset.is_some() { "embedded" } else { "node" },
+            kind: if embedded { "embedded" } else { "node" },
             consensus: status.consensus,
             client: status.client,
-            preset,
+            sealing: chain.sealing().await?,
             gas_limit: head.gas_limit,
             storer: Storer::open(&directory.path().join("vault"))?,
-            line: Semaphore::new(if preset.is_some() { Semaphore::MAX_PERMITS } else { MOST_REQUESTS }),
+            line: Semaphore::new(if embedded { Semaphore::MAX_PERMITS } else { MOST_REQUESTS }),
+            price: Mutex::default(),
             chain,
             accounts: [Arc::new(one), Arc::new(other)],
             _directory: directory,
         })
+    }
+
+    /// What gas costs, wei, asked again every second: the embedded chain's is zero, a node's may rise.
+    ///
+    /// # Errors
+    /// The node's.
+    pub async fn price(&self) -> Result<u128, ChainError> {
+        let mut known = self.price.lock().await;
+        if let Some((_, price)) = known.filter(|(asked, _)| asked.elapsed() < PRICE_HOLDS) {
+            return Ok(price);
+        }
+        let price = self.chain.market().await?.offer();
+        *known = Some((Instant::now(), price));
+        Ok(price)
+    }
+
+    /// Whether its chain is in this process.
+    pub fn is_embedded(&self) -> bool {
+        self.kind == "embedded"
     }
 
     /// What to call it.
@@ -156,7 +176,7 @@ pub async fn join(chain: &Chain, eoa: EoaSecret, provider: &'static dyn Provider
 ///
 /// # Errors
 /// The chain's, or why it failed.
-pub async fn settle(chain: &Chain, signed: crate::chain::SignedTransaction) -> Result<Receipt, Failure> {
+pub async fn settle(chain: &Chain, signed: SignedTransaction) -> Result<Receipt, Failure> {
     chain.broadcast(&signed.raw).await.map_err(|error| poor(error, chain))?;
     let receipt = receipt(chain, signed.hash).await?;
     if receipt.success {

@@ -72,7 +72,7 @@ pub async fn run(network: &Arc<Network>, mode: AnchorMode, uploaders: usize) -> 
     let mut beside = JoinSet::new();
     let mined = Arc::new(Mined::default());
     let head = network.chain.head().await?.number;
-    beside.spawn(Arc::clone(&mined).watch(network.chain.clone(), head, network.preset.is_some()));
+    beside.spawn(Arc::clone(&mined).watch(network.chain.clone(), head, network.is_embedded()));
     let (batchers, roots) = match mode {
         AnchorMode::Each => (None, None),
         AnchorMode::Batch => {

@@ -6,10 +6,10 @@ use std::time::Duration;
 use tokio::task::block_in_place;
 
 use super::Site;
-use crate::chain::{Chain, ChainOptions, Endpoint, Pin};
+use crate::chain::{Chain, ChainError, ChainOptions, Endpoint, Pin};
 use crate::crypto::domain;
 use crate::model::ErrorKind;
-use crate::pipeline::{Directory, Network, Owner, watcher};
+use crate::pipeline::{Directory, Network, Owner, PipelineError, watcher};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::{input, internal};
 use crate::service::reply::Failure;
@@ -26,6 +26,9 @@ pub enum NetworkState {
     Bare(Chain),
     /// Working.
     Up(Box<Network>),
+    /// Another chain answers than the pinned one, or the same one wiped: anchoring stands still until the pinned
+    /// one is back or the operator adopts this one.
+    Swapped(Failure),
     /// The last attempt failed; another follows.
     Down {
         /// Why.
@@ -36,7 +39,7 @@ pub enum NetworkState {
 }
 
 impl Site {
-    fn pin(&self) -> Result<Option<Pin>, Failure> {
+    pub(super) fn pin(&self) -> Result<Option<Pin>, Failure> {
         let path = self.home.pin();
         match std::fs::read(&path) {
             Ok(bytes) => serde_json::from_slice(&bytes).map(Some).map_err(|_| {
@@ -50,18 +53,34 @@ impl Site {
         }
     }
 
-    fn save_pin(&self, pin: &Pin) -> Result<(), Failure> {
+    pub(super) fn save_pin(&self, pin: &Pin) -> Result<(), Failure> {
         let bytes = serde_json::to_vec_pretty(pin).map_err(|error| internal(error.to_string()))?;
         Ok(atomic_write(&self.home.pin(), &bytes)?)
     }
 
-    /// Connects and stays connected, with growing pauses between attempts, until the site ends.
+    /// Connects and stays connected, with growing pauses between attempts, until the site ends. Once connected,
+    /// it waits until the chain is found to be another one, and then for the pinned one to come back.
     pub(super) async fn keep_connected(self: Arc<Self>) {
         let mut pause = 1;
-        while let Err(failure) = self.connect().await {
-            self.hub.notice(NoticeLevel::Error, &failure.message);
-            self.network.send_replace(NetworkState::Down { failure, retry: pause });
-            self.changed(Part::Health);
+        while !self.is_stopping() {
+            let is_lost = |state: &NetworkState| {
+                matches!(state, NetworkState::Connecting | NetworkState::Swapped(_) | NetworkState::Down { .. })
+            };
+            let mut state = self.network.subscribe();
+            if !is_lost(&state.borrow()) {
+                pause = 1;
+                // An error means that the site is gone.
+                drop(state.wait_for(|state| is_lost(state) || matches!(state, NetworkState::Off)).await);
+                continue;
+            }
+            match self.connect().await {
+                Ok(()) => continue,
+                Err(Lost::Swapped(failure)) => self.lose_chain(failure),
+                Err(Lost::Other(failure)) => {
+                    self.hub.notice(NoticeLevel::Error, &failure.message);
+                    self.lost(NetworkState::Down { failure, retry: pause });
+                }
+            }
             tokio::select! {
                 () = tokio::time::sleep(Duration::from_secs(pause)) => {}
                 () = self.stopped() => return,
@@ -70,7 +89,30 @@ impl Site {
         }
     }
 
-    async fn connect(self: &Arc<Self>) -> Result<(), Failure> {
+    /// Another chain answers than the pinned one: everything that needs the chain stands still.
+    pub(super) fn lose_chain(&self, failure: Failure) {
+        self.hub.notice(NoticeLevel::Error, &failure.message);
+        self.lost(NetworkState::Swapped(failure));
+    }
+
+    fn lost(&self, to: NetworkState) {
+        self.network.send_if_modified(|state| {
+            let ending = matches!(state, NetworkState::Off);
+            if !ending {
+                *state = to;
+            }
+            !ending
+        });
+        self.changed(Part::Health);
+        self.changed(Part::Chain);
+    }
+
+    async fn connect(self: &Arc<Self>) -> Result<(), Lost> {
+        // `chain adopt` may be at it, and have connected by the time it is done.
+        let _one_at_a_time = self.deploying.lock().await;
+        if matches!(*self.network.borrow(), NetworkState::Up(_) | NetworkState::Bare(_) | NetworkState::Off) {
+            return Ok(());
+        }
         let endpoint = match &self.config.chain_url {
             Some(url) => Endpoint::Node { url: url.clone() },
             None => Endpoint::Embedded { directory: self.home.chain(), consensus: self.config.consensus },
@@ -88,7 +130,7 @@ impl Site {
         Ok(())
     }
 
-    async fn use_network(self: &Arc<Self>, chain: Chain, pin: &Pin) -> Result<(), Failure> {
+    pub(super) async fn use_network(self: &Arc<Self>, chain: Chain, pin: &Pin) -> Result<(), Lost> {
         let domain = domain(pin.chain_id, &pin.genesis, &pin.contract);
         let directory = Arc::new(Directory::new(domain, self.plant.provider));
         let network = Network { chain, domain, directory, confirmations: self.config.confirmations };
@@ -99,7 +141,9 @@ impl Site {
         self.changed(Part::Chain);
         self.changed(Part::Health);
         for owner in self.all_owners() {
-            self.resume_owner(&owner).await?;
+            if let Err(failure) = self.resume_owner(&owner).await {
+                self.hub.notice(NoticeLevel::Error, &failure.message);
+            }
         }
         Ok(())
     }
@@ -121,7 +165,7 @@ impl Site {
         let settled = state.wait_for(|state| !matches!(state, NetworkState::Connecting)).await;
         let settled = settled.map_err(|_| off())?.clone();
         match settled {
-            NetworkState::Down { failure, .. } => Err(failure),
+            NetworkState::Down { failure, .. } | NetworkState::Swapped(failure) => Err(failure),
             settled => Ok(settled),
         }
     }
@@ -150,6 +194,8 @@ impl Site {
 
     /// The network; deploys the contract with the owner's account where there is none yet.
     pub(super) async fn network_or_deploy(self: &Arc<Self>, owner: &Owner) -> Result<Network, Failure> {
+        // Not before the first attempt has ended, which needs the lock as well.
+        self.settled_network().await?;
         let _one_at_a_time = self.deploying.lock().await;
         let NetworkState::Bare(chain) = self.settled_network().await? else { return self.network().await };
         let eoa = owner.eoa();
@@ -178,6 +224,46 @@ impl Site {
         let mut scanned = self.scanned.subscribe();
         // An error means that the site is ending.
         drop(scanned.wait_for(|seen| *seen >= number).await);
+    }
+}
+
+/// Why no link to the chain came about.
+pub(super) enum Lost {
+    /// Another chain is there.
+    Swapped(Failure),
+    /// Anything else.
+    Other(Failure),
+}
+
+impl From<ChainError> for Lost {
+    fn from(error: ChainError) -> Self {
+        match error {
+            ChainError::Swapped { .. } => Self::Swapped(error.into()),
+            other => Self::Other(other.into()),
+        }
+    }
+}
+
+impl From<PipelineError> for Lost {
+    fn from(error: PipelineError) -> Self {
+        match error {
+            PipelineError::Chain(error) => error.into(),
+            other => Self::Other(other.into()),
+        }
+    }
+}
+
+impl From<Lost> for Failure {
+    fn from(lost: Lost) -> Self {
+        match lost {
+            Lost::Swapped(failure) | Lost::Other(failure) => failure,
+        }
+    }
+}
+
+impl From<Failure> for Lost {
+    fn from(failure: Failure) -> Self {
+        Self::Other(failure)
     }
 }
 

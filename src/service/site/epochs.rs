@@ -12,8 +12,9 @@ use crate::pipeline::{Network, Owner};
 use crate::service::event::Part;
 use crate::service::failure::refused;
 use crate::service::reply::{Failure, TransactionView};
-use crate::store::Anchors;
 
+/// How long before an expiry the next epoch is readied, nanoseconds.
+const FORESIGHT: u64 = 60_000_000_000;
 /// Envelopes a `wrap` transaction carries at most, to stay below 32 KB.
 const ENVELOPES_A_CALL: usize = 8;
 
@@ -55,6 +56,54 @@ impl Site {
         })
     }
 
+    /// Readies the end of the sealing epoch where a grant that covers it runs out soon, or did while
+    /// nobody looked: from that moment on records are sealed under the next epoch, whether or not the
+    /// chain answers. `also` is an expiry that is not on the chain yet.
+    pub(super) fn foresee_expiry(
+        &self,
+        owner: &Owner,
+        network: &Network,
+        also: Option<Timestamp>,
+    ) -> Result<(), Failure> {
+        let Some(epoch) = owner.sealing().filter(|keys| keys.domain == network.domain).map(|keys| keys.epoch) else {
+            return Ok(());
+        };
+        let covering = network.directory.grants(|grant| {
+            grant.terms.owner == owner.address && grant.revoked.is_none() && grant.envelopes.contains_key(&epoch)
+        });
+        let earliest = covering.iter().filter_map(|grant| grant.terms.expiry).chain(also).min();
+        if let Some(moment) = earliest.filter(|moment| moment.0 < Timestamp::now().0 + FORESIGHT) {
+            owner.prepare_epoch(network.domain, epoch + 1)?;
+            owner.seal_from(moment, network.domain, epoch + 1)?;
+        }
+        Ok(())
+    }
+
+    /// Tells the chain of the next epoch where a grant that covers its current one has run out, or where
+    /// records are sealed under the next one already.
+    pub(super) async fn end_expired(self: &Arc<Self>, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
+        self.foresee_expiry(owner, network, None)?;
+        if !self.is_behind(owner, network) {
+            return Ok(());
+        }
+        let _one_at_a_time = owner.changes.lock().await;
+        // Another change may have begun the epoch meanwhile.
+        if self.is_behind(owner, network) {
+            let call = |new_token| Call::Rotate { new_token };
+            self.begin_epoch(owner, network, "rotate (a grant expired)", call).await?;
+        }
+        Ok(())
+    }
+
+    fn is_behind(&self, owner: &Owner, network: &Network) -> bool {
+        let (epoch, now) = (network.directory.epoch(owner.address), Timestamp::now());
+        let sealing = owner.sealing().filter(|keys| keys.domain == network.domain);
+        let covered = |grant: &Granted| {
+            grant.terms.owner == owner.address && grant.word(now) == "expired" && grant.envelopes.contains_key(&epoch)
+        };
+        epoch > 0 && (sealing.is_some_and(|keys| keys.epoch > epoch) || !network.directory.grants(covered).is_empty())
+    }
+
     /// Finishes an epoch that was begun but did not reach the chain, and re-wraps what is missing.
     pub(super) async fn finish_epoch(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<(), Failure> {
         let network = self.network().await?;
@@ -72,12 +121,12 @@ impl Site {
         let ledger = self.plant.ledger.clone();
         let account = owner.address;
         for _ in 0..60 {
-            let open = tokio::task::block_in_place(|| ledger.open_transactions(account))?;
-            if !open.iter().any(|row| row.anchors == Anchors::Nothing) {
+            let open = tokio::task::block_in_place(|| ledger.open_lane(account))?;
+            if open.iter().all(|row| row.anchors) {
                 return Ok(());
             }
             let head = network.chain.head().await?.number;
-            self.sender.resend(&network.chain, account).await?;
+            self.sender.tend(&network.chain, &owner.eoa()).await?;
             network.chain.next_block(head, std::time::Duration::from_secs(1)).await?;
         }
         Err(refused(format!("transactions of '{}' from before are still not in a block", owner.profile)))

@@ -3,13 +3,23 @@
 use std::collections::HashSet;
 use std::sync::{Arc, Mutex, PoisonError};
 
+use tokio::sync::oneshot;
+
 use super::Site;
 use crate::model::{ErrorKind, ProfileName};
 use crate::service::command::{Command, Request};
 use crate::service::reply::{Failure, Reply};
 
-/// Profiles whose console a connection holds.
-pub type Claims = Arc<Mutex<HashSet<ProfileName>>>;
+/// What a connection holds as long as it lasts.
+#[derive(Default)]
+pub struct Held {
+    consoles: HashSet<ProfileName>,
+    /// Each ends a server of the chain when it is dropped.
+    servers: Vec<oneshot::Sender<()>>,
+}
+
+/// What a connection holds, shared by its requests.
+pub type Claims = Arc<Mutex<Held>>;
 
 impl Site {
     /// Answers one request.
@@ -29,6 +39,12 @@ impl Site {
             Command::WatchTopic { topic, type_name } => self.watch_topic(&profile, topic, type_name).await,
             Command::UnwatchTopic { topic } => self.unwatch_topic(&profile, &topic).await,
             Command::StopCapture => Ok(self.stop_captures(&profile)),
+            Command::ServeChain { address } => {
+                let (end, ended) = oneshot::channel();
+                let served = self.serve_chain(address, ended).await?;
+                claims.lock().unwrap_or_else(PoisonError::into_inner).servers.push(end);
+                Ok(Reply::Served(served))
+            }
             Command::ChainStatus => self.chain_view(&profile).await.map(Reply::Chain),
             Command::SiteStatus => self.site_view(&profile).await.map(Reply::Site),
             Command::ListAudit { limit } => self.audit_lines(limit).await.map(Reply::Audit),
@@ -42,6 +58,7 @@ impl Site {
         let owner = self.unlocked(profile)?;
         match command {
             Command::Register => self.register(&owner).await.map(Reply::Identity),
+            Command::DeployContract => self.deploy_contract(&owner).await.map(Reply::Deployed),
             Command::ListKeys => self.keys_view(&owner).await.map(Reply::Keys),
             Command::LoadKey { kind, path, passphrase } => {
                 self.load_key(&owner, kind, path, passphrase).await.map(Reply::Keys)
@@ -66,7 +83,7 @@ impl Site {
 
     fn claim(&self, profile: ProfileName, claims: &Claims) -> Result<Reply, Failure> {
         let mut consoles = self.consoles.lock().unwrap_or_else(PoisonError::into_inner);
-        let own = claims.lock().unwrap_or_else(PoisonError::into_inner).contains(&profile);
+        let own = claims.lock().unwrap_or_else(PoisonError::into_inner).consoles.contains(&profile);
         if !consoles.insert(profile.clone()) && !own {
             return Err(Failure::new(
                 ErrorKind::Home,
@@ -75,14 +92,15 @@ impl Site {
                 ),
             ));
         }
-        claims.lock().unwrap_or_else(PoisonError::into_inner).insert(profile);
+        claims.lock().unwrap_or_else(PoisonError::into_inner).consoles.insert(profile);
         Ok(Reply::Done)
     }
 
-    /// Frees the consoles that a connection held.
+    /// Frees the consoles that a connection held, and ends the servers it asked for.
     pub(super) fn release(&self, claims: &Claims) {
         let mut consoles = self.consoles.lock().unwrap_or_else(PoisonError::into_inner);
-        for profile in claims.lock().unwrap_or_else(PoisonError::into_inner).drain() {
+        let held = std::mem::take(&mut *claims.lock().unwrap_or_else(PoisonError::into_inner));
+        for profile in held.consoles {
             consoles.remove(&profile);
         }
     }

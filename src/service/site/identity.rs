@@ -72,6 +72,7 @@ impl Site {
         if owner.sealing().is_none_or(|keys| keys.domain != network.domain || keys.epoch < newest) {
             owner.seal_under(network.domain, newest)?;
         }
+        self.foresee_expiry(owner, network, None)?;
         self.changed(Part::Identity);
         Ok(())
     }

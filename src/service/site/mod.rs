@@ -7,6 +7,7 @@ mod audit;
 mod capture;
 mod chain_link;
 mod epochs;
+mod exposure;
 mod handle;
 mod identity;
 mod keys;
@@ -40,6 +41,7 @@ use crate::model::ProfileName;
 use crate::paths::Home;
 use crate::pipeline::recorder::CapturedMessage;
 use crate::pipeline::ring::Ring;
+use crate::pipeline::sender::Policy;
 use crate::pipeline::{CaptureSession, Owner, Plant, Recorder, Sender};
 use crate::store::{AuditLog, Ledger, SiteLock, open_vault};
 
@@ -106,7 +108,7 @@ impl Site {
         let ring = Arc::new(Ring::new(RING_BYTES));
         let site = Arc::new(Self {
             recorder: Arc::new(Recorder::new(Arc::clone(&ring), hub.clone())),
-            sender: Arc::new(Sender::new(ledger)),
+            sender: Arc::new(Sender::new(ledger, hub.clone(), Policy { cap: config.max_fee })),
             audit: AuditLog::new(plant.ledger.clone()),
             home,
             config,
@@ -147,7 +149,7 @@ impl Site {
 
     /// Answers calls until their sender is gone; consoles claimed through it are then free again.
     pub async fn serve(self: Arc<Self>, mut calls: mpsc::UnboundedReceiver<Call>) {
-        let claims = Arc::new(Mutex::new(HashSet::new()));
+        let claims = handle::Claims::default();
         while let Some(Call { request, answer }) = calls.recv().await {
             let (site, claims) = (Arc::clone(&self), Arc::clone(&claims));
             tokio::spawn(async move {

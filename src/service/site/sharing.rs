@@ -49,6 +49,7 @@ impl Site {
         };
         let envelope = self.wrap_keys(owner, &network, terms.clone(), &names, covered)?;
         self.audit_first(owner, "grant", &grantee.to_string()).await?;
+        self.foresee_expiry(owner, &network, expires)?;
         let call = Call::AuthorityGrant { grantee, epoch, expiry: terms.expiry, scope: terms.scope, envelope };
         let (transaction, receipt) = self.sender.send(&network.chain, &owner.eoa(), call, "authorityGrant").await?;
         self.scanned(receipt.block).await;

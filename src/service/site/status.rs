@@ -44,6 +44,7 @@ impl Site {
             NetworkState::Bare(_) => (HealthLevel::Ok, format!("{name}, no contract yet")),
             NetworkState::Up(_) if silent => (HealthLevel::Waiting, format!("{name} does not answer, retry in 2 s")),
             NetworkState::Up(_) => (HealthLevel::Ok, name),
+            NetworkState::Swapped(failure) => (HealthLevel::Failed, failure.message.clone()),
             NetworkState::Down { failure, retry } => {
                 (HealthLevel::Failed, format!("retry in {retry} s: {}", failure.message))
             }
@@ -105,10 +106,8 @@ impl Site {
             None => None,
         };
         let status = chain.status(address).await?;
-        let open = match address {
-            Some(address) => block_in_place(|| self.plant.ledger.open_transactions(address))?.len(),
-            None => 0,
-        };
+        let lanes = address.map(|address| self.sender.state_of(address)).transpose()?;
+        let lanes: Vec<_> = lanes.into_iter().collect();
         Ok(ChainView {
             kind: status.kind,
             consensus: status.consensus,
@@ -118,8 +117,10 @@ impl Site {
             contract: status.contract,
             balance: status.balance.unwrap_or_else(|| "0".to_owned()),
             nonce: status.nonce.unwrap_or(0),
-            pending: open as u64,
+            pending: lanes.iter().map(|lane| lane.open).sum(),
+            lanes,
             client: clean(&status.client, 100),
+            sealing: chain.sealing().await?,
         })
     }
 }

@@ -4,10 +4,10 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::{Needs, Site};
-use crate::model::Timestamp;
+use crate::chain::ChainError;
 use crate::pipeline::anchorer::Anchorer;
 use crate::pipeline::sealer::Sealer;
-use crate::pipeline::{Network, Owner, storer, verifier, watcher};
+use crate::pipeline::{Network, Owner, PipelineError, storer, verifier, watcher};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::internal;
 use crate::service::reply::Failure;
@@ -75,8 +75,12 @@ async fn watch(site: Arc<Site>) {
                     site.changed(Part::Chain);
                     site.hub.confirmed.notify_one();
                 }
-                resend(&site, &network).await;
+                tend(&site, &network).await;
                 network.chain.next_block(head.number, watcher::PATIENCE).await.err().map(|error| error.to_string())
+            }
+            Err(PipelineError::Chain(error @ ChainError::Swapped { .. })) => {
+                site.lose_chain(error.into());
+                continue;
             }
             Err(error) => Some(error.to_string()),
         };
@@ -91,10 +95,10 @@ async fn watch(site: Arc<Site>) {
     }
 }
 
-async fn resend(site: &Arc<Site>, network: &Network) {
+async fn tend(site: &Arc<Site>, network: &Network) {
     for owner in site.all_owners() {
-        match site.sender.resend(&network.chain, owner.address).await {
-            Ok((_, refused)) => {
+        match site.sender.tend(&network.chain, &owner.eoa()).await {
+            Ok(refused) => {
                 for reason in refused {
                     site.hub.notice(
                         NoticeLevel::Error,
@@ -182,19 +186,10 @@ impl Site {
             }
             let Some(network) = self.network_now() else { continue };
             for owner in self.all_owners() {
-                let epoch = network.directory.epoch(owner.address);
-                let now = Timestamp::now();
-                let due = network.directory.grants(|grant| {
-                    grant.terms.owner == owner.address
-                        && grant.word(now) == "expired"
-                        && grant.envelopes.contains_key(&epoch)
-                });
-                if !due.is_empty()
-                    && let Err(failure) = self.rotate(&owner, "a grant expired").await
-                {
+                if let Err(failure) = self.end_expired(&owner, &network).await {
                     self.hub.notice(
                         NoticeLevel::Error,
-                        &format!("a grant of {} has expired, but {}", owner.profile, failure.message),
+                        &format!("a grant of {} has run out or soon will, but {}", owner.profile, failure.message),
                     );
                 }
             }

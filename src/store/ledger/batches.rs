@@ -156,17 +156,6 @@ impl Ledger {
         })
     }
 
-    /// How many transactions of an account are in no block yet.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and its kin.
-    pub fn count_open(&self, account: Address) -> Result<u64, StoreError> {
-        self.read(|connection| {
-            let sql = "SELECT count(*) FROM transactions WHERE state = 0 AND account = ?1";
-            Ok(connection.prepare_cached(sql)?.query_row([account.0], |row| unsigned(row, 0))?)
-        })
-    }
-
     /// Takes in roots found on the chain: pending records of the batch are mined now, with this
     /// transaction and block; those that stand in a block by themselves stay there. A root that stands in a block already keeps it: the earliest counts. Roots
     /// of other ledgers, or over another number of leaves, are passed over. Returns how many records

@@ -1,5 +1,6 @@
 //! The ledger's tests: single behaviours here, random operations in `model`, random queries in `pages`.
 
+mod adoption;
 mod model;
 mod pages;
 mod speed;

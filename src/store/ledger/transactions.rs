@@ -175,7 +175,7 @@ impl Ledger {
     }
 }
 
-fn transaction_error(hash: Hash, detail: &str) -> StoreError {
+pub(super) fn transaction_error(hash: Hash, detail: &str) -> StoreError {
     StoreError::Transaction { hash: hash.to_hex(), detail: detail.to_owned() }
 }
 
@@ -250,7 +250,7 @@ fn mark(connection: &Connection, digest: Digest, hash: Hash) -> Result<(), Store
     Ok(())
 }
 
-fn close(connection: &Connection, hash: Hash, outcome: TransactionOutcome) -> Result<(), StoreError> {
+pub(super) fn close(connection: &Connection, hash: Hash, outcome: TransactionOutcome) -> Result<(), StoreError> {
     let (state, place, gas, reason) = match outcome {
         TransactionOutcome::Mined { block, block_hash, gas_used } => {
             let gas = gas_used.map(|gas| whole("gas", gas)).transpose()?;

@@ -74,6 +74,7 @@ impl Pair {
 
     pub(super) fn see_batch(&mut self, index: usize, own: bool, block: u64) {
         let foreign = Hash([251; 32]);
+        let block_hash = sighting(&self.model.records[0].new, block).block_hash;
         let batch = &mut self.model.batches[index];
         let transaction = if own { batch.transaction.unwrap_or(foreign) } else { foreign };
         let seen = RootSighting {
@@ -82,7 +83,7 @@ impl Pair {
             count: batch.members.len() as u64,
             transaction,
             block,
-            block_hash: Hash([1; 32]),
+            block_hash,
         };
         let mut changed = 0;
         if batch.block.is_none() {

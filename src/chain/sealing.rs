@@ -1,0 +1,110 @@
+//! How the blocks of a chain are sealed, as far as the chain tells.
+
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+use super::{Chain, ChainError, Consensus};
+use crate::model::Address;
+
+/// Who seals the blocks of a chain, and how often.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Sealing {
+    /// The least time between two blocks, milliseconds; known of the embedded proof of authority.
+    pub period: Option<u64>,
+    /// Difficulty of the newest block under proof of work, decimal.
+    pub difficulty: Option<String>,
+    /// Signers or validators under proof of authority; who gets the fees under the embedded proof of work.
+    pub sealers: Vec<Address>,
+}
+
+impl Chain {
+    /// How the blocks are sealed.
+    ///
+    /// # Errors
+    /// The node's; what a node does not tell is left out.
+    pub async fn sealing(&self) -> Result<Sealing, ChainError> {
+        if let Some(chain) = self.transport().embedded() {
+            let sealers = chain.sealers().to_vec();
+            return Ok(match chain.consensus() {
+                Consensus::Poa { period, .. } => {
+                    Sealing { period: u64::try_from(period.as_millis()).ok(), difficulty: None, sealers }
+                }
+                Consensus::Pow { difficulty } => {
+                    Sealing { period: None, difficulty: Some(difficulty.to_string()), sealers }
+                }
+            });
+        }
+        match self.inner.consensus {
+            "pow" => Ok(Sealing { difficulty: self.difficulty().await?, ..Sealing::default() }),
+            "poa" => Ok(Sealing { sealers: self.signers().await?, ..Sealing::default() }),
+            _ => Ok(Sealing::default()),
+        }
+    }
+
+    async fn difficulty(&self) -> Result<Option<String>, ChainError> {
+        let block: Value = self.rpc("eth_getBlockByNumber", json!(["latest", false])).await?;
+        let difficulty = block.get("difficulty").and_then(Value::as_str).and_then(|text| text.strip_prefix("0x"));
+        Ok(difficulty.and_then(|hex| u128::from_str_radix(hex, 16).ok()).map(|difficulty| difficulty.to_string()))
+    }
+
+    /// As geth's clique answers, or Besu's.
+    async fn signers(&self) -> Result<Vec<Address>, ChainError> {
+        let asked = [
+            ("clique_getSigners", json!([])),
+            ("qbft_getValidatorsByBlockNumber", json!(["latest"])),
+            ("ibft_getValidatorsByBlockNumber", json!(["latest"])),
+        ];
+        for (method, parameters) in asked {
+            match self.rpc::<Vec<String>>(method, parameters).await {
+                Ok(signers) => {
+                    return Ok(signers.iter().filter_map(|text| text.to_lowercase().parse().ok()).collect());
+                }
+                Err(error @ ChainError::Unreachable { .. }) => return Err(error),
+                Err(_) => {}
+            }
+        }
+        Ok(Vec::new())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+    use std::time::Duration;
+
+    use super::*;
+    use crate::chain::{ChainOptions, Endpoint, Pin};
+    use crate::crypto::EoaSecret;
+
+    fn options(directory: &Path, consensus: Option<Consensus>, pinned: Option<Pin>) -> ChainOptions {
+        let endpoint = Endpoint::Embedded { directory: directory.to_owned(), consensus };
+        ChainOptions { endpoint, contract: None, pinned, confirmations: 1 }
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn both_kinds_run_the_same_and_tell_what_they_are() {
+        let three = Consensus::Poa { signers: 3, period: Duration::from_millis(50) };
+        let easy = Consensus::Pow { difficulty: 2000 };
+        let mut work = Vec::new();
+        for (consensus, word, sealers) in [(Consensus::POA, "poa", 1), (three, "poa", 3), (easy, "pow", 1)] {
+            let home = tempfile::tempdir().expect("folder");
+            let chain = Chain::connect(options(home.path(), Some(consensus), None)).await.expect("opens");
+            let pin = chain.deploy(&EoaSecret::generate().expect("key")).await.expect("deploys");
+            work.push(chain.work(0, pin.deployed_at).await.expect("work"));
+            let status = chain.status(None).await.expect("status");
+            assert_eq!(status.consensus, word);
+            assert_eq!(status.client.contains("not ethash"), word == "pow");
+            let sealing = chain.sealing().await.expect("sealing");
+            assert_eq!(sealing.sealers.len(), sealers);
+            assert_eq!((sealing.period.is_some(), sealing.difficulty.is_some()), (word == "poa", word == "pow"));
+            let head = chain.head().await;
+            drop(chain);
+            let chain = Chain::connect(options(home.path(), None, Some(pin))).await.expect("opens again");
+            assert_eq!((chain.head().await, chain.sealing().await), (head, Ok(sealing)));
+        }
+        assert!(
+            work.iter().all(|other| *other == work[0]),
+            "transactions and gas do not depend on the sealing: {work:?}"
+        );
+    }
+}

@@ -1,0 +1,145 @@
+//! The embedded chain's JSON-RPC over HTTP, for other tools on this machine: cast, web3, ethers, curl.
+//!
+//! They may read, and send transactions that are signed already. Whoever may open a connection on this
+//! machine may do that much, so it listens on loopback alone, for as long as somebody asks for it.
+//! There is no ws; news come by filters.
+
+mod filters;
+mod http;
+mod rpc;
+#[cfg(test)]
+mod tests;
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::io::{AsyncReadExt, AsyncWriteExt, BufReader};
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::Semaphore;
+use tokio::task::JoinSet;
+use tokio::time::timeout;
+
+use self::http::{Broken, Refusal};
+use self::rpc::Service;
+use super::{Chain, ChainError};
+
+/// What a caller may take.
+#[derive(Debug, Clone, Copy)]
+struct Limits {
+    /// Connections at a time.
+    connections: usize,
+    /// Time to send a request, from the end of the answer before it, and to take an answer.
+    patience: Duration,
+    /// Time the chain may take for one answer.
+    work: Duration,
+}
+
+const LIMITS: Limits = Limits { connections: 32, patience: Duration::from_secs(15), work: Duration::from_secs(30) };
+
+const BUSY: Refusal = Refusal { status: "503 Service Unavailable", why: "too many connections; try again" };
+const SLOW: Refusal = Refusal { status: "408 Request Timeout", why: "the request did not come in time" };
+const LONG: Refusal =
+    Refusal { status: "503 Service Unavailable", why: "the chain took too long; ask for less at once" };
+
+/// Opens the door, on loopback alone.
+///
+/// # Errors
+/// [`ChainError::Input`] for another address, or one that cannot be had.
+pub async fn listen(address: SocketAddr) -> Result<TcpListener, ChainError> {
+    if !address.ip().is_loopback() {
+        return Err(ChainError::Input(format!(
+            "{address} can be reached by other machines, and the chain cannot tell who asks; listen on 127.0.0.1, and \
+             use an ssh tunnel from elsewhere"
+        )));
+    }
+    TcpListener::bind(address).await.map_err(|error| {
+        ChainError::Input(format!("the chain cannot be served at {address}: {error}; choose another port"))
+    })
+}
+
+impl Chain {
+    /// Answers JSON-RPC at `listener` until `stop`; all connections end with it.
+    ///
+    /// # Errors
+    /// [`ChainError::Input`] where the chain is a node, which serves itself.
+    pub async fn serve(&self, listener: TcpListener, stop: impl Future<Output = ()> + Send) -> Result<(), ChainError> {
+        self.serve_within(LIMITS, listener, stop).await
+    }
+
+    async fn serve_within(
+        &self,
+        limits: Limits,
+        listener: TcpListener,
+        stop: impl Future<Output = ()> + Send,
+    ) -> Result<(), ChainError> {
+        let embedded = self.transport().embedded().cloned();
+        let Some(embedded) = embedded else {
+            return Err(ChainError::Input(format!(
+                "this chain is the node at {}; point other tools there",
+                self.url()
+            )));
+        };
+        let service = Arc::new(Service::new(embedded));
+        let places = Arc::new(Semaphore::new(limits.connections));
+        // Its connections end with it.
+        let mut open = JoinSet::new();
+        tokio::pin!(stop);
+        loop {
+            let accepted = tokio::select! {
+                () = &mut stop => return Ok(()),
+                accepted = listener.accept() => accepted,
+                Some(_) = open.join_next() => continue,
+            };
+            let Ok((stream, _)) = accepted else {
+                // Out of descriptors, for example: not a reason to spin.
+                tokio::time::sleep(Duration::from_millis(50)).await;
+                continue;
+            };
+            let Ok(place) = Arc::clone(&places).try_acquire_owned() else {
+                // Nobody waits for a caller that does not even take this.
+                drop(stream.try_write(&http::refusal(BUSY)));
+                continue;
+            };
+            let service = Arc::clone(&service);
+            open.spawn(async move {
+                let _place = place;
+                // A peer that breaks off has only itself to blame.
+                drop(connection(stream, &service, limits).await);
+            });
+        }
+    }
+}
+
+async fn connection(stream: TcpStream, service: &Service, limits: Limits) -> std::io::Result<()> {
+    stream.set_nodelay(true)?;
+    let mut stream = BufReader::new(stream);
+    loop {
+        let request = match timeout(limits.patience, http::read(&mut stream)).await {
+            Ok(Ok(request)) => request,
+            Ok(Err(Broken::Gone)) => return Ok(()),
+            Ok(Err(Broken::Refused(refusal))) => return refuse(&mut stream, refusal, limits).await,
+            Err(_) => return refuse(&mut stream, SLOW, limits).await,
+        };
+        let Ok(body) = timeout(limits.work, service.answer(&request.body)).await else {
+            return refuse(&mut stream, LONG, limits).await;
+        };
+        send(&mut stream, &http::answer(&body, request.keep), limits).await?;
+        if !request.keep {
+            return stream.shutdown().await;
+        }
+    }
+}
+
+async fn send(stream: &mut BufReader<TcpStream>, bytes: &[u8], limits: Limits) -> std::io::Result<()> {
+    timeout(limits.patience, stream.write_all(bytes)).await.map_err(|_| std::io::ErrorKind::TimedOut)?
+}
+
+async fn refuse(stream: &mut BufReader<TcpStream>, refusal: Refusal, limits: Limits) -> std::io::Result<()> {
+    send(stream, &http::refusal(refusal), limits).await?;
+    stream.shutdown().await?;
+    // Closed with bytes unread, the connection would be reset, and the answer with it.
+    let rest = &mut stream.take(4 * http::LONGEST_BODY as u64);
+    drop(timeout(Duration::from_secs(1), tokio::io::copy(rest, &mut tokio::io::sink())).await);
+    Ok(())
+}

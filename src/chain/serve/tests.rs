@@ -1,0 +1,285 @@
+//! The server over real sockets: by another client of this program, and by hand-written requests.
+
+use std::path::Path;
+
+use serde_json::{Value, json};
+use tokio::io::AsyncReadExt;
+use tokio::sync::oneshot;
+use tokio::task::JoinHandle;
+
+use super::*;
+use crate::chain::{ChainOptions, Consensus, Endpoint};
+use crate::crypto::EoaSecret;
+use crate::model::ErrorKind;
+
+const BOUND: Duration = Duration::from_secs(60);
+
+/// A served chain.
+struct Served {
+    chain: Chain,
+    address: SocketAddr,
+    stop: oneshot::Sender<()>,
+    task: JoinHandle<Result<(), ChainError>>,
+}
+
+fn options(endpoint: Endpoint) -> ChainOptions {
+    ChainOptions { endpoint, contract: None, pinned: None, confirmations: 1 }
+}
+
+async fn embedded(directory: &Path, consensus: Option<Consensus>) -> Chain {
+    let endpoint = Endpoint::Embedded { directory: directory.to_owned(), consensus };
+    Chain::connect(options(endpoint)).await.expect("opens")
+}
+
+async fn serve(directory: &Path, limits: Limits, consensus: Option<Consensus>) -> Served {
+    let chain = embedded(directory, consensus).await;
+    let listener = listen("127.0.0.1:0".parse().expect("address")).await.expect("listens");
+    let address = listener.local_addr().expect("address");
+    let (stop, stopped) = oneshot::channel::<()>();
+    let served = chain.clone();
+    let task = tokio::spawn(async move {
+        let stop = async { drop(stopped.await) };
+        served.serve_within(limits, listener, stop).await
+    });
+    Served { chain, address, stop, task }
+}
+
+impl Served {
+    async fn client(&self) -> Chain {
+        let url = format!("http://{}", self.address);
+        Chain::connect(options(Endpoint::Node { url })).await.expect("connects")
+    }
+
+    /// Sends bytes and gives all that comes back until the end.
+    async fn raw(&self, bytes: &[u8]) -> String {
+        let mut stream = TcpStream::connect(self.address).await.expect("connects");
+        stream.write_all(bytes).await.expect("writes");
+        answer_of(&mut stream).await
+    }
+
+    /// Posts a body on a connection of its own.
+    async fn post(&self, body: &str) -> Value {
+        let answer = self.raw(request(body, "close").as_bytes()).await;
+        let (head, body) = answer.split_once("\r\n\r\n").expect("a head");
+        assert!(head.starts_with("HTTP/1.1 200 OK\r\n"), "{head}");
+        if body.is_empty() { Value::Null } else { serde_json::from_str(body).expect("JSON") }
+    }
+
+    async fn ask(&self, method: &str, parameters: Value) -> Value {
+        let body = json!({ "jsonrpc": "2.0", "id": 7, "method": method, "params": parameters });
+        let answer = self.post(&body.to_string()).await;
+        assert_eq!((&answer["jsonrpc"], &answer["id"]), (&json!("2.0"), &json!(7)));
+        answer.get("result").or_else(|| answer.get("error")).cloned().expect("an answer")
+    }
+}
+
+fn request(body: &str, connection: &str) -> String {
+    format!(
+        "POST / HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nConnection: {connection}\r\n\
+         Content-Length: {}\r\n\r\n{body}",
+        body.len()
+    )
+}
+
+async fn answer_of(stream: &mut TcpStream) -> String {
+    let mut answer = Vec::new();
+    timeout(BOUND, stream.read_to_end(&mut answer)).await.expect("an end").expect("reads");
+    String::from_utf8(answer).expect("text")
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn another_client_reads_and_sends() {
+    for consensus in [Consensus::POA, Consensus::Pow { difficulty: 500 }] {
+        let home = tempfile::tempdir().expect("folder");
+        let served = serve(home.path(), LIMITS, Some(consensus)).await;
+        let client = served.client().await;
+        let pin = client.deploy(&EoaSecret::generate().expect("key")).await.expect("deploys");
+        assert_eq!(served.chain.use_contract(pin.contract).await, Ok(pin.clone()));
+        assert_eq!((client.chain_id(), client.genesis()), (served.chain.chain_id(), served.chain.genesis()));
+        let (near, far) = (served.chain.events(0, u64::MAX).await, client.events(0, u64::MAX).await);
+        assert!(near.as_ref().is_ok_and(|events| !events.is_empty()) && near == far);
+        let status = client.status(None).await.expect("status");
+        assert_eq!((status.kind.as_str(), status.consensus.as_str()), ("node", consensus.word()));
+        assert_eq!(status.client, served.chain.status(None).await.expect("status").client);
+        let (near, far) = (served.chain.sealing().await.expect("near"), client.sealing().await.expect("far"));
+        match consensus {
+            Consensus::Poa { .. } => assert_eq!(far.sealers, near.sealers),
+            Consensus::Pow { .. } => assert_eq!(far.difficulty, near.difficulty),
+        }
+        let stop =
+            client.serve(listen("127.0.0.1:0".parse().expect("address")).await.expect("listens"), async {}).await;
+        assert!(stop.expect_err("a node").to_string().contains("is the node at"));
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn requests_batches_and_mistakes() {
+    let home = tempfile::tempdir().expect("folder");
+    let served = serve(home.path(), LIMITS, None).await;
+    let id = json!(format!("{:#x}", served.chain.chain_id()));
+    assert_eq!(served.ask("eth_chainId", json!([])).await, id);
+    let code = |answer: &Value| answer["error"]["code"].as_i64();
+    for (body, expected) in [
+        ("nonsense", -32700),
+        ("", -32700),
+        ("7", -32600),
+        ("[]", -32600),
+        (r#"{"jsonrpc":"1.0","id":1,"method":"eth_chainId"}"#, -32600),
+        (r#"{"jsonrpc":"2.0","id":1}"#, -32600),
+        (r#"{"jsonrpc":"2.0","id":1,"method":"eth_chainId","params":{"a":1}}"#, -32602),
+        (r#"{"jsonrpc":"2.0","id":1,"method":"eth_getBalance","params":[]}"#, -32602),
+        (r#"{"jsonrpc":"2.0","id":1,"method":"eth_sendTransaction","params":[{}]}"#, -32601),
+        (r#"{"jsonrpc":"2.0","id":1,"method":"personal_listAccounts"}"#, -32601),
+        (r#"{"jsonrpc":"2.0","id":1,"method":"eth_subscribe","params":["newHeads"]}"#, -32601),
+        (r#"{"jsonrpc":"2.0","id":1,"method":"eth_sendRawTransaction","params":["0xf8"]}"#, -32000),
+    ] {
+        assert_eq!(code(&served.post(body).await), Some(expected), "{body}");
+    }
+    let deep = "[".repeat(100_000);
+    assert_eq!(code(&served.post(&deep).await), Some(-32700));
+    let one = |id: Value| json!({ "jsonrpc": "2.0", "id": id, "method": "eth_chainId", "params": [] });
+    let notification = json!({ "jsonrpc": "2.0", "method": "eth_chainId" });
+    let batch = json!([one(json!("a")), notification, one(json!(2)), 5]).to_string();
+    let answers = served.post(&batch).await;
+    let ids: Vec<&Value> = answers.as_array().expect("a batch").iter().map(|answer| &answer["id"]).collect();
+    assert_eq!(ids, [&json!("a"), &json!(2), &Value::Null]);
+    assert_eq!(answers[0]["result"], id);
+    assert_eq!(code(&answers[2]), Some(-32600));
+    assert_eq!(served.post(&notification.to_string()).await, Value::Null);
+    assert_eq!(served.post(&json!([notification]).to_string()).await, Value::Null);
+    let most: Vec<Value> = (0..100).map(|id| one(json!(id))).collect();
+    assert_eq!(served.post(&json!(most).to_string()).await.as_array().map(Vec::len), Some(100));
+    let more: Vec<Value> = (0..101).map(|id| one(json!(id))).collect();
+    assert_eq!(code(&served.post(&json!(more).to_string()).await), Some(-32600));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn filters_give_what_came_since() {
+    let home = tempfile::tempdir().expect("folder");
+    let served = serve(home.path(), LIMITS, None).await;
+    let blocks = served.ask("eth_newBlockFilter", json!([])).await;
+    let logs = served.ask("eth_newFilter", json!([{ "topics": [] }])).await;
+    assert_eq!(served.ask("eth_getFilterChanges", json!([blocks])).await, json!([]));
+    let pin = served.chain.deploy(&EoaSecret::generate().expect("key")).await.expect("deploys");
+    let hashes = served.ask("eth_getFilterChanges", json!([blocks])).await;
+    let newest = served.ask("eth_getBlockByNumber", json!(["latest", false])).await;
+    assert_eq!(hashes, json!([newest["hash"]]));
+    let found = served.ask("eth_getFilterChanges", json!([logs])).await;
+    assert!(found.as_array().is_some_and(|found| !found.is_empty()));
+    assert_eq!(found[0]["address"], json!(pin.contract.to_string().to_lowercase()));
+    for filter in [&blocks, &logs] {
+        assert_eq!(served.ask("eth_getFilterChanges", json!([filter])).await, json!([]), "given once");
+    }
+    let all = served.ask("eth_newFilter", json!([{ "fromBlock": "0x0", "toBlock": "latest" }])).await;
+    assert_eq!(served.ask("eth_getFilterLogs", json!([all])).await, found);
+    assert_eq!(served.ask("eth_getFilterLogs", json!([blocks])).await["code"], json!(-32000));
+    assert_eq!(served.ask("eth_newFilter", json!([{ "topics": ["0x12"] }])).await["code"], json!(-32602));
+    assert_eq!(served.ask("eth_uninstallFilter", json!([blocks])).await, json!(true));
+    assert_eq!(served.ask("eth_uninstallFilter", json!([blocks])).await, json!(false));
+    assert_eq!(served.ask("eth_getFilterChanges", json!([blocks])).await["code"], json!(-32000));
+    for _ in 0..62 {
+        assert!(served.ask("eth_newBlockFilter", json!([])).await.is_string());
+    }
+    assert_eq!(served.ask("eth_newBlockFilter", json!([])).await["code"], json!(-32005), "there is an end to it");
+    let number = newest["number"].clone();
+    assert_eq!(served.ask("eth_getBlockTransactionCountByNumber", json!([number])).await, json!("0x1"));
+    assert_eq!(served.ask("eth_getBlockTransactionCountByHash", json!([newest["hash"]])).await, json!("0x1"));
+    assert_eq!(served.ask("eth_getBlockTransactionCountByNumber", json!(["0xffff"])).await, Value::Null);
+    let sent = served.ask("eth_getTransactionByBlockNumberAndIndex", json!([number, "0x0"])).await;
+    assert_eq!(sent["hash"], newest["transactions"][0]);
+    let none = served.ask("eth_getTransactionByBlockHashAndIndex", json!([newest["hash"], "0x1"])).await;
+    assert_eq!(none, Value::Null);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn strangers_and_spendthrifts_are_refused() {
+    let home = tempfile::tempdir().expect("folder");
+    let served = serve(home.path(), Limits { connections: 2, ..LIMITS }, None).await;
+    let call = r#"{"jsonrpc":"2.0","id":1,"method":"eth_chainId"}"#;
+    let good = request(call, "close");
+    let large = format!("{}{}", request("", "close").replace("Length: 0", "Length: 2000000"), "x".repeat(100_000));
+    for (request, status) in [
+        (good.replace("localhost", "rebound.example"), "403"),
+        (good.replace("Host:", "Origin: http://page.example\r\nHost:"), "403"),
+        (good.replace("POST", "GET"), "405"),
+        (good.replace("application/json", "text/plain"), "415"),
+        (large, "413"),
+        ("\u{0}\r\n\r\n".to_owned(), "400"),
+    ] {
+        let answer = served.raw(request.as_bytes()).await;
+        assert!(answer.starts_with(&format!("HTTP/1.1 {status} ")), "{status}: {answer}");
+        assert!(!answer.contains("jsonrpc"));
+    }
+    // Two connections that stay, and no third one.
+    let mut first = TcpStream::connect(served.address).await.expect("connects");
+    let mut second = TcpStream::connect(served.address).await.expect("connects");
+    for stream in [&mut first, &mut second] {
+        for _ in 0..3 {
+            stream.write_all(request(call, "keep-alive").as_bytes()).await.expect("writes");
+            let mut answer = vec![0; 17];
+            timeout(BOUND, stream.read_exact(&mut answer)).await.expect("an answer").expect("reads");
+            assert_eq!(answer, b"HTTP/1.1 200 OK\r\n");
+            while !answer.ends_with(b"}") {
+                answer.push(timeout(BOUND, stream.read_u8()).await.expect("the rest").expect("reads"));
+            }
+        }
+    }
+    let mut third = TcpStream::connect(served.address).await.expect("connects");
+    assert!(answer_of(&mut third).await.starts_with("HTTP/1.1 503 "));
+    drop((first, second));
+    let deadline = tokio::time::Instant::now() + BOUND;
+    while !served.raw(good.as_bytes()).await.starts_with("HTTP/1.1 200 ") {
+        assert!(tokio::time::Instant::now() < deadline, "no place is given back");
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_slow_caller_loses_its_connection() {
+    let home = tempfile::tempdir().expect("folder");
+    let hasty = Limits { patience: Duration::from_millis(200), ..LIMITS };
+    let served = serve(home.path(), hasty, None).await;
+    for beginning in
+        ["", "POST / HT", "POST / HTTP/1.1\r\nHost: localhost\r\n", &request("{", "close").replace("1\r", "9\r")]
+    {
+        let answer = served.raw(beginning.as_bytes()).await;
+        assert!(answer.starts_with("HTTP/1.1 408 "), "{beginning}: {answer}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_chain_that_takes_too_long_is_not_waited_for() {
+    let home = tempfile::tempdir().expect("folder");
+    let served = serve(home.path(), Limits { work: Duration::ZERO, ..LIMITS }, None).await;
+    let one = json!({ "jsonrpc": "2.0", "id": 1, "method": "eth_chainId" });
+    let answer = served.raw(request(&json!(vec![one; 100]).to_string(), "close").as_bytes()).await;
+    assert!(answer.starts_with("HTTP/1.1 503 "), "{answer}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_end_closes_all_and_frees_the_chain() {
+    let home = tempfile::tempdir().expect("folder");
+    let Served { chain, address, stop, task } = serve(home.path(), LIMITS, None).await;
+    let mut idle = TcpStream::connect(address).await.expect("connects");
+    stop.send(()).expect("still serving");
+    assert_eq!(timeout(BOUND, task).await.expect("ends").expect("joins"), Ok(()));
+    // Closed or reset: either way it ended.
+    let mut rest = Vec::new();
+    drop(timeout(BOUND, idle.read_to_end(&mut rest)).await.expect("ends"));
+    assert!(rest.is_empty() && TcpStream::connect(address).await.is_err());
+    let genesis = chain.genesis();
+    drop(chain);
+    assert_eq!(embedded(home.path(), None).await.genesis(), genesis);
+}
+
+#[tokio::test]
+async fn only_this_machine_may_ask() {
+    for address in ["0.0.0.0:0", "[::]:0", "192.0.2.1:8545"] {
+        let error = listen(address.parse().expect("address")).await.expect_err(address);
+        assert_eq!(error.kind(), ErrorKind::Input);
+        assert!(error.to_string().contains("127.0.0.1"), "{error}");
+    }
+    let first = listen("127.0.0.1:0".parse().expect("address")).await.expect("listens");
+    let taken = listen(first.local_addr().expect("address")).await.expect_err("taken");
+    assert!(taken.to_string().contains("another port"), "{taken}");
+}

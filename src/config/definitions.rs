@@ -1,0 +1,96 @@
+//! Every setting by name, variable, default and meaning.
+
+/// What a setting is.
+#[derive(Debug)]
+pub struct Definition {
+    /// Its name in `config.toml` and in `config show`.
+    pub name: &'static str,
+    /// Its environment variable.
+    pub variable: &'static str,
+    /// Its default; empty = embedded or chosen by the program.
+    pub default: &'static str,
+    /// One line for people.
+    pub text: &'static str,
+}
+
+/// Every setting, in the order shown.
+pub const DEFINITIONS: [Definition; 13] = [
+    Definition {
+        name: "ros.master",
+        variable: "ROS_MASTER_URI",
+        default: "",
+        text: "URI of a real ROS master; empty = embedded master",
+    },
+    Definition {
+        name: "ros.host",
+        variable: "ROS_HOSTNAME",
+        default: "",
+        text: "name or address other ROS nodes reach this machine by; ROS_IP counts too",
+    },
+    Definition {
+        name: "ros.meter",
+        variable: "AUTHROS_METER",
+        default: "auto",
+        text: "measure rates of: all topics, watched ones, or auto (all on the embedded master)",
+    },
+    Definition {
+        name: "robots",
+        variable: "AUTHROS_ROBOTS",
+        default: "4",
+        text: "simulated robots on the embedded master, 0 to 32",
+    },
+    Definition {
+        name: "chain.url",
+        variable: "AUTHROS_CHAIN",
+        default: "",
+        text: "node to use: http://, ws:// or ipc path; empty = embedded chain",
+    },
+    Definition {
+        name: "chain.contract",
+        variable: "AUTHROS_CONTRACT",
+        default: "",
+        text: "address of the AuthROS contract; empty = deploy one at first registration",
+    },
+    Definition {
+        name: "chain.max_fee",
+        variable: "AUTHROS_MAX_FEE",
+        default: "1000",
+        text: "most gwei per gas a transaction may offer, replacements included; empty = no cap",
+    },
+    Definition {
+        name: "chain.consensus",
+        variable: "AUTHROS_CONSENSUS",
+        default: "",
+        text: "embedded chain: poa[:SIGNERS:PERIOD_MS] or pow[:DIFFICULTY]; empty = as founded, new ones poa",
+    },
+    Definition {
+        name: "vault.url",
+        variable: "AUTHROS_VAULT",
+        default: "",
+        text: "redis://host:port; empty = embedded vault",
+    },
+    Definition {
+        name: "crypto.provider",
+        variable: "AUTHROS_CRYPTO_PROVIDER",
+        default: "rustcrypto",
+        text: "rustcrypto or libsm",
+    },
+    Definition {
+        name: "anchor.mode",
+        variable: "AUTHROS_ANCHOR_MODE",
+        default: "batch",
+        text: "batch = Merkle roots, about one transaction a second; each = one dataUpload per record",
+    },
+    Definition {
+        name: "anchor.lanes",
+        variable: "AUTHROS_ANCHOR_LANES",
+        default: "1",
+        text: "accounts that anchor side by side, the owner's included, 1 to 8",
+    },
+    Definition {
+        name: "confirmations",
+        variable: "AUTHROS_CONFIRMATIONS",
+        default: "1",
+        text: "blocks until an anchor counts as confirmed, its own included, 1 to 1000",
+    },
+];

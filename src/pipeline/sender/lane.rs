@@ -1,0 +1,194 @@
+//! A nonce lane while it is held: nobody else signs for the account meanwhile.
+
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use tokio::sync::OwnedMutexGuard;
+use tokio::task::block_in_place;
+
+use crate::chain::{Call, Chain, ChainError};
+use crate::crypto::EoaSecret;
+use crate::model::{Address, Hash};
+use crate::pipeline::PipelineError;
+use crate::pipeline::error::of_payer;
+use crate::store::{Anchors, NewTransaction};
+
+use super::Sender;
+use super::price::Priced;
+use super::state::{LaneState, PauseReason};
+use super::tend::Memory;
+
+/// A call to be signed, stored and sent.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Outgoing {
+    /// The call.
+    pub call: Call,
+    /// What it is for, in a word: `anchor`, `grant`, ….
+    pub purpose: String,
+    /// The records that it anchors.
+    pub anchors: Anchors,
+}
+
+impl Outgoing {
+    /// A call that anchors no record.
+    pub fn plain(call: Call, purpose: &str) -> Self {
+        Self { call, purpose: purpose.to_owned(), anchors: Anchors::Nothing }
+    }
+}
+
+/// What is remembered of an account's lane between two looks at it.
+pub(super) struct Cell {
+    /// Held while nonces are given out.
+    pub nonces: std::sync::Arc<tokio::sync::Mutex<()>>,
+    /// Held while the lane is tended.
+    pub tending: tokio::sync::Mutex<()>,
+    memory: Mutex<Memory>,
+}
+
+impl Cell {
+    pub fn new() -> Self {
+        Self {
+            nonces: std::sync::Arc::default(),
+            tending: tokio::sync::Mutex::default(),
+            memory: Mutex::new(Memory::new()),
+        }
+    }
+
+    pub fn memory(&self) -> MutexGuard<'_, Memory> {
+        self.memory.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// A lane, held. Keep it no longer than signing takes.
+pub struct Lane<'a> {
+    pub(super) sender: &'a Sender,
+    pub(super) chain: &'a Chain,
+    pub(super) eoa: &'a EoaSecret,
+    pub(super) account: Address,
+    pub(super) held: OwnedMutexGuard<()>,
+}
+
+impl Lane<'_> {
+    /// The account.
+    pub fn account(&self) -> Address {
+        self.account
+    }
+
+    /// How the lane is.
+    ///
+    /// # Errors
+    /// Of the ledger.
+    pub fn state(&self) -> Result<LaneState, PipelineError> {
+        self.sender.state_of(self.account)
+    }
+
+    /// How many more transactions it takes now; 0 while it is paused.
+    ///
+    /// # Errors
+    /// Of the ledger.
+    pub fn room(&self) -> Result<usize, PipelineError> {
+        self.sender.room(self.account)
+    }
+
+    /// The lane's open transactions by nonce, without their bytes.
+    ///
+    /// # Errors
+    /// Of the ledger.
+    pub fn open(&self) -> Result<Vec<crate::store::OpenTransaction>, PipelineError> {
+        Ok(block_in_place(|| self.sender.ledger.open_lane(self.account))?)
+    }
+
+    /// The next nonce: behind all that is mined, that waits at the node (whoever signed it), and that is open here.
+    ///
+    /// # Errors
+    /// Of chain and ledger.
+    pub async fn next_nonce(&self) -> Result<u64, PipelineError> {
+        let pending = self.chain.nonce(self.account, true).await?;
+        let mined = self.chain.nonce(self.account, false).await?;
+        let open = block_in_place(|| self.sender.ledger.lane_count(self.account))?;
+        Ok(open.highest.map_or(0, |nonce| nonce + 1).max(pending).max(mined))
+    }
+
+    /// What gas may cost now, wei.
+    pub(super) async fn price(&self) -> Result<u128, PipelineError> {
+        match self.sender.policy.fresh(&self.chain.market().await?) {
+            Priced::At(price) => Ok(price),
+            Priced::Capped { needed, cap } => Err(self.sender.pause(self.account, PauseReason::FeeCap { needed, cap })),
+        }
+    }
+
+    /// Signs and stores `outgoing` in order, lets go of the lane, then sends it.
+    ///
+    /// # Errors
+    /// Of the chain while signing, of the ledger while storing: then nothing is kept. A transaction that is
+    /// stored but could not be handed to the node is no error: it is sent again.
+    pub async fn submit(self, outgoing: Vec<Outgoing>) -> Result<Vec<Hash>, PipelineError> {
+        if outgoing.is_empty() {
+            return Ok(Vec::new());
+        }
+        let price = self.price().await?;
+        let mut nonce = self.next_nonce().await?;
+        let mut rows = Vec::with_capacity(outgoing.len());
+        for Outgoing { call, purpose, anchors } in outgoing {
+            let signed = self.chain.sign_at(self.eoa, nonce, &call, price).await;
+            let signed = signed.map_err(|error| of_payer(error, self.account))?;
+            let (hash, account, raw) = (signed.hash, self.account, signed.raw);
+            rows.push(NewTransaction { hash, account, nonce, raw, purpose, anchors });
+            nonce += 1;
+        }
+        let sent: Vec<(Hash, Vec<u8>)> = rows.iter().map(|row| (row.hash, row.raw.clone())).collect();
+        block_in_place(|| self.sender.ledger.submit_many(rows))?;
+        let (sender, chain, account) = (self.sender, self.chain, self.account);
+        drop(self.held);
+        let hashes = sent.iter().map(|(hash, _)| *hash).collect();
+        let begun = Instant::now();
+        for (hash, raw) in sent {
+            // A lost answer says nothing about the next one; a node that takes its time for each does.
+            let handed = sender.hand_in(chain, account, hash, &raw).await;
+            if handed == HandedIn::Refused || handed == HandedIn::Lost && begun.elapsed() > BROKEN {
+                break;
+            }
+        }
+        Ok(hashes)
+    }
+}
+
+/// What became of bytes that were handed to the node.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum HandedIn {
+    /// The node has them, or will be asked about their nonce.
+    Held,
+    /// No answer came: the node may have them or not.
+    Lost,
+    /// The node does not take them now.
+    Refused,
+}
+
+/// With broken answers, bytes are handed in one after the other for no longer than this.
+pub(super) const BROKEN: Duration = Duration::from_secs(8);
+
+impl Sender {
+    /// Hands stored bytes to the node.
+    pub(super) async fn hand_in(&self, chain: &Chain, account: Address, hash: Hash, raw: &[u8]) -> HandedIn {
+        let answer = chain.broadcast(raw).await;
+        let cell = self.cell(account);
+        match answer {
+            Ok(_) | Err(ChainError::AlreadyKnown | ChainError::NonceTooLow | ChainError::Reverted { .. }) => {
+                cell.memory().sent(hash);
+                HandedIn::Held
+            }
+            Err(ChainError::Underpriced) => {
+                let mut memory = cell.memory();
+                memory.sent(hash);
+                memory.cheap.insert(hash);
+                HandedIn::Held
+            }
+            Err(ChainError::InsufficientFunds) => {
+                self.pause(account, PauseReason::NoEther);
+                HandedIn::Refused
+            }
+            Err(ChainError::Unreachable { .. } | ChainError::Answer { .. }) => HandedIn::Lost,
+            Err(_) => HandedIn::Refused,
+        }
+    }
+}

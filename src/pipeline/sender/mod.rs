@@ -1,0 +1,182 @@
+//! Nonce lanes: one per EOA. A signed transaction is stored before it is sent, and sent again
+//! as the same bytes until the chain has decided about its nonce.
+//!
+//! A lane is *tended* after every block ([`Sender::tend`]): what is mined is closed; what another process'
+//! transaction took the nonce of goes back, or is signed again under a new one; what costs too little by now is
+//! replaced by the same call at a higher price, up to the operator's cap; a hole in the nonces is filled by a
+//! transfer of nothing to oneself. What stands in the way pauses the lane, visibly, and nothing is lost.
+
+mod lane;
+#[cfg(test)]
+mod node_tests;
+mod price;
+mod state;
+mod tend;
+#[cfg(test)]
+mod tests;
+mod waiting;
+
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use tokio::task::block_in_place;
+
+use crate::chain::{Call, Chain, Receipt};
+use crate::crypto::EoaSecret;
+use crate::model::{Address, Hash, clean};
+use crate::store::{Ledger, TransactionState};
+
+use self::lane::Cell;
+pub use self::lane::{Lane, Outgoing};
+pub use self::price::Policy;
+pub use self::state::{LaneState, PauseReason};
+use super::error::of_payer;
+use super::{Observer, PipelineError};
+
+/// Transactions of one account that may wait for a block.
+pub const MOST_OPEN: u64 = 1024;
+/// How long a single transaction may take until its sender is told that it waits.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+/// Sends transactions of all accounts of the site.
+pub struct Sender {
+    ledger: Ledger,
+    observer: Arc<dyn Observer>,
+    policy: Policy,
+    lanes: Mutex<HashMap<Address, Arc<Cell>>>,
+}
+
+impl Sender {
+    /// A sender that keeps its transactions in `ledger` and tells `observer` when a lane stands still.
+    pub fn new(ledger: Ledger, observer: Arc<dyn Observer>, policy: Policy) -> Self {
+        Self { ledger, observer, policy, lanes: Mutex::default() }
+    }
+
+    fn cell(&self, account: Address) -> Arc<Cell> {
+        let mut lanes = self.lanes.lock().unwrap_or_else(PoisonError::into_inner);
+        Arc::clone(lanes.entry(account).or_insert_with(|| Arc::new(Cell::new())))
+    }
+
+    /// Holds the account's lane: until it is let go nobody else signs for it in this process.
+    pub async fn lane<'a>(&'a self, chain: &'a Chain, eoa: &'a EoaSecret) -> Lane<'a> {
+        let account = eoa.address();
+        let held = Arc::clone(&self.cell(account).nonces).lock_owned().await;
+        Lane { sender: self, chain, eoa, account, held }
+    }
+
+    /// How an account's lane is.
+    ///
+    /// # Errors
+    /// Of the ledger.
+    pub fn state_of(&self, account: Address) -> Result<LaneState, PipelineError> {
+        let count = block_in_place(|| self.ledger.lane_count(account))?;
+        let paused = self.cell(account).memory().paused.clone();
+        Ok(LaneState { account, open: count.open, oldest: count.oldest, paused })
+    }
+
+    /// How many more transactions an account's lane takes now; 0 while it is paused.
+    ///
+    /// # Errors
+    /// Of the ledger.
+    pub fn room(&self, account: Address) -> Result<usize, PipelineError> {
+        let state = self.state_of(account)?;
+        let room = if state.paused.is_some() { 0 } else { MOST_OPEN.saturating_sub(state.open) };
+        Ok(usize::try_from(room).unwrap_or(0))
+    }
+
+    /// Signs, stores and sends `outgoing` in order.
+    ///
+    /// # Errors
+    /// As [`Lane::submit`].
+    pub async fn submit(
+        &self,
+        chain: &Chain,
+        eoa: &EoaSecret,
+        outgoing: Vec<Outgoing>,
+    ) -> Result<Vec<Hash>, PipelineError> {
+        self.lane(chain, eoa).await.submit(outgoing).await
+    }
+
+    /// Sends one call and waits until it is mined.
+    ///
+    /// # Errors
+    /// `Reverted` with the contract's reason, before anything is sent where the node can tell;
+    /// `NotMined` after two minutes; errors of chain and ledger.
+    pub async fn send(
+        &self,
+        chain: &Chain,
+        eoa: &EoaSecret,
+        call: Call,
+        purpose: &str,
+    ) -> Result<(Hash, Receipt), PipelineError> {
+        chain.simulate(eoa.address(), &call).await.map_err(|error| of_payer(error, eoa.address()))?;
+        let hashes = self.submit(chain, eoa, vec![Outgoing::plain(call, purpose)]).await?;
+        let hash = hashes.first().copied().ok_or_else(|| PipelineError::NotMined(purpose.to_owned()))?;
+        self.wait_mined(chain, eoa, hash, purpose).await
+    }
+
+    /// Waits until a transaction signed here is mined, under whatever nonce or price it was signed again.
+    ///
+    /// # Errors
+    /// As [`Sender::send`].
+    pub async fn wait_mined(
+        &self,
+        chain: &Chain,
+        eoa: &EoaSecret,
+        mut hash: Hash,
+        purpose: &str,
+    ) -> Result<(Hash, Receipt), PipelineError> {
+        let deadline = Instant::now() + PATIENCE;
+        let mut head = chain.head().await?.number;
+        loop {
+            hash = self.newest(hash)?;
+            if let Some(receipt) = chain.receipt(hash).await? {
+                return match receipt.success {
+                    true => Ok((hash, receipt)),
+                    false => Err(PipelineError::Reverted {
+                        purpose: purpose.to_owned(),
+                        reason: clean(receipt.reason.as_deref().unwrap_or("no reason given"), 200),
+                    }),
+                };
+            }
+            if Instant::now() > deadline {
+                return Err(PipelineError::NotMined(purpose.to_owned()));
+            }
+            let seen = chain.next_block(head, Duration::from_secs(2)).await?.number;
+            if seen == head {
+                self.tend(chain, eoa).await?;
+            }
+            head = seen;
+        }
+    }
+
+    /// Follows a transaction to the one that was signed in its place last.
+    fn newest(&self, mut hash: Hash) -> Result<Hash, PipelineError> {
+        for _ in 0..1000 {
+            let row = block_in_place(|| self.ledger.transaction(hash))?;
+            match row.filter(|row| row.state == TransactionState::Replaced).and_then(|row| row.replaced_by) {
+                Some(next) => hash = next,
+                None => break,
+            }
+        }
+        Ok(hash)
+    }
+
+    /// Pauses an account's lane, and tells so once.
+    fn pause(&self, account: Address, reason: PauseReason) -> PipelineError {
+        let text = reason.text(account);
+        self.settle(account, Some(reason));
+        PipelineError::Refused(text)
+    }
+
+    fn settle(&self, account: Address, paused: Option<PauseReason>) {
+        let before = std::mem::replace(&mut self.cell(account).memory().paused, paused.clone());
+        match (before, paused) {
+            (Some(before), Some(now)) if before.word() == now.word() => {}
+            (_, Some(now)) => self.observer.alert(true, now.text(account)),
+            (Some(_), None) => self.observer.alert(false, format!("anchoring of {account} goes on")),
+            (None, None) => {}
+        }
+    }
+}

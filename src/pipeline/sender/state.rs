@@ -1,0 +1,93 @@
+//! How a nonce lane is, for people.
+
+use serde::{Deserialize, Serialize};
+
+use crate::model::{Address, Timestamp};
+
+/// Why a lane takes no further transactions for now. What it holds is kept and sent again.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", tag = "reason")]
+pub enum PauseReason {
+    /// The account cannot pay for the gas of its next transaction.
+    NoEther,
+    /// The network asks for more than the operator's cap.
+    FeeCap {
+        /// Wei per gas that would be needed.
+        needed: u128,
+        /// Wei per gas that `chain.max_fee` allows.
+        cap: u128,
+    },
+    /// No block was made for a while although transactions wait.
+    Stalled,
+    /// The node refuses the next transaction for a reason of its own.
+    Refused {
+        /// In its words, cleaned.
+        why: String,
+    },
+}
+
+impl PauseReason {
+    /// One word for JSON and for telling changes.
+    pub fn word(&self) -> &'static str {
+        match self {
+            Self::NoEther => "no ether",
+            Self::FeeCap { .. } => "fee cap",
+            Self::Stalled => "stalled",
+            Self::Refused { .. } => "refused",
+        }
+    }
+
+    /// What happened and what to do, for the account whose lane it is.
+    pub fn text(&self, account: Address) -> String {
+        let gwei = |wei: &u128| wei.div_ceil(1_000_000_000);
+        let what = match self {
+            Self::NoEther => format!("{account} has not enough ether to pay for gas; send it some on this chain"),
+            Self::FeeCap { needed, cap } => format!(
+                "the network asks for {} gwei per gas, more than chain.max_fee = {} allows; wait, or raise the setting",
+                gwei(needed),
+                gwei(cap)
+            ),
+            Self::Stalled => "the network makes no blocks; check its signers or miners".to_owned(),
+            Self::Refused { why } => format!("the node refuses transactions of {account}: {why}"),
+        };
+        format!("anchoring of {account} is paused, nothing is lost: {what}")
+    }
+}
+
+/// A nonce lane at a glance.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LaneState {
+    /// Whose it is.
+    pub account: Address,
+    /// Signed transactions that are in no block yet.
+    pub open: u64,
+    /// When the oldest of them was first signed.
+    pub oldest: Option<Timestamp>,
+    /// Why it stands still, if it does.
+    pub paused: Option<PauseReason>,
+}
+
+impl LaneState {
+    /// A lane with nothing in it.
+    pub fn idle(account: Address) -> Self {
+        Self { account, open: 0, oldest: None, paused: None }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn texts_name_the_account_and_round_up() {
+        let account = Address([7; 20]);
+        let capped = PauseReason::FeeCap { needed: 1_000_000_001, cap: 1_000_000_000 };
+        let text = capped.text(account);
+        assert!(text.contains("2 gwei") && text.contains("chain.max_fee = 1"), "{text}");
+        for reason in [PauseReason::NoEther, PauseReason::Stalled, PauseReason::Refused { why: "full".into() }] {
+            assert!(reason.text(account).contains(&account.to_string()), "{reason:?}");
+        }
+        let json = serde_json::to_value(LaneState { paused: Some(capped), ..LaneState::idle(account) }).expect("json");
+        assert_eq!(json["paused"]["reason"], "fee_cap");
+    }
+}

@@ -1,0 +1,246 @@
+//! What the chain has decided about a lane's nonces.
+
+use std::collections::{HashMap, HashSet};
+use std::time::{Duration, Instant};
+
+use tokio::task::block_in_place;
+
+use crate::chain::{Chain, Offered, Receipt, is_same_call};
+use crate::crypto::EoaSecret;
+use crate::model::{Address, Hash, clean};
+use crate::pipeline::PipelineError;
+use crate::pipeline::watcher::CURSOR;
+use crate::store::{OpenTransaction, Reissue, TransactionOutcome};
+
+use super::price::Priced;
+use super::state::PauseReason;
+use super::{Sender, waiting};
+
+/// A nonce counts as taken by another's transaction when no receipt of ours was found for so long.
+const SURE: Duration = Duration::from_secs(1);
+
+/// What is remembered of a lane; all of it can be lost at any time.
+pub(super) struct Memory {
+    /// Why the lane stands still.
+    pub paused: Option<PauseReason>,
+    /// When bytes were handed to the node last.
+    sent: HashMap<Hash, Instant>,
+    /// Since when a transaction's nonce is used although it has no receipt.
+    missing: HashMap<Hash, Instant>,
+    /// What transactions offer.
+    pub prices: HashMap<Hash, Offered>,
+    /// Refused by the node as too cheap.
+    pub cheap: HashSet<Hash>,
+    /// The lowest nonce that nobody holds, and since when.
+    pub hole: Option<(u64, Instant)>,
+    /// The newest block, and since when.
+    head: (u64, Instant),
+    /// The first waiting transaction, the block and the time at which it became the first.
+    front: Option<(Hash, u64, Instant)>,
+}
+
+impl Memory {
+    pub fn new() -> Self {
+        Self {
+            paused: None,
+            sent: HashMap::new(),
+            missing: HashMap::new(),
+            prices: HashMap::new(),
+            cheap: HashSet::new(),
+            hole: None,
+            head: (0, Instant::now()),
+            front: None,
+        }
+    }
+
+    /// Notes that bytes were handed in just now.
+    pub fn sent(&mut self, hash: Hash) {
+        self.sent.insert(hash, Instant::now());
+    }
+
+    /// Whether bytes were not handed in for so long.
+    pub fn is_quiet(&self, hash: Hash, length: Duration) -> bool {
+        self.sent.get(&hash).is_none_or(|at| at.elapsed() >= length)
+    }
+
+    /// Notes the newest block; returns for how long it has been the newest.
+    pub fn see_head(&mut self, number: u64) -> Duration {
+        if self.head.0 != number {
+            self.head = (number, Instant::now());
+        }
+        self.head.1.elapsed()
+    }
+
+    /// Notes the first waiting transaction; returns for how many blocks and how long it has been the first.
+    pub fn see_front(&mut self, hash: Hash, block: u64) -> (u64, Duration) {
+        match self.front {
+            Some((front, since, at)) if front == hash => (block.saturating_sub(since), at.elapsed()),
+            _ => {
+                self.front = Some((hash, block, Instant::now()));
+                (0, Duration::ZERO)
+            }
+        }
+    }
+
+    fn is_surely_missing(&mut self, hash: Hash) -> bool {
+        self.missing.entry(hash).or_insert_with(Instant::now).elapsed() >= SURE
+    }
+
+    fn forget_all_but(&mut self, open: &[OpenTransaction]) {
+        let open: HashSet<Hash> = open.iter().map(|row| row.hash).collect();
+        self.sent.retain(|hash, _| open.contains(hash));
+        self.missing.retain(|hash, _| open.contains(hash));
+        self.prices.retain(|hash, _| open.contains(hash));
+        self.cheap.retain(|hash| open.contains(hash));
+    }
+}
+
+/// What the chain says of a used nonce.
+enum Decided {
+    /// The open transaction is in a block.
+    Own(Receipt),
+    /// Another one signed here with this nonce is.
+    Kin(Hash, Vec<u8>, Receipt),
+    /// None signed here is.
+    Taken,
+}
+
+impl Sender {
+    /// Looks at every open transaction of the account, and does what is to be done about each. Called after
+    /// every block that the watcher has seen, and while none comes. Returns the reasons of refused ones.
+    ///
+    /// # Errors
+    /// Of chain and ledger; the next call does what is left.
+    pub async fn tend(&self, chain: &Chain, eoa: &EoaSecret) -> Result<Vec<String>, PipelineError> {
+        let account = eoa.address();
+        let cell = self.cell(account);
+        let Ok(_alone) = cell.tending.try_lock() else { return Ok(Vec::new()) };
+        let open = block_in_place(|| self.ledger.open_lane(account))?;
+        cell.memory().forget_all_but(&open);
+        if open.is_empty() {
+            let capped = matches!(cell.memory().paused, Some(PauseReason::FeeCap { .. }));
+            if !capped || matches!(self.policy.fresh(&chain.market().await?), Priced::At(_)) {
+                self.settle(account, None);
+            }
+            return Ok(Vec::new());
+        }
+        let mined = chain.nonce(account, false).await?;
+        let (used, waiting): (Vec<_>, Vec<_>) = open.into_iter().partition(|row| row.nonce < mined);
+        let refused = self.decide(chain, eoa, used).await?;
+        let paused = waiting::Round { sender: self, chain, eoa, account, mined, rows: &waiting }.run().await?;
+        self.settle(account, paused);
+        Ok(refused)
+    }
+
+    /// Closes what the chain has decided, as far as the watcher has seen the same chain.
+    async fn decide(
+        &self,
+        chain: &Chain,
+        eoa: &EoaSecret,
+        used: Vec<OpenTransaction>,
+    ) -> Result<Vec<String>, PipelineError> {
+        let Some((seen, hash)) = block_in_place(|| self.ledger.cursor(CURSOR))? else { return Ok(Vec::new()) };
+        let mut found = Vec::with_capacity(used.len());
+        for row in used {
+            let decided = self.look_up(chain, eoa.address(), &row).await?;
+            found.push((row, decided));
+        }
+        // A receipt is only worth something on the chain that the watcher follows; else it would be closed for
+        // a block that is gone, and nobody would open it again.
+        if chain.block(seen).await?.is_none_or(|block| block.hash != hash) {
+            return Ok(Vec::new());
+        }
+        let (mut closings, mut refused) = (Vec::new(), Vec::new());
+        for (row, decided) in found {
+            match decided {
+                Decided::Own(receipt) | Decided::Kin(_, _, receipt) if receipt.block > seen => {}
+                Decided::Own(receipt) => {
+                    refused.extend(refusal(&row, &receipt));
+                    closings.push((row.hash, outcome(&receipt)));
+                }
+                Decided::Kin(kin, raw, receipt) => {
+                    refused.extend(refusal(&row, &receipt));
+                    self.give_to_kin(chain, eoa, &row, kin, &raw, &receipt).await?;
+                }
+                Decided::Taken if self.cell(eoa.address()).memory().is_surely_missing(row.hash) => {
+                    self.give_way(chain, eoa, &row).await?;
+                }
+                Decided::Taken => {}
+            }
+        }
+        if !closings.is_empty() {
+            block_in_place(|| self.ledger.close_transactions(closings))?;
+        }
+        Ok(refused)
+    }
+
+    async fn look_up(&self, chain: &Chain, account: Address, row: &OpenTransaction) -> Result<Decided, PipelineError> {
+        if let Some(receipt) = chain.receipt(row.hash).await? {
+            return Ok(Decided::Own(receipt));
+        }
+        for (kin, raw) in block_in_place(|| self.ledger.of_nonce(account, row.nonce))? {
+            if kin == row.hash {
+                continue;
+            }
+            if let Some(receipt) = chain.receipt(kin).await? {
+                return Ok(Decided::Kin(kin, raw, receipt));
+            }
+        }
+        Ok(Decided::Taken)
+    }
+
+    /// An earlier transaction of ours with the same nonce was mined after all.
+    async fn give_to_kin(
+        &self,
+        chain: &Chain,
+        eoa: &EoaSecret,
+        row: &OpenTransaction,
+        kin: Hash,
+        raw: &[u8],
+        receipt: &Receipt,
+    ) -> Result<(), PipelineError> {
+        let own = block_in_place(|| self.ledger.raw_transaction(row.hash))?.unwrap_or_default();
+        if is_same_call(&own, raw) {
+            return Ok(block_in_place(|| self.ledger.decide_nonce(row.hash, kin, outcome(receipt)))?);
+        }
+        block_in_place(|| self.ledger.close_transactions(vec![(kin, outcome(receipt))]))?;
+        self.give_way(chain, eoa, row).await
+    }
+
+    /// The nonce belongs to another transaction: what anchors records gives them back to be anchored anew, on
+    /// what the chain's head is by then; any other call is signed again under the next nonce.
+    async fn give_way(&self, chain: &Chain, eoa: &EoaSecret, row: &OpenTransaction) -> Result<(), PipelineError> {
+        if row.anchors || row.purpose == waiting::HOLE {
+            let closing = vec![(row.hash, TransactionOutcome::Replaced)];
+            return Ok(block_in_place(|| self.ledger.close_transactions(closing))?);
+        }
+        let lane = self.lane(chain, eoa).await;
+        let raw = block_in_place(|| self.ledger.raw_transaction(row.hash))?.unwrap_or_default();
+        let signed = chain.resign(eoa, &raw, lane.next_nonce().await?, lane.price().await?)?;
+        let reissue = Reissue { hash: signed.hash, nonce: signed.nonce, raw: signed.raw.clone() };
+        block_in_place(|| self.ledger.reissue(row.hash, reissue))?;
+        drop(lane);
+        self.hand_in(chain, eoa.address(), signed.hash, &signed.raw).await;
+        Ok(())
+    }
+}
+
+fn outcome(receipt: &Receipt) -> TransactionOutcome {
+    if receipt.success {
+        TransactionOutcome::Mined {
+            block: receipt.block,
+            block_hash: receipt.block_hash,
+            gas_used: Some(receipt.gas_used),
+        }
+    } else {
+        TransactionOutcome::Reverted { reason: reason(receipt) }
+    }
+}
+
+fn refusal(row: &OpenTransaction, receipt: &Receipt) -> Option<String> {
+    (!receipt.success).then(|| format!("{}: {}", row.purpose, reason(receipt)))
+}
+
+fn reason(receipt: &Receipt) -> String {
+    clean(receipt.reason.as_deref().unwrap_or("reverted"), 200)
+}

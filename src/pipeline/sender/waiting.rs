@@ -1,0 +1,218 @@
+//! What waits for a block: sent again, made dearer, holes below it filled.
+
+use std::collections::HashSet;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use tokio::task::block_in_place;
+
+use crate::chain::{Chain, ChainError, Market, Offered, offered};
+use crate::crypto::EoaSecret;
+use crate::model::{Address, Hash, clean};
+use crate::pipeline::PipelineError;
+use crate::store::{Anchors, NewTransaction, OpenTransaction, Reissue};
+
+use super::Sender;
+use super::lane::{BROKEN, Cell};
+use super::price::{Priced, is_outbid};
+use super::state::PauseReason;
+
+/// The purpose of a transfer of nothing to oneself that fills a hole in the nonces.
+pub(super) const HOLE: &str = "nonce";
+/// Bytes handed in less long ago than this are not handed in again.
+const QUIET: Duration = Duration::from_millis(if cfg!(test) { 300 } else { 4_000 });
+/// Bytes that the node holds are handed in again this often.
+const REMINDER: Duration = Duration::from_secs(30);
+/// Blocks that pass the first waiting transaction by until it counts as too cheap.
+const PASSED_BY: u64 = 6;
+/// How long it waits at least until it counts as too cheap.
+const STARVING: Duration = Duration::from_millis(if cfg!(test) { 500 } else { 10_000 });
+/// Without a block for so long the network counts as stalled.
+const STALLED: Duration = Duration::from_millis(if cfg!(test) { 2_000 } else { 30_000 });
+/// Transactions handed in again, or signed again, in one round.
+const ROUND: usize = 128;
+/// Holes filled in one round.
+const HOLES: usize = 32;
+
+/// One look at the transactions of a lane whose nonces the chain has not used.
+pub(super) struct Round<'a> {
+    pub sender: &'a Sender,
+    pub chain: &'a Chain,
+    pub eoa: &'a EoaSecret,
+    pub account: Address,
+    /// The next nonce that the chain will use.
+    pub mined: u64,
+    pub rows: &'a [OpenTransaction],
+}
+
+impl Round<'_> {
+    /// Does what is to be done; returns what stands in the way.
+    pub async fn run(self) -> Result<Option<PauseReason>, PipelineError> {
+        let Some(first) = self.rows.first() else { return Ok(None) };
+        let market = self.chain.market().await?;
+        let cell = self.sender.cell(self.account);
+        let still = cell.memory().see_head(market.head.number);
+        let passed_by = cell.memory().see_front(first.hash, market.head.number);
+        let held = self.chain.nonce(self.account, true).await?.max(self.mined);
+        let hole = self.fill_holes(&cell, &market, held).await?;
+        let (replaced, dear) = self.raise(&cell, &market, passed_by).await?;
+        let refused = self.repeat(&cell, &market, held, &replaced).await?;
+        let stalled = (still >= STALLED).then_some(PauseReason::Stalled);
+        Ok(hole.or(dear).or(refused).or(stalled))
+    }
+
+    /// A nonce below an open one that neither the node nor we hold stops everything behind it: its transaction
+    /// was another process', or went down with a replaced block.
+    async fn fill_holes(
+        &self,
+        cell: &Arc<Cell>,
+        market: &Market,
+        held: u64,
+    ) -> Result<Option<PauseReason>, PipelineError> {
+        let own: HashSet<u64> = self.rows.iter().map(|row| row.nonce).collect();
+        let last = self.rows.last().map_or(held, |row| row.nonce);
+        let holes: Vec<u64> = (held..last).filter(|nonce| !own.contains(nonce)).take(HOLES).collect();
+        let Some(lowest) = holes.first().copied() else {
+            cell.memory().hole = None;
+            return Ok(None);
+        };
+        {
+            let mut memory = cell.memory();
+            let since = memory.hole.filter(|(nonce, _)| *nonce == lowest).map(|(_, since)| since);
+            if since.is_none_or(|since| since.elapsed() < QUIET) {
+                memory.hole = Some((lowest, since.unwrap_or_else(Instant::now)));
+                return Ok(None);
+            }
+        }
+        let price = match self.sender.policy.fresh(market) {
+            Priced::At(price) => price,
+            Priced::Capped { needed, cap } => return Ok(Some(PauseReason::FeeCap { needed, cap })),
+        };
+        for nonce in holes {
+            let signed = self.chain.sign_transfer(self.eoa, nonce, self.account, 0, price)?;
+            let row = NewTransaction {
+                hash: signed.hash,
+                account: self.account,
+                nonce,
+                raw: signed.raw.clone(),
+                purpose: HOLE.to_owned(),
+                anchors: Anchors::Nothing,
+            };
+            block_in_place(|| self.sender.ledger.submit(row))?;
+            self.sender.hand_in(self.chain, self.account, signed.hash, &signed.raw).await;
+        }
+        cell.memory().hole = None;
+        Ok(None)
+    }
+
+    /// Replaces what costs too little by now. Returns the replaced ones, and what stands in the way.
+    async fn raise(
+        &self,
+        cell: &Arc<Cell>,
+        market: &Market,
+        (blocks, length): (u64, Duration),
+    ) -> Result<(HashSet<Hash>, Option<PauseReason>), PipelineError> {
+        let mut replaced = HashSet::new();
+        let starving = blocks >= PASSED_BY && length >= STARVING;
+        for (index, row) in self.rows.iter().take(ROUND).enumerate() {
+            let cheap = cell.memory().cheap.contains(&row.hash) || starving && index == 0;
+            if market.base.is_none() && !cheap {
+                continue;
+            }
+            let Some((raw, old)) = self.offer_of(cell, row)? else { continue };
+            let dearer = market.offer() > old.price;
+            if !(is_outbid(old.price, market) || cheap && dearer) || !cell.memory().is_quiet(row.hash, QUIET) {
+                continue;
+            }
+            let price = match self.sender.policy.replacement(old.price, market) {
+                Priced::At(price) => price,
+                Priced::Capped { needed, cap } => {
+                    return Ok((replaced, Some(PauseReason::FeeCap { needed, cap })));
+                }
+            };
+            if self.chain.wealth(self.account).await? < old.cost_at(price) {
+                return Ok((replaced, Some(PauseReason::NoEther)));
+            }
+            self.replace(row, &raw, price).await?;
+            replaced.insert(row.hash);
+        }
+        Ok((replaced, None))
+    }
+
+    fn offer_of(&self, cell: &Arc<Cell>, row: &OpenTransaction) -> Result<Option<(Vec<u8>, Offered)>, PipelineError> {
+        let Some(raw) = block_in_place(|| self.sender.ledger.raw_transaction(row.hash))? else { return Ok(None) };
+        let known = cell.memory().prices.get(&row.hash).copied();
+        let offer = match known {
+            Some(offer) => offer,
+            None => offered(&raw)?,
+        };
+        cell.memory().prices.insert(row.hash, offer);
+        Ok(Some((raw, offer)))
+    }
+
+    async fn replace(&self, row: &OpenTransaction, raw: &[u8], price: u128) -> Result<(), PipelineError> {
+        let signed = self.chain.resign(self.eoa, raw, row.nonce, price)?;
+        let reissue = Reissue { hash: signed.hash, nonce: signed.nonce, raw: signed.raw.clone() };
+        block_in_place(|| self.sender.ledger.reissue(row.hash, reissue))?;
+        self.sender.hand_in(self.chain, self.account, signed.hash, &signed.raw).await;
+        Ok(())
+    }
+
+    /// Hands in again, byte for byte, what the node does not hold.
+    async fn repeat(
+        &self,
+        cell: &Arc<Cell>,
+        market: &Market,
+        held: u64,
+        replaced: &HashSet<Hash>,
+    ) -> Result<Option<PauseReason>, PipelineError> {
+        let due = |row: &&OpenTransaction| {
+            let length = if row.nonce < held { REMINDER } else { QUIET };
+            !replaced.contains(&row.hash) && cell.memory().is_quiet(row.hash, length)
+        };
+        let begun = Instant::now();
+        let (mut answered, mut lost) = (false, None);
+        for row in self.rows.iter().filter(due).take(ROUND) {
+            if lost.is_some() && begun.elapsed() > BROKEN {
+                break;
+            }
+            let Some((raw, offer)) = self.offer_of(cell, row)? else { continue };
+            match self.chain.broadcast(&raw).await {
+                Ok(_) | Err(ChainError::AlreadyKnown | ChainError::NonceTooLow | ChainError::Reverted { .. }) => {}
+                Err(ChainError::Underpriced) => {
+                    cell.memory().cheap.insert(row.hash);
+                }
+                Err(ChainError::InsufficientFunds) => return self.cheapen(market, row, &raw, offer).await,
+                Err(error @ (ChainError::Unreachable { .. } | ChainError::Answer { .. })) => {
+                    // The node may have it all the same, and the next answer may arrive.
+                    lost = Some(error);
+                    continue;
+                }
+                Err(error) => return Ok(Some(PauseReason::Refused { why: clean(&error.to_string(), 200) })),
+            }
+            answered = true;
+            cell.memory().sent(row.hash);
+        }
+        match lost.filter(|_| !answered) {
+            Some(error) => Err(error.into()),
+            None => Ok(None),
+        }
+    }
+
+    /// The account cannot pay what was offered: where far less is asked by now, less is offered.
+    async fn cheapen(
+        &self,
+        market: &Market,
+        row: &OpenTransaction,
+        raw: &[u8],
+        old: Offered,
+    ) -> Result<Option<PauseReason>, PipelineError> {
+        let Priced::At(price) = self.sender.policy.fresh(market) else { return Ok(Some(PauseReason::NoEther)) };
+        let affordable = self.chain.wealth(self.account).await? >= old.cost_at(price);
+        if price >= old.price || price.saturating_mul(2) > old.price || !affordable {
+            return Ok(Some(PauseReason::NoEther));
+        }
+        self.replace(row, raw, price).await?;
+        Ok(None)
+    }
+}

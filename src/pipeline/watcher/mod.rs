@@ -1,0 +1,146 @@
+//! Follows the chain: which records are in a block, which blocks are deep enough, who was
+//! registered, granted and revoked. A function of the ledger's cursor; a restart runs it again.
+
+mod reorg;
+#[cfg(test)]
+mod tests;
+
+use std::time::Duration;
+
+use tokio::task::block_in_place;
+
+use crate::chain::{BlockRef, Event, EventAt};
+use crate::model::Hash;
+use crate::store::{RootSighting, Sighting};
+
+use super::{Network, PipelineError, Plant};
+
+/// Name of the scan position in the ledger.
+pub(super) const CURSOR: &str = "watcher";
+/// Name of the written-down directory in the ledger.
+const DIRECTORY: &str = "directory";
+/// Blocks scanned at a time.
+const CHUNK: u64 = 2_000;
+/// How often a part of the chain is read again because it changed meanwhile.
+const ATTEMPTS: usize = 5;
+
+/// Reads the directory back as it was written down; a directory of another network, or none,
+/// is scanned anew from the contract's first block.
+///
+/// # Errors
+/// Of the ledger.
+pub fn restore(plant: &Plant, network: &Network) -> Result<(), PipelineError> {
+    let text = plant.ledger.setting(DIRECTORY)?;
+    if !text.is_some_and(|text| network.directory.read_back(&text)) {
+        // The trail stays: it tells whether blocks were replaced meanwhile.
+        let (number, hash) = beginning(network);
+        plant.ledger.set_cursor(CURSOR, number, hash)?;
+    }
+    Ok(())
+}
+
+/// The last block before the contract's first, as a cursor: its hash is never compared.
+fn beginning(network: &Network) -> (u64, Hash) {
+    (first_block(network).saturating_sub(1), network.chain.genesis())
+}
+
+fn first_block(network: &Network) -> u64 {
+    network.chain.pin().map_or(0, |pin| pin.deployed_at)
+}
+
+/// Scans all blocks behind the cursor; returns the head it reached. After a reorg it first goes back to where the
+/// chains part.
+///
+/// # Errors
+/// Of chain and ledger; the cursor stands where the last chunk was written. `ChainError::Swapped` where
+/// another chain answers by now, or the same one without its history.
+pub async fn watch_round(plant: &Plant, network: &Network) -> Result<BlockRef, PipelineError> {
+    for _ in 0..ATTEMPTS {
+        let head = network.chain.head().await?;
+        reorg::follow(plant, network).await?;
+        if !scan(plant, network, head).await? {
+            continue;
+        }
+        let deep = (head.number + 1).saturating_sub(network.confirmations);
+        if block_in_place(|| plant.ledger.confirm(deep))? > 0 {
+            plant.observer.records_changed();
+        }
+        return Ok(head);
+    }
+    Err(PipelineError::Unsteady)
+}
+
+/// Scans from the cursor to `head`; `false` where the chain changed while it was read.
+async fn scan(plant: &Plant, network: &Network, head: BlockRef) -> Result<bool, PipelineError> {
+    let first = first_block(network);
+    let cursor = block_in_place(|| plant.ledger.cursor(CURSOR))?;
+    let mut from = cursor.map_or(first, |(number, _)| (number + 1).max(first));
+    let mut below = cursor.filter(|(number, _)| *number >= first);
+    while from <= head.number {
+        let to = head.number.min(from + CHUNK - 1);
+        let Some(last) = network.chain.block(to).await? else { return Ok(false) };
+        if !stands(network, below).await? {
+            return Ok(false);
+        }
+        let events = network.chain.events(from, to).await?;
+        // The same block on top means that everything below was the same while it was read.
+        if !stands(network, Some((to, last.hash))).await? {
+            return Ok(false);
+        }
+        block_in_place(|| write(plant, network, &events, (to, last.hash)))?;
+        below = Some((to, last.hash));
+        from = to + 1;
+    }
+    Ok(true)
+}
+
+/// Whether the chain still has this block.
+async fn stands(network: &Network, block: Option<(u64, Hash)>) -> Result<bool, PipelineError> {
+    let Some((number, hash)) = block else { return Ok(true) };
+    Ok(network.chain.block(number).await?.is_some_and(|block| block.hash == hash))
+}
+
+fn write(plant: &Plant, network: &Network, events: &[EventAt], to: (u64, Hash)) -> Result<(), PipelineError> {
+    let sightings: Vec<Sighting> = events.iter().filter_map(sighting).collect();
+    let roots: Vec<RootSighting> = events.iter().filter_map(root_sighting).collect();
+    let mut changed = !sightings.is_empty() && plant.ledger.mined(&sightings)? > 0;
+    changed |= !roots.is_empty() && plant.ledger.anchored(&roots)? > 0;
+    let applied = events.iter().filter(|event| network.directory.apply(event)).count();
+    if applied > 0 {
+        plant.ledger.put_setting(DIRECTORY, &network.directory.write_down())?;
+        plant.observer.directory_changed();
+    }
+    let mut met: Vec<(u64, Hash)> = events.iter().map(|event| (event.block, event.block_hash)).collect();
+    met.dedup();
+    plant.ledger.walk_to(CURSOR, to, met)?;
+    if changed {
+        plant.observer.records_changed();
+    }
+    Ok(())
+}
+
+fn sighting(at: &EventAt) -> Option<Sighting> {
+    let Event::DataUploaded { owner, digest, .. } = &at.event else { return None };
+    Some(Sighting {
+        owner: *owner,
+        digest: *digest,
+        transaction: at.transaction,
+        block: at.block,
+        block_hash: at.block_hash,
+    })
+}
+
+fn root_sighting(at: &EventAt) -> Option<RootSighting> {
+    let Event::Anchored { account, root, count, .. } = &at.event else { return None };
+    Some(RootSighting {
+        account: *account,
+        root: *root,
+        count: *count,
+        transaction: at.transaction,
+        block: at.block,
+        block_hash: at.block_hash,
+    })
+}
+
+/// How long to wait for a next block before looking again.
+pub const PATIENCE: Duration = Duration::from_secs(2);
