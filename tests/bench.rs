@@ -38,9 +38,10 @@ fn expect_nothing_left(home: &Home) {
     assert!(left.is_empty(), "left behind: {left:?}");
 }
 
-fn row<'a>(rows: &'a [Value], way: &str, records: u64, bytes: u64) -> &'a Value {
-    let found =
-        rows.iter().find(|row| row["way"] == way && count(row, "records") == records && count(row, "bytes") == bytes);
+fn row<'a>(rows: &'a [Value], way: &str, records: u32, bytes: u32) -> &'a Value {
+    let found = rows.iter().find(|row| {
+        row["way"] == way && count(row, "records") == u64::from(records) && count(row, "bytes") == u64::from(bytes)
+    });
     found.unwrap_or_else(|| panic!("no row {way} {records} {bytes}: {rows:?}"))
 }
 
@@ -57,12 +58,12 @@ fn gas_is_under_its_caps() {
         for field in ["first", "later_from", "later_to"] {
             assert!((30_000..=70_000).contains(&count(batch, field)), "{batch}");
         }
-        assert!(number(batch, "max") * records as f64 <= 70_000.0, "{batch}");
+        assert!(number(batch, "max") * f64::from(records) <= 70_000.0, "{batch}");
     }
     assert!(each / number(row(&rows, "batch", 256, 1024), "max") >= 150.0);
     // A stored word costs 20,000 gas, and 8 KB are 256 of them.
     for bytes in [1024, 2048, 4096, 8192] {
-        assert!(number(row(&rows, "prototype", 1, bytes), "min") > bytes as f64 / 32.0 * 20_000.0);
+        assert!(number(row(&rows, "prototype", 1, bytes), "min") > f64::from(bytes) / 32.0 * 20_000.0);
     }
     let acceptance = list(&report, "acceptance");
     assert!(acceptance.len() == 2 && acceptance.iter().all(|one| one["ok"] == true), "{acceptance:?}");

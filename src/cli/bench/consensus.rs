@@ -190,34 +190,34 @@ fn period_seen(blocks: &[Instant]) -> Option<f64> {
 }
 
 fn text(report: &Report<Row>) -> String {
-    let head = [
+    let responses = ["network", "mode", "uploaders", "succeeded", "min", "p50", "p95", "max"];
+    let totals = [
         "network",
         "mode",
         "uploaders",
-        "success",
-        "min",
-        "p50",
-        "p95",
-        "max",
         "total",
         "per request",
-        "paper's",
-        "paper's total",
+        "authors' each",
+        "authors' total",
         "uploads/s",
         "tx",
         "blocks",
         "period",
     ];
-    let rows: Vec<Vec<String>> = report.results.iter().map(cells).collect();
+    let rows = |cells: fn(&Row) -> Vec<String>| report.results.iter().map(cells).collect::<Vec<_>>();
     let mut lines = vec![
         format!("consensus: uploads at once, {MESSAGE} bytes each, on two accounts; times in ms"),
         format!("machine: {}", report.machine.line()),
-        String::new(),
-        table(&head, &rows),
+        "\nresponse".to_owned(),
+        table(&responses, &rows(response_cells)),
+        "\ntotal".to_owned(),
+        table(&totals, &rows(total_cells)),
     ];
     for row in &report.results {
-        lines.push(String::new());
-        lines.push(format!("response of {} uploaders, {} {}, {}", row.uploaders, row.network, row.consensus, row.mode));
+        lines.push(format!(
+            "\nresponse of {} uploaders, {} {}, {}",
+            row.uploaders, row.network, row.consensus, row.mode
+        ));
         lines.extend(histogram(&row.responses, "ms"));
     }
     lines.push(String::new());
@@ -226,22 +226,28 @@ fn text(report: &Report<Row>) -> String {
     lines.join("\n")
 }
 
-fn cells(row: &Row) -> Vec<String> {
+fn names(row: &Row) -> Vec<String> {
+    vec![format!("{} {}", row.network, row.consensus), row.mode.clone(), row.uploaders.to_string()]
+}
+
+fn response_cells(row: &Row) -> Vec<String> {
     let Spread { min, p50, p95, max } = row.measured.spread;
+    let mut cells = names(row);
+    cells.push(format!("{} ({} %)", row.succeeded, decimal(row.success)));
+    cells.extend([min, p50, p95, max].map(decimal));
+    cells
+}
+
+fn total_cells(row: &Row) -> Vec<String> {
     let range = |from: f64, to: f64| format!("{}-{}", decimal(from), decimal(to));
-    let paper = row.paper;
-    let mut cells = vec![
-        format!("{} {}", row.network, row.consensus),
-        row.mode.clone(),
-        row.uploaders.to_string(),
-        format!("{}/{} ({} %)", row.succeeded, row.uploaders, decimal(row.success)),
-    ];
-    cells.extend([min, p50, p95, max, row.total, row.per_request].map(decimal));
-    cells.push(paper.map_or("-".to_owned(), |paper| range(paper.per_request_from, paper.per_request_to)));
-    cells.push(paper.map_or("-".to_owned(), |paper| range(paper.total_from, paper.total_to)));
+    let mut cells = names(row);
+    cells.extend([row.total, row.per_request].map(decimal));
+    cells.extend(match row.paper {
+        Some(paper) => [range(paper.per_request_from, paper.per_request_to), range(paper.total_from, paper.total_to)],
+        None => ["-", "-"].map(str::to_owned),
+    });
     cells.push(decimal(row.uploads_per_second));
-    cells.push(row.transactions.to_string());
-    cells.push(row.blocks.to_string());
+    cells.extend([row.transactions.to_string(), row.blocks.to_string()]);
     cells.push(row.period_seen.map_or("one block".to_owned(), decimal));
     cells
 }

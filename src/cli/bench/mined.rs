@@ -102,7 +102,7 @@ impl Mined {
                 lock(&self.blocks).push(seen);
             }
             // One that was ended waits no more.
-            told.into_iter().for_each(|tell| drop(tell.send(())));
+            told.into_iter().for_each(|tell| _ = tell.send(()));
         }
         Ok(head)
     }
