@@ -12,6 +12,7 @@ mod embedded;
 mod error;
 mod event;
 mod fees;
+mod foreign;
 mod genesis;
 pub mod merkle;
 mod reader;
@@ -33,8 +34,10 @@ pub use self::call::{Call, LONGEST_ENVELOPE, MOST_WRAPS};
 pub use self::error::{ChainError, explain};
 pub use self::event::Event;
 pub use self::fees::{Market, Offered, call_data, is_same_call, offered};
+pub use self::foreign::{ForeignContract, created_address};
 pub use self::genesis::{Allocation, GUIDE, Genesis, GenesisKind};
 pub use self::sealing::Sealing;
+pub use self::work::BlockWork;
 pub use crate::model::Consensus;
 use crate::model::{Address, Digest, Hash, Identity, Timestamp, Token};
 

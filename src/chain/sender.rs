@@ -53,7 +53,7 @@ impl Chain {
     }
 
     /// The node's estimate and a quarter.
-    async fn estimate(&self, from: Address, to: Option<Address>, data: &[u8]) -> Result<u64, ChainError> {
+    pub(super) async fn estimate(&self, from: Address, to: Option<Address>, data: &[u8]) -> Result<u64, ChainError> {
         let mut message = json!({ "from": from.to_string(), "data": format!("0x{}", hex(data)) });
         if let Some(to) = to {
             message["to"] = json!(to.to_string());

@@ -1,11 +1,13 @@
 //! The command line: every verb and flag, in the words of the issue and the console.
 
+mod bench;
 mod chain;
 
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
+pub use self::bench::{BenchArguments, BenchVerb, ConsensusArguments};
 pub use self::chain::{ChainVerb, GenesisArguments};
 
 /// Share robot data under proof: messages sealed with SM4, signed with SM2, anchored by SM3
@@ -131,6 +133,8 @@ pub enum Verb {
     Serve,
     /// The paper's crime-scene mission, from capture to refusal, on embedded parts
     Demo(DemoArguments),
+    /// The paper's measurements, repeated on this machine
+    Bench(BenchArguments),
     /// The operator console (also without any command)
     Console(ConsoleArguments),
 }

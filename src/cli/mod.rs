@@ -5,6 +5,7 @@
 
 mod adopt;
 pub mod args;
+mod bench;
 mod capture;
 mod chain;
 mod connect;
@@ -63,8 +64,13 @@ fn run(runtime: &tokio::runtime::Runtime, arguments: Arguments, output: &Output)
     if let Some(Verb::Chain(ChainVerb::Genesis(genesis))) = &arguments.verb {
         return chain::genesis(genesis, output);
     }
+    let verb = match arguments.verb {
+        // Needs no home, so it does not look at one.
+        Some(Verb::Bench(bench)) => return runtime.block_on(bench::run(&arguments.global, bench, output)),
+        other => other,
+    };
     let context = Context::new(arguments.global)?;
-    match arguments.verb {
+    match verb {
         None => console::run(runtime, context, args::ConsoleArguments::default()),
         Some(Verb::Console(console)) => console::run(runtime, context, console),
         Some(Verb::Serve) => runtime.block_on(serve::run(context, output)),

@@ -103,6 +103,7 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
         | Verb::Capture(_)
         | Verb::Serve
         | Verb::Demo(_)
+        | Verb::Bench(_)
         | Verb::Console(_) => {
             return Err(super::connect::unexpected());
         }

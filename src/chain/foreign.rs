@@ -1,0 +1,99 @@
+//! Contracts that are not AuthROS, deployed and called by their bytes: only to compare what they cost.
+
+use ethers::abi::{Abi, Token as AbiToken};
+use ethers::types::{H160, TransactionRequest};
+use serde::Deserialize;
+
+use super::sender::{sign_request, wallet};
+use super::{Chain, ChainError, SignedTransaction};
+use crate::crypto::EoaSecret;
+use crate::model::{Address, bytes::unhex};
+
+/// A compiled contract of somebody else, whose functions take byte strings alone.
+#[derive(Debug)]
+pub struct ForeignContract {
+    abi: Abi,
+    creation: Vec<u8>,
+}
+
+#[derive(Deserialize)]
+struct File {
+    abi: Abi,
+    bytecode: String,
+}
+
+impl ForeignContract {
+    /// From the JSON that a compiler writes: `abi` and `bytecode`.
+    ///
+    /// # Errors
+    /// [`ChainError::Input`] where it is something else.
+    pub fn parse(json: &str) -> Result<Self, ChainError> {
+        let wrong = |reason: String| ChainError::Input(format!("this is no compiled contract: {reason}"));
+        let file: File = serde_json::from_str(json).map_err(|error| wrong(error.to_string()))?;
+        let creation = unhex(&file.bytecode).ok_or_else(|| wrong("its bytecode is no hex".into()))?;
+        Ok(Self { abi: file.abi, creation })
+    }
+
+    /// Code that creates it, for a constructor without arguments.
+    pub fn creation(&self) -> &[u8] {
+        &self.creation
+    }
+
+    /// Call data of a function.
+    ///
+    /// # Errors
+    /// [`ChainError::Input`] where name or arguments do not fit.
+    pub fn call(&self, name: &str, arguments: &[&[u8]]) -> Result<Vec<u8>, ChainError> {
+        let arguments: Vec<AbiToken> = arguments.iter().map(|bytes| AbiToken::Bytes(bytes.to_vec())).collect();
+        let encoded = self.abi.function(name).and_then(|function| function.encode_input(&arguments));
+        encoded.map_err(|error| ChainError::Input(format!("{name} cannot be called so: {error}")))
+    }
+}
+
+impl Chain {
+    /// Signs a call of any contract, or with `to: None` the creation of one, as a legacy transaction
+    /// whose gas is estimated. Nothing is sent.
+    ///
+    /// # Errors
+    /// [`ChainError::Reverted`] where it would fail, or the node's.
+    pub async fn sign_bytes(
+        &self,
+        eoa: &EoaSecret,
+        nonce: u64,
+        to: Option<Address>,
+        data: Vec<u8>,
+    ) -> Result<SignedTransaction, ChainError> {
+        let gas = self.estimate(eoa.address(), to, &data).await?;
+        let price = self.market().await?.offer();
+        let mut request = TransactionRequest::new().nonce(nonce).gas(gas).gas_price(price);
+        request = request.data(data).value(0u64).chain_id(self.chain_id());
+        request.to = to.map(|to| H160(to.0).into());
+        sign_request(&wallet(eoa)?, request)
+    }
+}
+
+/// The address of the contract that `sender` creates with `nonce`.
+pub fn created_address(sender: Address, nonce: u64) -> Address {
+    Address(ethers::utils::get_contract_address(H160(sender.0), nonce).0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn addresses_are_ethereums() {
+        let sender: Address = "0x6ac7ea33f8831ea9dcc53393aaa88b25a785dbf0".parse().expect("address");
+        let created = created_address(sender, 0).to_string().to_lowercase();
+        assert_eq!(created, "0xcd234a471b72ba2f1ccf0a70fcaba648a5eecd8d");
+    }
+
+    #[test]
+    fn what_does_not_fit_is_told() {
+        for bad in ["", "{}", r#"{"abi":[],"bytecode":"0xz"}"#] {
+            assert!(matches!(ForeignContract::parse(bad), Err(ChainError::Input(_))), "{bad}");
+        }
+        let empty = ForeignContract::parse(r#"{"abi":[],"bytecode":"0x00"}"#).expect("parses");
+        assert!(matches!(empty.call("register", &[]), Err(ChainError::Input(_))));
+    }
+}

@@ -1,0 +1,103 @@
+//! What every bench prints: one JSON document, comma-separated lines, or text.
+
+use serde::Serialize;
+use serde_json::{Map, Value};
+
+use super::machine::Machine;
+use super::spread::Spread;
+use crate::cli::output::Output;
+
+/// The outcome of a bench. `about` is more about the run, field by field beside the others.
+#[derive(Debug, Serialize)]
+pub struct Report<R> {
+    /// Which bench.
+    pub name: &'static str,
+    /// Where it ran.
+    pub machine: Machine,
+    /// Preset, notes and verdicts.
+    #[serde(flatten)]
+    pub about: Map<String, Value>,
+    /// One entry for each combination measured.
+    pub results: Vec<R>,
+}
+
+/// The part of a result that all benches share.
+#[derive(Debug, Clone, Serialize)]
+pub struct Measured {
+    /// Length of a message, bytes.
+    pub bytes: u64,
+    /// How many values the spread is of.
+    pub runs: u64,
+    /// What they are in.
+    pub unit: &'static str,
+    /// The values.
+    #[serde(flatten)]
+    pub spread: Spread,
+}
+
+impl<R: Serialize> Report<R> {
+    /// Prints it.
+    pub fn show(&self, csv: bool, output: Output, text: impl FnOnce() -> String) {
+        if csv {
+            Output::new(false).result(&(), || self.csv());
+        } else {
+            output.result(self, text);
+        }
+    }
+
+    /// One line of column names, one line for each result; fields of fields are named `outer.inner`.
+    fn csv(&self) -> String {
+        let rows: Vec<Vec<(String, String)>> = self.results.iter().map(row).collect();
+        let mut names: Vec<&str> = Vec::new();
+        for (name, _) in rows.iter().flatten() {
+            if !names.contains(&name.as_str()) {
+                names.push(name);
+            }
+        }
+        let cell = |row: &Vec<(String, String)>, name: &str| {
+            row.iter().find(|(found, _)| found == name).map_or(String::new(), |(_, value)| quoted(value))
+        };
+        let line = |row: &Vec<(String, String)>| names.iter().map(|name| cell(row, name)).collect::<Vec<_>>().join(",");
+        std::iter::once(names.join(",")).chain(rows.iter().map(line)).collect::<Vec<_>>().join("\n")
+    }
+}
+
+fn row<R: Serialize>(result: &R) -> Vec<(String, String)> {
+    let mut cells = Vec::new();
+    flatten("", &serde_json::to_value(result).unwrap_or(Value::Null), &mut cells);
+    cells
+}
+
+fn flatten(name: &str, value: &Value, cells: &mut Vec<(String, String)>) {
+    match value {
+        Value::Object(fields) => {
+            for (inner, value) in fields {
+                let name = if name.is_empty() { inner.clone() } else { format!("{name}.{inner}") };
+                flatten(&name, value, cells);
+            }
+        }
+        Value::Null => cells.push((name.to_owned(), String::new())),
+        Value::String(text) => cells.push((name.to_owned(), text.clone())),
+        other => cells.push((name.to_owned(), other.to_string())),
+    }
+}
+
+/// As RFC 4180 quotes.
+fn quoted(text: &str) -> String {
+    if text.contains([',', '"', '\n', '\r']) { format!("\"{}\"", text.replace('"', "\"\"")) } else { text.to_owned() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn lines_have_the_columns_of_all_results() {
+        let results = vec![json!({ "a": 1, "b": { "c": "x, \"y\"" } }), json!({ "a": 2, "d": null })];
+        let report = Report { name: "test", machine: Machine::read(), about: Map::new(), results };
+        assert_eq!(report.csv(), "a,b.c,d\n1,\"x, \"\"y\"\"\",\n2,,");
+        let document = serde_json::to_value(&report).expect("JSON");
+        assert!(document["machine"]["cores"].is_u64() && document["results"].is_array());
+    }
+}

@@ -1,0 +1,155 @@
+//! `authros bench`: its documents have the promised shape, and what they count is right. No time is judged.
+#![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
+
+mod support;
+
+use serde_json::Value;
+use support::{Anvil, Authros, Home, count, heavy, list, text};
+
+const NO_NODE: &str = "no anvil; tests/run installs it into target/peers";
+/// Proof of work takes as long as it takes, seconds.
+const LIMIT: u64 = 400;
+const UPLOADERS: u64 = 20;
+
+fn bare(home: &Home) -> Authros {
+    Authros::bare(home.root()).with_variable("TMPDIR", home.root().to_str().expect("UTF-8"))
+}
+
+fn number(value: &Value, field: &str) -> f64 {
+    value[field].as_f64().unwrap_or_else(|| panic!("no number '{field}' in {value}"))
+}
+
+/// What every bench prints, and nothing left behind.
+fn expect_shape(report: &Value, name: &str, home: &Home) {
+    assert_eq!(text(report, "name"), name);
+    assert!(count(&report["machine"], "cores") > 0 && count(&report["machine"], "memory_bytes") > 0);
+    assert!(!text(&report["machine"], "cpu").is_empty());
+    for row in list(report, "results") {
+        assert!(count(&row, "bytes") > 0 && count(&row, "runs") > 0 && !text(&row, "unit").is_empty(), "{row}");
+        let spread = ["min", "p50", "p95", "max"].map(|field| number(&row, field));
+        assert!(spread[0] > 0.0 && spread.is_sorted(), "{row}");
+        assert!(row.as_object().expect("an object").contains_key("paper"), "{row}");
+    }
+    expect_nothing_left(home);
+}
+
+fn expect_nothing_left(home: &Home) {
+    let left: Vec<_> = std::fs::read_dir(home.root()).expect("readable").flatten().map(|entry| entry.path()).collect();
+    assert!(left.is_empty(), "left behind: {left:?}");
+}
+
+fn row<'a>(rows: &'a [Value], way: &str, records: u32, bytes: u32) -> &'a Value {
+    let found = rows.iter().find(|row| {
+        row["way"] == way && count(row, "records") == u64::from(records) && count(row, "bytes") == u64::from(bytes)
+    });
+    found.unwrap_or_else(|| panic!("no row {way} {records} {bytes}: {rows:?}"))
+}
+
+#[test]
+fn gas_is_under_its_caps() {
+    let home = Home::new();
+    let report = bare(&home).json(&["bench", "gas"]);
+    expect_shape(&report, "gas", &home);
+    let rows = list(&report, "results");
+    let each = number(row(&rows, "each", 1, 1024), "min");
+    assert!((40_000.0..120_000.0).contains(&each), "{each}");
+    for records in [1, 16, 256, 4096] {
+        let batch = row(&rows, "batch", records, 1024);
+        for field in ["first", "later_from", "later_to"] {
+            assert!((30_000..=70_000).contains(&count(batch, field)), "{batch}");
+        }
+        assert!(number(batch, "max") * f64::from(records) <= 70_000.0, "{batch}");
+    }
+    assert!(each / number(row(&rows, "batch", 256, 1024), "max") >= 150.0);
+    // A stored word costs 20,000 gas, and 8 KB are 256 of them.
+    for bytes in [1024, 2048, 4096, 8192] {
+        assert!(number(row(&rows, "prototype", 1, bytes), "min") > f64::from(bytes) / 32.0 * 20_000.0);
+    }
+    let acceptance = list(&report, "acceptance");
+    assert!(acceptance.len() == 2 && acceptance.iter().all(|one| one["ok"] == true), "{acceptance:?}");
+}
+
+/// Every upload of every run succeeded, and each run's figures fit each other.
+fn expect_all_uploaded(rows: &[Value]) {
+    for row in rows {
+        assert_eq!((count(row, "uploaders"), count(row, "succeeded")), (UPLOADERS, UPLOADERS), "{row}");
+        assert!((number(row, "success") - 100.0).abs() < 1e-9 && count(row, "runs") == UPLOADERS, "{row}");
+        assert!(number(row, "max") <= number(row, "total") && number(row, "on_chain") <= number(row, "total"), "{row}");
+        let transactions = count(row, "transactions");
+        let expected = if row["mode"] == "each" { UPLOADERS..=UPLOADERS } else { 2..=4 };
+        assert!(expected.contains(&transactions), "{row}");
+        assert!(count(row, "blocks") >= 1 && count(row, "gas") > 30_000 * transactions, "{row}");
+        assert_eq!(row["failures"], serde_json::json!({}));
+    }
+}
+
+#[test]
+fn uploaders_succeed_on_every_network() {
+    let _alone = heavy();
+    let home = Home::new();
+    let node = Anvil::start(&["--gas-limit", "4294967295"]);
+    let uploaders = UPLOADERS.to_string();
+    let mut arguments = vec!["bench", "consensus", "--uploaders", &uploaders];
+    let url = node.as_ref().map(Anvil::http);
+    arguments.extend(url.iter().flat_map(|url| ["--node", url.as_str()]));
+    let report = bare(&home).json_within(LIMIT, &arguments);
+    expect_shape(&report, "consensus", &home);
+    let rows = list(&report, "results");
+    expect_all_uploaded(&rows);
+    let mut expected = vec!["embedded poa each", "embedded poa batch", "embedded pow each", "embedded pow batch"];
+    if node.is_some() {
+        expected.extend(["node dev each", "node dev batch"]);
+    } else {
+        support::tell_skipped("bench::uploaders_succeed_on_every_network (node)", NO_NODE);
+    }
+    let name = |row: &Value| ["network", "consensus", "mode"].map(|field| text(row, field)).join(" ");
+    assert_eq!(rows.iter().map(name).collect::<Vec<_>>(), expected);
+    for row in &rows {
+        assert_eq!(count(row, "gas_limit"), 0xffff_ffff, "{row}");
+        match row["consensus"].as_str() {
+            Some("poa") => assert_eq!((number(&row["paper"], "total_from"), count(row, "period_set")), (308.0, 100)),
+            Some("pow") => {
+                assert_eq!((number(&row["paper"], "total_to"), count(row, "difficulty")), (1100.0, 0x4c_ccc8))
+            }
+            _ => assert!(row["paper"].is_null()),
+        }
+    }
+}
+
+#[test]
+fn what_cannot_be_measured_is_told() {
+    let home = Home::new();
+    let silent = format!("http://127.0.0.1:{}", support::free_port());
+    bare(&home).fails(2, &["bench", "--csv", "gas"]);
+    let told = bare(&home).with(&["--json"]).run(&["bench", "consensus", "--uploaders", "0"]).expect_code(2);
+    assert!(told.stderr.contains("1..=10000") || told.stderr.contains("1..10000"), "{told}");
+    // The node is asked first: nobody waits for two networks to learn that the third is not there.
+    let message = bare(&home).fails(4, &["bench", "consensus", "--uploaders", "1", "--node", &silent]);
+    assert!(message.contains("--node") && message.contains("does not answer"), "{message}");
+    expect_nothing_left(&home);
+}
+
+#[test]
+fn figures_come_as_comma_separated_lines_too() {
+    let home = Home::new();
+    let outcome = bare(&home).run(&["bench", "gas", "--csv"]).expect_code(0);
+    let lines: Vec<&str> = outcome.stdout.lines().collect();
+    assert_eq!(lines.len(), 1 + 9, "{outcome}");
+    let columns = lines[0].split(',').count();
+    assert!(lines.iter().all(|line| line.split(',').count() == columns), "{outcome}");
+    for name in ["way", "records", "min", "p50", "p95", "max", "paper"] {
+        assert!(lines[0].split(',').any(|column| column == name), "{name}: {}", lines[0]);
+    }
+}
+
+#[test]
+fn a_signal_ends_a_bench_and_leaves_nothing() {
+    let _alone = heavy();
+    let home = Home::new();
+    let running = bare(&home).spawn(&["bench", "consensus", "--uploaders", "500"]);
+    support::wait_until(60, "the bench has begun", || std::fs::read_dir(home.root()).ok()?.flatten().next());
+    let outcome = running.stop("INT", 30);
+    assert_eq!(outcome.code, Some(8), "{outcome}");
+    assert!(outcome.stderr.contains("ended before it was done"), "{outcome}");
+    expect_nothing_left(&home);
+}
