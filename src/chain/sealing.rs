@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use super::{Chain, ChainError, Consensus};
-use crate::model::Address;
+use crate::model::{Address, bytes::unhex};
 
 /// Who seals the blocks of a chain, and how often.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -47,7 +47,7 @@ impl Chain {
         Ok(difficulty.and_then(|hex| u128::from_str_radix(hex, 16).ok()).map(|difficulty| difficulty.to_string()))
     }
 
-    /// As geth's clique answers, or Besu's.
+    /// As geth's clique answers, or Besu's; else those that a Clique genesis block lists.
     async fn signers(&self) -> Result<Vec<Address>, ChainError> {
         let asked = [
             ("clique_getSigners", json!([])),
@@ -63,8 +63,16 @@ impl Chain {
                 Err(_) => {}
             }
         }
-        Ok(Vec::new())
+        let genesis: Value = self.rpc("eth_getBlockByNumber", json!(["0x0", false])).await?;
+        Ok(genesis.get("extraData").and_then(Value::as_str).and_then(unhex).map_or(Vec::new(), |extra| listed(&extra)))
     }
+}
+
+/// The signers in the extra data of a Clique genesis block: between 32 bytes of vanity and 65 of seal.
+fn listed(extra: &[u8]) -> Vec<Address> {
+    let signers = extra.get(32..extra.len().saturating_sub(65)).unwrap_or_default();
+    let (signers, rest) = signers.as_chunks();
+    if rest.is_empty() { signers.iter().copied().map(Address).collect() } else { Vec::new() }
 }
 
 #[cfg(test)]
@@ -79,6 +87,15 @@ mod tests {
     fn options(directory: &Path, consensus: Option<Consensus>, pinned: Option<Pin>) -> ChainOptions {
         let endpoint = Endpoint::Embedded { directory: directory.to_owned(), consensus };
         ChainOptions { endpoint, contract: None, pinned, confirmations: 1 }
+    }
+
+    #[test]
+    fn a_clique_genesis_lists_its_signers() {
+        let extra = [&[1; 32][..], &[7; 20], &[8; 20], &[0; 65]].concat();
+        assert_eq!(listed(&extra), [Address([7; 20]), Address([8; 20])]);
+        for other in [0, 31, 32, 96, 97, 98, 136] {
+            assert_eq!(listed(&extra[..other]), [], "{other} bytes");
+        }
     }
 
     #[tokio::test(flavor = "multi_thread")]
