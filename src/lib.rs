@@ -5,6 +5,7 @@ pub mod chain;
 pub mod cli;
 pub mod config;
 pub mod crypto;
+pub mod gateway;
 pub mod model;
 pub mod paths;
 pub mod pipeline;

@@ -75,6 +75,16 @@ impl fmt::Display for GenesisKind {
     }
 }
 
+impl FromStr for GenesisKind {
+    type Err = ChainError;
+
+    fn from_str(text: &str) -> Result<Self, ChainError> {
+        let all = [Self::Clique, Self::Ethash, Self::Qbft];
+        let found = all.into_iter().find(|kind| kind.to_string() == text);
+        found.ok_or_else(|| ChainError::Input(format!("'{}' is not clique, ethash or qbft", clean(text, 40))))
+    }
+}
+
 impl FromStr for Allocation {
     type Err = ChainError;
 

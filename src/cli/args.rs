@@ -8,7 +8,7 @@ use std::path::PathBuf;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
 pub use self::bench::{BenchArguments, BenchVerb, ConsensusArguments};
-pub use self::chain::{ChainVerb, GenesisArguments, GenesisChoice};
+pub use self::chain::{ChainVerb, GenesisArguments};
 
 /// Share robot data under proof: messages sealed with SM4, signed with SM2, anchored by SM3
 /// digest on a private Ethereum network. Without a command it opens the operator console.
@@ -120,6 +120,9 @@ pub enum Verb {
     /// Records shared with this profile: list, check, open
     #[command(subcommand)]
     Shared(SharedVerb),
+    /// Devices that may sign: lend, recall, list
+    #[command(subcommand)]
+    Devices(super::adopt::DevicesVerb),
     /// The chain
     #[command(subcommand)]
     Chain(ChainVerb),

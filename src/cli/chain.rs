@@ -6,7 +6,7 @@ use std::net::SocketAddr;
 use std::path::Path;
 use std::time::Duration;
 
-use super::args::{GenesisArguments, GenesisChoice};
+use super::args::GenesisArguments;
 use super::connect::{Context, unexpected};
 use super::output::Output;
 use super::{parse, serve as site};
@@ -77,15 +77,11 @@ async fn start(client: &Client, address: SocketAddr) -> Result<ServedView, Failu
 /// # Errors
 /// Where the arguments do not fit, or a file is there already.
 pub fn genesis(arguments: &GenesisArguments, output: &Output) -> Result<u8, Failure> {
-    let Some(choice) = arguments.consensus else {
+    let Some(consensus) = &arguments.consensus else {
         output.result(&serde_json::json!({ "guide": GUIDE }), || GUIDE.to_owned());
         return Ok(0);
     };
-    let kind = match choice {
-        GenesisChoice::Clique => GenesisKind::Clique,
-        GenesisChoice::Ethash => GenesisKind::Ethash,
-        GenesisChoice::Qbft => GenesisKind::Qbft,
-    };
+    let kind: GenesisKind = parse::value(consensus)?;
     let genesis = Genesis {
         kind,
         chain_id: arguments.chain_id,

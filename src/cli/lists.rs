@@ -3,6 +3,7 @@
 use super::output::table;
 use crate::config::SettingView;
 use crate::model::{Address, Verdict};
+use crate::pipeline::sender::LaneState;
 use crate::service::reply::{
     ChainView, DeployedView, GrantRow, IdentityView, KeysView, OpenedView, Provenance, RecordPage, TopicRow,
 };
@@ -142,7 +143,8 @@ pub fn grants(rows: &[GrantRow]) -> String {
 
 /// The chain.
 pub fn chain(view: &ChainView) -> String {
-    pairs(&[
+    let paused = |lane: &LaneState| lane.paused.as_ref().map(|reason| ("paused", reason.text(lane.account)));
+    let mut rows = vec![
         ("kind", view.kind.clone()),
         ("client", view.client.clone()),
         ("consensus", view.consensus.clone()),
@@ -156,7 +158,9 @@ pub fn chain(view: &ChainView) -> String {
         ("period", or_dash(view.sealing.period.map(|period| format!("at least {period} ms between blocks")))),
         ("difficulty", or_dash(view.sealing.difficulty.as_ref().map(|hashes| format!("{hashes} hashes a block")))),
         ("sealers", listed(&view.sealing.sealers)),
-    ])
+    ];
+    rows.extend(view.lanes.iter().filter_map(paused));
+    pairs(&rows)
 }
 
 fn listed(accounts: &[Address]) -> String {

@@ -3,6 +3,7 @@
 //! stdout carries the result and nothing else, stderr the rest; `--json` changes the format,
 //! never the channel. Nothing here does work of its own but the demo's story.
 
+mod adopt;
 pub mod args;
 mod bench;
 mod capture;
@@ -59,6 +60,10 @@ pub fn main() -> ExitCode {
 }
 
 fn run(runtime: &tokio::runtime::Runtime, arguments: Arguments, output: &Output) -> Result<u8, Failure> {
+    // It needs no home, and its --consensus is no setting.
+    if let Some(Verb::Chain(ChainVerb::Genesis(genesis))) = &arguments.verb {
+        return chain::genesis(genesis, output);
+    }
     let verb = match arguments.verb {
         // Needs no home, so it does not look at one.
         Some(Verb::Bench(bench)) => return runtime.block_on(bench::run(&arguments.global, bench, output)),
@@ -71,7 +76,6 @@ fn run(runtime: &tokio::runtime::Runtime, arguments: Arguments, output: &Output)
         Some(Verb::Serve) => runtime.block_on(serve::run(context, output)),
         Some(Verb::Demo(demo)) => runtime.block_on(demo::run(context, demo, output)),
         Some(Verb::Chain(ChainVerb::Serve { listen })) => runtime.block_on(chain::serve(context, listen, output)),
-        Some(Verb::Chain(ChainVerb::Genesis(genesis))) => chain::genesis(&genesis, output),
         Some(Verb::Capture(capture)) => runtime.block_on(capture::run(context, capture, output)),
         Some(Verb::Uploads(UploadsVerb::List(list))) if list.follow => {
             runtime.block_on(follow::run(context, follow::Which::Uploads, parse::query(&list)?, output))

@@ -77,7 +77,7 @@ fn word<T: Copy>(text: &str, what: &str, all: &[(&str, T)]) -> Result<T, Failure
     })
 }
 
-fn moment(text: &str) -> Result<Timestamp, Failure> {
+pub fn moment(text: &str) -> Result<Timestamp, Failure> {
     serde_json::from_value(serde_json::Value::String(text.to_owned())).map_err(|_| {
         Failure::new(ErrorKind::Input, format!("'{}' is not a time; write it as 2026-11-21T08:30:00Z", clean(text, 40)))
     })

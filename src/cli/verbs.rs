@@ -95,6 +95,8 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
             Plan { out, ..Plan::new(CHAIN, Unlocked, Command::OpenShared { id }) }
         }
         Verb::Chain(ChainVerb::Status) => Plan::new(CHAIN, NoProfile, Command::ChainStatus),
+        Verb::Chain(ChainVerb::Adopt) => Plan::new(CHAIN, Unlocked, Command::AdoptChain),
+        Verb::Devices(verb) => Plan::new(CHAIN, Unlocked, super::adopt::command(&verb)?),
         Verb::Chain(ChainVerb::Deploy) => Plan::new(CHAIN, Made, Command::DeployContract),
         Verb::Chain(ChainVerb::Serve { .. } | ChainVerb::Genesis(_))
         | Verb::Config(_)
@@ -170,6 +172,9 @@ fn show(reply: Reply, out: Option<&Path>, output: &Output) -> Result<u8, Failure
         Reply::Provenance(view) => output.result(&view, || lists::provenance(&view)),
         Reply::Transaction(view) => output.result(&view, || view.text.clone()),
         Reply::Grants(rows) => output.result(&serde_json::json!({ "grants": rows }), || lists::grants(&rows)),
+        Reply::Devices(rows) => {
+            output.result(&serde_json::json!({ "devices": rows }), || super::adopt::devices(&rows));
+        }
         Reply::Chain(view) => output.result(&view, || lists::chain(&view)),
         Reply::Deployed(view) => output.result(&view, || lists::deployed(&view)),
         Reply::Check(view) => {

@@ -1,12 +1,14 @@
 //! How keys, tokens and pseudonyms follow from each other (DESIGN section 3).
 //! Every derivation begins with its own label; none reads a clock, a file or a random source.
 
+use zeroize::Zeroizing;
+
 use crate::model::{Address, Domain, FilterId, Hash, PublicKey, SignerId, Token, TopicId};
 
 use super::kdf::{Info, derived};
 use super::secret::uncompressed;
 use super::sm3::sm3;
-use super::{EpochKey, IndexKey, Sm4Key, TopicKey};
+use super::{CryptoError, EoaSecret, EpochKey, IndexKey, Sm4Key, TopicKey};
 
 /// What binds signed, derived and hashed structures to one chain and contract:
 /// SM3(label || chain id (8) || genesis hash || contract).
@@ -38,6 +40,16 @@ pub fn topic_id(key: &IndexKey, topic: &str) -> TopicId {
 /// The pseudonym of a type or tag: `kind` is `type` or the tag's name.
 pub fn filter_id(key: &IndexKey, kind: &str, value: &str) -> FilterId {
     FilterId(derived(key.expose(), &[], &Info::new("AuthROS/filterid/1").text(kind).text(value)))
+}
+
+/// The key of an owner's `index`-th witness account on a network, from the owner's EOA key.
+///
+/// # Errors
+/// [`CryptoError::SecretRange`] where the derived number is no key, which happens once in 2^127.
+pub fn witness_secret(owner: &EoaSecret, domain: &Domain, index: u8) -> Result<EoaSecret, CryptoError> {
+    let info = Info::new("AuthROS/witness/1").fixed(&domain.0).number(u64::from(index));
+    let bytes = Zeroizing::new(derived::<32>(owner.expose(), &[], &info));
+    EoaSecret::from_slice(&*bytes)
 }
 
 /// SM3 of 04 || x || y: names a signer in headers and on the chain.

@@ -24,6 +24,9 @@ pub enum CryptoError {
     /// A signature that does not verify.
     #[error("the SM2 signature is not valid; do not trust what it came with, and fetch it again")]
     BadSignature,
+    /// A signature of an account that recovers no address.
+    #[error("the account's signature is not valid; do not trust what it came with, and ask its sender to sign again")]
+    BadAccountSignature,
     /// A GCM tag or an SM2 check value that does not match.
     #[error("the ciphertext does not belong to this key, or it was altered; fetch it again")]
     BadCiphertext,
@@ -138,6 +141,7 @@ impl CryptoError {
             | Self::Read { .. }
             | Self::NoEpoch(_) => ErrorKind::Input,
             Self::BadSignature
+            | Self::BadAccountSignature
             | Self::BadCiphertext
             | Self::WrongKey
             | Self::NotAccepted { .. }

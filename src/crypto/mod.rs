@@ -2,6 +2,8 @@
 //! and keys at rest. Two providers compute the algorithms; nothing here knows ROS, the chain
 //! or the ledger.
 
+pub mod account;
+pub mod agreement;
 pub mod der;
 pub mod derive;
 pub mod envelope;
@@ -30,8 +32,10 @@ mod openssl_tests;
 #[cfg(test)]
 mod vector_tests;
 
+pub use account::{AccountSignature, TypedStructure, keccak256, recover_account, sign_hash};
+pub use agreement::Ephemeral;
 pub use der::{signature_der, signature_from_der};
-pub use derive::{domain, epoch_key, filter_id, signer_id, token, topic_id, topic_key};
+pub use derive::{domain, epoch_key, filter_id, signer_id, token, topic_id, topic_key, witness_secret};
 pub use envelope::{GrantedKeys, WrappedKeys, unwrap, wrap};
 pub use error::CryptoError;
 pub use identity::{check_identity, prove};
@@ -41,5 +45,7 @@ pub use passphrase::Passphrase;
 pub use provider::{Provider, ProviderName, provider};
 pub use random::random_bytes;
 pub use record::{Anchor, Expected, OpenedRecord, SealRequest, SealedRecord, check, open, seal};
-pub use secret::{EoaSecret, EpochKey, EpochSalt, Fingerprint, IndexKey, Sm4Key, SmKeyPair, SmSecret, TopicKey};
+pub use secret::{
+    EoaSecret, EpochKey, EpochSalt, Fingerprint, IndexKey, Sm4Key, SmKeyPair, SmSecret, TopicKey, TransportKey,
+};
 pub use sm3::Sm3Hasher;

@@ -4,6 +4,7 @@
 //! sanitiser for untrusted text live here. Nothing here touches a key, a file or a socket.
 
 pub mod address;
+pub mod adoption;
 pub mod anchor_mode;
 pub mod bytes;
 pub mod consensus;

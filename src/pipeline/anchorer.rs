@@ -12,7 +12,7 @@ use crate::store::{Anchors, NewBatch, RecordRow, WaitingBatch};
 
 use super::pace::{LONGEST_WAIT, Pace};
 use super::sender::Outgoing;
-use super::{Network, Owner, PipelineError, Plant, Sender};
+use super::{Network, Owner, PipelineError, Plant, Sender, adoption};
 
 /// Records a round, one by one: one ledger commit for so many signed transactions.
 const ROUND: usize = 128;
@@ -163,8 +163,11 @@ async fn one_by_one(plant: &Plant, network: &Network, sender: &Sender, owner: &O
     }
     let rows = block_in_place(|| plant.ledger.in_state(Some(owner.address), RecordState::Stored, room))?;
     let Some(account) = network.directory.account(owner.address) else { return Ok(Round::wait(IDLE)) };
-    let known = |row: &RecordRow| account.tokens.get(&row.epoch).map(|token| upload(row, *token));
-    let uploads: Vec<Outgoing> = rows.iter().filter_map(known).collect();
+    let mut uploads = Vec::with_capacity(rows.len());
+    for row in &rows {
+        let token = block_in_place(|| adoption::token_of(plant, network, &account, row))?;
+        uploads.extend(token.map(|token| upload(row, token)));
+    }
     if uploads.is_empty() {
         return Ok(Round::wait(IDLE));
     }

@@ -213,5 +213,5 @@ pub fn network(chain: Chain) -> Network {
     let pin = chain.pin().expect("pinned");
     let domain = domain(pin.chain_id, &pin.genesis, &pin.contract);
     let directory = Arc::new(Directory::new(domain, provider(ProviderName::RustCrypto)));
-    Network { chain, domain, directory, confirmations: 1 }
+    Network { chain, domain, directory, earlier: Arc::default(), confirmations: 1 }
 }

@@ -3,6 +3,7 @@
 //! Every worker is a function of the ledger: a restart just runs it again. What profiles,
 //! commands and sockets are is the service's business; screens know nothing of this room.
 
+pub mod adoption;
 pub mod anchorer;
 pub mod directory;
 pub mod epoch;
@@ -24,6 +25,7 @@ pub mod storer;
 mod tests;
 pub mod verifier;
 pub mod watcher;
+pub mod witness;
 
 pub use directory::Directory;
 pub use error::PipelineError;
@@ -74,6 +76,15 @@ pub struct Network {
     pub domain: Domain,
     /// Registrations and grants as the chain's events tell them.
     pub directory: Arc<Directory>,
+    /// Domains that this home used before it adopted this chain.
+    pub earlier: Arc<Vec<Domain>>,
     /// Blocks on top of an anchor, itself included, until it counts as confirmed.
     pub confirmations: u64,
+}
+
+impl Network {
+    /// Whether records of this domain belong here: the network's own, or one used before it was adopted.
+    pub fn accepts(&self, domain: &Domain) -> bool {
+        self.domain == *domain || self.earlier.contains(domain)
+    }
 }

@@ -8,7 +8,7 @@ use tokio::task::block_in_place;
 use crate::crypto::{
     Anchor, CryptoError, Expected, GrantedKeys, OpenedRecord, TopicKey, WrappedKeys, check, open, topic_key, unwrap,
 };
-use crate::model::{Address, Digest, GrantTerms, RecordKind, RecordState, Timestamp, Verdict};
+use crate::model::{Address, Digest, Domain, GrantTerms, Header, RecordKind, RecordState, Timestamp, Verdict};
 use crate::ros::Definition;
 use crate::store::{RecordQuery, RecordRow};
 
@@ -87,9 +87,12 @@ impl Reader<'_> {
         let anchor = if self.is_anchored(row).await? { Anchor::Chain(row.digest) } else { Anchor::Unanchored };
         let unknown_signer = || CryptoError::Tampered("the signer was not the owner's at the anchoring block");
         let signer = self.network.directory.signing_key(row.owner, row.signer, row.block).ok_or_else(unknown_signer)?;
-        let key = self.topic_key(row)?;
+        // The owner's records of a chain that was left are bound to its domain, and sealed under its epochs.
+        let sealed_for = Header::parse(&blob).map_or(self.network.domain, |(header, _)| header.domain);
+        let domain = if self.network.accepts(&sealed_for) { sealed_for } else { self.network.domain };
+        let key = self.topic_key_in(domain, row)?;
         let expected = Expected {
-            domain: self.network.domain,
+            domain,
             owner: row.owner,
             recorder: Some(row.recorder),
             epoch: Some(row.epoch),
@@ -105,8 +108,12 @@ impl Reader<'_> {
     /// # Errors
     /// `CryptoError::WrongKey` where no grant of this reader carries it.
     pub fn topic_key(&self, row: &RecordRow) -> Result<TopicKey, PipelineError> {
+        self.topic_key_in(self.network.domain, row)
+    }
+
+    fn topic_key_in(&self, domain: Domain, row: &RecordRow) -> Result<TopicKey, PipelineError> {
         if row.owner == self.reader.address {
-            let epoch_key = self.reader.epoch_key(self.network.domain, row.epoch);
+            let epoch_key = self.reader.epoch_key(domain, row.epoch);
             return Ok(topic_key(&epoch_key.ok_or(PipelineError::UnknownEpoch(row.epoch))?, &row.topic));
         }
         for grant in self.grants_of(row.owner).iter().rev() {

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::anchorer::Anchorer;
 use super::sender::Policy;
-use super::{Directory, Network, Observer, Owner, Plant, Sender, proof, watcher};
+use super::{Directory, Network, Observer, Owner, Plant, Sender, proof, watcher, witness};
 use crate::chain::{Call, Chain, ChainOptions, Endpoint};
 use crate::crypto::sm3::sm3;
 use crate::crypto::{Keyring, Passphrase, ProviderName, UnlockedKeyring, domain, prove, provider};
@@ -53,7 +53,7 @@ impl Line {
         let pin = chain.deploy(&owner.eoa()).await.expect("deployed");
         let domain = domain(pin.chain_id, &pin.genesis, &pin.contract);
         let directory = Arc::new(Directory::new(domain, plant.provider));
-        let network = Network { chain, domain, directory, confirmations: 1 };
+        let network = Network { chain, domain, directory, earlier: Arc::default(), confirmations: 1 };
         let sender = Sender::new(plant.ledger.clone(), Arc::clone(&plant.observer), Policy { cap: None });
         let (signing, envelope) = (owner.signing(), owner.envelope().public);
         let identity = prove(plant.provider, &domain, &owner.address, &signing, &envelope, Token([1; 32]));
@@ -179,4 +179,34 @@ async fn both_modes_anchor_what_the_other_left() {
     }
     let never = RecordRow { digest: Digest([1; 32]), ..line.rows(1).remove(0) };
     assert!(!line.is_anchored(&never).await);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_witness_registers_itself_and_anchors_for_its_owner() {
+    let line = Line::new().await;
+    let witnesses = witness::witnesses(&line.owner.eoa(), &line.network.domain, 3).expect("keys");
+    for key in &witnesses {
+        let ready = || witness::ensure_ready(&line.plant, &line.network, &line.sender, &line.owner, key);
+        assert!(!ready().await.expect("registers"), "its registration is not seen yet");
+        line.watch().await;
+        line.sender.tend(&line.network.chain, key).await.expect("closed");
+        assert!(ready().await.expect("is ready"));
+        let (owner, own) = (line.owner.public_keys(), line.network.directory.identity(key.address()).expect("proven"));
+        assert_eq!((own.signing, own.envelope), owner);
+    }
+    line.append(1, 1, 300);
+    let mut anchorer = Anchorer::new(AnchorMode::Batch);
+    while line.count(RecordState::Confirmed) < 300 {
+        let round = anchorer.round(&line.plant, &line.network, &line.sender, &line.owner, &witnesses).await;
+        round.expect("a round");
+        line.watch().await;
+        for key in &witnesses {
+            line.sender.tend(&line.network.chain, key).await.expect("closed");
+        }
+    }
+    for row in line.rows(300) {
+        let place = line.plant.ledger.batch_place(row.digest).expect("read").expect("batched");
+        assert!(witnesses.iter().any(|key| place.account == Some(key.address())));
+        assert!(line.is_anchored(&row).await, "{}", row.seq);
+    }
 }

@@ -42,7 +42,7 @@ fn is_sound(plant: &Plant, network: &Network, row: &RecordRow) -> Result<bool, P
     let Some(signer) = network.directory.signing_key(row.owner, row.signer, row.block) else { return Ok(false) };
     let checked = check(plant.provider, &blob, &row.signature, &signer, Anchor::Chain(row.digest));
     let same = checked.is_ok_and(|(header, digest, _)| {
-        digest == row.digest && header.owner == row.owner && header.seq == row.seq && header.domain == network.domain
+        digest == row.digest && header.owner == row.owner && header.seq == row.seq && network.accepts(&header.domain)
     });
     Ok(same && proof::was_sighted(plant, row)?)
 }

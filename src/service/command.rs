@@ -5,7 +5,7 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 use zeroize::{Zeroize, ZeroizeOnDrop};
 
-use crate::model::{Address, ProfileName, RecordKind, RecordState, Timestamp, TopicName, TypeName};
+use crate::model::{Address, ProfileName, RecordKind, RecordState, SignerId, Timestamp, TopicName, TypeName};
 
 /// A secret text on its way to the site of the same user: a passphrase. Never in Debug.
 #[derive(Clone, Serialize, Deserialize, Zeroize, ZeroizeOnDrop)]
@@ -208,8 +208,24 @@ pub enum Command {
         /// Its id.
         id: String,
     },
+    /// Let a device sign for the profile.
+    LendDevice {
+        /// SM3 of its public key.
+        device: SignerId,
+        /// When the loan ends, whole seconds.
+        until: Option<Timestamp>,
+    },
+    /// Take a loan back.
+    RecallDevice {
+        /// The device's id, or the beginning of it.
+        device: String,
+    },
+    /// Devices lent and recalled.
+    ListDevices,
     /// The chain as seen by this profile.
     ChainStatus,
+    /// Go on with the chain that is there now instead of the pinned one.
+    AdoptChain,
     /// Put the contract on the chain and pin it; refused where one is pinned already.
     DeployContract,
     /// Answer other tools' JSON-RPC over the embedded chain, until the connection that asks for it ends.

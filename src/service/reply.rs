@@ -1,11 +1,12 @@
 //! What a site answers: the very structures that `--json` prints.
 
+mod chain;
+
 use serde::{Deserialize, Serialize};
 
+pub use self::chain::{ChainView, DeployedView, ServedView};
 use super::command::SecretBytes;
-use crate::chain::{Pin, Sealing};
-use crate::model::{Address, Digest, ErrorKind, Hash, ProfileName, PublicKey, Timestamp, Token, Verdict};
-use crate::pipeline::sender::LaneState;
+use crate::model::{Address, Digest, ErrorKind, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token, Verdict};
 
 /// Why a command failed, as a person reads it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
@@ -228,56 +229,19 @@ pub struct GrantRow {
     pub transaction: Hash,
 }
 
-/// The chain as seen from here.
+/// One device that was lent.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct ChainView {
-    /// `embedded` or `node`.
-    pub kind: String,
-    /// `poa`, `pow`, `unknown`.
-    pub consensus: String,
-    /// EIP-155 chain id.
-    pub chain_id: u64,
-    /// Hash of block 0.
-    pub genesis: Hash,
-    /// Newest block.
-    pub block: u64,
-    /// The contract, once deployed or configured.
-    pub contract: Option<Address>,
-    /// The profile's balance in wei, decimal.
-    pub balance: String,
-    /// The profile's next nonce.
-    pub nonce: u64,
-    /// Own transactions not yet in a block.
-    pub pending: u64,
-    /// The node's own name, cleaned.
-    pub client: String,
-    /// How this profile's lanes stand: its own account's first, then its witnesses'.
-    #[serde(default)]
-    pub lanes: Vec<LaneState>,
-    /// Who seals the blocks, and how often.
-    #[serde(flatten)]
-    pub sealing: Sealing,
-}
-
-/// A contract that was put on the chain.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct DeployedView {
-    /// Chain, contract, code and block.
-    #[serde(flatten)]
-    pub pin: Pin,
-    /// Who administers it: the account that deployed it.
-    pub administrator: Address,
-}
-
-/// A chain that other tools can read.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct ServedView {
-    /// Where.
-    pub url: String,
-    /// EIP-155 chain id.
-    pub chain_id: u64,
-    /// The contract, where there is one.
-    pub contract: Option<Address>,
+pub struct DeviceRow {
+    /// SM3 of its public key.
+    pub device: SignerId,
+    /// `lent`, `expired` or `recalled`.
+    pub state: String,
+    /// Block of the loan.
+    pub from: u64,
+    /// When the loan ends.
+    pub until: Option<Timestamp>,
+    /// Block of the recall.
+    pub recalled: Option<u64>,
 }
 
 /// How a part of the site is.
@@ -432,6 +396,8 @@ pub enum Reply {
     Transaction(TransactionView),
     /// To `ListGrants`.
     Grants(Vec<GrantRow>),
+    /// To `ListDevices`.
+    Devices(Vec<DeviceRow>),
     /// To `CheckShared`.
     Check(CheckView),
     /// To `OpenShared`.

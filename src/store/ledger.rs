@@ -7,6 +7,7 @@
 mod append;
 mod batches;
 mod counts;
+mod earlier;
 mod edges;
 mod lanes;
 mod query;
@@ -30,6 +31,7 @@ use crate::model::RecorderId;
 
 pub use batches::{Anchors, BatchPlace, NewBatch, RootSighting, WaitingBatch};
 pub use counts::{LOST_IN_TRANSPORT, StateCounts, TopicCounts};
+pub use earlier::{EarlierAnchor, Left};
 pub use edges::is_legal;
 pub use lanes::{LaneCount, OpenTransaction, Reissue};
 pub use query::{RecordPage, RecordQuery};

@@ -9,6 +9,7 @@ use super::topics::empty;
 use super::words;
 use crate::app::State;
 use crate::app::feed::Feed;
+use crate::pipeline::sender::LaneState;
 use crate::service::reply::ChainView;
 
 /// Draws the screen.
@@ -26,7 +27,7 @@ fn draw_chain(canvas: &mut Canvas, area: Rect, state: &State, chain: &ChainView)
     let lines = [
         ("Kind", chain.kind.clone()),
         ("Node", chain.client.clone()),
-        ("Consensus", chain.consensus.clone()),
+        ("Consensus", format!("{}{}", chain.consensus, sealing(chain))),
         ("Chain id", chain.chain_id.to_string()),
         ("Genesis", chain.genesis.to_string()),
         ("Block", words::count(chain.block)),
@@ -39,9 +40,38 @@ fn draw_chain(canvas: &mut Canvas, area: Rect, state: &State, chain: &ChainView)
     for (place, (label, value)) in (0u16..).zip(&lines) {
         line(canvas, row(area, place), label, value, Role::Body);
     }
+    let lanes = draw_lanes(canvas, below(area, 12), &chain.lanes);
     if let Some(failure) = &state.feeds.slot(Feed::Chain).failure {
-        canvas.put(row(area, 12), &failure.message, Role::Bad);
+        canvas.put(row(area, 13 + lanes), &failure.message, Role::Bad);
     }
+}
+
+/// The accounts that anchor, and what holds them up; returns how many lines that took.
+fn draw_lanes(canvas: &mut Canvas, area: Rect, lanes: &[LaneState]) -> u16 {
+    let mut place = 0;
+    for (number, lane) in (1..).zip(lanes) {
+        let what = format!("{}  {} open", lane.account, lane.open);
+        line(canvas, row(area, place), &format!("Lane {number}"), &what, Role::Body);
+        place += 1;
+        if let Some(paused) = &lane.paused {
+            canvas.put(row(area, place), &format!("  paused: {}", paused.cause(lane.account)), Role::Bad);
+            place += 1;
+        }
+    }
+    place
+}
+
+/// Period, difficulty and signers, as far as the chain tells.
+fn sealing(chain: &ChainView) -> String {
+    let sealing = &chain.sealing;
+    let mut parts = Vec::new();
+    parts.extend(sealing.period.map(|period| format!("at least {period} ms between blocks")));
+    parts.extend(sealing.difficulty.as_ref().map(|difficulty| format!("difficulty {difficulty}")));
+    if chain.consensus == "poa" && !sealing.sealers.is_empty() {
+        let signers = if sealing.sealers.len() == 1 { "signer" } else { "signers" };
+        parts.push(format!("{} {signers}", sealing.sealers.len()));
+    }
+    if parts.is_empty() { String::new() } else { format!(", {}", parts.join(", ")) }
 }
 
 /// Wei as ether where it is a round number of at least a millionth.

@@ -9,8 +9,8 @@ use std::time::Duration;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-use super::npm_program;
 use super::process::Running;
+use super::{npm_program, poll, unhex};
 
 /// The first account anvil gives ether to, and its published key.
 pub const RICH_ADDRESS: &str = "0xf39Fd6e51aad88F6F4ce6aB8827279cffFb92266";
@@ -28,16 +28,41 @@ pub struct Anvil {
 impl Anvil {
     /// Starts one; `None` where it is not installed.
     pub fn start(arguments: &[&str]) -> Option<Self> {
-        let program = npm_program("anvil")?;
         let directory = tempfile::Builder::new().prefix("anvil").tempdir().expect("a temporary directory");
+        Self::start_at(0, directory, arguments)
+    }
+
+    fn start_at(port: u16, directory: TempDir, arguments: &[&str]) -> Option<Self> {
+        let program = npm_program("anvil")?;
         let mut command = Command::new(program);
-        command.args(["--host", "127.0.0.1", "--port", "0", "--ipc"]).arg(directory.path().join("node.ipc"));
+        command.args(["--host", "127.0.0.1", "--port", &port.to_string(), "--ipc"]);
+        command.arg(directory.path().join("node.ipc"));
         command.args(arguments).env("HOME", directory.path()).current_dir(directory.path());
         let mut node = Running::start(command);
         let said = node.wait_for_text("Listening on 127.0.0.1:", 30);
         let port = said.rsplit("Listening on 127.0.0.1:").next().and_then(|rest| rest.split_whitespace().next());
         let port = port.and_then(|port| port.parse().ok()).expect("the port it says");
         Some(Self { node, port, directory })
+    }
+
+    /// Kills it, which it does not survive with anything, and starts an empty one on the same port.
+    pub fn kill_and_start_empty(self, arguments: &[&str]) -> Self {
+        self.node.stop("KILL", 10);
+        drop(self.directory);
+        let directory = tempfile::Builder::new().prefix("anvil").tempdir().expect("a temporary directory");
+        Self::start_at(self.port, directory, arguments).expect("it was there before")
+    }
+
+    /// Asks it to end, and starts it on the same port after `meanwhile`.
+    pub fn end_and_start_again(self, arguments: &[&str], meanwhile: impl FnOnce()) -> Self {
+        self.node.stop("INT", 30);
+        meanwhile();
+        Self::start_at(self.port, self.directory, arguments).expect("it was there before")
+    }
+
+    /// Its port.
+    pub fn port(&self) -> u16 {
+        self.port
     }
 
     /// Its URL for plain requests.
@@ -76,14 +101,86 @@ impl Anvil {
 
     /// Gives an account 100 ether.
     pub fn fund(&self, address: &str) {
-        self.call("anvil_setBalance", &json!([address, "0x56bc75e2d63100000"]));
+        self.set_balance(address, "0x56bc75e2d63100000");
+    }
+
+    /// Gives an account exactly so much, wei in hex.
+    pub fn set_balance(&self, address: &str, wei: &str) {
+        self.call("anvil_setBalance", &json!([address, wei]));
     }
 
     /// Every log of a contract, as one line of hex each: topics, then data.
     pub fn logs(&self, contract: &str) -> Vec<String> {
-        let filter = json!([{ "fromBlock": "0x0", "toBlock": "latest", "address": contract }]);
-        let logs = self.call("eth_getLogs", &filter);
         let line = |log: &Value| format!("{}{}", log["topics"], log["data"]).to_lowercase();
-        logs.as_array().expect("logs").iter().map(line).collect()
+        self.raw_logs(contract).iter().map(line).collect()
     }
+
+    /// Every log of a contract on the chain as it is now.
+    pub fn raw_logs(&self, contract: &str) -> Vec<Value> {
+        let filter = json!([{ "fromBlock": "0x0", "toBlock": "latest", "address": contract }]);
+        self.call("eth_getLogs", &filter).as_array().expect("logs").clone()
+    }
+
+    /// Number of the newest block.
+    pub fn head(&self) -> u64 {
+        number(&self.call("eth_blockNumber", &json!([])))
+    }
+
+    /// Puts so many blocks on the chain now.
+    pub fn mine(&self, blocks: u64) {
+        self.call("anvil_mine", &json!([format!("{blocks:#x}")]));
+    }
+
+    /// One block every so many seconds from now on; 0 = none by itself.
+    pub fn set_interval(&self, seconds: u64) {
+        self.call("evm_setIntervalMining", &json!([seconds]));
+    }
+
+    /// Replaces the newest blocks by as many empty ones; their transactions are gone from the node.
+    pub fn reorganise(&self, depth: u64) {
+        self.call("anvil_reorg", &json!([depth, []]));
+    }
+
+    /// How many transactions wait for a block, those behind a gap too.
+    pub fn waiting(&self) -> u64 {
+        let status = self.call("txpool_status", &json!([]));
+        number(&status["pending"]) + number(&status["queued"])
+    }
+
+    /// Waits until at least so many transactions wait for a block.
+    pub fn expect_waiting(&self, least: u64) {
+        let enough = poll(60, || (self.waiting() >= least).then_some(()));
+        assert!(enough.is_some(), "{} transactions wait at the node, not {least}", self.waiting());
+    }
+
+    /// Forgets every transaction that waits for a block.
+    pub fn drop_waiting(&self) {
+        self.call("anvil_dropAllTransactions", &json!([]));
+    }
+
+    /// Base fee of the newest block, wei.
+    pub fn base_fee(&self) -> u64 {
+        number(&self.call("eth_getBlockByNumber", &json!(["latest", false]))["baseFeePerGas"])
+    }
+
+    /// Sets the base fee of the next block, wei.
+    pub fn set_next_base_fee(&self, wei: u64) {
+        self.call("anvil_setNextBlockBaseFeePerGas", &json!([format!("{wei:#x}")]));
+    }
+
+    /// How many transactions of an account are in blocks.
+    pub fn nonce(&self, address: &str) -> u64 {
+        number(&self.call("eth_getTransactionCount", &json!([address, "latest"])))
+    }
+}
+
+/// A quantity of JSON-RPC.
+pub fn number(value: &Value) -> u64 {
+    let text = value.as_str().unwrap_or_else(|| panic!("no quantity: {value}"));
+    u64::from_str_radix(text.trim_start_matches("0x"), 16).unwrap_or_else(|_| panic!("no quantity: {value}"))
+}
+
+/// Word `index` of a log's data.
+pub fn word(log: &Value, index: usize) -> Vec<u8> {
+    unhex(log["data"].as_str().expect("data"))[32 * index..32 * (index + 1)].to_vec()
 }

@@ -8,6 +8,7 @@ pub mod anvil;
 pub mod authros;
 pub mod console;
 pub mod process;
+pub mod proxy;
 pub mod redis;
 pub mod ros;
 
@@ -21,6 +22,7 @@ pub use anvil::Anvil;
 pub use authros::{Authros, Home};
 pub use console::Console;
 pub use process::{Outcome, Running};
+pub use proxy::{Proxy, Spoil};
 pub use redis::Redis;
 pub use ros::{Roscore, read_bag};
 use serde_json::Value;

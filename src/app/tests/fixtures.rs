@@ -1,6 +1,8 @@
 //! Fixed data of a small site, for tests of the console.
 
+use crate::chain::Sealing;
 use crate::model::{Address, Digest, ErrorKind, Hash, ProfileName, PublicKey, Timestamp, Token, Verdict};
+use crate::pipeline::sender::{LaneState, PauseReason};
 use crate::service::reply::{
     AuditView, ChainView, EpochView, GrantRow, HealthLevel, IdentityView, KeysView, LifeLine, OpenedView, PartHealth,
     Provenance, RecordPage, RecordView, SiteView, TopicRow, TransactionView,
@@ -186,8 +188,8 @@ fn chain() -> ChainView {
         nonce: 12,
         pending: 1,
         client: "AuthROS embedded".to_owned(),
-        lanes: Vec::new(),
-        sealing: crate::chain::Sealing::default(),
+        lanes: vec![LaneState { open: 1, paused: Some(PauseReason::Stalled), ..LaneState::idle(OWN) }],
+        sealing: Sealing { period: Some(100), difficulty: None, sealers: vec![Address([0x5e; 20])] },
     }
 }
 

@@ -3,13 +3,15 @@
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
-use clap::{Args, Subcommand, ValueEnum};
+use clap::{Args, Subcommand};
 
 /// `chain …`
 #[derive(Debug, Subcommand)]
 pub enum ChainVerb {
     /// Node, consensus, contract, block, balance, pending transactions
     Status,
+    /// Go on with the chain that is there now, in place of the one this home is bound to
+    Adopt,
     /// Put the contract on the chain with this profile's account, and pin it
     Deploy,
     /// Answer other tools' JSON-RPC (cast, web3, curl) over the embedded chain, on this machine only
@@ -22,23 +24,13 @@ pub enum ChainVerb {
     Genesis(GenesisArguments),
 }
 
-/// How a private network agrees.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum GenesisChoice {
-    /// Proof of authority, geth before 1.14
-    Clique,
-    /// Proof of work, geth before 1.12
-    Ethash,
-    /// Proof of authority, Besu
-    Qbft,
-}
-
 /// `chain genesis …`
 #[derive(Debug, Args)]
 pub struct GenesisArguments {
-    /// How the network agrees
-    #[arg(long, value_enum, required_unless_present = "guide")]
-    pub consensus: Option<GenesisChoice>,
+    /// How the network agrees: clique (geth before 1.14), ethash (geth before 1.12) or qbft (Besu)
+    // The flag of the same name that every command has is hidden by this one, and must be of the same type.
+    #[arg(long, value_name = "NAME", value_parser = ["clique", "ethash", "qbft"], required_unless_present = "guide")]
+    pub consensus: Option<String>,
     /// Account that seals blocks, as 0x and 40 hex; may be repeated
     #[arg(long = "signer", value_name = "ADDRESS")]
     pub signers: Vec<String>,
@@ -57,4 +49,25 @@ pub struct GenesisArguments {
     /// How to run three nodes: print the guide instead
     #[arg(long, conflicts_with_all = ["consensus", "signers", "chain_id", "period", "allocations", "out"])]
     pub guide: bool,
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::super::{Arguments, Verb};
+    use super::*;
+
+    #[test]
+    fn a_genesis_has_a_consensus_of_its_own() {
+        let parse = |words: &[&str]| Arguments::try_parse_from([&["authros", "chain"], words].concat());
+        let parsed = parse(&["genesis", "--consensus", "qbft", "--signer", "0x1", "--signer", "0x2"]).expect("parses");
+        let Some(Verb::Chain(ChainVerb::Genesis(genesis))) = parsed.verb else { panic!("no genesis") };
+        assert_eq!((genesis.consensus.as_deref(), genesis.signers.len()), (Some("qbft"), 2));
+        assert!(parse(&["genesis", "--consensus", "pow"]).is_err());
+        assert!(parse(&["genesis"]).is_err() && parse(&["genesis", "--guide"]).is_ok());
+        let status = parse(&["status", "--consensus", "pow"]).expect("parses");
+        assert_eq!(status.global.consensus.as_deref(), Some("pow"));
+        assert!(parse(&["serve", "--listen", "8545"]).is_err() && parse(&["serve"]).is_ok());
+    }
 }

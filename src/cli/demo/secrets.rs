@@ -4,7 +4,7 @@ use tokio::task::block_in_place;
 
 use super::mission::Mission;
 use crate::crypto::topic_key;
-use crate::model::Digest;
+use crate::model::Hash;
 use crate::pipeline::reader::Reader;
 use crate::service::Failure;
 use crate::store::RecordQuery;
@@ -84,12 +84,16 @@ impl Mission {
         Ok(block_in_place(|| self.site.plant.ledger.list(&query))?.rows)
     }
 
-    /// Digests of some of the mission's records.
+    /// What stands on the chain for some of the mission's records: their batches' roots, or their digests.
     ///
     /// # Errors
     /// Of the ledger.
-    pub fn some_digests(&self) -> Result<Vec<Digest>, Failure> {
-        Ok(self.some_rows()?.into_iter().map(|row| row.digest).collect())
+    pub fn some_anchors(&self) -> Result<Vec<Hash>, Failure> {
+        let anchor = |row: crate::store::RecordRow| {
+            let place = block_in_place(|| self.site.plant.ledger.batch_place(row.digest))?;
+            Ok(place.map_or(Hash(row.digest.0), |place| place.inclusion.root))
+        };
+        self.some_rows()?.into_iter().map(anchor).collect()
     }
 
     /// Ends the mission's site.

@@ -113,7 +113,7 @@ impl Lane<'_> {
     pub(super) async fn price(&self) -> Result<u128, PipelineError> {
         match self.sender.policy.fresh(&self.chain.market().await?) {
             Priced::At(price) => Ok(price),
-            Priced::Capped { needed, cap } => Err(self.sender.pause(self.account, PauseReason::FeeCap { needed, cap })),
+            Priced::Capped { needed, cap } => Err(self.sender.pause(self.account, PauseReason::capped(needed, cap))),
         }
     }
 
@@ -150,6 +150,35 @@ impl Lane<'_> {
             }
         }
         Ok(hashes)
+    }
+}
+
+impl Lane<'_> {
+    /// Signs and stores a transfer of ether, lets go of the lane, then sends it.
+    ///
+    /// # Errors
+    /// As [`Lane::submit`]; `NoEther` where the account holds too little.
+    pub async fn transfer(self, to: Address, wei: u128, purpose: &str) -> Result<Hash, PipelineError> {
+        let (price, nonce) = (self.price().await?, self.next_nonce().await?);
+        let signed = self.chain.sign_transfer(self.eoa, nonce, to, wei, price)?;
+        let cost = wei.saturating_add(price.saturating_mul(u128::from(signed.gas_limit)));
+        if self.chain.wealth(self.account).await? < cost {
+            return Err(PipelineError::NoEther(self.account));
+        }
+        let (hash, account, raw) = (signed.hash, self.account, signed.raw);
+        let row = NewTransaction {
+            hash,
+            account,
+            nonce,
+            raw: raw.clone(),
+            purpose: purpose.to_owned(),
+            anchors: Anchors::Nothing,
+        };
+        block_in_place(|| self.sender.ledger.submit(row))?;
+        let (sender, chain) = (self.sender, self.chain);
+        drop(self.held);
+        sender.hand_in(chain, account, hash, &raw).await;
+        Ok(hash)
     }
 }
 

@@ -1,10 +1,8 @@
 //! Nonce lanes: one per EOA. A signed transaction is stored before it is sent, and sent again
 //! as the same bytes until the chain has decided about its nonce.
 //!
-//! A lane is *tended* after every block ([`Sender::tend`]): what is mined is closed; what another process'
-//! transaction took the nonce of goes back, or is signed again under a new one; what costs too little by now is
-//! replaced by the same call at a higher price, up to the operator's cap; a hole in the nonces is filled by a
-//! transfer of nothing to oneself. What stands in the way pauses the lane, visibly, and nothing is lost.
+//! After every block a lane is *tended* ([`Sender::tend`]): closed, given way, replaced at a higher price, holes
+//! filled, or paused visibly; nothing is lost.
 
 mod lane;
 #[cfg(test)]
@@ -114,6 +112,22 @@ impl Sender {
         let hashes = self.submit(chain, eoa, vec![Outgoing::plain(call, purpose)]).await?;
         let hash = hashes.first().copied().ok_or_else(|| PipelineError::NotMined(purpose.to_owned()))?;
         self.wait_mined(chain, eoa, hash, purpose).await
+    }
+
+    /// Sends ether, and waits until it is mined.
+    ///
+    /// # Errors
+    /// As [`Sender::send`]; `NoEther` where the account holds too little.
+    pub async fn transfer(
+        &self,
+        chain: &Chain,
+        eoa: &EoaSecret,
+        to: Address,
+        wei: u128,
+        purpose: &str,
+    ) -> Result<(), PipelineError> {
+        let hash = self.lane(chain, eoa).await.transfer(to, wei, purpose).await?;
+        self.wait_mined(chain, eoa, hash, purpose).await.map(|_| ())
     }
 
     /// Waits until a transaction signed here is mined, under whatever nonce or price it was signed again.

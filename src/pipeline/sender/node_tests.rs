@@ -177,3 +177,17 @@ async fn replaced_blocks_are_filled_again() {
     assert!(process.anchored(0..30).await.into_iter().all(|times| times == 1));
     assert!(process.notes.with("replaced its last") >= 2, "{:?}", process.notes.all());
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn ether_goes_from_one_account_to_another() {
+    let Some(node) = Anvil::start("ether_goes_from_one_account_to_another", &[]) else { return };
+    let process = node.process(None, 0).await;
+    let chain = &process.network.chain;
+    let other = Address([0x77; 20]);
+    process.sender.transfer(chain, &process.eoa, other, 3 * GWEI, "gift").await.expect("sent");
+    assert_eq!(chain.wealth(other).await, Ok(3 * GWEI));
+    let too_much = process.sender.transfer(chain, &process.eoa, other, u128::MAX / 2, "gift").await;
+    assert!(matches!(too_much, Err(PipelineError::NoEther(account)) if account == process.eoa.address()));
+    process.round().await;
+    assert_eq!(process.sender.state_of(process.eoa.address()).expect("state").open, 0, "nothing was kept of it");
+}

@@ -4,6 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::model::{Address, Timestamp};
 
+const GWEI: u128 = 1_000_000_000;
+
 /// Why a lane takes no further transactions for now. What it holds is kept and sent again.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "reason")]
@@ -12,10 +14,10 @@ pub enum PauseReason {
     NoEther,
     /// The network asks for more than the operator's cap.
     FeeCap {
-        /// Wei per gas that would be needed.
-        needed: u128,
-        /// Wei per gas that `chain.max_fee` allows.
-        cap: u128,
+        /// Gwei per gas that would be needed, rounded up.
+        needed: u64,
+        /// Gwei per gas that `chain.max_fee` allows.
+        cap: u64,
     },
     /// No block was made for a while although transactions wait.
     Stalled,
@@ -27,6 +29,12 @@ pub enum PauseReason {
 }
 
 impl PauseReason {
+    /// The cap forbids a price, given in wei per gas.
+    pub(super) fn capped(needed: u128, cap: u128) -> Self {
+        let gwei = |wei: u128| u64::try_from(wei.div_ceil(GWEI)).unwrap_or(u64::MAX);
+        Self::FeeCap { needed: gwei(needed), cap: gwei(cap) }
+    }
+
     /// One word for JSON and for telling changes.
     pub fn word(&self) -> &'static str {
         match self {
@@ -39,18 +47,19 @@ impl PauseReason {
 
     /// What happened and what to do, for the account whose lane it is.
     pub fn text(&self, account: Address) -> String {
-        let gwei = |wei: &u128| wei.div_ceil(1_000_000_000);
-        let what = match self {
+        format!("anchoring of {account} is paused, nothing is lost: {}", self.cause(account))
+    }
+
+    /// What stands in the way, and what to do about it.
+    pub fn cause(&self, account: Address) -> String {
+        match self {
             Self::NoEther => format!("{account} has not enough ether to pay for gas; send it some on this chain"),
             Self::FeeCap { needed, cap } => format!(
-                "the network asks for {} gwei per gas, more than chain.max_fee = {} allows; wait, or raise the setting",
-                gwei(needed),
-                gwei(cap)
+                "the network asks for {needed} gwei per gas, more than chain.max_fee = {cap} allows; wait, or raise it"
             ),
             Self::Stalled => "the network makes no blocks; check its signers or miners".to_owned(),
             Self::Refused { why } => format!("the node refuses transactions of {account}: {why}"),
-        };
-        format!("anchoring of {account} is paused, nothing is lost: {what}")
+        }
     }
 }
 
@@ -81,13 +90,15 @@ mod tests {
     #[test]
     fn texts_name_the_account_and_round_up() {
         let account = Address([7; 20]);
-        let capped = PauseReason::FeeCap { needed: 1_000_000_001, cap: 1_000_000_000 };
+        let capped = PauseReason::capped(1_000_000_001, 1_000_000_000);
         let text = capped.text(account);
         assert!(text.contains("2 gwei") && text.contains("chain.max_fee = 1"), "{text}");
         for reason in [PauseReason::NoEther, PauseReason::Stalled, PauseReason::Refused { why: "full".into() }] {
             assert!(reason.text(account).contains(&account.to_string()), "{reason:?}");
         }
-        let json = serde_json::to_value(LaneState { paused: Some(capped), ..LaneState::idle(account) }).expect("json");
-        assert_eq!(json["paused"]["reason"], "fee_cap");
+        let state = LaneState { paused: Some(capped), ..LaneState::idle(account) };
+        let json = serde_json::to_string(&state).expect("json");
+        assert!(json.contains(r#""reason":"fee_cap""#), "{json}");
+        assert_eq!(serde_json::from_str::<LaneState>(&json).ok(), Some(state));
     }
 }

@@ -86,7 +86,7 @@ impl Round<'_> {
         }
         let price = match self.sender.policy.fresh(market) {
             Priced::At(price) => price,
-            Priced::Capped { needed, cap } => return Ok(Some(PauseReason::FeeCap { needed, cap })),
+            Priced::Capped { needed, cap } => return Ok(Some(PauseReason::capped(needed, cap))),
         };
         for nonce in holes {
             let signed = self.chain.sign_transfer(self.eoa, nonce, self.account, 0, price)?;
@@ -127,7 +127,7 @@ impl Round<'_> {
             let price = match self.sender.policy.replacement(old.price, market) {
                 Priced::At(price) => price,
                 Priced::Capped { needed, cap } => {
-                    return Ok((replaced, Some(PauseReason::FeeCap { needed, cap })));
+                    return Ok((replaced, Some(PauseReason::capped(needed, cap))));
                 }
             };
             if self.chain.wealth(self.account).await? < old.cost_at(price) {

@@ -7,9 +7,8 @@ use tokio::task::block_in_place;
 
 use super::Site;
 use crate::chain::{Chain, ChainError, ChainOptions, Endpoint, Pin};
-use crate::crypto::domain;
 use crate::model::ErrorKind;
-use crate::pipeline::{Directory, Network, Owner, PipelineError, watcher};
+use crate::pipeline::{Network, Owner, PipelineError, watcher};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::{input, internal};
 use crate::service::reply::Failure;
@@ -131,9 +130,7 @@ impl Site {
     }
 
     pub(super) async fn use_network(self: &Arc<Self>, chain: Chain, pin: &Pin) -> Result<(), Lost> {
-        let domain = domain(pin.chain_id, &pin.genesis, &pin.contract);
-        let directory = Arc::new(Directory::new(domain, self.plant.provider));
-        let network = Network { chain, domain, directory, confirmations: self.config.confirmations };
+        let network = self.network_of(chain, pin).map_err(Failure::from)?;
         block_in_place(|| watcher::restore(&self.plant, &network))?;
         let head = watcher::watch_round(&self.plant, &network).await?;
         self.scanned.send_replace(head.number);

@@ -73,6 +73,12 @@ impl Site {
                 self.grant(&owner, grantee, &topics, epochs, expires).await.map(Reply::Transaction)
             }
             Command::Revoke { grantee } => self.revoke(&owner, grantee).await.map(Reply::Transaction),
+            Command::LendDevice { device, until } => {
+                self.lend_device(&owner, device, until).await.map(Reply::Transaction)
+            }
+            Command::RecallDevice { device } => self.recall_device(&owner, &device).await.map(Reply::Transaction),
+            Command::ListDevices => self.device_rows(&owner).await.map(Reply::Devices),
+            Command::AdoptChain => self.adopt_chain(&owner).await.map(Reply::Transaction),
             Command::ListGrants => self.grant_rows(&owner).await.map(Reply::Grants),
             Command::ListShared(query) => self.list_shared(&owner, query).await.map(Reply::Records),
             Command::CheckShared { id } => self.check_record(&owner, &id).await.map(Reply::Check),

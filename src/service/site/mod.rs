@@ -3,14 +3,17 @@
 //! `start` brings the parts up in the background; requests wait for the parts they need. One
 //! process of a home is the site, further ones join it over the socket (`service::socket`).
 
+mod adoption;
 mod audit;
 mod capture;
 mod chain_link;
+mod devices;
 mod epochs;
 mod exposure;
 mod handle;
 mod identity;
 mod keys;
+mod lanes;
 mod opening;
 mod owners;
 mod robots;
@@ -80,6 +83,7 @@ pub struct Site {
     chain_silent: AtomicBool,
     guests: AtomicUsize,
     deploying: tokio::sync::Mutex<()>,
+    witnesses: Mutex<lanes::Witnesses>,
     sealer: Mutex<Option<std::thread::JoinHandle<()>>>,
     ros_task: Mutex<Option<tokio::task::JoinHandle<()>>>,
     _lock: SiteLock,
@@ -125,6 +129,7 @@ impl Site {
             chain_silent: AtomicBool::new(false),
             guests: AtomicUsize::new(0),
             deploying: tokio::sync::Mutex::default(),
+            witnesses: Mutex::default(),
             sealer: Mutex::default(),
             ros_task: Mutex::default(),
             _lock: lock,

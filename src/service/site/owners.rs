@@ -61,6 +61,7 @@ impl Site {
         let owner = Arc::new(Owner::new(profile.clone(), keyring));
         self.owners.write().unwrap_or_else(PoisonError::into_inner).insert(profile, Arc::clone(&owner));
         tokio::spawn(workers::anchor(Arc::clone(self), Arc::clone(&owner)));
+        tokio::spawn(Arc::clone(self).keep_witnesses(Arc::clone(&owner)));
         self.restore_watches(&owner);
         self.changed(Part::Identity);
         owner

@@ -43,7 +43,10 @@ impl Site {
             NetworkState::Connecting => (HealthLevel::Waiting, format!("connecting to {name}")),
             NetworkState::Bare(_) => (HealthLevel::Ok, format!("{name}, no contract yet")),
             NetworkState::Up(_) if silent => (HealthLevel::Waiting, format!("{name} does not answer, retry in 2 s")),
-            NetworkState::Up(_) => (HealthLevel::Ok, name),
+            NetworkState::Up(network) => match self.paused_text(network) {
+                Some(text) => (HealthLevel::Failed, text),
+                None => (HealthLevel::Ok, name),
+            },
             NetworkState::Swapped(failure) => (HealthLevel::Failed, failure.message.clone()),
             NetworkState::Down { failure, retry } => {
                 (HealthLevel::Failed, format!("retry in {retry} s: {}", failure.message))
@@ -106,8 +109,15 @@ impl Site {
             None => None,
         };
         let status = chain.status(address).await?;
-        let lanes = address.map(|address| self.sender.state_of(address)).transpose()?;
-        let lanes: Vec<_> = lanes.into_iter().collect();
+        let lanes = match (self.owner(profile), self.network_now(), address) {
+            (Some(owner), Some(network), _) => self.lane_states(&owner, &network)?,
+            (_, _, Some(address)) => vec![self.sender.state_of(address)?],
+            (_, _, None) => Vec::new(),
+        };
+        // What is in a block already but not looked at yet does not wait any more.
+        let open = address.map(|address| block_in_place(|| self.plant.ledger.open_lane(address))).transpose()?;
+        let next = status.nonce.unwrap_or(0);
+        let pending = open.iter().flatten().filter(|row| row.nonce >= next).count() as u64;
         Ok(ChainView {
             kind: status.kind,
             consensus: status.consensus,
@@ -117,7 +127,7 @@ impl Site {
             contract: status.contract,
             balance: status.balance.unwrap_or_else(|| "0".to_owned()),
             nonce: status.nonce.unwrap_or(0),
-            pending: lanes.iter().map(|lane| lane.open).sum(),
+            pending,
             lanes,
             client: clean(&status.client, 100),
             sealing: chain.sealing().await?,

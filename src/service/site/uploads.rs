@@ -86,6 +86,10 @@ impl Site {
             let head = *self.scanned.borrow();
             steps.push(step("confirmations", format!("{}", (head + 1).saturating_sub(block))));
         }
+        if let Some(earlier) = self.blocking(move |site| Ok(site.plant.ledger.earlier_anchor(digest)?)).await? {
+            let (block, domain) = (earlier.block, earlier.domain);
+            steps.push(step("earlier chain", format!("anchored in block {block} of domain {domain}, which was left")));
+        }
         steps.push(step("state", row.state.word().to_owned()));
         Ok(Provenance { record: record_view(&row, false), steps })
     }
@@ -103,10 +107,12 @@ impl Site {
         let stored = move |site: &Self| Ok((site.plant.vault.get(digest)?, site.plant.ledger.batch_place(digest)?));
         let (blob, place) = self.blocking(stored).await?;
         let blob = blob.ok_or_else(|| PipelineError::Missing(row.id.clone()))?;
+        // A record of a chain that was left is bound to that one's domain.
+        let bound = crate::model::Header::parse(&blob).map_or(network.domain, |(header, _)| header.domain);
         let signer = network.directory.signing_key(row.owner, row.signer, row.block);
         let signer =
             signer.ok_or_else(|| refused("the record's signing key is not among those registered on the chain"))?;
-        let signed = record::signed_bytes(&network.domain, &row.digest);
+        let signed = record::signed_bytes(&bound, &row.digest);
         let pin = network.chain.pin();
         let proof = serde_json::json!({
             "format": "authros-proof/1",
@@ -120,7 +126,7 @@ impl Site {
             "recorder": row.recorder,
             "topic_id": row.topic_id,
             "seq": row.seq,
-            "domain": network.domain,
+            "domain": bound,
             "chain_id": network.chain.chain_id(),
             "genesis": network.chain.genesis(),
             "contract": pin.map(|pin| pin.contract),

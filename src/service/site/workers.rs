@@ -5,7 +5,9 @@ use std::time::Duration;
 
 use super::{Needs, Site};
 use crate::chain::ChainError;
-use crate::pipeline::anchorer::Anchorer;
+use crate::model::Domain;
+use crate::pipeline::adoption::{self, Word};
+use crate::pipeline::anchorer::{Anchorer, Round};
 use crate::pipeline::sealer::Sealer;
 use crate::pipeline::{Network, Owner, PipelineError, storer, verifier, watcher};
 use crate::service::event::{NoticeLevel, Part};
@@ -75,7 +77,7 @@ async fn watch(site: Arc<Site>) {
                     site.changed(Part::Chain);
                     site.hub.confirmed.notify_one();
                 }
-                tend(&site, &network).await;
+                site.tend_lanes(&network).await;
                 network.chain.next_block(head.number, watcher::PATIENCE).await.err().map(|error| error.to_string())
             }
             Err(PipelineError::Chain(error @ ChainError::Swapped { .. })) => {
@@ -91,24 +93,6 @@ async fn watch(site: Arc<Site>) {
                 &format!("the chain does not answer; anchoring waits, nothing is lost: {problem}"),
             );
             tokio::time::sleep(Duration::from_secs(2)).await;
-        }
-    }
-}
-
-async fn tend(site: &Arc<Site>, network: &Network) {
-    for owner in site.all_owners() {
-        match site.sender.tend(&network.chain, &owner.eoa()).await {
-            Ok(refused) => {
-                for reason in refused {
-                    site.hub.notice(
-                        NoticeLevel::Error,
-                        &format!("the contract refused a transaction of {}: {reason}", owner.profile),
-                    );
-                }
-            }
-            Err(error) => {
-                site.hub.notice(NoticeLevel::Error, &format!("transactions of {} wait: {error}", owner.profile))
-            }
         }
     }
 }
@@ -136,11 +120,29 @@ async fn verify(site: Arc<Site>) {
     }
 }
 
+/// One round; on an adopted chain nothing goes before the owner's word about that. `spoken` is where it was given.
+async fn anchor_round(
+    site: &Site,
+    anchorer: &mut Anchorer,
+    network: &Network,
+    owner: &Owner,
+    spoken: &mut Option<Domain>,
+) -> Result<Round, Failure> {
+    if *spoken != Some(network.domain) {
+        if adoption::give_word(&site.plant, network, &site.sender, owner).await? == Word::OnItsWay {
+            return Ok(Round { submitted: 0, next: Duration::from_millis(250) });
+        }
+        *spoken = Some(network.domain);
+    }
+    let lanes = site.lanes(owner, network)?;
+    Ok(anchorer.round(&site.plant, network, &site.sender, owner, &lanes).await?)
+}
+
 /// Anchors the records of one owner until the owner is closed or the site ends.
 pub(super) async fn anchor(site: Arc<Site>, owner: Arc<Owner>) {
     let mut pause = Duration::from_millis(250);
     let mut anchorer = Anchorer::new(site.config.anchor_mode);
-    let lanes = [owner.eoa()];
+    let mut spoken = None;
     let mut scanned = site.scanned.subscribe();
     while !site.is_stopping() {
         let still_open = site.owner(&owner.profile).is_some_and(|other| Arc::ptr_eq(&other, &owner));
@@ -151,7 +153,7 @@ pub(super) async fn anchor(site: Arc<Site>, owner: Arc<Owner>) {
             tokio::time::sleep(Duration::from_millis(200)).await;
             continue;
         };
-        match anchorer.round(&site.plant, &network, &site.sender, &owner, &lanes).await {
+        match anchor_round(&site, &mut anchorer, &network, &owner, &mut spoken).await {
             Ok(round) => {
                 pause = Duration::from_millis(250);
                 if round.submitted > 0 {
@@ -167,8 +169,10 @@ pub(super) async fn anchor(site: Arc<Site>, owner: Arc<Owner>) {
                 }
             }
             Err(error) => {
-                site.hub
-                    .notice(NoticeLevel::Error, &format!("records of {} wait to be anchored: {error}", owner.profile));
+                site.hub.notice(
+                    NoticeLevel::Error,
+                    &format!("records of {} wait to be anchored: {}", owner.profile, error.message),
+                );
                 tokio::time::sleep(pause).await;
                 pause = (pause * 2).min(Duration::from_secs(10));
             }

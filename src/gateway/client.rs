@@ -1,0 +1,293 @@
+//! The client's end over TCP: connects, judges the gateway, proves itself by K_T, sends commands, verifies
+//! receipts and records. One request after the other, or several under way with `send` and `receive`.
+
+use std::collections::VecDeque;
+use std::time::{Duration, Instant};
+
+use tokio::time::timeout;
+
+use crate::crypto::record::check;
+use crate::crypto::{Anchor, SmKeyPair, TransportKey};
+use crate::model::{Digest, Hash, ProfileName, Timestamp, Token};
+
+use super::allocation::{AllocationRequest, Applicant, apply};
+use super::command::{
+    Answer, Command, Entry, Fetched, GrantNotice, Page, Query, Registration, Request, RevokeNotice, Selection,
+    Standing, Upload,
+};
+use super::error::GatewayError;
+use super::hello::{Agreed, Context};
+use super::line::Line;
+use super::parts::Assembler;
+use super::receipt::Receipt;
+use super::session::Session;
+use super::system_keys::SystemKeyList;
+use super::trust::Trust;
+
+mod exchange;
+
+/// Where a gateway is and how to speak to it.
+#[derive(Clone)]
+pub struct Endpoint {
+    /// Host and port.
+    pub address: String,
+    /// The network, and what computes for it.
+    pub context: Context,
+    /// How long to wait for an answer.
+    pub patience: Duration,
+}
+
+/// What a client proves itself with.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Credentials {
+    /// N.
+    pub name: ProfileName,
+    /// K_T.
+    pub key: TransportKey,
+    /// A token of the account; the current one.
+    pub token: Token,
+}
+
+/// A session with a gateway.
+pub struct Client {
+    line: Line,
+    endpoint: Endpoint,
+    agreed: Agreed,
+    session: Session,
+    token: Token,
+    requests: u32,
+    assembler: Assembler<()>,
+    /// What came while something else was waited for.
+    waiting: VecDeque<(u32, Answer)>,
+}
+
+impl Client {
+    /// Connects with a transport key. `trust` has learnt what the gateway showed: save it.
+    ///
+    /// # Errors
+    /// [`GatewayError`]; `Refused(Tag)` also where the gateway does not know the name or has another K_T.
+    pub async fn connect(
+        endpoint: &Endpoint,
+        trust: &mut Trust,
+        credentials: &Credentials,
+    ) -> Result<Self, GatewayError> {
+        let key = Some(&credentials.key);
+        let mut client = Self::open(endpoint, trust, &credentials.name, key, credentials.token).await?;
+        // Both sides hold K_T: from the pong on, large frames are accepted.
+        client.ping().await?;
+        client.line.raise_cap();
+        Ok(client)
+    }
+
+    async fn open(
+        endpoint: &Endpoint,
+        trust: &mut Trust,
+        name: &ProfileName,
+        key: Option<&TransportKey>,
+        token: Token,
+    ) -> Result<Self, GatewayError> {
+        let (line, agreed, session) = timeout(endpoint.patience, exchange::hello(endpoint, trust, name, key))
+            .await
+            .map_err(|_| GatewayError::TimedOut)??;
+        Ok(Self {
+            line,
+            endpoint: endpoint.clone(),
+            agreed,
+            session,
+            token,
+            requests: 0,
+            assembler: Assembler::new(),
+            waiting: VecDeque::new(),
+        })
+    }
+
+    /// Allocates a transport key: N bound to the account, K_T to the gateway. The receipt proves it.
+    ///
+    /// # Errors
+    /// [`GatewayError`]; nothing is bound then, or, where the answer was lost, bound to a key that nobody has:
+    /// allocating again replaces it.
+    pub async fn allocate(
+        endpoint: &Endpoint,
+        trust: &mut Trust,
+        applicant: &Applicant<'_>,
+    ) -> Result<(TransportKey, Receipt), GatewayError> {
+        let mut client = Self::open(endpoint, trust, applicant.name, None, Token([0; 32])).await?;
+        let list = client.system_keys().await?;
+        let context = endpoint.context;
+        let system_key = list.check(context.provider, &context.domain, &client.agreed, Timestamp::now())?;
+        let (key, body) = apply(&context, &client.agreed, &system_key, applicant)?;
+        let request = AllocationRequest::parse(&body).map_err(GatewayError::malformed("own allocation"))?;
+        let digest = request.digest(context.provider);
+        let receipt = client.acknowledged(&Request::KeyAllocation(request), &[digest]).await?;
+        Ok((key, receipt))
+    }
+
+    /// Has a gateway pass a registration to the chain; gives the transaction's hash.
+    ///
+    /// # Errors
+    /// [`GatewayError`].
+    pub async fn register(
+        endpoint: &Endpoint,
+        trust: &mut Trust,
+        name: &ProfileName,
+        registration: Registration,
+    ) -> Result<Hash, GatewayError> {
+        let mut client = Self::open(endpoint, trust, name, None, Token([0; 32])).await?;
+        match client.ask(&Request::Register(Box::new(registration))).await? {
+            Answer::Registered(hash) => Ok(hash),
+            _ => Err(GatewayError::Unexpected("no transaction")),
+        }
+    }
+
+    /// What was agreed with the gateway.
+    pub fn agreed(&self) -> &Agreed {
+        &self.agreed
+    }
+
+    /// Whether it is time to connect anew: the session's frames or its hour are nearly used up.
+    pub fn is_spent(&self) -> bool {
+        self.session.is_spent(Instant::now() + self.endpoint.patience)
+    }
+
+    /// The token sent from now on.
+    pub fn set_token(&mut self, token: Token) {
+        self.token = token;
+    }
+
+    /// The gateway's time.
+    ///
+    /// # Errors
+    /// [`GatewayError`].
+    pub async fn ping(&mut self) -> Result<Timestamp, GatewayError> {
+        match self.ask(&Request::Ping).await? {
+            Answer::Time(time) => Ok(time),
+            _ => Err(GatewayError::Unexpected("no time")),
+        }
+    }
+
+    /// The published list, not yet checked.
+    ///
+    /// # Errors
+    /// [`GatewayError`].
+    pub async fn system_keys(&mut self) -> Result<SystemKeyList, GatewayError> {
+        match self.ask(&Request::SystemKeys).await? {
+            Answer::SystemKeys(bytes) => {
+                SystemKeyList::parse(&bytes).map_err(GatewayError::malformed("list of system keys"))
+            }
+            _ => Err(GatewayError::Unexpected("no list")),
+        }
+    }
+
+    /// Uploads records; the receipt is checked to cover all of them.
+    ///
+    /// # Errors
+    /// [`GatewayError`]; without a receipt nothing may be forgotten.
+    pub async fn upload(&mut self, mut uploads: Vec<Upload>) -> Result<Receipt, GatewayError> {
+        let provider = self.endpoint.context.provider;
+        let digests: Vec<Digest> = uploads.iter().map(|upload| Digest(provider.sm3(&[&upload.blob]))).collect();
+        let request = match uploads.len() {
+            1 => Request::Upload(uploads.remove(0)),
+            _ => Request::UploadMany(uploads),
+        };
+        self.acknowledged(&request, &digests).await
+    }
+
+    /// A page of records.
+    ///
+    /// # Errors
+    /// [`GatewayError`].
+    pub async fn query(&mut self, query: &Query) -> Result<Page, GatewayError> {
+        match self.ask(&Request::Query(query.clone())).await? {
+            Answer::Page(page) => Ok(page),
+            _ => Err(GatewayError::Unexpected("no page")),
+        }
+    }
+
+    /// How digests stand, in their order.
+    ///
+    /// # Errors
+    /// [`GatewayError`].
+    pub async fn check(&mut self, digests: &[Digest]) -> Result<Vec<Standing>, GatewayError> {
+        match self.ask(&Request::Check(digests.to_vec())).await? {
+            Answer::Standings(standings) if standings.len() == digests.len() => Ok(standings),
+            _ => Err(GatewayError::Unexpected("not as many standings as digests")),
+        }
+    }
+
+    /// A record; its bytes have that digest and its signature is by the key that came with it. Whether that
+    /// key may sign for the owner, and whether the anchor holds, is for the reader to check on the chain.
+    ///
+    /// # Errors
+    /// [`GatewayError`].
+    pub async fn fetch(&mut self, digest: &Digest) -> Result<Fetched, GatewayError> {
+        match self.ask(&Request::Fetch(*digest)).await? {
+            Answer::Record(record) => self.checked(*record, digest),
+            _ => Err(GatewayError::Unexpected("no record")),
+        }
+    }
+
+    fn checked(&self, record: Fetched, digest: &Digest) -> Result<Fetched, GatewayError> {
+        let provider = self.endpoint.context.provider;
+        check(provider, &record.blob, &record.signature, &record.signer, Anchor::Chain(*digest))?;
+        Ok(record)
+    }
+
+    /// Subscribes; the number names the subscription.
+    ///
+    /// # Errors
+    /// [`GatewayError`].
+    pub async fn subscribe(&mut self, selection: &Selection) -> Result<u32, GatewayError> {
+        let request = self.send(&Request::Subscribe(selection.clone())).await?;
+        match self.answer_to(request).await? {
+            Answer::Done(Command::Subscribe) => Ok(request),
+            _ => Err(GatewayError::Unexpected("no subscription")),
+        }
+    }
+
+    /// The next record of any subscription, checked as [`Self::fetch`] does; `Err(Refused)` where one ended.
+    ///
+    /// # Errors
+    /// [`GatewayError::TimedOut`] where none came within `patience`; nothing is lost then.
+    pub async fn next_event(&mut self, patience: Duration) -> Result<(u32, Entry, Fetched), GatewayError> {
+        let found = self.waiting.iter().position(|(_, answer)| matches!(answer, Answer::Event(_) | Answer::End(_)));
+        let next = match found.and_then(|index| self.waiting.remove(index)) {
+            Some(next) => next,
+            None => self.receive(patience).await?,
+        };
+        match next {
+            (request, Answer::Event(event)) => {
+                let (entry, record) = *event;
+                Ok((request, entry, self.checked(record, &entry.digest)?))
+            }
+            (_, Answer::End(code)) => Err(GatewayError::Refused(code)),
+            _ => Err(GatewayError::Unexpected("an answer instead of a record")),
+        }
+    }
+
+    /// Ends a subscription; what was under way may still come.
+    ///
+    /// # Errors
+    /// [`GatewayError`].
+    pub async fn unsubscribe(&mut self, subscription: u32) -> Result<(), GatewayError> {
+        match self.ask(&Request::Unsubscribe(subscription)).await? {
+            Answer::Done(Command::Unsubscribe) => Ok(()),
+            _ => Err(GatewayError::Unexpected("no end of the subscription")),
+        }
+    }
+
+    /// Tells the gateway of a grant, signed by d_C.
+    ///
+    /// # Errors
+    /// [`GatewayError`].
+    pub async fn grant(&mut self, signing: &SmKeyPair, notice: GrantNotice) -> Result<Receipt, GatewayError> {
+        self.signed(signing, &Request::GrantNotice(notice)).await
+    }
+
+    /// Tells the gateway of a revoke, signed by d_C: it obeys at once.
+    ///
+    /// # Errors
+    /// [`GatewayError`].
+    pub async fn revoke(&mut self, signing: &SmKeyPair, notice: RevokeNotice) -> Result<Receipt, GatewayError> {
+        self.signed(signing, &Request::RevokeNotice(notice)).await
+    }
+}

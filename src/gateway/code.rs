@@ -1,0 +1,162 @@
+//! Why a gateway refuses: constant codes for the peer, the detail for the gateway's own log.
+
+use std::fmt;
+
+use crate::model::ErrorKind;
+
+macro_rules! codes {
+    ($($(#[$doc:meta])* $name:ident = $number:literal $kind:ident $text:literal;)*) => {
+        /// A reason for refusing; the same for every peer, so that it tells nothing of others.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+        #[repr(u16)]
+        pub enum Code {
+            $($(#[$doc])* $name = $number,)*
+        }
+
+        impl Code {
+            /// Every code.
+            pub const ALL: &[Self] = &[$(Self::$name),*];
+
+            /// What it means and what to do next.
+            pub fn text(self) -> &'static str {
+                match self {
+                    $(Self::$name => $text,)*
+                }
+            }
+
+            /// What sort of failure it is.
+            pub fn kind(self) -> ErrorKind {
+                match self {
+                    $(Self::$name => ErrorKind::$kind,)*
+                }
+            }
+        }
+    };
+}
+
+codes! {
+    /// A frame or message over its cap, or cut short.
+    Length = 1 Refused "a frame has a length that is not allowed; connect again";
+    /// No such session, or one that has ended.
+    Session = 2 Refused "the session has ended; connect again";
+    /// A frame out of order: replayed, lost or swapped.
+    Counter = 3 Refused "a frame came out of order; connect again";
+    /// Bytes that were altered, or another key.
+    Tag = 4 Refused "a frame was altered or sealed under another key; allocate a transport key again";
+    /// A token that the owner never registered.
+    Token = 5 Refused "the token is not one of this account; register or rotate first";
+    /// An SM2 signature that does not verify, or by a key that may not sign.
+    Signature = 6 Refused "the SM2 signature was not accepted; sign with the registered key or a lent one";
+    /// An EOA signature that recovers another account.
+    Account = 7 Refused "the account's signature was not accepted; sign with the key of the registered account";
+    /// Bytes that are no message.
+    Malformed = 8 Refused "the gateway does not understand the message; use the same version on both sides";
+    /// Another version of the protocol.
+    Version = 9 Refused "the gateway speaks another version of the protocol; use the same version on both sides";
+    /// Another chain or contract.
+    Network = 10 Refused "the gateway serves another network; check chain and contract on both sides";
+    /// A system key that is not in the list, or no longer.
+    SystemKey = 11 Refused "the system key is not in use; fetch the list again";
+    /// N belongs to another account.
+    NameBound = 12 Refused "this name belongs to another account; choose another name";
+    /// The chain knows no such identity.
+    NotRegistered = 13 Refused "the chain knows no such identity; register it, or wait for its confirmation";
+    /// The administrator suspended the account.
+    Suspended = 14 Refused "the account is suspended; ask the administrator";
+    /// No grant covers what was asked for.
+    NotAuthorised = 15 Refused "no grant covers this; ask its owner";
+    /// Nothing of that digest.
+    NotFound = 16 Refused "the gateway has no such record; check the digest";
+    /// Stored bytes that differ from the chain.
+    Tampered = 17 Tampered "the stored record is not the one anchored; fetch it from elsewhere";
+    /// More than this peer may have at a time.
+    Quota = 18 Refused "too much at once; send less and try again";
+    /// No room for another connection or handshake.
+    Busy = 19 Unreachable "the gateway has no room at the moment; try again later";
+    /// Not in this session.
+    NotHere = 20 Refused "this command is not accepted in this session; connect with a transport key";
+    /// The chain has no fresh head: authority cannot be told.
+    Stale = 21 Unreachable "the gateway has lost sight of the chain; try again later";
+    /// The gateway stops.
+    Closing = 22 Unreachable "the gateway is stopping; try again later";
+    /// A fault of the gateway itself.
+    Internal = 23 Unreachable "the gateway failed; try again later, its log says more";
+    /// The peer took too long.
+    TooSlow = 24 Unreachable "the connection was too slow or idle; connect again";
+    /// The record belongs to another network or another owner than the session.
+    NotYours = 25 Refused "the record belongs to another account or network; send your own";
+    /// A chain transaction that was refused.
+    Transaction = 26 Refused "the chain refused the transaction; check account, nonce and balance";
+}
+
+impl Code {
+    /// The two bytes on the wire.
+    pub fn number(self) -> u16 {
+        self as u16
+    }
+
+    /// From the two bytes on the wire.
+    pub fn from_number(number: u16) -> Option<Self> {
+        Self::ALL.iter().copied().find(|code| code.number() == number)
+    }
+
+    /// Whether the connection ends with it: frames after it could not be trusted or told apart.
+    pub fn ends_session(self) -> bool {
+        matches!(
+            self,
+            Self::Length
+                | Self::Session
+                | Self::Counter
+                | Self::Tag
+                | Self::Version
+                | Self::Network
+                | Self::Busy
+                | Self::Closing
+                | Self::TooSlow
+        )
+    }
+}
+
+impl fmt::Display for Code {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(self.text())
+    }
+}
+
+/// A refusal as the gateway makes it: the code goes to the peer, the detail to the log only.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{code} ({detail})")]
+pub struct Refusal {
+    /// What the peer learns.
+    pub code: Code,
+    /// What the operator learns; holds no secret, and peers' words only cleaned.
+    pub detail: String,
+}
+
+impl Refusal {
+    /// With a detail for the log.
+    pub fn new(code: Code, detail: impl fmt::Display) -> Self {
+        Self { code, detail: detail.to_string() }
+    }
+
+    /// For use in `map_err`: keeps the cause for the log.
+    pub fn because<E: fmt::Display>(code: Code) -> impl Fn(E) -> Self {
+        move |cause| Self::new(code, cause)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn codes_are_constant_and_round_trip() {
+        for (index, code) in Code::ALL.iter().enumerate() {
+            assert_eq!(usize::from(code.number()), index + 1);
+            assert_eq!(Code::from_number(code.number()), Some(*code));
+            assert!(code.to_string().contains("; "), "{code:?} says what to do next");
+        }
+        assert_eq!(Code::from_number(0), None);
+        assert_eq!(Code::from_number(27), None);
+    }
+}

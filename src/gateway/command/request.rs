@@ -1,0 +1,253 @@
+//! What a client asks, by Command: encoded and decoded, every count and length bounded.
+
+use crate::crypto::SealedRecord;
+use crate::model::wire::{Reader, WireError};
+use crate::model::{Address, Digest, Hash, Identity, Signature, Token};
+
+use super::Command;
+use super::query::{Query, Selection};
+use crate::gateway::allocation::AllocationRequest;
+
+/// The most records in one message.
+pub const MOST_UPLOADS: usize = 1024;
+/// The most digests checked at once.
+pub const MOST_CHECKED: usize = 1024;
+/// The longest signed transaction passed on, bytes.
+pub const LONGEST_TRANSACTION: usize = 3 * 1024;
+
+/// A record as a sender brings it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Upload {
+    /// (r, s): the record's own.
+    pub signature: Signature,
+    /// CT1: header, sealed head, sealed body.
+    pub blob: Vec<u8>,
+}
+
+impl From<&SealedRecord> for Upload {
+    fn from(record: &SealedRecord) -> Self {
+        Self { signature: record.signature, blob: record.blob.clone() }
+    }
+}
+
+/// An identity and the transaction that registers it: account (20) || identity (224) || transaction.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Registration {
+    /// Whose it is.
+    pub account: Address,
+    /// Token, keys and proof.
+    pub identity: Identity,
+    /// The signed transaction, as the chain takes it.
+    pub transaction: Vec<u8>,
+}
+
+/// A grant on its way to the chain: grantee (20) || epoch (8) || expiry (8) || transaction (32).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct GrantNotice {
+    /// Who is to read.
+    pub grantee: Address,
+    /// The epoch granted.
+    pub epoch: u64,
+    /// Until when, seconds since the Unix epoch; 0 for no end.
+    pub expiry: u64,
+    /// The transaction.
+    pub transaction: Hash,
+}
+
+/// A revoke on its way to the chain: grantee (20) || new epoch (8) || new token (32) || transaction (32).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct RevokeNotice {
+    /// Who is to read no more.
+    pub grantee: Address,
+    /// The epoch that begins.
+    pub epoch: u64,
+    /// Its token.
+    pub token: Token,
+    /// The transaction.
+    pub transaction: Hash,
+}
+
+/// A client's message.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Request {
+    /// The list of system keys.
+    SystemKeys,
+    /// Key allocation.
+    KeyAllocation(AllocationRequest),
+    /// Registration.
+    Register(Box<Registration>),
+    /// One record: signature (64) || blob.
+    Upload(Upload),
+    /// Several: count (2), then length of the blob (4) || signature (64) || blob each.
+    UploadMany(Vec<Upload>),
+    /// List.
+    Query(Query),
+    /// How digests stand: count (2), then 32 bytes each.
+    Check(Vec<Digest>),
+    /// One record: digest (32).
+    Fetch(Digest),
+    /// Records as they come.
+    Subscribe(Selection),
+    /// No more: the number of the request that subscribed (4).
+    Unsubscribe(u32),
+    /// A grant.
+    GrantNotice(GrantNotice),
+    /// A revoke.
+    RevokeNotice(RevokeNotice),
+    /// Nothing.
+    Ping,
+}
+
+impl Request {
+    /// Its Command.
+    pub fn command(&self) -> Command {
+        match self {
+            Self::SystemKeys => Command::SystemKeys,
+            Self::KeyAllocation(_) => Command::KeyAllocation,
+            Self::Register(_) => Command::Register,
+            Self::Upload(_) => Command::Upload,
+            Self::UploadMany(_) => Command::UploadMany,
+            Self::Query(_) => Command::Query,
+            Self::Check(_) => Command::Check,
+            Self::Fetch(_) => Command::Fetch,
+            Self::Subscribe(_) => Command::Subscribe,
+            Self::Unsubscribe(_) => Command::Unsubscribe,
+            Self::GrantNotice(_) => Command::GrantNotice,
+            Self::RevokeNotice(_) => Command::RevokeNotice,
+            Self::Ping => Command::Ping,
+        }
+    }
+
+    /// The body. Lists longer than allowed are cut: their makers bound them.
+    pub fn encode(&self) -> Vec<u8> {
+        match self {
+            Self::SystemKeys | Self::Ping => Vec::new(),
+            Self::KeyAllocation(request) => request.encode(),
+            Self::Register(registration) => {
+                [&registration.account.0[..], &registration.identity.encode(), &registration.transaction].concat()
+            }
+            Self::Upload(upload) => [&upload.signature.0[..], &upload.blob].concat(),
+            Self::UploadMany(uploads) => encode_uploads(uploads),
+            Self::Query(query) => query.encode(),
+            Self::Check(digests) => encode_digests(digests),
+            Self::Fetch(digest) => digest.0.to_vec(),
+            Self::Subscribe(selection) => selection.encode(),
+            Self::Unsubscribe(request) => request.to_be_bytes().to_vec(),
+            Self::GrantNotice(notice) => notice.encode(),
+            Self::RevokeNotice(notice) => notice.encode(),
+        }
+    }
+
+    /// From a Command and its body.
+    ///
+    /// # Errors
+    /// [`WireError`] where the body is not the Command's, or the Command is none of a client.
+    pub fn parse(command: Command, body: &[u8]) -> Result<Self, WireError> {
+        let mut reader = Reader::new(body);
+        let request = match command {
+            Command::SystemKeys => Self::SystemKeys,
+            Command::KeyAllocation => return AllocationRequest::parse(body).map(Self::KeyAllocation),
+            Command::Register => Self::Register(Box::new(read_registration(&mut reader)?)),
+            Command::Upload => Self::Upload(Upload {
+                signature: Signature(reader.array("signature")?),
+                blob: reader.take(reader.rest().len(), "record")?.to_vec(),
+            }),
+            Command::UploadMany => Self::UploadMany(read_uploads(&mut reader)?),
+            Command::Query => Self::Query(Query::read(&mut reader)?),
+            Command::Check => Self::Check(read_digests(&mut reader)?),
+            Command::Fetch => Self::Fetch(Digest(reader.array("digest")?)),
+            Command::Subscribe => Self::Subscribe(Selection::read(&mut reader)?),
+            Command::Unsubscribe => Self::Unsubscribe(reader.u32("subscription")?),
+            Command::GrantNotice => Self::GrantNotice(GrantNotice::read(&mut reader)?),
+            Command::RevokeNotice => Self::RevokeNotice(RevokeNotice::read(&mut reader)?),
+            Command::Ping => Self::Ping,
+            Command::Event | Command::End | Command::Refuse => return Err(WireError::Value("command")),
+        };
+        reader.end()?;
+        Ok(request)
+    }
+}
+
+impl GrantNotice {
+    fn encode(&self) -> Vec<u8> {
+        let parts: [&[u8]; 4] =
+            [&self.grantee.0, &self.epoch.to_be_bytes(), &self.expiry.to_be_bytes(), &self.transaction.0];
+        parts.concat()
+    }
+
+    fn read(reader: &mut Reader<'_>) -> Result<Self, WireError> {
+        Ok(Self {
+            grantee: Address(reader.array("grantee")?),
+            epoch: reader.u64("epoch")?,
+            expiry: reader.u64("expiry")?,
+            transaction: Hash(reader.array("transaction")?),
+        })
+    }
+}
+
+impl RevokeNotice {
+    fn encode(&self) -> Vec<u8> {
+        let parts: [&[u8]; 4] = [&self.grantee.0, &self.epoch.to_be_bytes(), &self.token.0, &self.transaction.0];
+        parts.concat()
+    }
+
+    fn read(reader: &mut Reader<'_>) -> Result<Self, WireError> {
+        Ok(Self {
+            grantee: Address(reader.array("grantee")?),
+            epoch: reader.u64("epoch")?,
+            token: Token(reader.array("token")?),
+            transaction: Hash(reader.array("transaction")?),
+        })
+    }
+}
+
+fn read_registration(reader: &mut Reader<'_>) -> Result<Registration, WireError> {
+    let account = Address(reader.array("account")?);
+    let identity = Identity::parse(reader.take(Identity::LENGTH, "identity")?)?;
+    let transaction = reader.take(reader.rest().len(), "transaction")?;
+    if transaction.is_empty() || transaction.len() > LONGEST_TRANSACTION {
+        return Err(WireError::Value("transaction"));
+    }
+    Ok(Registration { account, identity, transaction: transaction.to_vec() })
+}
+
+fn count(length: usize, most: usize) -> [u8; 2] {
+    u16::try_from(length.min(most)).unwrap_or(u16::MAX).to_be_bytes()
+}
+
+fn read_count(reader: &mut Reader<'_>, most: usize, field: &'static str) -> Result<usize, WireError> {
+    let count = usize::from(reader.u16(field)?);
+    if (1..=most).contains(&count) { Ok(count) } else { Err(WireError::Value(field)) }
+}
+
+fn encode_uploads(uploads: &[Upload]) -> Vec<u8> {
+    let mut out = count(uploads.len(), MOST_UPLOADS).to_vec();
+    for upload in uploads.iter().take(MOST_UPLOADS) {
+        out.extend_from_slice(&u32::try_from(upload.blob.len()).unwrap_or(u32::MAX).to_be_bytes());
+        out.extend_from_slice(&upload.signature.0);
+        out.extend_from_slice(&upload.blob);
+    }
+    out
+}
+
+fn read_uploads(reader: &mut Reader<'_>) -> Result<Vec<Upload>, WireError> {
+    let count = read_count(reader, MOST_UPLOADS, "record count")?;
+    let mut uploads = Vec::new();
+    for _ in 0..count {
+        let length = usize::try_from(reader.u32("record length")?).map_err(|_| WireError::Value("record length"))?;
+        let signature = Signature(reader.array("signature")?);
+        uploads.push(Upload { signature, blob: reader.take(length, "record")?.to_vec() });
+    }
+    Ok(uploads)
+}
+
+fn encode_digests(digests: &[Digest]) -> Vec<u8> {
+    let mut out = count(digests.len(), MOST_CHECKED).to_vec();
+    digests.iter().take(MOST_CHECKED).for_each(|digest| out.extend_from_slice(&digest.0));
+    out
+}
+
+fn read_digests(reader: &mut Reader<'_>) -> Result<Vec<Digest>, WireError> {
+    let count = read_count(reader, MOST_CHECKED, "digest count")?;
+    (0..count).map(|_| reader.array("digest").map(Digest)).collect()
+}

@@ -1,0 +1,332 @@
+//! One connection at the gateway's end: hello, then either key allocation or commands until it ends.
+//! Frames are handled one after the other; the counter's order is the order of effects.
+
+use std::net::SocketAddr;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use tokio::sync::watch;
+use tokio::time::{Instant, sleep, sleep_until};
+
+use crate::crypto::{Provider, SmKeyPair, TransportKey};
+use crate::model::wire::WireError;
+use crate::model::{Digest, Timestamp};
+
+use super::code::{Code, Refusal};
+use super::command::{Answer, Inner, Speaker, split};
+use super::desk::{Caller, Desk};
+use super::frame::FrameKind;
+use super::hello::{Context, GatewayHello, Identified, ListSummary, Purpose};
+use super::limits::{Charge, Limits, Peers, Seat};
+use super::line::{Line, LineError};
+use super::parts::Assembler;
+use super::receipt::Receipt;
+use super::server::stopped;
+use super::session::{LONGEST_LIFE, Session};
+use super::system_keys::cabinet::Cabinet;
+
+mod commands;
+mod feeds;
+
+use commands::Commands;
+use feeds::Feeds;
+
+/// An allocation asks the chain: it has so many times the patience of a hello.
+const ALLOCATION_PATIENCE: u32 = 3;
+/// The most frames of a session for allocation.
+const MOST_ALLOCATION_FRAMES: usize = 8;
+
+/// What all connections share.
+pub(super) struct Shared {
+    pub desk: Arc<dyn Desk>,
+    pub context: Context,
+    pub identity: SmKeyPair,
+    pub cabinet: Mutex<Cabinet>,
+    pub peers: Peers,
+    /// Held while a name is bound.
+    pub binding: tokio::sync::Mutex<()>,
+}
+
+impl Shared {
+    fn provider(&self) -> &'static dyn Provider {
+        self.context.provider
+    }
+
+    fn limits(&self) -> &Limits {
+        self.peers.limits()
+    }
+
+    fn with_cabinet<T>(&self, read: impl FnOnce(&mut Cabinet) -> T) -> T {
+        read(&mut self.cabinet.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    fn list(&self) -> (ListSummary, Vec<u8>) {
+        self.with_cabinet(|cabinet| (cabinet.list().summary(self.provider()), cabinet.list().encode()))
+    }
+
+    /// Rotates the system keys where it is time.
+    pub fn rotate(&self) -> Result<(), Refusal> {
+        let rotated = self.with_cabinet(|cabinet| cabinet.rotate(Timestamp::now()));
+        rotated.map(|_| ()).map_err(Refusal::because(Code::Internal))
+    }
+
+    fn receipt(&self, time: Timestamp, digests: Vec<Digest>) -> Result<Receipt, Refusal> {
+        Receipt::sign(self.provider(), &self.context.domain, &self.identity, time, digests)
+            .map_err(Refusal::because(Code::Internal))
+    }
+}
+
+/// Why a connection ended.
+enum End {
+    /// The peer went away.
+    Closed,
+    /// It was refused.
+    Refused(Refusal),
+}
+
+impl From<Refusal> for End {
+    fn from(refusal: Refusal) -> Self {
+        Self::Refused(refusal)
+    }
+}
+
+impl From<WireError> for End {
+    fn from(error: WireError) -> Self {
+        Self::Refused(error.into())
+    }
+}
+
+impl From<LineError> for End {
+    fn from(error: LineError) -> Self {
+        match error {
+            LineError::Closed(_) => Self::Closed,
+            LineError::Frame(error) => Self::Refused(Refusal::new(Code::Length, error)),
+            LineError::TooSlow => Self::Refused(Refusal::new(Code::TooSlow, "the peer does not read")),
+        }
+    }
+}
+
+/// Serves one connection until it ends.
+pub(super) async fn serve(shared: Arc<Shared>, line: Line, peer: SocketAddr, seat: Seat, stop: watch::Receiver<bool>) {
+    let now = Instant::now();
+    let mut connection = Connection { shared, line, peer, seat, stop, since: now, partial: false };
+    // The session's state is large and idle connections are many: only what runs is on the heap.
+    if let Err(End::Refused(refusal)) = Box::pin(connection.run()).await {
+        connection.shared.desk.refused(peer, &refusal);
+        connection.line.refuse(refusal.code).await;
+    }
+}
+
+struct Connection {
+    shared: Arc<Shared>,
+    line: Line,
+    peer: SocketAddr,
+    seat: Seat,
+    stop: watch::Receiver<bool>,
+    /// When the last frame was whole, or the present one began.
+    since: Instant,
+    partial: bool,
+}
+
+/// What came next.
+enum Next {
+    Frame(FrameKind, Vec<u8>),
+    Fed(feeds::Fed),
+}
+
+impl Connection {
+    async fn run(&mut self) -> Result<(), End> {
+        let deadline = Instant::now() + self.shared.limits().hello_time;
+        let identified = self.hello(deadline).await?;
+        match identified.purpose() {
+            Purpose::Allocation => self.allocation(identified).await,
+            Purpose::Transfer => self.transfer(identified, deadline).await,
+        }
+    }
+
+    async fn hello(&mut self, deadline: Instant) -> Result<Identified, End> {
+        let payload = self.expect(FrameKind::Hello, deadline).await?;
+        let (list, _) = self.shared.list();
+        let (answer, hello) = GatewayHello::answer(self.shared.context, &self.shared.identity, list, &payload)?;
+        self.line.send(FrameKind::Answer, &answer, self.shared.limits().write_time).await?;
+        let payload = self.expect(FrameKind::Identify, deadline).await?;
+        Ok(hello.identified(&payload)?)
+    }
+
+    async fn expect(&mut self, wanted: FrameKind, deadline: Instant) -> Result<Vec<u8>, End> {
+        match self.next(deadline, None).await? {
+            Next::Frame(kind, payload) if kind == wanted => Ok(payload),
+            _ => Err(Refusal::new(Code::Malformed, format_args!("a frame that is no {wanted:?}")).into()),
+        }
+    }
+
+    /// The next frame or entry of a subscription, until `deadline` or the limits' patience ends.
+    async fn next(&mut self, deadline: Instant, mut feeds: Option<&mut Feeds>) -> Result<Next, End> {
+        loop {
+            if let Some((kind, payload)) = self.line.arrived()? {
+                self.since = Instant::now();
+                self.partial = false;
+                return Ok(Next::Frame(kind, payload));
+            }
+            let partial = self.line.is_partial();
+            if partial && !self.partial {
+                self.since = Instant::now();
+            }
+            self.partial = partial;
+            let limits = self.shared.limits();
+            let patience = if partial { limits.frame_time } else { limits.idle_time };
+            let deadline = deadline.min(self.since + patience);
+            tokio::select! {
+                filled = self.line.fill() => filled?,
+                fed = next_fed(feeds.as_deref_mut()) => return Ok(Next::Fed(fed)),
+                () = sleep_until(deadline) => {
+                    return Err(Refusal::new(Code::TooSlow, "nothing whole came in time").into());
+                }
+                () = stopped(&mut self.stop) => {
+                    return Err(Refusal::new(Code::Closing, "the gateway stops").into());
+                }
+            }
+        }
+    }
+
+    async fn send(&mut self, session: &mut Session, request: u32, answer: &Answer) -> Result<(), End> {
+        let patience = self.shared.limits().write_time;
+        for text in split(answer.command(), request, Speaker::Gateway, &answer.encode()) {
+            self.line.send(FrameKind::Transfer, &session.seal(&text)?, patience).await?;
+        }
+        Ok(())
+    }
+
+    /// Sends what came of a request. A refusal that ends the session is returned instead.
+    async fn reply(
+        &mut self,
+        session: &mut Session,
+        request: u32,
+        outcome: Result<Answer, Refusal>,
+    ) -> Result<(), End> {
+        let answer = match outcome {
+            Ok(answer) => answer,
+            Err(refusal) if refusal.code.ends_session() => return Err(refusal.into()),
+            Err(refusal) => {
+                self.shared.desk.refused(self.peer, &refusal);
+                Answer::Refused(refusal.code)
+            }
+        };
+        self.send(session, request, &answer).await
+    }
+
+    /// A session without a transport key: small frames, few of them, soon over.
+    async fn allocation(&mut self, identified: Identified) -> Result<(), End> {
+        let deadline = Instant::now() + self.shared.limits().hello_time * ALLOCATION_PATIENCE;
+        let (agreed, name) = (identified.agreed(), identified.name().clone());
+        let mut session = identified.session(None);
+        for _ in 0..MOST_ALLOCATION_FRAMES {
+            let payload = self.expect(FrameKind::Transfer, deadline).await?;
+            let (counter, text) = session.open(&payload)?;
+            let inner = Inner::from_client(&text)?;
+            let message = Assembler::<()>::new().take(&inner, counter, |_| {
+                Err(Refusal::new(Code::Length, "a message in parts in a session for allocation"))
+            })?;
+            let Some(message) = message else { continue };
+            let outcome = self.shared.allocation_answer(&agreed, &name, &message).await;
+            self.reply(&mut session, message.request, outcome).await?;
+        }
+        Err(Refusal::new(Code::Session, "the session for allocation is over").into())
+    }
+
+    /// A session under a transport key.
+    async fn transfer(&mut self, identified: Identified, hello_deadline: Instant) -> Result<(), End> {
+        let binding = self.shared.desk.binding(identified.name()).await?;
+        let (agreed, name) = (identified.agreed(), identified.name().clone());
+        let Some(binding) = binding else { return self.refuse_unknown(identified, hello_deadline).await };
+        let mut session = identified.session(Some(&binding.key));
+        let caller = Caller { name, account: binding.account, signing: binding.signing, peer: self.peer };
+        let mut desk = Commands { agreed, caller, binding, feeds: None };
+        let payload = self.expect(FrameKind::Transfer, hello_deadline).await?;
+        let first = session.open(&payload)?;
+        // Whoever sealed this frame holds K_T.
+        self.seat.authenticated();
+        self.line.raise_cap();
+        let mut assembler = Assembler::new();
+        self.frame(&mut session, &mut desk, &mut assembler, first.0, &first.1).await?;
+        let end = Instant::now() + LONGEST_LIFE;
+        loop {
+            let next = self.next(end, desk.feeds.as_mut()).await;
+            if session.is_spent(std::time::Instant::now()) {
+                return Err(Refusal::new(Code::Session, "the session's frames or its hour are over").into());
+            }
+            match next? {
+                Next::Frame(FrameKind::Transfer, payload) => {
+                    let pause = self.seat.pace(std::time::Instant::now(), payload.len());
+                    if pause > Duration::ZERO {
+                        sleep(pause.min(self.shared.limits().frame_time)).await;
+                    }
+                    let (counter, text) = session.open(&payload)?;
+                    self.frame(&mut session, &mut desk, &mut assembler, counter, &text).await?;
+                }
+                Next::Frame(kind, _) => {
+                    return Err(Refusal::new(Code::Malformed, format_args!("a frame of kind {kind:?}")).into());
+                }
+                Next::Fed(fed) => self.feed(&mut session, &mut desk, fed).await?,
+            }
+            // A sender that never pauses must not starve its own subscriptions.
+            if let Some(fed) = desk.feeds.as_mut().and_then(Feeds::waiting) {
+                self.feed(&mut session, &mut desk, fed).await?;
+            }
+        }
+    }
+
+    /// A name that nobody bound fails as a wrong key does.
+    async fn refuse_unknown(&mut self, identified: Identified, deadline: Instant) -> Result<(), End> {
+        let key = TransportKey::generate().map_err(Refusal::because(Code::Internal))?;
+        let mut session = identified.session(Some(&key));
+        let payload = self.expect(FrameKind::Transfer, deadline).await?;
+        session.open(&payload)?;
+        Err(Refusal::new(Code::Tag, "an unknown name").into())
+    }
+
+    async fn frame(
+        &mut self,
+        session: &mut Session,
+        commands: &mut Commands,
+        assembler: &mut Assembler<Charge>,
+        counter: u64,
+        text: &[u8],
+    ) -> Result<(), End> {
+        let inner = Inner::from_client(text)?;
+        let message = assembler.take(&inner, counter, |bytes| self.seat.charge(bytes))?;
+        let Some(message) = message else { return Ok(()) };
+        let outcome = commands.answer(&self.shared, &message).await;
+        let request = message.request;
+        drop(message);
+        self.reply(session, request, outcome).await
+    }
+
+    /// Sends a record of a subscription, if the caller may read it at this very moment.
+    async fn feed(&mut self, session: &mut Session, commands: &mut Commands, fed: feeds::Fed) -> Result<(), End> {
+        let Some(feeds) = commands.feeds.as_mut().filter(|feeds| feeds.has(fed.request)) else { return Ok(()) };
+        let Some(entry) = fed.entry else {
+            feeds.remove(fed.request);
+            return self.send(session, fed.request, &Answer::End(Code::NotAuthorised)).await;
+        };
+        match self.shared.desk.fetch(&commands.caller, &entry.digest).await {
+            Ok(record) => self.send(session, fed.request, &Answer::Event(Box::new((entry, record)))).await,
+            Err(refusal) if matches!(refusal.code, Code::NotFound | Code::Tampered) => {
+                self.shared.desk.refused(self.peer, &refusal);
+                Ok(())
+            }
+            Err(refusal) => {
+                feeds.remove(fed.request);
+                self.shared.desk.refused(self.peer, &refusal);
+                self.send(session, fed.request, &Answer::End(refusal.code)).await
+            }
+        }
+    }
+}
+
+async fn next_fed(feeds: Option<&mut Feeds>) -> feeds::Fed {
+    match feeds {
+        Some(feeds) => feeds.next().await,
+        None => std::future::pending().await,
+    }
+}

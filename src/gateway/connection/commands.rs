@@ -1,0 +1,115 @@
+//! What a session may ask, and the order of its checks: token, then signature, then account, then the desk.
+
+use crate::gateway::code::{Code, Refusal};
+use crate::gateway::command::{Answer, Command, Request, Upload};
+use crate::gateway::desk::{Binding, Caller};
+use crate::gateway::hello::Agreed;
+use crate::gateway::identity_check::{
+    allocate, check_account, check_records, check_registration, check_signed, check_token,
+};
+use crate::gateway::limits::Charge;
+use crate::gateway::parts::Message;
+use crate::model::{Digest, ProfileName, Timestamp};
+
+use super::Shared;
+use super::feeds::Feeds;
+
+impl Shared {
+    pub(super) async fn allocation_answer(
+        &self,
+        agreed: &Agreed,
+        name: &ProfileName,
+        message: &Message<()>,
+    ) -> Result<Answer, Refusal> {
+        if !message.command.is_for_allocation() {
+            return Err(Refusal::new(Code::NotHere, format_args!("{:?} without a transport key", message.command)));
+        }
+        match Request::parse(message.command, &message.body)? {
+            Request::SystemKeys => Ok(Answer::SystemKeys(self.list().1)),
+            Request::Ping => Ok(Answer::Time(Timestamp::now())),
+            Request::Register(registration) => {
+                check_registration(&self.context, &registration)?;
+                self.desk.register(&registration).await.map(Answer::Registered)
+            }
+            Request::KeyAllocation(request) => {
+                let now = Timestamp::now();
+                let secret = self.with_cabinet(|cabinet| cabinet.secret(&request.system_key, now).cloned());
+                // One at a time: between reading and writing a binding nobody else writes it.
+                let _held = self.binding.lock().await;
+                let desk = self.desk.as_ref();
+                let digest = allocate(&self.context, desk, agreed, name, &request, secret.as_ref()).await?;
+                let receipt = self.receipt(Timestamp::now(), vec![digest])?;
+                Ok(Answer::Receipt(Command::KeyAllocation, receipt))
+            }
+            _ => Err(Refusal::new(Code::NotHere, "a command for another session")),
+        }
+    }
+}
+
+/// What a session under a transport key may do.
+pub(super) struct Commands {
+    pub agreed: Agreed,
+    pub caller: Caller,
+    pub binding: Binding,
+    pub feeds: Option<Feeds>,
+}
+
+impl Commands {
+    pub async fn answer(&mut self, shared: &Shared, message: &Message<Charge>) -> Result<Answer, Refusal> {
+        let desk = shared.desk.as_ref();
+        check_token(desk, &self.caller, message.token).await?;
+        let request = Request::parse(message.command, &message.body)?;
+        if message.command.is_signed() {
+            check_signed(&shared.context, &self.agreed, &self.caller, message)?;
+        }
+        match request {
+            Request::Ping => return Ok(Answer::Time(Timestamp::now())),
+            Request::SystemKeys => return Ok(Answer::SystemKeys(shared.list().1)),
+            Request::Upload(upload) => return self.store(shared, message.command, vec![upload]).await,
+            Request::UploadMany(uploads) => return self.store(shared, message.command, uploads).await,
+            _ => check_account(desk, &self.binding).await?,
+        }
+        match request {
+            Request::Query(query) => desk.query(&self.caller, &query).await.map(Answer::Page),
+            Request::Check(digests) => desk.check(&self.caller, &digests).await.map(Answer::Standings),
+            Request::Fetch(digest) => {
+                desk.fetch(&self.caller, &digest).await.map(|record| Answer::Record(Box::new(record)))
+            }
+            Request::Subscribe(selection) => {
+                let feeds = self.feeds.get_or_insert_with(Feeds::new);
+                feeds.check_room(message.request, shared.limits().subscriptions)?;
+                let entries = desk.subscribe(&self.caller, &selection).await?;
+                feeds.add(message.request, entries);
+                Ok(Answer::Done(Command::Subscribe))
+            }
+            Request::Unsubscribe(subscription) => {
+                self.feeds.iter_mut().for_each(|feeds| feeds.remove(subscription));
+                Ok(Answer::Done(Command::Unsubscribe))
+            }
+            Request::GrantNotice(notice) => {
+                desk.grant(&self.caller, &notice).await?;
+                self.noted(shared, message)
+            }
+            Request::RevokeNotice(notice) => {
+                desk.revoke(&self.caller, &notice).await?;
+                self.noted(shared, message)
+            }
+            _ => Err(Refusal::new(Code::NotHere, "a command for a session without a transport key")),
+        }
+    }
+
+    fn noted(&self, shared: &Shared, message: &Message<Charge>) -> Result<Answer, Refusal> {
+        let digest = Digest(shared.provider().sm3(&[&message.body]));
+        let receipt = shared.receipt(Timestamp::now(), vec![digest])?;
+        Ok(Answer::Receipt(message.command, receipt))
+    }
+
+    async fn store(&self, shared: &Shared, command: Command, uploads: Vec<Upload>) -> Result<Answer, Refusal> {
+        let desk = shared.desk.as_ref();
+        let records = check_records(shared.context, desk, &self.caller, uploads).await?;
+        check_account(desk, &self.binding).await?;
+        let digests = records.iter().map(|record| record.digest).collect();
+        let time = desk.store(&self.caller, records).await?;
+        shared.receipt(time, digests).map(|receipt| Answer::Receipt(command, receipt))
+    }
+}

@@ -1,0 +1,88 @@
+//! The subscriptions of one connection: the entries of all of them come out of one channel.
+
+use std::collections::HashMap;
+
+use tokio::sync::mpsc;
+use tokio::task::AbortHandle;
+
+use crate::gateway::code::{Code, Refusal};
+use crate::gateway::command::Entry;
+
+/// Entries that may wait; the desk waits beyond that.
+const WAITING: usize = 8;
+
+/// An entry of a subscription, or its end.
+pub(super) struct Fed {
+    /// The request that subscribed.
+    pub request: u32,
+    /// `None` at the end.
+    pub entry: Option<Entry>,
+}
+
+pub(super) struct Feeds {
+    sender: mpsc::Sender<Fed>,
+    receiver: mpsc::Receiver<Fed>,
+    running: HashMap<u32, AbortHandle>,
+}
+
+impl Feeds {
+    pub fn new() -> Self {
+        let (sender, receiver) = mpsc::channel(WAITING);
+        Self { sender, receiver, running: HashMap::new() }
+    }
+
+    pub fn has(&self, request: u32) -> bool {
+        self.running.contains_key(&request)
+    }
+
+    /// Whether another subscription may be added.
+    pub fn check_room(&self, request: u32, most: usize) -> Result<(), Refusal> {
+        if self.has(request) {
+            return Err(Refusal::new(Code::Malformed, "a subscription of the same number"));
+        }
+        if self.running.len() >= most {
+            return Err(Refusal::new(Code::Quota, "too many subscriptions"));
+        }
+        Ok(())
+    }
+
+    pub fn add(&mut self, request: u32, mut entries: mpsc::Receiver<Entry>) {
+        let sender = self.sender.clone();
+        let task = tokio::spawn(async move {
+            while let Some(entry) = entries.recv().await {
+                if sender.send(Fed { request, entry: Some(entry) }).await.is_err() {
+                    return;
+                }
+            }
+            // Where nobody listens any more there is nobody to tell.
+            let _ = sender.send(Fed { request, entry: None }).await;
+        });
+        self.running.insert(request, task.abort_handle());
+    }
+
+    pub fn remove(&mut self, request: u32) {
+        if let Some(task) = self.running.remove(&request) {
+            task.abort();
+        }
+    }
+
+    /// Waits for an entry. Can be cancelled at any point.
+    pub async fn next(&mut self) -> Fed {
+        match self.receiver.recv().await {
+            Some(fed) => fed,
+            // The sender beside it lives as long.
+            None => std::future::pending().await,
+        }
+    }
+
+    /// An entry that is there already.
+    pub fn waiting(&mut self) -> Option<Fed> {
+        self.receiver.try_recv().ok()
+    }
+}
+
+impl Drop for Feeds {
+    fn drop(&mut self) {
+        self.running.values().for_each(AbortHandle::abort);
+    }
+}

@@ -1,0 +1,113 @@
+//! The port to what a gateway does with a command once its sender is known: the service implements it.
+//! What reaches a desk has passed every check that frames, session and signatures allow.
+
+use std::net::SocketAddr;
+
+use async_trait::async_trait;
+use tokio::sync::mpsc;
+
+use crate::crypto::TransportKey;
+use crate::model::{Address, Digest, Hash, Header, ProfileName, PublicKey, Signature, SignerId, Timestamp, Token};
+
+use super::code::Refusal;
+use super::command::{Entry, Fetched, GrantNotice, Page, Query, Registration, RevokeNotice, Selection, Standing};
+
+/// What the chain says of an account.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Account {
+    /// P_C as registered now, its proof checked.
+    pub signing: PublicKey,
+    /// P_E as registered now.
+    pub envelope: PublicKey,
+}
+
+/// What a name stands for at this gateway.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Binding {
+    /// Addr.
+    pub account: Address,
+    /// K_T.
+    pub key: TransportKey,
+    /// P_C when the key was allocated.
+    pub signing: PublicKey,
+    /// P_E when the key was allocated.
+    pub envelope: PublicKey,
+}
+
+/// Who asks: proven by K_T.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Caller {
+    /// N.
+    pub name: ProfileName,
+    /// Addr.
+    pub account: Address,
+    /// P_C as registered when the session began.
+    pub signing: PublicKey,
+    /// Where from.
+    pub peer: SocketAddr,
+}
+
+/// A record whose header, network, owner and signature have been checked.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Received {
+    /// Its header.
+    pub header: Header,
+    /// D.
+    pub digest: Digest,
+    /// (r, s).
+    pub signature: Signature,
+    /// The key that verified it: the owner's or a lent one.
+    pub signer: PublicKey,
+    /// CT1.
+    pub blob: Vec<u8>,
+}
+
+/// What a gateway does. Refusals go to the peer as their code.
+#[async_trait]
+pub trait Desk: Send + Sync + 'static {
+    /// What the chain says of an account: `NotRegistered`, `Suspended` or `Stale` where it says no.
+    async fn account(&self, account: &Address) -> Result<Account, Refusal>;
+
+    /// Whether the account ever registered the token.
+    async fn is_token(&self, account: &Address, token: &Token) -> Result<bool, Refusal>;
+
+    /// The public key of a signer id, where it is the owner's or lent by the owner now.
+    async fn signer(&self, owner: &Address, signer: &SignerId) -> Result<Option<PublicKey>, Refusal>;
+
+    /// What a name stands for.
+    async fn binding(&self, name: &ProfileName) -> Result<Option<Binding>, Refusal>;
+
+    /// Binds a name, durably before it returns. Called one at a time, and only where the name is free or
+    /// bound to the same account.
+    async fn bind(&self, name: &ProfileName, binding: Binding) -> Result<(), Refusal>;
+
+    /// Passes a registration to the chain: `Transaction` unless it is signed by the account and calls the
+    /// contract with exactly this identity, whose proof has been checked. Gives the transaction's hash.
+    async fn register(&self, registration: &Registration) -> Result<Hash, Refusal>;
+
+    /// Keeps records, on disk before it returns; known ones are acknowledged again. Gives the time for the
+    /// receipt.
+    async fn store(&self, caller: &Caller, records: Vec<Received>) -> Result<Timestamp, Refusal>;
+
+    /// A page of what the caller may see at this moment.
+    async fn query(&self, caller: &Caller, query: &Query) -> Result<Page, Refusal>;
+
+    /// How digests stand; `Unknown` for what the caller may not see.
+    async fn check(&self, caller: &Caller, digests: &[Digest]) -> Result<Vec<Standing>, Refusal>;
+
+    /// A record that the caller may read at this moment, its bytes compared with the chain.
+    async fn fetch(&self, caller: &Caller, digest: &Digest) -> Result<Fetched, Refusal>;
+
+    /// Entries as they come. The server fetches each one at the moment it sends it, so that [`Self::fetch`]
+    /// decides; closing the channel ends the subscription.
+    async fn subscribe(&self, caller: &Caller, selection: &Selection) -> Result<mpsc::Receiver<Entry>, Refusal>;
+
+    /// The caller's grant, signed by d_C.
+    async fn grant(&self, caller: &Caller, notice: &GrantNotice) -> Result<(), Refusal>;
+
+    /// The caller's revoke, signed by d_C: from now on the grantee is refused.
+    async fn revoke(&self, caller: &Caller, notice: &RevokeNotice) -> Result<(), Refusal>;
+
+    /// Something was refused: for the log, and counted by (peer, code, minute).
+    fn refused(&self, peer: SocketAddr, refusal: &Refusal);
+}

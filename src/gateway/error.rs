@@ -1,0 +1,110 @@
+//! What can go wrong at the client's end, in words that say what to do next.
+
+use crate::crypto::CryptoError;
+use crate::model::wire::WireError;
+use crate::model::{ErrorKind, SignerId};
+
+use super::code::{Code, Refusal};
+
+/// Why a client gave up.
+#[derive(Debug, thiserror::Error)]
+pub enum GatewayError {
+    /// Nobody listens, or the connection broke.
+    #[error("the gateway at {address} does not answer ({source}); check the address and that it runs")]
+    Unreachable {
+        /// Where it was looked for.
+        address: String,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// The gateway closed the connection.
+    #[error("the gateway closed the connection; connect again, its log says why")]
+    Closed,
+    /// The gateway did not answer in time.
+    #[error("the gateway did not answer in time; try again")]
+    TimedOut,
+    /// The gateway refused.
+    #[error("the gateway refused: {0}")]
+    Refused(Code),
+    /// No fingerprint is pinned, and trust on first use was not asked for.
+    #[error(
+        "no gateway is pinned, and this one shows {0}; compare it with its operator and pin it, or allow trust on first use"
+    )]
+    NotPinned(SignerId),
+    /// Another gateway than the pinned one.
+    #[error("this is not the pinned gateway: {found} instead of {pinned}; someone may sit in between, do not go on")]
+    NotTheGateway {
+        /// What was pinned.
+        pinned: SignerId,
+        /// What it showed.
+        found: SignerId,
+    },
+    /// An older system-key list than one seen before.
+    #[error("the gateway shows version {found} of its system keys, version {seen} was seen before; do not go on")]
+    RolledBack {
+        /// The highest version seen.
+        seen: u64,
+        /// The version shown.
+        found: u64,
+    },
+    /// Two lists of one version.
+    #[error("the gateway shows two lists of system keys under version {0}; do not go on, its operator must explain")]
+    TwoLists(u64),
+    /// A system-key list that is not the gateway's, or no longer valid.
+    #[error("the list of system keys was not accepted: {0}; fetch it again, or ask the gateway's operator")]
+    List(&'static str),
+    /// Bytes that are not what they should be.
+    #[error("the gateway's {what} is malformed ({why}); use the same version on both sides")]
+    Malformed {
+        /// The message.
+        what: &'static str,
+        /// What is wrong with it.
+        why: WireError,
+    },
+    /// An answer to something else.
+    #[error("the gateway answered something else than was asked ({0}); connect again")]
+    Unexpected(&'static str),
+    /// A receipt that does not cover what was sent.
+    #[error("the gateway's receipt does not cover {0}; keep the records and send them again")]
+    Receipt(&'static str),
+    /// A frame that could not be sealed or opened.
+    #[error("the session with the gateway broke: {0}; connect again")]
+    Session(Refusal),
+    /// A message larger than the protocol carries.
+    #[error("the message has {0} bytes, more than a gateway takes; send less at a time")]
+    TooLarge(usize),
+    /// A key or signature.
+    #[error(transparent)]
+    Crypto(#[from] CryptoError),
+}
+
+impl GatewayError {
+    /// What sort of failure it is.
+    pub fn kind(&self) -> ErrorKind {
+        match self {
+            Self::Unreachable { .. } | Self::Closed | Self::TimedOut => ErrorKind::Unreachable,
+            Self::Refused(code) => code.kind(),
+            Self::NotPinned(_)
+            | Self::NotTheGateway { .. }
+            | Self::RolledBack { .. }
+            | Self::TwoLists(_)
+            | Self::List(_)
+            | Self::Malformed { .. }
+            | Self::Unexpected(_)
+            | Self::Receipt(_)
+            | Self::Session(_) => ErrorKind::Refused,
+            Self::TooLarge(_) => ErrorKind::Input,
+            Self::Crypto(error) => error.kind(),
+        }
+    }
+
+    pub(super) fn malformed(what: &'static str) -> impl Fn(WireError) -> Self {
+        move |why| Self::Malformed { what, why }
+    }
+}
+
+impl From<Refusal> for GatewayError {
+    fn from(refusal: Refusal) -> Self {
+        Self::Session(refusal)
+    }
+}

@@ -1,0 +1,148 @@
+//! The identity check of a command, before anything changes: token, then signature, then account.
+//! Length, session, counter and tag have passed by then.
+
+use crate::crypto::record::check;
+use crate::crypto::{Anchor, SmSecret, check_identity};
+use crate::model::{Digest, Header, ProfileName, PublicKey, Token};
+
+use super::allocation::{AllocationRequest, examine};
+use super::code::{Code, Refusal};
+use super::command::{Registration, Upload, signed_bytes};
+use super::desk::{Account, Binding, Caller, Desk, Received};
+use super::hello::{Agreed, Context};
+use super::parts::Message;
+
+/// Records or bytes beyond which checking leaves the network's threads.
+const AT_ONCE: (usize, usize) = (8, 256 * 1024);
+
+/// The token is one that the caller registered.
+///
+/// # Errors
+/// [`Refusal`] with `Token`, or what the desk says.
+pub async fn check_token(desk: &dyn Desk, caller: &Caller, token: Option<Token>) -> Result<(), Refusal> {
+    let token = token.ok_or_else(|| Refusal::new(Code::Token, "no token"))?;
+    if desk.is_token(&caller.account, &token).await? {
+        return Ok(());
+    }
+    Err(Refusal::new(Code::Token, format_args!("{} does not have token {token}", caller.account)))
+}
+
+/// The account is registered and not suspended, with the keys that the session was allocated under.
+///
+/// # Errors
+/// [`Refusal`] with `NotRegistered`, or what the desk says.
+pub async fn check_account(desk: &dyn Desk, binding: &Binding) -> Result<(), Refusal> {
+    let account = desk.account(&binding.account).await?;
+    same_keys(&account, &binding.signing, &binding.envelope)
+}
+
+fn same_keys(account: &Account, signing: &PublicKey, envelope: &PublicKey) -> Result<(), Refusal> {
+    if (&account.signing, &account.envelope) == (signing, envelope) {
+        return Ok(());
+    }
+    Err(Refusal::new(Code::NotRegistered, "the chain has other keys for this account"))
+}
+
+/// A signed Command was signed by d_C for this very frame.
+///
+/// # Errors
+/// [`Refusal`] with `Signature`.
+pub fn check_signed<C>(
+    context: &Context,
+    agreed: &Agreed,
+    caller: &Caller,
+    message: &Message<C>,
+) -> Result<(), Refusal> {
+    let signature = message.signature.ok_or_else(|| Refusal::new(Code::Signature, "no signature"))?;
+    let body = Digest(context.provider.sm3(&[&message.body]));
+    let signed =
+        signed_bytes(&context.domain, &agreed.gateway, &agreed.session, message.counter, message.command, &body);
+    context.provider.verify(&caller.signing, &signed, &signature).map_err(Refusal::because(Code::Signature))
+}
+
+/// The records of an upload: of this network, owned by the caller, signed by the owner or a lent device.
+///
+/// # Errors
+/// [`Refusal`] with `Malformed`, `NotYours` or `Signature`, or what the desk says; one bad record refuses all.
+pub async fn check_records(
+    context: Context,
+    desk: &dyn Desk,
+    caller: &Caller,
+    uploads: Vec<Upload>,
+) -> Result<Vec<Received>, Refusal> {
+    let mut signers: Vec<PublicKey> = Vec::with_capacity(uploads.len());
+    let mut last: Option<(Header, PublicKey)> = None;
+    for upload in &uploads {
+        let (header, _) = Header::parse(&upload.blob)?;
+        if header.domain != context.domain || header.owner != caller.account {
+            return Err(Refusal::new(Code::NotYours, format_args!("a record of {}", header.owner)));
+        }
+        let known = last.as_ref().filter(|(before, _)| before.signer == header.signer).map(|(_, key)| *key);
+        let signer = match known {
+            Some(key) => key,
+            None => desk
+                .signer(&caller.account, &header.signer)
+                .await?
+                .ok_or_else(|| Refusal::new(Code::Signature, format_args!("signer {} may not sign", header.signer)))?,
+        };
+        signers.push(signer);
+        last = Some((header, signer));
+    }
+    let bytes: usize = uploads.iter().map(|upload| upload.blob.len()).sum();
+    let few = uploads.len() <= AT_ONCE.0 && bytes <= AT_ONCE.1;
+    let verify = move || verify_all(context, uploads, &signers);
+    if few {
+        return verify();
+    }
+    tokio::task::spawn_blocking(verify).await.map_err(Refusal::because(Code::Internal))?
+}
+
+fn verify_all(context: Context, uploads: Vec<Upload>, signers: &[PublicKey]) -> Result<Vec<Received>, Refusal> {
+    let one = |(upload, signer): (Upload, &PublicKey)| {
+        let (header, digest, _) = check(context.provider, &upload.blob, &upload.signature, signer, Anchor::Unanchored)
+            .map_err(Refusal::because(Code::Signature))?;
+        Ok(Received { header, digest, signature: upload.signature, signer: *signer, blob: upload.blob })
+    };
+    uploads.into_iter().zip(signers).map(one).collect()
+}
+
+/// The proof of an identity that is to be registered.
+///
+/// # Errors
+/// [`Refusal`] with `Signature`.
+pub fn check_registration(context: &Context, registration: &Registration) -> Result<(), Refusal> {
+    check_identity(context.provider, &context.domain, &registration.account, &registration.identity)
+        .map_err(Refusal::because(Code::Signature))
+}
+
+/// A key allocation, all of it: both signatures, the chain's registration, whose name it is. Binds the name
+/// as its last step; the caller must hold off other bindings meanwhile.
+///
+/// # Errors
+/// [`Refusal`] with `SystemKey`, `Malformed`, `Signature`, `Account`, `NotRegistered` or `NameBound`, or what
+/// the desk says.
+pub async fn allocate(
+    context: &Context,
+    desk: &dyn Desk,
+    agreed: &Agreed,
+    name: &ProfileName,
+    request: &AllocationRequest,
+    secret: Option<&SmSecret>,
+) -> Result<Digest, Refusal> {
+    let allocation = examine(context, agreed, name, request, secret)?;
+    let account = desk.account(&allocation.account).await?;
+    same_keys(&account, &allocation.signing, &allocation.envelope)?;
+    if let Some(bound) = desk.binding(name).await?
+        && bound.account != allocation.account
+    {
+        return Err(Refusal::new(Code::NameBound, format_args!("{name} belongs to {}", bound.account)));
+    }
+    let binding = Binding {
+        account: allocation.account,
+        key: allocation.key,
+        signing: allocation.signing,
+        envelope: allocation.envelope,
+    };
+    desk.bind(name, binding).await?;
+    Ok(request.digest(context.provider))
+}

@@ -1,0 +1,41 @@
+//! The gateway's protocol, version 1 (PROTOCOL.md has every byte): state machines without I/O first
+//! (frame, hello, session, parts, command, allocation, system_keys, receipt, identity_check, limits), then
+//! the server with its `Desk` and the client over TCP.
+
+pub mod allocation;
+pub mod client;
+pub mod code;
+pub mod command;
+mod connection;
+pub mod desk;
+pub mod error;
+pub mod frame;
+pub mod hello;
+pub mod identity_check;
+pub mod limits;
+mod line;
+pub mod parts;
+pub mod receipt;
+pub mod server;
+pub mod session;
+pub mod system_keys;
+pub mod trust;
+
+pub use allocation::Applicant;
+pub use client::{Client, Credentials, Endpoint};
+pub use code::{Code, Refusal};
+pub use command::{
+    Answer, Command, Entry, Fetched, GrantNotice, Page, Query, Registration, Request, RevokeNotice, Selection,
+    Standing, Upload,
+};
+pub use desk::{Account, Binding, Caller, Desk, Received};
+pub use error::GatewayError;
+pub use hello::Context;
+pub use limits::Limits;
+pub use receipt::Receipt;
+pub use server::Server;
+pub use system_keys::cabinet::{Cabinet, Schedule};
+pub use trust::Trust;
+
+#[cfg(test)]
+mod tests;

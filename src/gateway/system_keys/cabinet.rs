@@ -1,0 +1,271 @@
+//! Where the gateway keeps its identity key, the d_S in use and the published list: files of mode 0600
+//! in a directory of mode 0700. A retired d_S is overwritten, then removed.
+
+use std::fs::{self, OpenOptions};
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use zeroize::Zeroizing;
+
+use crate::crypto::error::shown;
+use crate::crypto::private_file::{create_private, make_private_directory, read_private, write_private};
+use crate::crypto::{CryptoError, Provider, SmKeyPair, SmSecret};
+use crate::model::{Domain, SignerId, Timestamp};
+
+use super::{SystemKey, SystemKeyList};
+
+const IDENTITY: &str = "identity.key";
+const LIST: &str = "system-keys.list";
+const SYSTEM_KEY: &str = "system-";
+const SUFFIX: &str = ".key";
+/// The longest list, bytes.
+const LONGEST_LIST: usize = 1024;
+
+/// How long system keys and lists last.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Schedule {
+    /// How long a key is in use.
+    pub lifetime: Duration,
+    /// How long a retired key still opens what was under way; covers clocks that differ.
+    pub grace: Duration,
+}
+
+impl Default for Schedule {
+    fn default() -> Self {
+        Self { lifetime: Duration::from_secs(7 * 24 * 3600), grace: Duration::from_secs(300) }
+    }
+}
+
+fn after(moment: Timestamp, duration: Duration) -> Timestamp {
+    Timestamp(moment.0.saturating_add(u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX)))
+}
+
+/// What a rotation did.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Rotation {
+    /// A new list was published.
+    pub published: bool,
+    /// So many d_S were erased.
+    pub erased: usize,
+}
+
+/// The gateway's keys.
+pub struct Cabinet {
+    directory: PathBuf,
+    provider: &'static dyn Provider,
+    domain: Domain,
+    schedule: Schedule,
+    identity: SmKeyPair,
+    list: SystemKeyList,
+    /// Those in the list, and retired ones within their grace.
+    keys: Vec<(SystemKey, SmSecret)>,
+}
+
+impl Cabinet {
+    /// Opens the keys in `directory`, making what is missing, and brings the list up to date.
+    ///
+    /// # Errors
+    /// [`CryptoError`] where a file is open to others, damaged, or cannot be read or written.
+    pub fn open(
+        directory: &Path,
+        provider: &'static dyn Provider,
+        domain: Domain,
+        schedule: Schedule,
+        now: Timestamp,
+    ) -> Result<Self, CryptoError> {
+        make_private_directory(directory)?;
+        let identity = identity(directory, provider)?;
+        let stored = read_list(&directory.join(LIST), provider, &domain, &identity)?;
+        let directory = directory.to_owned();
+        let mut keys = Vec::new();
+        for key in stored.iter().flat_map(|list| &list.keys) {
+            let secret = read_secret(&key_path(&directory, &key.id()))?;
+            keys.push((*key, secret));
+        }
+        let list = match stored {
+            Some(list) => list,
+            None => first_list(&directory, provider, domain, &identity, schedule, now, &mut keys)?,
+        };
+        let mut cabinet = Self { directory, provider, domain, schedule, identity, list, keys };
+        cabinet.rotate(now)?;
+        cabinet.erase_strays()?;
+        Ok(cabinet)
+    }
+
+    /// The identity key.
+    pub fn identity(&self) -> &SmKeyPair {
+        &self.identity
+    }
+
+    /// The list as it is published now.
+    pub fn list(&self) -> &SystemKeyList {
+        &self.list
+    }
+
+    /// d_S of a system key that still opens allocations at `now`.
+    pub fn secret(&self, id: &SignerId, now: Timestamp) -> Option<&SmSecret> {
+        let key = self.keys.iter().find(|(key, _)| key.id() == *id);
+        key.filter(|(key, _)| now < after(key.not_after, self.schedule.grace)).map(|(_, secret)| secret)
+    }
+
+    /// When [`Self::rotate`] has something to do next.
+    pub fn next_rotation(&self) -> Timestamp {
+        let current = self.list.keys.first().map_or(Timestamp(0), |key| key.not_after);
+        let retired = self.keys.iter().filter(|(key, _)| !self.list.keys.contains(key));
+        let erase = retired.map(|(key, _)| after(key.not_after, self.schedule.grace)).min();
+        erase.map_or(current, |erase| erase.min(current))
+    }
+
+    /// Publishes a new list where the current key has run out, and erases what is past its grace.
+    ///
+    /// # Errors
+    /// [`CryptoError`] where keys cannot be made or files not written; the old list then stays in force.
+    pub fn rotate(&mut self, now: Timestamp) -> Result<Rotation, CryptoError> {
+        let mut rotation = Rotation::default();
+        let current_ended = self.list.keys.first().is_none_or(|key| now >= key.not_after);
+        if current_ended {
+            self.publish_next(now)?;
+            rotation.published = true;
+        }
+        rotation.erased = self.erase_retired(now)?;
+        Ok(rotation)
+    }
+
+    fn publish_next(&mut self, now: Timestamp) -> Result<(), CryptoError> {
+        let lifetime = self.schedule.lifetime;
+        let mut keys: Vec<SystemKey> = self.list.keys.iter().copied().filter(|key| now < key.not_after).collect();
+        let mut fresh = Vec::new();
+        while keys.len() < super::MOST_KEYS {
+            let not_before = keys.last().map_or(now, |key| key.not_after);
+            let (key, secret) = make_key(&self.directory, self.provider, not_before, lifetime)?;
+            keys.push(key);
+            fresh.push((key, secret));
+        }
+        // The seconds keep versions rising even where the list was lost with its file.
+        let version = (self.list.version + 1).max(now.seconds());
+        let list = sign_list(self.provider, self.domain, &self.identity, version, now, keys)?;
+        write_private(&self.directory.join(LIST), &list.encode())?;
+        self.keys.extend(fresh);
+        self.list = list;
+        Ok(())
+    }
+
+    fn erase_retired(&mut self, now: Timestamp) -> Result<usize, CryptoError> {
+        let past = |key: &SystemKey| now >= after(key.not_after, self.schedule.grace);
+        let ended: Vec<SignerId> = self.keys.iter().filter(|(key, _)| past(key)).map(|(key, _)| key.id()).collect();
+        for id in &ended {
+            erase(&key_path(&self.directory, id))?;
+            self.keys.retain(|(key, _)| key.id() != *id);
+        }
+        Ok(ended.len())
+    }
+
+    /// Key files that no list names: left by a crash between making and publishing, or retired while the
+    /// gateway was down.
+    fn erase_strays(&self) -> Result<(), CryptoError> {
+        let known: Vec<PathBuf> = self.keys.iter().map(|(key, _)| key_path(&self.directory, &key.id())).collect();
+        let entries = fs::read_dir(&self.directory).map_err(CryptoError::read(&self.directory))?;
+        for path in entries.flatten().map(|entry| entry.path()) {
+            let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+            if name.starts_with(SYSTEM_KEY) && name.ends_with(SUFFIX) && !known.contains(&path) {
+                erase(&path)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+fn key_path(directory: &Path, id: &SignerId) -> PathBuf {
+    directory.join(format!("{SYSTEM_KEY}{}{SUFFIX}", &id.to_hex()[..32]))
+}
+
+fn identity(directory: &Path, provider: &dyn Provider) -> Result<SmKeyPair, CryptoError> {
+    let path = directory.join(IDENTITY);
+    if !path.exists() {
+        let secret = SmSecret::generate()?;
+        create_private(&path, secret.expose())?;
+    }
+    SmKeyPair::from_secret(provider, read_secret(&path)?)
+}
+
+fn read_secret(path: &Path) -> Result<SmSecret, CryptoError> {
+    let bytes: Zeroizing<Vec<u8>> = read_private(path, 32)?;
+    SmSecret::from_slice(&bytes).map_err(|_| CryptoError::NotAKey {
+        path: shown(path),
+        wanted: "an SM2 private key of 32 bytes",
+        found: "it is damaged; restore it, or remove it with the list to begin anew".to_owned(),
+    })
+}
+
+fn make_key(
+    directory: &Path,
+    provider: &dyn Provider,
+    not_before: Timestamp,
+    lifetime: Duration,
+) -> Result<(SystemKey, SmSecret), CryptoError> {
+    let pair = SmKeyPair::generate(provider)?;
+    let key = SystemKey { public: pair.public, not_before, not_after: after(not_before, lifetime) };
+    create_private(&key_path(directory, &key.id()), pair.secret.expose())?;
+    Ok((key, pair.secret))
+}
+
+/// The list lasts as long as its last key.
+fn sign_list(
+    provider: &dyn Provider,
+    domain: Domain,
+    identity: &SmKeyPair,
+    version: u64,
+    now: Timestamp,
+    keys: Vec<SystemKey>,
+) -> Result<SystemKeyList, CryptoError> {
+    let expires_at = keys.last().map_or(now, |key| key.not_after);
+    SystemKeyList::sign(provider, domain, identity, version, (now, expires_at), keys)
+}
+
+fn first_list(
+    directory: &Path,
+    provider: &dyn Provider,
+    domain: Domain,
+    identity: &SmKeyPair,
+    schedule: Schedule,
+    now: Timestamp,
+    keys: &mut Vec<(SystemKey, SmSecret)>,
+) -> Result<SystemKeyList, CryptoError> {
+    let current = make_key(directory, provider, now, schedule.lifetime)?;
+    let next = make_key(directory, provider, current.0.not_after, schedule.lifetime)?;
+    let list = sign_list(provider, domain, identity, now.seconds().max(1), now, vec![current.0, next.0])?;
+    write_private(&directory.join(LIST), &list.encode())?;
+    keys.extend([current, next]);
+    Ok(list)
+}
+
+/// The list on disk, where it is this gateway's, of this network and whole.
+fn read_list(
+    path: &Path,
+    provider: &dyn Provider,
+    domain: &Domain,
+    identity: &SmKeyPair,
+) -> Result<Option<SystemKeyList>, CryptoError> {
+    if !path.exists() {
+        return Ok(None);
+    }
+    let list = SystemKeyList::parse(&read_private(path, LONGEST_LIST)?)
+        .map_err(CryptoError::malformed("list of system keys"))?;
+    if list.domain != *domain {
+        return Err(CryptoError::NotAccepted { what: "list of system keys", field: "network" });
+    }
+    provider.verify(&identity.public, &list.signed_bytes(), &list.signature)?;
+    Ok(Some(list))
+}
+
+/// Overwrites a key before it is removed. Journals and flash may keep copies; the directory belongs on
+/// an encrypted disk where that matters.
+fn erase(path: &Path) -> Result<(), CryptoError> {
+    let write = CryptoError::write(path);
+    let mut file = OpenOptions::new().write(true).open(path).map_err(&write)?;
+    file.write_all(&[0; 32]).and_then(|()| file.sync_all()).map_err(&write)?;
+    fs::remove_file(path).map_err(&write)?;
+    let directory = path.parent().unwrap_or(path);
+    fs::File::open(directory).and_then(|directory| directory.sync_all()).map_err(&write)
+}

@@ -1,0 +1,166 @@
+use std::fs;
+use std::os::unix::fs::PermissionsExt as _;
+use std::time::Duration;
+
+use proptest::prelude::*;
+
+use super::cabinet::{Cabinet, Schedule};
+use super::*;
+use crate::gateway::hello::Context;
+use crate::gateway::session::SessionId;
+use crate::gateway::tests::{context, pair};
+
+const DAY: Duration = Duration::from_secs(86_400);
+
+fn day(number: u64) -> Timestamp {
+    Timestamp::from_seconds(2_000_000_000 + number * 86_400)
+}
+
+fn list(identity: &SmKeyPair) -> SystemKeyList {
+    let key = |byte, from| SystemKey { public: pair(byte).public, not_before: day(from), not_after: day(from + 7) };
+    let keys = vec![key(0x51, 0), key(0x52, 7)];
+    let context = context();
+    SystemKeyList::sign(context.provider, context.domain, identity, 9, (day(0), day(14)), keys).expect("signs")
+}
+
+fn agreed(identity: &SmKeyPair, list: &SystemKeyList) -> Agreed {
+    Agreed {
+        gateway: signer_id(&identity.public),
+        gateway_key: identity.public,
+        client_nonce: [0; 32],
+        gateway_nonce: [0; 32],
+        session: SessionId([0; 16]),
+        list: list.summary(context().provider),
+    }
+}
+
+fn checked(list: &SystemKeyList, agreed: &Agreed, now: Timestamp) -> Result<SystemKey, GatewayError> {
+    list.check(context().provider, &context().domain, agreed, now)
+}
+
+#[test]
+fn the_key_in_use_follows_the_clock_and_the_list_expires() {
+    let identity = pair(0x21);
+    let list = list(&identity);
+    let agreed = agreed(&identity, &list);
+    assert_eq!(SystemKeyList::parse(&list.encode()), Ok(list.clone()));
+    assert_eq!(checked(&list, &agreed, day(0)).expect("current"), list.keys[0]);
+    assert_eq!(checked(&list, &agreed, day(7)).expect("next"), list.keys[1]);
+    assert!(matches!(checked(&list, &agreed, day(14)), Err(GatewayError::List(why)) if why.contains("expired")));
+    let before = Timestamp(day(0).0 - 1);
+    assert!(matches!(checked(&list, &agreed, before), Err(GatewayError::List(why)) if why.contains("in use")));
+}
+
+#[test]
+fn lists_of_other_gateways_networks_and_versions_are_refused() {
+    let (identity, other) = (pair(0x21), pair(0x31));
+    let ours = list(&identity);
+    let meant = agreed(&identity, &ours);
+    let refused =
+        |list: &SystemKeyList, agreed: &Agreed| checked(list, agreed, day(1)).expect_err("refused").to_string();
+    let theirs = list(&other);
+    assert!(refused(&theirs, &meant).contains("another gateway"));
+    let away = Context { domain: Domain([9; 32]), ..context() };
+    assert!(ours.check(away.provider, &away.domain, &meant, day(1)).is_err());
+    let stale = Agreed { list: ListSummary { version: 10, ..meant.list }, ..meant };
+    assert!(refused(&ours, &stale).contains("announced"));
+    // Signed by another key, but announced as if it were the gateway's.
+    let mut forged = theirs.clone();
+    forged.gateway = meant.gateway;
+    let announced = Agreed { list: forged.summary(context().provider), ..meant };
+    assert!(matches!(checked(&forged, &announced, day(1)), Err(GatewayError::Crypto(_))));
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(200))]
+    #[test]
+    fn no_bit_of_a_list_can_be_changed(at: usize, bit in 0u8..8) {
+        let identity = pair(0x21);
+        let list = list(&identity);
+        let mut bytes = list.encode();
+        let at = at % bytes.len();
+        prop_assert!(SystemKeyList::parse(&bytes[..at]).is_err());
+        bytes[at] ^= 1 << bit;
+        if let Ok(altered) = SystemKeyList::parse(&bytes) {
+            // Even where the hello announced the altered one.
+            prop_assert!(checked(&altered, &agreed(&identity, &altered), day(1)).is_err());
+        }
+    }
+
+    #[test]
+    fn garbage_never_panics(noise in proptest::collection::vec(any::<u8>(), 0..500)) {
+        prop_assert!(SystemKeyList::parse(&noise).is_err());
+    }
+}
+
+fn open(home: &std::path::Path, now: Timestamp) -> Cabinet {
+    let schedule = Schedule { lifetime: 7 * DAY, grace: DAY };
+    Cabinet::open(home, context().provider, context().domain, schedule, now).expect("opens")
+}
+
+fn key_files(home: &std::path::Path) -> Vec<std::path::PathBuf> {
+    let names = fs::read_dir(home).expect("lists").map(|entry| entry.expect("entry").path());
+    let mut found: Vec<_> = names.filter(|path| path.to_string_lossy().contains("system-")).collect();
+    found.retain(|path| path.extension().is_some_and(|extension| extension == "key"));
+    found.sort();
+    found
+}
+
+#[test]
+fn keys_rotate_on_schedule_and_retired_secrets_are_erased() {
+    let home = tempfile::tempdir().expect("directory");
+    let path = home.path().join("gateway");
+    let mut cabinet = open(&path, day(0));
+    let [first, second] = [0, 1].map(|index| cabinet.list().keys[index]);
+    let version = cabinet.list().version;
+    assert_eq!(cabinet.next_rotation(), day(7));
+    assert!(!cabinet.rotate(day(6)).expect("nothing to do").published);
+
+    let rotation = cabinet.rotate(day(7)).expect("rotates");
+    assert!(rotation.published && rotation.erased == 0);
+    assert_eq!(cabinet.list().keys[0], second, "the next one is the current one");
+    assert!(cabinet.list().version > version);
+    assert!(cabinet.secret(&first.id(), day(7)).is_some(), "within its grace");
+    assert_eq!((key_files(&path).len(), cabinet.next_rotation()), (3, day(8)));
+    assert!(cabinet.secret(&first.id(), day(8)).is_none(), "after its grace, erased or not");
+    assert_eq!(cabinet.rotate(day(8)).expect("erases").erased, 1);
+    assert_eq!(key_files(&path).len(), 2);
+    assert!(cabinet.secret(&second.id(), day(8)).is_some());
+
+    // Down for a year: both keys ended, both are replaced, none survives.
+    let old = key_files(&path);
+    let (identity, version) = (cabinet.identity().public, cabinet.list().version);
+    drop(cabinet);
+    let cabinet = open(&path, day(365));
+    assert_eq!(cabinet.identity().public, identity, "the identity stays");
+    assert!(cabinet.list().version > version);
+    let new = key_files(&path);
+    assert!(new.len() == 2 && new.iter().all(|path| !old.contains(path)), "{new:?}");
+}
+
+#[test]
+fn files_are_private_and_strays_and_damage_are_noticed() {
+    let home = tempfile::tempdir().expect("directory");
+    let path = home.path().join("gateway");
+    let cabinet = open(&path, day(0));
+    let listed = cabinet.list().clone();
+    for entry in fs::read_dir(&path).expect("lists") {
+        let mode = entry.expect("entry").metadata().expect("there").permissions().mode();
+        assert_eq!(mode & 0o777, 0o600);
+    }
+    let stray = path.join("system-00.key");
+    crate::crypto::private_file::write_private(&stray, &[5; 32]).expect("writes");
+    drop(cabinet);
+    assert_eq!(open(&path, day(1)).list(), &listed, "the same list after a restart");
+    assert!(!stray.exists(), "a key that no list names is erased");
+
+    fs::set_permissions(&path, fs::Permissions::from_mode(0o755)).expect("chmod");
+    let again = || Cabinet::open(&path, context().provider, context().domain, Schedule::default(), day(1));
+    assert!(again().err().is_some_and(|error| error.to_string().contains("chmod 700")));
+    fs::set_permissions(&path, fs::Permissions::from_mode(0o700)).expect("chmod");
+    let file = path.join("system-keys.list");
+    let mut bytes = fs::read(&file).expect("reads");
+    bytes[80] ^= 1;
+    fs::write(&file, bytes).expect("writes");
+    assert!(again().is_err(), "a list that the identity did not sign");
+}

@@ -1,0 +1,204 @@
+//! A desk that keeps everything in memory, as a chain and a vault would on disk.
+
+use std::collections::{BTreeMap, HashMap, HashSet};
+use std::net::SocketAddr;
+use std::sync::{Mutex, MutexGuard};
+
+use async_trait::async_trait;
+use tokio::sync::mpsc;
+
+use super::Member;
+use crate::crypto::{SmKeyPair, signer_id};
+use crate::gateway::command::{
+    Entry, Fetched, GrantNotice, Page, Query, Registration, RevokeNotice, Selection, Standing,
+};
+use crate::gateway::desk::{Account, Binding, Caller, Desk, Received};
+use crate::gateway::{Code, Refusal};
+use crate::model::{Address, Digest, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token};
+
+#[derive(Default)]
+pub(super) struct State {
+    pub accounts: HashMap<Address, Account>,
+    pub tokens: HashSet<(Address, Token)>,
+    pub signers: HashMap<(Address, SignerId), PublicKey>,
+    pub bindings: HashMap<ProfileName, Binding>,
+    pub records: BTreeMap<u64, Received>,
+    pub readers: HashSet<(Address, Address)>,
+    pub subscribers: Vec<(Caller, Selection, mpsc::Sender<Entry>)>,
+    pub refusals: Vec<Code>,
+    pub registrations: Vec<Registration>,
+    pub grants: Vec<GrantNotice>,
+    pub revokes: Vec<RevokeNotice>,
+    /// Everything that ever changed.
+    pub changes: usize,
+}
+
+#[derive(Default)]
+pub(super) struct MemoryDesk(Mutex<State>);
+
+fn entry(record: &Received) -> Entry {
+    Entry {
+        digest: record.digest,
+        owner: record.header.owner,
+        recorder: record.header.recorder,
+        seq: record.header.seq,
+        topic_id: record.header.topic_id,
+        epoch: record.header.epoch,
+        captured_at: record.header.captured_at,
+        length: u64::try_from(record.blob.len()).expect("fits"),
+        kind: record.header.kind,
+        standing: Standing::Acknowledged,
+    }
+}
+
+impl MemoryDesk {
+    pub fn state(&self) -> MutexGuard<'_, State> {
+        self.0.lock().expect("no test panicked while it held the state")
+    }
+
+    /// What the chain would know of a member.
+    pub fn admit(&self, member: &Member) {
+        let mut state = self.state();
+        let account = Account { signing: member.signing.public, envelope: member.envelope.public };
+        state.accounts.insert(member.account(), account);
+        state.tokens.insert((member.account(), member.token));
+        let own = (member.account(), signer_id(&member.signing.public));
+        state.signers.insert(own, member.signing.public);
+    }
+
+    pub fn lend(&self, member: &Member, device: &SmKeyPair) {
+        self.state().signers.insert((member.account(), signer_id(&device.public)), device.public);
+    }
+
+    pub fn recall(&self, member: &Member, device: &SmKeyPair) {
+        self.state().signers.remove(&(member.account(), signer_id(&device.public)));
+    }
+
+    pub fn record_count(&self) -> usize {
+        self.state().records.len()
+    }
+}
+
+impl State {
+    fn may_read(&self, reader: &Address, owner: &Address) -> Result<(), Refusal> {
+        if reader == owner || self.readers.contains(&(*owner, *reader)) {
+            return Ok(());
+        }
+        Err(Refusal::new(Code::NotAuthorised, "no grant"))
+    }
+
+    fn keep(&mut self, record: Received) -> Option<Entry> {
+        if self.records.values().any(|known| known.digest == record.digest) {
+            return None;
+        }
+        let (number, entry) = (self.records.len() as u64 + 1, entry(&record));
+        self.records.insert(number, record);
+        self.changes += 1;
+        Some(entry)
+    }
+}
+
+#[async_trait]
+impl Desk for MemoryDesk {
+    async fn account(&self, account: &Address) -> Result<Account, Refusal> {
+        let found = self.state().accounts.get(account).copied();
+        found.ok_or_else(|| Refusal::new(Code::NotRegistered, "unknown account"))
+    }
+
+    async fn is_token(&self, account: &Address, token: &Token) -> Result<bool, Refusal> {
+        Ok(self.state().tokens.contains(&(*account, *token)))
+    }
+
+    async fn signer(&self, owner: &Address, signer: &SignerId) -> Result<Option<PublicKey>, Refusal> {
+        Ok(self.state().signers.get(&(*owner, *signer)).copied())
+    }
+
+    async fn binding(&self, name: &ProfileName) -> Result<Option<Binding>, Refusal> {
+        Ok(self.state().bindings.get(name).cloned())
+    }
+
+    async fn bind(&self, name: &ProfileName, binding: Binding) -> Result<(), Refusal> {
+        let mut state = self.state();
+        state.bindings.insert(name.clone(), binding);
+        state.changes += 1;
+        Ok(())
+    }
+
+    async fn register(&self, registration: &Registration) -> Result<Hash, Refusal> {
+        let mut state = self.state();
+        state.registrations.push(registration.clone());
+        state.changes += 1;
+        Ok(Hash([0x99; 32]))
+    }
+
+    async fn store(&self, _: &Caller, records: Vec<Received>) -> Result<Timestamp, Refusal> {
+        let new = {
+            let mut state = self.state();
+            let entries: Vec<Entry> = records.into_iter().filter_map(|record| state.keep(record)).collect();
+            let senders = state.subscribers.iter().map(|(_, selection, sender)| (selection.owner, sender.clone()));
+            let senders: Vec<_> = senders.collect();
+            (entries, senders)
+        };
+        for entry in new.0 {
+            for (_, sender) in new.1.iter().filter(|(owner, _)| *owner == entry.owner) {
+                let _ = sender.send(entry).await;
+            }
+        }
+        Ok(Timestamp::now())
+    }
+
+    async fn query(&self, caller: &Caller, query: &Query) -> Result<Page, Refusal> {
+        let state = self.state();
+        state.may_read(&caller.account, &query.selection.owner)?;
+        let (owner, limit) = (query.selection.owner, usize::from(query.limit));
+        let wanted = state.records.range(query.cursor + 1..).filter(|(_, record)| record.header.owner == owner);
+        let found: Vec<(u64, Entry)> =
+            wanted.take(limit + 1).map(|(number, record)| (*number, entry(record))).collect();
+        let next = (found.len() > limit).then(|| found[limit - 1].0);
+        Ok(Page { entries: found.into_iter().take(limit).map(|(_, entry)| entry).collect(), next })
+    }
+
+    async fn check(&self, _: &Caller, digests: &[Digest]) -> Result<Vec<Standing>, Refusal> {
+        let state = self.state();
+        let known: HashSet<Digest> = state.records.values().map(|record| record.digest).collect();
+        let standing = |digest| if known.contains(digest) { Standing::Acknowledged } else { Standing::Unknown };
+        Ok(digests.iter().map(standing).collect())
+    }
+
+    async fn fetch(&self, caller: &Caller, digest: &Digest) -> Result<Fetched, Refusal> {
+        let state = self.state();
+        let found = state.records.values().find(|record| record.digest == *digest);
+        let record = found.ok_or_else(|| Refusal::new(Code::NotFound, "no such record"))?;
+        state.may_read(&caller.account, &record.header.owner)?;
+        let (signer, signature) = (record.signer, record.signature);
+        Ok(Fetched { signer, signature, proof: Vec::new(), blob: record.blob.clone() })
+    }
+
+    async fn subscribe(&self, caller: &Caller, selection: &Selection) -> Result<mpsc::Receiver<Entry>, Refusal> {
+        let mut state = self.state();
+        state.may_read(&caller.account, &selection.owner)?;
+        let (sender, receiver) = mpsc::channel(64);
+        state.subscribers.push((caller.clone(), selection.clone(), sender));
+        Ok(receiver)
+    }
+
+    async fn grant(&self, caller: &Caller, notice: &GrantNotice) -> Result<(), Refusal> {
+        let mut state = self.state();
+        state.readers.insert((caller.account, notice.grantee));
+        state.grants.push(*notice);
+        state.changes += 1;
+        Ok(())
+    }
+
+    async fn revoke(&self, caller: &Caller, notice: &RevokeNotice) -> Result<(), Refusal> {
+        let mut state = self.state();
+        state.readers.remove(&(caller.account, notice.grantee));
+        state.revokes.push(*notice);
+        state.changes += 1;
+        Ok(())
+    }
+
+    fn refused(&self, _: SocketAddr, refusal: &Refusal) {
+        self.state().refusals.push(refusal.code);
+    }
+}

@@ -1,0 +1,149 @@
+//! Whom a client takes for its gateway: a pinned fingerprint, and the highest system-key list seen.
+//! Kept in a file, so that neither another gateway nor an older list passes after a restart.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use crate::crypto::CryptoError;
+use crate::crypto::error::shown;
+use crate::crypto::private_file::{read_private, write_private};
+use crate::model::{Digest, SignerId};
+
+use super::error::GatewayError;
+use super::hello::{Agreed, ListSummary};
+
+/// The longest file, bytes.
+const LONGEST: usize = 4096;
+
+/// What a client knows of its gateway.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Trust {
+    /// SM3 of the gateway's identity key.
+    pub pinned: Option<SignerId>,
+    /// Whether to pin whatever gateway answers first; only by the user's explicit wish.
+    pub first_use: bool,
+    /// The highest list seen.
+    pub seen: Option<ListSummary>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    gateway: SignerId,
+    list_version: u64,
+    list_digest: Digest,
+}
+
+impl Trust {
+    /// In one gateway alone.
+    pub fn pinned(gateway: SignerId) -> Self {
+        Self { pinned: Some(gateway), ..Self::default() }
+    }
+
+    /// In whatever gateway answers first.
+    pub fn on_first_use() -> Self {
+        Self { first_use: true, ..Self::default() }
+    }
+
+    /// From its file.
+    ///
+    /// # Errors
+    /// [`CryptoError::Read`], [`CryptoError::OpenToOthers`] or [`CryptoError::NotAKey`].
+    pub fn load(path: &Path) -> Result<Self, CryptoError> {
+        let bytes = read_private(path, LONGEST)?;
+        let file: File = serde_json::from_slice(&bytes).map_err(|_| CryptoError::NotAKey {
+            path: shown(path),
+            wanted: "a note of a gateway",
+            found: "it is damaged; compare the gateway's fingerprint and pin it again".to_owned(),
+        })?;
+        let seen = ListSummary { version: file.list_version, digest: file.list_digest };
+        Ok(Self { pinned: Some(file.gateway), first_use: false, seen: Some(seen) })
+    }
+
+    /// Writes it down. Before a gateway has been met there is nothing to write.
+    ///
+    /// # Errors
+    /// [`CryptoError::Write`].
+    pub fn save(&self, path: &Path) -> Result<(), CryptoError> {
+        let (Some(gateway), Some(seen)) = (self.pinned, self.seen) else { return Ok(()) };
+        let file = File { gateway, list_version: seen.version, list_digest: seen.digest };
+        let text = serde_json::to_vec_pretty(&file).map_err(|_| CryptoError::Internal("JSON"))?;
+        write_private(path, &text)
+    }
+
+    /// Judges a gateway that has just proven its identity key; remembers what it showed where it passes.
+    ///
+    /// # Errors
+    /// [`GatewayError::NotPinned`], [`GatewayError::NotTheGateway`], [`GatewayError::RolledBack`] or
+    /// [`GatewayError::TwoLists`]; nothing is remembered then.
+    pub fn judge(&mut self, agreed: &Agreed) -> Result<(), GatewayError> {
+        match self.pinned {
+            Some(pinned) if pinned != agreed.gateway => {
+                return Err(GatewayError::NotTheGateway { pinned, found: agreed.gateway });
+            }
+            None if !self.first_use => return Err(GatewayError::NotPinned(agreed.gateway)),
+            _ => {}
+        }
+        if let Some(seen) = self.seen {
+            if agreed.list.version < seen.version {
+                return Err(GatewayError::RolledBack { seen: seen.version, found: agreed.list.version });
+            }
+            if agreed.list.version == seen.version && agreed.list.digest != seen.digest {
+                return Err(GatewayError::TwoLists(seen.version));
+            }
+        }
+        self.pinned = Some(agreed.gateway);
+        self.seen = Some(agreed.list);
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gateway::session::SessionId;
+    use crate::model::PublicKey;
+
+    fn agreed(gateway: u8, version: u64, digest: u8) -> Agreed {
+        Agreed {
+            gateway: SignerId([gateway; 32]),
+            gateway_key: PublicKey([0; 64]),
+            client_nonce: [0; 32],
+            gateway_nonce: [0; 32],
+            session: SessionId([0; 16]),
+            list: ListSummary { version, digest: Digest([digest; 32]) },
+        }
+    }
+
+    #[test]
+    fn only_the_pinned_gateway_and_never_an_older_list() {
+        let mut trust = Trust::default();
+        assert!(matches!(trust.judge(&agreed(1, 5, 5)), Err(GatewayError::NotPinned(_))));
+        let mut trust = Trust::on_first_use();
+        trust.judge(&agreed(1, 5, 5)).expect("first use");
+        trust.judge(&agreed(1, 5, 5)).expect("the same again");
+        assert!(matches!(trust.judge(&agreed(2, 9, 9)), Err(GatewayError::NotTheGateway { .. })));
+        assert!(matches!(trust.judge(&agreed(1, 4, 4)), Err(GatewayError::RolledBack { seen: 5, found: 4 })));
+        assert!(matches!(trust.judge(&agreed(1, 5, 6)), Err(GatewayError::TwoLists(5))));
+        trust.judge(&agreed(1, 6, 6)).expect("a newer list");
+        assert_eq!(trust.seen.map(|seen| seen.version), Some(6));
+    }
+
+    #[test]
+    fn what_was_seen_survives_a_restart() {
+        let home = tempfile::tempdir().expect("directory");
+        let path = home.path().join("gateway.json");
+        let mut trust = Trust::on_first_use();
+        trust.save(&path).expect("nothing to write");
+        assert!(!path.exists());
+        trust.judge(&agreed(1, 5, 5)).expect("first use");
+        trust.save(&path).expect("writes");
+        let mut again = Trust::load(&path).expect("reads");
+        assert!(!again.first_use, "first use is over");
+        assert!(matches!(again.judge(&agreed(2, 5, 5)), Err(GatewayError::NotTheGateway { .. })));
+        assert!(matches!(again.judge(&agreed(1, 4, 5)), Err(GatewayError::RolledBack { .. })));
+        write_private(&path, b"{}").expect("writes");
+        assert!(Trust::load(&path).is_err());
+    }
+}

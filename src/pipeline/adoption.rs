@@ -1,0 +1,244 @@
+//! Going on with another chain: which chains a home has used before, and the owner's signed word about it, which
+//! is the first of the owner's records on the new one.
+
+use serde::{Deserialize, Serialize};
+use tokio::task::block_in_place;
+
+use crate::chain::{Call, Pin};
+use crate::crypto::{SealRequest, domain, seal};
+use crate::model::adoption::Adoption;
+use crate::model::head::Compression;
+use crate::model::{Digest, Domain, Head, Header, RecordKind, RecordState, Timestamp, Token};
+use crate::store::{Anchors, Ledger, NewRecord, RecordRow, StoreError};
+
+use super::directory::Account;
+use super::sender::Outgoing;
+use super::{Network, Owner, PipelineError, Plant, Sender};
+
+/// Where the steps lie in the ledger.
+pub const STEPS: &str = "adoptions";
+/// The name that adoption records are filed under; no ROS name begins like this.
+const TOPIC: &str = "authros/adoption";
+
+/// One chain left for another.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Step {
+    /// The chain and contract that were left.
+    pub from: Pin,
+    /// Those used from then on.
+    pub to: Pin,
+    /// When the operator decided.
+    pub at: Timestamp,
+}
+
+impl Step {
+    /// The domain that was left.
+    pub fn left(&self) -> Domain {
+        domain_of(&self.from)
+    }
+
+    /// The domain used from then on.
+    pub fn taken(&self) -> Domain {
+        domain_of(&self.to)
+    }
+}
+
+/// What binds records to a pinned chain and contract.
+pub fn domain_of(pin: &Pin) -> Domain {
+    domain(pin.chain_id, &pin.genesis, &pin.contract)
+}
+
+/// All steps of this home, oldest first.
+///
+/// # Errors
+/// Of the ledger; `StoreError::Corrupt` where the kept list is no list of steps.
+pub fn steps(ledger: &Ledger) -> Result<Vec<Step>, StoreError> {
+    let Some(text) = ledger.setting(STEPS)? else { return Ok(Vec::new()) };
+    let detail = "its list of adopted chains cannot be read".to_owned();
+    serde_json::from_str(&text).map_err(|_| StoreError::Corrupt { file: ledger.path().to_owned(), detail })
+}
+
+/// The domains that this home used before `current`.
+///
+/// # Errors
+/// As [`steps`].
+pub fn earlier(ledger: &Ledger, current: Domain) -> Result<Vec<Domain>, StoreError> {
+    let mut found: Vec<Domain> = steps(ledger)?.iter().map(Step::left).filter(|left| *left != current).collect();
+    found.sort();
+    found.dedup();
+    Ok(found)
+}
+
+/// How far an owner's word about the last adoption is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Word {
+    /// Nothing is to be said, or it stands in a block.
+    Given,
+    /// It is on its way; nothing else of this owner is anchored before.
+    OnItsWay,
+}
+
+/// Seals the owner's adoption record where one is due, and puts it on the chain by itself, before anything else.
+/// A function of the ledger: called again, it does what is left.
+///
+/// # Errors
+/// Of chain and ledger; nothing is lost.
+pub async fn give_word(
+    plant: &Plant,
+    network: &Network,
+    sender: &Sender,
+    owner: &Owner,
+) -> Result<Word, PipelineError> {
+    let row = match block_in_place(|| word_of(plant, network, owner))? {
+        Due::Nothing => return Ok(Word::Given),
+        Due::Later => return Ok(Word::OnItsWay),
+        Due::Sealed(row) if row.state >= RecordState::Mined => return Ok(Word::Given),
+        Due::Sealed(row) => row,
+    };
+    let account = network.directory.account(owner.address);
+    let token = account.and_then(|account| account.tokens.get(&row.epoch).copied());
+    if let Some(token) = token.filter(|_| row.state == RecordState::Stored)
+        && sender.room(owner.address)? > 0
+    {
+        let digest = row.digest;
+        let call = Call::DataUpload { digest, token, timestamp: row.captured_at };
+        let outgoing = Outgoing { call, purpose: "adoption".to_owned(), anchors: Anchors::Digests(vec![digest]) };
+        sender.submit(&network.chain, &owner.eoa(), vec![outgoing]).await?;
+    }
+    Ok(Word::OnItsWay)
+}
+
+/// What an owner has to say about the last adoption.
+enum Due {
+    /// Nothing.
+    Nothing,
+    /// Something, as soon as there are keys to seal it with.
+    Later,
+    /// This record.
+    Sealed(Box<RecordRow>),
+}
+
+fn word_of(plant: &Plant, network: &Network, owner: &Owner) -> Result<Due, PipelineError> {
+    let Some((key, step)) = due(plant, network, owner)? else { return Ok(Due::Nothing) };
+    let known = plant.ledger.setting(&key)?.and_then(|text| text.parse::<Digest>().ok());
+    let digest = match known {
+        Some(digest) => digest,
+        None => {
+            let Some(digest) = seal_word(plant, network, owner, &step)? else { return Ok(Due::Later) };
+            plant.ledger.put_setting(&key, &digest.to_hex())?;
+            digest
+        }
+    };
+    let row = plant.ledger.record(digest)?.ok_or_else(|| PipelineError::NoRecord(digest.to_hex()))?;
+    Ok(Due::Sealed(Box::new(row)))
+}
+
+/// Whether the owner's word about the last adoption stands in a block, or none is due.
+///
+/// # Errors
+/// Of the ledger.
+pub fn is_given(plant: &Plant, network: &Network, owner: &Owner) -> Result<bool, PipelineError> {
+    let Some((key, _)) = due(plant, network, owner)? else { return Ok(true) };
+    let digest = plant.ledger.setting(&key)?.and_then(|text| text.parse::<Digest>().ok());
+    let row = digest.map(|digest| plant.ledger.record(digest)).transpose()?.flatten();
+    Ok(row.is_some_and(|row| row.state >= RecordState::Mined))
+}
+
+/// The token under which a record is uploaded by itself: of its own epoch, or, where it was sealed for a domain
+/// used before, of the current one.
+///
+/// # Errors
+/// Of the vault.
+pub fn token_of(
+    plant: &Plant,
+    network: &Network,
+    account: &Account,
+    row: &RecordRow,
+) -> Result<Option<Token>, PipelineError> {
+    let own = account.tokens.get(&row.epoch).copied();
+    if own.is_some() || network.earlier.is_empty() {
+        return Ok(own);
+    }
+    let sealed_for =
+        plant.vault.get(row.digest)?.and_then(|blob| Header::parse(&blob).ok()).map(|(header, _)| header.domain);
+    let earlier = sealed_for.is_some_and(|domain| network.earlier.contains(&domain));
+    Ok(account.tokens.get(&account.epoch).copied().filter(|_| earlier))
+}
+
+/// Where the owner's word about the last step is kept, where one is due: the owner had an epoch on what was left.
+fn due(plant: &Plant, network: &Network, owner: &Owner) -> Result<Option<(String, Step)>, PipelineError> {
+    if network.earlier.is_empty() {
+        return Ok(None);
+    }
+    let steps = steps(&plant.ledger)?;
+    let number = steps.len();
+    let last = steps.into_iter().last().filter(|step| step.taken() == network.domain);
+    let last = last.filter(|step| !owner.epochs(step.left()).is_empty());
+    Ok(last.map(|step| (format!("adoption:{number}:{}", owner.address), step)))
+}
+
+fn seal_word(plant: &Plant, network: &Network, owner: &Owner, step: &Step) -> Result<Option<Digest>, PipelineError> {
+    let Some(keys) = owner.sealing().filter(|keys| keys.domain == network.domain) else { return Ok(None) };
+    let counts = plant.ledger.counts(Some(owner.address))?;
+    let verified = counts.data_in(RecordState::Verified);
+    let adoption = Adoption {
+        from: step.left(),
+        to: network.domain,
+        last_epoch: owner.epochs(step.left()).last().copied().unwrap_or(0),
+        verified,
+        others: counts.pending(),
+    };
+    let body = adoption.encode();
+    let topic = keys.topic(TOPIC);
+    let head = Head {
+        topic: TOPIC.to_owned(),
+        type_name: "authros/Adoption".to_owned(),
+        md5sum: String::new(),
+        definition: Digest([0; 32]),
+        caller_id: String::new(),
+        boot_id: [0; 16],
+        compression: Compression::None,
+        plain_length: body.len() as u64,
+        tags: std::collections::BTreeMap::new(),
+    };
+    let seq = plant.ledger.next_seq(owner.address, topic.id)?;
+    let captured_at = Timestamp::now();
+    let request = SealRequest {
+        domain: keys.domain,
+        owner: owner.address,
+        signer: &keys.signing,
+        epoch: keys.epoch,
+        topic_key: &topic.key,
+        recorder: plant.ledger.recorder(),
+        seq,
+        topic_id: topic.id,
+        kind: RecordKind::Adoption,
+        filters: Vec::new(),
+        captured_at,
+        head: &head,
+        body: &body,
+    };
+    let sealed = seal(plant.provider, &request)?;
+    let durable = plant.vault.durable();
+    if durable {
+        plant.vault.put(&[(sealed.digest, &sealed.blob)])?;
+    }
+    plant.ledger.append(vec![NewRecord {
+        digest: sealed.digest,
+        owner: owner.address,
+        topic_id: topic.id,
+        seq,
+        epoch: keys.epoch,
+        kind: RecordKind::Adoption,
+        signer: keys.signer,
+        signature: sealed.signature,
+        topic: TOPIC.to_owned(),
+        type_name: head.type_name.clone(),
+        bytes: body.len() as u64,
+        captured_at,
+        simulated: false,
+        state: if durable { RecordState::Stored } else { RecordState::Sealed },
+        local_copy: (!durable).then_some(sealed.blob),
+    }])?;
+    Ok(Some(sealed.digest))
+}

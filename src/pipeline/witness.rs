@@ -1,0 +1,92 @@
+//! Witnesses: further accounts of one owner that anchor batches side by side, so that throughput is not bound to one
+//! nonce lane. They follow from the owner's EOA key; authorship stays with the SM2 signature in each record.
+
+use crate::chain::Call;
+use crate::crypto::{CryptoError, EoaSecret, prove, random_bytes, witness_secret};
+use crate::model::{Domain, Token};
+
+use super::{Network, Owner, PipelineError, Plant, Sender};
+
+/// The most accounts that anchor for one owner, the owner's own included.
+pub const MOST_LANES: u8 = 8;
+/// Anchors that a witness is given ether for at a time.
+const PROVISION: u128 = 500;
+/// Gas that one anchor and its share of the registration are reckoned with.
+const ANCHOR_GAS: u128 = 120_000;
+
+/// The witnesses of an owner on one network, for `lanes` accounts in all.
+///
+/// # Errors
+/// [`CryptoError::SecretRange`] where a derived number is no key, which does not happen in practice.
+pub fn witnesses(owner: &EoaSecret, domain: &Domain, lanes: u8) -> Result<Vec<EoaSecret>, CryptoError> {
+    (1..lanes.min(MOST_LANES)).map(|index| witness_secret(owner, domain, index)).collect()
+}
+
+/// Makes a witness ready to anchor: with ether where the chain wants some, and registered. Returns whether it is
+/// ready now; what is missing is done when this is called again.
+///
+/// # Errors
+/// Of chain and ledger, and `NoEther` where the owner cannot pay.
+pub async fn ensure_ready(
+    plant: &Plant,
+    network: &Network,
+    sender: &Sender,
+    owner: &Owner,
+    witness: &EoaSecret,
+) -> Result<bool, PipelineError> {
+    let account = witness.address();
+    let state = sender.state_of(account)?;
+    if network.directory.identity(account).is_ok() {
+        if state.paused.is_some() {
+            provide(network, sender, owner, witness).await?;
+        }
+        return Ok(true);
+    }
+    if state.open > 0 {
+        // Its registration is on the way, perhaps since before a restart.
+        return Ok(false);
+    }
+    provide(network, sender, owner, witness).await?;
+    let (signing, (_, envelope)) = (owner.signing(), owner.public_keys());
+    // A token of its own, which is nobody's key: witnesses seal nothing.
+    let token = Token(random_bytes()?);
+    let identity = prove(plant.provider, &network.domain, &account, &signing, &envelope, token)?;
+    sender.send(&network.chain, witness, Call::Register { identity }, "register witness").await?;
+    Ok(false)
+}
+
+/// Gives a witness ether for its next anchors where it has too little: from a development node, else from the owner.
+async fn provide(network: &Network, sender: &Sender, owner: &Owner, witness: &EoaSecret) -> Result<(), PipelineError> {
+    let (chain, account) = (&network.chain, witness.address());
+    let provision = chain.market().await?.offer().saturating_mul(ANCHOR_GAS * PROVISION);
+    let held = chain.wealth(account).await?;
+    if held >= provision / 4 || chain.fund_from_node(account).await? {
+        return Ok(());
+    }
+    if chain.wealth(owner.address).await? < provision.saturating_mul(2) {
+        return Err(PipelineError::NoEther(owner.address));
+    }
+    sender.transfer(chain, &owner.eoa(), account, provision - held, "provide witness").await
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn witnesses_are_distinct_and_follow_from_the_owner_and_the_network() {
+        let owner = EoaSecret::from_slice(&[7; 32]).expect("key");
+        let domain = Domain([1; 32]);
+        let seven = witnesses(&owner, &domain, 200).expect("keys");
+        assert_eq!(seven.len(), 7);
+        let mut addresses: Vec<_> = seven.iter().map(EoaSecret::address).chain([owner.address()]).collect();
+        addresses.sort();
+        addresses.dedup();
+        assert_eq!(addresses.len(), 8);
+        assert_eq!(witnesses(&owner, &domain, 3).expect("keys"), seven[..2]);
+        assert_ne!(witnesses(&owner, &Domain([2; 32]), 2).expect("keys"), seven[..1]);
+        let other = EoaSecret::from_slice(&[8; 32]).expect("key");
+        assert_ne!(witnesses(&other, &domain, 2).expect("keys"), seven[..1]);
+        assert!(witnesses(&owner, &domain, 1).expect("none").is_empty());
+    }
+}

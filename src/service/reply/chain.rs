@@ -1,0 +1,59 @@
+//! What is told of the chain.
+
+use serde::{Deserialize, Serialize};
+
+use crate::chain::{Pin, Sealing};
+use crate::model::{Address, Hash};
+use crate::pipeline::sender::LaneState;
+
+/// The chain as seen from here.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ChainView {
+    /// `embedded` or `node`.
+    pub kind: String,
+    /// `poa`, `pow`, `unknown`.
+    pub consensus: String,
+    /// EIP-155 chain id.
+    pub chain_id: u64,
+    /// Hash of block 0.
+    pub genesis: Hash,
+    /// Newest block.
+    pub block: u64,
+    /// The contract, once deployed or configured.
+    pub contract: Option<Address>,
+    /// The profile's balance in wei, decimal.
+    pub balance: String,
+    /// The profile's next nonce.
+    pub nonce: u64,
+    /// Own transactions not yet in a block.
+    pub pending: u64,
+    /// The node's own name, cleaned.
+    pub client: String,
+    /// How this profile's lanes stand: its own account's first, then its witnesses'.
+    #[serde(default)]
+    pub lanes: Vec<LaneState>,
+    /// Who seals the blocks, and how often.
+    #[serde(flatten)]
+    pub sealing: Sealing,
+}
+
+/// A contract that was put on the chain.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct DeployedView {
+    /// Chain, contract, code and block.
+    #[serde(flatten)]
+    pub pin: Pin,
+    /// Who administers it: the account that deployed it.
+    pub administrator: Address,
+}
+
+/// A chain that other tools can read.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ServedView {
+    /// Where.
+    pub url: String,
+    /// EIP-155 chain id.
+    pub chain_id: u64,
+    /// The contract, where there is one.
+    pub contract: Option<Address>,
+}

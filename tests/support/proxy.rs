@@ -1,0 +1,232 @@
+//! A loopback proxy before a node's HTTP port, which spoils chosen requests on their way.
+
+use std::collections::HashMap;
+use std::io::{BufRead, BufReader, Error, ErrorKind, Read, Write};
+use std::net::{Ipv4Addr, Shutdown, TcpListener, TcpStream};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use serde_json::Value;
+
+/// What happens to a request that is to be spoilt.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Spoil {
+    /// The node gets the request, nobody gets its answer: the connection is closed.
+    DropAnswer,
+    /// The connection is closed before the node gets anything.
+    Refuse,
+    /// The answer is held back so long.
+    Delay(Duration),
+    /// The connection is closed after half of the answer's bytes.
+    CutAnswer,
+    /// A whole answer of HTTP, whose JSON ends in the middle.
+    TruncateJson,
+}
+
+#[derive(Debug)]
+struct Rule {
+    method: String,
+    how: Spoil,
+    left: u64,
+}
+
+#[derive(Debug, Default)]
+struct Shared {
+    rule: Mutex<Option<Rule>>,
+    seen: Mutex<HashMap<String, u64>>,
+    spoilt: AtomicU64,
+    ending: AtomicBool,
+    open: Mutex<HashMap<u64, TcpStream>>,
+}
+
+/// A running proxy; every connection through it ends when it is dropped.
+#[derive(Debug)]
+pub struct Proxy {
+    port: u16,
+    shared: Arc<Shared>,
+    acceptor: Option<JoinHandle<()>>,
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Proxy {
+    /// One that passes everything on to a port of this machine until it is told otherwise.
+    pub fn before(upstream: u16) -> Self {
+        let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).expect("a free port");
+        let port = listener.local_addr().expect("its address").port();
+        let shared = Arc::new(Shared::default());
+        let state = Arc::clone(&shared);
+        let acceptor = std::thread::spawn(move || accept(&listener, upstream, &state));
+        Self { port, shared, acceptor: Some(acceptor) }
+    }
+
+    /// Its URL for plain requests.
+    pub fn http(&self) -> String {
+        format!("http://127.0.0.1:{}", self.port)
+    }
+
+    /// Spoils the next `times` requests of a JSON-RPC method; the count of spoilt ones begins anew.
+    pub fn spoil(&self, method: &str, how: Spoil, times: u64) {
+        let mut rule = lock(&self.shared.rule);
+        self.shared.spoilt.store(0, Ordering::SeqCst);
+        *rule = Some(Rule { method: method.to_owned(), how, left: times });
+    }
+
+    /// Passes everything on again.
+    pub fn calm(&self) {
+        *lock(&self.shared.rule) = None;
+    }
+
+    /// How many requests were spoilt.
+    pub fn spoilt(&self) -> u64 {
+        self.shared.spoilt.load(Ordering::SeqCst)
+    }
+
+    /// How many requests of a method came, spoilt ones too.
+    pub fn seen(&self, method: &str) -> u64 {
+        lock(&self.shared.seen).get(method).copied().unwrap_or(0)
+    }
+}
+
+impl Drop for Proxy {
+    fn drop(&mut self) {
+        self.shared.ending.store(true, Ordering::SeqCst);
+        // Wakes the thread that accepts.
+        drop(TcpStream::connect((Ipv4Addr::LOCALHOST, self.port)));
+        for stream in lock(&self.shared.open).values() {
+            drop(stream.shutdown(Shutdown::Both));
+        }
+        if let Some(acceptor) = self.acceptor.take() {
+            drop(acceptor.join());
+        }
+    }
+}
+
+impl Shared {
+    /// What is to happen to a request of `method`, which is counted.
+    fn decide(&self, method: &str) -> Option<Spoil> {
+        *lock(&self.seen).entry(method.to_owned()).or_default() += 1;
+        let mut rule = lock(&self.rule);
+        let rule = rule.as_mut().filter(|rule| rule.left > 0 && rule.method == method)?;
+        rule.left -= 1;
+        self.spoilt.fetch_add(1, Ordering::SeqCst);
+        Some(rule.how)
+    }
+}
+
+fn accept(listener: &TcpListener, upstream: u16, shared: &Arc<Shared>) {
+    for number in 0.. {
+        let Ok((client, _)) = listener.accept() else { return };
+        let Ok(twin) = client.try_clone() else { return };
+        lock(&shared.open).insert(number, twin);
+        if shared.ending.load(Ordering::SeqCst) {
+            return;
+        }
+        let shared = Arc::clone(shared);
+        std::thread::spawn(move || {
+            // A broken line on either side ends this connection, as it would without a proxy.
+            drop(serve(&client, upstream, &shared));
+            drop(client.shutdown(Shutdown::Both));
+            lock(&shared.open).remove(&number);
+        });
+    }
+}
+
+fn serve(client: &TcpStream, upstream: u16, shared: &Shared) -> Result<(), Error> {
+    client.set_nodelay(true)?;
+    let mut requests = BufReader::new(client.try_clone()?);
+    let mut node: Option<BufReader<TcpStream>> = None;
+    while let Some(request) = Message::read(&mut requests)? {
+        let spoil = request.method().and_then(|method| shared.decide(&method));
+        if spoil == Some(Spoil::Refuse) {
+            return Ok(());
+        }
+        let mut line = match node.take() {
+            Some(line) => line,
+            None => open(upstream)?,
+        };
+        line.get_mut().write_all(&request.bytes())?;
+        let answer = Message::read(&mut line)?.ok_or(ErrorKind::UnexpectedEof)?;
+        node = Some(line);
+        if !pass_on(client, &answer, spoil)? {
+            return Ok(());
+        }
+    }
+    Ok(())
+}
+
+fn open(upstream: u16) -> Result<BufReader<TcpStream>, Error> {
+    let stream = TcpStream::connect((Ipv4Addr::LOCALHOST, upstream))?;
+    stream.set_nodelay(true)?;
+    stream.set_read_timeout(Some(Duration::from_secs(60)))?;
+    Ok(BufReader::new(stream))
+}
+
+/// Gives an answer to the client; returns whether the connection goes on.
+fn pass_on(mut client: &TcpStream, answer: &Message, spoil: Option<Spoil>) -> Result<bool, Error> {
+    match spoil {
+        Some(Spoil::DropAnswer | Spoil::Refuse) => return Ok(false),
+        Some(Spoil::CutAnswer) => {
+            let bytes = answer.bytes();
+            client.write_all(&bytes[..bytes.len() / 2])?;
+            return Ok(false);
+        }
+        Some(Spoil::TruncateJson) => {
+            let body = answer.body[..answer.body.len() / 2].to_vec();
+            client.write_all(&Message { head: answer.head.clone(), body }.bytes())?;
+        }
+        Some(Spoil::Delay(pause)) => {
+            std::thread::sleep(pause);
+            client.write_all(&answer.bytes())?;
+        }
+        None => client.write_all(&answer.bytes())?,
+    }
+    Ok(true)
+}
+
+/// A request or an answer of HTTP/1.1 whose body has a stated length.
+struct Message {
+    /// First line and headers, without the length.
+    head: Vec<String>,
+    body: Vec<u8>,
+}
+
+impl Message {
+    /// The next one; `None` where the other side has closed the line.
+    fn read(source: &mut impl BufRead) -> Result<Option<Self>, Error> {
+        let (mut head, mut length) = (Vec::new(), 0);
+        loop {
+            let mut line = String::new();
+            if source.read_line(&mut line)? == 0 {
+                return if head.is_empty() { Ok(None) } else { Err(ErrorKind::UnexpectedEof.into()) };
+            }
+            let line = line.trim_end();
+            if line.is_empty() {
+                break;
+            }
+            match line.split_once(':').filter(|(name, _)| name.eq_ignore_ascii_case("content-length")) {
+                Some((_, value)) => length = value.trim().parse().map_err(|_| Error::from(ErrorKind::InvalidData))?,
+                None => head.push(line.to_owned()),
+            }
+        }
+        let mut body = vec![0; length];
+        source.read_exact(&mut body)?;
+        Ok(Some(Self { head, body }))
+    }
+
+    fn bytes(&self) -> Vec<u8> {
+        let head = self.head.join("\r\n");
+        let head = format!("{head}\r\nContent-Length: {}\r\n\r\n", self.body.len());
+        [head.as_bytes(), &self.body].concat()
+    }
+
+    /// The JSON-RPC method asked for.
+    fn method(&self) -> Option<String> {
+        let document: Value = serde_json::from_slice(&self.body).ok()?;
+        document["method"].as_str().map(str::to_owned)
+    }
+}
