@@ -11,7 +11,7 @@ use authros::store::{Ledger, RecordQuery, RecordRow, Vault, open_vault};
 
 use crate::NO_NODE;
 use crate::field::TOPIC;
-use crate::support::{Anvil, Authros, Home, Running, list, skipped, text, wait_until};
+use crate::support::{Anvil, Authros, Home, Proxy, Running, Spoil, list, skipped, text, wait_until};
 
 /// Two profiles of one site.
 struct Two {
@@ -22,9 +22,8 @@ struct Two {
 }
 
 /// On the embedded chain, or at a node; alice's first records are taken.
-fn two_profiles(node: Option<&Anvil>) -> Two {
+fn two_profiles(url: Option<&str>) -> Two {
     let home = Home::new();
-    let url = node.map(Anvil::http);
     let chain: Vec<&str> = url.iter().flat_map(|url| ["--chain", url]).collect();
     let site = home.authros().with(&["--robots", "1"]).with(&chain).serve(&home);
     let (alice, bob) = (home.profile("alice"), home.profile("bob"));
@@ -202,10 +201,36 @@ async fn a_grantee_who_kept_every_key_opens_nothing_sealed_after_the_expiry() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_grant_runs_out_on_a_chain_that_makes_no_blocks() {
     let Some(node) = Anvil::start(&[]) else { skipped!(NO_NODE) };
-    let two = two_profiles(Some(&node));
+    let two = two_profiles(Some(&node.http()));
     let (granted, expiry) = outlast_a_grant(&two, || node.set_interval(0));
     node.set_interval(1);
     let home = two.end();
     let kept = keep_everything(&home, Some(&node)).await;
     kept.expect_shut_out(granted, expiry, expiry);
+}
+
+/// The revoke cannot be sent; it is not forgotten, and no rotation in its place gives him the next key.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_revoke_that_did_not_reach_the_node_is_sent_again_and_nothing_is_wrapped_for_him() {
+    let Some(node) = Anvil::start(&[]) else { skipped!(NO_NODE) };
+    let proxy = Proxy::before(node.port());
+    let two = two_profiles(Some(&proxy.http()));
+    two.alice.json(&["grant", &two.bob_address]);
+    let granted = Timestamp::now();
+    two.take(20);
+    let revoking = Timestamp::now();
+    proxy.spoil("eth_call", Spoil::Refuse, 1_000_000);
+    let outcome = two.alice.run(&["revoke", &two.bob_address]).expect_code(4);
+    assert!(outcome.stderr.contains("sent again until the chain has it"), "{outcome}");
+    let asked = Timestamp::now();
+    two.take(20);
+    proxy.calm();
+    wait_until(60, "the revoke reaches the chain", || {
+        let grant = list(&two.alice.json(&["grants", "list"]), "grants").remove(0);
+        (text(&grant, "state") == "revoked").then_some(())
+    });
+    two.take(5);
+    let home = two.end();
+    let kept = keep_everything(&home, Some(&node)).await;
+    kept.expect_shut_out(granted, revoking, asked);
 }

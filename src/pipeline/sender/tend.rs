@@ -154,7 +154,7 @@ impl Sender {
         if chain.block(seen).await?.is_none_or(|block| block.hash != hash) {
             return Ok(Vec::new());
         }
-        let (mut closings, mut refused) = (Vec::new(), Vec::new());
+        let (mut closings, mut refused, mut others) = (Vec::new(), Vec::new(), Vec::new());
         for (row, decided) in found {
             match decided {
                 Decided::Own(receipt) | Decided::Kin(_, _, receipt) if receipt.block > seen => {}
@@ -162,6 +162,15 @@ impl Sender {
                     refused.extend(refusal(&row, &receipt));
                     closings.push((row.hash, outcome(&receipt)));
                 }
+                other => others.push((row, other)),
+            }
+        }
+        // At once, before the chain is asked again: these receipts are of the chain that was just looked at.
+        if !closings.is_empty() {
+            block_in_place(|| self.ledger.close_transactions(closings))?;
+        }
+        for (row, decided) in others {
+            match decided {
                 Decided::Kin(kin, raw, receipt) => {
                     refused.extend(refusal(&row, &receipt));
                     self.give_to_kin(chain, eoa, &row, kin, &raw, &receipt).await?;
@@ -169,11 +178,8 @@ impl Sender {
                 Decided::Taken if self.cell(eoa.address()).memory().is_surely_missing(row.hash) => {
                     self.give_way(chain, eoa, &row).await?;
                 }
-                Decided::Taken => {}
+                Decided::Own(_) | Decided::Taken => {}
             }
-        }
-        if !closings.is_empty() {
-            block_in_place(|| self.ledger.close_transactions(closings))?;
         }
         Ok(refused)
     }

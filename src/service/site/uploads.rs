@@ -83,8 +83,9 @@ impl Site {
         }
         if let (Some(block), Some(hash)) = (row.block, row.block_hash) {
             steps.push(step("block", format!("{block} {hash}")));
+            // A run without a chain has seen no block.
             let head = *self.scanned.borrow();
-            steps.push(step("confirmations", format!("{}", (head + 1).saturating_sub(block))));
+            steps.extend((head >= block).then(|| step("confirmations", format!("{}", head + 1 - block))));
         }
         if let Some(earlier) = self.blocking(move |site| Ok(site.plant.ledger.earlier_anchor(digest)?)).await? {
             let (block, domain) = (earlier.block, earlier.domain);
