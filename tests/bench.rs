@@ -146,10 +146,15 @@ fn figures_come_as_comma_separated_lines_too() {
 fn a_signal_ends_a_bench_and_leaves_nothing() {
     let _alone = heavy();
     let home = Home::new();
-    let running = bare(&home).spawn(&["bench", "consensus", "--uploaders", "500"]);
-    support::wait_until(60, "the bench has begun", || std::fs::read_dir(home.root()).ok()?.flatten().next());
+    let running = bare(&home).spawn(&["bench", "consensus", "--uploaders", "5000"]);
+    support::wait_until(60, "uploads have begun", || {
+        let mut files = support::authros::files_below(home.root()).into_iter();
+        files.find(|file| {
+            file.ends_with("vault/vault.db-wal") && file.metadata().is_ok_and(|about| about.len() > 100_000)
+        })
+    });
     let outcome = running.stop("INT", 30);
     assert_eq!(outcome.code, Some(8), "{outcome}");
-    assert!(outcome.stderr.contains("ended before it was done"), "{outcome}");
+    assert!(outcome.stderr.contains("ended before it was done") && outcome.stdout.is_empty(), "{outcome}");
     expect_nothing_left(&home);
 }

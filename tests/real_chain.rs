@@ -12,7 +12,8 @@ const TOPIC: &str = "/robot1/odom";
 
 /// A profile with ether of its own, registered on the node.
 fn funded(home: &Home, node: &Anvil, url: &str) -> Authros {
-    let authros = home.authros().with(&["--chain", url, "--robots", "1"]);
+    // One by one, so that each digest is in a log; batches meet anvil in tests/chain_faults.
+    let authros = home.authros().with(&["--chain", url, "--robots", "1", "--anchor-mode", "each"]);
     let made = authros.json(&["identity", "create"]);
     node.fund(&text(&made, "address"));
     assert_eq!(authros.json(&["register"])["registered"], true);

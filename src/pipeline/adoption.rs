@@ -92,7 +92,10 @@ pub async fn give_word(
     let row = match block_in_place(|| word_of(plant, network, owner))? {
         Due::Nothing => return Ok(Word::Given),
         Due::Later => return Ok(Word::OnItsWay),
-        Due::Sealed(row) if row.state >= RecordState::Mined => return Ok(Word::Given),
+        // In a batch it goes with that.
+        Due::Sealed(row) if row.state == RecordState::Batched || row.state >= RecordState::Mined => {
+            return Ok(Word::Given);
+        }
         Due::Sealed(row) => row,
     };
     let account = network.directory.account(owner.address);

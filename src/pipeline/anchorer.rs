@@ -1,5 +1,6 @@
 //! Puts stored records on the chain: as Merkle batches, or one `dataUpload` each.
 
+use std::collections::HashMap;
 use std::time::{Duration, Instant};
 
 use tokio::task::block_in_place;
@@ -18,6 +19,8 @@ use super::{Network, Owner, PipelineError, Plant, Sender, adoption};
 const ROUND: usize = 128;
 /// Batches of one account that may wait for a block; while they do, the next one widens.
 const MOST_OPEN_BATCHES: usize = 2;
+/// How long a refused witness rests.
+const REST: Duration = Duration::from_secs(60);
 /// How long to wait where only the chain can bring news.
 const IDLE: Duration = Duration::from_secs(1);
 
@@ -25,6 +28,8 @@ const IDLE: Duration = Duration::from_secs(1);
 pub struct Anchorer {
     mode: AnchorMode,
     pace: Pace,
+    /// Witnesses whose anchors the contract refused (a suspended one, say), and until when they rest.
+    resting: HashMap<Address, Instant>,
 }
 
 /// What a round did.
@@ -45,7 +50,7 @@ impl Round {
 impl Anchorer {
     /// An anchorer of one owner's records.
     pub fn new(mode: AnchorMode) -> Self {
-        Self { mode, pace: Pace::default() }
+        Self { mode, pace: Pace::default(), resting: HashMap::new() }
     }
 
     /// Does what is due now. `lanes` are the accounts that anchor batches side by side, the owner's
@@ -64,18 +69,38 @@ impl Anchorer {
         if network.directory.epoch(owner.address) == 0 {
             return Ok(Round::wait(IDLE));
         }
-        let Some(lane) = free_lane(plant, sender, lanes)? else { return Ok(Round::wait(IDLE)) };
+        self.resting.retain(|_, until| Instant::now() < *until);
+        let Some(lane) = free_lane(plant, sender, lanes, &self.resting)? else { return Ok(Round::wait(IDLE)) };
         // Batches that were closed before come first, whatever the mode is now.
         let waiting = block_in_place(|| plant.ledger.waiting_batches(owner.address, 1))?;
         if let Some(batch) = waiting.first() {
-            return send(plant, network, sender, lane, *batch).await;
+            return self.send(plant, network, sender, lane, owner.address, *batch).await;
         }
         match self.mode {
             AnchorMode::Each => one_by_one(plant, network, sender, owner).await,
             AnchorMode::Batch => match self.close(plant, owner.address)? {
-                Ok(batch) => send(plant, network, sender, lane, batch).await,
+                Ok(batch) => self.send(plant, network, sender, lane, owner.address, batch).await,
                 Err(due_in) => Ok(Round::wait(due_in)),
             },
+        }
+    }
+
+    /// Anchors a closed batch. A witness whom the contract refuses rests; the owner's own refusal is told.
+    async fn send(
+        &mut self,
+        plant: &Plant,
+        network: &Network,
+        sender: &Sender,
+        lane: &EoaSecret,
+        owner: Address,
+        batch: WaitingBatch,
+    ) -> Result<Round, PipelineError> {
+        match send(plant, network, sender, lane, batch).await {
+            Err(PipelineError::Chain(ChainError::Reverted { .. })) if lane.address() != owner => {
+                self.resting.insert(lane.address(), Instant::now() + REST);
+                Ok(Round::wait(Duration::ZERO))
+            }
+            other => other,
         }
     }
 
@@ -117,10 +142,11 @@ fn free_lane<'a>(
     plant: &Plant,
     sender: &Sender,
     lanes: &'a [EoaSecret],
+    resting: &HashMap<Address, Instant>,
 ) -> Result<Option<&'a EoaSecret>, PipelineError> {
     block_in_place(|| {
         let (mut best, mut fewest) = (None, MOST_OPEN_BATCHES);
-        for lane in lanes {
+        for lane in lanes.iter().filter(|lane| !resting.contains_key(&lane.address())) {
             let open = plant.ledger.open_roots(lane.address())?.len();
             if open < fewest && sender.room(lane.address())? > 0 {
                 (best, fewest) = (Some(lane), open);

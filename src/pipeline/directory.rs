@@ -183,7 +183,9 @@ impl Directory {
             Event::Revoked { owner, grantee, epoch, token } => {
                 begin_epoch(state, *owner, *epoch, *token);
                 let matching = |grant: &&mut Granted| {
-                    grant.terms.owner == *owner && grant.terms.grantee == *grantee && grant.revoked.is_none()
+                    // Not one given later: a chunk of events may be read twice.
+                    let earlier = grant.terms.epoch < *epoch;
+                    earlier && grant.terms.owner == *owner && grant.terms.grantee == *grantee && grant.revoked.is_none()
                 };
                 state.grants.iter_mut().filter(matching).for_each(|grant| grant.revoked = Some(*epoch));
             }

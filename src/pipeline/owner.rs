@@ -165,6 +165,9 @@ impl Owner {
     pub fn seal_from(&self, moment: Timestamp, domain: Domain, epoch: u64) -> Result<(), PipelineError> {
         let keys = self.epoch_keys(domain, epoch)?;
         let mut sealing = self.sealing.write().unwrap_or_else(PoisonError::into_inner);
+        if sealing.keys.as_ref().is_some_and(|now| now.domain == domain && now.epoch >= epoch) {
+            return Ok(());
+        }
         if sealing.next.as_ref().is_none_or(|(from, _)| moment < *from) {
             sealing.next = Some((moment, keys));
         }

@@ -1,6 +1,8 @@
 //! Witnesses: further accounts of one owner that anchor batches side by side, so that throughput is not bound to one
 //! nonce lane. They follow from the owner's EOA key; authorship stays with the SM2 signature in each record.
 
+use tokio::task::block_in_place;
+
 use crate::chain::Call;
 use crate::crypto::{CryptoError, EoaSecret, prove, random_bytes, witness_secret};
 use crate::model::{Domain, Token};
@@ -13,6 +15,8 @@ pub const MOST_LANES: u8 = 8;
 const PROVISION: u128 = 500;
 /// Gas that one anchor and its share of the registration are reckoned with.
 const ANCHOR_GAS: u128 = 120_000;
+/// The purpose of a transfer that provides for a witness.
+const PROVISION_PURPOSE: &str = "provide witness";
 
 /// The witnesses of an owner on one network, for `lanes` accounts in all.
 ///
@@ -38,7 +42,7 @@ pub async fn ensure_ready(
     let state = sender.state_of(account)?;
     if network.directory.identity(account).is_ok() {
         if state.paused.is_some() {
-            provide(network, sender, owner, witness).await?;
+            provide(plant, network, sender, owner, witness).await?;
         }
         return Ok(true);
     }
@@ -46,7 +50,7 @@ pub async fn ensure_ready(
         // Its registration is on the way, perhaps since before a restart.
         return Ok(false);
     }
-    provide(network, sender, owner, witness).await?;
+    provide(plant, network, sender, owner, witness).await?;
     let (signing, (_, envelope)) = (owner.signing(), owner.public_keys());
     // A token of its own, which is nobody's key: witnesses seal nothing.
     let token = Token(random_bytes()?);
@@ -56,8 +60,18 @@ pub async fn ensure_ready(
 }
 
 /// Gives a witness ether for its next anchors where it has too little: from a development node, else from the owner.
-async fn provide(network: &Network, sender: &Sender, owner: &Owner, witness: &EoaSecret) -> Result<(), PipelineError> {
+async fn provide(
+    plant: &Plant,
+    network: &Network,
+    sender: &Sender,
+    owner: &Owner,
+    witness: &EoaSecret,
+) -> Result<(), PipelineError> {
     let (chain, account) = (&network.chain, witness.address());
+    // One that waits for its block is not in the balance yet.
+    if block_in_place(|| plant.ledger.open_lane(owner.address))?.iter().any(|row| row.purpose == PROVISION_PURPOSE) {
+        return Ok(());
+    }
     let provision = chain.market().await?.offer().saturating_mul(ANCHOR_GAS * PROVISION);
     let held = chain.wealth(account).await?;
     if held >= provision / 4 || chain.fund_from_node(account).await? {
@@ -66,7 +80,7 @@ async fn provide(network: &Network, sender: &Sender, owner: &Owner, witness: &Eo
     if chain.wealth(owner.address).await? < provision.saturating_mul(2) {
         return Err(PipelineError::NoEther(owner.address));
     }
-    sender.transfer(chain, &owner.eoa(), account, provision - held, "provide witness").await
+    sender.transfer(chain, &owner.eoa(), account, provision - held, PROVISION_PURPOSE).await
 }
 
 #[cfg(test)]

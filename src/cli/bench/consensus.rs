@@ -8,7 +8,7 @@ use serde::Serialize;
 use serde_json::{Map, Value, json};
 
 use super::machine::Machine;
-use super::network::{Network, Place, reach};
+use super::network::{Directory, Network, Place, reach};
 use super::report::{Measured, Report};
 use super::spread::{Spread, decimal, histogram, number};
 use super::uploads::{MESSAGE, Outcome, run as upload};
@@ -108,7 +108,8 @@ pub async fn run(
     places.extend(arguments.node.map(Place::Node));
     let mut results = Vec::new();
     for place in &places {
-        let network = Arc::new(Network::open(place, provider).await?);
+        let directory = Directory::new()?;
+        let network = Arc::new(Network::open(place, provider, directory.path()).await?);
         for uploaders in &arguments.uploaders {
             for mode in [AnchorMode::Each, AnchorMode::Batch] {
                 let outcome = upload(&network, mode, usize::try_from(*uploaders).unwrap_or(usize::MAX)).await?;

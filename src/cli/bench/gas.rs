@@ -8,7 +8,7 @@ use serde_json::{Map, Value, json};
 
 use super::account::Account;
 use super::machine::Machine;
-use super::network::{Network, Place, join, settle};
+use super::network::{Directory, Network, Place, join, settle};
 use super::progress::Progress;
 use super::report::{Measured, Report};
 use super::spread::{Spread, decimal, number};
@@ -74,7 +74,8 @@ struct Acceptance {
 /// Where the chain cannot be made, or a transaction fails.
 pub async fn run(provider: &'static dyn Provider, csv: bool, output: Output) -> Result<u8, Failure> {
     let consensus = Consensus::Poa { signers: 1, period: Duration::ZERO };
-    let network = Network::open(&Place::Embedded(consensus), provider).await?;
+    let directory = Directory::new()?;
+    let network = Network::open(&Place::Embedded(consensus), provider, directory.path()).await?;
     let mut progress = Progress::new("gas");
     let all = 1 + BATCHES.len() + SIZES.len();
     let mut results = vec![each(&network).await?];

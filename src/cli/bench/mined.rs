@@ -12,6 +12,8 @@ use crate::service::Failure;
 
 /// How long nothing may move before waiting ends.
 const STALL: Duration = Duration::from_secs(120);
+/// How long a node may be silent.
+const SILENCE: Duration = Duration::from_secs(20);
 /// How often a node is asked for its head; the embedded chain tells by itself.
 const POLL: Duration = Duration::from_millis(20);
 /// How long to wait after a node did not answer.
@@ -47,7 +49,7 @@ impl Mined {
     /// Waits for a transaction that was expected, and reads its receipt.
     ///
     /// # Errors
-    /// Where it is not mined while nothing moves for two minutes, or it failed.
+    /// Where it is not mined while nothing moves for two minutes, the node is silent, or it failed.
     pub async fn receipt(&self, chain: &Chain, hash: Hash, told: oneshot::Receiver<()>) -> Result<Receipt, Failure> {
         if told.await.is_err() {
             let trouble = lock(&self.trouble).clone();
@@ -72,14 +74,16 @@ impl Mined {
     /// Reads blocks after `head` until nothing moves any more; then all who still wait are told so.
     pub async fn watch(self: Arc<Self>, chain: Chain, mut head: u64, embedded: bool) {
         let patience = if embedded { Duration::from_secs(1) } else { POLL };
-        let mut moved = Instant::now();
-        while moved.elapsed() < STALL {
+        let (mut moved, mut answered) = (Instant::now(), Instant::now());
+        while moved.elapsed() < STALL && answered.elapsed() < SILENCE {
             match self.look(&chain, head, patience).await {
-                Ok(now) if now > head => {
-                    head = now;
-                    moved = Instant::now();
+                Ok(now) => {
+                    answered = Instant::now();
+                    *lock(&self.trouble) = None;
+                    if now > head {
+                        (head, moved) = (now, answered);
+                    }
                 }
-                Ok(_) => {}
                 Err(error) => {
                     *lock(&self.trouble) = Some(error.to_string());
                     tokio::time::sleep(REST).await;

@@ -19,6 +19,10 @@ use crate::service::failure::internal;
 /// How long a single transaction may wait for its block.
 const PATIENCE: Duration = Duration::from_secs(120);
 
+/// How often it is tried to remove a directory.
+const REMOVALS: u32 = 10;
+/// How long to wait in between.
+const BETWEEN_REMOVALS: Duration = Duration::from_millis(20);
 /// How long a gas price is good.
 const PRICE_HOLDS: Duration = Duration::from_secs(1);
 /// Requests to a node at once, so that neither runs out of descriptors.
@@ -33,7 +37,40 @@ pub enum Place {
     Node(String),
 }
 
-/// A network ready for uploads. Its directory goes with it.
+/// A directory that goes when it is dropped, even while a chain that ends closes its files in it.
+pub struct Directory(TempDir);
+
+impl Directory {
+    /// A new one.
+    ///
+    /// # Errors
+    /// Where none can be made.
+    pub fn new() -> Result<Self, Failure> {
+        let made = tempfile::Builder::new().prefix("authros-bench-").tempdir();
+        let made = made.map_err(|error| {
+            Failure::new(ErrorKind::Home, format!("no temporary directory can be made: {error}; set TMPDIR"))
+        });
+        made.map(Self)
+    }
+
+    /// Where it lies.
+    pub fn path(&self) -> &Path {
+        self.0.path()
+    }
+}
+
+impl Drop for Directory {
+    fn drop(&mut self) {
+        for _ in 0..REMOVALS {
+            if std::fs::remove_dir_all(self.path()).is_ok() || !self.path().exists() {
+                return;
+            }
+            std::thread::sleep(BETWEEN_REMOVALS);
+        }
+    }
+}
+
+/// A network ready for uploads.
 pub struct Network {
     /// `embedded` or `node`.
     pub kind: &'static str,
@@ -54,17 +91,15 @@ pub struct Network {
     /// Requests in flight.
     pub line: Semaphore,
     price: Mutex<Option<(Instant, u128)>>,
-    _directory: TempDir,
 }
 
 impl Network {
-    /// Opens it, deploys the contract, registers the accounts, opens a vault.
+    /// Opens it, deploys the contract, registers the accounts, opens a vault; files lie in `directory`.
     ///
     /// # Errors
     /// Where the node does not answer or gives no ether, or nothing can be written.
-    pub async fn open(place: &Place, provider: &'static dyn Provider) -> Result<Self, Failure> {
-        let directory = temporary_directory()?;
-        let chain = connect(place, directory.path()).await?;
+    pub async fn open(place: &Place, provider: &'static dyn Provider, directory: &Path) -> Result<Self, Failure> {
+        let chain = connect(place, directory).await?;
         let [one, other] = [EoaSecret::generate()?, EoaSecret::generate()?];
         for eoa in [&one, &other] {
             chain.fund_from_node(eoa.address()).await?;
@@ -81,12 +116,11 @@ impl Network {
             client: status.client,
             sealing: chain.sealing().await?,
             gas_limit: head.gas_limit,
-            storer: Storer::open(&directory.path().join("vault"))?,
+            storer: Storer::open(&directory.join("vault"))?,
             line: Semaphore::new(if embedded { Semaphore::MAX_PERMITS } else { MOST_REQUESTS }),
             price: Mutex::default(),
             chain,
             accounts: [Arc::new(one), Arc::new(other)],
-            _directory: directory,
         })
     }
 
@@ -113,11 +147,6 @@ impl Network {
     pub fn name(&self) -> String {
         format!("{} {}", self.kind, self.consensus)
     }
-}
-
-fn temporary_directory() -> Result<TempDir, Failure> {
-    let made = tempfile::Builder::new().prefix("authros-bench-").tempdir();
-    made.map_err(|error| Failure::new(ErrorKind::Home, format!("no temporary directory can be made: {error}")))
 }
 
 /// Whether a node answers, so that nobody waits for other networks to learn that it does not.

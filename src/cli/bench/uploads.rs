@@ -83,7 +83,7 @@ pub async fn run(network: &Arc<Network>, mode: AnchorMode, uploaders: usize) -> 
     let run = Arc::new(Run { network: Arc::clone(network), mined, batchers });
     let begun = Instant::now();
     let done = all(&run, uploaders, begun, &mut progress).await;
-    drop(progress);
+    beside.shutdown().await;
     let mut outcome = outcome(uploaders, begun, run.mined.blocks(), done);
     if let Some(roots) = roots {
         let anchored = roots.confirmed(network).await?;

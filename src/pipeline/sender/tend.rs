@@ -126,6 +126,7 @@ impl Sender {
         }
         let mined = chain.nonce(account, false).await?;
         let (used, waiting): (Vec<_>, Vec<_>) = open.into_iter().partition(|row| row.nonce < mined);
+        cell.memory().missing.retain(|hash, _| used.iter().any(|row| row.hash == *hash));
         let refused = self.decide(chain, eoa, used).await?;
         let paused = waiting::Round { sender: self, chain, eoa, account, mined, rows: &waiting }.run().await?;
         self.settle(account, paused);
@@ -143,6 +144,9 @@ impl Sender {
         let mut found = Vec::with_capacity(used.len());
         for row in used {
             let decided = self.look_up(chain, eoa.address(), &row).await?;
+            if !matches!(decided, Decided::Taken) {
+                self.cell(eoa.address()).memory().missing.remove(&row.hash);
+            }
             found.push((row, decided));
         }
         // A receipt is only worth something on the chain that the watcher follows; else it would be closed for

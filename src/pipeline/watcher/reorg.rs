@@ -63,7 +63,8 @@ async fn last_common(network: &Network, trail: &[(u64, Hash)]) -> Result<Option<
 async fn go_back(plant: &Plant, network: &Network, common: (u64, Hash), was_at: u64) -> Result<(), PipelineError> {
     let from = common.0 + 1;
     let deep = block_in_place(|| plant.ledger.verified_from(from))?;
-    let moved = block_in_place(|| Ok::<_, PipelineError>(plant.ledger.unverify(from)? + plant.ledger.unmine(from)?))?;
+    // Confirmed ones first: what the verifier advances meanwhile is then among the verified ones.
+    let moved = block_in_place(|| Ok::<_, PipelineError>(plant.ledger.unmine(from)? + plant.ledger.unverify(from)?))?;
     if network.directory.newest() >= from {
         block_in_place(|| plant.ledger.put_setting(DIRECTORY, ""))?;
         rebuild(network, common.0).await?;

@@ -9,12 +9,10 @@ use crate::crypto::{GrantedKeys, WrappedKeys, wrap};
 use crate::model::{GrantTerms, Scope, Timestamp};
 use crate::pipeline::directory::Granted;
 use crate::pipeline::{Network, Owner};
-use crate::service::event::Part;
+use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::refused;
 use crate::service::reply::{Failure, TransactionView};
 
-/// How long before an expiry the next epoch is readied, nanoseconds.
-const FORESIGHT: u64 = 60_000_000_000;
 /// Envelopes a `wrap` transaction carries at most, to stay below 32 KB.
 const ENVELOPES_A_CALL: usize = 8;
 
@@ -46,7 +44,11 @@ impl Site {
         let (transaction, receipt) = sent?;
         self.scanned(receipt.block).await;
         owner.confirm_epoch(network.domain, next)?;
-        self.rewrap(owner, network).await?;
+        if let Err(failure) = self.rewrap(owner, network).await {
+            let text =
+                format!("some readers of {} lack the keys of epoch {next} for now: {}", owner.profile, failure.message);
+            self.hub.notice(NoticeLevel::Error, &text);
+        }
         self.changed(Part::Grants);
         Ok(TransactionView {
             transaction: Some(transaction),
@@ -54,54 +56,6 @@ impl Site {
             epoch: next,
             text: format!("{purpose}: epoch {next} has begun; records from now on are sealed under its key"),
         })
-    }
-
-    /// Readies the end of the sealing epoch where a grant that covers it runs out soon, or did while
-    /// nobody looked: from that moment on records are sealed under the next epoch, whether or not the
-    /// chain answers. `also` is an expiry that is not on the chain yet.
-    pub(super) fn foresee_expiry(
-        &self,
-        owner: &Owner,
-        network: &Network,
-        also: Option<Timestamp>,
-    ) -> Result<(), Failure> {
-        let Some(epoch) = owner.sealing().filter(|keys| keys.domain == network.domain).map(|keys| keys.epoch) else {
-            return Ok(());
-        };
-        let covering = network.directory.grants(|grant| {
-            grant.terms.owner == owner.address && grant.revoked.is_none() && grant.envelopes.contains_key(&epoch)
-        });
-        let earliest = covering.iter().filter_map(|grant| grant.terms.expiry).chain(also).min();
-        if let Some(moment) = earliest.filter(|moment| moment.0 < Timestamp::now().0 + FORESIGHT) {
-            owner.prepare_epoch(network.domain, epoch + 1)?;
-            owner.seal_from(moment, network.domain, epoch + 1)?;
-        }
-        Ok(())
-    }
-
-    /// Tells the chain of the next epoch where a grant that covers its current one has run out, or where
-    /// records are sealed under the next one already.
-    pub(super) async fn end_expired(self: &Arc<Self>, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
-        self.foresee_expiry(owner, network, None)?;
-        if !self.is_behind(owner, network) {
-            return Ok(());
-        }
-        let _one_at_a_time = owner.changes.lock().await;
-        // Another change may have begun the epoch meanwhile.
-        if self.is_behind(owner, network) {
-            let call = |new_token| Call::Rotate { new_token };
-            self.begin_epoch(owner, network, "rotate (a grant expired)", call).await?;
-        }
-        Ok(())
-    }
-
-    fn is_behind(&self, owner: &Owner, network: &Network) -> bool {
-        let (epoch, now) = (network.directory.epoch(owner.address), Timestamp::now());
-        let sealing = owner.sealing().filter(|keys| keys.domain == network.domain);
-        let covered = |grant: &Granted| {
-            grant.terms.owner == owner.address && grant.word(now) == "expired" && grant.envelopes.contains_key(&epoch)
-        };
-        epoch > 0 && (sealing.is_some_and(|keys| keys.epoch > epoch) || !network.directory.grants(covered).is_empty())
     }
 
     /// Finishes an epoch that was begun but did not reach the chain, and re-wraps what is missing.
@@ -112,7 +66,7 @@ impl Site {
         self.settle_open(owner, &network).await?;
         let on_chain = network.directory.epoch(owner.address);
         if owner.epochs(network.domain).last().is_some_and(|newest| *newest > on_chain) {
-            self.begin_epoch(owner, &network, "rotate (resumed)", |new_token| Call::Rotate { new_token }).await?;
+            self.next_epoch(owner, &network, "resumed").await?;
         }
         self.rewrap(owner, &network).await
     }
@@ -132,23 +86,40 @@ impl Site {
         Err(refused(format!("transactions of '{}' from before are still not in a block", owner.profile)))
     }
 
-    /// Sends envelopes of the current epoch to every active reader who lacks one.
+    /// Active readers who lack the envelope of the current epoch; not those whose revocation is on its way.
+    pub(super) fn lacking(&self, owner: &Owner, network: &Network) -> Result<Vec<Granted>, Failure> {
+        let (epoch, now) = (network.directory.epoch(owner.address), Timestamp::now());
+        let leaving = self.owed_revocations(owner, network)?;
+        Ok(network.directory.grants(|grant| {
+            grant.terms.owner == owner.address
+                && grant.is_active(now)
+                && !grant.envelopes.contains_key(&epoch)
+                && !leaving.contains(&grant.terms.grantee)
+        }))
+    }
+
+    /// Sends envelopes of the current epoch to every active reader who lacks one. One who cannot be given
+    /// any does not keep the others from theirs.
+    ///
+    /// # Errors
+    /// The last failure; it is tried again.
     pub(super) async fn rewrap(self: &Arc<Self>, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
         let epoch = network.directory.epoch(owner.address);
-        let now = Timestamp::now();
-        let lacking = network.directory.grants(|grant| {
-            grant.terms.owner == owner.address && grant.is_active(now) && !grant.envelopes.contains_key(&epoch)
-        });
-        for chunk in lacking.chunks(ENVELOPES_A_CALL) {
-            let mut envelopes = Vec::with_capacity(chunk.len());
-            for grant in chunk {
-                envelopes.push((grant.terms.grantee, self.envelope_for(owner, network, grant, epoch)?));
+        let (mut envelopes, mut failed) = (Vec::new(), None);
+        for grant in self.lacking(owner, network)? {
+            match self.envelope_for(owner, network, &grant, epoch) {
+                Ok(envelope) => envelopes.push((grant.terms.grantee, envelope)),
+                Err(failure) => failed = Some(failure),
             }
-            let call = Call::Wrap { epoch, envelopes };
-            let (_, receipt) = self.sender.send(&network.chain, &owner.eoa(), call, "wrap").await?;
-            self.scanned(receipt.block).await;
         }
-        Ok(())
+        for chunk in envelopes.chunks(ENVELOPES_A_CALL) {
+            let call = Call::Wrap { epoch, envelopes: chunk.to_vec() };
+            match self.sender.send(&network.chain, &owner.eoa(), call, "wrap").await {
+                Ok((_, receipt)) => self.scanned(receipt.block).await,
+                Err(error) => failed = Some(error.into()),
+            }
+        }
+        failed.map_or(Ok(()), Err)
     }
 
     fn envelope_for(&self, owner: &Owner, network: &Network, grant: &Granted, epoch: u64) -> Result<Vec<u8>, Failure> {

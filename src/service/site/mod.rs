@@ -15,6 +15,7 @@ mod identity;
 mod keys;
 mod lanes;
 mod opening;
+mod overdue;
 mod owners;
 mod robots;
 mod sharing;

@@ -49,6 +49,7 @@ impl Site {
         };
         let envelope = self.wrap_keys(owner, &network, terms.clone(), &names, covered)?;
         self.audit_first(owner, "grant", &grantee.to_string()).await?;
+        self.settle_revocation(owner, grantee)?;
         self.foresee_expiry(owner, &network, expires)?;
         let call = Call::AuthorityGrant { grantee, epoch, expiry: terms.expiry, scope: terms.scope, envelope };
         let (transaction, receipt) = self.sender.send(&network.chain, &owner.eoa(), call, "authorityGrant").await?;
@@ -77,10 +78,19 @@ impl Site {
                 owner.address
             )));
         }
+        self.owe_revocation(owner, grantee)?;
         let purpose = format!("revoke {grantee}");
         let mut view = self
             .begin_epoch(owner, &network, &purpose, |new_token| Call::AuthorityRevoke { grantee, new_token })
-            .await?;
+            .await
+            .map_err(|failure| Failure {
+                message: format!(
+                    "{}; the revocation is noted and is sent again until the chain has it",
+                    failure.message
+                ),
+                ..failure
+            })?;
+        self.settle_revocation(owner, grantee)?;
         view.text = format!(
             "{grantee} can read nothing sealed from now on (epoch {}); what was already read cannot be recalled",
             view.epoch
@@ -88,7 +98,12 @@ impl Site {
         Ok(view)
     }
 
-    fn active_grant(&self, network: &crate::pipeline::Network, owner: Address, grantee: Address) -> Option<Granted> {
+    pub(super) fn active_grant(
+        &self,
+        network: &crate::pipeline::Network,
+        owner: Address,
+        grantee: Address,
+    ) -> Option<Granted> {
         let now = Timestamp::now();
         network
             .directory

@@ -1,11 +1,12 @@
 //! Starts the background tasks of a site: sealer, storer, watcher, anchorers, verifier.
 
+use std::collections::HashMap;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use super::{Needs, Site};
 use crate::chain::ChainError;
-use crate::model::Domain;
+use crate::model::{Address, Domain};
 use crate::pipeline::adoption::{self, Word};
 use crate::pipeline::anchorer::{Anchorer, Round};
 use crate::pipeline::sealer::Sealer;
@@ -13,6 +14,9 @@ use crate::pipeline::{Network, Owner, PipelineError, storer, verifier, watcher};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::internal;
 use crate::service::reply::Failure;
+
+/// The longest pause between two attempts to send what the chain is owed.
+const LONGEST_REST: Duration = Duration::from_secs(60);
 
 /// Starts all tasks that the run needs.
 pub(super) fn start(site: &Arc<Site>, needs: Needs) -> Result<(), Failure> {
@@ -59,10 +63,9 @@ fn start_storer(site: &Arc<Site>) -> Result<(), Failure> {
 }
 
 async fn watch(site: Arc<Site>) {
-    let mut seen = 0;
+    let (mut seen, mut state) = (0, site.network.subscribe());
     while !site.is_stopping() {
         let Some(network) = site.network_now() else {
-            let mut state = site.network.subscribe();
             if state.changed().await.is_err() {
                 return;
             }
@@ -181,8 +184,9 @@ pub(super) async fn anchor(site: Arc<Site>, owner: Arc<Owner>) {
 }
 
 impl Site {
-    /// Begins a new epoch for every owner one of whose grants has run out.
+    /// Sends what the chain is owed, and after a failure again with growing pauses.
     async fn expire_grants(self: Arc<Self>) {
+        let mut resting: HashMap<Address, (Instant, Duration)> = HashMap::new();
         while !self.is_stopping() {
             tokio::select! {
                 () = tokio::time::sleep(Duration::from_secs(1)) => {}
@@ -190,12 +194,20 @@ impl Site {
             }
             let Some(network) = self.network_now() else { continue };
             for owner in self.all_owners() {
-                if let Err(failure) = self.end_expired(&owner, &network).await {
-                    self.hub.notice(
-                        NoticeLevel::Error,
-                        &format!("a grant of {} has run out or soon will, but {}", owner.profile, failure.message),
-                    );
+                if resting.get(&owner.address).is_some_and(|(until, _)| Instant::now() < *until) {
+                    continue;
                 }
+                let Err(failure) = self.settle_overdue(&owner, &network).await else {
+                    resting.remove(&owner.address);
+                    continue;
+                };
+                let pause = resting.get(&owner.address).map_or(Duration::from_secs(2), |(_, pause)| *pause * 2);
+                let pause = pause.min(LONGEST_REST);
+                resting.insert(owner.address, (Instant::now() + pause, pause));
+                self.hub.notice(
+                    NoticeLevel::Error,
+                    &format!("the end of a grant of {} is not on the chain yet: {}", owner.profile, failure.message),
+                );
             }
         }
     }

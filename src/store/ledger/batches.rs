@@ -306,13 +306,14 @@ pub(super) fn release(connection: &Connection, root: Hash, transaction: Hash) ->
     Ok(())
 }
 
-/// Blocks from this one on are gone: batches lose their block, and their transaction unless it is open.
+/// Blocks from this one on are gone: batches lose their block. Whoever anchored them, an open transaction of
+/// ours that does so goes on.
 pub(super) fn take_back(connection: &Connection, block: i64) -> Result<(), StoreError> {
     connection
         .prepare_cached(
-            "UPDATE batches SET block = NULL, block_hash = NULL,
-             account = CASE WHEN EXISTS (SELECT 1 FROM transactions WHERE hash = tx AND state = 0) THEN account END,
-             tx = CASE WHEN EXISTS (SELECT 1 FROM transactions WHERE hash = tx AND state = 0) THEN tx END
+            "UPDATE batches SET block = NULL, block_hash = NULL, (tx, account) =
+             (SELECT hash, transactions.account FROM transactions
+              WHERE transactions.batch = root AND state = 0 ORDER BY nonce, transactions.key LIMIT 1)
              WHERE block >= ?1",
         )?
         .execute([block])?;

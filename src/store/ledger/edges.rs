@@ -23,7 +23,7 @@ pub(super) enum By {
     Reorg,
 }
 
-const EDGES: [(RecordState, RecordState, By); 36] = [
+const EDGES: [(RecordState, RecordState, By); 38] = [
     (Sealed, Stored, By::Worker),
     (Sealed, Quarantined, By::Worker),
     (Stored, Quarantined, By::Worker),
@@ -54,9 +54,11 @@ const EDGES: [(RecordState, RecordState, By); 36] = [
     (Mined, Submitted, By::Reorg),
     (Mined, Batched, By::Reorg),
     (Mined, Stored, By::Reorg),
+    (Confirmed, Mined, By::Reorg),
     (Confirmed, Submitted, By::Reorg),
     (Confirmed, Batched, By::Reorg),
     (Confirmed, Stored, By::Reorg),
+    (Verified, Mined, By::Reorg),
     (Verified, Submitted, By::Reorg),
     (Verified, Batched, By::Reorg),
     (Verified, Stored, By::Reorg),

@@ -203,27 +203,40 @@ fn standing(connection: &Connection, sighting: &Sighting) -> Result<Option<Stand
     Ok(found)
 }
 
-/// Takes the block from the records of one state; our own open transactions keep theirs as submitted.
+/// Takes the block from the records of one state. Each goes to what still stands for it: its own open
+/// transaction, its batch's place on the chain, its batch's open transaction, another open upload of it.
 fn unplace(connection: &Connection, from: RecordState, block: i64) -> Result<u64, StoreError> {
-    let (stored, batched, submitted) = (RecordState::Stored, RecordState::Batched, RecordState::Submitted);
-    if let Some(to) = [stored, batched, submitted].into_iter().find(|to| !may(By::Reorg, from, *to)) {
-        return Err(StoreError::IllegalEdge { from, to });
-    }
-    let open = "(SELECT 1 FROM transactions WHERE hash = records.tx AND transactions.state = 0)";
-    let back = |condition: &str, values: &str| {
-        format!(
-            "UPDATE records INDEXED BY records_by_state SET {values}, block = NULL, block_hash = NULL
-             WHERE state = ?1 AND block >= ?2 AND {condition} EXISTS {open}"
-        )
+    const OPEN: &str = "EXISTS (SELECT 1 FROM transactions WHERE hash = records.tx AND transactions.state = 0)";
+    const LEAF: &str = "EXISTS (SELECT 1 FROM leaves WHERE record = n)";
+    const UPLOAD: &str = "(SELECT hash FROM transactions WHERE transactions.state = 0
+         AND transactions.digests = records.digest ORDER BY nonce, key LIMIT 1)";
+    let of_batch = |column: &str| {
+        format!("(SELECT batches.{column} FROM leaves JOIN batches ON key = batch WHERE record = records.n)")
     };
-    let again =
-        connection.prepare_cached(&back("", "state = ?3"))?.execute(params![from.code(), block, submitted.code()])?;
-    let waiting = "state = CASE WHEN EXISTS (SELECT 1 FROM leaves WHERE record = n) THEN ?4 ELSE ?3 END, tx = NULL";
-    let anew = connection.prepare_cached(&back("NOT", waiting))?.execute(params![
-        from.code(),
-        block,
-        stored.code(),
-        batched.code()
-    ])?;
-    Ok(count(again) + count(anew))
+    let gone = "block = NULL, block_hash = NULL";
+    let (its_tx, its_block, its_hash) = (of_batch("tx"), of_batch("block"), of_batch("block_hash"));
+    let steps = [
+        (RecordState::Submitted, gone.to_owned(), OPEN.to_owned()),
+        (
+            RecordState::Mined,
+            format!("tx = {its_tx}, block = {its_block}, block_hash = {its_hash}"),
+            format!("{its_block} IS NOT NULL"),
+        ),
+        (RecordState::Submitted, format!("tx = {its_tx}, {gone}"), format!("{its_tx} IS NOT NULL")),
+        (RecordState::Batched, format!("tx = NULL, {gone}"), LEAF.to_owned()),
+        (RecordState::Submitted, format!("tx = {UPLOAD}, {gone}"), format!("{UPLOAD} IS NOT NULL")),
+        (RecordState::Stored, format!("tx = NULL, {gone}"), "1".to_owned()),
+    ];
+    let mut moved = 0;
+    for (to, values, condition) in steps {
+        if from != to && !may(By::Reorg, from, to) {
+            return Err(StoreError::IllegalEdge { from, to });
+        }
+        let sql = format!(
+            "UPDATE records INDEXED BY records_by_state SET state = ?3, {values}
+             WHERE state = ?1 AND block >= ?2 AND {condition}"
+        );
+        moved += count(connection.prepare_cached(&sql)?.execute(params![from.code(), block, to.code()])?);
+    }
+    Ok(moved)
 }

@@ -280,13 +280,15 @@ fn release(connection: &Connection, hash: Hash) -> Result<(), StoreError> {
         return batches::release(connection, Hash(root), hash);
     }
     let mut statement = connection.prepare_cached(
-        "UPDATE records SET state = CASE state WHEN ?3 THEN ?4 ELSE state END, tx = NULL
+        "UPDATE records SET tx = NULL, state = CASE WHEN state <> ?3 THEN state
+             WHEN EXISTS (SELECT 1 FROM leaves WHERE record = n) THEN ?6 ELSE ?4 END
          WHERE digest = ?1 AND tx = ?2 AND block IS NULL AND state IN (?3, ?5)",
     )?;
-    let [submitted, stored, tampered] =
-        [RecordState::Submitted, RecordState::Stored, RecordState::Tampered].map(RecordState::code);
+    let [submitted, stored, tampered, batched] =
+        [RecordState::Submitted, RecordState::Stored, RecordState::Tampered, RecordState::Batched]
+            .map(RecordState::code);
     for digest in digests.chunks_exact(Digest::LENGTH) {
-        statement.execute(params![digest, hash.0, submitted, stored, tampered])?;
+        statement.execute(params![digest, hash.0, submitted, stored, tampered, batched])?;
     }
     Ok(())
 }

@@ -175,7 +175,8 @@ impl Model {
         for known in self.records.iter_mut().filter(|k| k.transaction == hash && k.block.is_none()) {
             if state != TransactionState::Mined && matches!(known.state, Submitted | Tampered) {
                 known.transaction = None;
-                known.state = if known.state == Submitted { Stored } else { Tampered };
+                let waiting = if known.batch.is_some() { Batched } else { Stored };
+                known.state = if known.state == Submitted { waiting } else { Tampered };
             }
         }
     }
@@ -198,22 +199,28 @@ impl Model {
         for sent in self.sent.iter_mut().filter(|s| s.state == TransactionState::Mined && gone(s.block)) {
             (sent.state, sent.block) = (TransactionState::Open, None);
         }
-        let open: Vec<Hash> =
-            self.sent.iter().filter(|s| s.state == TransactionState::Open).map(|s| s.new.hash).collect();
+        let mut open: Vec<NewTransaction> =
+            self.sent.iter().filter(|s| s.state == TransactionState::Open).map(|s| s.new.clone()).collect();
+        open.sort_by_key(|new| new.nonce);
+        let opened = |anchors: &Anchors| open.iter().find(|new| new.anchors == *anchors).map(|new| new.hash);
         for batch in self.batches.iter_mut().filter(|batch| gone(batch.block)) {
-            batch.block = None;
-            batch.transaction = batch.transaction.filter(|hash| open.contains(hash));
+            (batch.block, batch.transaction) = (None, opened(&Anchors::Batch(batch.root)));
         }
         let mut moved = 0;
         for known in self.records.iter_mut().filter(|known| gone(known.block)) {
             if known.state == Tampered {
                 (known.transaction, known.block) = (None, None);
             } else if states.contains(&known.state) {
-                let ours = known.transaction.is_some_and(|hash| open.contains(&hash));
-                let waiting = if known.batch.is_some() { Batched } else { Stored };
-                known.state = if ours { Submitted } else { waiting };
-                known.transaction = known.transaction.filter(|_| ours);
-                known.block = None;
+                let batch = known.batch.map(|number| &self.batches[number]);
+                let upload = || opened(&Anchors::Digests(vec![known.new.digest]));
+                let ours = known.transaction.filter(|hash| open.iter().any(|new| new.hash == *hash));
+                (known.state, known.transaction, known.block) = match (ours, batch) {
+                    (Some(hash), _) => (Submitted, Some(hash), None),
+                    (None, Some(batch)) if batch.block.is_some() => (Mined, batch.transaction, batch.block),
+                    (None, Some(batch)) if batch.transaction.is_some() => (Submitted, batch.transaction, None),
+                    (None, Some(_)) => (Batched, None, None),
+                    (None, None) => upload().map_or((Stored, None, None), |hash| (Submitted, Some(hash), None)),
+                };
                 moved += 1;
             }
         }

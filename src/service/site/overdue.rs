@@ -1,0 +1,121 @@
+//! What the chain is still owed: epochs that ended by an expiry, revocations that did not reach it,
+//! envelopes that readers lack. All of it is sent again until it stands there.
+
+use std::sync::Arc;
+
+use tokio::task::block_in_place;
+
+use super::Site;
+use crate::chain::Call;
+use crate::model::{Address, Timestamp};
+use crate::pipeline::directory::Granted;
+use crate::pipeline::{Network, Owner};
+use crate::service::reply::{Failure, TransactionView};
+
+/// How long before an expiry the next epoch is readied, nanoseconds.
+const FORESIGHT: u64 = 60_000_000_000;
+
+impl Site {
+    /// Readies the end of the sealing epoch where a grant that covers it runs out soon, or did while
+    /// nobody looked: from that moment on records are sealed under the next epoch, whether or not the
+    /// chain answers. `also` is an expiry that is not on the chain yet.
+    pub(super) fn foresee_expiry(
+        &self,
+        owner: &Owner,
+        network: &Network,
+        also: Option<Timestamp>,
+    ) -> Result<(), Failure> {
+        let Some(epoch) = owner.sealing().filter(|keys| keys.domain == network.domain).map(|keys| keys.epoch) else {
+            return Ok(());
+        };
+        let covering = network.directory.grants(|grant| {
+            grant.terms.owner == owner.address && grant.revoked.is_none() && grant.envelopes.contains_key(&epoch)
+        });
+        let earliest = covering.iter().filter_map(|grant| grant.terms.expiry).chain(also).min();
+        if let Some(moment) = earliest.filter(|moment| moment.0 < Timestamp::now().0 + FORESIGHT) {
+            owner.prepare_epoch(network.domain, epoch + 1)?;
+            owner.seal_from(moment, network.domain, epoch + 1)?;
+        }
+        Ok(())
+    }
+
+    /// Sends what is overdue: the next epoch where a grant that covers the current one has run out or records
+    /// are sealed under the next one already, revocations that were cut short, envelopes that are lacking.
+    pub(super) async fn settle_overdue(self: &Arc<Self>, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
+        self.foresee_expiry(owner, network, None)?;
+        if !self.is_behind(owner, network)? && self.lacking(owner, network)?.is_empty() {
+            return Ok(());
+        }
+        let _one_at_a_time = owner.changes.lock().await;
+        // Another change may have begun the epoch meanwhile.
+        if self.is_behind(owner, network)? {
+            self.next_epoch(owner, network, "a grant expired").await?;
+        }
+        self.rewrap(owner, network).await
+    }
+
+    fn is_behind(&self, owner: &Owner, network: &Network) -> Result<bool, Failure> {
+        let (epoch, now) = (network.directory.epoch(owner.address), Timestamp::now());
+        let sealing = owner.sealing().filter(|keys| keys.domain == network.domain);
+        let covered = |grant: &Granted| {
+            grant.terms.owner == owner.address && grant.word(now) == "expired" && grant.envelopes.contains_key(&epoch)
+        };
+        let ended = sealing.is_some_and(|keys| keys.epoch > epoch) || !network.directory.grants(covered).is_empty();
+        Ok(epoch > 0 && (ended || !self.owed_revocations(owner, network)?.is_empty()))
+    }
+
+    /// Begins the next epoch: by the revocation that was cut short, if there is one, for a rotation would
+    /// give the new key to him who was to lose it.
+    pub(super) async fn next_epoch(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        network: &Network,
+        why: &str,
+    ) -> Result<TransactionView, Failure> {
+        let Some(grantee) = self.owed_revocations(owner, network)?.first().copied() else {
+            let call = |new_token| Call::Rotate { new_token };
+            return self.begin_epoch(owner, network, &format!("rotate ({why})"), call).await;
+        };
+        let call = |new_token| Call::AuthorityRevoke { grantee, new_token };
+        let view = self.begin_epoch(owner, network, &format!("revoke {grantee} (resumed)"), call).await?;
+        self.settle_revocation(owner, grantee)?;
+        Ok(view)
+    }
+
+    /// Revocations that were asked for and that the chain does not have yet.
+    pub(super) fn owed_revocations(&self, owner: &Owner, network: &Network) -> Result<Vec<Address>, Failure> {
+        let mut owed = self.read_owed(owner)?;
+        owed.retain(|grantee| self.active_grant(network, owner.address, *grantee).is_some());
+        Ok(owed)
+    }
+
+    /// Notes that `grantee` is to lose his grant, whatever happens now.
+    pub(super) fn owe_revocation(&self, owner: &Owner, grantee: Address) -> Result<(), Failure> {
+        let mut owed = self.read_owed(owner)?;
+        if !owed.contains(&grantee) {
+            owed.push(grantee);
+        }
+        self.write_owed(owner, &owed)
+    }
+
+    /// The chain has the revocation, or a new grant takes its place.
+    pub(super) fn settle_revocation(&self, owner: &Owner, grantee: Address) -> Result<(), Failure> {
+        let mut owed = self.read_owed(owner)?;
+        owed.retain(|other| *other != grantee);
+        self.write_owed(owner, &owed)
+    }
+
+    fn read_owed(&self, owner: &Owner) -> Result<Vec<Address>, Failure> {
+        let text = block_in_place(|| self.plant.ledger.setting(&owed_key(owner)))?;
+        Ok(text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default())
+    }
+
+    fn write_owed(&self, owner: &Owner, owed: &[Address]) -> Result<(), Failure> {
+        let text = serde_json::to_string(owed).unwrap_or_default();
+        Ok(block_in_place(|| self.plant.ledger.put_setting(&owed_key(owner), &text))?)
+    }
+}
+
+fn owed_key(owner: &Owner) -> String {
+    format!("revoking:{}", owner.address)
+}
