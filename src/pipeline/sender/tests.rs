@@ -4,7 +4,7 @@ use super::*;
 use crate::chain::Call;
 use crate::model::{RecordState, SignerId};
 use crate::pipeline::fixture::{Process, by_hand};
-use crate::store::{Anchors, NewTransaction, Reissue};
+use crate::store::{Anchors, NewTransaction, Reissue, TransactionOutcome};
 
 fn lend(number: u8) -> Call {
     Call::Lend { device: SignerId([number; 32]), until: None }
@@ -145,7 +145,7 @@ async fn an_account_that_cannot_pay_pauses_its_lane_and_tells_once() {
     process.round().await;
     assert_eq!((process.notes.with("not enough ether"), process.notes.with("goes on")), (1, 0));
     assert!(process.notes.all().iter().any(|(urgent, text)| *urgent && text.contains("nothing is lost")));
-    process.plant.ledger.abandon_transactions().expect("given up");
+    process.plant.ledger.close_transaction(hash, TransactionOutcome::Replaced).expect("given up");
     process.round().await;
     assert_eq!((process.notes.with("goes on"), process.sender.room(account).expect("room")), (1, 1024));
 }

@@ -89,13 +89,14 @@ impl Site {
     /// Active readers who lack the envelope of the current epoch; not those whose revocation is on its way.
     pub(super) fn lacking(&self, owner: &Owner, network: &Network) -> Result<Vec<Granted>, Failure> {
         let (epoch, now) = (network.directory.epoch(owner.address), Timestamp::now());
-        let leaving = self.owed_revocations(owner, network)?;
-        Ok(network.directory.grants(|grant| {
-            grant.terms.owner == owner.address
-                && grant.is_active(now)
-                && !grant.envelopes.contains_key(&epoch)
-                && !leaving.contains(&grant.terms.grantee)
-        }))
+        let mut lacking = network.directory.grants(|grant| {
+            grant.terms.owner == owner.address && grant.is_active(now) && !grant.envelopes.contains_key(&epoch)
+        });
+        if !lacking.is_empty() {
+            let leaving = self.owed_revocations(owner, network)?;
+            lacking.retain(|grant| !leaving.contains(&grant.terms.grantee));
+        }
+        Ok(lacking)
     }
 
     /// Sends envelopes of the current epoch to every active reader who lacks one. One who cannot be given

@@ -29,7 +29,8 @@ impl Site {
             return Ok(());
         };
         let covering = network.directory.grants(|grant| {
-            grant.terms.owner == owner.address && grant.revoked.is_none() && grant.envelopes.contains_key(&epoch)
+            let runs_out = grant.terms.expiry.is_some() && grant.revoked.is_none();
+            runs_out && grant.terms.owner == owner.address && grant.envelopes.contains_key(&epoch)
         });
         let earliest = covering.iter().filter_map(|grant| grant.terms.expiry).chain(also).min();
         if let Some(moment) = earliest.filter(|moment| moment.0 < Timestamp::now().0 + FORESIGHT) {
@@ -56,12 +57,15 @@ impl Site {
 
     fn is_behind(&self, owner: &Owner, network: &Network) -> Result<bool, Failure> {
         let (epoch, now) = (network.directory.epoch(owner.address), Timestamp::now());
+        if epoch == 0 {
+            return Ok(false);
+        }
         let sealing = owner.sealing().filter(|keys| keys.domain == network.domain);
         let covered = |grant: &Granted| {
             grant.terms.owner == owner.address && grant.word(now) == "expired" && grant.envelopes.contains_key(&epoch)
         };
         let ended = sealing.is_some_and(|keys| keys.epoch > epoch) || !network.directory.grants(covered).is_empty();
-        Ok(epoch > 0 && (ended || !self.owed_revocations(owner, network)?.is_empty()))
+        Ok(ended || !self.owed_revocations(owner, network)?.is_empty())
     }
 
     /// Begins the next epoch: by the revocation that was cut short, if there is one, for a rotation would

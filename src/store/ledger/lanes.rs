@@ -160,23 +160,6 @@ impl Ledger {
             close(connection, winner, outcome)
         })
     }
-
-    /// Gives up all open transactions of all accounts, because their chain is gone: their records are stored
-    /// again. Returns how many there were.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like: then none is given up.
-    pub fn abandon_transactions(&self) -> Result<u64, StoreError> {
-        self.write(|session| {
-            let connection = session.connection;
-            let mut statement = connection.prepare_cached("SELECT hash FROM transactions WHERE state = 0")?;
-            let open = statement.query_map([], |row| row.get(0).map(Hash))?.collect::<Result<Vec<_>, _>>()?;
-            for hash in &open {
-                close(connection, *hash, TransactionOutcome::Replaced)?;
-            }
-            Ok(open.len() as u64)
-        })
-    }
 }
 
 /// Moves records and a batch from one transaction to another.
