@@ -161,6 +161,8 @@ impl Session {
             }
         }
         if let Some((columns, rows, _)) = self.resized.take_if(|(_, _, at)| *at <= Instant::now()) {
+            // Even where the size is the old one again: the terminal may have cut off what it showed.
+            self.stage.change(Wish::None, |scene| scene.anew = true);
             return self.act(Action::Resize { columns, rows });
         }
         let deadline = self.stage.scene().state.deadline();

@@ -8,8 +8,8 @@ use portable_pty::{Child, CommandBuilder, ExitStatus, MasterPty, PtyPair, PtySiz
 use vt100::Parser;
 
 use super::authros::Authros;
+use super::poll;
 use super::process::signal;
-use super::{poll, wait_until};
 
 /// A console at work; killed when dropped.
 pub struct Console {
@@ -76,7 +76,8 @@ impl Console {
 
     /// Waits for its end.
     pub fn wait(&mut self, seconds: u64) -> ExitStatus {
-        wait_until(seconds, "the console ends", || self.child.try_wait().expect("its state is known"))
+        poll(seconds, || self.child.try_wait().expect("its state is known"))
+            .unwrap_or_else(|| panic!("not ended within {seconds} s, but shows:\n{}", self.shown()))
     }
 
     /// Fails the test unless the terminal is as it was before.

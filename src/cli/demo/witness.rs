@@ -1,20 +1,26 @@
 //! An independent witness of what the robots sent: a second subscriber that keeps only hashes.
 
 use std::collections::HashSet;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
 use crate::crypto::sm3::sm3;
 use crate::ros::{Capture, CaptureNotice, CaptureOptions, Message, MessageSink};
 use crate::service::Failure;
 
+/// How long the witness may take to hear a robot, or lag behind the product.
+const PATIENCE: Duration = Duration::from_secs(10);
+
 #[derive(Default)]
 struct Hashes {
     seen: Mutex<HashSet<[u8; 32]>>,
+    more: Condvar,
 }
 
 impl MessageSink for Hashes {
     fn accept(&self, message: Message) {
         self.seen.lock().unwrap_or_else(PoisonError::into_inner).insert(sm3(&[&message.body]));
+        self.more.notify_all();
     }
 
     fn notice(&self, _: CaptureNotice) {}
@@ -23,7 +29,7 @@ impl MessageSink for Hashes {
 /// Watches picture topics beside the product.
 pub struct Witness {
     hashes: Arc<Hashes>,
-    _capture: Capture,
+    capture: Capture,
 }
 
 impl Witness {
@@ -42,11 +48,29 @@ impl Witness {
         for topic in topics.iter().filter_map(|topic| topic.parse().ok()) {
             capture.watch(topic, None);
         }
-        Ok(Self { hashes, _capture: capture })
+        Ok(Self { hashes, capture })
     }
 
-    /// Whether a robot sent exactly this message.
+    /// Waits until every topic was heard, so that nothing captured from now on is missed.
+    pub fn listen(&self) {
+        let end = Instant::now() + PATIENCE;
+        let deaf = || self.capture.status().iter().any(|topic| topic.messages == 0);
+        while deaf() && Instant::now() < end {
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+
+    /// Whether a robot sent exactly this message; one not heard yet is waited for.
     pub fn saw(&self, body: &[u8]) -> bool {
-        self.hashes.seen.lock().unwrap_or_else(PoisonError::into_inner).contains(&sm3(&[body]))
+        let (digest, end) = (sm3(&[body]), Instant::now() + PATIENCE);
+        let mut seen = self.hashes.seen.lock().unwrap_or_else(PoisonError::into_inner);
+        while !seen.contains(&digest) {
+            let left = end.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return false;
+            }
+            seen = self.hashes.more.wait_timeout(seen, left).unwrap_or_else(PoisonError::into_inner).0;
+        }
+        true
     }
 }
