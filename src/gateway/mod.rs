@@ -25,12 +25,12 @@ pub use allocation::Applicant;
 pub use client::{Client, Credentials, Endpoint};
 pub use code::{Code, Refusal};
 pub use command::{
-    Answer, Command, Entry, Fetched, GrantNotice, Page, Query, Registration, Request, RevokeNotice, Selection,
-    Standing, Upload,
+    Answer, Command, Entry, Fetched, GrantNotice, Page, Query, Registration, RelayCall, Relayed, Request, RevokeNotice,
+    Selection, Standing, Upload,
 };
 pub use desk::{Account, Binding, Caller, Desk, Received};
 pub use error::GatewayError;
-pub use hello::Context;
+pub use hello::{Context, NetworkName};
 pub use limits::Limits;
 pub use receipt::Receipt;
 pub use server::Server;

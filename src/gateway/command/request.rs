@@ -6,6 +6,7 @@ use crate::model::{Address, Digest, Hash, Identity, Signature, Token};
 
 use super::Command;
 use super::query::{Query, Selection};
+use super::relay::RelayCall;
 use crate::gateway::allocation::AllocationRequest;
 
 /// The most records in one message.
@@ -96,6 +97,8 @@ pub enum Request {
     RevokeNotice(RevokeNotice),
     /// Nothing.
     Ping,
+    /// A request to the chain.
+    Relay(RelayCall),
 }
 
 impl Request {
@@ -115,6 +118,7 @@ impl Request {
             Self::GrantNotice(_) => Command::GrantNotice,
             Self::RevokeNotice(_) => Command::RevokeNotice,
             Self::Ping => Command::Ping,
+            Self::Relay(_) => Command::Relay,
         }
     }
 
@@ -135,6 +139,7 @@ impl Request {
             Self::Unsubscribe(request) => request.to_be_bytes().to_vec(),
             Self::GrantNotice(notice) => notice.encode(),
             Self::RevokeNotice(notice) => notice.encode(),
+            Self::Relay(call) => call.encode(),
         }
     }
 
@@ -161,6 +166,7 @@ impl Request {
             Command::GrantNotice => Self::GrantNotice(GrantNotice::read(&mut reader)?),
             Command::RevokeNotice => Self::RevokeNotice(RevokeNotice::read(&mut reader)?),
             Command::Ping => Self::Ping,
+            Command::Relay => Self::Relay(RelayCall::read(&mut reader)?),
             Command::Event | Command::End | Command::Refuse => return Err(WireError::Value("command")),
         };
         reader.end()?;
