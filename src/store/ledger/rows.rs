@@ -7,12 +7,21 @@ use serde::{Deserialize, Serialize};
 
 use crate::chain::merkle::Leaf;
 use crate::model::{
-    Address, Digest, Hash, RecordKind, RecordState, RecorderId, Signature, SignerId, Timestamp, TopicId,
+    Address, Digest, FilterId, Hash, RecordKind, RecordState, RecorderId, Signature, SignerId, Timestamp, TopicId,
 };
 use crate::store::StoreError;
 
 /// Characters of a record id: the first 16 hex characters of its digest.
 pub(super) const ID_LENGTH: usize = 16;
+
+/// Where a record comes from that was not captured here.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct Foreign {
+    /// The ledger that its number counts in.
+    pub recorder: RecorderId,
+    /// The account that anchors it in its owner's place.
+    pub keeper: Address,
+}
 
 /// A sealed record to be acknowledged.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -23,8 +32,10 @@ pub struct NewRecord {
     pub owner: Address,
     /// Pseudonym of its topic.
     pub topic_id: TopicId,
-    /// Number within (this ledger's recorder, topic), from 1.
+    /// Number within (recorder, topic), from 1.
     pub seq: u64,
+    /// `None` where this ledger recorded it and its owner anchors it.
+    pub foreign: Option<Foreign>,
     /// The epoch that it is sealed under.
     pub epoch: u64,
     /// What it is.
@@ -33,9 +44,11 @@ pub struct NewRecord {
     pub signer: SignerId,
     /// The raw signature, r || s.
     pub signature: Signature,
-    /// Topic name, in clear: the ledger never leaves the machine.
+    /// Ids of type and tags, as its header has them.
+    pub filters: Vec<FilterId>,
+    /// Topic name, in clear: the ledger never leaves the machine. Empty where only the owner knows it.
     pub topic: String,
-    /// Message type, `package/Type`.
+    /// Message type, `package/Type`; empty where only the owner knows it.
     pub type_name: String,
     /// Length of the plaintext, bytes.
     pub bytes: u64,
