@@ -3,6 +3,7 @@
 //! the server with its `Desk` and the client over TCP.
 
 pub mod allocation;
+pub mod chain_line;
 pub mod client;
 pub mod code;
 pub mod command;
@@ -22,6 +23,7 @@ pub mod system_keys;
 pub mod trust;
 
 pub use allocation::Applicant;
+pub use chain_line::ChainLine;
 pub use client::{Client, Credentials, Endpoint};
 pub use code::{Code, Refusal};
 pub use command::{
@@ -35,7 +37,7 @@ pub use limits::Limits;
 pub use receipt::Receipt;
 pub use server::Server;
 pub use system_keys::cabinet::{Cabinet, Schedule};
-pub use trust::Trust;
+pub use trust::{KeptTrust, Trust};
 
 #[cfg(test)]
 mod tests;

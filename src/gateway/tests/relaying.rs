@@ -108,3 +108,50 @@ async fn visitors_are_few_and_their_answers_are_charged() {
     }
     answered.expect("a place was given back");
 }
+
+fn line(stage: &Stage, trust: KeptTrust) -> ChainLine {
+    ChainLine::new(stage.endpoint.clone(), std::sync::Arc::new(trust), "visitor".parse().expect("a name"))
+}
+
+#[tokio::test]
+async fn a_line_to_the_chain_heals_and_proves_itself_as_soon_as_it_can() {
+    use crate::chain::{Relay as _, RelayError};
+    let home = tempfile::tempdir().expect("folder");
+    let (stage, alice) = (Stage::new().await, Member::new("alice", 0x11));
+    let credentials = stage.enrol(&alice).await;
+    let file = home.path().join("gateway.json");
+    let line = line(&stage, KeptTrust::open(file.clone(), Some(stage.server.id()), false).expect("opens"));
+    assert_eq!(line.ask("eth_call", json!([1])).await, Ok(json!([1])));
+    assert!(file.exists(), "what was seen of the gateway is kept");
+    let fault = line.ask("eth_gasPrice", json!([2])).await.expect_err("reverted");
+    let message = "execution reverted: no grant".to_owned();
+    assert_eq!(fault, RelayError::Answered { code: 3, message, data: Some(json!([2])) });
+    assert_eq!(line.ask("eth_sign", json!([])).await, Err(RelayError::NotAllowed));
+    assert!(matches!(line.ask("net_version", json!([])).await, Err(RelayError::Silent(_))));
+    // Given up halfway: the next request gets its own answer.
+    let given_up = tokio::time::timeout(Duration::ZERO, line.ask("eth_call", json!(["given up"]))).await;
+    assert!(given_up.is_err());
+    assert_eq!(line.ask("eth_call", json!([3])).await, Ok(json!([3])));
+    line.prove_by(credentials.clone());
+    assert_eq!(line.ask("eth_chainId", json!([])).await, Ok(json!([])));
+    assert_eq!(stage.desk.state().relayed.last().expect("asked").0, Some(alice.account()));
+    // A void key: the chain is still there to be read.
+    line.prove_by(Credentials { key: crate::crypto::TransportKey::new([1; 32]), ..credentials });
+    stage.desk.state().bindings.clear();
+    assert_eq!(line.meet().await.expect("connected").gateway, stage.server.id());
+    stage.server.stop(Duration::from_secs(5)).await;
+    assert!(matches!(line.ask("eth_call", json!([4])).await, Err(RelayError::Silent(_))), "the gateway is gone");
+}
+
+#[tokio::test]
+async fn a_line_to_another_gateway_is_refused() {
+    let home = tempfile::tempdir().expect("folder");
+    let stage = Stage::new().await;
+    let other = crate::model::SignerId([7; 32]);
+    let trust = KeptTrust::open(home.path().join("gateway.json"), Some(other), false).expect("opens");
+    let refused = line(&stage, trust).meet().await;
+    assert!(matches!(refused, Err(GatewayError::NotTheGateway { pinned, .. }) if pinned == other));
+    assert!(!home.path().join("gateway.json").exists(), "nothing was learnt");
+    let nobody = KeptTrust::open(home.path().join("gateway.json"), None, false).expect("opens");
+    assert!(matches!(line(&stage, nobody).meet().await, Err(GatewayError::NotPinned(_))));
+}
