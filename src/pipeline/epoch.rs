@@ -41,7 +41,8 @@ impl EpochKeys {
         if let Some(keys) = topics.get(topic) {
             return Arc::clone(keys);
         }
-        let keys = Arc::new(TopicKeys { id: topic_id(&self.index, topic), key: topic_key(&self.key, topic) });
+        let id = topic_id(&self.index, topic);
+        let keys = Arc::new(TopicKeys { id, key: topic_key(&self.key, &id) });
         topics.insert(topic.to_owned(), Arc::clone(&keys));
         keys
     }

@@ -323,7 +323,7 @@ impl Mission {
             let expected = Expected::any_of(self.network.domain, self.cura_a.address);
             let signer = self.cura_a.owner.signing();
             let by_key = kept.iter().any(|(_, key)| {
-                let key = topic_key(key, &row.topic);
+                let key = topic_key(key, &row.topic_id);
                 open(provider, &blob, &row.signature, &signer.public, Anchor::Chain(row.digest), &key, &expected)
                     .is_ok()
             });

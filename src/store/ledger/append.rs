@@ -234,7 +234,7 @@ fn topic_key(session: &mut Session<'_>, record: &NewRecord) -> Result<i64, Store
         session.names.topics.insert(known, found);
     }
     match session.names.topics.get(&known) {
-        Some((key, name)) if *name == record.topic => Ok(*key),
+        Some((key, name)) if *name == record.topic || record.topic.is_empty() => Ok(*key),
         _ => Err(StoreError::Conflict {
             digest: record.digest,
             detail: format!("topic id {} already stands for another topic", record.topic_id),

@@ -48,7 +48,7 @@ pub struct NewRecord {
     pub filters: Vec<FilterId>,
     /// Topic name, in clear: the ledger never leaves the machine. Empty where only the owner knows it.
     pub topic: String,
-    /// Message type, `package/Type`; empty where only the owner knows it.
+    /// Message type, `package/Type`; the hex of its filter id where only the owner knows it.
     pub type_name: String,
     /// Length of the plaintext, bytes.
     pub bytes: u64,
@@ -121,8 +121,15 @@ pub(super) struct Stream {
     pub signer: SignerId,
 }
 
-const STREAMS: &str = "SELECT s.key, t.owner, r.id, t.topic_id, t.name, s.kind, s.type_name, s.signer
-    FROM streams s JOIN topics t ON t.key = s.topic JOIN recorders r ON r.key = t.recorder";
+/// What stands before the pseudonym of a topic whose name is not known here; no ROS name begins so.
+const UNNAMED: &str = "id:";
+
+const STREAMS: &str = "SELECT s.key, t.owner, r.id, t.topic_id,
+    coalesce(nullif(t.name, ''), topic_name.name, 'id:' || lower(hex(t.topic_id))),
+    s.kind, coalesce(type_name.name, s.type_name), s.signer
+    FROM streams s JOIN topics t ON t.key = s.topic JOIN recorders r ON r.key = t.recorder
+    LEFT JOIN names topic_name ON topic_name.owner = t.owner AND topic_name.id = lower(hex(t.topic_id))
+    LEFT JOIN names type_name ON type_name.owner = t.owner AND type_name.id = s.type_name";
 
 /// All streams; there are as many as topics, types and signers, not as records.
 pub(super) fn streams(connection: &Connection) -> Result<Vec<Stream>, StoreError> {
@@ -143,6 +150,11 @@ pub(super) fn streams(connection: &Connection) -> Result<Vec<Stream>, StoreError
 }
 
 impl RecordRow {
+    /// Whether its topic's name is known here; else the pseudonym stands in its place.
+    pub fn is_named(&self) -> bool {
+        !self.topic.starts_with(UNNAMED)
+    }
+
     /// What its batch binds.
     pub fn leaf(&self) -> Leaf {
         let Self { owner, recorder, topic_id, seq, digest, .. } = *self;
