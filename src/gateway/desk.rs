@@ -112,7 +112,7 @@ pub trait Desk: Send + Sync + 'static {
     async fn revoke(&self, caller: &Caller, notice: &RevokeNotice) -> Result<(), Refusal>;
 
     /// Which network it stands on, told to whoever asks: `Stale` before it is known.
-    async fn network(&self) -> Result<NetworkName, Refusal>;
+    async fn network_name(&self) -> Result<NetworkName, Refusal>;
 
     /// Passes a JSON-RPC request on to the chain, of somebody proven or (`None`) of a visitor without a transport
     /// key. What may pass is the chain's to say ([`crate::chain::Chain::relay`]).

@@ -180,9 +180,10 @@ impl Mirror<'_> {
         let opened = self.opener().open(&row_of(header, digest, fetched)).await?;
         let row = new_record(header, digest, fetched, &opened, self.keeper, durable);
         match block_in_place(|| self.plant.ledger.append(vec![row])) {
-            Err(StoreError::Conflict { .. }) => {
-                Err(PipelineError::NotTakenIn { digest, why: "another record has its number or another name its topic" })
-            }
+            Err(StoreError::Conflict { .. }) => Err(PipelineError::NotTakenIn {
+                digest,
+                why: "another record has its number or another name its topic",
+            }),
             done => Ok(done?),
         }
     }
@@ -190,7 +191,7 @@ impl Mirror<'_> {
     fn prove(&self, owner: Address, digest: Digest, proof: AnchorProof) -> Result<bool, PipelineError> {
         let AnchorProof { account, transaction, block, block_hash, inclusion } = proof;
         let ledger = &self.plant.ledger;
-        if !ledger.record(digest)?.is_some_and(|row| row.state == RecordState::Stored) {
+        if ledger.record(digest)?.is_none_or(|row| row.state != RecordState::Stored) {
             return Ok(false);
         }
         Ok(match inclusion {

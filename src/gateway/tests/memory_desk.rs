@@ -205,7 +205,7 @@ impl Desk for MemoryDesk {
         Ok(())
     }
 
-    async fn network(&self) -> Result<NetworkName, Refusal> {
+    async fn network_name(&self) -> Result<NetworkName, Refusal> {
         Ok(network())
     }
 

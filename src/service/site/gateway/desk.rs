@@ -4,17 +4,18 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 
 use async_trait::async_trait;
+use serde_json::Value;
 use tokio::sync::mpsc;
 
 use super::GatewayDesk;
 use super::live::Watch;
 use super::reading::announced_key;
-use crate::chain::Call;
+use crate::chain::{Call, RelayError};
 use crate::crypto::{open_transport_key, seal_transport_key, signer_id};
 use crate::gateway::desk::Account;
 use crate::gateway::{
-    Binding, Caller, Code, Desk, Entry, Fetched, GrantNotice, Page, Query, Received, Refusal, Registration,
-    RevokeNotice, Selection, Standing,
+    Binding, Caller, Code, Desk, Entry, Fetched, GrantNotice, NetworkName, Page, Query, Received, Refusal,
+    Registration, RevokeNotice, Selection, Standing,
 };
 use crate::model::bytes::hex;
 use crate::model::header::TAG_LENGTH;
@@ -149,7 +150,7 @@ impl Desk for GatewayDesk {
 
     async fn register(&self, registration: &Registration) -> Result<Hash, Refusal> {
         let network = self.network()?;
-        let call = Call::Register { identity: registration.identity.clone() };
+        let call = Call::Register { identity: registration.identity };
         let transaction = network.chain.expect_call(&registration.transaction, registration.account, &call);
         let transaction = transaction.map_err(Refusal::because(Code::Transaction))?;
         let account = registration.account.to_string();
@@ -199,6 +200,18 @@ impl Desk for GatewayDesk {
         .await?;
         self.site.hub.authority.send_modify(|count| *count += 1);
         self.audit(caller, "revoke notice", &notice.grantee.to_string()).await
+    }
+
+    async fn network_name(&self) -> Result<NetworkName, Refusal> {
+        let pin = self.network()?.chain.pin().ok_or_else(|| Refusal::new(Code::Stale, "no contract"))?;
+        Ok(NetworkName { chain_id: pin.chain_id, genesis: pin.genesis, contract: pin.contract })
+    }
+
+    async fn relay(&self, _: Option<&Caller>, method: &str, parameters: &Value) -> Result<Value, RelayError> {
+        match self.site.network_now() {
+            Some(network) => network.chain.relay(method, parameters).await,
+            None => Err(RelayError::Silent("the chain is not up".to_owned())),
+        }
     }
 
     fn refused(&self, peer: SocketAddr, refusal: &Refusal) {
