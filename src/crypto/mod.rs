@@ -6,9 +6,11 @@ pub mod account;
 pub mod agreement;
 pub mod der;
 pub mod derive;
+pub mod enrolment;
 pub mod envelope;
 pub mod error;
 pub mod fault;
+mod file_key;
 mod gcm;
 pub mod identity;
 pub mod kdf;
@@ -35,7 +37,10 @@ mod vector_tests;
 pub use account::{AccountSignature, TypedStructure, keccak256, recover_account, sign_hash};
 pub use agreement::Ephemeral;
 pub use der::{signature_der, signature_from_der};
-pub use derive::{domain, epoch_key, filter_id, signer_id, token, topic_id, topic_key, witness_secret};
+pub use derive::{
+    domain, epoch_key, filter_id, notice_key, notice_topic, signer_id, token, topic_id, topic_key, witness_secret,
+};
+pub use enrolment::{Enrolment, EpochIssue, IssuedKeys, SealedEnrolment, SealingKey};
 pub use envelope::{GrantedKeys, WrappedKeys, unwrap, wrap};
 pub use error::CryptoError;
 pub use identity::{check_identity, prove};

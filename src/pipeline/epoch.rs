@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{Arc, Mutex, PoisonError};
 
-use crate::crypto::{EpochKey, IndexKey, SmKeyPair, TopicKey, filter_id, signer_id, topic_id, topic_key};
+use crate::crypto::{IndexKey, SealingKey, SmKeyPair, TopicKey, filter_id, signer_id, topic_id, topic_key};
 use crate::model::header::MOST_FILTERS;
 use crate::model::{Domain, FilterId, SignerId, Token, TopicId};
 
@@ -16,15 +16,6 @@ pub struct TopicKeys {
     pub id: TopicId,
     /// Seals its records in this epoch.
     pub key: TopicKey,
-}
-
-/// What an epoch's topic keys come from.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum SealingKey {
-    /// EK: any topic.
-    Epoch(EpochKey),
-    /// The keys of some topics, by name; others cannot be sealed.
-    Topics(BTreeMap<String, TopicKey>),
 }
 
 /// Everything that seals records in one epoch.
@@ -90,7 +81,7 @@ pub fn tag_filter(index: &IndexKey, name: &str, value: &str) -> FilterId {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::crypto::{ProviderName, provider};
+    use crate::crypto::{EpochKey, ProviderName, provider};
 
     fn keys(key: SealingKey) -> EpochKeys {
         let signing = SmKeyPair::generate(provider(ProviderName::default())).expect("pair");

@@ -5,12 +5,12 @@ use std::collections::{BTreeMap, HashMap};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::crypto::{
-    CryptoError, EoaSecret, EpochKey, EpochSalt, EpochSecret, EpochState, IndexKey, NetworkKeys, SmKeyPair,
+    CryptoError, EoaSecret, EpochKey, EpochSalt, EpochSecret, EpochState, IndexKey, NetworkKeys, SealingKey, SmKeyPair,
     UnlockedKeyring, WrappedKeys, epoch_key, token, topic_id,
 };
 use crate::model::{Address, Digest, Domain, ProfileName, PublicKey, Timestamp, Token, TopicId};
 
-use super::epoch::{EpochKeys, SealingKey};
+use super::epoch::EpochKeys;
 use super::{Author, PipelineError};
 
 /// A profile with its keys. Its address does not change while it is open.
