@@ -63,6 +63,18 @@ pub(super) fn kept_key(keeper: &IndexKey) -> Zeroizing<[u8; 16]> {
     Zeroizing::new(derived(keeper.expose(), &[], &Info::new("AuthROS/binding/1")))
 }
 
+/// What the notices of an owner to a device are sealed under, from the owner's EOA key: the owner need not
+/// keep it, the device has it from its enrolment, and nobody else has it.
+pub fn notice_key(owner: &EoaSecret, domain: &Domain, device: &SignerId) -> TopicKey {
+    let info = Info::new("AuthROS/notice/1").fixed(&domain.0).fixed(&device.0);
+    TopicKey::new(derived(owner.expose(), &[], &info))
+}
+
+/// The name under which notices to a device are filed; no ROS name begins like this.
+pub fn notice_topic(device: &SignerId) -> String {
+    format!("authros/keys/{device}")
+}
+
 /// SM3 of 04 || x || y: names a signer in headers and on the chain.
 pub fn signer_id(public: &PublicKey) -> SignerId {
     SignerId(sm3(&[&uncompressed(public)]))

@@ -6,9 +6,11 @@ pub mod account;
 pub mod agreement;
 pub mod der;
 pub mod derive;
+pub mod enrolment;
 pub mod envelope;
 pub mod error;
 pub mod fault;
+mod file_key;
 mod gcm;
 pub mod identity;
 pub mod kdf;
@@ -38,8 +40,10 @@ pub use account::{AccountSignature, TypedStructure, keccak256, recover_account, 
 pub use agreement::Ephemeral;
 pub use der::{signature_der, signature_from_der};
 pub use derive::{
-    domain, epoch_key, filter_id, signer_id, token, topic_id, topic_key, topic_key_by_name, witness_secret,
+    domain, epoch_key, filter_id, notice_key, notice_topic, signer_id, token, topic_id, topic_key, topic_key_by_name,
+    witness_secret,
 };
+pub use enrolment::{Enrolment, EpochIssue, IssuedKeys, SealedEnrolment, SealingKey};
 pub use envelope::{GrantedKeys, WrappedKeys, unwrap, wrap};
 pub use error::CryptoError;
 pub use identity::{check_identity, prove};

@@ -67,14 +67,16 @@ commands! {
     RevokeNotice = 12;
     /// Nothing; the gateway answers its time.
     Ping = 13;
-    /// A JSON-RPC request, passed on to the chain.
-    Relay = 15;
     /// Only from the gateway: a record of a subscription.
-    Event = 16;
+    Event = 14;
     /// Only from the gateway: a subscription has ended.
-    End = 17;
+    End = 15;
     /// Only from the gateway: a refusal.
-    Refuse = 18;
+    Refuse = 16;
+    /// The public key of a device that its owner has lent on the chain, which knows only its hash.
+    DeviceNotice = 17;
+    /// A JSON-RPC request, passed on to the chain.
+    Relay = 18;
 }
 
 impl Command {
@@ -90,13 +92,13 @@ impl Command {
 
     /// Whether a client may send it.
     pub fn is_request(self) -> bool {
-        self.number() < Self::Event.number()
+        !matches!(self, Self::Event | Self::End | Self::Refuse)
     }
 
     /// Whether it changes state and is signed by d_C. Uploads carry their records' signatures, an allocation
     /// has its own, a registration is a signed transaction.
     pub fn is_signed(self) -> bool {
-        matches!(self, Self::GrantNotice | Self::RevokeNotice)
+        matches!(self, Self::GrantNotice | Self::RevokeNotice | Self::DeviceNotice)
     }
 
     /// Whether a session without a transport key may use it.

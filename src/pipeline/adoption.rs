@@ -192,7 +192,7 @@ fn seal_word(plant: &Plant, network: &Network, owner: &Owner, step: &Step) -> Re
         others: counts.pending(),
     };
     let body = adoption.encode();
-    let topic = keys.topic(TOPIC);
+    let Some(topic) = keys.topic(TOPIC) else { return Ok(None) };
     let head = Head {
         topic: TOPIC.to_owned(),
         type_name: "authros/Adoption".to_owned(),

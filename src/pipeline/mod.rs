@@ -5,6 +5,7 @@
 
 pub mod adoption;
 pub mod anchorer;
+pub mod author;
 pub mod directory;
 pub mod epoch;
 pub mod error;
@@ -29,6 +30,7 @@ pub mod verifier;
 pub mod watcher;
 pub mod witness;
 
+pub use author::Author;
 pub use directory::Directory;
 pub use error::PipelineError;
 pub use owner::Owner;

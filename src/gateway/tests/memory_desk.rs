@@ -23,6 +23,8 @@ pub(super) struct State {
     pub accounts: HashMap<Address, Account>,
     pub tokens: HashSet<(Address, Token)>,
     pub signers: HashMap<(Address, SignerId), PublicKey>,
+    /// What the chain would say: ids of devices, without their keys.
+    pub lent: HashSet<(Address, SignerId)>,
     pub bindings: HashMap<ProfileName, Binding>,
     pub records: BTreeMap<u64, Received>,
     pub readers: HashSet<(Address, Address)>,
@@ -71,11 +73,13 @@ impl MemoryDesk {
     }
 
     pub fn lend(&self, member: &Member, device: &SmKeyPair) {
-        self.state().signers.insert((member.account(), signer_id(&device.public)), device.public);
+        self.state().lent.insert((member.account(), signer_id(&device.public)));
     }
 
     pub fn recall(&self, member: &Member, device: &SmKeyPair) {
-        self.state().signers.remove(&(member.account(), signer_id(&device.public)));
+        let device = (member.account(), signer_id(&device.public));
+        self.state().lent.remove(&device);
+        self.state().signers.remove(&device);
     }
 
     pub fn record_count(&self) -> usize {
@@ -223,6 +227,17 @@ impl Desk for MemoryDesk {
             "eth_getCode" => Ok(Value::String("6".repeat(3 << 20))),
             _ => Ok(parameters.clone()),
         }
+    }
+
+    async fn device(&self, caller: &Caller, key: &PublicKey) -> Result<(), Refusal> {
+        let mut state = self.state();
+        let device = (caller.account, signer_id(key));
+        if !state.lent.contains(&device) {
+            return Err(Refusal::new(Code::Signature, "not lent"));
+        }
+        state.signers.insert(device, *key);
+        state.changes += 1;
+        Ok(())
     }
 
     fn refused(&self, _: SocketAddr, refusal: &Refusal) {

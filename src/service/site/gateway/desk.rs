@@ -214,6 +214,18 @@ impl Desk for GatewayDesk {
         }
     }
 
+    async fn device(&self, caller: &Caller, key: &PublicKey) -> Result<(), Refusal> {
+        let (key, device) = (*key, signer_id(key));
+        if !self.network()?.directory.is_lent(caller.account, device, None, Timestamp::now()) {
+            return Err(Refusal::new(Code::Signature, format_args!("device {device} is not lent")));
+        }
+        self.audit(caller, "device notice", &device.to_string()).await?;
+        self.blocking(move |desk| {
+            desk.site.plant.ledger.keep_signer(device, key).map_err(Refusal::because(Code::Internal))
+        })
+        .await
+    }
+
     fn refused(&self, peer: SocketAddr, refusal: &Refusal) {
         let text = format!("the gateway refused {}: {refusal}", peer.ip());
         self.site.hub.notice(NoticeLevel::Info, &text);
