@@ -67,6 +67,15 @@ pub struct Global {
     /// rustcrypto or libsm
     #[arg(long, global = true, value_name = "NAME")]
     pub crypto_provider: Option<String>,
+    /// Join a remote site through its gateway: records and chain come from there
+    #[arg(long, global = true, value_name = "HOST:PORT")]
+    pub site: Option<String>,
+    /// Fingerprint of that gateway's identity key, as its operator tells it
+    #[arg(long, global = true, value_name = "FINGERPRINT", conflicts_with = "trust_first")]
+    pub gateway_key: Option<String>,
+    /// Pin whatever gateway answers the first time
+    #[arg(long, global = true)]
+    pub trust_first: bool,
     /// batch (Merkle roots) or each (one transaction per record)
     #[arg(long, global = true, value_name = "MODE")]
     pub anchor_mode: Option<String>,
@@ -85,6 +94,9 @@ impl Global {
             "confirmations" => self.confirmations.clone(),
             "crypto.provider" => self.crypto_provider.clone(),
             "anchor.mode" => self.anchor_mode.clone(),
+            "site.address" => self.site.clone(),
+            "site.gateway_key" => self.gateway_key.clone(),
+            "site.trust_first" => self.trust_first.then(|| "yes".to_owned()),
             _ => None,
         }
     }

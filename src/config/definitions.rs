@@ -14,7 +14,7 @@ pub struct Definition {
 }
 
 /// Every setting, in the order shown.
-pub const DEFINITIONS: [Definition; 13] = [
+pub const DEFINITIONS: [Definition; 16] = [
     Definition {
         name: "ros.master",
         variable: "ROS_MASTER_URI",
@@ -92,5 +92,23 @@ pub const DEFINITIONS: [Definition; 13] = [
         variable: "AUTHROS_CONFIRMATIONS",
         default: "1",
         text: "blocks until an anchor counts as confirmed, its own included, 1 to 1000",
+    },
+    Definition {
+        name: "site.address",
+        variable: "AUTHROS_SITE",
+        default: "",
+        text: "gateway of a remote site to join, as HOST:PORT; chain and records come through it; empty = no gateway",
+    },
+    Definition {
+        name: "site.gateway_key",
+        variable: "AUTHROS_GATEWAY_KEY",
+        default: "",
+        text: "fingerprint of that gateway's identity key, 64 hex; compare it with its operator",
+    },
+    Definition {
+        name: "site.trust_first",
+        variable: "AUTHROS_TRUST_FIRST",
+        default: "no",
+        text: "yes = pin whatever gateway answers the first time",
     },
 ];

@@ -9,10 +9,12 @@ use super::session::{LONGEST_TEXT, SessionId};
 
 pub mod answer;
 pub mod query;
+pub mod relay;
 pub mod request;
 
 pub use answer::{Answer, Fetched, Standing};
 pub use query::{Entry, Page, Query, Selection};
+pub use relay::{RelayCall, Relayed};
 pub use request::{GrantNotice, Registration, Request, RevokeNotice, Upload};
 
 /// The largest message, in parts or whole, bytes of body: a record of 64 MiB with its head and header.
@@ -65,14 +67,16 @@ commands! {
     RevokeNotice = 12;
     /// Nothing; the gateway answers its time.
     Ping = 13;
-    /// Only from the gateway: a record of a subscription.
-    Event = 14;
-    /// Only from the gateway: a subscription has ended.
-    End = 15;
-    /// Only from the gateway: a refusal.
-    Refuse = 16;
     /// The public key of a device that its owner has lent on the chain, which knows only its hash.
-    DeviceNotice = 17;
+    DeviceNotice = 14;
+    /// A JSON-RPC request, passed on to the chain.
+    Relay = 15;
+    /// Only from the gateway: a record of a subscription.
+    Event = 16;
+    /// Only from the gateway: a subscription has ended.
+    End = 17;
+    /// Only from the gateway: a refusal.
+    Refuse = 18;
 }
 
 impl Command {
@@ -99,7 +103,7 @@ impl Command {
 
     /// Whether a session without a transport key may use it.
     pub fn is_for_allocation(self) -> bool {
-        matches!(self, Self::SystemKeys | Self::KeyAllocation | Self::Register | Self::Ping)
+        matches!(self, Self::SystemKeys | Self::KeyAllocation | Self::Register | Self::Ping | Self::Relay)
     }
 }
 

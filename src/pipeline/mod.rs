@@ -12,6 +12,7 @@ pub mod error;
 #[cfg(test)]
 mod fixture;
 pub mod meter;
+pub mod mirror;
 pub mod owner;
 pub mod pace;
 pub mod proof;
