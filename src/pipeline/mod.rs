@@ -11,6 +11,7 @@ pub mod epoch;
 pub mod error;
 #[cfg(test)]
 mod fixture;
+pub mod forwarder;
 pub mod meter;
 pub mod owner;
 pub mod pace;
@@ -31,6 +32,7 @@ pub mod witness;
 pub use author::Author;
 pub use directory::Directory;
 pub use error::PipelineError;
+pub use forwarder::Forwarder;
 pub use owner::Owner;
 pub use recorder::Recorder;
 pub use sender::{Outgoing, Sender};

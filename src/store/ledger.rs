@@ -9,6 +9,7 @@ mod batches;
 mod counts;
 mod earlier;
 mod edges;
+mod forwarding;
 mod lanes;
 mod query;
 mod rows;
@@ -33,6 +34,7 @@ pub use batches::{Anchors, BatchPlace, NewBatch, RootSighting, WaitingBatch};
 pub use counts::{LOST_IN_TRANSPORT, StateCounts, TopicCounts};
 pub use earlier::{EarlierAnchor, Left};
 pub use edges::is_legal;
+pub use forwarding::KeptReceipt;
 pub use lanes::{LaneCount, OpenTransaction, Reissue};
 pub use query::{RecordPage, RecordQuery};
 pub use rows::{NewRecord, RecordRow};
@@ -46,6 +48,7 @@ const SCHEMA: Schema = Schema {
         include_str!("ledger/schema_1.sql"),
         include_str!("ledger/schema_2.sql"),
         include_str!("ledger/schema_3.sql"),
+        include_str!("ledger/schema_5.sql"),
     ],
 };
 const READERS_KEPT: usize = 4;

@@ -4,7 +4,7 @@ use super::*;
 use crate::crypto::{CryptoError, Passphrase};
 
 fn issue(epoch: u64, key: SealingKey) -> EpochIssue {
-    EpochIssue { epoch, token: Token([7; 32]), key }
+    EpochIssue { epoch, token: Token([7; 32]), ends: (epoch == 3).then_some(Timestamp(9)), key }
 }
 
 fn sample(topics: usize) -> Enrolment {
