@@ -75,11 +75,12 @@ impl EpochKeys {
         if let Some(keys) = topics.get(topic) {
             return Some(Arc::clone(keys));
         }
+        let id = topic_id(&self.index, topic);
         let key = match &self.key {
-            SealingKey::Epoch(key) => topic_key(key, topic),
+            SealingKey::Epoch(key) => topic_key(key, &id),
             SealingKey::Topics(keys) => keys.get(topic)?.clone(),
         };
-        let keys = Arc::new(TopicKeys { id: topic_id(&self.index, topic), key });
+        let keys = Arc::new(TopicKeys { id, key });
         topics.insert(topic.to_owned(), Arc::clone(&keys));
         Some(keys)
     }
@@ -113,7 +114,9 @@ mod tests {
     fn scoped_keys_seal_as_those_of_the_epoch_and_nothing_else() {
         let epoch = EpochKey::new([4; 32]);
         let all = keys(SealingKey::Epoch(epoch.clone()));
-        let some = keys(SealingKey::Topics([("/a".to_owned(), topic_key(&epoch, "/a"))].into()));
+        let some = keys(SealingKey::Topics(
+            [("/a".to_owned(), topic_key(&epoch, &topic_id(&IndexKey::new([3; 32]), "/a")))].into(),
+        ));
         let (one, other) = (all.topic("/a").expect("covered"), some.topic("/a").expect("covered"));
         assert_eq!((one.id, &one.key), (other.id, &other.key));
         assert!(all.topic("/b").is_some() && some.topic("/b").is_none());

@@ -22,6 +22,7 @@ pub mod ring;
 pub mod sealer;
 pub mod sender;
 pub mod session;
+pub mod signers;
 pub mod storer;
 #[cfg(test)]
 mod tests;

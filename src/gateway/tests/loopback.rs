@@ -20,7 +20,8 @@ impl Stage {
         let home = tempfile::tempdir().expect("directory");
         let context = context();
         let path = home.path().join("gateway");
-        let cabinet = Cabinet::open(&path, context.provider, context.domain, Schedule::default(), Timestamp::now());
+        let cabinet =
+            Cabinet::open(&path, context.provider, context.domain, pair(0x21), Schedule::default(), Timestamp::now());
         let desk = Arc::new(MemoryDesk::default());
         let server =
             Server::start("127.0.0.1:0", Arc::clone(&desk) as Arc<dyn Desk>, context, cabinet.expect("opens"), limits);

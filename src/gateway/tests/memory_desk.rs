@@ -155,10 +155,13 @@ impl Desk for MemoryDesk {
         let state = self.state();
         state.may_read(&caller.account, &query.selection.owner)?;
         let (owner, limit) = (query.selection.owner, usize::from(query.limit));
-        let wanted = state.records.range(query.cursor + 1..).filter(|(_, record)| record.header.owner == owner);
+        let wanted = state
+            .records
+            .range(u64::try_from(query.cursor).expect("small") + 1..)
+            .filter(|(_, record)| record.header.owner == owner);
         let found: Vec<(u64, Entry)> =
             wanted.take(limit + 1).map(|(number, record)| (*number, entry(record))).collect();
-        let next = (found.len() > limit).then(|| found[limit - 1].0);
+        let next = (found.len() > limit).then(|| u128::from(found[limit - 1].0));
         Ok(Page { entries: found.into_iter().take(limit).map(|(_, entry)| entry).collect(), next })
     }
 

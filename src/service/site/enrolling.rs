@@ -172,7 +172,8 @@ impl Site {
         let lacking = || refused(format!("the keyring has no key of epoch {epoch}"));
         let key = owner.epoch_key(network.domain, epoch).ok_or_else(lacking)?;
         let token = owner.token(network.domain, epoch).ok_or_else(lacking)?;
-        let keys = to.topics.iter().map(|topic| (topic.clone(), topic_key(&key, topic))).collect();
+        let of = |topic: &String| (topic.clone(), topic_key(&key, &owner.topic_id(topic)));
+        let keys = to.topics.iter().map(of).collect();
         let key = if to.topics.is_empty() { SealingKey::Epoch(key) } else { SealingKey::Topics(keys) };
         Ok(EpochIssue { epoch, token, ends: self.earliest_expiry(owner, network, epoch), key })
     }
