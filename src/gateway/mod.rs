@@ -38,4 +38,4 @@ pub use system_keys::cabinet::{Cabinet, Schedule};
 pub use trust::Trust;
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

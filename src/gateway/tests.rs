@@ -6,4 +6,6 @@ mod loopback;
 mod memory_desk;
 mod vectors;
 
-pub(super) use fixtures::{Member, context, greet, pair, sample_answers, sample_requests, sessions};
+pub(crate) use fixtures::{Member, context, pair};
+pub(super) use fixtures::{greet, sample_answers, sample_requests, sessions};
+pub(crate) use loopback::Stage;

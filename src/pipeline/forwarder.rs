@@ -65,6 +65,9 @@ pub enum Link {
 /// What a session does beside uploads and checks, once in a while.
 #[async_trait::async_trait]
 pub trait Errand: Send {
+    /// A session has begun.
+    async fn begin(&mut self, client: &mut Client) -> Result<(), ForwardError>;
+
     /// Does what is due.
     async fn run(&mut self, client: &mut Client) -> Result<(), ForwardError>;
 }
@@ -192,6 +195,9 @@ impl Forwarder {
     async fn session(&mut self, stored: &Notify) -> Result<(), ForwardError> {
         let mut client = Client::connect(&self.endpoint, &mut self.trust, &self.credentials).await?;
         block_in_place(|| self.trust.save(&self.trust_file)).map_err(PipelineError::from)?;
+        if let Some(errand) = &mut self.errand {
+            errand.begin(&mut client).await?;
+        }
         while !client.is_spent() {
             let ringing = stored.notified();
             tokio::pin!(ringing);

@@ -13,6 +13,7 @@ pub mod error;
 mod fixture;
 pub mod forwarder;
 pub mod meter;
+pub mod notices;
 pub mod owner;
 pub mod pace;
 pub mod proof;

@@ -13,6 +13,7 @@ use crate::crypto::{Enrolment, SealedEnrolment};
 use crate::gateway::{Context, Credentials, Endpoint};
 use crate::model::{Digest, ErrorKind, ProfileName, RecordState, TopicName, clean};
 use crate::pipeline::forwarder::{Forwarder, Link, trust_in};
+use crate::pipeline::notices::Notices;
 use crate::pipeline::{Author, CaptureSession, Observer as _};
 use crate::service::failure::{input, internal, refused};
 use crate::service::reply::Failure;
@@ -89,23 +90,28 @@ impl Agent {
     /// # Errors
     /// Where a topic is not covered, or a file of the home cannot be used; a gateway or master that does not
     /// answer is waited for.
-    pub async fn start(site: &Arc<Site>, sealed: SealedEnrolment, wishes: AgentWishes) -> Result<Self, Failure> {
+    pub async fn start(site: &Arc<Site>, mut sealed: SealedEnrolment, wishes: AgentWishes) -> Result<Self, Failure> {
         if !site.plant.vault.durable() {
             return Err(input("an agent keeps its outbox itself; leave --vault and vault.url out"));
         }
+        let kept = SealedEnrolment::kept_in(site.home.root());
+        sealed.catch_up(&kept)?;
         let enrolment = &sealed.enrolment;
         let topics = topics(enrolment, &wishes.topics)?;
         site.record_audit(&enrolment.name, "agent", &enrolment.device_id().to_string(), "begun").await?;
         let author = Arc::new(Author::new(enrolment.owner));
         author.obey(enrolment);
-        let forwarder = block_in_place(|| forwarder(site, enrolment))?;
+        let (name, forwarder) = (enrolment.name.clone(), block_in_place(|| forwarder(site, enrolment))?);
+        let (provider, observer) = (site.plant.provider, Arc::clone(&site.plant.observer));
+        let notices = Notices::new(provider, observer, Arc::clone(&author), sealed, kept);
+        let forwarder = forwarder.with_errand(Box::new(notices));
         let before = block_in_place(|| site.plant.ledger.counts(None))?.captured();
         let session = Arc::new(CaptureSession::unfollowed(&topics, wishes.count, wishes.tags));
         for topic in &topics {
             site.recorder.join(topic, &author, None, &session);
         }
         site.wishes_changed();
-        let (link, refused, name) = (forwarder.link(), forwarder.refused(), enrolment.name.clone());
+        let (link, refused) = (forwarder.link(), forwarder.refused());
         let forwarder = tokio::spawn(forward(Arc::clone(site), forwarder));
         let (site, length) = (Arc::clone(site), wishes.length);
         Ok(Self { site, name, author, session, topics, length, link, refused, before, forwarder })

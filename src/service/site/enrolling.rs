@@ -104,6 +104,7 @@ impl Site {
             noticed: None,
             keys,
         };
+        block_in_place(|| self.note_told(owner, &enrolled, &enrolment.keys))?;
         self.note_enrolled(owner, enrolled)?;
         let file = block_in_place(|| SealedEnrolment::new(enrolment, &passphrase).and_then(|sealed| sealed.seal()))?;
         self.enrolled_view(&endpoint, fingerprint, id, owner, SecretBytes::new(file))

@@ -24,6 +24,7 @@ mod owners;
 mod robots;
 mod sharing;
 mod status;
+mod telling;
 mod topics;
 mod uploads;
 mod view;

@@ -49,6 +49,7 @@ impl Site {
     /// are sealed under the next one already, revocations that were cut short, envelopes that are lacking.
     pub(super) async fn settle_overdue(self: &Arc<Self>, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
         self.foresee_expiry(owner, network, None)?;
+        block_in_place(|| self.tell_devices(owner, network))?;
         if !self.is_behind(owner, network)? && self.lacking(owner, network)?.is_empty() {
             return Ok(());
         }
