@@ -1,5 +1,6 @@
 //! The command line: every verb and flag, in the words of the issue and the console.
 
+mod agent;
 mod bench;
 mod chain;
 mod gateway;
@@ -8,6 +9,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
+pub use self::agent::{AgentVerb, EnrolArguments, RunArguments};
 pub use self::bench::{BenchArguments, BenchVerb, ConsensusArguments};
 pub use self::chain::{ChainVerb, GenesisArguments};
 pub use self::gateway::GatewayVerb;
@@ -137,6 +139,9 @@ pub enum Verb {
     /// Devices that may sign: lend, recall, list
     #[command(subcommand)]
     Devices(super::adopt::DevicesVerb),
+    /// A robot's side: enrol it, capture on it and pass on to a gateway
+    #[command(subcommand)]
+    Agent(AgentVerb),
     /// The chain
     #[command(subcommand)]
     Chain(ChainVerb),

@@ -99,6 +99,7 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
         Verb::Devices(verb) => Plan::new(CHAIN, Unlocked, super::adopt::command(&verb)?),
         Verb::Chain(ChainVerb::Deploy) => Plan::new(CHAIN, Made, Command::DeployContract),
         Verb::Chain(ChainVerb::Serve { .. } | ChainVerb::Genesis(_))
+        | Verb::Agent(_)
         | Verb::Config(_)
         | Verb::Capture(_)
         | Verb::Serve
@@ -209,7 +210,12 @@ fn show(reply: Reply, out: Option<&Path>, output: &Output) -> Result<u8, Failure
                 format!("written to {} (0600)", path.display())
             });
         }
-        Reply::Captured(_) | Reply::Served(_) | Reply::Gateway(_) | Reply::Site(_) | Reply::Audit(_) => {
+        Reply::Enrolled(_)
+        | Reply::Captured(_)
+        | Reply::Served(_)
+        | Reply::Gateway(_)
+        | Reply::Site(_)
+        | Reply::Audit(_) => {
             return Err(super::connect::unexpected());
         }
     }

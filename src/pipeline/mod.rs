@@ -11,8 +11,10 @@ pub mod epoch;
 pub mod error;
 #[cfg(test)]
 mod fixture;
+pub mod forwarder;
 pub mod meter;
 pub mod mirror;
+pub mod notices;
 pub mod owner;
 pub mod pace;
 pub mod proof;
@@ -33,6 +35,7 @@ pub mod witness;
 pub use author::Author;
 pub use directory::Directory;
 pub use error::PipelineError;
+pub use forwarder::Forwarder;
 pub use owner::Owner;
 pub use recorder::Recorder;
 pub use sender::{Outgoing, Sender};

@@ -41,6 +41,8 @@ pub struct CaptureSession {
     topics: BTreeMap<String, TopicTally>,
     limit: Option<u64>,
     tags: Vec<(String, String)>,
+    /// Whether the fate of its records is followed.
+    followed: bool,
     closed: AtomicBool,
     changed: Notify,
 }
@@ -49,7 +51,13 @@ impl CaptureSession {
     /// A session for `topics`, ending by itself after `limit` messages of each.
     pub fn new(topics: &[String], limit: Option<u64>, tags: Vec<(String, String)>) -> Self {
         let topics = topics.iter().map(|topic| (topic.clone(), TopicTally::default())).collect();
-        Self { topics, limit, tags, closed: AtomicBool::new(limit == Some(0)), changed: Notify::new() }
+        let closed = AtomicBool::new(limit == Some(0));
+        Self { topics, limit, tags, followed: true, closed, changed: Notify::new() }
+    }
+
+    /// One that may last for months: what becomes of its records is for the ledger to tell, not kept in memory.
+    pub fn unfollowed(topics: &[String], limit: Option<u64>, tags: Vec<(String, String)>) -> Self {
+        Self { followed: false, ..Self::new(topics, limit, tags) }
     }
 
     /// Tags that its messages get.
@@ -165,10 +173,11 @@ pub struct Sessions {
 impl Sessions {
     /// `sessions` wait for the record `digest` of `topic`.
     pub fn wait(&self, digest: Digest, topic: &Arc<str>, sessions: &[Arc<CaptureSession>]) {
-        if sessions.is_empty() {
+        let mut followed = sessions.iter().filter(|session| session.followed).peekable();
+        if followed.peek().is_none() {
             return;
         }
-        let entries = sessions.iter().map(|session| (Arc::clone(session), Arc::clone(topic)));
+        let entries = followed.map(|session| (Arc::clone(session), Arc::clone(topic)));
         self.waiting.lock().unwrap_or_else(PoisonError::into_inner).entry(digest).or_default().extend(entries);
     }
 

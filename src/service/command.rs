@@ -220,6 +220,8 @@ pub enum Command {
         /// The device's id, or the beginning of it.
         device: String,
     },
+    /// Make a robot a device of the profile, known to a gateway.
+    EnrolDevice(super::site::EnrolWishes),
     /// Devices lent and recalled.
     ListDevices,
     /// The chain as seen by this profile.

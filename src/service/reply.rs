@@ -244,6 +244,21 @@ pub struct DeviceRow {
     pub recalled: Option<u64>,
 }
 
+/// A robot that was enrolled.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct EnrolledView {
+    /// N.
+    pub name: ProfileName,
+    /// SM3 of its public key.
+    pub device: SignerId,
+    /// The gateway.
+    pub gateway: String,
+    /// SM3 of the gateway's identity key.
+    pub gateway_key: SignerId,
+    /// The enrolment file, sealed.
+    pub file: SecretBytes,
+}
+
 /// How a part of the site is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -398,6 +413,8 @@ pub enum Reply {
     Grants(Vec<GrantRow>),
     /// To `ListDevices`.
     Devices(Vec<DeviceRow>),
+    /// To `EnrolDevice`.
+    Enrolled(EnrolledView),
     /// To `CheckShared`.
     Check(CheckView),
     /// To `OpenShared`.

@@ -9,6 +9,7 @@ mod batches;
 mod counts;
 mod earlier;
 mod edges;
+mod forwarding;
 mod kept;
 mod lanes;
 mod query;
@@ -34,6 +35,7 @@ pub use batches::{Anchors, BatchPlace, NewBatch, RootSighting, WaitingBatch};
 pub use counts::{LOST_IN_TRANSPORT, StateCounts, TopicCounts};
 pub use earlier::{EarlierAnchor, Left};
 pub use edges::is_legal;
+pub use forwarding::KeptReceipt;
 pub use kept::KeptBinding;
 pub use lanes::{LaneCount, OpenTransaction, Reissue};
 pub use query::{RecordPage, RecordQuery};
@@ -49,6 +51,7 @@ const SCHEMA: Schema = Schema {
         include_str!("ledger/schema_2.sql"),
         include_str!("ledger/schema_3.sql"),
         include_str!("ledger/schema_4.sql"),
+        include_str!("ledger/schema_5.sql"),
     ],
 };
 const READERS_KEPT: usize = 4;

@@ -11,8 +11,8 @@ use zeroize::Zeroizing;
 use crate::crypto::provider::Provider;
 use crate::crypto::random::random_bytes;
 use crate::crypto::{CryptoError, derive, rustcrypto};
-use crate::model::PublicKey;
 use crate::model::bytes::hex;
+use crate::model::{PublicKey, SignerId};
 
 /// The order n of the SM2 group (GB/T 32918.5-2017, 4), big endian.
 pub(in crate::crypto) const ORDER: [u8; 32] = [
@@ -175,8 +175,13 @@ pub struct Fingerprint([u8; 16]);
 impl Fingerprint {
     /// Of `public`.
     pub fn of(public: &PublicKey) -> Self {
+        Self::of_id(&derive::signer_id(public))
+    }
+
+    /// Of the public key with this id.
+    pub fn of_id(id: &SignerId) -> Self {
         let mut first = [0; 16];
-        first.copy_from_slice(&derive::signer_id(public).0[..16]);
+        first.copy_from_slice(&id.0[..16]);
         Self(first)
     }
 }

@@ -88,6 +88,7 @@ impl Site {
                 self.lend_device(&owner, device, until).await.map(Reply::Transaction)
             }
             Command::RecallDevice { device } => self.recall_device(&owner, &device).await.map(Reply::Transaction),
+            Command::EnrolDevice(wishes) => self.enrol_device(&owner, wishes).await.map(Reply::Enrolled),
             Command::ListDevices => self.device_rows(&owner).await.map(Reply::Devices),
             Command::AdoptChain => self.adopt_chain(&owner).await.map(Reply::Transaction),
             Command::ListGrants => self.grant_rows(&owner).await.map(Reply::Grants),

@@ -4,10 +4,12 @@
 //! process of a home is the site, further ones join it over the socket (`service::socket`).
 
 mod adoption;
+mod agent;
 mod audit;
 mod capture;
 mod chain_link;
 mod devices;
+mod enrolling;
 mod epochs;
 mod exposure;
 mod gateway;
@@ -22,6 +24,7 @@ mod owners;
 mod robots;
 mod sharing;
 mod status;
+mod telling;
 mod topics;
 mod uploads;
 mod view;
@@ -33,7 +36,9 @@ use std::sync::{Arc, Mutex, RwLock};
 
 use tokio::sync::{broadcast, mpsc, watch};
 
+pub use agent::{Agent, AgentEnd, AgentFigures, AgentWishes};
 pub use chain_link::NetworkState;
+pub use enrolling::EnrolWishes;
 pub use robots::RosState;
 
 use super::client::{Call, Client};

@@ -21,9 +21,11 @@ pub(super) enum By {
     Confirm,
     /// The block is gone.
     Reorg,
+    /// A gateway took the record over, or says how it stands there.
+    Gateway,
 }
 
-const EDGES: [(RecordState, RecordState, By); 38] = [
+const EDGES: [(RecordState, RecordState, By); 42] = [
     (Sealed, Stored, By::Worker),
     (Sealed, Quarantined, By::Worker),
     (Stored, Quarantined, By::Worker),
@@ -62,6 +64,10 @@ const EDGES: [(RecordState, RecordState, By); 38] = [
     (Verified, Submitted, By::Reorg),
     (Verified, Batched, By::Reorg),
     (Verified, Stored, By::Reorg),
+    (Stored, Submitted, By::Gateway),
+    (Submitted, Stored, By::Gateway),
+    (Submitted, Verified, By::Gateway),
+    (Submitted, Tampered, By::Gateway),
 ];
 
 /// Whether a record may ever go from one state to another in one step.
@@ -81,7 +87,10 @@ mod tests {
     #[test]
     fn edges_are_distinct_and_leave_no_state_stuck() {
         for (index, edge) in EDGES.iter().enumerate() {
-            assert!(!EDGES[..index].iter().any(|other| (other.0, other.1) == (edge.0, edge.1)), "{edge:?}");
+            let same = |other: &(RecordState, RecordState, By)| {
+                (other.0, other.1) == (edge.0, edge.1) && (other.2 == By::Gateway) == (edge.2 == By::Gateway)
+            };
+            assert!(!EDGES[..index].iter().any(same), "{edge:?}");
             assert_ne!(edge.0, edge.1);
         }
         for state in [Sealed, Stored, Batched, Submitted, Mined, Confirmed] {
@@ -92,7 +101,9 @@ mod tests {
     #[test]
     fn nobody_verifies_by_leaping() {
         for state in RecordState::ALL {
-            assert_eq!(is_legal(state, Verified), state == Confirmed);
+            assert_eq!(is_legal(state, Verified), matches!(state, Confirmed | Submitted));
+            assert_eq!(may(By::Gateway, state, Verified), state == Submitted);
+            assert_eq!(may(By::Worker, state, Verified), state == Confirmed);
         }
         assert!(!may(By::Worker, Stored, Submitted) && !may(By::Worker, Submitted, Mined));
     }
