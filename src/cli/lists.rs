@@ -159,6 +159,7 @@ pub fn chain(view: &ChainView) -> String {
         ("difficulty", or_dash(view.sealing.difficulty.as_ref().map(|hashes| format!("{hashes} hashes a block")))),
         ("sealers", listed(&view.sealing.sealers)),
     ];
+    rows.extend(view.through.clone().map(|text| ("seen", text)));
     rows.extend(view.lanes.iter().filter_map(paused));
     pairs(&rows)
 }

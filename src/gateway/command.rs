@@ -67,16 +67,16 @@ commands! {
     RevokeNotice = 12;
     /// Nothing; the gateway answers its time.
     Ping = 13;
-    /// The public key of a device that its owner has lent on the chain, which knows only its hash.
-    DeviceNotice = 14;
-    /// A JSON-RPC request, passed on to the chain.
-    Relay = 15;
     /// Only from the gateway: a record of a subscription.
-    Event = 16;
+    Event = 14;
     /// Only from the gateway: a subscription has ended.
-    End = 17;
+    End = 15;
     /// Only from the gateway: a refusal.
-    Refuse = 18;
+    Refuse = 16;
+    /// The public key of a device that its owner has lent on the chain, which knows only its hash.
+    DeviceNotice = 17;
+    /// A JSON-RPC request, passed on to the chain.
+    Relay = 18;
 }
 
 impl Command {

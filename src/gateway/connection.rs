@@ -164,7 +164,7 @@ impl Connection {
         if payload != NetworkName::INQUIRY {
             return Err(Refusal::new(Code::Version, "an inquiry of another version").into());
         }
-        let network = self.shared.desk.network().await?;
+        let network = self.shared.desk.network_name().await?;
         Ok(self.line.send(FrameKind::Network, &network.encode(), self.shared.limits().write_time).await?)
     }
 

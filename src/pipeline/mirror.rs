@@ -191,7 +191,7 @@ impl Mirror<'_> {
     fn prove(&self, owner: Address, digest: Digest, proof: AnchorProof) -> Result<bool, PipelineError> {
         let AnchorProof { account, transaction, block, block_hash, inclusion } = proof;
         let ledger = &self.plant.ledger;
-        if !ledger.record(digest)?.is_some_and(|row| row.state == RecordState::Stored) {
+        if ledger.record(digest)?.is_none_or(|row| row.state != RecordState::Stored) {
             return Ok(false);
         }
         Ok(match inclusion {

@@ -188,6 +188,7 @@ fn chain() -> ChainView {
         nonce: 12,
         pending: 1,
         client: "AuthROS embedded".to_owned(),
+        through: None,
         lanes: vec![LaneState { open: 1, paused: Some(PauseReason::Stalled), ..LaneState::idle(OWN) }],
         sealing: Sealing { period: Some(100), difficulty: None, sealers: vec![Address([0x5e; 20])] },
     }

@@ -142,8 +142,8 @@ impl Request {
             Self::Unsubscribe(request) => request.to_be_bytes().to_vec(),
             Self::GrantNotice(notice) => notice.encode(),
             Self::RevokeNotice(notice) => notice.encode(),
-            Self::DeviceNotice(key) => key.0.to_vec(),
             Self::Relay(call) => call.encode(),
+            Self::DeviceNotice(key) => key.0.to_vec(),
         }
     }
 

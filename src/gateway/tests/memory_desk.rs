@@ -19,7 +19,7 @@ use crate::gateway::{Code, NetworkName, Refusal};
 use crate::model::{Address, Digest, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token};
 
 #[derive(Default)]
-pub(crate) struct State {
+pub(super) struct State {
     pub accounts: HashMap<Address, Account>,
     pub tokens: HashSet<(Address, Token)>,
     pub signers: HashMap<(Address, SignerId), PublicKey>,
@@ -27,8 +27,6 @@ pub(crate) struct State {
     pub lent: HashSet<(Address, SignerId)>,
     pub bindings: HashMap<ProfileName, Binding>,
     pub records: BTreeMap<u64, Received>,
-    /// How all records stand; acknowledged unless set.
-    pub standing: Option<Standing>,
     pub readers: HashSet<(Address, Address)>,
     pub subscribers: Vec<(Caller, Selection, mpsc::Sender<Entry>)>,
     pub refusals: Vec<Code>,
@@ -42,7 +40,7 @@ pub(crate) struct State {
 }
 
 #[derive(Default)]
-pub(crate) struct MemoryDesk(Mutex<State>);
+pub(super) struct MemoryDesk(Mutex<State>);
 
 fn entry(record: &Received) -> Entry {
     Entry {
@@ -174,8 +172,7 @@ impl Desk for MemoryDesk {
     async fn check(&self, _: &Caller, digests: &[Digest]) -> Result<Vec<Standing>, Refusal> {
         let state = self.state();
         let known: HashSet<Digest> = state.records.values().map(|record| record.digest).collect();
-        let here = state.standing.unwrap_or(Standing::Acknowledged);
-        let standing = |digest| if known.contains(digest) { here } else { Standing::Unknown };
+        let standing = |digest| if known.contains(digest) { Standing::Acknowledged } else { Standing::Unknown };
         Ok(digests.iter().map(standing).collect())
     }
 
@@ -212,18 +209,7 @@ impl Desk for MemoryDesk {
         Ok(())
     }
 
-    async fn device(&self, caller: &Caller, key: &PublicKey) -> Result<(), Refusal> {
-        let mut state = self.state();
-        let device = (caller.account, signer_id(key));
-        if !state.lent.contains(&device) {
-            return Err(Refusal::new(Code::Signature, "not lent"));
-        }
-        state.signers.insert(device, *key);
-        state.changes += 1;
-        Ok(())
-    }
-
-    async fn network(&self) -> Result<NetworkName, Refusal> {
+    async fn network_name(&self) -> Result<NetworkName, Refusal> {
         Ok(network())
     }
 
@@ -241,6 +227,17 @@ impl Desk for MemoryDesk {
             "eth_getCode" => Ok(Value::String("6".repeat(3 << 20))),
             _ => Ok(parameters.clone()),
         }
+    }
+
+    async fn device(&self, caller: &Caller, key: &PublicKey) -> Result<(), Refusal> {
+        let mut state = self.state();
+        let device = (caller.account, signer_id(key));
+        if !state.lent.contains(&device) {
+            return Err(Refusal::new(Code::Signature, "not lent"));
+        }
+        state.signers.insert(device, *key);
+        state.changes += 1;
+        Ok(())
     }
 
     fn refused(&self, _: SocketAddr, refusal: &Refusal) {

@@ -7,6 +7,7 @@ use tokio::sync::oneshot;
 
 use super::Site;
 use crate::model::{ErrorKind, ProfileName};
+use crate::pipeline::Owner;
 use crate::service::command::{Command, Request};
 use crate::service::reply::{Failure, Reply};
 
@@ -20,6 +21,10 @@ pub struct Held {
 
 /// What a connection holds, shared by its requests.
 pub type Claims = Arc<Mutex<Held>>;
+
+fn unknown() -> Failure {
+    crate::service::failure::internal("this command is not known to the site")
+}
 
 impl Site {
     /// Answers one request.
@@ -91,11 +96,21 @@ impl Site {
             Command::EnrolDevice(wishes) => self.enrol_device(&owner, wishes).await.map(Reply::Enrolled),
             Command::ListDevices => self.device_rows(&owner).await.map(Reply::Devices),
             Command::AdoptChain => self.adopt_chain(&owner).await.map(Reply::Transaction),
+            Command::ListShared(_) | Command::CheckShared { .. } | Command::OpenShared { .. } => {
+                self.caught_up(profile).await?;
+                self.handle_shared(&owner, command).await
+            }
             Command::ListGrants => self.grant_rows(&owner).await.map(Reply::Grants),
-            Command::ListShared(query) => self.list_shared(&owner, query).await.map(Reply::Records),
-            Command::CheckShared { id } => self.check_record(&owner, &id).await.map(Reply::Check),
-            Command::OpenShared { id } => self.open_record(&owner, &id).await.map(|view| Reply::Opened(Box::new(view))),
-            _ => Err(crate::service::failure::internal("this command is not known to the site")),
+            _ => Err(unknown()),
+        }
+    }
+
+    async fn handle_shared(self: &Arc<Self>, owner: &Arc<Owner>, command: Command) -> Result<Reply, Failure> {
+        match command {
+            Command::ListShared(query) => self.list_shared(owner, query).await.map(Reply::Records),
+            Command::CheckShared { id } => self.check_record(owner, &id).await.map(Reply::Check),
+            Command::OpenShared { id } => self.open_record(owner, &id).await.map(|view| Reply::Opened(Box::new(view))),
+            _ => Err(unknown()),
         }
     }
 

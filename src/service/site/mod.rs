@@ -17,10 +17,12 @@ mod handle;
 mod identity;
 mod keys;
 mod lanes;
+mod mirror;
 mod naming;
 mod opening;
 mod overdue;
 mod owners;
+mod remote;
 mod robots;
 mod sharing;
 mod status;
@@ -92,6 +94,8 @@ pub struct Site {
     chain_silent: AtomicBool,
     /// The newest head, and when the chain told it.
     head_seen: Mutex<Option<(std::time::Instant, BlockRef)>>,
+    /// The gateway through which this site joins another one.
+    remote: Option<remote::Remote>,
     guests: AtomicUsize,
     deploying: tokio::sync::Mutex<()>,
     witnesses: Mutex<lanes::Witnesses>,
@@ -115,11 +119,15 @@ impl Site {
     /// # Errors
     /// Where ledger or vault cannot be opened; chain and master come up (or fail) later.
     pub fn start(home: Home, config: Config, lock: SiteLock, needs: Needs) -> Result<Arc<Self>, Failure> {
+        // Robots are where the gateway is.
+        let needs = Needs { ros: needs.ros && config.site.is_none(), ..needs };
+        let provider = provider(config.provider);
+        let remote = config.site.as_ref().map(|site| remote::Remote::new(site, &home, provider)).transpose()?;
         let (events, _) = broadcast::channel(1024);
         let hub = Arc::new(Hub::new(events));
         let ledger = Ledger::open(&home.ledger())?;
         let vault = open_vault(config.vault_url.as_deref(), &home.vault())?;
-        let plant = Plant { ledger: ledger.clone(), vault, provider: provider(config.provider), observer: hub.clone() };
+        let plant = Plant { ledger: ledger.clone(), vault, provider, observer: hub.clone() };
         let ring = Arc::new(Ring::new(RING_BYTES));
         let site = Arc::new(Self {
             recorder: Arc::new(Recorder::new(Arc::clone(&ring), hub.clone())),
@@ -139,6 +147,7 @@ impl Site {
             stopping: watch::channel(false).0,
             chain_silent: AtomicBool::new(false),
             head_seen: Mutex::default(),
+            remote,
             guests: AtomicUsize::new(0),
             deploying: tokio::sync::Mutex::default(),
             witnesses: Mutex::default(),

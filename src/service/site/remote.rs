@@ -9,6 +9,7 @@ use tokio::sync::watch;
 use tokio::task::block_in_place;
 
 use super::Site;
+use super::chain_link::Lost;
 use crate::chain::{Chain, ChainOptions, Endpoint, Pin, RelayLine};
 use crate::config::RemoteSite;
 use crate::crypto::transport_file::{TransportUse, load_transport_key, save_transport_key};
@@ -84,26 +85,27 @@ impl Remote {
     }
 
     /// The chain behind the gateway, the pinned one where there is a pin.
+    ///
+    /// # Errors
+    /// Where the gateway or its chain does not answer, or is another one.
     pub async fn chain(
         &self,
         pinned: Option<Pin>,
         contract: Option<Address>,
         confirmations: u64,
-    ) -> Result<Chain, Failure> {
+    ) -> Result<Chain, Lost> {
         let named = match &pinned {
             Some(pin) => NetworkName { chain_id: pin.chain_id, genesis: pin.genesis, contract: pin.contract },
-            None => Client::inquire(&self.address, PATIENCE).await?,
+            None => Client::inquire(&self.address, PATIENCE).await.map_err(Failure::from)?,
         };
         let line = self.line(named.domain())?;
-        line.meet().await?;
+        line.meet().await.map_err(Failure::from)?;
         let contract = Some(contract.unwrap_or(named.contract));
         let endpoint = Endpoint::Relay(RelayLine(line));
         let chain = Chain::connect(ChainOptions { endpoint, contract, pinned, confirmations }).await?;
         if (chain.chain_id(), chain.genesis()) != (named.chain_id, named.genesis) {
-            return Err(refused(format!(
-                "the gateway {} passes on another chain than it stands on; do not go on, its operator must explain",
-                self.address
-            )));
+            let what = "passes on another chain than it stands on; do not go on, its operator must explain";
+            return Err(refused(format!("the gateway {} {what}", self.address)).into());
         }
         Ok(chain)
     }

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use super::Site;
 use crate::chain::Call;
+use crate::gateway::{GrantNotice, RevokeNotice};
 use crate::model::grant::MOST_TOPICS;
 use crate::model::{Address, GrantTerms, Scope, Timestamp, TopicName};
 use crate::pipeline::Owner;
@@ -53,6 +54,8 @@ impl Site {
         self.foresee_expiry(owner, &network, expires)?;
         let call = Call::AuthorityGrant { grantee, epoch, expiry: terms.expiry, scope: terms.scope, envelope };
         let (transaction, receipt) = self.sender.send(&network.chain, &owner.eoa(), call, "authorityGrant").await?;
+        let notice = GrantNotice { grantee, epoch, expiry: expires.map_or(0, Timestamp::seconds), transaction };
+        self.tell_of_grant(owner, &network, notice).await;
         self.scanned(receipt.block).await;
         self.changed(Part::Grants);
         let what = if names.is_empty() { "all topics".to_owned() } else { names.join(", ") };
@@ -90,6 +93,10 @@ impl Site {
                 ),
                 ..failure
             })?;
+        if let (Some(transaction), Some(token)) = (view.transaction, owner.token(network.domain, view.epoch)) {
+            let notice = RevokeNotice { grantee, epoch: view.epoch, token, transaction };
+            self.tell_of_revoke(owner, &network, notice).await;
+        }
         self.settle_revocation(owner, grantee)?;
         view.text = format!(
             "{grantee} can read nothing sealed from now on (epoch {}); what was already read cannot be recalled",

@@ -6,7 +6,6 @@ use rusqlite::{Connection, Row};
 use serde::{Deserialize, Serialize};
 
 use crate::chain::merkle::Leaf;
-use crate::model::bytes::hex;
 use crate::model::{
     Address, Digest, FilterId, Hash, RecordKind, RecordState, RecorderId, Signature, SignerId, Timestamp, TopicId,
 };
@@ -151,14 +150,14 @@ pub(super) fn streams(connection: &Connection) -> Result<Vec<Stream>, StoreError
 }
 
 impl RecordRow {
-    /// What stands in the place of a topic's name that is not known here.
-    pub fn unnamed(topic: TopicId) -> String {
-        format!("{UNNAMED}{}", hex(&topic.0))
-    }
-
     /// Whether its topic's name is known here; else the pseudonym stands in its place.
     pub fn is_named(&self) -> bool {
         !self.topic.starts_with(UNNAMED)
+    }
+
+    /// What stands in the place of a topic's name where that is not known.
+    pub fn unnamed(topic: TopicId) -> String {
+        format!("{UNNAMED}{topic}")
     }
 
     /// What its batch binds.

@@ -10,14 +10,12 @@ use tokio::sync::mpsc;
 use super::GatewayDesk;
 use super::live::Watch;
 use super::reading::announced_key;
-use crate::chain::Call;
-use crate::chain::relay::RelayError;
+use crate::chain::{Call, RelayError};
 use crate::crypto::{open_transport_key, seal_transport_key, signer_id};
 use crate::gateway::desk::Account;
-use crate::gateway::hello::NetworkName;
 use crate::gateway::{
-    Binding, Caller, Code, Desk, Entry, Fetched, GrantNotice, Page, Query, Received, Refusal, Registration,
-    RevokeNotice, Selection, Standing,
+    Binding, Caller, Code, Desk, Entry, Fetched, GrantNotice, NetworkName, Page, Query, Received, Refusal,
+    Registration, RevokeNotice, Selection, Standing,
 };
 use crate::model::bytes::hex;
 use crate::model::header::TAG_LENGTH;
@@ -204,6 +202,16 @@ impl Desk for GatewayDesk {
         self.audit(caller, "revoke notice", &notice.grantee.to_string()).await
     }
 
+    async fn network_name(&self) -> Result<NetworkName, Refusal> {
+        let pin = self.fresh_network()?.chain.pin().ok_or_else(|| Refusal::new(Code::Stale, "no contract"))?;
+        Ok(NetworkName { chain_id: pin.chain_id, genesis: pin.genesis, contract: pin.contract })
+    }
+
+    async fn relay(&self, _: Option<&Caller>, method: &str, parameters: &Value) -> Result<Value, RelayError> {
+        let silent = |refusal: Refusal| RelayError::Silent(refusal.to_string());
+        self.fresh_network().map_err(silent)?.chain.relay(method, parameters).await
+    }
+
     async fn device(&self, caller: &Caller, key: &PublicKey) -> Result<(), Refusal> {
         let (key, device) = (*key, signer_id(key));
         if !self.fresh_network()?.directory.is_lent(caller.account, device, None, Timestamp::now()) {
@@ -214,17 +222,6 @@ impl Desk for GatewayDesk {
             desk.site.plant.ledger.keep_signer(device, key).map_err(Refusal::because(Code::Internal))
         })
         .await
-    }
-
-    async fn network(&self) -> Result<NetworkName, Refusal> {
-        let pin = self.fresh_network()?.chain.pin();
-        let pin = pin.ok_or_else(|| Refusal::new(Code::Stale, "no contract is known"))?;
-        Ok(NetworkName { chain_id: pin.chain_id, genesis: pin.genesis, contract: pin.contract })
-    }
-
-    async fn relay(&self, _: Option<&Caller>, method: &str, parameters: &Value) -> Result<Value, RelayError> {
-        let silent = |refusal: Refusal| RelayError::Silent(refusal.to_string());
-        self.fresh_network().map_err(silent)?.chain.relay(method, parameters).await
     }
 
     fn refused(&self, peer: SocketAddr, refusal: &Refusal) {
