@@ -126,6 +126,9 @@ pub enum Verb {
     /// The chain
     #[command(subcommand)]
     Chain(ChainVerb),
+    /// Who did what: list, verify, export
+    #[command(subcommand)]
+    Audit(super::audit::AuditVerb),
     /// Settings and where they come from
     #[command(subcommand)]
     Config(ConfigVerb),

@@ -5,6 +5,7 @@
 
 mod adopt;
 pub mod args;
+mod audit;
 mod bench;
 mod capture;
 mod chain;

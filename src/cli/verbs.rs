@@ -6,6 +6,7 @@ use super::args::{
     ChainVerb, ConfigVerb, EpochsChoice, ExportKind, GrantArguments, GrantsVerb, IdentityVerb, KeysVerb, SharedVerb,
     TopicsVerb, UploadsVerb, Verb,
 };
+use super::audit::AuditVerb;
 use super::connect::{Context, ProfileNeed};
 use super::output::Output;
 use super::{lists, parse, passphrase};
@@ -97,6 +98,7 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
         Verb::Chain(ChainVerb::Status) => Plan::new(CHAIN, NoProfile, Command::ChainStatus),
         Verb::Chain(ChainVerb::Adopt) => Plan::new(CHAIN, Unlocked, Command::AdoptChain),
         Verb::Devices(verb) => Plan::new(CHAIN, Unlocked, super::adopt::command(&verb)?),
+        Verb::Audit(verb) => audit(&verb)?,
         Verb::Chain(ChainVerb::Deploy) => Plan::new(CHAIN, Made, Command::DeployContract),
         Verb::Chain(ChainVerb::Serve { .. } | ChainVerb::Genesis(_))
         | Verb::Config(_)
@@ -106,6 +108,19 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
         | Verb::Bench(_)
         | Verb::Console(_) => {
             return Err(super::connect::unexpected());
+        }
+    })
+}
+
+fn audit(verb: &AuditVerb) -> Result<Plan, Failure> {
+    let command = super::audit::query(verb)?;
+    Ok(match verb {
+        AuditVerb::List { .. } | AuditVerb::Verify { without_heads: true } => {
+            Plan::new(NEITHER, ProfileNeed::None, command)
+        }
+        AuditVerb::Verify { .. } => Plan::new(CHAIN, ProfileNeed::Unlocked, command),
+        AuditVerb::Export { dir, .. } => {
+            Plan { out: Some(dir.clone()), ..Plan::new(NEITHER, ProfileNeed::Unlocked, command) }
         }
     })
 }
@@ -177,6 +192,13 @@ fn show(reply: Reply, out: Option<&Path>, output: &Output) -> Result<u8, Failure
         }
         Reply::Chain(view) => output.result(&view, || lists::chain(&view)),
         Reply::Deployed(view) => output.result(&view, || lists::deployed(&view)),
+        Reply::Audit(lines) => {
+            output.result(&serde_json::json!({ "audit": lines }), || super::audit::lines(&lines));
+        }
+        Reply::AuditChecked(check) => {
+            output.result(&check, || super::audit::check(&check));
+            return Ok(super::audit::code(&check));
+        }
         Reply::Check(view) => {
             output.result(&view, || format!("{}: {}", view.id, view.verdict.word()));
             return Ok(lists::verdict_code(view.verdict));
@@ -208,9 +230,7 @@ fn show(reply: Reply, out: Option<&Path>, output: &Output) -> Result<u8, Failure
                 format!("written to {} (0600)", path.display())
             });
         }
-        Reply::Captured(_) | Reply::Served(_) | Reply::Site(_) | Reply::Audit(_) => {
-            return Err(super::connect::unexpected());
-        }
+        Reply::Captured(_) | Reply::Served(_) | Reply::Site(_) => return Err(super::connect::unexpected()),
     }
     Ok(0)
 }

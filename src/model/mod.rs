@@ -6,6 +6,7 @@
 pub mod address;
 pub mod adoption;
 pub mod anchor_mode;
+pub mod audit_head;
 pub mod bytes;
 pub mod consensus;
 pub mod display;
@@ -20,8 +21,9 @@ pub mod state;
 pub mod topic;
 pub mod wire;
 
-pub use address::Address;
+pub use address::{Address, redact_addresses};
 pub use anchor_mode::AnchorMode;
+pub use audit_head::AuditHead;
 pub use bytes::{
     Commit, Digest, Domain, FilterId, Hash, PublicKey, RecorderId, Salt, Signature, SignerId, Token, TopicId,
 };

@@ -5,6 +5,7 @@
 
 pub mod adoption;
 pub mod anchorer;
+pub mod audit_head;
 pub mod directory;
 pub mod epoch;
 pub mod error;
@@ -20,6 +21,7 @@ pub mod ring;
 pub mod sealer;
 pub mod sender;
 pub mod session;
+pub mod statement;
 pub mod storer;
 #[cfg(test)]
 mod tests;

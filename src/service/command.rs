@@ -7,6 +7,8 @@ use zeroize::{Zeroize, ZeroizeOnDrop};
 
 use crate::model::{Address, ProfileName, RecordKind, RecordState, SignerId, Timestamp, TopicName, TypeName};
 
+pub use crate::store::AuditQuery;
+
 /// A secret text on its way to the site of the same user: a passphrase. Never in Debug.
 #[derive(Clone, Serialize, Deserialize, Zeroize, ZeroizeOnDrop)]
 #[serde(transparent)]
@@ -235,10 +237,17 @@ pub enum Command {
     },
     /// Health, counts and alerts of the whole site.
     SiteStatus,
-    /// The newest audit lines.
-    ListAudit {
-        /// At most so many.
-        limit: usize,
+    /// The newest audit lines that match.
+    ListAudit(AuditQuery),
+    /// Recompute the whole audit log; compare it with the heads that this profile anchored.
+    VerifyAudit {
+        /// Also the anchored heads: needs the keyring open.
+        heads: bool,
+    },
+    /// The whole audit log as a file for others.
+    ExportAudit {
+        /// With addresses in full.
+        addresses: bool,
     },
     /// Claims the profile for a console, until the connection ends; refused where one is open already.
     OpenConsole,

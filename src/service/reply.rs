@@ -370,6 +370,27 @@ pub struct AuditView {
     pub outcome: String,
 }
 
+/// What a check of the audit log found.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct AuditCheck {
+    /// Whether nothing is wrong.
+    pub ok: bool,
+    /// Lines whose chain of hashes holds; 0 where it is broken.
+    pub lines: u64,
+    /// Heads of this profile that were compared.
+    pub heads: u64,
+    /// Of these on the chain, confirmed.
+    pub anchored: u64,
+    /// Lines below the newest of these heads.
+    pub covered: u64,
+    /// The first line that is wrong.
+    pub broken_line: Option<u64>,
+    /// What is wrong with it.
+    pub text: Option<String>,
+    /// Records of heads that fail their own checks, with the reason.
+    pub unusable: Vec<String>,
+}
+
 /// The answer to a command.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "reply", content = "with")]
@@ -390,7 +411,7 @@ pub enum Reply {
     Records(RecordPage),
     /// To `ShowUpload`.
     Provenance(Provenance),
-    /// To `ExportUpload`.
+    /// To `ExportUpload` and `ExportAudit`.
     Files(Vec<ExportedFile>),
     /// To commands that send a transaction.
     Transaction(TransactionView),
@@ -412,4 +433,6 @@ pub enum Reply {
     Site(SiteView),
     /// To `ListAudit`.
     Audit(Vec<AuditView>),
+    /// To `VerifyAudit`.
+    AuditChecked(AuditCheck),
 }

@@ -27,7 +27,7 @@ pub fn reply(command: &Command, exists: bool) -> Reply {
         Command::ListShared(query) => Reply::Records(page(query, Some(OTHER))),
         Command::ListGrants => Reply::Grants(grants()),
         Command::ChainStatus => Reply::Chain(chain()),
-        Command::ListAudit { .. } => Reply::Audit(audit()),
+        Command::ListAudit(_) => Reply::Audit(audit()),
         _ => Reply::Done,
     }
 }

@@ -41,13 +41,17 @@ impl Site {
             Command::StopCapture => Ok(self.stop_captures(&profile)),
             Command::ServeChain { address } => {
                 let (end, ended) = oneshot::channel();
-                let served = self.serve_chain(address, ended).await?;
+                let served = self.serve_chain(&profile, address, ended).await?;
                 claims.lock().unwrap_or_else(PoisonError::into_inner).servers.push(end);
                 Ok(Reply::Served(served))
             }
             Command::ChainStatus => self.chain_view(&profile).await.map(Reply::Chain),
             Command::SiteStatus => self.site_view(&profile).await.map(Reply::Site),
-            Command::ListAudit { limit } => self.audit_lines(limit).await.map(Reply::Audit),
+            Command::ListAudit(query) => self.audit_lines(query).await.map(Reply::Audit),
+            Command::VerifyAudit { heads } => {
+                let owner = if heads { Some(self.unlocked(&profile)?) } else { None };
+                self.verify_audit(owner).await.map(Reply::AuditChecked)
+            }
             Command::ListUploads(query) => self.list_uploads(&profile, query).await.map(Reply::Records),
             Command::ShowUpload { id } => self.provenance(&profile, &id).await.map(Reply::Provenance),
             other => self.handle_unlocked(&profile, other).await,
@@ -69,6 +73,7 @@ impl Site {
                 self.capture(&owner, &topics, type_name, count, milliseconds, tags).await.map(Reply::Captured)
             }
             Command::ExportUpload { id } => self.export_upload(&owner, &id).await.map(Reply::Files),
+            Command::ExportAudit { addresses } => self.export_audit(&owner, addresses).await.map(Reply::Files),
             Command::Grant { grantee, topics, epochs, expires } => {
                 self.grant(&owner, grantee, &topics, epochs, expires).await.map(Reply::Transaction)
             }

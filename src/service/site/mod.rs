@@ -17,6 +17,8 @@ mod lanes;
 mod opening;
 mod overdue;
 mod owners;
+mod refusals;
+mod revoking;
 mod robots;
 mod sharing;
 mod status;
@@ -47,7 +49,7 @@ use crate::pipeline::recorder::CapturedMessage;
 use crate::pipeline::ring::Ring;
 use crate::pipeline::sender::Policy;
 use crate::pipeline::{CaptureSession, Owner, Plant, Recorder, Sender};
-use crate::store::{AuditLog, Ledger, SiteLock, open_vault};
+use crate::store::{AuditLog, Ledger, Reserve, SiteLock, open_vault};
 
 /// Memory for captured messages that wait to be sealed, bytes.
 const RING_BYTES: usize = 192 * 1024 * 1024;
@@ -74,6 +76,8 @@ pub struct Site {
     recorder: Arc<Recorder>,
     ring: Arc<Ring<CapturedMessage>>,
     audit: AuditLog,
+    refusals: refusals::Refusals,
+    reserve: Reserve,
     owners: RwLock<BTreeMap<ProfileName, Arc<Owner>>>,
     consoles: Mutex<HashSet<ProfileName>>,
     captures: Mutex<Vec<(ProfileName, Arc<CaptureSession>)>>,
@@ -111,10 +115,13 @@ impl Site {
         let vault = open_vault(config.vault_url.as_deref(), &home.vault())?;
         let plant = Plant { ledger: ledger.clone(), vault, provider: provider(config.provider), observer: hub.clone() };
         let ring = Arc::new(Ring::new(RING_BYTES));
+        let (reserve, reserved) = Reserve::open(&home.reserve());
         let site = Arc::new(Self {
             recorder: Arc::new(Recorder::new(Arc::clone(&ring), hub.clone())),
             sender: Arc::new(Sender::new(ledger, hub.clone(), Policy { cap: config.max_fee })),
             audit: AuditLog::new(plant.ledger.clone()),
+            refusals: refusals::Refusals::default(),
+            reserve,
             home,
             config,
             plant,
@@ -136,6 +143,10 @@ impl Site {
             _lock: lock,
         });
         site.warn_of_policy();
+        if let Err(error) = reserved {
+            let text = format!("no space could be set aside for a revoke on a full disk: {error}");
+            site.hub.notice(super::event::NoticeLevel::Warning, &text);
+        }
         workers::start(&site, needs)?;
         Ok(site)
     }
@@ -212,6 +223,7 @@ impl Site {
         }
         self.stopping.send_replace(true);
         self.network.send_replace(NetworkState::Off);
+        self.write_counted(None).await;
         let ledger = self.plant.ledger.clone();
         drop(tokio::task::spawn_blocking(move || ledger.close()).await);
     }

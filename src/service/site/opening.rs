@@ -30,7 +30,7 @@ impl Site {
         if scopes.is_empty() {
             return Ok(RecordPage { records: Vec::new(), next: None });
         }
-        self.audit_first(owner, "list shared", "records").await?;
+        self.audit_query(owner, "list shared", &query).await?;
         let readable = self.readable_topics(&scopes).await?;
         let query = RecordQuery {
             owners: Some(scopes.keys().copied().collect()),
@@ -80,8 +80,9 @@ impl Site {
         let network = self.network().await?;
         let reader = Reader { plant: &self.plant, network: &network, reader: owner };
         let allowed = reader.authorise(&row);
-        self.record_audit(&owner.profile, "check", &row.id, if allowed.is_ok() { "begun" } else { "refused" }).await?;
+        self.count_refusal(owner, &allowed);
         allowed?;
+        self.audit_first(owner, "check", &row.id).await?;
         let (verdict, digest) = reader.check(&row).await?;
         Ok(CheckView { id: row.id, verdict, digest, transaction: row.transaction, block: row.block })
     }
@@ -92,9 +93,9 @@ impl Site {
         let network = self.network().await?;
         let reader = Reader { plant: &self.plant, network: &network, reader: owner };
         let allowed = reader.authorise(&row);
-        self.record_audit(&owner.profile, "decrypt", &row.id, if allowed.is_ok() { "begun" } else { "refused" })
-            .await?;
+        self.count_refusal(owner, &allowed);
         allowed?;
+        self.audit_first(owner, "decrypt", &row.id).await?;
         let opened = reader.open(&row).await?;
         let definition = reader.definition(&row, &opened).await?;
         let decoded =

@@ -52,7 +52,9 @@ impl Site {
         self.settle_revocation(owner, grantee)?;
         self.foresee_expiry(owner, &network, expires)?;
         let call = Call::AuthorityGrant { grantee, epoch, expiry: terms.expiry, scope: terms.scope, envelope };
-        let (transaction, receipt) = self.sender.send(&network.chain, &owner.eoa(), call, "authorityGrant").await?;
+        let sent = self.sender.send(&network.chain, &owner.eoa(), call, "authorityGrant").await;
+        let sent = self.audit_end(owner, "grant", &grantee.to_string(), sent.map_err(Failure::from)).await;
+        let (transaction, receipt) = sent?;
         self.scanned(receipt.block).await;
         self.changed(Part::Grants);
         let what = if names.is_empty() { "all topics".to_owned() } else { names.join(", ") };
@@ -62,40 +64,6 @@ impl Site {
             epoch,
             text: format!("{grantee} may read {what}, from epoch {epoch} on"),
         })
-    }
-
-    /// Stops sharing with an account. What it has read cannot be recalled.
-    pub(super) async fn revoke(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        grantee: Address,
-    ) -> Result<TransactionView, Failure> {
-        let network = self.network().await?;
-        let _one_at_a_time = owner.changes.lock().await;
-        if self.active_grant(&network, owner.address, grantee).is_none() {
-            return Err(refused(format!(
-                "{grantee} has no active grant of {}; `authros grants list` shows who has",
-                owner.address
-            )));
-        }
-        self.owe_revocation(owner, grantee)?;
-        let purpose = format!("revoke {grantee}");
-        let mut view = self
-            .begin_epoch(owner, &network, &purpose, |new_token| Call::AuthorityRevoke { grantee, new_token })
-            .await
-            .map_err(|failure| Failure {
-                message: format!(
-                    "{}; the revocation is noted and is sent again until the chain has it",
-                    failure.message
-                ),
-                ..failure
-            })?;
-        self.settle_revocation(owner, grantee)?;
-        view.text = format!(
-            "{grantee} can read nothing sealed from now on (epoch {}); what was already read cannot be recalled",
-            view.epoch
-        );
-        Ok(view)
     }
 
     pub(super) fn active_grant(
