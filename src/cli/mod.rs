@@ -16,6 +16,7 @@ mod follow;
 mod lists;
 mod output;
 mod parse;
+mod parties;
 mod passphrase;
 mod serve;
 mod verbs;

@@ -1,10 +1,14 @@
 //! What a site answers: the very structures that `--json` prints.
 
+mod audit;
 mod chain;
+mod parties;
 
 use serde::{Deserialize, Serialize};
 
+pub use self::audit::{AuditCheck, AuditView};
 pub use self::chain::{ChainView, DeployedView, ServedView};
+pub use self::parties::{AdministrationView, CompareView, ContactRow, SuccessionView};
 use super::command::SecretBytes;
 use crate::model::{Address, Digest, ErrorKind, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token, Verdict};
 
@@ -112,6 +116,9 @@ pub struct RecordView {
     /// Whose it is (shared lists).
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub owner: Option<Address>,
+    /// The owner's name in the address book.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub owner_name: Option<String>,
     /// Per recorder and topic, from 1.
     pub seq: u64,
     /// Topic name, cleaned.
@@ -227,6 +234,12 @@ pub struct GrantRow {
     pub block: u64,
     /// Its transaction.
     pub transaction: Hash,
+    /// The other side's name in the address book.
+    #[serde(default)]
+    pub name: Option<String>,
+    /// The fingerprint of the SM2 key that the other side has registered.
+    #[serde(default)]
+    pub fingerprint: Option<String>,
 }
 
 /// One device that was lent.
@@ -234,6 +247,8 @@ pub struct GrantRow {
 pub struct DeviceRow {
     /// SM3 of its public key.
     pub device: SignerId,
+    /// Its fingerprint, as the device shows it.
+    pub fingerprint: String,
     /// `lent`, `expired` or `recalled`.
     pub state: String,
     /// Block of the loan.
@@ -353,44 +368,6 @@ pub struct TransactionView {
     pub text: String,
 }
 
-/// One line of the audit log.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct AuditView {
-    /// Its number.
-    pub line: u64,
-    /// When.
-    pub at: Timestamp,
-    /// Which profile.
-    pub profile: String,
-    /// What was done.
-    pub action: String,
-    /// To what, cleaned.
-    pub subject: String,
-    /// How it ended.
-    pub outcome: String,
-}
-
-/// What a check of the audit log found.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct AuditCheck {
-    /// Whether nothing is wrong.
-    pub ok: bool,
-    /// Lines whose chain of hashes holds; 0 where it is broken.
-    pub lines: u64,
-    /// Heads of this profile that were compared.
-    pub heads: u64,
-    /// Of these on the chain, confirmed.
-    pub anchored: u64,
-    /// Lines below the newest of these heads.
-    pub covered: u64,
-    /// The first line that is wrong.
-    pub broken_line: Option<u64>,
-    /// What is wrong with it.
-    pub text: Option<String>,
-    /// Records of heads that fail their own checks, with the reason.
-    pub unusable: Vec<String>,
-}
-
 /// The answer to a command.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "reply", content = "with")]
@@ -419,6 +396,10 @@ pub enum Reply {
     Grants(Vec<GrantRow>),
     /// To `ListDevices`.
     Devices(Vec<DeviceRow>),
+    /// To `CompareFingerprint`.
+    Compared(CompareView),
+    /// To commands of the address book.
+    Contacts(Vec<ContactRow>),
     /// To `CheckShared`.
     Check(CheckView),
     /// To `OpenShared`.

@@ -153,7 +153,9 @@ impl AuditLog {
             let written = self.head().map_or(0, |(count, _)| count);
             let (first, what) = match found {
                 None => (written + 1, format!("is missing: a head over {line} lines was anchored")),
-                Some(_) => (agreed + 1, format!("or one up to {line} was rewritten: another head was anchored")),
+                Some(_) => {
+                    (agreed + 1, format!("or a later one up to {line} was rewritten: another head was anchored"))
+                }
             };
             return Err(AuditFault { line: first, what });
         }

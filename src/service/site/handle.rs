@@ -52,6 +52,17 @@ impl Site {
                 let owner = if heads { Some(self.unlocked(&profile)?) } else { None };
                 self.verify_audit(owner).await.map(Reply::AuditChecked)
             }
+            Command::CompareFingerprint { fingerprint, account } => {
+                self.compare_fingerprint(&profile, &fingerprint, account).await.map(Reply::Compared)
+            }
+            Command::ListContacts => self.contact_rows().await.map(Reply::Contacts),
+            Command::AddContact { name, address, fingerprint } => {
+                self.add_contact(&profile, name, address, fingerprint).await.map(Reply::Contacts)
+            }
+            Command::RemoveContact { name } => self.remove_contact(&profile, &name).await.map(Reply::Contacts),
+            Command::ConfirmContact { name, fingerprint } => {
+                self.confirm_contact(&profile, &name, fingerprint).await.map(Reply::Contacts)
+            }
             Command::ListUploads(query) => self.list_uploads(&profile, query).await.map(Reply::Records),
             Command::ShowUpload { id } => self.provenance(&profile, &id).await.map(Reply::Provenance),
             other => self.handle_unlocked(&profile, other).await,
@@ -72,17 +83,20 @@ impl Site {
             Command::Capture { topics, type_name, count, milliseconds, tags } => {
                 self.capture(&owner, &topics, type_name, count, milliseconds, tags).await.map(Reply::Captured)
             }
-            Command::ExportUpload { id } => self.export_upload(&owner, &id).await.map(Reply::Files),
+            Command::ExportUpload { id, addresses } => {
+                self.export_upload(&owner, &id, addresses).await.map(Reply::Files)
+            }
             Command::ExportAudit { addresses } => self.export_audit(&owner, addresses).await.map(Reply::Files),
             Command::Grant { grantee, topics, epochs, expires } => {
-                self.grant(&owner, grantee, &topics, epochs, expires).await.map(Reply::Transaction)
+                self.grant(&owner, &grantee, &topics, epochs, expires).await.map(Reply::Transaction)
             }
-            Command::Revoke { grantee } => self.revoke(&owner, grantee).await.map(Reply::Transaction),
+            Command::Revoke { grantee } => self.revoke(&owner, self.resolve(&grantee)?).await.map(Reply::Transaction),
             Command::LendDevice { device, until } => {
                 self.lend_device(&owner, device, until).await.map(Reply::Transaction)
             }
             Command::RecallDevice { device } => self.recall_device(&owner, &device).await.map(Reply::Transaction),
             Command::ListDevices => self.device_rows(&owner).await.map(Reply::Devices),
+            Command::Administer(act) => self.administer(&owner, &act).await.map(Reply::Transaction),
             Command::AdoptChain => self.adopt_chain(&owner).await.map(Reply::Transaction),
             Command::ListGrants => self.grant_rows(&owner).await.map(Reply::Grants),
             Command::ListShared(query) => self.list_shared(&owner, query).await.map(Reply::Records),

@@ -7,6 +7,7 @@ mod adoption;
 mod audit;
 mod capture;
 mod chain_link;
+mod contacts;
 mod devices;
 mod epochs;
 mod exposure;
@@ -22,6 +23,7 @@ mod revoking;
 mod robots;
 mod sharing;
 mod status;
+mod succession;
 mod topics;
 mod uploads;
 mod view;
@@ -78,6 +80,8 @@ pub struct Site {
     audit: AuditLog,
     refusals: refusals::Refusals,
     reserve: Reserve,
+    /// Changes of the address book happen one at a time.
+    contacts: tokio::sync::Mutex<()>,
     owners: RwLock<BTreeMap<ProfileName, Arc<Owner>>>,
     consoles: Mutex<HashSet<ProfileName>>,
     captures: Mutex<Vec<(ProfileName, Arc<CaptureSession>)>>,
@@ -122,6 +126,7 @@ impl Site {
             audit: AuditLog::new(plant.ledger.clone()),
             refusals: refusals::Refusals::default(),
             reserve,
+            contacts: tokio::sync::Mutex::default(),
             home,
             config,
             plant,

@@ -24,7 +24,8 @@ impl Site {
         let (me, now) = (owner.address, Timestamp::now());
         let grants = network.directory.grants(|grant| grant.terms.grantee == me && grant.is_active(now));
         let mut scopes: HashMap<Address, Scope> = HashMap::new();
-        for grant in grants.into_iter().filter(|grant| query.owner.is_none_or(|wanted| wanted == grant.terms.owner)) {
+        let wanted = query.owner.as_ref().map(|owner| self.resolve(owner)).transpose()?;
+        for grant in grants.into_iter().filter(|grant| wanted.is_none_or(|wanted| wanted == grant.terms.owner)) {
             scopes.insert(grant.terms.owner, grant.terms.scope);
         }
         if scopes.is_empty() {
@@ -39,7 +40,12 @@ impl Site {
             ..record_query(query)
         };
         let reader = Reader { plant: &self.plant, network: &network, reader: owner };
-        self.readable_page(&reader, query).await
+        let mut page = self.readable_page(&reader, query).await?;
+        let names = self.names();
+        for record in &mut page.records {
+            record.owner_name = record.owner.and_then(|owner| names.get(&owner).cloned());
+        }
+        Ok(page)
     }
 
     /// The next page with a record that the reader's keys open; such pages may be short.

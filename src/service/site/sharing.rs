@@ -5,7 +5,7 @@ use std::sync::Arc;
 use super::Site;
 use crate::chain::Call;
 use crate::model::grant::MOST_TOPICS;
-use crate::model::{Address, GrantTerms, Scope, Timestamp, TopicName};
+use crate::model::{Address, GrantTerms, Party, Scope, Timestamp, TopicName};
 use crate::pipeline::Owner;
 use crate::pipeline::directory::Granted;
 use crate::service::command::Epochs;
@@ -18,7 +18,7 @@ impl Site {
     pub(super) async fn grant(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
-        grantee: Address,
+        grantee: &Party,
         topics: &[TopicName],
         epochs: Epochs,
         expires: Option<Timestamp>,
@@ -26,6 +26,7 @@ impl Site {
         let network = self.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
         network.directory.identity(owner.address)?;
+        let grantee = self.resolve(grantee)?;
         if grantee == owner.address {
             return Err(refused(format!("{grantee} is this profile itself; it reads its own records without a grant")));
         }
@@ -36,6 +37,7 @@ impl Site {
             return Err(input("the grant would end before it begins; give a later --expires"));
         }
         network.directory.identity(grantee)?;
+        self.check_contact(&network, grantee).await?;
         if self.active_grant(&network, owner.address, grantee).is_some() {
             return Err(refused(format!("{grantee} has an active grant already; revoke it first to change its terms")));
         }
@@ -95,7 +97,14 @@ impl Site {
         let network = self.network().await?;
         let me = owner.address;
         let grants = network.directory.grants(|grant| grant.terms.owner == me || grant.terms.grantee == me);
-        grants.iter().map(|grant| self.grant_row(owner, &network, grant)).collect()
+        let names = self.names();
+        let with_name = |mut row: GrantRow| {
+            let other = if row.owner == me { row.grantee } else { row.owner };
+            row.name = names.get(&other).cloned();
+            row.fingerprint = Self::registered_fingerprint(&network, other);
+            row
+        };
+        grants.iter().map(|grant| self.grant_row(owner, &network, grant).map(with_name)).collect()
     }
 
     fn grant_row(
@@ -123,6 +132,8 @@ impl Site {
             state: grant.word(Timestamp::now()).to_owned(),
             block: grant.block,
             transaction: grant.transaction,
+            name: None,
+            fingerprint: None,
         })
     }
 

@@ -130,6 +130,7 @@ impl Site {
             pending,
             lanes,
             client: clean(&status.client, 100),
+            administration: self.network_now().map(|network| self.administration_view(&network)).unwrap_or_default(),
             sealing: chain.sealing().await?,
         })
     }
