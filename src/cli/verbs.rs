@@ -110,7 +110,13 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
             let command = parties::act(&verb)?.ok_or_else(super::connect::unexpected)?;
             Plan::new(CHAIN, Unlocked, command)
         }
-        Verb::Config(_) | Verb::Capture(_) | Verb::Serve | Verb::Demo(_) | Verb::Bench(_) | Verb::Console(_) => {
+        Verb::Config(_)
+        | Verb::Capture(_)
+        | Verb::Serve
+        | Verb::Gateway(_)
+        | Verb::Demo(_)
+        | Verb::Bench(_)
+        | Verb::Console(_) => {
             return Err(super::connect::unexpected());
         }
     })
@@ -241,7 +247,9 @@ fn show(reply: Reply, out: Option<&Path>, output: &Output) -> Result<u8, Failure
                 format!("written to {} (0600)", path.display())
             });
         }
-        Reply::Captured(_) | Reply::Served(_) | Reply::Site(_) => return Err(super::connect::unexpected()),
+        Reply::Captured(_) | Reply::Served(_) | Reply::Gateway(_) | Reply::Site(_) => {
+            return Err(super::connect::unexpected());
+        }
     }
     Ok(0)
 }

@@ -66,7 +66,7 @@ pub fn state_head(
     let previous_hash = before.map_or(Digest([0; Digest::LENGTH]), |before| before.hash);
     let body = AuditHead { line, hash, previous_line: covered, previous_hash }.encode();
     let named = Statement { kind: RecordKind::Audit, topic: TOPIC, type_name: "authros/AuditHead", body: &body };
-    let digest = statement::state(plant, owner.address, &keys, named)?;
+    let Some(digest) = statement::state(plant, owner.address, &keys, named)? else { return Ok(None) };
     // Cut here, the next head names the same one before it, which is no contradiction.
     plant.ledger.put_setting(&key(owner), &serde_json::to_string(&Last { line, hash }).unwrap_or_default())?;
     plant.observer.records_changed();

@@ -6,6 +6,7 @@
 pub mod adoption;
 pub mod anchorer;
 pub mod audit_head;
+pub mod author;
 pub mod directory;
 pub mod epoch;
 pub mod error;
@@ -21,6 +22,7 @@ pub mod ring;
 pub mod sealer;
 pub mod sender;
 pub mod session;
+pub mod signers;
 pub mod statement;
 pub mod storer;
 #[cfg(test)]
@@ -29,6 +31,7 @@ pub mod verifier;
 pub mod watcher;
 pub mod witness;
 
+pub use author::Author;
 pub use directory::Directory;
 pub use error::PipelineError;
 pub use owner::Owner;

@@ -22,7 +22,8 @@ pub struct Statement<'a> {
     pub body: &'a [u8],
 }
 
-/// Seals and stores a statement of `owner`; durable when this returns. One caller at a time per owner and topic.
+/// Seals and stores a statement of `owner`; durable when this returns. `None` where the keys do not cover its name.
+/// One caller at a time per owner and topic.
 ///
 /// # Errors
 /// Of vault and ledger; nothing is acknowledged then.
@@ -31,10 +32,10 @@ pub fn state(
     owner: Address,
     keys: &EpochKeys,
     statement: Statement<'_>,
-) -> Result<Digest, PipelineError> {
+) -> Result<Option<Digest>, PipelineError> {
     let Statement { kind, topic: name, type_name, body } = statement;
     plant.ledger.takes_records()?;
-    let topic = keys.topic(name);
+    let Some(topic) = keys.topic(name) else { return Ok(None) };
     let seq = plant.ledger.next_seq(owner, topic.id)?;
     let captured_at = Timestamp::now();
     let request = SealRequest {
@@ -62,10 +63,12 @@ pub fn state(
         owner,
         topic_id: topic.id,
         seq,
+        foreign: None,
         epoch: keys.epoch,
         kind,
         signer: keys.signer,
         signature: sealed.signature,
+        filters: Vec::new(),
         topic: name.to_owned(),
         type_name: type_name.to_owned(),
         bytes: body.len() as u64,
@@ -74,7 +77,7 @@ pub fn state(
         state: if durable { RecordState::Stored } else { RecordState::Sealed },
         local_copy: (!durable).then_some(sealed.blob),
     }])?;
-    Ok(sealed.digest)
+    Ok(Some(sealed.digest))
 }
 
 fn head(topic: &str, type_name: &str, length: usize) -> Head {

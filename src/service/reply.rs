@@ -7,7 +7,7 @@ mod parties;
 use serde::{Deserialize, Serialize};
 
 pub use self::audit::{AuditCheck, AuditView};
-pub use self::chain::{ChainView, DeployedView, ServedView};
+pub use self::chain::{ChainView, DeployedView, GatewayView, ServedView};
 pub use self::parties::{AdministrationView, CompareView, ContactRow, SuccessionView};
 use super::command::SecretBytes;
 use crate::model::{Address, Digest, ErrorKind, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token, Verdict};
@@ -410,6 +410,8 @@ pub enum Reply {
     Deployed(DeployedView),
     /// To `ServeChain`.
     Served(ServedView),
+    /// A gateway is served.
+    Gateway(GatewayView),
     /// To `SiteStatus`.
     Site(SiteView),
     /// To `ListAudit`.

@@ -40,6 +40,9 @@ impl Site {
             ..record_query(query)
         };
         let reader = Reader { plant: &self.plant, network: &network, reader: owner };
+        for owner in scopes.keys() {
+            self.learn_names(&reader, *owner).await?;
+        }
         let mut page = self.readable_page(&reader, query).await?;
         let names = self.names();
         for record in &mut page.records {
