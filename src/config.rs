@@ -6,6 +6,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::path::Path;
 use std::str::FromStr;
+use std::time::Duration;
 
 use serde::Serialize;
 
@@ -129,6 +130,8 @@ pub struct Config {
     pub provider: ProviderName,
     /// How digests go on the chain.
     pub anchor_mode: AnchorMode,
+    /// How long a line of the audit log may wait until a head over it is anchored.
+    pub audit_every: Duration,
     /// Blocks until confirmed.
     pub confirmations: u64,
     /// The gateway of the remote site that this one joins.
@@ -191,6 +194,7 @@ impl Config {
             vault_url: url(&values, "vault.url", &["redis://", "redis+unix://", "unix://"])?,
             provider: parsed(&values, "crypto.provider")?.unwrap_or_default(),
             anchor_mode: parsed(&values, "anchor.mode")?.unwrap_or_default(),
+            audit_every: Duration::from_secs(number(&values, "audit.anchor_every", 1, 86_400)?),
             confirmations: number(&values, "confirmations", 1, 1000)?,
             site: remote_site(&values)?,
             values,

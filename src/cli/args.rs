@@ -127,7 +127,7 @@ pub enum Verb {
     Grant(GrantArguments),
     /// Stop sharing with an account (begins a new epoch)
     Revoke {
-        /// Account, as 0x and 40 hex
+        /// Account, as 0x and 40 hex, or a name of the address book
         address: String,
     },
     /// Grants given and received
@@ -145,6 +145,12 @@ pub enum Verb {
     /// The chain
     #[command(subcommand)]
     Chain(ChainVerb),
+    /// Address book: names for accounts, and the keys they are known by
+    #[command(subcommand)]
+    Contacts(super::parties::ContactsVerb),
+    /// Who did what: list, verify, export
+    #[command(subcommand)]
+    Audit(super::audit::AuditVerb),
     /// Settings and where they come from
     #[command(subcommand)]
     Config(ConfigVerb),
@@ -168,6 +174,14 @@ pub enum IdentityVerb {
     Create,
     /// Show the public identity
     Show,
+    /// Whether a fingerprint is that of this profile's key, or of an account's
+    Compare {
+        /// Eight groups of four hex characters, in quotes or without spaces
+        fingerprint: String,
+        /// Account, or its name [default: this profile]
+        #[arg(long, value_name = "ADDRESS_OR_NAME")]
+        account: Option<String>,
+    },
 }
 
 /// Which key to export.
@@ -270,8 +284,8 @@ pub struct ListArguments {
     /// Kind of record: data, definition, …
     #[arg(long, value_name = "KIND")]
     pub kind: Option<String>,
-    /// Only of this owner (shared)
-    #[arg(long, value_name = "ADDRESS")]
+    /// Only of this owner (shared), or of that name
+    #[arg(long, value_name = "ADDRESS_OR_NAME")]
     pub owner: Option<String>,
     /// Captured at or after, RFC 3339
     #[arg(long, value_name = "TIME")]
@@ -310,6 +324,9 @@ pub enum UploadsVerb {
         /// Directory to write record.bin, signature.bin, signer.pem, proof.json to
         #[arg(long, value_name = "DIR")]
         dir: PathBuf,
+        /// Addresses in full in proof.json; the record itself holds its owner's in any case
+        #[arg(long)]
+        addresses: bool,
     },
 }
 
@@ -325,8 +342,12 @@ pub enum EpochsChoice {
 /// `grant …`
 #[derive(Debug, Args)]
 pub struct GrantArguments {
-    /// Account to share with, as 0x and 40 hex
-    pub address: String,
+    /// Account to share with, as 0x and 40 hex, or a name of the address book
+    #[arg(required_unless_present = "to")]
+    pub address: Option<String>,
+    /// The same, by its own flag
+    #[arg(long, value_name = "ADDRESS_OR_NAME", conflicts_with = "address")]
+    pub to: Option<String>,
     /// Only this topic; may be repeated [default: all topics]
     #[arg(long = "topic", value_name = "TOPIC")]
     pub topics: Vec<String>,

@@ -14,7 +14,7 @@ pub struct Definition {
 }
 
 /// Every setting, in the order shown.
-pub const DEFINITIONS: [Definition; 16] = [
+pub const DEFINITIONS: [Definition; 17] = [
     Definition {
         name: "ros.master",
         variable: "ROS_MASTER_URI",
@@ -86,6 +86,12 @@ pub const DEFINITIONS: [Definition; 16] = [
         variable: "AUTHROS_ANCHOR_LANES",
         default: "1",
         text: "accounts that anchor side by side, the owner's included, 1 to 8",
+    },
+    Definition {
+        name: "audit.anchor_every",
+        variable: "AUTHROS_AUDIT_ANCHOR_EVERY",
+        default: "60",
+        text: "seconds after which a changed audit log's head is anchored, 1 to 86400",
     },
     Definition {
         name: "confirmations",

@@ -8,6 +8,7 @@ mod agent;
 mod audit;
 mod capture;
 mod chain_link;
+mod contacts;
 mod devices;
 mod enrolling;
 mod epochs;
@@ -22,10 +23,13 @@ mod naming;
 mod opening;
 mod overdue;
 mod owners;
+mod refusals;
 mod remote;
+mod revoking;
 mod robots;
 mod sharing;
 mod status;
+mod succession;
 mod telling;
 mod topics;
 mod uploads;
@@ -57,7 +61,7 @@ use crate::pipeline::recorder::CapturedMessage;
 use crate::pipeline::ring::Ring;
 use crate::pipeline::sender::Policy;
 use crate::pipeline::{CaptureSession, Owner, Plant, Recorder, Sender};
-use crate::store::{AuditLog, Ledger, SiteLock, open_vault};
+use crate::store::{AuditLog, Ledger, Reserve, SiteLock, open_vault};
 
 /// Memory for captured messages that wait to be sealed, bytes.
 const RING_BYTES: usize = 192 * 1024 * 1024;
@@ -84,6 +88,10 @@ pub struct Site {
     recorder: Arc<Recorder>,
     ring: Arc<Ring<CapturedMessage>>,
     audit: AuditLog,
+    refusals: refusals::Refusals,
+    reserve: Reserve,
+    /// Changes of the address book happen one at a time.
+    contacts: tokio::sync::Mutex<()>,
     owners: RwLock<BTreeMap<ProfileName, Arc<Owner>>>,
     consoles: Mutex<HashSet<ProfileName>>,
     captures: Mutex<Vec<(ProfileName, Arc<CaptureSession>)>>,
@@ -129,10 +137,14 @@ impl Site {
         let vault = open_vault(config.vault_url.as_deref(), &home.vault())?;
         let plant = Plant { ledger: ledger.clone(), vault, provider, observer: hub.clone() };
         let ring = Arc::new(Ring::new(RING_BYTES));
+        let (reserve, reserved) = Reserve::open(&home.reserve());
         let site = Arc::new(Self {
             recorder: Arc::new(Recorder::new(Arc::clone(&ring), hub.clone())),
             sender: Arc::new(Sender::new(ledger, hub.clone(), Policy { cap: config.max_fee })),
             audit: AuditLog::new(plant.ledger.clone()),
+            refusals: refusals::Refusals::default(),
+            reserve,
+            contacts: tokio::sync::Mutex::default(),
             home,
             config,
             plant,
@@ -156,6 +168,10 @@ impl Site {
             _lock: lock,
         });
         site.warn_of_policy();
+        if let Err(error) = reserved {
+            let text = format!("no space could be set aside for a revoke on a full disk: {error}");
+            site.hub.notice(super::event::NoticeLevel::Warning, &text);
+        }
         workers::start(&site, needs)?;
         Ok(site)
     }
@@ -232,6 +248,7 @@ impl Site {
         }
         self.stopping.send_replace(true);
         self.network.send_replace(NetworkState::Off);
+        self.write_counted(None).await;
         let ledger = self.plant.ledger.clone();
         drop(tokio::task::spawn_blocking(move || ledger.close()).await);
     }

@@ -134,6 +134,7 @@ impl Site {
             lanes,
             client: clean(&status.client, 100),
             through: self.remote.as_ref().map(|remote| clean(&remote.chain_text(), 300)),
+            administration: self.network_now().map(|network| self.administration_view(&network)).unwrap_or_default(),
             sealing: chain.sealing().await?,
         })
     }

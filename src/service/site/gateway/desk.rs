@@ -72,6 +72,7 @@ impl GatewayDesk {
 
     fn keep(&self, records: &[Received]) -> Result<Timestamp, Refusal> {
         let plant = &self.site.plant;
+        plant.ledger.takes_records().map_err(Refusal::because(Code::Internal))?;
         if plant.vault.durable() {
             let entries: Vec<_> = records.iter().map(|record| (record.digest, record.blob.as_slice())).collect();
             plant.vault.put(&entries).map_err(Refusal::because(Code::Internal))?;
@@ -225,6 +226,8 @@ impl Desk for GatewayDesk {
     }
 
     fn refused(&self, peer: SocketAddr, refusal: &Refusal) {
+        // A line per peer, code and minute: whoever is refused again and again cannot fill the log.
+        self.site.refused(&peer.ip().to_string(), &format!("{:?}", refusal.code));
         let text = format!("the gateway refused {}: {refusal}", peer.ip());
         self.site.hub.notice(NoticeLevel::Info, &text);
     }
