@@ -16,6 +16,7 @@ mod lists;
 mod output;
 mod parse;
 mod passphrase;
+mod quarantine;
 mod serve;
 mod verbs;
 

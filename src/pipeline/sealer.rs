@@ -9,13 +9,13 @@ use crate::crypto::{SealRequest, SealedRecord, seal};
 use crate::model::head::Compression;
 use crate::model::{Address, Digest, Head, RecordKind, RecordState, TopicId};
 use crate::ros::Message;
-use crate::store::NewRecord;
+use crate::store::{Hold, NewRecord};
 
 use super::epoch::EpochKeys;
 use super::recorder::CapturedMessage;
 use super::ring::Ring;
 use super::session::Sessions;
-use super::{PipelineError, Plant};
+use super::{PipelineError, Plant, quarantine};
 
 /// Messages sealed at most before they are acknowledged together.
 const ROUND: usize = 256;
@@ -26,6 +26,7 @@ const ROUND_BYTES: usize = 8 * 1024 * 1024;
 struct Ready {
     sealed: SealedRecord,
     row: NewRecord,
+    hold: Option<Hold>,
     definition: Option<String>,
     item: Option<usize>,
 }
@@ -79,7 +80,8 @@ impl Sealer {
         let mut ready = Vec::with_capacity(items.len());
         for (index, item) in items.iter().enumerate() {
             let Some(keys) = item.owner.sealing() else {
-                item.sessions.iter().for_each(|session| session.dropped(&item.message.topic));
+                let held = item.doubt.is_some();
+                item.sessions.iter().for_each(|session| session.dropped(&item.message.topic, held));
                 continue;
             };
             self.seal_definition(item, &keys, &mut seqs, &mut ready)?;
@@ -101,7 +103,10 @@ impl Sealer {
     ) -> Result<(), PipelineError> {
         let topic = keys.topic(&item.message.topic);
         let digest = self.definition_digest(&item.message.definition);
-        let name = format!("definition:{}:{}:{}:{}:{digest}", keys.domain, item.owner.address, keys.epoch, topic.id);
+        // A quarantined definition is none for those who may never see it.
+        let held = if item.doubt.is_some() { ":quarantined" } else { "" };
+        let name =
+            format!("definition:{}:{}:{}:{}:{digest}{held}", keys.domain, item.owner.address, keys.epoch, topic.id);
         let waiting = ready.iter().any(|one| one.definition.as_ref() == Some(&name));
         if waiting || self.definitions.contains(&name) {
             return Ok(());
@@ -158,7 +163,8 @@ impl Sealer {
         let sealed = seal(self.plant.provider, &request)?;
         seqs.insert((owner, topic.id), seq);
         let row = self.row(message, item, &sealed, keys, kind, seq, topic.id, body.len());
-        Ok(Ready { sealed, row, definition: None, item: None })
+        let hold = item.doubt.map(|doubt| quarantine::hold(sealed.digest, doubt, &message.origin));
+        Ok(Ready { sealed, row, hold, definition: None, item: None })
     }
 
     fn next_seq(
@@ -180,6 +186,9 @@ impl Sealer {
             item.sessions.iter().flat_map(|session| session.tags().iter().cloned()).collect();
         if item.simulated {
             tags.insert("simulated".to_owned(), "true".to_owned());
+        }
+        if let Some(doubt) = item.doubt {
+            tags.insert(quarantine::TAG.to_owned(), doubt.word().to_owned());
         }
         Head {
             topic: message.topic.to_string(),
@@ -221,7 +230,11 @@ impl Sealer {
             bytes: length as u64,
             captured_at: message.captured_at,
             simulated: item.simulated,
-            state: if durable { RecordState::Stored } else { RecordState::Sealed },
+            state: match item.doubt {
+                Some(_) => RecordState::Quarantined,
+                None if durable => RecordState::Stored,
+                None => RecordState::Sealed,
+            },
             local_copy: (!durable).then(|| sealed.blob.clone()),
         }
     }
@@ -233,13 +246,18 @@ impl Sealer {
         }
         // Sessions wait before the append: verification may be quicker than this thread.
         for one in &ready {
-            if let Some(item) = one.item.and_then(|index| items.get(index)) {
+            if let Some(item) = one.item.and_then(|index| items.get(index)).filter(|item| item.doubt.is_none()) {
                 self.sessions.wait(one.sealed.digest, &item.message.topic, &item.sessions);
             }
         }
-        let (rows, names): (Vec<_>, Vec<_>) = ready.into_iter().map(|one| (one.row, one.definition)).unzip();
-        self.plant.ledger.append(rows)?;
-        for name in names.into_iter().flatten() {
+        let (mut rows, mut names, mut holds) = (Vec::with_capacity(ready.len()), Vec::new(), Vec::new());
+        for one in ready {
+            rows.push(one.row);
+            names.extend(one.definition);
+            holds.extend(one.hold);
+        }
+        self.plant.ledger.append_held(rows, holds)?;
+        for name in names {
             self.plant.ledger.put_setting(&name, "sent")?;
             self.definitions.insert(name);
         }

@@ -10,6 +10,8 @@ mod counts;
 mod earlier;
 mod edges;
 mod lanes;
+mod pins;
+mod quarantine;
 mod query;
 mod rows;
 mod settings;
@@ -34,6 +36,8 @@ pub use counts::{LOST_IN_TRANSPORT, StateCounts, TopicCounts};
 pub use earlier::{EarlierAnchor, Left};
 pub use edges::is_legal;
 pub use lanes::{LaneCount, OpenTransaction, Reissue};
+pub use pins::{AlarmRow, PinRow};
+pub use quarantine::{HeldMinute, HeldQuery, HeldRow, Hold};
 pub use query::{RecordPage, RecordQuery};
 pub use rows::{NewRecord, RecordRow};
 pub use sightings::{KeptEvent, Sighting};
@@ -46,6 +50,7 @@ const SCHEMA: Schema = Schema {
         include_str!("ledger/schema_1.sql"),
         include_str!("ledger/schema_2.sql"),
         include_str!("ledger/schema_3.sql"),
+        include_str!("ledger/schema_4.sql"),
     ],
 };
 const READERS_KEPT: usize = 4;

@@ -1,7 +1,7 @@
 //! The legal edges of a record's life line, and which part of the program may take each.
 
 use crate::model::RecordState::{
-    self, Batched, Confirmed, Mined, Quarantined, Sealed, Stored, Submitted, Tampered, Verified,
+    self, Batched, Confirmed, Dropped, Mined, Quarantined, Sealed, Stored, Submitted, Tampered, Verified,
 };
 
 /// What takes an edge.
@@ -21,9 +21,11 @@ pub(super) enum By {
     Confirm,
     /// The block is gone.
     Reorg,
+    /// The operator decides about a quarantined record.
+    Operator,
 }
 
-const EDGES: [(RecordState, RecordState, By); 38] = [
+const EDGES: [(RecordState, RecordState, By); 42] = [
     (Sealed, Stored, By::Worker),
     (Sealed, Quarantined, By::Worker),
     (Stored, Quarantined, By::Worker),
@@ -37,6 +39,10 @@ const EDGES: [(RecordState, RecordState, By); 38] = [
     (Confirmed, Tampered, By::Worker),
     (Verified, Tampered, By::Worker),
     (Quarantined, Tampered, By::Worker),
+    (Tampered, Quarantined, By::Worker),
+    (Quarantined, Stored, By::Operator),
+    (Quarantined, Sealed, By::Operator),
+    (Quarantined, Dropped, By::Operator),
     (Tampered, Stored, By::Worker),
     (Tampered, Batched, By::Worker),
     (Tampered, Submitted, By::Worker),
@@ -94,6 +100,7 @@ mod tests {
         for state in RecordState::ALL {
             assert_eq!(is_legal(state, Verified), state == Confirmed);
         }
+        assert!(!may(By::Worker, Quarantined, Stored) && !is_legal(Quarantined, Batched) && !is_legal(Dropped, Stored));
         assert!(!may(By::Worker, Stored, Submitted) && !may(By::Worker, Submitted, Mined));
     }
 }
