@@ -85,7 +85,7 @@ fn the_first_set_is_pinned_and_told_and_others_are_doubted_once() {
     assert_eq!(desk.judge("/t", &desk.origin("/late", "h")), Some(Doubt::New));
     assert_eq!(desk.judge("/t", &desk.origin("/left", "h")), None);
     assert_eq!((desk.alarms(), desk.audited("node forging")), (4, 4));
-    assert_eq!(desk.judge("/other", &late), None, "each topic by itself");
+    assert_eq!(desk.judge("/other", &desk.origin("/late", "h")), None, "each topic by itself");
 }
 
 #[test]

@@ -68,10 +68,19 @@ fn plain(address: IpAddr) -> IpAddr {
     }
 }
 
+/// A connection that ended.
+struct Ended {
+    number: u64,
+    endpoint: Endpoint,
+    at: Instant,
+    /// Somebody else was registered under its caller id by then.
+    taken: bool,
+}
+
 /// When connections ended, by caller id, and since when the master's answers are known not to name somebody.
 #[derive(Default)]
 pub(super) struct Lineage {
-    ended: HashMap<Arc<str>, (u64, Endpoint, Instant)>,
+    ended: HashMap<Arc<str>, Ended>,
     /// When the last answer of the master was asked for.
     asked: Option<Instant>,
 }
@@ -87,22 +96,23 @@ impl Lineage {
         self.asked
     }
 
-    /// A connection ended.
-    pub fn ended(&mut self, caller_id: &Arc<str>, number: u64, endpoint: &Endpoint, at: Instant) {
+    /// A connection ended; `taken` where the master then had somebody else under its caller id.
+    pub fn ended(&mut self, caller_id: &Arc<str>, (number, endpoint): (u64, &Endpoint), at: Instant, taken: bool) {
         if self.ended.len() >= MOST_ENDED
-            && let Some(oldest) = self.ended.iter().min_by_key(|(_, ended)| ended.2).map(|(name, _)| Arc::clone(name))
+            && let Some(oldest) = self.ended.iter().min_by_key(|(_, ended)| ended.at).map(|(name, _)| Arc::clone(name))
         {
             self.ended.remove(&oldest);
         }
-        self.ended.insert(Arc::clone(caller_id), (number, endpoint.clone(), at));
+        self.ended.insert(Arc::clone(caller_id), Ended { number, endpoint: endpoint.clone(), at, taken });
     }
 
     /// A publisher of this caller id whose connection may have ended only after `number` had registered, which
     /// was no earlier than `absent_until`.
     pub fn rival(&self, caller_id: &str, number: u64, absent_until: Option<Instant>) -> Option<Rival> {
-        let (former, endpoint, at) = self.ended.get(caller_id)?;
-        let overlapped = *former != number && absent_until.is_none_or(|absent| *at >= absent);
-        overlapped.then(|| Rival { number: *former, uri: endpoint.to_string() })
+        let former = self.ended.get(caller_id)?;
+        let overlapped = former.taken || absent_until.is_none_or(|absent| former.at >= absent);
+        let rival = || Rival { number: former.number, uri: former.endpoint.to_string() };
+        (former.number != number && overlapped).then(rival)
     }
 }
 
@@ -123,7 +133,7 @@ mod tests {
         let name: Arc<str> = "/driver".into();
         assert_eq!(lineage.absent_until(), None);
         lineage.asked(at(1));
-        lineage.ended(&name, 1, &endpoint(10), at(2));
+        lineage.ended(&name, (1, &endpoint(10)), at(2), false);
         // Listed by the answer to the very next question: it had registered while the former was still there.
         let taken = lineage.rival(&name, 2, lineage.absent_until());
         assert_eq!(taken, Some(Rival { number: 1, uri: "http://Robot:10/".into() }));
@@ -133,13 +143,17 @@ mod tests {
         // The same publisher again is nobody's rival, another name neither.
         assert_eq!(lineage.rival(&name, 1, Some(at(1))), None);
         assert_eq!(lineage.rival("/other", 4, Some(at(1))), None);
+        // However long after: its name was somebody else's already when it ended.
+        lineage.ended(&name, (5, &endpoint(11)), at(4), true);
+        lineage.asked(at(5));
+        assert_eq!(lineage.rival("/driver", 6, lineage.absent_until()).map(|rival| rival.number), Some(5));
     }
 
     #[test]
     fn what_is_remembered_is_bounded() {
         let mut lineage = Lineage::default();
         for number in 0..2 * MOST_ENDED as u64 {
-            lineage.ended(&format!("/n{number}").into(), number, &endpoint(1), Instant::now());
+            lineage.ended(&format!("/n{number}").into(), (number, &endpoint(1)), Instant::now(), false);
         }
         assert_eq!(lineage.ended.len(), MOST_ENDED);
         assert!(lineage.rival("/n511", 9999, None).is_some() && lineage.rival("/n0", 9999, None).is_none());

@@ -12,7 +12,7 @@ use super::sequence::{Sequence, header_seq};
 use super::topic::{Publisher, Topic};
 use super::{CaptureNotice, Message};
 use crate::model::{Timestamp, TypeName, clean};
-use crate::ros::address::connect;
+use crate::ros::address::{Endpoint, connect};
 use crate::ros::message::Definition;
 use crate::ros::tcpros::{ConnectionHeader, FrameReader, LONGEST_HEADER, LONGEST_MESSAGE, Poll};
 use crate::ros::xmlrpc::{CallError, Value, call};
@@ -123,7 +123,8 @@ impl Reader {
             origin: Arc::clone(&link.origin),
         });
         let ended = self.read(&mut link);
-        self.topic.disconnected(&self.publisher, &link.from.caller_id);
+        let taken = !self.topic.has_ended() && self.is_taken(&link.from.caller_id);
+        self.topic.disconnected(&self.publisher, &link.from.caller_id, taken);
         if self.topic.has_ended() {
             return Ok(());
         }
@@ -263,6 +264,15 @@ impl Reader {
             body,
         });
         self.topic.count_message(bytes, captured_at);
+    }
+
+    /// Whether the master has another process under this caller id. One that takes a name over registers first, and
+    /// only then does the master end the elder one; one that is restarted comes after the elder one's end.
+    fn is_taken(&self, caller_id: &str) -> bool {
+        let params = [self.shared.node_name.as_str().into(), caller_id.into()];
+        let found = call(&self.shared.master, "lookupNode", &params, Instant::now() + PATIENCE).ok();
+        let found = found.as_ref().and_then(Value::as_text).and_then(Endpoint::parse);
+        found.is_some_and(|found| found != self.publisher.endpoint)
     }
 
     /// A peer without power says nothing, as one without news does. A hung one still lives.

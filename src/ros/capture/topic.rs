@@ -146,10 +146,10 @@ impl Topic {
         }
     }
 
-    /// A publisher's connection has ended.
-    pub fn disconnected(&self, publisher: &Publisher, caller_id: &Arc<str>) {
+    /// A publisher's connection has ended; `taken` where the master has somebody else under its caller id.
+    pub fn disconnected(&self, publisher: &Publisher, caller_id: &Arc<str>, taken: bool) {
         let mut state = lock(&self.state);
-        state.lineage.ended(caller_id, publisher.number, &publisher.endpoint, Instant::now());
+        state.lineage.ended(caller_id, (publisher.number, &publisher.endpoint), Instant::now(), taken);
         lock(&publisher.state).connected = None;
     }
 
