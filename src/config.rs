@@ -6,12 +6,13 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::path::Path;
 use std::str::FromStr;
+use std::time::Duration;
 
 use serde::Serialize;
 
 pub use self::definitions::{DEFINITIONS, Definition};
 use crate::crypto::ProviderName;
-use crate::model::{Address, AnchorMode, Consensus, ErrorKind, SignerId, clean};
+use crate::model::{Address, AnchorMode, Consensus, ErrorKind, ListedPublishers, PinMode, SignerId, clean};
 
 /// Why the settings cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -111,6 +112,10 @@ pub struct Config {
     pub ros_host: Option<String>,
     /// Which topics are measured.
     pub meter: MeterMode,
+    /// How captured topics come to their pinned publishers.
+    pub pin_mode: PinMode,
+    /// Publishers that are pinned by the settings.
+    pub publishers: ListedPublishers,
     /// Simulated robots; 0 with a real master.
     pub robots: u16,
     /// Node of a real chain.
@@ -129,6 +134,8 @@ pub struct Config {
     pub provider: ProviderName,
     /// How digests go on the chain.
     pub anchor_mode: AnchorMode,
+    /// How long a line of the audit log may wait until a head over it is anchored.
+    pub audit_every: Duration,
     /// Blocks until confirmed.
     pub confirmations: u64,
     /// The gateway of the remote site that this one joins.
@@ -178,6 +185,8 @@ impl Config {
         Ok(Self {
             ros_host: text("ros.host").map(str::to_owned),
             meter,
+            pin_mode: parsed(&values, "ros.pins")?.unwrap_or_default(),
+            publishers: parsed(&values, "ros.publishers")?.unwrap_or_default(),
             robots: if ros_master.is_some() { 0 } else { u16::try_from(robots).unwrap_or(0) },
             ros_master,
             chain_url: url(&values, "chain.url", &["http://", "ws://", "ipc://", "/"])?,
@@ -191,6 +200,7 @@ impl Config {
             vault_url: url(&values, "vault.url", &["redis://", "redis+unix://", "unix://"])?,
             provider: parsed(&values, "crypto.provider")?.unwrap_or_default(),
             anchor_mode: parsed(&values, "anchor.mode")?.unwrap_or_default(),
+            audit_every: Duration::from_secs(number(&values, "audit.anchor_every", 1, 86_400)?),
             confirmations: number(&values, "confirmations", 1, 1000)?,
             site: remote_site(&values)?,
             values,

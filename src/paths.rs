@@ -48,6 +48,11 @@ impl Home {
         self.root.join("ledger.db")
     }
 
+    /// Space set aside for a revoke on a full disk.
+    pub fn reserve(&self) -> PathBuf {
+        self.root.join("reserve")
+    }
+
     /// Ciphertext of the embedded vault.
     pub fn vault(&self) -> PathBuf {
         self.root.join("vault")

@@ -51,7 +51,11 @@ pub fn command(verb: &DevicesVerb) -> Result<Command, Failure> {
     })
 }
 
-fn end(text: &str) -> Result<Timestamp, Failure> {
+/// The end of a loan: a moment, or a length of time from now.
+///
+/// # Errors
+/// Where the text is neither.
+pub fn end(text: &str) -> Result<Timestamp, Failure> {
     if let Ok(time) = parse::moment(text) {
         return Ok(Timestamp::from_seconds(time.seconds()));
     }
@@ -89,6 +93,7 @@ pub fn devices(rows: &[DeviceRow]) -> String {
     let row = |row: &DeviceRow| {
         vec![
             row.device.to_string(),
+            row.fingerprint.clone(),
             row.state.clone(),
             row.from.to_string(),
             or_dash(row.until.map(|until| until.to_string())),
@@ -96,7 +101,7 @@ pub fn devices(rows: &[DeviceRow]) -> String {
         ]
     };
     let rows: Vec<Vec<String>> = rows.iter().map(row).collect();
-    table(&["device", "state", "from block", "until", "recalled at"], &rows)
+    table(&["device", "fingerprint", "state", "from block", "until", "recalled at"], &rows)
 }
 
 #[cfg(test)]

@@ -1,5 +1,6 @@
 //! The command line: every verb and flag, in the words of the issue and the console.
 
+mod agent;
 mod bench;
 mod chain;
 mod gateway;
@@ -8,6 +9,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
+pub use self::agent::{AgentVerb, EnrolArguments, RunArguments};
 pub use self::bench::{BenchArguments, BenchVerb, ConsensusArguments};
 pub use self::chain::{ChainVerb, GenesisArguments};
 pub use self::gateway::GatewayVerb;
@@ -113,9 +115,12 @@ pub enum Verb {
     Keys(KeysVerb),
     /// Put the identity on the chain
     Register,
-    /// ROS topics: list, watch, unwatch
+    /// ROS topics: list, watch, unwatch, pin
     #[command(subcommand)]
     Topics(TopicsVerb),
+    /// Messages of publishers that are not pinned: list, release, discard
+    #[command(subcommand)]
+    Quarantine(super::quarantine::QuarantineVerb),
     /// Capture topics; ends when all captured is verified
     Capture(CaptureArguments),
     /// Own records: list, show, export
@@ -125,7 +130,7 @@ pub enum Verb {
     Grant(GrantArguments),
     /// Stop sharing with an account (begins a new epoch)
     Revoke {
-        /// Account, as 0x and 40 hex
+        /// Account, as 0x and 40 hex, or a name of the address book
         address: String,
     },
     /// Grants given and received
@@ -137,9 +142,18 @@ pub enum Verb {
     /// Devices that may sign: lend, recall, list
     #[command(subcommand)]
     Devices(super::adopt::DevicesVerb),
+    /// A robot's side: enrol it, capture on it and pass on to a gateway
+    #[command(subcommand)]
+    Agent(AgentVerb),
     /// The chain
     #[command(subcommand)]
     Chain(ChainVerb),
+    /// Address book: names for accounts, and the keys they are known by
+    #[command(subcommand)]
+    Contacts(super::parties::ContactsVerb),
+    /// Who did what: list, verify, export
+    #[command(subcommand)]
+    Audit(super::audit::AuditVerb),
     /// Settings and where they come from
     #[command(subcommand)]
     Config(ConfigVerb),
@@ -163,6 +177,14 @@ pub enum IdentityVerb {
     Create,
     /// Show the public identity
     Show,
+    /// Whether a fingerprint is that of this profile's key, or of an account's
+    Compare {
+        /// Eight groups of four hex characters, in quotes or without spaces
+        fingerprint: String,
+        /// Account, or its name [default: this profile]
+        #[arg(long, value_name = "ADDRESS_OR_NAME")]
+        account: Option<String>,
+    },
 }
 
 /// Which key to export.
@@ -231,6 +253,21 @@ pub enum TopicsVerb {
         /// Topic
         topic: String,
     },
+    /// Accept publishers of a topic; messages of others are quarantined
+    Pin(super::quarantine::PinArguments),
+    /// Accepted publishers, and alarms about others
+    Pins {
+        /// Only this topic
+        #[arg(long, value_name = "TOPIC")]
+        topic: Option<String>,
+    },
+    /// No longer accept a publisher of a topic
+    Unpin {
+        /// Topic
+        topic: String,
+        /// Node name, as /driver
+        caller_id: String,
+    },
 }
 
 /// `capture …`
@@ -265,8 +302,8 @@ pub struct ListArguments {
     /// Kind of record: data, definition, …
     #[arg(long, value_name = "KIND")]
     pub kind: Option<String>,
-    /// Only of this owner (shared)
-    #[arg(long, value_name = "ADDRESS")]
+    /// Only of this owner (shared), or of that name
+    #[arg(long, value_name = "ADDRESS_OR_NAME")]
     pub owner: Option<String>,
     /// Captured at or after, RFC 3339
     #[arg(long, value_name = "TIME")]
@@ -305,6 +342,9 @@ pub enum UploadsVerb {
         /// Directory to write record.bin, signature.bin, signer.pem, proof.json to
         #[arg(long, value_name = "DIR")]
         dir: PathBuf,
+        /// Addresses in full in proof.json; the record itself holds its owner's in any case
+        #[arg(long)]
+        addresses: bool,
     },
 }
 
@@ -320,8 +360,12 @@ pub enum EpochsChoice {
 /// `grant …`
 #[derive(Debug, Args)]
 pub struct GrantArguments {
-    /// Account to share with, as 0x and 40 hex
-    pub address: String,
+    /// Account to share with, as 0x and 40 hex, or a name of the address book
+    #[arg(required_unless_present = "to")]
+    pub address: Option<String>,
+    /// The same, by its own flag
+    #[arg(long, value_name = "ADDRESS_OR_NAME", conflicts_with = "address")]
+    pub to: Option<String>,
     /// Only this topic; may be repeated [default: all topics]
     #[arg(long = "topic", value_name = "TOPIC")]
     pub topics: Vec<String>,

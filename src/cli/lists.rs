@@ -1,6 +1,7 @@
 //! Results as text for people.
 
 use super::output::table;
+use super::parties;
 use crate::config::SettingView;
 use crate::model::{Address, Verdict};
 use crate::pipeline::sender::LaneState;
@@ -85,11 +86,12 @@ pub fn topics(rows: &[TopicRow]) -> String {
             row.publishers.join(" "),
             row.hz.map_or_else(|| "-".to_owned(), |hz| format!("{hz:.1}")),
             if row.watched { "watched" } else { "" }.to_owned(),
+            if row.alarm { "ALARM" } else { "" }.to_owned(),
             if row.simulated { "SIMULATED" } else { "" }.to_owned(),
         ]
     };
     let rows: Vec<Vec<String>> = rows.iter().map(row).collect();
-    table(&["topic", "type", "publishers", "Hz", "", ""], &rows)
+    table(&["topic", "type", "publishers", "Hz", "", "", ""], &rows)
 }
 
 /// A page of records.
@@ -107,10 +109,13 @@ pub fn records(page: &RecordPage) -> String {
                 record.captured_at.to_string(),
                 or_dash(record.block),
                 if record.simulated { "SIMULATED" } else { "" }.to_owned(),
+                record.owner.map(|owner| parties::named(owner, record.owner_name.as_ref())).unwrap_or_default(),
             ]
         })
         .collect();
-    let list = table(&["id", "seq", "topic", "state", "bytes", "captured", "block", ""], &rows);
+    let shared = page.records.iter().any(|record| record.owner.is_some());
+    let owner = if shared { "owner" } else { "" };
+    let list = table(&["id", "seq", "topic", "state", "bytes", "captured", "block", "", owner], &rows);
     match &page.next {
         Some(next) => format!("{list}\nmore: --after {next}"),
         None => list,
@@ -130,7 +135,8 @@ pub fn grants(rows: &[GrantRow]) -> String {
     let row = |row: &GrantRow| {
         vec![
             row.direction.clone(),
-            if row.direction == "given" { row.grantee } else { row.owner }.to_string(),
+            parties::named(if row.direction == "given" { row.grantee } else { row.owner }, row.name.as_ref()),
+            or_dash(row.fingerprint.as_ref()),
             row.state.clone(),
             row.epoch.to_string(),
             or_dash(row.expires),
@@ -138,7 +144,7 @@ pub fn grants(rows: &[GrantRow]) -> String {
         ]
     };
     let rows: Vec<Vec<String>> = rows.iter().map(row).collect();
-    table(&["", "account", "state", "epoch", "expires", "topics"], &rows)
+    table(&["", "account", "SM2 fingerprint", "state", "epoch", "expires", "topics"], &rows)
 }
 
 /// The chain.
@@ -160,6 +166,7 @@ pub fn chain(view: &ChainView) -> String {
         ("sealers", listed(&view.sealing.sealers)),
     ];
     rows.extend(view.through.clone().map(|text| ("seen", text)));
+    rows.extend(parties::administration(&view.administration));
     rows.extend(view.lanes.iter().filter_map(paused));
     pairs(&rows)
 }

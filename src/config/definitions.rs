@@ -14,7 +14,7 @@ pub struct Definition {
 }
 
 /// Every setting, in the order shown.
-pub const DEFINITIONS: [Definition; 16] = [
+pub const DEFINITIONS: [Definition; 19] = [
     Definition {
         name: "ros.master",
         variable: "ROS_MASTER_URI",
@@ -32,6 +32,18 @@ pub const DEFINITIONS: [Definition; 16] = [
         variable: "AUTHROS_METER",
         default: "auto",
         text: "measure rates of: all topics, watched ones, or auto (all on the embedded master)",
+    },
+    Definition {
+        name: "ros.pins",
+        variable: "AUTHROS_PINS",
+        default: "first",
+        text: "publishers of a captured topic: the first seen are pinned, only those on a list, or off = anybody",
+    },
+    Definition {
+        name: "ros.publishers",
+        variable: "AUTHROS_PUBLISHERS",
+        default: "",
+        text: "publishers that are pinned: TOPIC=CALLER_ID@HOST:TYPE:MD5, separated by commas",
     },
     Definition {
         name: "robots",
@@ -86,6 +98,12 @@ pub const DEFINITIONS: [Definition; 16] = [
         variable: "AUTHROS_ANCHOR_LANES",
         default: "1",
         text: "accounts that anchor side by side, the owner's included, 1 to 8",
+    },
+    Definition {
+        name: "audit.anchor_every",
+        variable: "AUTHROS_AUDIT_ANCHOR_EVERY",
+        default: "60",
+        text: "seconds after which a changed audit log's head is anchored, 1 to 86400",
     },
     Definition {
         name: "confirmations",

@@ -40,4 +40,4 @@ pub use system_keys::cabinet::{Cabinet, Schedule};
 pub use trust::{KeptTrust, Trust};
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -7,4 +7,6 @@ mod memory_desk;
 mod relaying;
 mod vectors;
 
-pub(super) use fixtures::{Member, context, greet, network, pair, sample_answers, sample_requests, sessions};
+pub(crate) use fixtures::{Member, context, pair};
+pub(super) use fixtures::{greet, network, sample_answers, sample_requests, sessions};
+pub(crate) use loopback::Stage;

@@ -1,10 +1,16 @@
 //! What a site answers: the very structures that `--json` prints.
 
+mod audit;
 mod chain;
+mod forging;
+mod parties;
 
 use serde::{Deserialize, Serialize};
 
+pub use self::audit::{AuditCheck, AuditView};
 pub use self::chain::{ChainView, DeployedView, GatewayView, ServedView};
+pub use self::forging::{AlarmView, DecidedView, HeldView, PinView, PinsView, QuarantineView};
+pub use self::parties::{AdministrationView, CompareView, ContactRow, SuccessionView};
 use super::command::SecretBytes;
 use crate::model::{Address, Digest, ErrorKind, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token, Verdict};
 
@@ -102,6 +108,12 @@ pub struct TopicRow {
     pub lost_in_recorder: u64,
     /// Arrival of the last message.
     pub last_message: Option<Timestamp>,
+    /// Messages of it that this profile holds in quarantine.
+    #[serde(default)]
+    pub quarantined: u64,
+    /// Whether an alarm about a publisher of it is open.
+    #[serde(default)]
+    pub alarm: bool,
 }
 
 /// One record in a list.
@@ -112,6 +124,9 @@ pub struct RecordView {
     /// Whose it is (shared lists).
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub owner: Option<Address>,
+    /// The owner's name in the address book.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub owner_name: Option<String>,
     /// Per recorder and topic, from 1.
     pub seq: u64,
     /// Topic name, cleaned.
@@ -227,6 +242,12 @@ pub struct GrantRow {
     pub block: u64,
     /// Its transaction.
     pub transaction: Hash,
+    /// The other side's name in the address book.
+    #[serde(default)]
+    pub name: Option<String>,
+    /// The fingerprint of the SM2 key that the other side has registered.
+    #[serde(default)]
+    pub fingerprint: Option<String>,
 }
 
 /// One device that was lent.
@@ -234,6 +255,8 @@ pub struct GrantRow {
 pub struct DeviceRow {
     /// SM3 of its public key.
     pub device: SignerId,
+    /// Its fingerprint, as the device shows it.
+    pub fingerprint: String,
     /// `lent`, `expired` or `recalled`.
     pub state: String,
     /// Block of the loan.
@@ -242,6 +265,21 @@ pub struct DeviceRow {
     pub until: Option<Timestamp>,
     /// Block of the recall.
     pub recalled: Option<u64>,
+}
+
+/// A robot that was enrolled.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct EnrolledView {
+    /// N.
+    pub name: ProfileName,
+    /// SM3 of its public key.
+    pub device: SignerId,
+    /// The gateway.
+    pub gateway: String,
+    /// SM3 of the gateway's identity key.
+    pub gateway_key: SignerId,
+    /// The enrolment file, sealed.
+    pub file: SecretBytes,
 }
 
 /// How a part of the site is.
@@ -288,8 +326,11 @@ pub struct LifeLine {
     pub pending: u64,
     /// Held back.
     pub quarantined: u64,
-    /// Dropped before acknowledgement, counted.
+    /// Dropped before acknowledgement, counted, or discarded out of quarantine.
     pub dropped: u64,
+    /// Of these discarded by the operator out of quarantine.
+    #[serde(default)]
+    pub discarded: u64,
     /// Differ from the chain.
     pub tampered: u64,
     /// Never arrived here (header.seq gaps).
@@ -321,6 +362,9 @@ pub struct TopicSummary {
     pub captured: u64,
     /// Of these verified.
     pub verified: u64,
+    /// Of these held back: their publisher is not a pinned one.
+    #[serde(default)]
+    pub quarantined: u64,
     /// Lost in transport or in the recorder.
     pub lost: u64,
 }
@@ -332,6 +376,9 @@ pub struct CaptureSummary {
     pub captured: u64,
     /// Of these verified: re-read from the vault, digest equal to the chain, signature valid.
     pub verified: u64,
+    /// Of these held back: their publisher is not a pinned one.
+    #[serde(default)]
+    pub quarantined: u64,
     /// Lost in transport or in the recorder.
     pub lost: u64,
     /// Left out on purpose (bag import).
@@ -351,23 +398,6 @@ pub struct TransactionView {
     pub epoch: u64,
     /// What was done, in words.
     pub text: String,
-}
-
-/// One line of the audit log.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct AuditView {
-    /// Its number.
-    pub line: u64,
-    /// When.
-    pub at: Timestamp,
-    /// Which profile.
-    pub profile: String,
-    /// What was done.
-    pub action: String,
-    /// To what, cleaned.
-    pub subject: String,
-    /// How it ended.
-    pub outcome: String,
 }
 
 /// The answer to a command.
@@ -390,7 +420,7 @@ pub enum Reply {
     Records(RecordPage),
     /// To `ShowUpload`.
     Provenance(Provenance),
-    /// To `ExportUpload`.
+    /// To `ExportUpload` and `ExportAudit`.
     Files(Vec<ExportedFile>),
     /// To commands that send a transaction.
     Transaction(TransactionView),
@@ -398,10 +428,22 @@ pub enum Reply {
     Grants(Vec<GrantRow>),
     /// To `ListDevices`.
     Devices(Vec<DeviceRow>),
+    /// To `EnrolDevice`.
+    Enrolled(EnrolledView),
+    /// To `CompareFingerprint`.
+    Compared(CompareView),
+    /// To commands of the address book.
+    Contacts(Vec<ContactRow>),
     /// To `CheckShared`.
     Check(CheckView),
     /// To `OpenShared`.
     Opened(Box<OpenedView>),
+    /// To commands about pins.
+    Pins(PinsView),
+    /// To `ListQuarantine`.
+    Quarantine(QuarantineView),
+    /// To `ReleaseHeld` and `DiscardHeld`.
+    Decided(DecidedView),
     /// To `ChainStatus`.
     Chain(ChainView),
     /// To `DeployContract`.
@@ -414,4 +456,6 @@ pub enum Reply {
     Site(SiteView),
     /// To `ListAudit`.
     Audit(Vec<AuditView>),
+    /// To `VerifyAudit`.
+    AuditChecked(AuditCheck),
 }

@@ -9,8 +9,11 @@ mod batches;
 mod counts;
 mod earlier;
 mod edges;
+mod forwarding;
 mod kept;
 mod lanes;
+mod pins;
+mod quarantine;
 mod query;
 mod rows;
 mod settings;
@@ -22,6 +25,7 @@ mod transactions;
 mod writer;
 
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use rusqlite::{Connection, OptionalExtension as _, params};
@@ -34,8 +38,11 @@ pub use batches::{Anchors, BatchPlace, NewBatch, RootSighting, WaitingBatch};
 pub use counts::{LOST_IN_TRANSPORT, StateCounts, TopicCounts};
 pub use earlier::{EarlierAnchor, Left};
 pub use edges::is_legal;
+pub use forwarding::KeptReceipt;
 pub use kept::KeptBinding;
 pub use lanes::{LaneCount, OpenTransaction, Reissue};
+pub use pins::{AlarmRow, PinRow};
+pub use quarantine::{HeldMinute, HeldQuery, HeldRow, Hold};
 pub use query::{RecordPage, RecordQuery};
 pub use rows::{Foreign, NewRecord, RecordRow};
 pub use sightings::{KeptEvent, Sighting};
@@ -49,6 +56,8 @@ const SCHEMA: Schema = Schema {
         include_str!("ledger/schema_2.sql"),
         include_str!("ledger/schema_3.sql"),
         include_str!("ledger/schema_4.sql"),
+        include_str!("ledger/schema_5.sql"),
+        include_str!("ledger/schema_6.sql"),
     ],
 };
 const READERS_KEPT: usize = 4;
@@ -64,6 +73,8 @@ struct Shared {
     recorder: RecorderId,
     writer: writer::Writer,
     readers: Mutex<Vec<Connection>>,
+    /// How many are holding records back.
+    held: AtomicUsize,
 }
 
 impl Ledger {
@@ -77,12 +88,31 @@ impl Ledger {
         let recorder = begin(&connection, path).map_err(|error| error.in_file(path))?;
         let writer = writer::Writer::start(connection, path)?;
         let readers = Mutex::default();
-        Ok(Self { shared: Arc::new(Shared { path: path.to_owned(), recorder, writer, readers }) })
+        Ok(Self {
+            shared: Arc::new(Shared { path: path.to_owned(), recorder, writer, readers, held: AtomicUsize::new(0) }),
+        })
     }
 
     /// The random id made with this file; records carry it beside their sequence number.
     pub fn recorder(&self) -> RecorderId {
         self.shared.recorder
+    }
+
+    /// Holds new records back until the guard is dropped: what space a full disk has left is for something else.
+    pub fn hold_records(&self) -> RecordsHeld {
+        self.shared.held.fetch_add(1, Ordering::AcqRel);
+        RecordsHeld(self.clone())
+    }
+
+    /// Whether new records are taken now; to be asked before their bytes go into the vault.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] while they are held back.
+    pub fn takes_records(&self) -> Result<(), StoreError> {
+        match self.shared.held.load(Ordering::Acquire) {
+            0 => Ok(()),
+            _ => Err(StoreError::DiskFull { file: self.shared.path.clone() }),
+        }
     }
 
     /// The file's path.
@@ -125,6 +155,16 @@ impl Ledger {
     fn reader(&self) -> Result<Connection, StoreError> {
         let kept = self.shared.readers.lock().unwrap_or_else(PoisonError::into_inner).pop();
         kept.map_or_else(|| database::open_reader(&self.shared.path), Ok)
+    }
+}
+
+/// New records are held back as long as this lives.
+#[derive(Debug)]
+pub struct RecordsHeld(Ledger);
+
+impl Drop for RecordsHeld {
+    fn drop(&mut self) {
+        self.0.shared.held.fetch_sub(1, Ordering::AcqRel);
     }
 }
 

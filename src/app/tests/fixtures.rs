@@ -4,8 +4,8 @@ use crate::chain::Sealing;
 use crate::model::{Address, Digest, ErrorKind, Hash, ProfileName, PublicKey, Timestamp, Token, Verdict};
 use crate::pipeline::sender::{LaneState, PauseReason};
 use crate::service::reply::{
-    AuditView, ChainView, EpochView, GrantRow, HealthLevel, IdentityView, KeysView, LifeLine, OpenedView, PartHealth,
-    Provenance, RecordPage, RecordView, SiteView, TopicRow, TransactionView,
+    AdministrationView, AuditView, ChainView, EpochView, GrantRow, HealthLevel, IdentityView, KeysView, LifeLine,
+    OpenedView, PartHealth, Provenance, RecordPage, RecordView, SiteView, TopicRow, TransactionView,
 };
 use crate::service::{Command, Failure, Reply, UploadQuery};
 
@@ -27,7 +27,7 @@ pub fn reply(command: &Command, exists: bool) -> Reply {
         Command::ListShared(query) => Reply::Records(page(query, Some(OTHER))),
         Command::ListGrants => Reply::Grants(grants()),
         Command::ChainStatus => Reply::Chain(chain()),
-        Command::ListAudit { .. } => Reply::Audit(audit()),
+        Command::ListAudit(_) => Reply::Audit(audit()),
         _ => Reply::Done,
     }
 }
@@ -103,6 +103,8 @@ pub fn topic(name: &str, hz: f64) -> TopicRow {
         lost_in_transport: 0,
         lost_in_recorder: 0,
         last_message: Some(NOW),
+        quarantined: 0,
+        alarm: false,
     }
 }
 
@@ -121,6 +123,7 @@ pub fn record(number: u64, state: &str) -> RecordView {
     RecordView {
         id: format!("{number:016x}"),
         owner: None,
+        owner_name: None,
         seq: number,
         topic: "/robot1/odom".to_owned(),
         type_name: "nav_msgs/Odometry".to_owned(),
@@ -165,6 +168,8 @@ pub fn grant(direction: &str, account: Address, state: &str, block: u64) -> Gran
         state: state.to_owned(),
         block,
         transaction: Hash([u8::try_from(block).unwrap_or(0); 32]),
+        name: None,
+        fingerprint: None,
     }
 }
 
@@ -189,6 +194,7 @@ fn chain() -> ChainView {
         pending: 1,
         client: "AuthROS embedded".to_owned(),
         through: None,
+        administration: AdministrationView::default(),
         lanes: vec![LaneState { open: 1, paused: Some(PauseReason::Stalled), ..LaneState::idle(OWN) }],
         sealing: Sealing { period: Some(100), difficulty: None, sealers: vec![Address([0x5e; 20])] },
     }

@@ -19,7 +19,7 @@ use crate::model::{
     SignerId, Timestamp, Token, TopicId,
 };
 
-pub(in crate::gateway) fn context() -> Context {
+pub(crate) fn context() -> Context {
     Context { provider: provider(ProviderName::RustCrypto), domain: Domain([0x11; 32]) }
 }
 
@@ -29,13 +29,13 @@ pub(in crate::gateway) fn network() -> NetworkName {
 }
 
 /// The pair of a known secret.
-pub(in crate::gateway) fn pair(byte: u8) -> SmKeyPair {
+pub(crate) fn pair(byte: u8) -> SmKeyPair {
     let secret = SmSecret::from_slice(&[byte; 32]).expect("in range");
     SmKeyPair::from_secret(context().provider, secret).expect("pair")
 }
 
 /// A profile with all its keys.
-pub(in crate::gateway) struct Member {
+pub(crate) struct Member {
     pub name: ProfileName,
     pub signing: SmKeyPair,
     pub envelope: SmKeyPair,

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::AdministrationView;
 use crate::chain::{Pin, Sealing};
 use crate::model::{Address, Domain, Hash, SignerId};
 use crate::pipeline::sender::LaneState;
@@ -35,6 +36,9 @@ pub struct ChainView {
     /// How this profile's lanes stand: its own account's first, then its witnesses'.
     #[serde(default)]
     pub lanes: Vec<LaneState>,
+    /// What the administrator of the contract decided.
+    #[serde(default)]
+    pub administration: AdministrationView,
     /// Who seals the blocks, and how often.
     #[serde(flatten)]
     pub sealing: Sealing,

@@ -4,10 +4,13 @@
 //! process of a home is the site, further ones join it over the socket (`service::socket`).
 
 mod adoption;
+mod agent;
 mod audit;
 mod capture;
 mod chain_link;
+mod contacts;
 mod devices;
+mod enrolling;
 mod epochs;
 mod exposure;
 mod gateway;
@@ -20,10 +23,16 @@ mod naming;
 mod opening;
 mod overdue;
 mod owners;
+mod pins;
+mod quarantine;
+mod refusals;
 mod remote;
+mod revoking;
 mod robots;
 mod sharing;
 mod status;
+mod succession;
+mod telling;
 mod topics;
 mod uploads;
 mod view;
@@ -35,7 +44,9 @@ use std::sync::{Arc, Mutex, RwLock};
 
 use tokio::sync::{broadcast, mpsc, watch};
 
+pub use agent::{Agent, AgentEnd, AgentFigures, AgentWishes};
 pub use chain_link::NetworkState;
+pub use enrolling::EnrolWishes;
 pub use robots::RosState;
 
 use super::client::{Call, Client};
@@ -51,8 +62,8 @@ use crate::paths::Home;
 use crate::pipeline::recorder::CapturedMessage;
 use crate::pipeline::ring::Ring;
 use crate::pipeline::sender::Policy;
-use crate::pipeline::{CaptureSession, Owner, Plant, Recorder, Sender};
-use crate::store::{AuditLog, Ledger, SiteLock, open_vault};
+use crate::pipeline::{CaptureSession, Owner, PinRules, Pins, Plant, Recorder, Sender};
+use crate::store::{AuditLog, Ledger, Reserve, SiteLock, open_vault};
 
 /// Memory for captured messages that wait to be sealed, bytes.
 const RING_BYTES: usize = 192 * 1024 * 1024;
@@ -77,8 +88,15 @@ pub struct Site {
     pub(crate) hub: Arc<Hub>,
     pub(crate) sender: Arc<Sender>,
     recorder: Arc<Recorder>,
+    pins: Arc<Pins>,
+    /// Quarantine records are sealed one at a time.
+    reporting: tokio::sync::Mutex<()>,
     ring: Arc<Ring<CapturedMessage>>,
     audit: AuditLog,
+    refusals: refusals::Refusals,
+    reserve: Reserve,
+    /// Changes of the address book happen one at a time.
+    contacts: tokio::sync::Mutex<()>,
     owners: RwLock<BTreeMap<ProfileName, Arc<Owner>>>,
     consoles: Mutex<HashSet<ProfileName>>,
     captures: Mutex<Vec<(ProfileName, Arc<CaptureSession>)>>,
@@ -124,10 +142,18 @@ impl Site {
         let vault = open_vault(config.vault_url.as_deref(), &home.vault())?;
         let plant = Plant { ledger: ledger.clone(), vault, provider, observer: hub.clone() };
         let ring = Arc::new(Ring::new(RING_BYTES));
+        let (reserve, reserved) = Reserve::open(&home.reserve());
+        let rules = PinRules { mode: config.pin_mode, listed: config.publishers.clone() };
+        let pins = Arc::new(Pins::new(ledger.clone(), hub.clone(), rules));
         let site = Arc::new(Self {
-            recorder: Arc::new(Recorder::new(Arc::clone(&ring), hub.clone())),
+            recorder: Arc::new(Recorder::new(Arc::clone(&ring), hub.clone()).with_pins(Arc::clone(&pins))),
+            pins,
+            reporting: tokio::sync::Mutex::default(),
             sender: Arc::new(Sender::new(ledger, hub.clone(), Policy { cap: config.max_fee })),
             audit: AuditLog::new(plant.ledger.clone()),
+            refusals: refusals::Refusals::default(),
+            reserve,
+            contacts: tokio::sync::Mutex::default(),
             home,
             config,
             plant,
@@ -151,6 +177,10 @@ impl Site {
             _lock: lock,
         });
         site.warn_of_policy();
+        if let Err(error) = reserved {
+            let text = format!("no space could be set aside for a revoke on a full disk: {error}");
+            site.hub.notice(super::event::NoticeLevel::Warning, &text);
+        }
         workers::start(&site, needs)?;
         Ok(site)
     }
@@ -227,6 +257,7 @@ impl Site {
         }
         self.stopping.send_replace(true);
         self.network.send_replace(NetworkState::Off);
+        self.write_counted(None).await;
         let ledger = self.plant.ledger.clone();
         drop(tokio::task::spawn_blocking(move || ledger.close()).await);
     }

@@ -3,6 +3,7 @@
 mod adoption;
 mod model;
 mod pages;
+mod quarantine;
 mod speed;
 
 use std::path::Path;
@@ -152,6 +153,17 @@ fn a_failing_job_leaves_its_neighbours_alone() {
     let counts = ledger.counts(None).expect("counts");
     assert_eq!(counts.captured(), 1 + 8 * 40);
     assert_eq!(ledger.list(&RecordQuery { limit: 1_000, ..RecordQuery::default() }).expect("list").rows.len(), 321);
+}
+
+#[test]
+fn records_are_held_back_while_the_space_is_for_something_else() {
+    let (_home, ledger) = open();
+    let (one, other) = (ledger.hold_records(), ledger.hold_records());
+    drop(one);
+    assert!(matches!(ledger.append(vec![record(1, 1, 1)]), Err(StoreError::DiskFull { .. })));
+    ledger.put_setting("revoking", "x").expect("everything else is written");
+    drop(other);
+    ledger.append(vec![record(1, 1, 1)]).expect("acknowledged");
 }
 
 #[test]
