@@ -53,6 +53,11 @@ impl Home {
         self.root.join("vault")
     }
 
+    /// System keys of the gateway.
+    pub fn gateway(&self) -> PathBuf {
+        self.root.join("gateway")
+    }
+
     /// Blocks of the embedded chain.
     pub fn chain(&self) -> PathBuf {
         self.root.join("chain")

@@ -4,6 +4,7 @@
 //! contract's calls and events, signing and sending, reads and news. Which record is in which
 //! transaction, when to resend and what to do after a reorg is the pipeline's business.
 
+mod anchor_proof;
 mod artefact;
 mod call;
 mod connect;
@@ -30,6 +31,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
+pub use self::anchor_proof::AnchorProof;
 pub use self::call::{Call, LONGEST_ENVELOPE, MOST_WRAPS};
 pub use self::error::{ChainError, explain};
 pub use self::event::Event;

@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use super::artefact::artefact;
+use super::embedded::Transaction;
 use super::error::explain;
 use super::reader::reason;
 use super::{Call, Chain, ChainError, Pin, Receipt, SignedTransaction};
@@ -73,6 +74,27 @@ impl Chain {
 
     pub(super) fn forget_gas(&self) {
         self.inner.gas.lock().unwrap_or_else(PoisonError::into_inner).clear();
+    }
+
+    /// Whether these bytes are a transaction that `account` signed for this chain and that makes exactly this call
+    /// of the contract.
+    ///
+    /// # Errors
+    /// [`ChainError::Input`] with what is different.
+    pub fn expect_call(&self, raw: &[u8], account: Address, call: &Call) -> Result<Hash, ChainError> {
+        let transaction = Transaction::decode(raw, self.chain_id(), None).map_err(ChainError::Input)?;
+        let contract = self.pin().map(|pin| pin.contract);
+        let other = |what: &str| Err(ChainError::Input(format!("the transaction is not the one described: {what}")));
+        if transaction.sender != account {
+            return other("another account signed it");
+        }
+        if contract.is_none() || transaction.to != contract {
+            return other("it is not for this contract");
+        }
+        if transaction.input != call.encode()? || !transaction.value.is_zero() {
+            return other("it makes another call");
+        }
+        Ok(transaction.hash)
     }
 
     /// Sends signed bytes.

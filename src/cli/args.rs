@@ -2,6 +2,7 @@
 
 mod bench;
 mod chain;
+mod gateway;
 
 use std::path::PathBuf;
 
@@ -9,6 +10,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 
 pub use self::bench::{BenchArguments, BenchVerb, ConsensusArguments};
 pub use self::chain::{ChainVerb, GenesisArguments};
+pub use self::gateway::GatewayVerb;
 
 /// Share robot data under proof: messages sealed with SM4, signed with SM2, anchored by SM3
 /// digest on a private Ethereum network. Without a command it opens the operator console.
@@ -131,6 +133,9 @@ pub enum Verb {
     Config(ConfigVerb),
     /// Run the site without a console
     Serve,
+    /// Serve robots and operators that run no chain client
+    #[command(subcommand)]
+    Gateway(GatewayVerb),
     /// The paper's crime-scene mission, from capture to refusal, on embedded parts
     Demo(DemoArguments),
     /// The paper's measurements, repeated on this machine

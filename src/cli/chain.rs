@@ -54,7 +54,7 @@ pub async fn serve(context: Context, listen: SocketAddr, output: &Output) -> Res
 }
 
 /// Waits until the site is gone: a joined one may end at any time, and the server with it.
-async fn lost(client: &Client) -> Failure {
+pub(super) async fn lost(client: &Client) -> Failure {
     loop {
         tokio::time::sleep(Duration::from_secs(2)).await;
         if let Err(failure) = client.request(Command::SiteStatus).await

@@ -12,6 +12,7 @@ mod connect;
 mod console;
 mod demo;
 mod follow;
+mod gateway;
 mod lists;
 mod output;
 mod parse;
@@ -75,6 +76,9 @@ fn run(runtime: &tokio::runtime::Runtime, arguments: Arguments, output: &Output)
         Some(Verb::Console(console)) => console::run(runtime, context, console),
         Some(Verb::Serve) => runtime.block_on(serve::run(context, output)),
         Some(Verb::Demo(demo)) => runtime.block_on(demo::run(context, demo, output)),
+        Some(Verb::Gateway(args::GatewayVerb::Serve { listen })) => {
+            runtime.block_on(gateway::serve(context, listen, output))
+        }
         Some(Verb::Chain(ChainVerb::Serve { listen })) => runtime.block_on(chain::serve(context, listen, output)),
         Some(Verb::Capture(capture)) => runtime.block_on(capture::run(context, capture, output)),
         Some(Verb::Uploads(UploadsVerb::List(list))) if list.follow => {

@@ -102,6 +102,7 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
         | Verb::Config(_)
         | Verb::Capture(_)
         | Verb::Serve
+        | Verb::Gateway(_)
         | Verb::Demo(_)
         | Verb::Bench(_)
         | Verb::Console(_) => {
@@ -208,7 +209,7 @@ fn show(reply: Reply, out: Option<&Path>, output: &Output) -> Result<u8, Failure
                 format!("written to {} (0600)", path.display())
             });
         }
-        Reply::Captured(_) | Reply::Served(_) | Reply::Site(_) | Reply::Audit(_) => {
+        Reply::Captured(_) | Reply::Served(_) | Reply::Gateway(_) | Reply::Site(_) | Reply::Audit(_) => {
             return Err(super::connect::unexpected());
         }
     }

@@ -27,8 +27,14 @@ pub fn token(domain: &Domain, owner: &Address, epoch: u64, key: &EpochKey) -> To
     Token(sm3(&[b"AuthROS/token/1", &domain.0, &owner.0, &epoch.to_be_bytes(), key.expose()]))
 }
 
-/// The key of a topic in an epoch.
-pub fn topic_key(key: &EpochKey, topic: &str) -> TopicKey {
+/// The key of a topic in an epoch. By its pseudonym, which every header holds: whoever has EK opens a record without
+/// having to know its topic's name first.
+pub fn topic_key(key: &EpochKey, topic: &TopicId) -> TopicKey {
+    TopicKey::new(derived(key.expose(), &[], &Info::new("AuthROS/topic/2").fixed(&topic.0)))
+}
+
+/// The key of a topic as it was derived before pseudonyms were used: for records sealed then.
+pub fn topic_key_by_name(key: &EpochKey, topic: &str) -> TopicKey {
     TopicKey::new(derived(key.expose(), &[], &Info::new("AuthROS/topic/1").text(topic)))
 }
 
@@ -50,6 +56,23 @@ pub fn witness_secret(owner: &EoaSecret, domain: &Domain, index: u8) -> Result<E
     let info = Info::new("AuthROS/witness/1").fixed(&domain.0).number(u64::from(index));
     let bytes = Zeroizing::new(derived::<32>(owner.expose(), &[], &info));
     EoaSecret::from_slice(&*bytes)
+}
+
+/// What seals transport keys at rest with the gateway whose keyring has this index key.
+pub(super) fn kept_key(keeper: &IndexKey) -> Zeroizing<[u8; 16]> {
+    Zeroizing::new(derived(keeper.expose(), &[], &Info::new("AuthROS/binding/1")))
+}
+
+/// What the notices of an owner to a device are sealed under, from the owner's EOA key: the owner need not
+/// keep it, the device has it from its enrolment, and nobody else has it.
+pub fn notice_key(owner: &EoaSecret, domain: &Domain, device: &SignerId) -> TopicKey {
+    let info = Info::new("AuthROS/notice/1").fixed(&domain.0).fixed(&device.0);
+    TopicKey::new(derived(owner.expose(), &[], &info))
+}
+
+/// The name under which notices to a device are filed; no ROS name begins like this.
+pub fn notice_topic(device: &SignerId) -> String {
+    format!("authros/keys/{device}")
 }
 
 /// SM3 of 04 || x || y: names a signer in headers and on the chain.
@@ -76,7 +99,7 @@ mod tests {
         assert!(others.iter().chain([&epoch(4, &home, &owner, 2)]).all(|other| *other != base));
 
         assert_ne!(token(&home, &owner, 1, &base), token(&home, &owner, 2, &base));
-        assert_ne!(topic_key(&base, "/a"), topic_key(&base, "/b"));
+        assert_ne!(topic_key(&base, &TopicId([1; 16])), topic_key(&base, &TopicId([2; 16])));
         let index = IndexKey::new([6; 32]);
         assert_ne!(topic_id(&index, "/a"), topic_id(&index, "/b"));
         assert_ne!(filter_id(&index, "type", "a"), filter_id(&index, "typea", ""));
@@ -87,9 +110,12 @@ mod tests {
         let home = domain(1, &Hash([0; 32]), &Address([0; 20]));
         let expected = sm3(&[b"AuthROS/domain/1", &[0, 0, 0, 0, 0, 0, 0, 1], &[0; 32], &[0; 20]]);
         assert_eq!(home, Domain(expected));
-        let key = topic_key(&EpochKey::new([1; 32]), "/odom");
+        let key = topic_key_by_name(&EpochKey::new([1; 32]), "/odom");
         let mut out = [0; 32];
         hkdf_sm3(&[1; 32], &[], b"AuthROS/topic/1\0\x05/odom", &mut out).expect("derives");
         assert_eq!(key.expose(), &out);
+        let info = [&b"AuthROS/topic/2\0"[..], &[7; 16]].concat();
+        hkdf_sm3(&[1; 32], &[], &info, &mut out).expect("derives");
+        assert_eq!(topic_key(&EpochKey::new([1; 32]), &TopicId([7; 16])).expose(), &out);
     }
 }

@@ -6,12 +6,15 @@ pub mod account;
 pub mod agreement;
 pub mod der;
 pub mod derive;
+pub mod enrolment;
 pub mod envelope;
 pub mod error;
 pub mod fault;
+mod file_key;
 mod gcm;
 pub mod identity;
 pub mod kdf;
+pub mod kept_key;
 pub mod keyfile;
 pub mod keyring;
 pub mod keystore;
@@ -35,11 +38,16 @@ mod vector_tests;
 pub use account::{AccountSignature, TypedStructure, keccak256, recover_account, sign_hash};
 pub use agreement::Ephemeral;
 pub use der::{signature_der, signature_from_der};
-pub use derive::{domain, epoch_key, filter_id, signer_id, token, topic_id, topic_key, witness_secret};
+pub use derive::{
+    domain, epoch_key, filter_id, notice_key, notice_topic, signer_id, token, topic_id, topic_key, topic_key_by_name,
+    witness_secret,
+};
+pub use enrolment::{Enrolment, EpochIssue, IssuedKeys, SealedEnrolment, SealingKey};
 pub use envelope::{GrantedKeys, WrappedKeys, unwrap, wrap};
 pub use error::CryptoError;
 pub use identity::{check_identity, prove};
 pub use kdf::{hkdf_sm3, hmac_sm3};
+pub use kept_key::{open_transport_key, seal_transport_key};
 pub use keyring::{EpochSecret, EpochState, Keyring, NetworkKeys, PublicIdentity, UnlockedKeyring, read_public};
 pub use passphrase::Passphrase;
 pub use provider::{Provider, ProviderName, provider};

@@ -8,7 +8,7 @@ use tokio::time::timeout;
 
 use crate::crypto::record::check;
 use crate::crypto::{Anchor, SmKeyPair, TransportKey};
-use crate::model::{Digest, Hash, ProfileName, Timestamp, Token};
+use crate::model::{Digest, Hash, ProfileName, PublicKey, Timestamp, Token};
 
 use super::allocation::{AllocationRequest, Applicant, apply};
 use super::command::{
@@ -289,5 +289,13 @@ impl Client {
     /// [`GatewayError`].
     pub async fn revoke(&mut self, signing: &SmKeyPair, notice: RevokeNotice) -> Result<Receipt, GatewayError> {
         self.signed(signing, &Request::RevokeNotice(notice)).await
+    }
+
+    /// Tells the gateway the public key of a device that the chain says is lent, signed by d_C.
+    ///
+    /// # Errors
+    /// [`GatewayError`].
+    pub async fn device(&mut self, signing: &SmKeyPair, key: PublicKey) -> Result<Receipt, GatewayError> {
+        self.signed(signing, &Request::DeviceNotice(key)).await
     }
 }

@@ -71,6 +71,8 @@ commands! {
     End = 15;
     /// Only from the gateway: a refusal.
     Refuse = 16;
+    /// The public key of a device that its owner has lent on the chain, which knows only its hash.
+    DeviceNotice = 17;
 }
 
 impl Command {
@@ -86,13 +88,13 @@ impl Command {
 
     /// Whether a client may send it.
     pub fn is_request(self) -> bool {
-        self.number() < Self::Event.number()
+        !matches!(self, Self::Event | Self::End | Self::Refuse)
     }
 
     /// Whether it changes state and is signed by d_C. Uploads carry their records' signatures, an allocation
     /// has its own, a registration is a signed transaction.
     pub fn is_signed(self) -> bool {
-        matches!(self, Self::GrantNotice | Self::RevokeNotice)
+        matches!(self, Self::GrantNotice | Self::RevokeNotice | Self::DeviceNotice)
     }
 
     /// Whether a session without a transport key may use it.

@@ -108,6 +108,10 @@ pub trait Desk: Send + Sync + 'static {
     /// The caller's revoke, signed by d_C: from now on the grantee is refused.
     async fn revoke(&self, caller: &Caller, notice: &RevokeNotice) -> Result<(), Refusal>;
 
+    /// The public key of a device of the caller, a point of the curve, signed by d_C: kept durably, so that
+    /// [`Self::signer`] can give it as long as the device is lent. `Signature` where the chain has no such loan.
+    async fn device(&self, caller: &Caller, key: &PublicKey) -> Result<(), Refusal>;
+
     /// Something was refused: for the log, and counted by (peer, code, minute).
     fn refused(&self, peer: SocketAddr, refusal: &Refusal);
 }

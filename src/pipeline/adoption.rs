@@ -192,7 +192,7 @@ fn seal_word(plant: &Plant, network: &Network, owner: &Owner, step: &Step) -> Re
         others: counts.pending(),
     };
     let body = adoption.encode();
-    let topic = keys.topic(TOPIC);
+    let Some(topic) = keys.topic(TOPIC) else { return Ok(None) };
     let head = Head {
         topic: TOPIC.to_owned(),
         type_name: "authros/Adoption".to_owned(),
@@ -231,10 +231,12 @@ fn seal_word(plant: &Plant, network: &Network, owner: &Owner, step: &Step) -> Re
         owner: owner.address,
         topic_id: topic.id,
         seq,
+        foreign: None,
         epoch: keys.epoch,
         kind: RecordKind::Adoption,
         signer: keys.signer,
         signature: sealed.signature,
+        filters: Vec::new(),
         topic: TOPIC.to_owned(),
         type_name: head.type_name.clone(),
         bytes: body.len() as u64,

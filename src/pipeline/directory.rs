@@ -52,6 +52,9 @@ pub struct Account {
     pub tokens: BTreeMap<u64, Token>,
     /// Devices that may sign.
     pub devices: Vec<Lending>,
+    /// Whether the administrator stopped its changes.
+    #[serde(default)]
+    pub suspended: bool,
 }
 
 /// A grant with its envelopes.
@@ -204,6 +207,8 @@ impl Directory {
                     .filter(|lending| lending.device == *device && lending.recalled.is_none())
                     .for_each(|lending| lending.recalled = Some(at.block));
             }
+            Event::Suspended { account } => state.accounts.entry(*account).or_default().suspended = true,
+            Event::Restored { account } => state.accounts.entry(*account).or_default().suspended = false,
             _ => {}
         }
     }
@@ -242,7 +247,7 @@ impl Directory {
     }
 
     /// The key by which `signer` could sign for `owner` at `block` (`None` = now): the owner's
-    /// own at that block. A lent device's key is not on the chain, so its record names only its hash.
+    /// own at that block. A lent device's key is not on the chain: see `signers`.
     pub fn signing_key(&self, owner: Address, signer: SignerId, block: Option<u64>) -> Option<PublicKey> {
         let account = self.account(owner)?;
         let mut known =
@@ -251,6 +256,23 @@ impl Directory {
             .next()
             .filter(|identity| identity.proven && signer_id(&identity.signing) == signer)
             .map(|identity| identity.signing)
+    }
+
+    /// Whether `owner` had lent this device at `block` and `moment` (`None` = now).
+    pub fn is_lent(&self, owner: Address, device: SignerId, block: Option<u64>, moment: Timestamp) -> bool {
+        let state = self.state.read().unwrap_or_else(PoisonError::into_inner);
+        let devices = state.accounts.get(&owner).map(|account| account.devices.as_slice()).unwrap_or_default();
+        devices.iter().any(|lending| {
+            let begun = block.is_none_or(|block| lending.from <= block);
+            let recalled = lending.recalled.is_some_and(|recalled| block.is_none_or(|block| recalled <= block));
+            lending.device == device && begun && !recalled && lending.until.is_none_or(|until| moment < until)
+        })
+    }
+
+    /// Whether the account ever registered this token.
+    pub fn has_token(&self, owner: Address, token: Token) -> bool {
+        let state = self.state.read().unwrap_or_else(PoisonError::into_inner);
+        state.accounts.get(&owner).is_some_and(|account| account.tokens.values().any(|known| *known == token))
     }
 
     /// Grants that match, oldest first.

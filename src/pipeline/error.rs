@@ -50,6 +50,9 @@ pub enum PipelineError {
     /// The keyring has no key of an epoch.
     #[error("the keyring has no key of epoch {0}; restore the newest keyring of this profile")]
     UnknownEpoch(u64),
+    /// A topic whose key was not given.
+    #[error("no key for topic {0} is here, so it is not captured; enrol again with `--topic` for it")]
+    Uncovered(String),
     /// A transaction was mined and reverted.
     #[error("the contract refused {purpose}: {reason}")]
     Reverted {
@@ -88,7 +91,7 @@ impl PipelineError {
             Self::Reverted { .. } | Self::Refused(_) => ErrorKind::Refused,
             Self::NoRecord(_) => ErrorKind::Input,
             Self::Missing(_) => ErrorKind::Tampered,
-            Self::UnknownEpoch(_) => ErrorKind::Refused,
+            Self::UnknownEpoch(_) | Self::Uncovered(_) => ErrorKind::Refused,
             Self::NotMined(_) | Self::Unsteady => ErrorKind::Incomplete,
         }
     }

@@ -5,6 +5,7 @@
 
 pub mod adoption;
 pub mod anchorer;
+pub mod author;
 pub mod directory;
 pub mod epoch;
 pub mod error;
@@ -20,6 +21,7 @@ pub mod ring;
 pub mod sealer;
 pub mod sender;
 pub mod session;
+pub mod signers;
 pub mod storer;
 #[cfg(test)]
 mod tests;
@@ -27,6 +29,7 @@ pub mod verifier;
 pub mod watcher;
 pub mod witness;
 
+pub use author::Author;
 pub use directory::Directory;
 pub use error::PipelineError;
 pub use owner::Owner;

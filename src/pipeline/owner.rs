@@ -2,16 +2,16 @@
 
 use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, HashMap};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::crypto::{
-    CryptoError, EoaSecret, EpochKey, EpochSalt, EpochSecret, EpochState, IndexKey, NetworkKeys, SmKeyPair,
-    UnlockedKeyring, WrappedKeys, epoch_key, signer_id, token, topic_id,
+    CryptoError, EoaSecret, EpochKey, EpochSalt, EpochSecret, EpochState, IndexKey, NetworkKeys, SealingKey, SmKeyPair,
+    UnlockedKeyring, WrappedKeys, epoch_key, token, topic_id,
 };
 use crate::model::{Address, Digest, Domain, ProfileName, PublicKey, Timestamp, Token, TopicId};
 
-use super::PipelineError;
 use super::epoch::EpochKeys;
+use super::{Author, PipelineError};
 
 /// A profile with its keys. Its address does not change while it is open.
 pub struct Owner {
@@ -19,19 +19,13 @@ pub struct Owner {
     pub profile: ProfileName,
     /// Its EOA.
     pub address: Address,
+    /// Seals in its name.
+    pub author: Arc<Author>,
     keyring: Mutex<UnlockedKeyring>,
-    sealing: RwLock<Sealing>,
     /// Envelopes opened so far, by SM3 of the envelope.
     pub(super) opened: Mutex<HashMap<Digest, Arc<WrappedKeys>>>,
     /// Changes of epochs, keys and grants happen one at a time.
     pub changes: tokio::sync::Mutex<()>,
-}
-
-/// What seals new records, and what will from a moment on.
-#[derive(Default)]
-struct Sealing {
-    keys: Option<Arc<EpochKeys>>,
-    next: Option<(Timestamp, Arc<EpochKeys>)>,
 }
 
 impl Owner {
@@ -41,8 +35,8 @@ impl Owner {
         Self {
             profile,
             address,
+            author: Arc::new(Author::new(address)),
             keyring: Mutex::new(keyring),
-            sealing: RwLock::default(),
             opened: Mutex::default(),
             changes: tokio::sync::Mutex::default(),
         }
@@ -85,21 +79,8 @@ impl Owner {
     }
 
     /// The keys that seal new records; `None` until an epoch was begun or resumed.
-    ///
-    /// What was captured after the moment given to [`Self::seal_from`] is never sealed under the keys
-    /// before it, whether or not anybody was awake at that moment.
     pub fn sealing(&self) -> Option<Arc<EpochKeys>> {
-        {
-            let sealing = self.sealing.read().unwrap_or_else(PoisonError::into_inner);
-            if sealing.next.as_ref().is_none_or(|(from, _)| Timestamp::now() < *from) {
-                return sealing.keys.clone();
-            }
-        }
-        let mut sealing = self.sealing.write().unwrap_or_else(PoisonError::into_inner);
-        if let Some((_, keys)) = sealing.next.take_if(|(from, _)| Timestamp::now() >= *from) {
-            sealing.keys = Some(keys);
-        }
-        sealing.keys.clone()
+        self.author.sealing()
     }
 
     /// The key of an epoch of this owner on a network, where the keyring has it.
@@ -152,8 +133,7 @@ impl Owner {
     /// # Errors
     /// Where the keyring has no such epoch, or cannot be saved.
     pub fn seal_under(&self, domain: Domain, epoch: u64) -> Result<(), PipelineError> {
-        let keys = self.epoch_keys(domain, epoch)?;
-        *self.sealing.write().unwrap_or_else(PoisonError::into_inner) = Sealing { keys: Some(keys), next: None };
+        self.author.seal_under(self.epoch_keys(domain, epoch)?);
         Ok(())
     }
 
@@ -163,31 +143,15 @@ impl Owner {
     /// # Errors
     /// Where the keyring has no such epoch, or cannot be saved.
     pub fn seal_from(&self, moment: Timestamp, domain: Domain, epoch: u64) -> Result<(), PipelineError> {
-        let keys = self.epoch_keys(domain, epoch)?;
-        let mut sealing = self.sealing.write().unwrap_or_else(PoisonError::into_inner);
-        if sealing.keys.as_ref().is_some_and(|now| now.domain == domain && now.epoch >= epoch) {
-            return Ok(());
-        }
-        if sealing.next.as_ref().is_none_or(|(from, _)| moment < *from) {
-            sealing.next = Some((moment, keys));
-        }
+        self.author.seal_from(moment, self.epoch_keys(domain, epoch)?);
         Ok(())
     }
 
     fn epoch_keys(&self, domain: Domain, epoch: u64) -> Result<Arc<EpochKeys>, PipelineError> {
         let key = self.epoch_key(domain, epoch).ok_or(PipelineError::UnknownEpoch(epoch))?;
         let token = token(&domain, &self.address, epoch, &key);
-        let keys = EpochKeys {
-            domain,
-            epoch,
-            token,
-            key,
-            signer: signer_id(&self.signing().public),
-            signing: Arc::new(self.signing()),
-            index: self.index(),
-            topics: Mutex::default(),
-        };
-        Ok(Arc::new(keys))
+        let key = SealingKey::Epoch(key);
+        Ok(Arc::new(EpochKeys::new(domain, (epoch, token), self.signing(), key, self.index())))
     }
 
     /// The chain has this epoch: noted in the keyring.

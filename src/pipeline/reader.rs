@@ -6,14 +6,15 @@ use std::sync::{Arc, PoisonError};
 use tokio::task::block_in_place;
 
 use crate::crypto::{
-    Anchor, CryptoError, Expected, GrantedKeys, OpenedRecord, TopicKey, WrappedKeys, check, open, topic_key, unwrap,
+    Anchor, CryptoError, EpochKey, Expected, GrantedKeys, OpenedRecord, TopicKey, WrappedKeys, check, open, topic_key,
+    topic_key_by_name, unwrap,
 };
 use crate::model::{Address, Digest, Domain, GrantTerms, Header, RecordKind, RecordState, Timestamp, Verdict};
 use crate::ros::Definition;
 use crate::store::{RecordQuery, RecordRow};
 
 use super::directory::Granted;
-use super::{Network, Owner, PipelineError, Plant, proof};
+use super::{Network, Owner, PipelineError, Plant, proof, signers};
 
 /// Definition records looked at for one message, at most.
 const MOST_DEFINITIONS: usize = 200;
@@ -65,7 +66,7 @@ impl Reader<'_> {
         let digest = Digest(self.plant.provider.sm3(&[&blob]));
         let anchored = self.is_anchored(row).await?;
         let anchor = if anchored { Anchor::Chain(row.digest) } else { Anchor::Unanchored };
-        let signer = self.network.directory.signing_key(row.owner, row.signer, row.block);
+        let signer = block_in_place(|| signers::key_of(self.plant, self.network, row))?;
         let verdict = signer.and_then(|signer| check(self.plant.provider, &blob, &row.signature, &signer, anchor).ok());
         Ok((verdict.map_or(Verdict::Tampered, |(_, _, verdict)| verdict), digest))
     }
@@ -86,11 +87,11 @@ impl Reader<'_> {
             .ok_or_else(|| PipelineError::Missing(row.id.clone()))?;
         let anchor = if self.is_anchored(row).await? { Anchor::Chain(row.digest) } else { Anchor::Unanchored };
         let unknown_signer = || CryptoError::Tampered("the signer was not the owner's at the anchoring block");
-        let signer = self.network.directory.signing_key(row.owner, row.signer, row.block).ok_or_else(unknown_signer)?;
+        let signer = block_in_place(|| signers::key_of(self.plant, self.network, row))?.ok_or_else(unknown_signer)?;
         // The owner's records of a chain that was left are bound to its domain, and sealed under its epochs.
         let sealed_for = Header::parse(&blob).map_or(self.network.domain, |(header, _)| header.domain);
         let domain = if self.network.accepts(&sealed_for) { sealed_for } else { self.network.domain };
-        let key = self.topic_key_in(domain, row)?;
+        let keys = self.topic_keys_in(domain, row)?;
         let expected = Expected {
             domain,
             owner: row.owner,
@@ -98,9 +99,16 @@ impl Reader<'_> {
             epoch: Some(row.epoch),
             seq: Some(row.seq),
             topic_id: Some(row.topic_id),
-            topic: Some(row.topic.clone()),
+            topic: row.is_named().then(|| row.topic.clone()),
         };
-        Ok(open(self.plant.provider, &blob, &row.signature, &signer, anchor, &key, &expected)?)
+        let mut opened = Err(CryptoError::WrongKey);
+        for key in &keys {
+            opened = open(self.plant.provider, &blob, &row.signature, &signer, anchor, key, &expected);
+            if !matches!(opened, Err(CryptoError::WrongKey)) {
+                break;
+            }
+        }
+        Ok(opened?)
     }
 
     /// The key of the record's topic in its epoch.
@@ -108,18 +116,21 @@ impl Reader<'_> {
     /// # Errors
     /// `CryptoError::WrongKey` where no grant of this reader carries it.
     pub fn topic_key(&self, row: &RecordRow) -> Result<TopicKey, PipelineError> {
-        self.topic_key_in(self.network.domain, row)
+        let keys = self.topic_keys_in(self.network.domain, row)?;
+        keys.into_iter().next().ok_or_else(|| CryptoError::WrongKey.into())
     }
 
-    fn topic_key_in(&self, domain: Domain, row: &RecordRow) -> Result<TopicKey, PipelineError> {
+    /// Every key that may have sealed the record; the likeliest first.
+    fn topic_keys_in(&self, domain: Domain, row: &RecordRow) -> Result<Vec<TopicKey>, PipelineError> {
         if row.owner == self.reader.address {
-            let epoch_key = self.reader.epoch_key(domain, row.epoch);
-            return Ok(topic_key(&epoch_key.ok_or(PipelineError::UnknownEpoch(row.epoch))?, &row.topic));
+            let epoch_key = self.reader.epoch_key(domain, row.epoch).ok_or(PipelineError::UnknownEpoch(row.epoch))?;
+            return Ok(keys_of(&epoch_key, row));
         }
         for grant in self.grants_of(row.owner).iter().rev() {
             for wrapped in self.envelopes(grant) {
-                if let Some(key) = find_key(&wrapped.keys, row) {
-                    return Ok(key);
+                let keys = find_keys(&wrapped.keys, row);
+                if !keys.is_empty() {
+                    return Ok(keys);
                 }
             }
         }
@@ -180,15 +191,21 @@ impl Reader<'_> {
     }
 }
 
-fn find_key(keys: &GrantedKeys, row: &RecordRow) -> Option<TopicKey> {
+/// By the topic's pseudonym, and as it was done before, where its name is known.
+fn keys_of(key: &EpochKey, row: &RecordRow) -> Vec<TopicKey> {
+    let named = row.is_named().then(|| topic_key_by_name(key, &row.topic));
+    [topic_key(key, &row.topic_id)].into_iter().chain(named).collect()
+}
+
+fn find_keys(keys: &GrantedKeys, row: &RecordRow) -> Vec<TopicKey> {
     match keys {
         GrantedKeys::All { epochs, .. } => {
             let found = epochs.iter().find(|(epoch, _)| *epoch == row.epoch);
-            found.map(|(_, key)| topic_key(key, &row.topic))
+            found.map(|(_, key)| keys_of(key, row)).unwrap_or_default()
         }
         GrantedKeys::Topics { keys } => {
             let found = keys.iter().find(|(epoch, _, id, _)| *epoch == row.epoch && *id == row.topic_id);
-            found.map(|(_, _, _, key)| key.clone())
+            found.map(|(_, _, _, key)| key.clone()).into_iter().collect()
         }
     }
 }

@@ -1,5 +1,5 @@
 //! Takes messages off the capture threads: measures them, asks who wants them, and puts one
-//! item per interested owner into the ring. Never seals, never waits.
+//! item per interested author into the ring. Never seals, never waits.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -10,12 +10,12 @@ use crate::ros::{CaptureNotice, Message, MessageSink};
 
 use super::meter::Meter;
 use super::ring::{Ring, Weighted};
-use super::{CaptureSession, Observer, Owner};
+use super::{Author, CaptureSession, Observer};
 
-/// One message for one owner, on its way to the sealer.
+/// One message for one author, on its way to the sealer.
 pub struct CapturedMessage {
-    /// Who seals it.
-    pub owner: Arc<Owner>,
+    /// In whose name it is sealed.
+    pub author: Arc<Author>,
     /// The message.
     pub message: Arc<Message>,
     /// Whether a simulated robot sent it.
@@ -31,7 +31,7 @@ impl Weighted for CapturedMessage {
 }
 
 struct Interest {
-    owner: Arc<Owner>,
+    author: Arc<Author>,
     watched: bool,
     type_name: Option<TypeName>,
     sessions: Vec<Arc<CaptureSession>>,
@@ -91,13 +91,13 @@ impl Recorder {
         self.simulated.read().unwrap_or_else(PoisonError::into_inner).iter().any(|node| node == caller_id)
     }
 
-    fn change(&self, topic: &str, owner: &Arc<Owner>, change: impl FnOnce(&mut Interest)) {
+    fn change(&self, topic: &str, author: &Arc<Author>, change: impl FnOnce(&mut Interest)) {
         let mut interests = self.interests.write().unwrap_or_else(PoisonError::into_inner);
         let list = interests.entry(topic.to_owned()).or_default();
-        if !list.iter().any(|interest| interest.owner.address == owner.address) {
-            list.push(Interest { owner: Arc::clone(owner), watched: false, type_name: None, sessions: Vec::new() });
+        if !list.iter().any(|interest| interest.author.address == author.address) {
+            list.push(Interest { author: Arc::clone(author), watched: false, type_name: None, sessions: Vec::new() });
         }
-        if let Some(interest) = list.iter_mut().find(|interest| interest.owner.address == owner.address) {
+        if let Some(interest) = list.iter_mut().find(|interest| interest.author.address == author.address) {
             change(interest);
         }
         list.retain(|interest| interest.watched || !interest.sessions.is_empty());
@@ -106,22 +106,22 @@ impl Recorder {
         }
     }
 
-    /// The owner wants every message of the topic from now on.
-    pub fn watch(&self, topic: &str, owner: &Arc<Owner>, type_name: Option<TypeName>) {
-        self.change(topic, owner, |interest| {
+    /// The author wants every message of the topic from now on.
+    pub fn watch(&self, topic: &str, author: &Arc<Author>, type_name: Option<TypeName>) {
+        self.change(topic, author, |interest| {
             interest.watched = true;
             interest.type_name = type_name;
         });
     }
 
-    /// The owner no longer wants the topic; running sessions go on.
-    pub fn unwatch(&self, topic: &str, owner: &Arc<Owner>) {
-        self.change(topic, owner, |interest| interest.watched = false);
+    /// The author no longer wants the topic; running sessions go on.
+    pub fn unwatch(&self, topic: &str, author: &Arc<Author>) {
+        self.change(topic, author, |interest| interest.watched = false);
     }
 
     /// A session takes messages of the topic.
-    pub fn join(&self, topic: &str, owner: &Arc<Owner>, type_name: Option<TypeName>, session: &Arc<CaptureSession>) {
-        self.change(topic, owner, |interest| {
+    pub fn join(&self, topic: &str, author: &Arc<Author>, type_name: Option<TypeName>, session: &Arc<CaptureSession>) {
+        self.change(topic, author, |interest| {
             if !interest.watched {
                 interest.type_name = type_name;
             }
@@ -130,8 +130,8 @@ impl Recorder {
     }
 
     /// A session is over.
-    pub fn leave(&self, topic: &str, owner: &Arc<Owner>, session: &Arc<CaptureSession>) {
-        self.change(topic, owner, |interest| interest.sessions.retain(|other| !Arc::ptr_eq(other, session)));
+    pub fn leave(&self, topic: &str, author: &Arc<Author>, session: &Arc<CaptureSession>) {
+        self.change(topic, author, |interest| interest.sessions.retain(|other| !Arc::ptr_eq(other, session)));
     }
 
     /// Topics that anybody wants.
@@ -139,10 +139,10 @@ impl Recorder {
         self.interests.read().unwrap_or_else(PoisonError::into_inner).keys().cloned().collect()
     }
 
-    /// Topics that this owner wants.
-    pub fn wanted_by(&self, owner: &Owner) -> Vec<String> {
+    /// Topics that this author wants.
+    pub fn wanted_by(&self, author: &Author) -> Vec<String> {
         let interests = self.interests.read().unwrap_or_else(PoisonError::into_inner);
-        let wants = |list: &Vec<Interest>| list.iter().any(|interest| interest.owner.address == owner.address);
+        let wants = |list: &Vec<Interest>| list.iter().any(|interest| interest.author.address == author.address);
         interests.iter().filter(|(_, list)| wants(list)).map(|(topic, _)| topic.clone()).collect()
     }
 
@@ -174,8 +174,8 @@ impl Recorder {
         if sessions.is_empty() && !interest.watched {
             return;
         }
-        let owner = Arc::clone(&interest.owner);
-        let item = CapturedMessage { owner, message: Arc::clone(message), simulated, sessions };
+        let author = Arc::clone(&interest.author);
+        let item = CapturedMessage { author, message: Arc::clone(message), simulated, sessions };
         if let Err(refused) = self.ring.push(item) {
             self.lose(&message.topic, |losses| losses.in_recorder += 1);
             refused.sessions.iter().for_each(|session| session.dropped(&message.topic));

@@ -7,11 +7,11 @@ use std::time::Duration;
 
 use crate::crypto::{SealRequest, SealedRecord, seal};
 use crate::model::head::Compression;
-use crate::model::{Address, Digest, Head, RecordKind, RecordState, TopicId};
+use crate::model::{Address, Digest, Head, RecordKind, RecordState, TopicId, clean};
 use crate::ros::Message;
 use crate::store::NewRecord;
 
-use super::epoch::EpochKeys;
+use super::epoch::{EpochKeys, SIMULATED, TopicKeys};
 use super::recorder::CapturedMessage;
 use super::ring::Ring;
 use super::session::Sessions;
@@ -78,7 +78,8 @@ impl Sealer {
         let mut seqs = HashMap::new();
         let mut ready = Vec::with_capacity(items.len());
         for (index, item) in items.iter().enumerate() {
-            let Some(keys) = item.owner.sealing() else {
+            let keys = item.author.sealing().filter(|keys| keys.topic(&item.message.topic).is_some());
+            let Some(keys) = keys else {
                 item.sessions.iter().for_each(|session| session.dropped(&item.message.topic));
                 continue;
             };
@@ -99,9 +100,9 @@ impl Sealer {
         seqs: &mut HashMap<(Address, TopicId), u64>,
         ready: &mut Vec<Ready>,
     ) -> Result<(), PipelineError> {
-        let topic = keys.topic(&item.message.topic);
+        let topic = covered(keys, &item.message.topic)?;
         let digest = self.definition_digest(&item.message.definition);
-        let name = format!("definition:{}:{}:{}:{}:{digest}", keys.domain, item.owner.address, keys.epoch, topic.id);
+        let name = format!("definition:{}:{}:{}:{}:{digest}", keys.domain, item.author.address, keys.epoch, topic.id);
         let waiting = ready.iter().any(|one| one.definition.as_ref() == Some(&name));
         if waiting || self.definitions.contains(&name) {
             return Ok(());
@@ -137,8 +138,9 @@ impl Sealer {
         seqs: &mut HashMap<(Address, TopicId), u64>,
     ) -> Result<Ready, PipelineError> {
         let message = &*item.message;
-        let topic = keys.topic(&message.topic);
-        let owner = item.owner.address;
+        let topic = covered(keys, &message.topic)?;
+        let tags = tags(item);
+        let owner = item.author.address;
         let seq = self.next_seq(owner, topic.id, seqs)?;
         let request = SealRequest {
             domain: keys.domain,
@@ -150,9 +152,9 @@ impl Sealer {
             seq,
             topic_id: topic.id,
             kind,
-            filters: keys.filters(&message.type_name, item.simulated),
+            filters: keys.filters(&message.type_name, &tags),
             captured_at: message.captured_at,
-            head: &self.head(item, body.len()),
+            head: &self.head(item, body.len(), tags),
             body,
         };
         let sealed = seal(self.plant.provider, &request)?;
@@ -174,13 +176,8 @@ impl Sealer {
         }
     }
 
-    fn head(&self, item: &CapturedMessage, length: usize) -> Head {
+    fn head(&self, item: &CapturedMessage, length: usize, tags: BTreeMap<String, String>) -> Head {
         let message = &*item.message;
-        let mut tags: BTreeMap<String, String> =
-            item.sessions.iter().flat_map(|session| session.tags().iter().cloned()).collect();
-        if item.simulated {
-            tags.insert("simulated".to_owned(), "true".to_owned());
-        }
         Head {
             topic: message.topic.to_string(),
             type_name: message.type_name.to_string(),
@@ -209,13 +206,15 @@ impl Sealer {
         let durable = self.plant.vault.durable();
         NewRecord {
             digest: sealed.digest,
-            owner: item.owner.address,
+            owner: item.author.address,
             topic_id,
             seq,
+            foreign: None,
             epoch: keys.epoch,
             kind,
             signer: keys.signer,
             signature: sealed.signature,
+            filters: keys.filters(&message.type_name, &tags(item)),
             topic: message.topic.to_string(),
             type_name: message.type_name.to_string(),
             bytes: length as u64,
@@ -246,6 +245,20 @@ impl Sealer {
         self.plant.observer.records_changed();
         Ok(())
     }
+}
+
+/// The keys of a topic that the round has found to be covered.
+fn covered(keys: &EpochKeys, topic: &str) -> Result<Arc<TopicKeys>, PipelineError> {
+    keys.topic(topic).ok_or_else(|| PipelineError::Uncovered(clean(topic, 255)))
+}
+
+fn tags(item: &CapturedMessage) -> BTreeMap<String, String> {
+    let mut tags: BTreeMap<String, String> =
+        item.sessions.iter().flat_map(|session| session.tags().iter().cloned()).collect();
+    if item.simulated {
+        tags.insert(SIMULATED.0.to_owned(), SIMULATED.1.to_owned());
+    }
+    tags
 }
 
 fn boot_id() -> [u8; 16] {

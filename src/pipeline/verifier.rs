@@ -4,7 +4,7 @@ use crate::crypto::{Anchor, check};
 use crate::model::{Digest, RecordState};
 use crate::store::RecordRow;
 
-use super::{Network, PipelineError, Plant, proof};
+use super::{Network, PipelineError, Plant, proof, signers};
 
 /// Records a round.
 const ROUND: usize = 128;
@@ -39,7 +39,7 @@ fn put_back(plant: &Plant, row: &RecordRow) -> Result<(), PipelineError> {
 
 fn is_sound(plant: &Plant, network: &Network, row: &RecordRow) -> Result<bool, PipelineError> {
     let Some(blob) = plant.vault.get(row.digest)? else { return Ok(false) };
-    let Some(signer) = network.directory.signing_key(row.owner, row.signer, row.block) else { return Ok(false) };
+    let Some(signer) = signers::key_of(plant, network, row)? else { return Ok(false) };
     let checked = check(plant.provider, &blob, &row.signature, &signer, Anchor::Chain(row.digest));
     let same = checked.is_ok_and(|(header, digest, _)| {
         digest == row.digest && header.owner == row.owner && header.seq == row.seq && network.accepts(&header.domain)

@@ -233,6 +233,12 @@ pub enum Command {
         /// Where, on loopback.
         address: std::net::SocketAddr,
     },
+    /// Serve robots and operators that run no chain client, until the connection that asks for it ends. The
+    /// profile's account anchors what they send.
+    ServeGateway {
+        /// Where.
+        address: std::net::SocketAddr,
+    },
     /// Health, counts and alerts of the whole site.
     SiteStatus,
     /// The newest audit lines.

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use tokio::sync::{Notify, broadcast};
+use tokio::sync::{Notify, broadcast, watch};
 
 use super::event::{Event, NoticeLevel, Part};
 use crate::model::{Digest, Timestamp, clean};
@@ -17,6 +17,8 @@ use crate::pipeline::session::Sessions;
 const PACE: Duration = Duration::from_millis(250);
 /// The same alert is told again only after this time.
 const REPEAT: Duration = Duration::from_secs(30);
+/// Rounds of verified records that a subscription may be behind.
+const SETTLED_AHEAD: usize = 256;
 /// Alerts remembered at most.
 const MOST_ALERTS: usize = 200;
 
@@ -34,6 +36,10 @@ pub struct Hub {
     pub stored: Notify,
     /// Rings when records are deep enough to be verified.
     pub confirmed: Notify,
+    /// Records as they are verified.
+    pub settled: broadcast::Sender<Arc<[Digest]>>,
+    /// Counts changes of who may read what, those that are only announced included.
+    pub authority: watch::Sender<u64>,
 }
 
 impl Hub {
@@ -47,6 +53,8 @@ impl Hub {
             sessions: Arc::default(),
             stored: Notify::new(),
             confirmed: Notify::new(),
+            settled: broadcast::channel(SETTLED_AHEAD).0,
+            authority: watch::channel(0).0,
         }
     }
 
@@ -102,6 +110,8 @@ impl Observer for Hub {
 
     fn verified(&self, digests: &[Digest]) {
         self.sessions.settle(digests, true);
+        // Nobody subscribed is no fault.
+        drop(self.settled.send(digests.into()));
     }
 
     fn tampered(&self, digests: &[Digest]) {
@@ -109,6 +119,7 @@ impl Observer for Hub {
     }
 
     fn directory_changed(&self) {
+        self.authority.send_modify(|count| *count += 1);
         for part in [Part::Grants, Part::Identity, Part::Chain] {
             self.changed(part);
         }

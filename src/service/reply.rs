@@ -4,7 +4,7 @@ mod chain;
 
 use serde::{Deserialize, Serialize};
 
-pub use self::chain::{ChainView, DeployedView, ServedView};
+pub use self::chain::{ChainView, DeployedView, GatewayView, ServedView};
 use super::command::SecretBytes;
 use crate::model::{Address, Digest, ErrorKind, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token, Verdict};
 
@@ -408,6 +408,8 @@ pub enum Reply {
     Deployed(DeployedView),
     /// To `ServeChain`.
     Served(ServedView),
+    /// A gateway is served.
+    Gateway(GatewayView),
     /// To `SiteStatus`.
     Site(SiteView),
     /// To `ListAudit`.

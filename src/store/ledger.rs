@@ -9,6 +9,7 @@ mod batches;
 mod counts;
 mod earlier;
 mod edges;
+mod kept;
 mod lanes;
 mod query;
 mod rows;
@@ -33,9 +34,10 @@ pub use batches::{Anchors, BatchPlace, NewBatch, RootSighting, WaitingBatch};
 pub use counts::{LOST_IN_TRANSPORT, StateCounts, TopicCounts};
 pub use earlier::{EarlierAnchor, Left};
 pub use edges::is_legal;
+pub use kept::KeptBinding;
 pub use lanes::{LaneCount, OpenTransaction, Reissue};
 pub use query::{RecordPage, RecordQuery};
-pub use rows::{NewRecord, RecordRow};
+pub use rows::{Foreign, NewRecord, RecordRow};
 pub use sightings::{KeptEvent, Sighting};
 pub use transactions::{NewTransaction, TransactionOutcome, TransactionRow, TransactionState};
 pub(super) use writer::Session;
@@ -46,6 +48,7 @@ const SCHEMA: Schema = Schema {
         include_str!("ledger/schema_1.sql"),
         include_str!("ledger/schema_2.sql"),
         include_str!("ledger/schema_3.sql"),
+        include_str!("ledger/schema_4.sql"),
     ],
 };
 const READERS_KEPT: usize = 4;

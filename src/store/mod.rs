@@ -14,8 +14,8 @@ pub use audit::{AuditEntry, AuditFault, AuditLine, AuditLog};
 pub use error::StoreError;
 pub use files::{ConsoleLock, SiteLock, atomic_write};
 pub use ledger::{
-    Anchors, BatchPlace, EarlierAnchor, KeptEvent, LOST_IN_TRANSPORT, LaneCount, Ledger, Left, NewBatch, NewRecord,
-    NewTransaction, OpenTransaction, RecordPage, RecordQuery, RecordRow, Reissue, RootSighting, Sighting, StateCounts,
-    TopicCounts, TransactionOutcome, TransactionRow, TransactionState, WaitingBatch,
+    Anchors, BatchPlace, EarlierAnchor, Foreign, KeptBinding, KeptEvent, LOST_IN_TRANSPORT, LaneCount, Ledger, Left,
+    NewBatch, NewRecord, NewTransaction, OpenTransaction, RecordPage, RecordQuery, RecordRow, Reissue, RootSighting,
+    Sighting, StateCounts, TopicCounts, TransactionOutcome, TransactionRow, TransactionState, WaitingBatch,
 };
 pub use vault::{Usage, Vault, open_vault};

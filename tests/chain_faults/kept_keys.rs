@@ -142,7 +142,7 @@ impl Kept {
         let expected = Expected::any_of(self.domain, row.owner);
         let anchor = Anchor::Chain(row.digest);
         self.keys.iter().any(|key| {
-            let key = topic_key(key, &row.topic);
+            let key = topic_key(key, &row.topic_id);
             open(self.provider, &blob, &row.signature, &self.owner.signing, anchor, &key, &expected).is_ok()
         })
     }

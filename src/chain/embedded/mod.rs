@@ -37,6 +37,7 @@ use tokio::sync::{oneshot, watch};
 
 use self::node::Node;
 pub use self::rpc::Fault;
+pub use self::transaction::Transaction;
 use super::{BlockRef, ChainError, Consensus};
 use crate::model::Address;
 

@@ -56,6 +56,7 @@ impl Account {
         let pin = chain.pin().ok_or_else(|| internal("the contract is not deployed"))?;
         let domain = domain(pin.chain_id, &pin.genesis, &pin.contract);
         let address = eoa.address();
+        let topic_id = topic_id(&IndexKey::generate()?, TOPIC);
         let epoch = epoch_key(&Sm4Key::generate()?, &random_bytes()?, &domain, &address, 1);
         Ok(Self {
             token: token(&domain, &address, 1, &epoch),
@@ -65,8 +66,8 @@ impl Account {
             domain,
             signing: SmKeyPair::generate(provider)?,
             envelope: SmKeyPair::generate(provider)?,
-            key: topic_key(&epoch, TOPIC),
-            topic_id: topic_id(&IndexKey::generate()?, TOPIC),
+            key: topic_key(&epoch, &topic_id),
+            topic_id,
             recorder: RecorderId(random_bytes()?),
             seq: AtomicU64::new(1),
             nonce: AtomicU64::new(nonce),

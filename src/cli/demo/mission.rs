@@ -209,12 +209,12 @@ impl Mission {
     }
 
     fn is_restored(&self, opened: &OpenedView) -> bool {
-        let sent = opened.body.as_ref().is_some_and(|body| self.witness.saw(body));
         let picture = opened
             .picture
             .as_ref()
             .is_some_and(|bytes| bytes.starts_with(&[0xff, 0xd8]) && bytes.ends_with(&[0xff, 0xd9]));
-        sent && picture
+        // Only pictures are waited for.
+        picture && opened.body.as_ref().is_some_and(|body| self.witness.saw(body))
     }
 
     async fn stranger_is_refused(&self, records: &[RecordView]) -> Result<bool, Failure> {
@@ -323,7 +323,7 @@ impl Mission {
             let expected = Expected::any_of(self.network.domain, self.cura_a.address);
             let signer = self.cura_a.owner.signing();
             let by_key = kept.iter().any(|(_, key)| {
-                let key = topic_key(key, &row.topic);
+                let key = topic_key(key, &row.topic_id);
                 open(provider, &blob, &row.signature, &signer.public, Anchor::Chain(row.digest), &key, &expected)
                     .is_ok()
             });

@@ -73,7 +73,7 @@ impl Mission {
                 );
                 add("epoch key", key.expose());
                 for topic in &self.topics {
-                    add("topic key", topic_key(&key, topic.as_str()).expose());
+                    add("topic key", topic_key(&key, &owner.topic_id(topic.as_str())).expose());
                 }
             }
         }

@@ -1,6 +1,5 @@
 //! A keyring on disk: a public header, then the secrets under SM4-GCM with the header as AAD.
-//! The passphrase's key is derived once (scrypt); each save draws a salt and, as records do, its own
-//! key, nonce and commitment, which tells a wrong passphrase from damage.
+//! How the passphrase becomes their key is in `file_key`.
 
 use std::path::{Path, PathBuf};
 
@@ -8,8 +7,8 @@ use subtle::ConstantTimeEq as _;
 use zeroize::Zeroizing;
 
 use crate::crypto::error::shown;
-use crate::crypto::kdf::{Info, derived};
-use crate::crypto::passphrase::{Work, stretch};
+use crate::crypto::file_key::{FileKey, SaveKeys, put_work, read_work};
+use crate::crypto::passphrase::Work;
 use crate::crypto::private_file::{
     check_private_directory, create_private, directory_of, make_private_directory, read_private, write_private,
 };
@@ -23,28 +22,11 @@ mod body;
 
 const MAGIC: [u8; 8] = *b"\x89AuthKey";
 const VERSION: u8 = 1;
+const LABEL: &str = "AuthROS/keyring/1";
 /// The largest keyring accepted, bytes: about 290,000 epochs.
 const LARGEST: usize = 16 * 1024 * 1024;
 /// Length of the header, bytes.
 const HEADER: usize = 258;
-
-/// What a passphrase was stretched to, and how.
-#[derive(Clone)]
-struct FileKey {
-    work: Work,
-    salt: [u8; 32],
-    key: Zeroizing<[u8; 32]>,
-}
-
-impl FileKey {
-    fn new(passphrase: &Passphrase) -> Result<Self, CryptoError> {
-        Self::with(passphrase, Work::WRITTEN, random_bytes()?)
-    }
-
-    fn with(passphrase: &Passphrase, work: Work, salt: [u8; 32]) -> Result<Self, CryptoError> {
-        Ok(Self { work, salt, key: stretch(passphrase.expose(), &salt, work)? })
-    }
-}
 
 /// The header, in the order it is written.
 struct FileHeader {
@@ -60,9 +42,8 @@ impl FileHeader {
     fn encode(&self) -> Vec<u8> {
         let mut out = Vec::with_capacity(HEADER);
         out.extend_from_slice(&MAGIC);
-        out.extend_from_slice(&[VERSION, self.work.log_n]);
-        out.extend_from_slice(&self.work.r.to_be_bytes());
-        out.extend_from_slice(&self.work.p.to_be_bytes());
+        out.push(VERSION);
+        put_work(&mut out, self.work);
         out.extend_from_slice(&self.salt);
         out.extend_from_slice(&self.save_salt);
         out.extend_from_slice(&self.public.address.0);
@@ -80,12 +61,8 @@ impl FileHeader {
         if reader.u8("version")? != VERSION {
             return Err(WireError::Value("version"));
         }
-        let work = Work { log_n: reader.u8("work")?, r: reader.u32("work")?, p: reader.u32("work")? };
-        if !work.is_bearable() {
-            return Err(WireError::Value("work"));
-        }
         Ok(Self {
-            work,
+            work: read_work(reader)?,
             salt: reader.array("salt")?,
             save_salt: reader.array("salt")?,
             public: PublicIdentity {
@@ -99,28 +76,10 @@ impl FileHeader {
     }
 }
 
-/// Key, nonce and commitment of one save.
-struct SaveKeys {
-    key: Zeroizing<[u8; 16]>,
-    nonce: [u8; 12],
-    commit: [u8; 32],
-}
-
-impl SaveKeys {
-    fn derive(key: &FileKey, save_salt: &[u8; 24]) -> Self {
-        let bytes = Zeroizing::new(derived::<60>(&*key.key, save_salt, &Info::new("AuthROS/keyring/1")));
-        Self {
-            key: Zeroizing::new(std::array::from_fn(|index| bytes[index])),
-            nonce: std::array::from_fn(|index| bytes[16 + index]),
-            commit: std::array::from_fn(|index| bytes[28 + index]),
-        }
-    }
-}
-
 fn seal(keyring: &Keyring, key: &FileKey) -> Result<Vec<u8>, CryptoError> {
     let mut sealed = body::encode(keyring);
     let save_salt = random_bytes()?;
-    let keys = SaveKeys::derive(key, &save_salt);
+    let keys = SaveKeys::derive(key, &save_salt, LABEL);
     let length = sealed.len() + 16;
     if length + HEADER > LARGEST {
         return Err(CryptoError::Length { what: "keyring", found: length, allowed: "at most 16 MiB" });
@@ -148,7 +107,7 @@ enum Refusal {
 
 fn open(bytes: &[u8], key: &FileKey) -> Result<Keyring, Refusal> {
     let (header, aad, sealed) = split(bytes).map_err(|_| Refusal::Damaged)?;
-    let keys = SaveKeys::derive(key, &header.save_salt);
+    let keys = SaveKeys::derive(key, &header.save_salt, LABEL);
     if !bool::from(keys.commit.ct_eq(&header.commit)) {
         return Err(Refusal::Passphrase);
     }

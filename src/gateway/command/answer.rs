@@ -156,7 +156,8 @@ impl Answer {
             | Command::Upload
             | Command::UploadMany
             | Command::GrantNotice
-            | Command::RevokeNotice => Self::Receipt(command, Receipt::read(&mut reader)?),
+            | Command::RevokeNotice
+            | Command::DeviceNotice => Self::Receipt(command, Receipt::read(&mut reader)?),
             Command::Register => Self::Registered(Hash(reader.array("transaction")?)),
             Command::Query => Self::Page(Page::read(&mut reader)?),
             Command::Check => Self::Standings(read_standings(&mut reader)?),

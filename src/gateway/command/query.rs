@@ -74,7 +74,7 @@ fn optional<T>(present: bool, value: T, zero: bool, field: &'static str) -> Resu
     }
 }
 
-/// A page of a list: selection || from (8) || until (8) || cursor (8) || limit (2).
+/// A page of a list: selection || from (8) || until (8) || cursor (16) || limit (2).
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Query {
     /// Which records.
@@ -84,7 +84,7 @@ pub struct Query {
     /// Captured before.
     pub until: Timestamp,
     /// 0 for the first page, then [`Page::next`] of the page before.
-    pub cursor: u64,
+    pub cursor: u128,
     /// Entries wanted, 1 to [`MOST_ENTRIES`].
     pub limit: u16,
 }
@@ -92,9 +92,9 @@ pub struct Query {
 impl Query {
     pub(super) fn encode(&self) -> Vec<u8> {
         let mut out = self.selection.encode();
-        for number in [self.from.0, self.until.0, self.cursor] {
-            out.extend_from_slice(&number.to_be_bytes());
-        }
+        out.extend_from_slice(&self.from.0.to_be_bytes());
+        out.extend_from_slice(&self.until.0.to_be_bytes());
+        out.extend_from_slice(&self.cursor.to_be_bytes());
         out.extend_from_slice(&self.limit.to_be_bytes());
         out
     }
@@ -104,7 +104,7 @@ impl Query {
             selection: Selection::read(reader)?,
             from: Timestamp(reader.u64("from")?),
             until: Timestamp(reader.u64("until")?),
-            cursor: reader.u64("cursor")?,
+            cursor: u128::from_be_bytes(reader.array("cursor")?),
             limit: reader.u16("limit")?,
         };
         let allowed = (1..=MOST_ENTRIES).contains(&usize::from(query.limit));
@@ -173,13 +173,13 @@ impl Entry {
     }
 }
 
-/// A page: count (2) || entries || next cursor (8, 0 after the last page).
+/// A page: count (2) || entries || next cursor (16, 0 after the last page).
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Page {
     /// At most [`MOST_ENTRIES`].
     pub entries: Vec<Entry>,
     /// Where the next page begins.
-    pub next: Option<u64>,
+    pub next: Option<u128>,
 }
 
 impl Page {
@@ -197,7 +197,7 @@ impl Page {
             return Err(WireError::Value("entry count"));
         }
         let entries = (0..count).map(|_| Entry::read(reader)).collect::<Result<_, _>>()?;
-        let next = reader.u64("next")?;
+        let next = u128::from_be_bytes(reader.array("next")?);
         Ok(Self { entries, next: (next != 0).then_some(next) })
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::crypto::SealedRecord;
 use crate::model::wire::{Reader, WireError};
-use crate::model::{Address, Digest, Hash, Identity, Signature, Token};
+use crate::model::{Address, Digest, Hash, Identity, PublicKey, Signature, Token};
 
 use super::Command;
 use super::query::{Query, Selection};
@@ -94,6 +94,8 @@ pub enum Request {
     GrantNotice(GrantNotice),
     /// A revoke.
     RevokeNotice(RevokeNotice),
+    /// A lent device's public key (64).
+    DeviceNotice(PublicKey),
     /// Nothing.
     Ping,
 }
@@ -114,6 +116,7 @@ impl Request {
             Self::Unsubscribe(_) => Command::Unsubscribe,
             Self::GrantNotice(_) => Command::GrantNotice,
             Self::RevokeNotice(_) => Command::RevokeNotice,
+            Self::DeviceNotice(_) => Command::DeviceNotice,
             Self::Ping => Command::Ping,
         }
     }
@@ -135,6 +138,7 @@ impl Request {
             Self::Unsubscribe(request) => request.to_be_bytes().to_vec(),
             Self::GrantNotice(notice) => notice.encode(),
             Self::RevokeNotice(notice) => notice.encode(),
+            Self::DeviceNotice(key) => key.0.to_vec(),
         }
     }
 
@@ -160,6 +164,7 @@ impl Request {
             Command::Unsubscribe => Self::Unsubscribe(reader.u32("subscription")?),
             Command::GrantNotice => Self::GrantNotice(GrantNotice::read(&mut reader)?),
             Command::RevokeNotice => Self::RevokeNotice(RevokeNotice::read(&mut reader)?),
+            Command::DeviceNotice => Self::DeviceNotice(PublicKey(reader.array("device key")?)),
             Command::Ping => Self::Ping,
             Command::Event | Command::End | Command::Refuse => return Err(WireError::Value("command")),
         };

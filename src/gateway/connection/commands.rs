@@ -94,6 +94,11 @@ impl Commands {
                 desk.revoke(&self.caller, &notice).await?;
                 self.noted(shared, message)
             }
+            Request::DeviceNotice(key) => {
+                shared.provider().check_public_key(&key).map_err(Refusal::because(Code::Malformed))?;
+                desk.device(&self.caller, &key).await?;
+                self.noted(shared, message)
+            }
             _ => Err(Refusal::new(Code::NotHere, "a command for a session without a transport key")),
         }
     }

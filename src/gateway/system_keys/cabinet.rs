@@ -1,4 +1,4 @@
-//! Where the gateway keeps its identity key, the d_S in use and the published list: files of mode 0600
+//! Where the gateway keeps the d_S in use and the published list: files of mode 0600
 //! in a directory of mode 0700. A retired d_S is overwritten, then removed.
 
 use std::fs::{self, OpenOptions};
@@ -15,7 +15,6 @@ use crate::model::{Domain, SignerId, Timestamp};
 
 use super::{SystemKey, SystemKeyList};
 
-const IDENTITY: &str = "identity.key";
 const LIST: &str = "system-keys.list";
 const SYSTEM_KEY: &str = "system-";
 const SUFFIX: &str = ".key";
@@ -63,7 +62,8 @@ pub struct Cabinet {
 }
 
 impl Cabinet {
-    /// Opens the keys in `directory`, making what is missing, and brings the list up to date.
+    /// Opens the keys in `directory`, making what is missing, and brings the list up to date. `identity` signs the
+    /// list; it belongs to whoever runs the gateway and is kept elsewhere.
     ///
     /// # Errors
     /// [`CryptoError`] where a file is open to others, damaged, or cannot be read or written.
@@ -71,11 +71,11 @@ impl Cabinet {
         directory: &Path,
         provider: &'static dyn Provider,
         domain: Domain,
+        identity: SmKeyPair,
         schedule: Schedule,
         now: Timestamp,
     ) -> Result<Self, CryptoError> {
         make_private_directory(directory)?;
-        let identity = identity(directory, provider)?;
         let stored = read_list(&directory.join(LIST), provider, &domain, &identity)?;
         let directory = directory.to_owned();
         let mut keys = Vec::new();
@@ -178,15 +178,6 @@ impl Cabinet {
 
 fn key_path(directory: &Path, id: &SignerId) -> PathBuf {
     directory.join(format!("{SYSTEM_KEY}{}{SUFFIX}", &id.to_hex()[..32]))
-}
-
-fn identity(directory: &Path, provider: &dyn Provider) -> Result<SmKeyPair, CryptoError> {
-    let path = directory.join(IDENTITY);
-    if !path.exists() {
-        let secret = SmSecret::generate()?;
-        create_private(&path, secret.expose())?;
-    }
-    SmKeyPair::from_secret(provider, read_secret(&path)?)
 }
 
 fn read_secret(path: &Path) -> Result<SmSecret, CryptoError> {

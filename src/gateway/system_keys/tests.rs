@@ -95,7 +95,7 @@ proptest! {
 
 fn open(home: &std::path::Path, now: Timestamp) -> Cabinet {
     let schedule = Schedule { lifetime: 7 * DAY, grace: DAY };
-    Cabinet::open(home, context().provider, context().domain, schedule, now).expect("opens")
+    Cabinet::open(home, context().provider, context().domain, pair(0x21), schedule, now).expect("opens")
 }
 
 fn key_files(home: &std::path::Path) -> Vec<std::path::PathBuf> {
@@ -155,7 +155,7 @@ fn files_are_private_and_strays_and_damage_are_noticed() {
     assert!(!stray.exists(), "a key that no list names is erased");
 
     fs::set_permissions(&path, fs::Permissions::from_mode(0o755)).expect("chmod");
-    let again = || Cabinet::open(&path, context().provider, context().domain, Schedule::default(), day(1));
+    let again = || Cabinet::open(&path, context().provider, context().domain, pair(0x21), Schedule::default(), day(1));
     assert!(again().err().is_some_and(|error| error.to_string().contains("chmod 700")));
     fs::set_permissions(&path, fs::Permissions::from_mode(0o700)).expect("chmod");
     let file = path.join("system-keys.list");
@@ -163,4 +163,6 @@ fn files_are_private_and_strays_and_damage_are_noticed() {
     bytes[80] ^= 1;
     fs::write(&file, bytes).expect("writes");
     assert!(again().is_err(), "a list that the identity did not sign");
+    let other = Cabinet::open(&path, context().provider, context().domain, pair(0x31), Schedule::default(), day(1));
+    assert!(other.is_err(), "another identity does not take the list over");
 }

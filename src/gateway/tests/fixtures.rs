@@ -165,6 +165,7 @@ pub(in crate::gateway) fn sample_requests() -> Vec<Request> {
         Request::Unsubscribe(5),
         Request::GrantNotice(GrantNotice { grantee, epoch: 2, expiry: 3, transaction }),
         Request::RevokeNotice(RevokeNotice { grantee, epoch: 2, token: Token([7; 32]), transaction }),
+        Request::DeviceNotice(pair(0x66).public),
         Request::Ping,
     ]
 }
@@ -177,6 +178,7 @@ pub(in crate::gateway) fn sample_answers() -> Vec<Answer> {
         Answer::SystemKeys(vec![1; 300]),
         Answer::Receipt(Command::KeyAllocation, receipt()),
         Answer::Receipt(Command::UploadMany, receipt()),
+        Answer::Receipt(Command::DeviceNotice, receipt()),
         Answer::Registered(Hash([1; 32])),
         Answer::Page(Page { entries: vec![entry(); 3], next: Some(4) }),
         Answer::Page(Page { entries: Vec::new(), next: None }),

@@ -20,7 +20,8 @@ impl Stage {
         let home = tempfile::tempdir().expect("directory");
         let context = context();
         let path = home.path().join("gateway");
-        let cabinet = Cabinet::open(&path, context.provider, context.domain, Schedule::default(), Timestamp::now());
+        let cabinet =
+            Cabinet::open(&path, context.provider, context.domain, pair(0x21), Schedule::default(), Timestamp::now());
         let desk = Arc::new(MemoryDesk::default());
         let server =
             Server::start("127.0.0.1:0", Arc::clone(&desk) as Arc<dyn Desk>, context, cabinet.expect("opens"), limits);
@@ -193,13 +194,19 @@ async fn records_of_others_and_of_recalled_devices_are_refused() {
     let sealed = |seq| alice.record(&device, seq, b"from a lent device");
     assert_eq!(refused(sealed(5)).await, Some(Code::Signature), "not lent yet");
     stage.desk.lend(&alice, &device);
-    assert_eq!(refused(sealed(5)).await, None);
+    assert_eq!(refused(sealed(5)).await, Some(Code::Signature), "lent, but its key was not told");
+    assert_eq!(refusal(client.device(&bob.signing, device.public).await), Some(Code::Signature), "not told by alice");
+    assert_eq!(refusal(client.device(&alice.signing, pair(0x67).public).await), Some(Code::Signature), "not lent");
+    let nothing = client.device(&alice.signing, crate::model::PublicKey([1; 64])).await;
+    assert_eq!(refusal(nothing), Some(Code::Malformed), "no point");
+    client.device(&alice.signing, device.public).await.expect("told");
+    assert_eq!(refusal(client.upload(vec![sealed(5)]).await), None);
     stage.desk.recall(&alice, &device);
-    assert_eq!(refused(sealed(6)).await, Some(Code::Signature), "recalled");
-    assert_eq!(stage.desk.state().changes, before + 1);
+    assert_eq!(refusal(client.upload(vec![sealed(6)]).await), Some(Code::Signature), "recalled");
+    assert_eq!(stage.desk.state().changes, before + 2);
     // One bad record among many: none is kept.
     assert_eq!(refusal(client.upload(vec![one, sealed(7), two]).await), Some(Code::Signature));
-    assert_eq!(stage.desk.state().changes, before + 1);
+    assert_eq!(stage.desk.state().changes, before + 2);
 }
 
 #[tokio::test]

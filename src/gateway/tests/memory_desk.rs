@@ -21,6 +21,8 @@ pub(super) struct State {
     pub accounts: HashMap<Address, Account>,
     pub tokens: HashSet<(Address, Token)>,
     pub signers: HashMap<(Address, SignerId), PublicKey>,
+    /// What the chain would say: ids of devices, without their keys.
+    pub lent: HashSet<(Address, SignerId)>,
     pub bindings: HashMap<ProfileName, Binding>,
     pub records: BTreeMap<u64, Received>,
     pub readers: HashSet<(Address, Address)>,
@@ -67,11 +69,13 @@ impl MemoryDesk {
     }
 
     pub fn lend(&self, member: &Member, device: &SmKeyPair) {
-        self.state().signers.insert((member.account(), signer_id(&device.public)), device.public);
+        self.state().lent.insert((member.account(), signer_id(&device.public)));
     }
 
     pub fn recall(&self, member: &Member, device: &SmKeyPair) {
-        self.state().signers.remove(&(member.account(), signer_id(&device.public)));
+        let device = (member.account(), signer_id(&device.public));
+        self.state().lent.remove(&device);
+        self.state().signers.remove(&device);
     }
 
     pub fn record_count(&self) -> usize {
@@ -151,10 +155,13 @@ impl Desk for MemoryDesk {
         let state = self.state();
         state.may_read(&caller.account, &query.selection.owner)?;
         let (owner, limit) = (query.selection.owner, usize::from(query.limit));
-        let wanted = state.records.range(query.cursor + 1..).filter(|(_, record)| record.header.owner == owner);
+        let wanted = state
+            .records
+            .range(u64::try_from(query.cursor).expect("small") + 1..)
+            .filter(|(_, record)| record.header.owner == owner);
         let found: Vec<(u64, Entry)> =
             wanted.take(limit + 1).map(|(number, record)| (*number, entry(record))).collect();
-        let next = (found.len() > limit).then(|| found[limit - 1].0);
+        let next = (found.len() > limit).then(|| u128::from(found[limit - 1].0));
         Ok(Page { entries: found.into_iter().take(limit).map(|(_, entry)| entry).collect(), next })
     }
 
@@ -194,6 +201,17 @@ impl Desk for MemoryDesk {
         let mut state = self.state();
         state.readers.remove(&(caller.account, notice.grantee));
         state.revokes.push(*notice);
+        state.changes += 1;
+        Ok(())
+    }
+
+    async fn device(&self, caller: &Caller, key: &PublicKey) -> Result<(), Refusal> {
+        let mut state = self.state();
+        let device = (caller.account, signer_id(key));
+        if !state.lent.contains(&device) {
+            return Err(Refusal::new(Code::Signature, "not lent"));
+        }
+        state.signers.insert(device, *key);
         state.changes += 1;
         Ok(())
     }

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::chain::{Pin, Sealing};
-use crate::model::{Address, Hash};
+use crate::model::{Address, Domain, Hash, SignerId};
 use crate::pipeline::sender::LaneState;
 
 /// The chain as seen from here.
@@ -56,4 +56,19 @@ pub struct ServedView {
     pub chain_id: u64,
     /// The contract, where there is one.
     pub contract: Option<Address>,
+}
+
+/// A gateway at work.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct GatewayView {
+    /// Where it listens.
+    pub address: String,
+    /// SM3 of its identity key: what robots and operators pin.
+    pub gateway: SignerId,
+    /// The same, to be compared by eye.
+    pub fingerprint: String,
+    /// The account that anchors.
+    pub account: Address,
+    /// Its network.
+    pub domain: Domain,
 }

@@ -54,7 +54,7 @@ impl Site {
         session: &Arc<CaptureSession>,
     ) {
         for topic in topics {
-            self.recorder.join(topic, owner, type_name.cloned(), session);
+            self.recorder.join(topic, &owner.author, type_name.cloned(), session);
         }
         self.captures.lock().unwrap_or_else(PoisonError::into_inner).push((owner.profile.clone(), Arc::clone(session)));
         self.wishes_changed();
@@ -62,7 +62,7 @@ impl Site {
 
     fn end(&self, owner: &Arc<Owner>, topics: &[String], session: &Arc<CaptureSession>) {
         for topic in topics {
-            self.recorder.leave(topic, owner, session);
+            self.recorder.leave(topic, &owner.author, session);
         }
         self.captures.lock().unwrap_or_else(PoisonError::into_inner).retain(|(_, other)| !Arc::ptr_eq(other, session));
         self.wishes_changed();

@@ -1,12 +1,12 @@
 //! The site's link to its chain: connecting and re-connecting, the contract, the pin of the home.
 
-use std::sync::Arc;
-use std::time::Duration;
+use std::sync::{Arc, PoisonError};
+use std::time::{Duration, Instant};
 
 use tokio::task::block_in_place;
 
 use super::Site;
-use crate::chain::{Chain, ChainError, ChainOptions, Endpoint, Pin};
+use crate::chain::{BlockRef, Chain, ChainError, ChainOptions, Endpoint, Pin};
 use crate::model::ErrorKind;
 use crate::pipeline::{Network, Owner, PipelineError, watcher};
 use crate::service::event::{NoticeLevel, Part};
@@ -214,6 +214,17 @@ impl Site {
             self.hub.notice(NoticeLevel::Info, &format!("the development node gave {} money for gas", owner.address));
         }
         Ok(())
+    }
+
+    /// Notes the head that the chain just told.
+    pub(super) fn saw_head(&self, head: BlockRef) {
+        *self.head_seen.lock().unwrap_or_else(PoisonError::into_inner) = Some((Instant::now(), head));
+    }
+
+    /// The newest head, unless the chain has not told one for `longest`.
+    pub(super) fn fresh_head(&self, longest: Duration) -> Option<BlockRef> {
+        let seen = *self.head_seen.lock().unwrap_or_else(PoisonError::into_inner);
+        seen.filter(|(at, _)| at.elapsed() <= longest).map(|(_, head)| head)
     }
 
     /// Waits until the watcher has seen block `number`.

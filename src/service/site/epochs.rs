@@ -154,7 +154,7 @@ impl Site {
                 for (epoch, key) in &keys {
                     for topic in topics {
                         let id = owner.topic_id(topic);
-                        granted.push((*epoch, topic.clone(), id, crate::crypto::topic_key(key, topic)));
+                        granted.push((*epoch, topic.clone(), id, crate::crypto::topic_key(key, &id)));
                     }
                 }
                 GrantedKeys::Topics { keys: granted }

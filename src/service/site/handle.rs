@@ -50,11 +50,16 @@ impl Site {
             Command::ListAudit { limit } => self.audit_lines(limit).await.map(Reply::Audit),
             Command::ListUploads(query) => self.list_uploads(&profile, query).await.map(Reply::Records),
             Command::ShowUpload { id } => self.provenance(&profile, &id).await.map(Reply::Provenance),
-            other => self.handle_unlocked(&profile, other).await,
+            other => self.handle_unlocked(&profile, other, claims).await,
         }
     }
 
-    async fn handle_unlocked(self: &Arc<Self>, profile: &ProfileName, command: Command) -> Result<Reply, Failure> {
+    async fn handle_unlocked(
+        self: &Arc<Self>,
+        profile: &ProfileName,
+        command: Command,
+        claims: &Claims,
+    ) -> Result<Reply, Failure> {
         let owner = self.unlocked(profile)?;
         match command {
             Command::Register => self.register(&owner).await.map(Reply::Identity),
@@ -73,6 +78,12 @@ impl Site {
                 self.grant(&owner, grantee, &topics, epochs, expires).await.map(Reply::Transaction)
             }
             Command::Revoke { grantee } => self.revoke(&owner, grantee).await.map(Reply::Transaction),
+            Command::ServeGateway { address } => {
+                let (end, ended) = oneshot::channel();
+                let served = self.serve_gateway(&owner, address, ended).await?;
+                claims.lock().unwrap_or_else(PoisonError::into_inner).servers.push(end);
+                Ok(Reply::Gateway(served))
+            }
             Command::LendDevice { device, until } => {
                 self.lend_device(&owner, device, until).await.map(Reply::Transaction)
             }

@@ -118,7 +118,7 @@ impl Site {
 
     /// Waits until no record signed by the present key is still on its way.
     async fn drain(&self, owner: &Owner) -> Result<(), Failure> {
-        if !self.recorder.wanted_by(owner).is_empty() {
+        if !self.recorder.wanted_by(&owner.author).is_empty() {
             return Err(refused("topics are being captured; unwatch them before the signing key is changed"));
         }
         let deadline = tokio::time::Instant::now() + DRAIN;

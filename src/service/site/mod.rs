@@ -10,10 +10,12 @@ mod chain_link;
 mod devices;
 mod epochs;
 mod exposure;
+mod gateway;
 mod handle;
 mod identity;
 mod keys;
 mod lanes;
+mod naming;
 mod opening;
 mod overdue;
 mod owners;
@@ -39,6 +41,7 @@ use super::event::{Event, Part};
 use super::failure::internal;
 use super::hub::Hub;
 use super::reply::Failure;
+use crate::chain::BlockRef;
 use crate::config::Config;
 use crate::crypto::provider;
 use crate::model::ProfileName;
@@ -82,6 +85,8 @@ pub struct Site {
     ros: watch::Sender<RosState>,
     stopping: watch::Sender<bool>,
     chain_silent: AtomicBool,
+    /// The newest head, and when the chain told it.
+    head_seen: Mutex<Option<(std::time::Instant, BlockRef)>>,
     guests: AtomicUsize,
     deploying: tokio::sync::Mutex<()>,
     witnesses: Mutex<lanes::Witnesses>,
@@ -128,6 +133,7 @@ impl Site {
             ros: watch::channel(if needs.ros { RosState::Starting } else { RosState::Off }).0,
             stopping: watch::channel(false).0,
             chain_silent: AtomicBool::new(false),
+            head_seen: Mutex::default(),
             guests: AtomicUsize::new(0),
             deploying: tokio::sync::Mutex::default(),
             witnesses: Mutex::default(),

@@ -39,6 +39,9 @@ impl Site {
             ..record_query(query)
         };
         let reader = Reader { plant: &self.plant, network: &network, reader: owner };
+        for owner in scopes.keys() {
+            self.learn_names(&reader, *owner).await?;
+        }
         self.readable_page(&reader, query).await
     }
 

@@ -106,7 +106,7 @@ impl Site {
             if !matches!(&*self.ros.borrow(), RosState::Off) && owner.sealing().is_none() {
                 self.register(&owner).await?;
             }
-            self.recorder.watch(topic.as_str(), &owner, type_name);
+            self.recorder.watch(topic.as_str(), &owner.author, type_name);
             self.wishes_changed();
         }
         Ok(Reply::Done)
@@ -125,7 +125,7 @@ impl Site {
         })?;
         self.record_audit(profile, "unwatch", topic.as_str(), "done").await?;
         if let Some(owner) = self.owner(profile) {
-            self.recorder.unwatch(topic.as_str(), &owner);
+            self.recorder.unwatch(topic.as_str(), &owner.author);
             self.wishes_changed();
         }
         Ok(Reply::Done)
@@ -135,7 +135,7 @@ impl Site {
     pub(super) fn restore_watches(&self, owner: &Arc<Owner>) {
         let watches = block_in_place(|| self.watches(&owner.profile)).unwrap_or_default();
         for (topic, type_name) in watches {
-            self.recorder.watch(topic.as_str(), owner, type_name);
+            self.recorder.watch(topic.as_str(), &owner.author, type_name);
         }
         self.wishes_changed();
     }

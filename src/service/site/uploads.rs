@@ -7,6 +7,7 @@ use super::view::{record_page, record_query, record_view};
 use crate::crypto::{keyfile, read_public, record};
 use crate::model::bytes::hex;
 use crate::model::{Address, ProfileName, RecordState};
+use crate::pipeline::reader::Reader;
 use crate::pipeline::{Owner, PipelineError};
 use crate::service::command::UploadQuery;
 use crate::service::failure::{input, internal, refused};
@@ -34,6 +35,10 @@ impl Site {
         query: UploadQuery,
     ) -> Result<RecordPage, Failure> {
         let owner = self.address_of(profile)?;
+        if let (Some(reader), Some(network)) = (self.owner(profile), self.network_now()) {
+            let reader = Reader { plant: &self.plant, network: &network, reader: &reader };
+            self.learn_names(&reader, owner).await?;
+        }
         let query = crate::store::RecordQuery { owner: Some(owner), ..record_query(query) };
         let page = self.blocking(move |site| Ok(site.plant.ledger.list(&query)?)).await?;
         Ok(record_page(page, false))

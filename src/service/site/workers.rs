@@ -75,6 +75,7 @@ async fn watch(site: Arc<Site>) {
             Ok(head) => {
                 site.scanned.send_replace(head.number);
                 site.chain_answers(true);
+                site.saw_head(head);
                 if head.number != seen {
                     seen = head.number;
                     site.changed(Part::Chain);

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use rusqlite::{Connection, OptionalExtension as _, params};
 
 use super::edges::{By, may};
-use super::{Ledger, NewRecord, Session};
+use super::{Foreign, Ledger, NewRecord, Session};
 use crate::model::{Address, Digest, RecordState, SignerId, Timestamp, TopicId};
 use crate::store::StoreError;
 use crate::store::database::whole;
@@ -15,7 +15,7 @@ type StreamKey = (i64, u8, String, SignerId);
 /// Keys of the names met so far; only ever a cache of the tables.
 #[derive(Default)]
 pub(in crate::store) struct Names {
-    topics: HashMap<(Address, TopicId), (i64, String)>,
+    topics: HashMap<(Address, TopicId, Option<Foreign>), (i64, String)>,
     streams: HashMap<StreamKey, i64>,
 }
 
@@ -189,14 +189,22 @@ fn add(session: &mut Session<'_>, record: &NewRecord, now: i64) -> Result<(), St
             record.simulated,
             record.state.code(),
         ])?;
-    keep_copy(session.connection, record)
+    let row = session.connection.last_insert_rowid();
+    keep_filters(session.connection, record, row)?;
+    keep_copy(session.connection, record, row)
 }
 
-fn keep_copy(connection: &Connection, record: &NewRecord) -> Result<(), StoreError> {
+fn keep_filters(connection: &Connection, record: &NewRecord, row: i64) -> Result<(), StoreError> {
+    let mut add = connection.prepare_cached("INSERT INTO filters VALUES (?1, ?2) ON CONFLICT DO NOTHING")?;
+    for filter in &record.filters {
+        add.execute(params![filter.0, row])?;
+    }
+    Ok(())
+}
+
+fn keep_copy(connection: &Connection, record: &NewRecord, row: i64) -> Result<(), StoreError> {
     if let Some(copy) = &record.local_copy {
-        connection
-            .prepare_cached("INSERT INTO copies VALUES (last_insert_rowid(), ?1)")?
-            .execute(params![copy.as_slice()])?;
+        connection.prepare_cached("INSERT INTO copies VALUES (?1, ?2)")?.execute(params![row, copy.as_slice()])?;
     }
     Ok(())
 }
@@ -220,13 +228,13 @@ fn is_known(connection: &Connection, record: &NewRecord, topic: i64, seq: i64) -
 }
 
 fn topic_key(session: &mut Session<'_>, record: &NewRecord) -> Result<i64, StoreError> {
-    let known = (record.owner, record.topic_id);
+    let known = (record.owner, record.topic_id, record.foreign);
     if !session.names.topics.contains_key(&known) {
         let found = find_topic(session.connection, record)?;
         session.names.topics.insert(known, found);
     }
     match session.names.topics.get(&known) {
-        Some((key, name)) if *name == record.topic => Ok(*key),
+        Some((key, name)) if *name == record.topic || record.topic.is_empty() => Ok(*key),
         _ => Err(StoreError::Conflict {
             digest: record.digest,
             detail: format!("topic id {} already stands for another topic", record.topic_id),
@@ -235,19 +243,31 @@ fn topic_key(session: &mut Session<'_>, record: &NewRecord) -> Result<i64, Store
 }
 
 fn find_topic(connection: &Connection, record: &NewRecord) -> Result<(i64, String), StoreError> {
+    let recorder = recorder_key(connection, record.foreign)?;
+    let keeper = record.foreign.map(|foreign| foreign.keeper.0);
     connection
         .prepare_cached(
-            "INSERT INTO topics (owner, recorder, topic_id, name)
-             VALUES (?1, (SELECT recorder FROM about), ?2, ?3) ON CONFLICT DO NOTHING",
+            "INSERT INTO topics (owner, recorder, topic_id, name, keeper) VALUES (?1, ?2, ?3, ?4, ?5)
+             ON CONFLICT DO UPDATE SET name = CASE name WHEN '' THEN excluded.name ELSE name END",
         )?
-        .execute(params![record.owner.0, record.topic_id.0, record.topic])?;
+        .execute(params![record.owner.0, recorder, record.topic_id.0, record.topic, keeper])?;
     let found = connection
-        .prepare_cached(
-            "SELECT key, name FROM topics
-             WHERE owner = ?1 AND topic_id = ?2 AND recorder = (SELECT recorder FROM about)",
-        )?
-        .query_row(params![record.owner.0, record.topic_id.0], |row| Ok((row.get(0)?, row.get(1)?)))?;
+        .prepare_cached("SELECT key, name FROM topics WHERE owner = ?1 AND topic_id = ?2 AND recorder = ?3")?
+        .query_row(params![record.owner.0, record.topic_id.0, recorder], |row| Ok((row.get(0)?, row.get(1)?)))?;
     Ok(found)
+}
+
+fn recorder_key(connection: &Connection, foreign: Option<Foreign>) -> Result<i64, StoreError> {
+    let Some(foreign) = foreign else {
+        return Ok(connection.prepare_cached("SELECT recorder FROM about")?.query_row([], |row| row.get(0))?);
+    };
+    connection
+        .prepare_cached("INSERT INTO recorders (id) VALUES (?1) ON CONFLICT DO NOTHING")?
+        .execute([foreign.recorder.0])?;
+    let key = connection
+        .prepare_cached("SELECT key FROM recorders WHERE id = ?1")?
+        .query_row([foreign.recorder.0], |row| row.get(0))?;
+    Ok(key)
 }
 
 fn stream_key(session: &mut Session<'_>, record: &NewRecord, topic: i64) -> Result<i64, StoreError> {

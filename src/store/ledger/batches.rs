@@ -14,7 +14,7 @@ use crate::store::StoreError;
 /// A batch to be closed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NewBatch {
-    /// Whose records.
+    /// Who anchors them.
     pub owner: Address,
     /// Merkle root over the leaves.
     pub root: Hash,
@@ -114,42 +114,43 @@ impl Ledger {
         })
     }
 
-    /// How many stored records of an owner wait for a batch, and when the first captured of them was
+    /// How many stored records that an account anchors (its own, and those it keeps for others) wait for a batch, and when the first captured of them was
     /// acknowledged.
     ///
     /// # Errors
     /// [`StoreError::Database`] and its kin.
-    pub fn unbatched(&self, owner: Address) -> Result<(u64, Option<Timestamp>), StoreError> {
+    pub fn unbatched(&self, keeper: Address) -> Result<(u64, Option<Timestamp>), StoreError> {
         self.read(|connection| {
             let found = connection
                 .prepare_cached(
                     "SELECT coalesce(sum(coalesce((SELECT records FROM counters WHERE stream = streams.key AND state = ?2), 0)), 0),
                      min((SELECT acknowledged_at FROM records INDEXED BY records_by_state
                           WHERE state = ?2 AND stream = streams.key ORDER BY captured_at LIMIT 1))
-                     FROM streams JOIN topics ON topics.key = topic WHERE owner = ?1",
+                     FROM streams JOIN topics ON topics.key = topic WHERE coalesce(keeper, owner) = ?1",
                 )?
-                .query_row(params![owner.0, RecordState::Stored.code()], |row| {
+                .query_row(params![keeper.0, RecordState::Stored.code()], |row| {
                     Ok((unsigned(row, 0)?, row.get::<_, Option<i64>>(1)?.map(|at| Timestamp(at.cast_unsigned()))))
                 })?;
             Ok(found)
         })
     }
 
-    /// Up to `limit` stored records of an owner as leaves, topic by topic in the order of capture.
+    /// Up to `limit` stored records that an account anchors, its own and those it keeps for others, as leaves, topic by topic in the order of capture.
     ///
     /// # Errors
     /// [`StoreError::Database`] and its kin.
-    pub fn stored_leaves(&self, owner: Address, limit: usize) -> Result<Vec<Leaf>, StoreError> {
+    pub fn stored_leaves(&self, keeper: Address, limit: usize) -> Result<Vec<Leaf>, StoreError> {
         self.read(|connection| {
             let mut statement = connection.prepare_cached(
-                "SELECT recorders.id, topics.topic_id, seq, digest FROM streams
+                "SELECT recorders.id, topics.topic_id, seq, digest, topics.owner FROM streams
                  JOIN topics ON topics.key = streams.topic JOIN recorders ON recorders.key = topics.recorder
                  JOIN records INDEXED BY records_by_state ON state = ?2 AND stream = streams.key
-                 WHERE topics.owner = ?1 ORDER BY streams.key, captured_at LIMIT ?3",
+                 WHERE coalesce(topics.keeper, topics.owner) = ?1 ORDER BY streams.key, captured_at LIMIT ?3",
             )?;
             let limit = i64::try_from(limit).unwrap_or(i64::MAX);
-            let rows = statement.query_map(params![owner.0, RecordState::Stored.code(), limit], |row| {
+            let rows = statement.query_map(params![keeper.0, RecordState::Stored.code(), limit], |row| {
                 let (recorder, topic_id) = (RecorderId(row.get(0)?), TopicId(row.get(1)?));
+                let owner = Address(row.get(4)?);
                 Ok(Leaf { owner, recorder, topic_id, seq: unsigned(row, 2)?, digest: Digest(row.get(3)?) })
             })?;
             Ok(rows.collect::<Result<_, _>>()?)
@@ -262,6 +263,26 @@ fn see(connection: &Connection, sighting: &RootSighting) -> Result<u64, StoreErr
             RecordState::Mined.code(),
         ])?;
     Ok(count(changed))
+}
+
+/// A record came into a batch that stands in a block already, or does so by this anchor.
+pub(super) fn see_record(
+    connection: &Connection,
+    record: i64,
+    batch: i64,
+    anchor: &RootSighting,
+) -> Result<(), StoreError> {
+    let seen = see(connection, anchor)?;
+    if seen > 0 {
+        return Ok(());
+    }
+    connection
+        .prepare_cached(
+            "UPDATE records SET (tx, block, block_hash) = (SELECT tx, block, block_hash FROM batches WHERE key = ?2),
+             state = ?3 WHERE n = ?1 AND (SELECT block FROM batches WHERE key = ?2) IS NOT NULL",
+        )?
+        .execute(params![record, batch, RecordState::Mined.code()])?;
+    Ok(())
 }
 
 /// A transaction that anchors the batch was signed: its records are submitted.

@@ -6,12 +6,13 @@
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap, VecDeque};
 
+use rusqlite::types::Value;
 use rusqlite::{CachedStatement, Connection, OptionalExtension as _, params};
 use serde::{Deserialize, Serialize};
 
 use super::rows::{self, ID_LENGTH, RecordRow, Stream};
 use super::{Ledger, database::whole};
-use crate::model::{Address, Digest, RecordKind, RecordState, Timestamp, TopicId, clean};
+use crate::model::{Address, Digest, FilterId, RecordKind, RecordState, Timestamp, TopicId, clean};
 use crate::store::StoreError;
 
 const LARGEST_PAGE: usize = 10_000;
@@ -28,6 +29,8 @@ pub struct RecordQuery {
     pub topic: Option<String>,
     /// Of any of these topics.
     pub topic_ids: Option<Vec<TopicId>>,
+    /// With all of these ids among its own.
+    pub filters: Vec<FilterId>,
     /// Of this kind.
     pub kind: Option<RecordKind>,
     /// In this state.
@@ -51,6 +54,7 @@ impl Default for RecordQuery {
             owners: None,
             topic: None,
             topic_ids: None,
+            filters: Vec::new(),
             kind: None,
             state: None,
             since: None,
@@ -92,7 +96,7 @@ impl Ledger {
         self.read(|connection| {
             let streams = rows::streams(connection)?;
             let wanted: Vec<i64> = streams.iter().filter(|stream| query.wants(stream)).map(|s| s.key).collect();
-            let mut keys = Merge::new(connection, &wanted, query.state, range, limit + 1)?.take(limit + 1)?;
+            let mut keys = Merge::new(connection, &wanted, query, range, limit + 1)?.take(limit + 1)?;
             let more = keys.len() > limit;
             keys.truncate(limit);
             let next = keys.last().filter(|_| more).map(|key| key.cursor());
@@ -214,11 +218,15 @@ impl Range {
         }
     }
 
-    fn sql(self, state: bool) -> String {
+    fn sql(self, state: bool, filters: usize) -> String {
         let (order, state) =
             (if self.newest_first { "DESC" } else { "ASC" }, if state { "state = ?7 AND" } else { "" });
+        let first = if state.is_empty() { 7 } else { 8 };
+        let filters: String = (first..first + filters)
+            .map(|place| format!(" AND EXISTS (SELECT 1 FROM filters WHERE filter = ?{place} AND record = n)"))
+            .collect();
         format!(
-            "SELECT captured_at, n FROM records WHERE {state} stream = ?1
+            "SELECT captured_at, n FROM records WHERE {state} stream = ?1{filters}
              AND (captured_at, n) > (?2, ?3) AND (captured_at, n) < (?4, ?5)
              ORDER BY captured_at {order}, n {order} LIMIT ?6"
         )
@@ -237,6 +245,7 @@ struct Lane {
 struct Merge<'a> {
     statement: CachedStatement<'a>,
     state: Option<u8>,
+    filters: Vec<FilterId>,
     lanes: Vec<Lane>,
     heap: BinaryHeap<(Reverse<Key>, usize)>,
     chunk: usize,
@@ -246,16 +255,16 @@ impl<'a> Merge<'a> {
     fn new(
         connection: &'a Connection,
         streams: &[i64],
-        state: Option<RecordState>,
+        query: &RecordQuery,
         range: Range,
         wanted: usize,
     ) -> Result<Self, StoreError> {
-        let statement = connection.prepare_cached(&range.sql(state.is_some()))?;
+        let statement = connection.prepare_cached(&range.sql(query.state.is_some(), query.filters.len()))?;
         let chunk = (wanted * 2).div_ceil(streams.len().max(1)).clamp(4, wanted.max(4));
         let lane = |stream: &i64| Lane { stream: *stream, ahead: VecDeque::new(), range, exhausted: false };
         let lanes = streams.iter().map(lane).collect();
-        let state = state.map(RecordState::code);
-        let mut merge = Self { statement, state, lanes, heap: BinaryHeap::new(), chunk };
+        let (state, filters) = (query.state.map(RecordState::code), query.filters.clone());
+        let mut merge = Self { statement, state, filters, lanes, heap: BinaryHeap::new(), chunk };
         for index in 0..streams.len() {
             merge.offer(index)?;
         }
@@ -280,7 +289,7 @@ impl<'a> Merge<'a> {
     fn offer(&mut self, index: usize) -> Result<(), StoreError> {
         let Some(lane) = self.lanes.get_mut(index) else { return Ok(()) };
         if lane.ahead.is_empty() && !lane.exhausted {
-            lane.read(&mut self.statement, self.state, self.chunk)?;
+            lane.read(&mut self.statement, self.state, &self.filters, self.chunk)?;
         }
         if let Some(key) = lane.ahead.pop_front() {
             let rank = if lane.range.newest_first { flip(key) } else { key };
@@ -291,11 +300,19 @@ impl<'a> Merge<'a> {
 }
 
 impl Lane {
-    fn read(&mut self, statement: &mut CachedStatement<'_>, state: Option<u8>, chunk: usize) -> Result<(), StoreError> {
+    fn read(
+        &mut self,
+        statement: &mut CachedStatement<'_>,
+        state: Option<u8>,
+        filters: &[FilterId],
+        chunk: usize,
+    ) -> Result<(), StoreError> {
         let Range { low, high, .. } = self.range;
         let limit = i64::try_from(chunk).unwrap_or(i64::MAX);
-        let bounds = [self.stream, low.captured_at, low.n, high.captured_at, high.n, limit].map(Some);
-        let values = bounds.into_iter().chain(state.map(|state| Some(i64::from(state))));
+        let bounds = [self.stream, low.captured_at, low.n, high.captured_at, high.n, limit].map(Value::from);
+        let state = state.map(|state| Value::from(i64::from(state)));
+        let filters = filters.iter().map(|filter| Value::from(filter.0.to_vec()));
+        let values = bounds.into_iter().chain(state).chain(filters);
         let keys = statement.query_map(rusqlite::params_from_iter(values), |row| {
             Ok(Key { captured_at: row.get(0)?, n: row.get(1)? })
         })?;

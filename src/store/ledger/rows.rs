@@ -7,12 +7,21 @@ use serde::{Deserialize, Serialize};
 
 use crate::chain::merkle::Leaf;
 use crate::model::{
-    Address, Digest, Hash, RecordKind, RecordState, RecorderId, Signature, SignerId, Timestamp, TopicId,
+    Address, Digest, FilterId, Hash, RecordKind, RecordState, RecorderId, Signature, SignerId, Timestamp, TopicId,
 };
 use crate::store::StoreError;
 
 /// Characters of a record id: the first 16 hex characters of its digest.
 pub(super) const ID_LENGTH: usize = 16;
+
+/// Where a record comes from that was not captured here.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct Foreign {
+    /// The ledger that its number counts in.
+    pub recorder: RecorderId,
+    /// The account that anchors it in its owner's place.
+    pub keeper: Address,
+}
 
 /// A sealed record to be acknowledged.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -23,8 +32,10 @@ pub struct NewRecord {
     pub owner: Address,
     /// Pseudonym of its topic.
     pub topic_id: TopicId,
-    /// Number within (this ledger's recorder, topic), from 1.
+    /// Number within (recorder, topic), from 1.
     pub seq: u64,
+    /// `None` where this ledger recorded it and its owner anchors it.
+    pub foreign: Option<Foreign>,
     /// The epoch that it is sealed under.
     pub epoch: u64,
     /// What it is.
@@ -33,9 +44,11 @@ pub struct NewRecord {
     pub signer: SignerId,
     /// The raw signature, r || s.
     pub signature: Signature,
-    /// Topic name, in clear: the ledger never leaves the machine.
+    /// Ids of type and tags, as its header has them.
+    pub filters: Vec<FilterId>,
+    /// Topic name, in clear: the ledger never leaves the machine. Empty where only the owner knows it.
     pub topic: String,
-    /// Message type, `package/Type`.
+    /// Message type, `package/Type`; the hex of its filter id where only the owner knows it.
     pub type_name: String,
     /// Length of the plaintext, bytes.
     pub bytes: u64,
@@ -108,8 +121,15 @@ pub(super) struct Stream {
     pub signer: SignerId,
 }
 
-const STREAMS: &str = "SELECT s.key, t.owner, r.id, t.topic_id, t.name, s.kind, s.type_name, s.signer
-    FROM streams s JOIN topics t ON t.key = s.topic JOIN recorders r ON r.key = t.recorder";
+/// What stands before the pseudonym of a topic whose name is not known here; no ROS name begins so.
+const UNNAMED: &str = "id:";
+
+const STREAMS: &str = "SELECT s.key, t.owner, r.id, t.topic_id,
+    coalesce(nullif(t.name, ''), topic_name.name, 'id:' || lower(hex(t.topic_id))),
+    s.kind, coalesce(type_name.name, s.type_name), s.signer
+    FROM streams s JOIN topics t ON t.key = s.topic JOIN recorders r ON r.key = t.recorder
+    LEFT JOIN names topic_name ON topic_name.owner = t.owner AND topic_name.id = lower(hex(t.topic_id))
+    LEFT JOIN names type_name ON type_name.owner = t.owner AND type_name.id = s.type_name";
 
 /// All streams; there are as many as topics, types and signers, not as records.
 pub(super) fn streams(connection: &Connection) -> Result<Vec<Stream>, StoreError> {
@@ -130,6 +150,11 @@ pub(super) fn streams(connection: &Connection) -> Result<Vec<Stream>, StoreError
 }
 
 impl RecordRow {
+    /// Whether its topic's name is known here; else the pseudonym stands in its place.
+    pub fn is_named(&self) -> bool {
+        !self.topic.starts_with(UNNAMED)
+    }
+
     /// What its batch binds.
     pub fn leaf(&self) -> Leaf {
         let Self { owner, recorder, topic_id, seq, digest, .. } = *self;

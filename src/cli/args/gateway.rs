@@ -1,0 +1,16 @@
+//! `gateway …`
+
+use std::net::SocketAddr;
+
+use clap::Subcommand;
+
+/// `gateway …`
+#[derive(Debug, Subcommand)]
+pub enum GatewayVerb {
+    /// Take sealed records from robots, anchor them with this profile's account, answer operators' queries
+    Serve {
+        /// Address and port; port 0 = any free one
+        #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:7420")]
+        listen: SocketAddr,
+    },
+}

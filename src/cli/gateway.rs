@@ -1,0 +1,59 @@
+//! `authros gateway serve`: the paper's CR, alone or inside a running site.
+
+use std::net::SocketAddr;
+
+use super::connect::{Connection, Context, ProfileNeed, unexpected};
+use super::output::Output;
+use super::serve as site;
+use crate::service::reply::GatewayView;
+use crate::service::{Command, Failure, Needs, Reply};
+
+/// Serves until a signal: through the running site of this home, or as a site of its own without ROS.
+///
+/// # Errors
+/// Where the profile cannot be opened or registered, or the address is not free.
+pub async fn serve(context: Context, listen: SocketAddr, output: &Output) -> Result<u8, Failure> {
+    let connection = context.connect(Needs { ros: false, chain: true }).await?;
+    let joined = connection.site.is_none();
+    let begun = tokio::select! {
+        begun = begin(&context, &connection, listen, output) => begun,
+        () = site::asked_to_end() => {
+            connection.close().await;
+            return Ok(0);
+        }
+    };
+    let view = match begun {
+        Ok(view) => view,
+        Err(failure) => {
+            connection.close().await;
+            return Err(failure);
+        }
+    };
+    output.result(&serde_json::json!({ "gateway": &view, "joined": joined }), || {
+        format!(
+            "gateway at {}, fingerprint {}, anchoring as {}; end it with Ctrl-C",
+            view.address, view.fingerprint, view.account
+        )
+    });
+    let ended = tokio::select! {
+        () = site::follow(&connection.client, output) => Ok(0),
+        failure = super::chain::lost(&connection.client) => Err(failure),
+    };
+    connection.close().await;
+    ended
+}
+
+async fn begin(
+    context: &Context,
+    connection: &Connection,
+    listen: SocketAddr,
+    output: &Output,
+) -> Result<GatewayView, Failure> {
+    let client = &connection.client;
+    context.prepare(client, ProfileNeed::Made, output).await?;
+    client.request(Command::Register).await?;
+    match client.request(Command::ServeGateway { address: listen }).await? {
+        Reply::Gateway(view) => Ok(view),
+        _ => Err(unexpected()),
+    }
+}

@@ -1,0 +1,85 @@
+use proptest::prelude::*;
+
+use super::*;
+use crate::crypto::{CryptoError, Passphrase};
+
+fn issue(epoch: u64, key: SealingKey) -> EpochIssue {
+    EpochIssue { epoch, token: Token([7; 32]), key }
+}
+
+fn sample(topics: usize) -> Enrolment {
+    let keys = (0..topics).map(|number| (format!("/robot{number}/odom"), TopicKey::new([9; 32]))).collect();
+    let key = if topics == 0 { SealingKey::Epoch(EpochKey::new([8; 32])) } else { SealingKey::Topics(keys) };
+    let next = (topics > 1).then(|| (Timestamp(99), issue(4, key.clone())));
+    Enrolment {
+        domain: Domain([1; 32]),
+        chain_id: 77,
+        gateway: "gateway.example:7000".into(),
+        fingerprint: SignerId([2; 32]),
+        name: "robot-1".parse().expect("a name"),
+        owner: Address([3; 20]),
+        owner_key: PublicKey([4; 64]),
+        transport: TransportKey::new([5; 32]),
+        device: SmKeyPair::generate(provider(ProviderName::RustCrypto)).expect("pair"),
+        index: IndexKey::new([6; 32]),
+        notice_key: TopicKey::new([7; 32]),
+        token: Token([8; 32]),
+        noticed: (topics > 1).then_some((RecorderId([9; 16]), 12)),
+        keys: IssuedKeys { now: issue(3, key), next },
+    }
+}
+
+#[test]
+fn every_shape_comes_back_and_no_cut_does() {
+    for topics in 0..4 {
+        let enrolment = sample(topics);
+        let bytes = enrolment.encode();
+        assert_eq!(Enrolment::parse(&bytes), Ok(enrolment));
+        for cut in 0..bytes.len() {
+            assert!(Enrolment::parse(&bytes[..cut]).is_err(), "{cut}");
+        }
+    }
+    let mut backwards = sample(2).keys;
+    backwards.next = backwards.next.map(|(moment, issue)| (moment, EpochIssue { epoch: 3, ..issue }));
+    assert!(IssuedKeys::parse(&backwards.encode()).is_err(), "the next epoch is a later one");
+}
+
+#[test]
+fn a_file_opens_with_its_passphrase_alone() {
+    let home = tempfile::tempdir().expect("directory");
+    let path = home.path().join("robot.enrolment");
+    let passphrase = |text: &str| Passphrase::new(text.to_owned()).expect("long enough");
+    let sealed = SealedEnrolment::new(sample(2), &passphrase("correct horse")).expect("stretches");
+    sealed.create(&path).expect("writes");
+    assert!(sealed.create(&path).is_err(), "never over another");
+    let opened = SealedEnrolment::open(&path, &passphrase("correct horse")).expect("opens");
+    assert_eq!(opened.enrolment, sealed.enrolment);
+    let wrong = SealedEnrolment::open(&path, &passphrase("battery staple"));
+    assert!(matches!(wrong, Err(CryptoError::WrongPassphrase(_))));
+    let whole = sealed.seal().expect("seals");
+    for at in [0, 8, 20, 60, 80, 108, 111, whole.len() - 1] {
+        let mut altered = whole.clone();
+        altered[at] ^= 1;
+        crate::crypto::private_file::write_private(&path, &altered).expect("writes");
+        assert!(SealedEnrolment::open(&path, &passphrase("correct horse")).is_err(), "byte {at}");
+    }
+    let secret = sealed.enrolment.transport.expose();
+    assert!(!whole.windows(8).any(|window| window == &secret[..8]));
+    assert!(!format!("{:?}", sealed.enrolment).contains("05, 05"), "no secret is shown");
+}
+
+proptest! {
+    #[test]
+    fn noise_never_panics_and_what_parses_has_one_encoding(noise in proptest::collection::vec(any::<u8>(), 0..500), at: usize, bit in 0u8..8) {
+        let _ = Enrolment::parse(&noise);
+        if let Ok(issued) = IssuedKeys::parse(&noise) {
+            prop_assert_eq!(&issued.encode()[..], &noise[..]);
+        }
+        let mut bytes = sample(2).keys.encode();
+        let at = at % bytes.len();
+        bytes[at] ^= 1 << bit;
+        if let Ok(issued) = IssuedKeys::parse(&bytes) {
+            prop_assert_eq!(&issued.encode()[..], &bytes[..]);
+        }
+    }
+}

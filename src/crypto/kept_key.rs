@@ -1,0 +1,64 @@
+//! Transport keys at rest with a gateway: sealed under a key that follows from its keyring.
+
+use super::derive::kept_key;
+use super::random::random_bytes;
+use super::{CryptoError, IndexKey, Provider, TransportKey};
+
+/// Bytes of the nonce before what is sealed.
+const NONCE: usize = 12;
+
+/// Seals the transport key of a name: nonce (12) || SM4-GCM (32 + 16), with the name as AAD.
+///
+/// # Errors
+/// Of the random source.
+pub fn seal_transport_key(
+    provider: &dyn Provider,
+    keeper: &IndexKey,
+    name: &str,
+    key: &TransportKey,
+) -> Result<Vec<u8>, CryptoError> {
+    let nonce: [u8; NONCE] = random_bytes()?;
+    let mut buffer = key.expose().to_vec();
+    provider.gcm_seal(&kept_key(keeper), &nonce, name.as_bytes(), &mut buffer)?;
+    Ok([&nonce[..], &buffer].concat())
+}
+
+/// Opens what [`seal_transport_key`] sealed for this name.
+///
+/// # Errors
+/// [`CryptoError::BadCiphertext`] where it was sealed for another name, by another keeper, or altered.
+pub fn open_transport_key(
+    provider: &dyn Provider,
+    keeper: &IndexKey,
+    name: &str,
+    sealed: &[u8],
+) -> Result<TransportKey, CryptoError> {
+    let (nonce, rest) = sealed.split_first_chunk::<NONCE>().ok_or(CryptoError::BadCiphertext)?;
+    let plain = provider.gcm_open(&kept_key(keeper), nonce, name.as_bytes(), rest)?;
+    let bytes: &[u8; 32] = plain.as_slice().try_into().map_err(|_| CryptoError::BadCiphertext)?;
+    Ok(TransportKey::new(*bytes))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::crypto::{ProviderName, provider};
+
+    #[test]
+    fn only_the_same_keeper_and_name_open_it() {
+        let provider = provider(ProviderName::RustCrypto);
+        let (keeper, other) = (IndexKey::new([1; 32]), IndexKey::new([2; 32]));
+        let key = TransportKey::new([3; 32]);
+        let sealed = seal_transport_key(provider, &keeper, "robot-1", &key).expect("seals");
+        assert_eq!(open_transport_key(provider, &keeper, "robot-1", &sealed).expect("opens").expose(), key.expose());
+        assert!(open_transport_key(provider, &keeper, "robot-2", &sealed).is_err());
+        assert!(open_transport_key(provider, &other, "robot-1", &sealed).is_err());
+        for place in 0..sealed.len() {
+            let mut changed = sealed.clone();
+            changed[place] ^= 1;
+            assert!(open_transport_key(provider, &keeper, "robot-1", &changed).is_err());
+            assert!(open_transport_key(provider, &keeper, "robot-1", &sealed[..place]).is_err());
+        }
+        assert!(!crate::model::bytes::hex(&sealed).contains(&crate::model::bytes::hex(key.expose())));
+    }
+}

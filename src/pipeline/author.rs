@@ -1,0 +1,64 @@
+//! An author: in whose name messages are sealed, and under which keys from which moment on. An owner's
+//! site has one per open keyring, a robot one from its enrolment.
+
+use std::sync::{Arc, PoisonError, RwLock};
+
+use crate::model::{Address, Timestamp};
+
+use super::epoch::EpochKeys;
+
+/// Whose records are sealed, with the keys in use.
+pub struct Author {
+    /// The owner's EOA.
+    pub address: Address,
+    sealing: RwLock<Sealing>,
+}
+
+/// What seals new records, and what will from a moment on.
+#[derive(Default)]
+struct Sealing {
+    keys: Option<Arc<EpochKeys>>,
+    next: Option<(Timestamp, Arc<EpochKeys>)>,
+}
+
+impl Author {
+    /// An author without keys yet.
+    pub fn new(address: Address) -> Self {
+        Self { address, sealing: RwLock::default() }
+    }
+
+    /// The keys that seal new records; `None` before the first.
+    ///
+    /// What was captured after the moment given to [`Self::seal_from`] is never sealed under the keys
+    /// before it, whether or not anybody was awake at that moment.
+    pub fn sealing(&self) -> Option<Arc<EpochKeys>> {
+        {
+            let sealing = self.sealing.read().unwrap_or_else(PoisonError::into_inner);
+            if sealing.next.as_ref().is_none_or(|(from, _)| Timestamp::now() < *from) {
+                return sealing.keys.clone();
+            }
+        }
+        let mut sealing = self.sealing.write().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, keys)) = sealing.next.take_if(|(from, _)| Timestamp::now() >= *from) {
+            sealing.keys = Some(keys);
+        }
+        sealing.keys.clone()
+    }
+
+    /// From now on records are sealed under these keys.
+    pub fn seal_under(&self, keys: Arc<EpochKeys>) {
+        *self.sealing.write().unwrap_or_else(PoisonError::into_inner) = Sealing { keys: Some(keys), next: None };
+    }
+
+    /// From `moment` on records are sealed under these keys, unless those of the same or a later epoch seal
+    /// already; of two such moments the earlier counts.
+    pub fn seal_from(&self, moment: Timestamp, keys: Arc<EpochKeys>) {
+        let mut sealing = self.sealing.write().unwrap_or_else(PoisonError::into_inner);
+        if sealing.keys.as_ref().is_some_and(|now| now.domain == keys.domain && now.epoch >= keys.epoch) {
+            return;
+        }
+        if sealing.next.as_ref().is_none_or(|(from, _)| moment < *from) {
+            sealing.next = Some((moment, keys));
+        }
+    }
+}

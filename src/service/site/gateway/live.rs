@@ -1,0 +1,84 @@
+//! Live subscriptions: verified records as they come, ended the moment the right to them is gone.
+
+use std::sync::Arc;
+
+use tokio::sync::broadcast::error::RecvError;
+use tokio::sync::mpsc;
+
+use super::GatewayDesk;
+use super::reading::Reach;
+use super::standing::entry;
+use crate::gateway::{Caller, Entry, Refusal, Selection};
+use crate::model::{Digest, RecordState};
+use crate::store::RecordRow;
+
+/// Entries that may wait for a slow reader; then the subscription waits with it.
+const AHEAD: usize = 64;
+
+/// One subscription at work.
+pub(super) struct Watch {
+    pub desk: Arc<GatewayDesk>,
+    pub caller: Caller,
+    pub selection: Selection,
+}
+
+impl Watch {
+    /// Begins; the caller is authorised now, or refused.
+    pub(super) fn begin(self) -> Result<mpsc::Receiver<Entry>, Refusal> {
+        let mut reach = self.reach()?;
+        let mut settled = self.desk.site.hub.settled.subscribe();
+        let mut authority = self.desk.site.hub.authority.subscribe();
+        let (sender, receiver) = mpsc::channel(AHEAD);
+        tokio::spawn(async move {
+            loop {
+                tokio::select! {
+                    // Who may read comes before what there is to read.
+                    biased;
+                    changed = authority.changed() => {
+                        let Ok(now) = tokio::task::block_in_place(|| self.reach()) else { return };
+                        reach = now;
+                        if changed.is_err() {
+                            return;
+                        }
+                    }
+                    () = sender.closed() => return,
+                    digests = settled.recv() => match digests {
+                        Ok(digests) => {
+                            let entries = tokio::task::block_in_place(|| self.entries(&digests, &reach));
+                            for entry in entries {
+                                if sender.send(entry).await.is_err() {
+                                    return;
+                                }
+                            }
+                        }
+                        // What was missed is in the list: the reader asks for it and subscribes again.
+                        Err(RecvError::Lagged(_) | RecvError::Closed) => return,
+                    },
+                }
+            }
+        });
+        Ok(receiver)
+    }
+
+    fn reach(&self) -> Result<Reach, Refusal> {
+        let network = self.desk.network()?;
+        self.desk.reach(&network, &self.caller.account, &self.selection.owner)
+    }
+
+    fn entries(&self, digests: &[Digest], reach: &Reach) -> Vec<Entry> {
+        let ledger = &self.desk.site.plant.ledger;
+        let rows = digests.iter().filter_map(|digest| ledger.record(*digest).ok().flatten());
+        rows.filter(|row| self.wants(row, reach)).map(|row| entry(&row)).collect()
+    }
+
+    fn wants(&self, row: &RecordRow, reach: &Reach) -> bool {
+        let Selection { owner, topic_id, kind, filters } = &self.selection;
+        let ledger = &self.desk.site.plant.ledger;
+        row.owner == *owner
+            && row.state == RecordState::Verified
+            && reach.covers(row.topic_id)
+            && topic_id.is_none_or(|topic| topic == row.topic_id)
+            && kind.is_none_or(|kind| kind == row.kind)
+            && filters.iter().all(|filter| ledger.has_filter(row.digest, *filter).unwrap_or(false))
+    }
+}

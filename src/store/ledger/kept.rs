@@ -1,0 +1,187 @@
+//! What a gateway keeps for others: public keys of their devices, what names stand for, and anchors made
+//! elsewhere, taken in with their proofs.
+
+use rusqlite::{OptionalExtension as _, params};
+
+use super::batches::{self, RootSighting};
+use super::edges::{By, may};
+use super::{Ledger, rows};
+use crate::chain::merkle::Inclusion;
+use crate::model::{Address, Digest, FilterId, Hash, ProfileName, PublicKey, RecordState, SignerId, Timestamp};
+use crate::store::StoreError;
+use crate::store::database::whole;
+
+/// What a name stands for at a gateway.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct KeptBinding {
+    /// Addr.
+    pub account: Address,
+    /// P_C when the transport key was allocated.
+    pub signing: PublicKey,
+    /// P_E then.
+    pub envelope: PublicKey,
+    /// The transport key, sealed by whoever keeps it here.
+    pub sealed_key: Vec<u8>,
+}
+
+impl Ledger {
+    /// Remembers a device's public key under its id.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like.
+    pub fn keep_signer(&self, id: SignerId, key: PublicKey) -> Result<(), StoreError> {
+        self.write(move |session| {
+            session
+                .connection
+                .prepare_cached("INSERT INTO signers VALUES (?1, ?2) ON CONFLICT DO NOTHING")?
+                .execute(params![id.0, key.0])?;
+            Ok(())
+        })
+    }
+
+    /// The public key of a device, where it was ever met.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn signer(&self, id: SignerId) -> Result<Option<PublicKey>, StoreError> {
+        self.read(|connection| {
+            let key = connection
+                .prepare_cached("SELECT key FROM signers WHERE id = ?1")?
+                .query_row([id.0], |row| row.get(0).map(PublicKey))
+                .optional()?;
+            Ok(key)
+        })
+    }
+
+    /// Binds a name, in place of what it stood for.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like: then nothing changed.
+    pub fn bind(&self, name: &ProfileName, binding: KeptBinding) -> Result<(), StoreError> {
+        let name = name.to_string();
+        self.write(move |session| {
+            session
+                .connection
+                .prepare_cached("REPLACE INTO bindings VALUES (?1, ?2, ?3, ?4, ?5)")?
+                .execute(params![name, binding.account.0, binding.signing.0, binding.envelope.0, binding.sealed_key])?;
+            Ok(())
+        })
+    }
+
+    /// What a name stands for.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn binding(&self, name: &ProfileName) -> Result<Option<KeptBinding>, StoreError> {
+        self.read(|connection| {
+            let binding = connection
+                .prepare_cached("SELECT account, signing, envelope, sealed_key FROM bindings WHERE name = ?1")?
+                .query_row([name.as_str()], |row| {
+                    Ok(KeptBinding {
+                        account: Address(row.get(0)?),
+                        signing: PublicKey(row.get(1)?),
+                        envelope: PublicKey(row.get(2)?),
+                        sealed_key: row.get(3)?,
+                    })
+                })
+                .optional()?;
+            Ok(binding)
+        })
+    }
+
+    /// Remembers what a pseudonym (lower-case hex of a topic id, or of a type's filter id) stands for.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like.
+    pub fn name(&self, owner: Address, id: String, name: String) -> Result<(), StoreError> {
+        self.write(move |session| {
+            session
+                .connection
+                .prepare_cached("INSERT INTO names VALUES (?1, ?2, ?3) ON CONFLICT DO NOTHING")?
+                .execute(params![owner.0, id, name])?;
+            Ok(())
+        })
+    }
+
+    /// Whether a record has this id among its filters.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn has_filter(&self, digest: Digest, filter: FilterId) -> Result<bool, StoreError> {
+        self.read(|connection| {
+            let found = connection
+                .prepare_cached(
+                    "SELECT EXISTS (SELECT 1 FROM filters
+                     WHERE filter = ?1 AND record = (SELECT n FROM records WHERE digest = ?2))",
+                )?
+                .query_row(params![filter.0, digest.0], |row| row.get(0))?;
+            Ok(found)
+        })
+    }
+
+    /// One record of each stream of an owner whose topic or type is known by its pseudonym only.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn unnamed(&self, owner: Address) -> Result<Vec<Digest>, StoreError> {
+        self.read(|connection| {
+            let mut statement = connection.prepare_cached(
+                "SELECT (SELECT digest FROM records WHERE records.stream = s.key LIMIT 1)
+                 FROM streams s JOIN topics t ON t.key = s.topic
+                 WHERE t.owner = ?1 AND t.name = ''
+                 AND NOT EXISTS (SELECT 1 FROM names WHERE names.owner = ?1 AND id = lower(hex(t.topic_id))
+                     AND (s.type_name = ''
+                         OR EXISTS (SELECT 1 FROM names type WHERE type.owner = ?1 AND type.id = s.type_name)))",
+            )?;
+            let rows = statement.query_map([owner.0], |row| row.get::<_, Option<_>>(0))?;
+            Ok(rows.filter_map(Result::transpose).map(|digest| digest.map(Digest)).collect::<Result<_, _>>()?)
+        })
+    }
+
+    /// Takes in where a stored record was anchored by another ledger: its place in the batch, and the block that
+    /// the chain has of the root. From then on it stands as if it had been anchored from here. Returns whether
+    /// anything changed.
+    ///
+    /// # Errors
+    /// [`StoreError::NotReady`] where the record is not stored here, [`StoreError::DiskFull`] and the like.
+    pub fn take_in(&self, digest: Digest, inclusion: Inclusion, anchor: RootSighting) -> Result<bool, StoreError> {
+        self.write(move |session| {
+            let connection = session.connection;
+            let found = connection
+                .prepare_cached("SELECT n, state FROM records WHERE digest = ?1")?
+                .query_row([digest.0], |row| Ok((row.get::<_, i64>(0)?, rows::state(row, 1)?)))
+                .optional()?;
+            let (record, state) = found.ok_or(StoreError::NotReady { digest, found: "unknown" })?;
+            if !may(By::Batch, state, RecordState::Batched) {
+                return Ok(false);
+            }
+            connection
+                .prepare_cached(
+                    "INSERT INTO batches (root, owner, count, closed_at, account, tx)
+                     VALUES (?1, ?2, ?3, ?4, ?2, ?5) ON CONFLICT DO NOTHING",
+                )?
+                .execute(params![
+                    inclusion.root.0,
+                    anchor.account.0,
+                    whole("count", inclusion.count)?,
+                    whole("time", Timestamp::now().0)?,
+                    anchor.transaction.0
+                ])?;
+            let batch: i64 = connection
+                .prepare_cached("SELECT key FROM batches WHERE root = ?1")?
+                .query_row([inclusion.root.0], |row| row.get(0))?;
+            let path: Vec<u8> = inclusion.path.iter().flat_map(|step: &Hash| step.0).collect();
+            connection.prepare_cached("INSERT INTO leaves VALUES (?1, ?2, ?3, ?4)")?.execute(params![
+                record,
+                batch,
+                whole("index", inclusion.index)?,
+                path
+            ])?;
+            connection
+                .prepare_cached("UPDATE records SET state = ?2 WHERE n = ?1")?
+                .execute(params![record, RecordState::Batched.code()])?;
+            batches::see_record(connection, record, batch, &anchor)?;
+            Ok(true)
+        })
+    }
+}
