@@ -48,6 +48,11 @@ impl Home {
         self.root.join("ledger.db")
     }
 
+    /// Space set aside for a revoke on a full disk.
+    pub fn reserve(&self) -> PathBuf {
+        self.root.join("reserve")
+    }
+
     /// Ciphertext of the embedded vault.
     pub fn vault(&self) -> PathBuf {
         self.root.join("vault")
@@ -66,6 +71,16 @@ impl Home {
     /// Which chain and contract this home is bound to.
     pub fn pin(&self) -> PathBuf {
         self.root.join("chain-pin.json")
+    }
+
+    /// What is known of the gateway that this home joins through.
+    pub fn gateway_trust(&self) -> PathBuf {
+        self.root.join("gateway-trust.json")
+    }
+
+    /// The transport key of a profile at that gateway, sealed under its keyring.
+    pub fn transport_key(&self, profile: &ProfileName) -> PathBuf {
+        self.profile(profile).join("transport-key")
     }
 
     /// The directory of a profile.

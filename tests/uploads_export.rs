@@ -32,7 +32,7 @@ fn export_one(provider: &str) -> Exported {
     let record = records.into_iter().next_back().expect("a record");
     let directory = home.root().join("export");
     let place = directory.to_str().expect("UTF-8");
-    authros.run(&["uploads", "export", &text(&record, "id"), "--dir", place]).expect_code(0);
+    authros.run(&["uploads", "export", &text(&record, "id"), "--dir", place, "--addresses"]).expect_code(0);
     Exported { _home: home, directory, record, signer, address }
 }
 

@@ -5,7 +5,7 @@ use zeroize::Zeroizing;
 use super::feed::Feed;
 use super::key::Key;
 use super::verb::Verb;
-use crate::model::{Address, Timestamp};
+use crate::model::{Address, Party, Timestamp};
 use crate::service::reply::ExportedFile;
 use crate::service::{Command, Event, Failure, KeyKind, Reply};
 
@@ -121,7 +121,7 @@ pub enum Tag {
     /// End of the watching of a topic.
     Unwatch(String),
     /// A grant.
-    Grant(Address),
+    Grant(Party),
     /// A revoke.
     Revoke(Address),
     /// Loading of a key.

@@ -41,7 +41,7 @@ pub fn revoke(state: &State, row: &GrantRow) -> Confirm {
         String::new(),
     ];
     lines.extend(readers(state, "Who can read afterwards:", Some(row)));
-    let errand = Errand { command: Command::Revoke { grantee: row.grantee }, tag: Tag::Revoke(row.grantee) };
+    let errand = Errand { command: Command::Revoke { grantee: row.grantee.into() }, tag: Tag::Revoke(row.grantee) };
     Confirm { title: format!("Revoke {}?", row.grantee.short()), lines, yes: "revoke", errand }
 }
 

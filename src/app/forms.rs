@@ -6,7 +6,7 @@ use super::action::{Errand, Tag};
 use super::field::Field;
 use super::form::{Form, Line};
 use super::when;
-use crate::model::{Address, Timestamp, TopicName, grant::MOST_TOPICS};
+use crate::model::{Address, Party, Timestamp, TopicName, grant::MOST_TOPICS};
 use crate::service::{Command, Epochs, KeyKind, SecretText};
 
 /// The shortest passphrase taken for a new keyring, characters.
@@ -60,7 +60,7 @@ pub fn read_unlock(form: &Form) -> Result<Errand, (usize, String)> {
 /// Asks whom to grant what.
 pub fn grant(topics: &[String]) -> Form {
     let lines = vec![
-        Line::text("Address", "0x and 40 hex, from the reader's Keys screen", Field::default()),
+        Line::text("Address", "0x and 40 hex, or a name of the address book", Field::default()),
         Line::text("Topics", "empty = all topics; else names", Field::with(&topics.join(" "))),
         Line::text("Ends", "empty = no end; 30d, 12h, 2026-12-31", Field::default()),
         Line::choice("Records", EPOCH_WORDS),
@@ -73,7 +73,7 @@ pub fn grant(topics: &[String]) -> Form {
 #[derive(Debug, Clone)]
 pub struct GrantWish {
     /// Who may read.
-    pub grantee: Address,
+    pub grantee: Party,
     /// Only these; empty = all.
     pub topics: Vec<TopicName>,
     /// Which epochs.
@@ -86,7 +86,8 @@ impl GrantWish {
     /// The command with these terms.
     pub fn errand(self) -> Errand {
         let Self { grantee, topics, epochs, expires } = self;
-        Errand { command: Command::Grant { grantee, topics, epochs, expires }, tag: Tag::Grant(grantee) }
+        let tag = Tag::Grant(grantee.clone());
+        Errand { command: Command::Grant { grantee, topics, epochs, expires }, tag }
     }
 }
 
@@ -95,8 +96,8 @@ impl GrantWish {
 /// # Errors
 /// The line that is wrong, and why.
 pub fn read_grant(form: &Form, own: Option<Address>, now: Timestamp) -> Result<GrantWish, (usize, String)> {
-    let grantee: Address = form.text(0).trim().parse().map_err(|error| (0, format!("{error}")))?;
-    if Some(grantee) == own {
+    let grantee: Party = form.text(0).trim().parse().map_err(|error| (0, format!("{error}")))?;
+    if grantee.address().is_some_and(|address| Some(address) == own) {
         return Err((0, "that is your own address; write the reader's".to_owned()));
     }
     let names = form.text(1).split([' ', ',']).filter(|name| !name.is_empty());

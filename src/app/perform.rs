@@ -27,7 +27,7 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Details => details(state),
         Verb::Open => record(state, Tag::Open, |id| Command::OpenShared { id }, Need::Unlocked),
         Verb::Check => send_for_row(state, Tag::Check, |id| Command::CheckShared { id }),
-        Verb::Export => send_for_row(state, Tag::Export, |id| Command::ExportUpload { id }),
+        Verb::Export => send_for_row(state, Tag::Export, |id| Command::ExportUpload { id, addresses: false }),
         Verb::CreateIdentity | Verb::Register => identity_path::run(state, Need::Registered, Vec::new()),
         Verb::Unlock => identity_path::run(state, Need::Unlocked, Vec::new()),
         Verb::Copy => copied(state).map_or_else(Vec::new, |text| vec![copy(state, text)]),

@@ -12,6 +12,7 @@ use super::screens::log::MOST_AUDIT;
 use super::state::State;
 use super::verb::{Verb, verb_for};
 use crate::model::Timestamp;
+use crate::service::command::AuditQuery;
 use crate::service::{Command, Event, Part};
 
 /// The first effects of a console: claim the profile, ask for what is on screen.
@@ -151,7 +152,7 @@ fn question(state: &State, feed: Feed) -> Option<Command> {
         Feed::Identity => Some(Command::ShowIdentity),
         Feed::Topics => Some(Command::ListTopics),
         Feed::Chain => Some(Command::ChainStatus),
-        Feed::Audit => Some(Command::ListAudit { limit: MOST_AUDIT }),
+        Feed::Audit => Some(Command::ListAudit(AuditQuery { limit: MOST_AUDIT, ..AuditQuery::default() })),
         Feed::Keys => exists.then_some(Command::ListKeys),
         Feed::Grants => exists.then_some(Command::ListGrants),
         Feed::Uploads => exists.then(|| Command::ListUploads(state.uploads.query(&state.topics.rows, rows))),

@@ -93,6 +93,7 @@ pub fn devices(rows: &[DeviceRow]) -> String {
     let row = |row: &DeviceRow| {
         vec![
             row.device.to_string(),
+            row.fingerprint.clone(),
             row.state.clone(),
             row.from.to_string(),
             or_dash(row.until.map(|until| until.to_string())),
@@ -100,7 +101,7 @@ pub fn devices(rows: &[DeviceRow]) -> String {
         ]
     };
     let rows: Vec<Vec<String>> = rows.iter().map(row).collect();
-    table(&["device", "state", "from block", "until", "recalled at"], &rows)
+    table(&["device", "fingerprint", "state", "from block", "until", "recalled at"], &rows)
 }
 
 #[cfg(test)]

@@ -62,7 +62,7 @@ pub async fn enrol(context: Context, arguments: EnrolArguments, output: &Output)
             view.name,
             view.device,
             view.gateway,
-            Fingerprint::of_id(&view.gateway_key),
+            Fingerprint::of_signer(&view.gateway_key),
             out.display()
         )
     });

@@ -69,6 +69,15 @@ pub struct Global {
     /// rustcrypto or libsm
     #[arg(long, global = true, value_name = "NAME")]
     pub crypto_provider: Option<String>,
+    /// Join a remote site through its gateway: records and chain come from there
+    #[arg(long, global = true, value_name = "HOST:PORT")]
+    pub site: Option<String>,
+    /// Fingerprint of that gateway's identity key, as its operator tells it
+    #[arg(long, global = true, value_name = "FINGERPRINT", conflicts_with = "trust_first")]
+    pub gateway_key: Option<String>,
+    /// Pin whatever gateway answers the first time
+    #[arg(long, global = true)]
+    pub trust_first: bool,
     /// batch (Merkle roots) or each (one transaction per record)
     #[arg(long, global = true, value_name = "MODE")]
     pub anchor_mode: Option<String>,
@@ -87,6 +96,9 @@ impl Global {
             "confirmations" => self.confirmations.clone(),
             "crypto.provider" => self.crypto_provider.clone(),
             "anchor.mode" => self.anchor_mode.clone(),
+            "site.address" => self.site.clone(),
+            "site.gateway_key" => self.gateway_key.clone(),
+            "site.trust_first" => self.trust_first.then(|| "yes".to_owned()),
             _ => None,
         }
     }
@@ -115,7 +127,7 @@ pub enum Verb {
     Grant(GrantArguments),
     /// Stop sharing with an account (begins a new epoch)
     Revoke {
-        /// Account, as 0x and 40 hex
+        /// Account, as 0x and 40 hex, or a name of the address book
         address: String,
     },
     /// Grants given and received
@@ -133,6 +145,12 @@ pub enum Verb {
     /// The chain
     #[command(subcommand)]
     Chain(ChainVerb),
+    /// Address book: names for accounts, and the keys they are known by
+    #[command(subcommand)]
+    Contacts(super::parties::ContactsVerb),
+    /// Who did what: list, verify, export
+    #[command(subcommand)]
+    Audit(super::audit::AuditVerb),
     /// Settings and where they come from
     #[command(subcommand)]
     Config(ConfigVerb),
@@ -156,6 +174,14 @@ pub enum IdentityVerb {
     Create,
     /// Show the public identity
     Show,
+    /// Whether a fingerprint is that of this profile's key, or of an account's
+    Compare {
+        /// Eight groups of four hex characters, in quotes or without spaces
+        fingerprint: String,
+        /// Account, or its name [default: this profile]
+        #[arg(long, value_name = "ADDRESS_OR_NAME")]
+        account: Option<String>,
+    },
 }
 
 /// Which key to export.
@@ -258,8 +284,8 @@ pub struct ListArguments {
     /// Kind of record: data, definition, …
     #[arg(long, value_name = "KIND")]
     pub kind: Option<String>,
-    /// Only of this owner (shared)
-    #[arg(long, value_name = "ADDRESS")]
+    /// Only of this owner (shared), or of that name
+    #[arg(long, value_name = "ADDRESS_OR_NAME")]
     pub owner: Option<String>,
     /// Captured at or after, RFC 3339
     #[arg(long, value_name = "TIME")]
@@ -298,6 +324,9 @@ pub enum UploadsVerb {
         /// Directory to write record.bin, signature.bin, signer.pem, proof.json to
         #[arg(long, value_name = "DIR")]
         dir: PathBuf,
+        /// Addresses in full in proof.json; the record itself holds its owner's in any case
+        #[arg(long)]
+        addresses: bool,
     },
 }
 
@@ -313,8 +342,12 @@ pub enum EpochsChoice {
 /// `grant …`
 #[derive(Debug, Args)]
 pub struct GrantArguments {
-    /// Account to share with, as 0x and 40 hex
-    pub address: String,
+    /// Account to share with, as 0x and 40 hex, or a name of the address book
+    #[arg(required_unless_present = "to")]
+    pub address: Option<String>,
+    /// The same, by its own flag
+    #[arg(long, value_name = "ADDRESS_OR_NAME", conflicts_with = "address")]
+    pub to: Option<String>,
     /// Only this topic; may be repeated [default: all topics]
     #[arg(long = "topic", value_name = "TOPIC")]
     pub topics: Vec<String>,

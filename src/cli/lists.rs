@@ -1,6 +1,7 @@
 //! Results as text for people.
 
 use super::output::table;
+use super::parties;
 use crate::config::SettingView;
 use crate::model::{Address, Verdict};
 use crate::pipeline::sender::LaneState;
@@ -107,10 +108,13 @@ pub fn records(page: &RecordPage) -> String {
                 record.captured_at.to_string(),
                 or_dash(record.block),
                 if record.simulated { "SIMULATED" } else { "" }.to_owned(),
+                record.owner.map(|owner| parties::named(owner, record.owner_name.as_ref())).unwrap_or_default(),
             ]
         })
         .collect();
-    let list = table(&["id", "seq", "topic", "state", "bytes", "captured", "block", ""], &rows);
+    let shared = page.records.iter().any(|record| record.owner.is_some());
+    let owner = if shared { "owner" } else { "" };
+    let list = table(&["id", "seq", "topic", "state", "bytes", "captured", "block", "", owner], &rows);
     match &page.next {
         Some(next) => format!("{list}\nmore: --after {next}"),
         None => list,
@@ -130,7 +134,8 @@ pub fn grants(rows: &[GrantRow]) -> String {
     let row = |row: &GrantRow| {
         vec![
             row.direction.clone(),
-            if row.direction == "given" { row.grantee } else { row.owner }.to_string(),
+            parties::named(if row.direction == "given" { row.grantee } else { row.owner }, row.name.as_ref()),
+            or_dash(row.fingerprint.as_ref()),
             row.state.clone(),
             row.epoch.to_string(),
             or_dash(row.expires),
@@ -138,7 +143,7 @@ pub fn grants(rows: &[GrantRow]) -> String {
         ]
     };
     let rows: Vec<Vec<String>> = rows.iter().map(row).collect();
-    table(&["", "account", "state", "epoch", "expires", "topics"], &rows)
+    table(&["", "account", "SM2 fingerprint", "state", "epoch", "expires", "topics"], &rows)
 }
 
 /// The chain.
@@ -159,6 +164,8 @@ pub fn chain(view: &ChainView) -> String {
         ("difficulty", or_dash(view.sealing.difficulty.as_ref().map(|hashes| format!("{hashes} hashes a block")))),
         ("sealers", listed(&view.sealing.sealers)),
     ];
+    rows.extend(view.through.clone().map(|text| ("seen", text)));
+    rows.extend(parties::administration(&view.administration));
     rows.extend(view.lanes.iter().filter_map(paused));
     pairs(&rows)
 }

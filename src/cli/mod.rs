@@ -6,6 +6,7 @@
 mod adopt;
 mod agent;
 pub mod args;
+mod audit;
 mod bench;
 mod capture;
 mod chain;
@@ -17,6 +18,7 @@ mod gateway;
 mod lists;
 mod output;
 mod parse;
+mod parties;
 mod passphrase;
 mod serve;
 mod verbs;

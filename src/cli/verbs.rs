@@ -6,9 +6,10 @@ use super::args::{
     ChainVerb, ConfigVerb, EpochsChoice, ExportKind, GrantArguments, GrantsVerb, IdentityVerb, KeysVerb, SharedVerb,
     TopicsVerb, UploadsVerb, Verb,
 };
+use super::audit::AuditVerb;
 use super::connect::{Context, ProfileNeed};
 use super::output::Output;
-use super::{lists, parse, passphrase};
+use super::{lists, parse, parties, passphrase};
 use crate::crypto::private_file;
 use crate::model::{ErrorKind, Timestamp};
 use crate::service::{Command, Epochs, Failure, KeyKind, Needs, Reply, SecretText};
@@ -69,6 +70,12 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
             Plan::new(NEITHER, NoProfile, Command::CreateIdentity { passphrase })
         }
         Verb::Identity(IdentityVerb::Show) => Plan::new(CHAIN, NoProfile, Command::ShowIdentity),
+        Verb::Identity(IdentityVerb::Compare { fingerprint, account }) => {
+            let needs = if account.is_some() { CHAIN } else { NEITHER };
+            let account = account.as_deref().map(parse::value).transpose()?;
+            Plan::new(needs, NoProfile, Command::CompareFingerprint { fingerprint, account })
+        }
+        Verb::Contacts(verb) => Plan::new(CHAIN, NoProfile, parties::contacts(verb)?),
         Verb::Register => Plan::new(CHAIN, Made, Command::Register),
         Verb::Keys(verb) => keys(verb)?,
         Verb::Topics(TopicsVerb::List) => Plan::new(ROS, NoProfile, Command::ListTopics),
@@ -83,8 +90,8 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
             Plan::new(NEITHER, NoProfile, Command::ListUploads(parse::query(&list)?))
         }
         Verb::Uploads(UploadsVerb::Show { id }) => Plan::new(CHAIN, NoProfile, Command::ShowUpload { id }),
-        Verb::Uploads(UploadsVerb::Export { id, dir }) => {
-            Plan { out: Some(dir), ..Plan::new(CHAIN, Unlocked, Command::ExportUpload { id }) }
+        Verb::Uploads(UploadsVerb::Export { id, dir, addresses }) => {
+            Plan { out: Some(dir), ..Plan::new(CHAIN, Unlocked, Command::ExportUpload { id, addresses }) }
         }
         Verb::Grant(arguments) => Plan::new(CHAIN, Unlocked, grant(&arguments)?),
         Verb::Revoke { address } => Plan::new(CHAIN, Unlocked, Command::Revoke { grantee: parse::value(&address)? }),
@@ -97,9 +104,13 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
         Verb::Chain(ChainVerb::Status) => Plan::new(CHAIN, NoProfile, Command::ChainStatus),
         Verb::Chain(ChainVerb::Adopt) => Plan::new(CHAIN, Unlocked, Command::AdoptChain),
         Verb::Devices(verb) => Plan::new(CHAIN, Unlocked, super::adopt::command(&verb)?),
+        Verb::Audit(verb) => audit(&verb)?,
         Verb::Chain(ChainVerb::Deploy) => Plan::new(CHAIN, Made, Command::DeployContract),
-        Verb::Chain(ChainVerb::Serve { .. } | ChainVerb::Genesis(_))
-        | Verb::Agent(_)
+        Verb::Chain(verb) => {
+            let command = parties::act(&verb)?.ok_or_else(super::connect::unexpected)?;
+            Plan::new(CHAIN, Unlocked, command)
+        }
+        Verb::Agent(_)
         | Verb::Config(_)
         | Verb::Capture(_)
         | Verb::Serve
@@ -108,6 +119,19 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
         | Verb::Bench(_)
         | Verb::Console(_) => {
             return Err(super::connect::unexpected());
+        }
+    })
+}
+
+fn audit(verb: &AuditVerb) -> Result<Plan, Failure> {
+    let command = super::audit::query(verb)?;
+    Ok(match verb {
+        AuditVerb::List { .. } | AuditVerb::Verify { without_heads: true } => {
+            Plan::new(NEITHER, ProfileNeed::None, command)
+        }
+        AuditVerb::Verify { .. } => Plan::new(CHAIN, ProfileNeed::Unlocked, command),
+        AuditVerb::Export { dir, .. } => {
+            Plan { out: Some(dir.clone()), ..Plan::new(NEITHER, ProfileNeed::Unlocked, command) }
         }
     })
 }
@@ -154,7 +178,7 @@ fn grant(arguments: &GrantArguments) -> Result<Command, Failure> {
         None => None,
     };
     Ok(Command::Grant {
-        grantee: parse::value(&arguments.address)?,
+        grantee: parse::value(arguments.address.as_deref().or(arguments.to.as_deref()).unwrap_or_default())?,
         topics: parse::values(&arguments.topics)?,
         epochs: match arguments.epochs {
             EpochsChoice::Current => Epochs::Current,
@@ -179,6 +203,20 @@ fn show(reply: Reply, out: Option<&Path>, output: &Output) -> Result<u8, Failure
         }
         Reply::Chain(view) => output.result(&view, || lists::chain(&view)),
         Reply::Deployed(view) => output.result(&view, || lists::deployed(&view)),
+        Reply::Contacts(rows) => {
+            output.result(&serde_json::json!({ "contacts": rows }), || parties::contact_table(&rows));
+        }
+        Reply::Compared(view) => {
+            output.result(&view, || parties::comparison(&view));
+            return Ok(parties::comparison_code(&view));
+        }
+        Reply::Audit(lines) => {
+            output.result(&serde_json::json!({ "audit": lines }), || super::audit::lines(&lines));
+        }
+        Reply::AuditChecked(check) => {
+            output.result(&check, || super::audit::check(&check));
+            return Ok(super::audit::code(&check));
+        }
         Reply::Check(view) => {
             output.result(&view, || format!("{}: {}", view.id, view.verdict.word()));
             return Ok(lists::verdict_code(view.verdict));
@@ -210,12 +248,7 @@ fn show(reply: Reply, out: Option<&Path>, output: &Output) -> Result<u8, Failure
                 format!("written to {} (0600)", path.display())
             });
         }
-        Reply::Enrolled(_)
-        | Reply::Captured(_)
-        | Reply::Served(_)
-        | Reply::Gateway(_)
-        | Reply::Site(_)
-        | Reply::Audit(_) => {
+        Reply::Enrolled(_) | Reply::Captured(_) | Reply::Served(_) | Reply::Gateway(_) | Reply::Site(_) => {
             return Err(super::connect::unexpected());
         }
     }

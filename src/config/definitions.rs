@@ -14,7 +14,7 @@ pub struct Definition {
 }
 
 /// Every setting, in the order shown.
-pub const DEFINITIONS: [Definition; 13] = [
+pub const DEFINITIONS: [Definition; 17] = [
     Definition {
         name: "ros.master",
         variable: "ROS_MASTER_URI",
@@ -88,9 +88,33 @@ pub const DEFINITIONS: [Definition; 13] = [
         text: "accounts that anchor side by side, the owner's included, 1 to 8",
     },
     Definition {
+        name: "audit.anchor_every",
+        variable: "AUTHROS_AUDIT_ANCHOR_EVERY",
+        default: "60",
+        text: "seconds after which a changed audit log's head is anchored, 1 to 86400",
+    },
+    Definition {
         name: "confirmations",
         variable: "AUTHROS_CONFIRMATIONS",
         default: "1",
         text: "blocks until an anchor counts as confirmed, its own included, 1 to 1000",
+    },
+    Definition {
+        name: "site.address",
+        variable: "AUTHROS_SITE",
+        default: "",
+        text: "gateway of a remote site to join, as HOST:PORT; chain and records come through it; empty = no gateway",
+    },
+    Definition {
+        name: "site.gateway_key",
+        variable: "AUTHROS_GATEWAY_KEY",
+        default: "",
+        text: "fingerprint of that gateway's identity key, 64 hex; compare it with its operator",
+    },
+    Definition {
+        name: "site.trust_first",
+        variable: "AUTHROS_TRUST_FIRST",
+        default: "no",
+        text: "yes = pin whatever gateway answers the first time",
     },
 ];

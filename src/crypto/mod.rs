@@ -27,6 +27,7 @@ pub mod record;
 mod rustcrypto;
 pub mod secret;
 pub mod sm3;
+pub mod transport_file;
 
 #[cfg(test)]
 mod differential_tests;
@@ -54,6 +55,7 @@ pub use provider::{Provider, ProviderName, provider};
 pub use random::random_bytes;
 pub use record::{Anchor, Expected, OpenedRecord, SealRequest, SealedRecord, check, open, seal};
 pub use secret::{
-    EoaSecret, EpochKey, EpochSalt, Fingerprint, IndexKey, Sm4Key, SmKeyPair, SmSecret, TopicKey, TransportKey,
+    EoaSecret, EpochKey, EpochSalt, Fingerprint, FingerprintError, IndexKey, Sm4Key, SmKeyPair, SmSecret, TopicKey,
+    TransportKey,
 };
 pub use sm3::Sm3Hasher;

@@ -13,7 +13,7 @@ mod eoa;
 mod sm2_secret;
 
 pub use eoa::EoaSecret;
-pub use sm2_secret::{Fingerprint, SmKeyPair, SmSecret};
+pub use sm2_secret::{Fingerprint, FingerprintError, SmKeyPair, SmSecret};
 pub(super) use sm2_secret::{ORDER, uncompressed, unprefixed};
 
 macro_rules! secret_bytes {

@@ -13,10 +13,10 @@ use crate::model::wire::WireError;
 use crate::model::{Digest, Timestamp};
 
 use super::code::{Code, Refusal};
-use super::command::{Answer, Inner, Speaker, split};
+use super::command::{Answer, Command, Inner, Speaker, split};
 use super::desk::{Caller, Desk};
 use super::frame::FrameKind;
-use super::hello::{Context, GatewayHello, Identified, ListSummary, Purpose};
+use super::hello::{Context, GatewayHello, Identified, ListSummary, NetworkName, Purpose};
 use super::limits::{Charge, Limits, Peers, Seat};
 use super::line::{Line, LineError};
 use super::parts::Assembler;
@@ -145,12 +145,27 @@ impl Connection {
     }
 
     async fn hello(&mut self, deadline: Instant) -> Result<Identified, End> {
-        let payload = self.expect(FrameKind::Hello, deadline).await?;
+        let payload = match self.next(deadline, None).await? {
+            Next::Frame(FrameKind::Hello, payload) => payload,
+            Next::Frame(FrameKind::Inquiry, payload) => {
+                self.tell_network(&payload).await?;
+                self.expect(FrameKind::Hello, deadline).await?
+            }
+            _ => return Err(Refusal::new(Code::Malformed, "a frame that is no hello").into()),
+        };
         let (list, _) = self.shared.list();
         let (answer, hello) = GatewayHello::answer(self.shared.context, &self.shared.identity, list, &payload)?;
         self.line.send(FrameKind::Answer, &answer, self.shared.limits().write_time).await?;
         let payload = self.expect(FrameKind::Identify, deadline).await?;
         Ok(hello.identified(&payload)?)
+    }
+
+    async fn tell_network(&mut self, payload: &[u8]) -> Result<(), End> {
+        if payload != NetworkName::INQUIRY {
+            return Err(Refusal::new(Code::Version, "an inquiry of another version").into());
+        }
+        let network = self.shared.desk.network_name().await?;
+        Ok(self.line.send(FrameKind::Network, &network.encode(), self.shared.limits().write_time).await?)
     }
 
     async fn expect(&mut self, wanted: FrameKind, deadline: Instant) -> Result<Vec<u8>, End> {
@@ -204,34 +219,60 @@ impl Connection {
         request: u32,
         outcome: Result<Answer, Refusal>,
     ) -> Result<(), End> {
-        let answer = match outcome {
-            Ok(answer) => answer,
+        let charged = outcome.and_then(|answer| {
+            // The chain's answers are the chain's to bound: their memory is on the account of whoever asked.
+            let length = answer.relayed_length();
+            let charge = if length > 0 { Some(self.seat.charge(length)?) } else { None };
+            Ok((answer, charge))
+        });
+        let (answer, _charge) = match charged {
+            Ok(charged) => charged,
             Err(refusal) if refusal.code.ends_session() => return Err(refusal.into()),
             Err(refusal) => {
                 self.shared.desk.refused(self.peer, &refusal);
-                Answer::Refused(refusal.code)
+                (Answer::Refused(refusal.code), None)
             }
         };
-        self.send(session, request, &answer).await
+        self.send(session, request, &answer).await?;
+        // What was sent delays what is read next.
+        self.seat.pace(std::time::Instant::now(), answer.relayed_length());
+        Ok(())
     }
 
-    /// A session without a transport key: small frames, few of them, soon over.
+    /// A session without a transport key: small frames, few of them, soon over; longer only where it reads the chain.
     async fn allocation(&mut self, identified: Identified) -> Result<(), End> {
-        let deadline = Instant::now() + self.shared.limits().hello_time * ALLOCATION_PATIENCE;
+        let patience = self.shared.limits().hello_time * ALLOCATION_PATIENCE;
+        let end = Instant::now() + self.shared.limits().visit_time;
         let (agreed, name) = (identified.agreed(), identified.name().clone());
         let mut session = identified.session(None);
-        for _ in 0..MOST_ALLOCATION_FRAMES {
+        let (mut deadline, mut frames) = (Instant::now() + patience, 0);
+        while frames < MOST_ALLOCATION_FRAMES {
             let payload = self.expect(FrameKind::Transfer, deadline).await?;
+            self.pace(payload.len()).await;
             let (counter, text) = session.open(&payload)?;
             let inner = Inner::from_client(&text)?;
             let message = Assembler::<()>::new().take(&inner, counter, |_| {
                 Err(Refusal::new(Code::Length, "a message in parts in a session for allocation"))
             })?;
             let Some(message) = message else { continue };
+            if message.command == Command::Relay {
+                self.seat.visit()?;
+                deadline = end.min(Instant::now() + patience);
+            } else {
+                frames += 1;
+            }
             let outcome = self.shared.allocation_answer(&agreed, &name, &message).await;
             self.reply(&mut session, message.request, outcome).await?;
         }
         Err(Refusal::new(Code::Session, "the session for allocation is over").into())
+    }
+
+    /// Counts what came, and waits where the peer sends more than it may.
+    async fn pace(&self, bytes: usize) {
+        let pause = self.seat.pace(std::time::Instant::now(), bytes);
+        if pause > Duration::ZERO {
+            sleep(pause.min(self.shared.limits().frame_time)).await;
+        }
     }
 
     /// A session under a transport key.
@@ -257,10 +298,7 @@ impl Connection {
             }
             match next? {
                 Next::Frame(FrameKind::Transfer, payload) => {
-                    let pause = self.seat.pace(std::time::Instant::now(), payload.len());
-                    if pause > Duration::ZERO {
-                        sleep(pause.min(self.shared.limits().frame_time)).await;
-                    }
+                    self.pace(payload.len()).await;
                     let (counter, text) = session.open(&payload)?;
                     self.frame(&mut session, &mut desk, &mut assembler, counter, &text).await?;
                 }

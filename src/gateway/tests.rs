@@ -4,8 +4,9 @@ mod fixtures;
 mod hostile;
 mod loopback;
 mod memory_desk;
+mod relaying;
 mod vectors;
 
 pub(crate) use fixtures::{Member, context, pair};
-pub(super) use fixtures::{greet, sample_answers, sample_requests, sessions};
+pub(super) use fixtures::{greet, network, sample_answers, sample_requests, sessions};
 pub(crate) use loopback::Stage;

@@ -42,11 +42,38 @@ impl Address {
         &self.0
     }
 
+    /// `0x1234…`: as in files for others, who are not to tie an account to what the file tells.
+    pub fn redacted(&self) -> String {
+        format!("{}…", self.to_string().get(..6).unwrap_or_default())
+    }
+
     /// `0x1234…abcd`, for narrow columns.
     pub fn short(&self) -> String {
         let text = self.to_string();
         format!("{}…{}", &text[..6], &text[38..])
     }
+}
+
+/// The text with every address in it [`Address::redacted`]; hashes and keys, which are longer, stay.
+pub fn redact_addresses(text: &str) -> String {
+    let mut out = String::with_capacity(text.len());
+    let mut rest = text;
+    while let Some(at) = rest.find("0x") {
+        let (before, from) = rest.split_at(at);
+        let digits = from.bytes().skip(2).take_while(u8::is_ascii_hexdigit).count();
+        let whole = from.get(..2 + digits).unwrap_or(from);
+        out.push_str(before);
+        match (digits, whole.get(..6)) {
+            (40, Some(first)) => {
+                out.push_str(first);
+                out.push('…');
+            }
+            _ => out.push_str(whole),
+        }
+        rest = from.get(whole.len()..).unwrap_or_default();
+    }
+    out.push_str(rest);
+    out
 }
 
 impl fmt::Display for Address {

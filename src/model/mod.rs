@@ -6,6 +6,7 @@
 pub mod address;
 pub mod adoption;
 pub mod anchor_mode;
+pub mod audit_head;
 pub mod bytes;
 pub mod consensus;
 pub mod display;
@@ -15,13 +16,15 @@ pub mod head;
 pub mod header;
 pub mod identity;
 pub mod instant;
+pub mod party;
 pub mod profile;
 pub mod state;
 pub mod topic;
 pub mod wire;
 
-pub use address::Address;
+pub use address::{Address, redact_addresses};
 pub use anchor_mode::AnchorMode;
+pub use audit_head::AuditHead;
 pub use bytes::{
     Commit, Digest, Domain, FilterId, Hash, PublicKey, RecorderId, Salt, Signature, SignerId, Token, TopicId,
 };
@@ -33,6 +36,7 @@ pub use head::Head;
 pub use header::{Header, RecordKind};
 pub use identity::Identity;
 pub use instant::Timestamp;
+pub use party::{ContactName, Party};
 pub use profile::ProfileName;
 pub use state::{RecordState, Verdict};
 pub use topic::{TopicName, TypeName};

@@ -5,14 +5,14 @@ use serde::{Deserialize, Serialize};
 use tokio::task::block_in_place;
 
 use crate::chain::{Call, Pin};
-use crate::crypto::{SealRequest, domain, seal};
+use crate::crypto::domain;
 use crate::model::adoption::Adoption;
-use crate::model::head::Compression;
-use crate::model::{Digest, Domain, Head, Header, RecordKind, RecordState, Timestamp, Token};
-use crate::store::{Anchors, Ledger, NewRecord, RecordRow, StoreError};
+use crate::model::{Digest, Domain, Header, RecordKind, RecordState, Timestamp, Token};
+use crate::store::{Anchors, Ledger, RecordRow, StoreError};
 
 use super::directory::Account;
 use super::sender::Outgoing;
+use super::statement::{self, Statement};
 use super::{Network, Owner, PipelineError, Plant, Sender};
 
 /// Where the steps lie in the ledger.
@@ -192,58 +192,7 @@ fn seal_word(plant: &Plant, network: &Network, owner: &Owner, step: &Step) -> Re
         others: counts.pending(),
     };
     let body = adoption.encode();
-    let Some(topic) = keys.topic(TOPIC) else { return Ok(None) };
-    let head = Head {
-        topic: TOPIC.to_owned(),
-        type_name: "authros/Adoption".to_owned(),
-        md5sum: String::new(),
-        definition: Digest([0; 32]),
-        caller_id: String::new(),
-        boot_id: [0; 16],
-        compression: Compression::None,
-        plain_length: body.len() as u64,
-        tags: std::collections::BTreeMap::new(),
-    };
-    let seq = plant.ledger.next_seq(owner.address, topic.id)?;
-    let captured_at = Timestamp::now();
-    let request = SealRequest {
-        domain: keys.domain,
-        owner: owner.address,
-        signer: &keys.signing,
-        epoch: keys.epoch,
-        topic_key: &topic.key,
-        recorder: plant.ledger.recorder(),
-        seq,
-        topic_id: topic.id,
-        kind: RecordKind::Adoption,
-        filters: Vec::new(),
-        captured_at,
-        head: &head,
-        body: &body,
-    };
-    let sealed = seal(plant.provider, &request)?;
-    let durable = plant.vault.durable();
-    if durable {
-        plant.vault.put(&[(sealed.digest, &sealed.blob)])?;
-    }
-    plant.ledger.append(vec![NewRecord {
-        digest: sealed.digest,
-        owner: owner.address,
-        topic_id: topic.id,
-        seq,
-        foreign: None,
-        epoch: keys.epoch,
-        kind: RecordKind::Adoption,
-        signer: keys.signer,
-        signature: sealed.signature,
-        filters: Vec::new(),
-        topic: TOPIC.to_owned(),
-        type_name: head.type_name.clone(),
-        bytes: body.len() as u64,
-        captured_at,
-        simulated: false,
-        state: if durable { RecordState::Stored } else { RecordState::Sealed },
-        local_copy: (!durable).then_some(sealed.blob),
-    }])?;
-    Ok(Some(sealed.digest))
+    let type_name = "authros/Adoption";
+    let statement = Statement { kind: RecordKind::Adoption, topic: TOPIC, type_name, body: &body };
+    Ok(statement::state(plant, owner.address, &keys, statement)?)
 }

@@ -3,6 +3,8 @@
 //! Events are applied in chain order; applying one twice changes nothing. The state can be
 //! written down and read back, so that a restart scans only new blocks.
 
+mod administration;
+
 use std::collections::BTreeMap;
 use std::sync::{PoisonError, RwLock};
 
@@ -14,6 +16,10 @@ use crate::model::bytes::{hex, unhex};
 use crate::model::{Address, Domain, GrantTerms, Hash, Identity, PublicKey, SignerId, Timestamp, Token};
 
 use super::PipelineError;
+pub use administration::{Administration, Succession};
+
+/// How the state is written down; another one is read anew from the chain.
+const WRITTEN: u8 = 2;
 
 /// One identity of an account, valid from a block on.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -97,6 +103,7 @@ impl Granted {
 struct State {
     accounts: BTreeMap<Address, Account>,
     grants: Vec<Granted>,
+    administration: Administration,
     /// The block of the last event that changed anything.
     #[serde(default)]
     newest: u64,
@@ -117,8 +124,9 @@ impl Directory {
 
     /// What [`Self::write_down`] wrote; unreadable text gives an empty directory and `false`.
     pub fn read_back(&self, text: &str) -> bool {
-        let parsed: Option<(Domain, State)> = serde_json::from_str(text).ok();
-        let Some((_, state)) = parsed.filter(|(domain, _)| *domain == self.domain) else { return false };
+        let parsed: Option<(u8, Domain, State)> = serde_json::from_str(text).ok();
+        let known = parsed.filter(|(written, domain, _)| (*written, *domain) == (WRITTEN, self.domain));
+        let Some((_, _, state)) = known else { return false };
         *self.state.write().unwrap_or_else(PoisonError::into_inner) = state;
         true
     }
@@ -126,7 +134,7 @@ impl Directory {
     /// The whole state as JSON.
     pub fn write_down(&self) -> String {
         let state = self.state.read().unwrap_or_else(PoisonError::into_inner);
-        serde_json::to_string(&(self.domain, &*state)).unwrap_or_default()
+        serde_json::to_string(&(WRITTEN, self.domain, &*state)).unwrap_or_default()
     }
 
     /// An empty directory of the same network.
@@ -209,8 +217,10 @@ impl Directory {
             }
             Event::Suspended { account } => state.accounts.entry(*account).or_default().suspended = true,
             Event::Restored { account } => state.accounts.entry(*account).or_default().suspended = false,
+            Event::Succeeded { lost, .. } => state.accounts.entry(*lost).or_default().suspended = true,
             _ => {}
         }
+        state.administration.apply(at);
     }
 
     fn identify(&self, account: &mut Account, owner: Address, identity: &Identity, block: u64) {
@@ -258,6 +268,17 @@ impl Directory {
             .map(|identity| identity.signing)
     }
 
+    /// What the administrator decided.
+    pub fn administration(&self) -> Administration {
+        self.state.read().unwrap_or_else(PoisonError::into_inner).administration.clone()
+    }
+
+    /// The account that continues the work of `account`, which is lost; `None` where the administrator named none. A
+    /// successor that was lost as well is followed to its own.
+    pub fn successor(&self, account: Address) -> Option<Address> {
+        self.state.read().unwrap_or_else(PoisonError::into_inner).administration.successor(account)
+    }
+
     /// Whether `owner` had lent this device at `block` and `moment` (`None` = now).
     pub fn is_lent(&self, owner: Address, device: SignerId, block: Option<u64>, moment: Timestamp) -> bool {
         let state = self.state.read().unwrap_or_else(PoisonError::into_inner);
@@ -267,6 +288,16 @@ impl Directory {
             let recalled = lending.recalled.is_some_and(|recalled| block.is_none_or(|block| recalled <= block));
             lending.device == device && begun && !recalled && lending.until.is_none_or(|until| moment < until)
         })
+    }
+
+    /// The account whose signing key has this id now.
+    pub fn registered_as(&self, signer: SignerId) -> Option<Address> {
+        let state = self.state.read().unwrap_or_else(PoisonError::into_inner);
+        let has = |account: &Account| {
+            let now = account.identities.last();
+            now.is_some_and(|identity| identity.proven && signer_id(&identity.signing) == signer)
+        };
+        state.accounts.iter().find(|(_, account)| has(account)).map(|(address, _)| *address)
     }
 
     /// Whether the account ever registered this token.

@@ -5,6 +5,7 @@
 
 pub mod adoption;
 pub mod anchorer;
+pub mod audit_head;
 pub mod author;
 pub mod directory;
 pub mod epoch;
@@ -13,6 +14,7 @@ pub mod error;
 mod fixture;
 pub mod forwarder;
 pub mod meter;
+pub mod mirror;
 pub mod notices;
 pub mod owner;
 pub mod pace;
@@ -24,6 +26,7 @@ pub mod sealer;
 pub mod sender;
 pub mod session;
 pub mod signers;
+pub mod statement;
 pub mod storer;
 #[cfg(test)]
 mod tests;

@@ -122,7 +122,13 @@ impl Owner {
                 .or_insert_with(|| NetworkKeys { epochs: BTreeMap::new(), current: 0 });
             if let Entry::Vacant(place) = network.epochs.entry(epoch) {
                 place.insert(EpochSecret { salt: EpochSalt::generate()?, sm4, state: EpochState::Pending });
-                keyring.save()?;
+                if let Err(error) = keyring.save() {
+                    // What is not on the disk must not be taken for saved the next time.
+                    if let Some(network) = keyring.keyring.networks.get_mut(&domain) {
+                        network.epochs.remove(&epoch);
+                    }
+                    return Err(error.into());
+                }
             }
         }
         self.token(domain, epoch).ok_or(PipelineError::UnknownEpoch(epoch))

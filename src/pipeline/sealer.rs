@@ -226,6 +226,7 @@ impl Sealer {
     }
 
     fn acknowledge(&mut self, items: &[CapturedMessage], ready: Vec<Ready>) -> Result<(), PipelineError> {
+        self.plant.ledger.takes_records()?;
         if self.plant.vault.durable() {
             let entries: Vec<_> = ready.iter().map(|one| (one.sealed.digest, one.sealed.blob.as_slice())).collect();
             self.plant.vault.put(&entries)?;

@@ -5,7 +5,11 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 use zeroize::{Zeroize, ZeroizeOnDrop};
 
-use crate::model::{Address, ProfileName, RecordKind, RecordState, SignerId, Timestamp, TopicName, TypeName};
+use crate::model::{
+    Address, ContactName, Party, ProfileName, RecordKind, RecordState, SignerId, Timestamp, TopicName, TypeName,
+};
+
+pub use crate::store::AuditQuery;
 
 /// A secret text on its way to the site of the same user: a passphrase. Never in Debug.
 #[derive(Clone, Serialize, Deserialize, Zeroize, ZeroizeOnDrop)]
@@ -80,7 +84,7 @@ pub enum Epochs {
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct UploadQuery {
     /// Only of this owner (shared records).
-    pub owner: Option<Address>,
+    pub owner: Option<Party>,
     /// Only of this topic.
     pub topic: Option<TopicName>,
     /// Only of this kind; `None` = captured messages.
@@ -97,6 +101,51 @@ pub struct UploadQuery {
     pub limit: usize,
     /// Newest first (console) instead of oldest first.
     pub newest_first: bool,
+}
+
+/// What the contract's administrator does.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", tag = "act")]
+pub enum Administration {
+    /// Lets an account register while registration is closed.
+    Admit {
+        /// Who.
+        account: Party,
+    },
+    /// Stops an account's changes but those that take rights away.
+    Suspend {
+        /// Who.
+        account: Party,
+    },
+    /// Frees a suspended account.
+    Restore {
+        /// Who.
+        account: Party,
+    },
+    /// Opens registration to all, or closes it.
+    Open {
+        /// Whether anyone may register.
+        open: bool,
+    },
+    /// Stops all changes but those that take rights away, or lets them go on.
+    Pause {
+        /// Whether they are stopped.
+        paused: bool,
+    },
+    /// Names the account that continues for a lost one.
+    Succeed {
+        /// The account whose key is lost.
+        lost: Party,
+        /// Who continues.
+        successor: Party,
+    },
+    /// Names the next administrator.
+    HandOver {
+        /// Who.
+        account: Party,
+    },
+    /// Takes over, as the one that was named.
+    Accept,
 }
 
 /// One thing asked of the site, for one profile.
@@ -177,11 +226,14 @@ pub enum Command {
     ExportUpload {
         /// Its id.
         id: String,
+        /// With addresses in full.
+        #[serde(default)]
+        addresses: bool,
     },
     /// Share with another account.
     Grant {
         /// Who may read.
-        grantee: Address,
+        grantee: Party,
         /// Only these topics; empty = all.
         topics: Vec<TopicName>,
         /// Which epochs.
@@ -192,7 +244,7 @@ pub enum Command {
     /// Stop sharing with an account; begins a new epoch.
     Revoke {
         /// Who may no longer read.
-        grantee: Address,
+        grantee: Party,
     },
     /// Grants given and received.
     ListGrants,
@@ -224,6 +276,38 @@ pub enum Command {
     EnrolDevice(super::site::EnrolWishes),
     /// Devices lent and recalled.
     ListDevices,
+    /// A fingerprint beside that of an account's registered key.
+    CompareFingerprint {
+        /// As a person was told it.
+        fingerprint: String,
+        /// Whose; `None` = this profile's own.
+        account: Option<Party>,
+    },
+    /// The address book of this home.
+    ListContacts,
+    /// Enter an account.
+    AddContact {
+        /// Its name here.
+        name: ContactName,
+        /// Its address.
+        address: Address,
+        /// Of its SM2 key, as a person was told it.
+        fingerprint: Option<String>,
+    },
+    /// Take an account out.
+    RemoveContact {
+        /// Its name.
+        name: ContactName,
+    },
+    /// Take the key that an account has registered now for the right one.
+    ConfirmContact {
+        /// Its name.
+        name: ContactName,
+        /// Only where it has this fingerprint.
+        fingerprint: Option<String>,
+    },
+    /// An act of the contract's administrator.
+    Administer(Administration),
     /// The chain as seen by this profile.
     ChainStatus,
     /// Go on with the chain that is there now instead of the pinned one.
@@ -243,10 +327,17 @@ pub enum Command {
     },
     /// Health, counts and alerts of the whole site.
     SiteStatus,
-    /// The newest audit lines.
-    ListAudit {
-        /// At most so many.
-        limit: usize,
+    /// The newest audit lines that match.
+    ListAudit(AuditQuery),
+    /// Recompute the whole audit log; compare it with the heads that this profile anchored.
+    VerifyAudit {
+        /// Also the anchored heads: needs the keyring open.
+        heads: bool,
+    },
+    /// The whole audit log as a file for others.
+    ExportAudit {
+        /// With addresses in full.
+        addresses: bool,
     },
     /// Claims the profile for a console, until the connection ends; refused where one is open already.
     OpenConsole,

@@ -1,10 +1,14 @@
 //! What a site answers: the very structures that `--json` prints.
 
+mod audit;
 mod chain;
+mod parties;
 
 use serde::{Deserialize, Serialize};
 
+pub use self::audit::{AuditCheck, AuditView};
 pub use self::chain::{ChainView, DeployedView, GatewayView, ServedView};
+pub use self::parties::{AdministrationView, CompareView, ContactRow, SuccessionView};
 use super::command::SecretBytes;
 use crate::model::{Address, Digest, ErrorKind, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token, Verdict};
 
@@ -112,6 +116,9 @@ pub struct RecordView {
     /// Whose it is (shared lists).
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub owner: Option<Address>,
+    /// The owner's name in the address book.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub owner_name: Option<String>,
     /// Per recorder and topic, from 1.
     pub seq: u64,
     /// Topic name, cleaned.
@@ -227,6 +234,12 @@ pub struct GrantRow {
     pub block: u64,
     /// Its transaction.
     pub transaction: Hash,
+    /// The other side's name in the address book.
+    #[serde(default)]
+    pub name: Option<String>,
+    /// The fingerprint of the SM2 key that the other side has registered.
+    #[serde(default)]
+    pub fingerprint: Option<String>,
 }
 
 /// One device that was lent.
@@ -234,6 +247,8 @@ pub struct GrantRow {
 pub struct DeviceRow {
     /// SM3 of its public key.
     pub device: SignerId,
+    /// Its fingerprint, as the device shows it.
+    pub fingerprint: String,
     /// `lent`, `expired` or `recalled`.
     pub state: String,
     /// Block of the loan.
@@ -368,23 +383,6 @@ pub struct TransactionView {
     pub text: String,
 }
 
-/// One line of the audit log.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct AuditView {
-    /// Its number.
-    pub line: u64,
-    /// When.
-    pub at: Timestamp,
-    /// Which profile.
-    pub profile: String,
-    /// What was done.
-    pub action: String,
-    /// To what, cleaned.
-    pub subject: String,
-    /// How it ended.
-    pub outcome: String,
-}
-
 /// The answer to a command.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "reply", content = "with")]
@@ -405,7 +403,7 @@ pub enum Reply {
     Records(RecordPage),
     /// To `ShowUpload`.
     Provenance(Provenance),
-    /// To `ExportUpload`.
+    /// To `ExportUpload` and `ExportAudit`.
     Files(Vec<ExportedFile>),
     /// To commands that send a transaction.
     Transaction(TransactionView),
@@ -415,6 +413,10 @@ pub enum Reply {
     Devices(Vec<DeviceRow>),
     /// To `EnrolDevice`.
     Enrolled(EnrolledView),
+    /// To `CompareFingerprint`.
+    Compared(CompareView),
+    /// To commands of the address book.
+    Contacts(Vec<ContactRow>),
     /// To `CheckShared`.
     Check(CheckView),
     /// To `OpenShared`.
@@ -431,4 +433,6 @@ pub enum Reply {
     Site(SiteView),
     /// To `ListAudit`.
     Audit(Vec<AuditView>),
+    /// To `VerifyAudit`.
+    AuditChecked(AuditCheck),
 }

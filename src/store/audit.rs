@@ -42,6 +42,25 @@ pub struct AuditLine {
     pub hash: Digest,
 }
 
+/// Which lines to list.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct AuditQuery {
+    /// Written at or after.
+    #[serde(default)]
+    pub since: Option<Timestamp>,
+    /// Only what was done so: `grant`, `decrypt`, ….
+    #[serde(default)]
+    pub action: Option<String>,
+    /// Only what this profile (for refusals: this peer) did.
+    #[serde(default)]
+    pub profile: Option<String>,
+    /// Only lines before this one: pages going back.
+    #[serde(default)]
+    pub before: Option<u64>,
+    /// At most so many, the newest.
+    pub limit: usize,
+}
+
 /// Where the log is not what was written.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("line {line} of the audit log: {what}; keep a copy of the ledger and find out who could write to it")]
@@ -116,25 +135,62 @@ impl AuditLog {
         walked.unwrap_or_else(|error| Err(AuditFault { line: 0, what: error.to_string() }))
     }
 
-    /// The last lines, oldest first.
+    /// Compares the log with heads that were anchored: number of lines and hash each, in any order. Returns how many
+    /// lines the newest of them covers.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
-    pub fn tail(&self, limit: usize) -> Result<Vec<AuditLine>, StoreError> {
-        self.before(None, limit)
+    /// [`AuditFault`] with the first line that can be wrong: behind the newest head that still agrees.
+    pub fn compare(&self, heads: &[(u64, Digest)]) -> Result<u64, AuditFault> {
+        let mut heads = heads.to_vec();
+        heads.sort_by_key(|(line, _)| *line);
+        let mut agreed = 0;
+        for (line, hash) in heads {
+            let found = self.hash_of(line).map_err(|error| AuditFault { line, what: error.to_string() })?;
+            if found == Some(hash) {
+                agreed = line;
+                continue;
+            }
+            let written = self.head().map_or(0, |(count, _)| count);
+            let (first, what) = match found {
+                None => (written + 1, format!("is missing: a head over {line} lines was anchored")),
+                Some(_) => {
+                    (agreed + 1, format!("or a later one up to {line} was rewritten: another head was anchored"))
+                }
+            };
+            return Err(AuditFault { line: first, what });
+        }
+        Ok(agreed)
     }
 
-    /// The lines before line `before` (or before the end), oldest first: pages going back.
+    /// When the line behind `line` was written; `None` where there is none.
     ///
     /// # Errors
     /// [`StoreError::Database`] and its kin.
-    pub fn before(&self, before: Option<u64>, limit: usize) -> Result<Vec<AuditLine>, StoreError> {
-        let before = before.map_or(Ok(i64::MAX), |line| whole("line", line))?;
-        let limit = i64::try_from(limit).unwrap_or(i64::MAX);
+    pub fn written_after(&self, line: u64) -> Result<Option<Timestamp>, StoreError> {
+        let next = whole("line", line.saturating_add(1))?;
         self.ledger.read(|connection| {
-            let sql = format!("SELECT {COLUMNS} FROM audit WHERE line < ?1 ORDER BY line DESC LIMIT ?2");
+            let mut statement = connection.prepare_cached("SELECT at FROM audit WHERE line = ?1")?;
+            let at = statement.query_row([next], |row| row.get::<_, i64>(0)).optional()?;
+            Ok(at.map(|at| Timestamp(at.cast_unsigned())))
+        })
+    }
+
+    /// The newest lines that match, oldest first.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn list(&self, query: &AuditQuery) -> Result<Vec<AuditLine>, StoreError> {
+        let before = query.before.map_or(Ok(i64::MAX), |line| whole("line", line))?;
+        let since = query.since.map_or(Ok(0), |since| whole("time", since.0))?;
+        let limit = i64::try_from(query.limit).unwrap_or(i64::MAX);
+        self.ledger.read(|connection| {
+            let sql = format!(
+                "SELECT {COLUMNS} FROM audit WHERE line < ?1 AND at >= ?2 AND (?3 IS NULL OR action = ?3) \
+                 AND (?4 IS NULL OR profile = ?4) ORDER BY line DESC LIMIT ?5"
+            );
             let mut statement = connection.prepare_cached(&sql)?;
-            let mut lines = statement.query_map([before, limit], line_of)?.collect::<Result<Vec<_>, _>>()?;
+            let rows = statement.query_map(params![before, since, query.action, query.profile, limit], line_of)?;
+            let mut lines = rows.collect::<Result<Vec<_>, _>>()?;
             lines.reverse();
             Ok(lines)
         })
@@ -232,11 +288,19 @@ mod tests {
         assert_eq!(log.verify(), Ok(7));
         let (count, head) = log.head().expect("head");
         assert_eq!((count, Some(head)), (7, log.hash_of(7).expect("line")));
-        let tail = log.tail(3).expect("tail");
+        let tail = log.list(&AuditQuery { limit: 3, ..AuditQuery::default() }).expect("tail");
         assert_eq!(tail.iter().map(|line| line.line).collect::<Vec<_>>(), [5, 6, 7]);
         assert_eq!(tail[0].entry, entry(5));
-        let earlier = log.before(Some(5), 100).expect("page");
-        assert_eq!(earlier.iter().map(|line| line.line).collect::<Vec<_>>(), [1, 2, 3, 4]);
+        let numbers = |query: AuditQuery| {
+            let lines = log.list(&AuditQuery { limit: 100, ..query }).expect("page");
+            lines.iter().map(|line| line.line).collect::<Vec<_>>()
+        };
+        assert_eq!(numbers(AuditQuery { before: Some(5), ..AuditQuery::default() }), [1, 2, 3, 4]);
+        assert_eq!(numbers(AuditQuery { since: Some(Timestamp(6)), ..AuditQuery::default() }), [6, 7]);
+        assert_eq!(numbers(AuditQuery { action: Some("open".to_owned()), ..AuditQuery::default() }), [0; 0]);
+        let of_a = AuditQuery { action: Some("grant".to_owned()), profile: Some("a".to_owned()), ..Default::default() };
+        assert_eq!(numbers(of_a).len(), 7);
+        assert_eq!((log.written_after(0), log.written_after(7)), (Ok(Some(Timestamp(1))), Ok(None)));
     }
 
     #[test]
@@ -274,9 +338,17 @@ mod tests {
     #[test]
     fn a_cut_tail_is_found_against_an_anchored_head_only() {
         let (_home, log) = log_of(5);
-        let (count, head) = log.head().expect("head");
+        let heads: Vec<_> = [5, 2].map(|line| (line, log.hash_of(line).expect("read").expect("there"))).to_vec();
+        assert_eq!((log.compare(&heads), log.compare(&[])), (Ok(5), Ok(0)));
         assert_eq!(forge(&log, "DELETE FROM audit WHERE line > 3"), Ok(3));
-        assert_ne!(log.hash_of(count).expect("read"), Some(head));
+        let fault = log.compare(&heads).expect_err("cut");
+        assert!(fault.line == 4 && fault.what.contains("missing"), "{fault}");
+        // Somebody who knows how the lines are chained writes other ones in their place.
+        log.append(entry(44)).expect("appended");
+        log.append(entry(55)).expect("appended");
+        assert_eq!(log.verify(), Ok(5));
+        let fault = log.compare(&heads).expect_err("rewritten");
+        assert!(fault.line == 3 && fault.what.contains("rewritten"), "{fault}");
     }
 
     #[test]

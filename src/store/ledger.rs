@@ -23,6 +23,7 @@ mod transactions;
 mod writer;
 
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use rusqlite::{Connection, OptionalExtension as _, params};
@@ -67,6 +68,8 @@ struct Shared {
     recorder: RecorderId,
     writer: writer::Writer,
     readers: Mutex<Vec<Connection>>,
+    /// How many are holding records back.
+    held: AtomicUsize,
 }
 
 impl Ledger {
@@ -80,12 +83,31 @@ impl Ledger {
         let recorder = begin(&connection, path).map_err(|error| error.in_file(path))?;
         let writer = writer::Writer::start(connection, path)?;
         let readers = Mutex::default();
-        Ok(Self { shared: Arc::new(Shared { path: path.to_owned(), recorder, writer, readers }) })
+        Ok(Self {
+            shared: Arc::new(Shared { path: path.to_owned(), recorder, writer, readers, held: AtomicUsize::new(0) }),
+        })
     }
 
     /// The random id made with this file; records carry it beside their sequence number.
     pub fn recorder(&self) -> RecorderId {
         self.shared.recorder
+    }
+
+    /// Holds new records back until the guard is dropped: what space a full disk has left is for something else.
+    pub fn hold_records(&self) -> RecordsHeld {
+        self.shared.held.fetch_add(1, Ordering::AcqRel);
+        RecordsHeld(self.clone())
+    }
+
+    /// Whether new records are taken now; to be asked before their bytes go into the vault.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] while they are held back.
+    pub fn takes_records(&self) -> Result<(), StoreError> {
+        match self.shared.held.load(Ordering::Acquire) {
+            0 => Ok(()),
+            _ => Err(StoreError::DiskFull { file: self.shared.path.clone() }),
+        }
     }
 
     /// The file's path.
@@ -128,6 +150,16 @@ impl Ledger {
     fn reader(&self) -> Result<Connection, StoreError> {
         let kept = self.shared.readers.lock().unwrap_or_else(PoisonError::into_inner).pop();
         kept.map_or_else(|| database::open_reader(&self.shared.path), Ok)
+    }
+}
+
+/// New records are held back as long as this lives.
+#[derive(Debug)]
+pub struct RecordsHeld(Ledger);
+
+impl Drop for RecordsHeld {
+    fn drop(&mut self) {
+        self.0.shared.held.fetch_sub(1, Ordering::AcqRel);
     }
 }
 

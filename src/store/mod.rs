@@ -8,15 +8,18 @@ mod database;
 mod error;
 pub mod files;
 pub mod ledger;
+mod reserve;
 pub mod vault;
 
-pub use audit::{AuditEntry, AuditFault, AuditLine, AuditLog};
+pub use audit::{AuditEntry, AuditFault, AuditLine, AuditLog, AuditQuery};
 pub use error::StoreError;
 pub use files::{ConsoleLock, SiteLock, atomic_write};
 pub use ledger::{
     Anchors, BatchPlace, EarlierAnchor, Foreign, KeptBinding, KeptEvent, KeptReceipt, LOST_IN_TRANSPORT, LaneCount,
-    Ledger, Left, NewBatch, NewRecord, NewTransaction, OpenTransaction, RecordPage, RecordQuery, RecordRow, Reissue,
+    Ledger, Left, NewBatch, NewRecord, NewTransaction, OpenTransaction, RecordPage, RecordQuery, RecordRow, RecordsHeld,
+    Reissue,
     RootSighting, Sighting, StateCounts, TopicCounts, TransactionOutcome, TransactionRow, TransactionState,
     WaitingBatch,
 };
+pub use reserve::{RESERVE_BYTES, Reserve};
 pub use vault::{Usage, Vault, open_vault};

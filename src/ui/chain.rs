@@ -9,8 +9,9 @@ use super::topics::empty;
 use super::words;
 use crate::app::State;
 use crate::app::feed::Feed;
+use crate::model::Address;
 use crate::pipeline::sender::LaneState;
-use crate::service::reply::ChainView;
+use crate::service::reply::{AdministrationView, ChainView};
 
 /// Draws the screen.
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
@@ -25,7 +26,10 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
 fn draw_chain(canvas: &mut Canvas, area: Rect, state: &State, chain: &ChainView) {
     let contract = chain.contract.map_or_else(|| "not deployed yet".to_owned(), |contract| contract.to_string());
     let lines = [
-        ("Kind", chain.kind.clone()),
+        (
+            "Kind",
+            chain.through.as_ref().map_or_else(|| chain.kind.clone(), |through| format!("{}, {through}", chain.kind)),
+        ),
         ("Node", chain.client.clone()),
         ("Consensus", format!("{}{}", chain.consensus, sealing(chain))),
         ("Chain id", chain.chain_id.to_string()),
@@ -40,10 +44,26 @@ fn draw_chain(canvas: &mut Canvas, area: Rect, state: &State, chain: &ChainView)
     for (place, (label, value)) in (0u16..).zip(&lines) {
         line(canvas, row(area, place), label, value, Role::Body);
     }
-    let lanes = draw_lanes(canvas, below(area, 12), &chain.lanes);
+    let told = draw_administration(canvas, below(area, 12), &chain.administration);
+    let lanes = told + draw_lanes(canvas, below(area, 12 + told), &chain.lanes);
     if let Some(failure) = &state.feeds.slot(Feed::Chain).failure {
         canvas.put(row(area, 13 + lanes), &failure.message, Role::Bad);
     }
+}
+
+/// What the administrator decided that is out of the ordinary; returns how many lines that took.
+fn draw_administration(canvas: &mut Canvas, area: Rect, decided: &AdministrationView) -> u16 {
+    let shown = |account: Address, name: &Option<String>| name.clone().unwrap_or_else(|| account.to_string());
+    let mut lines: Vec<(&str, String)> = Vec::new();
+    lines.extend(decided.paused.then(|| ("Paused", "by the administrator: no changes but revokes".to_owned())));
+    lines.extend(decided.successions.iter().map(|one| {
+        let (lost, successor) = (shown(one.lost, &one.lost_name), shown(one.successor, &one.successor_name));
+        ("Successor", format!("{successor} for {lost}, lost"))
+    }));
+    for (place, (label, value)) in (0u16..).zip(&lines) {
+        line(canvas, row(area, place), label, value, Role::Warning);
+    }
+    u16::try_from(lines.len()).unwrap_or(u16::MAX)
 }
 
 /// The accounts that anchor, and what holds them up; returns how many lines that took.

@@ -16,6 +16,7 @@ const COLUMNS: &[Column] = &[
     Column::text("", 8),
     Column::text("Account", 13),
     Column::text("Full address", 42).from(130),
+    Column::text("SM2 fingerprint", 39).from(180),
     Column::name("Topics"),
     Column::number("Epoch", 6),
     Column::text("Ends UTC", 16).from(75),
@@ -43,8 +44,9 @@ fn cells(row: &GrantRow) -> Vec<(String, Role)> {
     vec![
         (row.state.clone(), role),
         (direction.to_owned(), Role::Body),
-        (other_side(row).short(), Role::Accent),
+        (row.name.clone().unwrap_or_else(|| other_side(row).short()), Role::Accent),
         (other_side(row).to_string(), Role::Dim),
+        (row.fingerprint.clone().unwrap_or_else(|| "not registered".to_owned()), Role::Dim),
         (scope(&row.topics), Role::Body),
         (row.epoch.to_string(), Role::Body),
         (row.expires.map_or_else(|| "no end".to_owned(), day), Role::Dim),

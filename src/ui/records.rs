@@ -84,7 +84,8 @@ fn cells(row: &RecordView, with_owner: bool) -> Vec<(String, Role)> {
     let topic = if row.kind == "data" { row.topic.clone() } else { format!("{} ({})", row.topic, row.kind) };
     let mut cells = vec![(row.state.clone(), state_role(&row.state))];
     if with_owner {
-        cells.push((row.owner.map(|owner| owner.short()).unwrap_or_default(), Role::Accent));
+        let short = || row.owner.map(|owner| owner.short());
+        cells.push((row.owner_name.clone().or_else(short).unwrap_or_default(), Role::Accent));
     }
     cells.extend([
         (topic, Role::Body),

@@ -52,7 +52,8 @@ struct Exported {
 fn export(field: &Field, record: &Value) -> Exported {
     let id = text(record, "id");
     let directory = field.home.root().join(format!("export-{id}"));
-    field.authros.run(&["uploads", "export", &id, "--dir", directory.to_str().expect("UTF-8")]).expect_code(0);
+    let place = directory.to_str().expect("UTF-8");
+    field.authros.run(&["uploads", "export", &id, "--dir", place, "--addresses"]).expect_code(0);
     let proof = fs::read(directory.join("proof.json")).expect("a proof");
     Exported { directory, proof: serde_json::from_slice(&proof).expect("JSON") }
 }

@@ -7,6 +7,7 @@
 pub mod anvil;
 pub mod authros;
 pub mod console;
+pub mod member;
 pub mod process;
 pub mod proxy;
 pub mod redis;

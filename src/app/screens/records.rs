@@ -2,7 +2,7 @@
 
 use crate::app::fuzzy;
 use crate::app::table::Table;
-use crate::model::{Address, RecordState, TopicName};
+use crate::model::{Address, Party, RecordState, TopicName};
 use crate::service::UploadQuery;
 use crate::service::reply::{RecordPage, RecordView, TopicRow};
 
@@ -33,7 +33,7 @@ pub struct Wanted {
     /// Only this state.
     pub state: Option<RecordState>,
     /// Only this owner.
-    pub owner: Option<Address>,
+    pub owner: Option<Party>,
     /// Words that only narrow the page on screen.
     pub rest: String,
 }
@@ -45,8 +45,8 @@ impl Wanted {
         for word in filter.split_whitespace() {
             if let Some(state) = RecordState::ALL.into_iter().find(|state| state.word() == word) {
                 wanted.state = Some(state);
-            } else if let Ok(owner) = word.parse() {
-                wanted.owner = Some(owner);
+            } else if let Ok(owner) = word.parse::<Address>() {
+                wanted.owner = Some(owner.into());
             } else if let Some(topic) = topic_named(word, topics) {
                 wanted.topic = Some(topic);
             } else {

@@ -4,8 +4,8 @@ use crate::chain::Sealing;
 use crate::model::{Address, Digest, ErrorKind, Hash, ProfileName, PublicKey, Timestamp, Token, Verdict};
 use crate::pipeline::sender::{LaneState, PauseReason};
 use crate::service::reply::{
-    AuditView, ChainView, EpochView, GrantRow, HealthLevel, IdentityView, KeysView, LifeLine, OpenedView, PartHealth,
-    Provenance, RecordPage, RecordView, SiteView, TopicRow, TransactionView,
+    AdministrationView, AuditView, ChainView, EpochView, GrantRow, HealthLevel, IdentityView, KeysView, LifeLine,
+    OpenedView, PartHealth, Provenance, RecordPage, RecordView, SiteView, TopicRow, TransactionView,
 };
 use crate::service::{Command, Failure, Reply, UploadQuery};
 
@@ -27,7 +27,7 @@ pub fn reply(command: &Command, exists: bool) -> Reply {
         Command::ListShared(query) => Reply::Records(page(query, Some(OTHER))),
         Command::ListGrants => Reply::Grants(grants()),
         Command::ChainStatus => Reply::Chain(chain()),
-        Command::ListAudit { .. } => Reply::Audit(audit()),
+        Command::ListAudit(_) => Reply::Audit(audit()),
         _ => Reply::Done,
     }
 }
@@ -121,6 +121,7 @@ pub fn record(number: u64, state: &str) -> RecordView {
     RecordView {
         id: format!("{number:016x}"),
         owner: None,
+        owner_name: None,
         seq: number,
         topic: "/robot1/odom".to_owned(),
         type_name: "nav_msgs/Odometry".to_owned(),
@@ -165,6 +166,8 @@ pub fn grant(direction: &str, account: Address, state: &str, block: u64) -> Gran
         state: state.to_owned(),
         block,
         transaction: Hash([u8::try_from(block).unwrap_or(0); 32]),
+        name: None,
+        fingerprint: None,
     }
 }
 
@@ -188,6 +191,8 @@ fn chain() -> ChainView {
         nonce: 12,
         pending: 1,
         client: "AuthROS embedded".to_owned(),
+        through: None,
+        administration: AdministrationView::default(),
         lanes: vec![LaneState { open: 1, paused: Some(PauseReason::Stalled), ..LaneState::idle(OWN) }],
         sealing: Sealing { period: Some(100), difficulty: None, sealers: vec![Address([0x5e; 20])] },
     }

@@ -14,6 +14,43 @@ pub enum ChainVerb {
     Adopt,
     /// Put the contract on the chain with this profile's account, and pin it
     Deploy,
+    /// Administrator: name the account that continues for a lost one, which is suspended for good
+    Succeed {
+        /// Account whose key is lost, or its name
+        lost: String,
+        /// Account that continues, or its name; registered
+        successor: String,
+    },
+    /// Administrator: let an account register while registration is closed
+    Admit {
+        /// Account, or its name
+        account: String,
+    },
+    /// Administrator: stop an account's changes, but those that take rights away
+    Suspend {
+        /// Account, or its name
+        account: String,
+    },
+    /// Administrator: free a suspended account
+    Restore {
+        /// Account, or its name
+        account: String,
+    },
+    /// Administrator: let anyone register
+    Open,
+    /// Administrator: let only admitted accounts register
+    Close,
+    /// Administrator: stop all changes, but those that take rights away
+    Pause,
+    /// Administrator: let changes go on
+    Resume,
+    /// Administrator: name the next one, who takes over with `chain accept`
+    HandOver {
+        /// Account, or its name
+        account: String,
+    },
+    /// Take over as administrator, as the one that was named
+    Accept,
     /// Answer other tools' JSON-RPC (cast, web3, curl) over the embedded chain, on this machine only
     Serve {
         /// Loopback address and port; port 0 = any free one

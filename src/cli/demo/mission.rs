@@ -117,7 +117,7 @@ impl Mission {
         story.refused_stranger = self.stranger_is_refused(&records).await?;
         story.refused_tampered = self.tampering_is_refused(&records).await?;
         let kept = self.kept_keys()?;
-        self.cura_a.client.request(Command::Revoke { grantee: self.cura_b.address }).await?;
+        self.cura_a.client.request(Command::Revoke { grantee: self.cura_b.address.into() }).await?;
         let revoked_at = Timestamp::now();
         let second = self.capture(self.milliseconds - self.milliseconds * 6 / 10).await?;
         story.captured += second.captured;
@@ -162,7 +162,12 @@ impl Mission {
         let grantee = self.cura_b.address;
         self.cura_a
             .client
-            .request(Command::Grant { grantee, topics: Vec::new(), epochs: Epochs::Current, expires: None })
+            .request(Command::Grant {
+                grantee: grantee.into(),
+                topics: Vec::new(),
+                epochs: Epochs::Current,
+                expires: None,
+            })
             .await?;
         Ok(())
     }
@@ -171,7 +176,8 @@ impl Mission {
         let mut records: Vec<RecordView> = Vec::new();
         let mut after = None;
         loop {
-            let query = UploadQuery { owner: Some(self.cura_a.address), limit: 1000, after, ..UploadQuery::default() };
+            let query =
+                UploadQuery { owner: Some(self.cura_a.address.into()), limit: 1000, after, ..UploadQuery::default() };
             let Reply::Records(page) = self.cura_b.client.request(Command::ListShared(query)).await? else {
                 return Err(unexpected());
             };

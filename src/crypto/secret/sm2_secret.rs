@@ -2,6 +2,7 @@
 
 use std::fmt;
 use std::hint::black_box;
+use std::str::FromStr;
 use std::sync::{LazyLock, OnceLock};
 
 use sm2::dsa::SigningKey;
@@ -11,8 +12,8 @@ use zeroize::Zeroizing;
 use crate::crypto::provider::Provider;
 use crate::crypto::random::random_bytes;
 use crate::crypto::{CryptoError, derive, rustcrypto};
-use crate::model::bytes::hex;
-use crate::model::{PublicKey, SignerId};
+use crate::model::bytes::{hex, unhex};
+use crate::model::{PublicKey, SignerId, clean};
 
 /// The order n of the SM2 group (GB/T 32918.5-2017, 4), big endian.
 pub(in crate::crypto) const ORDER: [u8; 32] = [
@@ -172,17 +173,38 @@ impl SmKeyPair {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Fingerprint([u8; 16]);
 
+/// Why a text is not a fingerprint.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "'{0}' is not a whole fingerprint: it has eight groups of four hex characters, as `authros identity show` prints it"
+)]
+pub struct FingerprintError(String);
+
 impl Fingerprint {
     /// Of `public`.
     pub fn of(public: &PublicKey) -> Self {
-        Self::of_id(&derive::signer_id(public))
+        Self::of_signer(&derive::signer_id(public))
     }
 
-    /// Of the public key with this id.
-    pub fn of_id(id: &SignerId) -> Self {
+    /// Of the key whose SM3 is `signer`.
+    pub fn of_signer(signer: &SignerId) -> Self {
         let mut first = [0; 16];
-        first.copy_from_slice(&id.0[..16]);
+        first.copy_from_slice(&signer.0[..16]);
         Self(first)
+    }
+}
+
+/// As it is shown; other ways to part the groups (none, `:`, `-`) and capitals are read, too. A part of one is not
+/// taken: what is not compared may differ.
+impl FromStr for Fingerprint {
+    type Err = FingerprintError;
+
+    fn from_str(text: &str) -> Result<Self, FingerprintError> {
+        let parting = |character: &char| character.is_whitespace() || *character == ':' || *character == '-';
+        let digits: String = text.chars().filter(|character| !parting(character)).collect();
+        let bytes = unhex(&digits).filter(|_| !digits.starts_with("0x"));
+        let bytes = bytes.and_then(|bytes| bytes.try_into().ok());
+        bytes.map(Self).ok_or_else(|| FingerprintError(clean(text, 60)))
     }
 }
 
@@ -222,6 +244,12 @@ mod tests {
         provider.sign(&pair.secret, b"x").expect("signs");
         let shown = pair.fingerprint().to_string();
         assert_eq!(shown.len(), 39);
+        for way in [shown.clone(), shown.to_uppercase(), shown.replace(' ', ""), shown.replace(' ', ":")] {
+            assert_eq!(way.parse(), Ok(pair.fingerprint()), "{way}");
+        }
+        for bad in ["", &shown[..34], &format!("{shown}00"), &shown.replace(' ', "g")] {
+            assert!(bad.parse::<Fingerprint>().is_err(), "{bad}");
+        }
         assert_eq!(shown.replace(' ', ""), derive::signer_id(&pair.public).to_hex()[..32]);
         assert!(!format!("{pair:?}").contains(&hex(pair.secret.expose())));
         assert_eq!(pair.clone(), pair);

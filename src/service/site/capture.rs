@@ -6,6 +6,7 @@ use std::time::Duration;
 use super::Site;
 use crate::model::{ProfileName, TopicName, TypeName};
 use crate::pipeline::{CaptureSession, Owner};
+use crate::service::event::NoticeLevel;
 use crate::service::failure::input;
 use crate::service::reply::{CaptureSummary, Failure, Reply, TopicSummary};
 
@@ -28,6 +29,8 @@ impl Site {
             self.register(owner).await?;
         }
         let names: Vec<String> = topics.iter().map(ToString::to_string).collect();
+        let listed = names.join(" ");
+        self.audit_first(owner, "capture start", &listed).await?;
         let session = Arc::new(CaptureSession::new(&names, count, tags));
         self.begin(owner, &names, type_name.as_ref(), &session);
         let time_is_up = async {
@@ -42,7 +45,12 @@ impl Site {
             () = self.stopped() => session.close(),
         }
         self.end(owner, &names, &session);
+        let captured: u64 = session.figures().iter().map(|topic| topic.captured).sum();
+        let ended = self.record_audit(&owner.profile, "capture stop", &listed, &format!("{captured} captured")).await;
         session.settled().await;
+        if let Err(failure) = ended {
+            self.hub.notice(NoticeLevel::Error, &failure.message);
+        }
         Ok(summary(&session))
     }
 

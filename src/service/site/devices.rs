@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use super::Site;
 use crate::chain::Call;
+use crate::crypto::Fingerprint;
 use crate::model::{SignerId, Timestamp, bytes::hex};
 use crate::pipeline::directory::Lending;
 use crate::pipeline::{Network, Owner};
@@ -76,6 +77,7 @@ impl Site {
         let network = self.network().await?;
         let row = |lending: &Lending| DeviceRow {
             device: lending.device,
+            fingerprint: Fingerprint::of_signer(&lending.device).to_string(),
             state: match (lending.recalled, is_active(lending)) {
                 (Some(_), _) => "recalled",
                 (None, true) => "lent",

@@ -71,7 +71,7 @@ impl Site {
         self.rewrap(owner, &network).await
     }
 
-    async fn settle_open(self: &Arc<Self>, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
+    pub(super) async fn settle_open(self: &Arc<Self>, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
         let ledger = self.plant.ledger.clone();
         let account = owner.address;
         for _ in 0..60 {
@@ -112,6 +112,10 @@ impl Site {
                 Ok(envelope) => envelopes.push((grant.terms.grantee, envelope)),
                 Err(failure) => failed = Some(failure),
             }
+        }
+        if !envelopes.is_empty() {
+            let readers: Vec<String> = envelopes.iter().map(|(reader, _)| reader.short()).collect();
+            self.audit_first(owner, "wrap", &format!("epoch {epoch} for {}", readers.join(" "))).await?;
         }
         for chunk in envelopes.chunks(ENVELOPES_A_CALL) {
             let call = Call::Wrap { epoch, envelopes: chunk.to_vec() };

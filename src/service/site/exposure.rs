@@ -7,6 +7,7 @@ use tokio::sync::oneshot;
 
 use super::{NetworkState, Site};
 use crate::chain::serve;
+use crate::model::ProfileName;
 use crate::pipeline::Owner;
 use crate::service::event::NoticeLevel;
 use crate::service::failure::input;
@@ -30,6 +31,7 @@ impl Site {
     /// Answers other tools until `ended`, or the site's end.
     pub(super) async fn serve_chain(
         self: &Arc<Self>,
+        profile: &ProfileName,
         address: SocketAddr,
         ended: oneshot::Receiver<()>,
     ) -> Result<ServedView, Failure> {
@@ -38,6 +40,7 @@ impl Site {
             return Err(input(format!("this site uses the node at {}; point other tools there", chain.url())));
         }
         let listener = serve::listen(address).await?;
+        self.record_audit(profile, "serve chain", &address.to_string(), "begun").await?;
         let address = listener.local_addr().map_err(|error| input(format!("no address to serve at: {error}")))?;
         let view = ServedView {
             url: format!("http://{address}"),

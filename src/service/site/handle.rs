@@ -7,6 +7,7 @@ use tokio::sync::oneshot;
 
 use super::Site;
 use crate::model::{ErrorKind, ProfileName};
+use crate::pipeline::Owner;
 use crate::service::command::{Command, Request};
 use crate::service::reply::{Failure, Reply};
 
@@ -20,6 +21,10 @@ pub struct Held {
 
 /// What a connection holds, shared by its requests.
 pub type Claims = Arc<Mutex<Held>>;
+
+fn unknown() -> Failure {
+    crate::service::failure::internal("this command is not known to the site")
+}
 
 impl Site {
     /// Answers one request.
@@ -41,13 +46,28 @@ impl Site {
             Command::StopCapture => Ok(self.stop_captures(&profile)),
             Command::ServeChain { address } => {
                 let (end, ended) = oneshot::channel();
-                let served = self.serve_chain(address, ended).await?;
+                let served = self.serve_chain(&profile, address, ended).await?;
                 claims.lock().unwrap_or_else(PoisonError::into_inner).servers.push(end);
                 Ok(Reply::Served(served))
             }
             Command::ChainStatus => self.chain_view(&profile).await.map(Reply::Chain),
             Command::SiteStatus => self.site_view(&profile).await.map(Reply::Site),
-            Command::ListAudit { limit } => self.audit_lines(limit).await.map(Reply::Audit),
+            Command::ListAudit(query) => self.audit_lines(query).await.map(Reply::Audit),
+            Command::VerifyAudit { heads } => {
+                let owner = if heads { Some(self.unlocked(&profile)?) } else { None };
+                self.verify_audit(owner).await.map(Reply::AuditChecked)
+            }
+            Command::CompareFingerprint { fingerprint, account } => {
+                self.compare_fingerprint(&profile, &fingerprint, account).await.map(Reply::Compared)
+            }
+            Command::ListContacts => self.contact_rows().await.map(Reply::Contacts),
+            Command::AddContact { name, address, fingerprint } => {
+                self.add_contact(&profile, name, address, fingerprint).await.map(Reply::Contacts)
+            }
+            Command::RemoveContact { name } => self.remove_contact(&profile, &name).await.map(Reply::Contacts),
+            Command::ConfirmContact { name, fingerprint } => {
+                self.confirm_contact(&profile, &name, fingerprint).await.map(Reply::Contacts)
+            }
             Command::ListUploads(query) => self.list_uploads(&profile, query).await.map(Reply::Records),
             Command::ShowUpload { id } => self.provenance(&profile, &id).await.map(Reply::Provenance),
             other => self.handle_unlocked(&profile, other, claims).await,
@@ -73,11 +93,14 @@ impl Site {
             Command::Capture { topics, type_name, count, milliseconds, tags } => {
                 self.capture(&owner, &topics, type_name, count, milliseconds, tags).await.map(Reply::Captured)
             }
-            Command::ExportUpload { id } => self.export_upload(&owner, &id).await.map(Reply::Files),
-            Command::Grant { grantee, topics, epochs, expires } => {
-                self.grant(&owner, grantee, &topics, epochs, expires).await.map(Reply::Transaction)
+            Command::ExportUpload { id, addresses } => {
+                self.export_upload(&owner, &id, addresses).await.map(Reply::Files)
             }
-            Command::Revoke { grantee } => self.revoke(&owner, grantee).await.map(Reply::Transaction),
+            Command::ExportAudit { addresses } => self.export_audit(&owner, addresses).await.map(Reply::Files),
+            Command::Grant { grantee, topics, epochs, expires } => {
+                self.grant(&owner, &grantee, &topics, epochs, expires).await.map(Reply::Transaction)
+            }
+            Command::Revoke { grantee } => self.revoke(&owner, self.resolve(&grantee)?).await.map(Reply::Transaction),
             Command::ServeGateway { address } => {
                 let (end, ended) = oneshot::channel();
                 let served = self.serve_gateway(&owner, address, ended).await?;
@@ -90,12 +113,23 @@ impl Site {
             Command::RecallDevice { device } => self.recall_device(&owner, &device).await.map(Reply::Transaction),
             Command::EnrolDevice(wishes) => self.enrol_device(&owner, wishes).await.map(Reply::Enrolled),
             Command::ListDevices => self.device_rows(&owner).await.map(Reply::Devices),
+            Command::Administer(act) => self.administer(&owner, &act).await.map(Reply::Transaction),
             Command::AdoptChain => self.adopt_chain(&owner).await.map(Reply::Transaction),
+            Command::ListShared(_) | Command::CheckShared { .. } | Command::OpenShared { .. } => {
+                self.caught_up(profile).await?;
+                self.handle_shared(&owner, command).await
+            }
             Command::ListGrants => self.grant_rows(&owner).await.map(Reply::Grants),
-            Command::ListShared(query) => self.list_shared(&owner, query).await.map(Reply::Records),
-            Command::CheckShared { id } => self.check_record(&owner, &id).await.map(Reply::Check),
-            Command::OpenShared { id } => self.open_record(&owner, &id).await.map(|view| Reply::Opened(Box::new(view))),
-            _ => Err(crate::service::failure::internal("this command is not known to the site")),
+            _ => Err(unknown()),
+        }
+    }
+
+    async fn handle_shared(self: &Arc<Self>, owner: &Arc<Owner>, command: Command) -> Result<Reply, Failure> {
+        match command {
+            Command::ListShared(query) => self.list_shared(owner, query).await.map(Reply::Records),
+            Command::CheckShared { id } => self.check_record(owner, &id).await.map(Reply::Check),
+            Command::OpenShared { id } => self.open_record(owner, &id).await.map(|view| Reply::Opened(Box::new(view))),
+            _ => Err(unknown()),
         }
     }
 

@@ -93,8 +93,9 @@ impl Site {
     ) -> Result<Arc<Owner>, Failure> {
         let provider = self.plant.provider;
         let pair = self.blocking(move |_| Ok(SmKeyPair::from_secret(provider, keyfile::load_sm2(&path)?)?)).await?;
+        // Until the new key signs: nothing may be signed by the old one once the chain has the new one.
+        let _one_at_a_time = owner.changes.lock().await;
         if let Some(network) = network {
-            let _one_at_a_time = owner.changes.lock().await;
             self.drain(owner).await?;
             let epoch = network.directory.epoch(owner.address);
             let token =

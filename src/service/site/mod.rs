@@ -8,6 +8,7 @@ mod agent;
 mod audit;
 mod capture;
 mod chain_link;
+mod contacts;
 mod devices;
 mod enrolling;
 mod epochs;
@@ -17,13 +18,18 @@ mod handle;
 mod identity;
 mod keys;
 mod lanes;
+mod mirror;
 mod naming;
 mod opening;
 mod overdue;
 mod owners;
+mod refusals;
+mod remote;
+mod revoking;
 mod robots;
 mod sharing;
 mod status;
+mod succession;
 mod telling;
 mod topics;
 mod uploads;
@@ -55,7 +61,7 @@ use crate::pipeline::recorder::CapturedMessage;
 use crate::pipeline::ring::Ring;
 use crate::pipeline::sender::Policy;
 use crate::pipeline::{CaptureSession, Owner, Plant, Recorder, Sender};
-use crate::store::{AuditLog, Ledger, SiteLock, open_vault};
+use crate::store::{AuditLog, Ledger, Reserve, SiteLock, open_vault};
 
 /// Memory for captured messages that wait to be sealed, bytes.
 const RING_BYTES: usize = 192 * 1024 * 1024;
@@ -82,6 +88,10 @@ pub struct Site {
     recorder: Arc<Recorder>,
     ring: Arc<Ring<CapturedMessage>>,
     audit: AuditLog,
+    refusals: refusals::Refusals,
+    reserve: Reserve,
+    /// Changes of the address book happen one at a time.
+    contacts: tokio::sync::Mutex<()>,
     owners: RwLock<BTreeMap<ProfileName, Arc<Owner>>>,
     consoles: Mutex<HashSet<ProfileName>>,
     captures: Mutex<Vec<(ProfileName, Arc<CaptureSession>)>>,
@@ -92,6 +102,8 @@ pub struct Site {
     chain_silent: AtomicBool,
     /// The newest head, and when the chain told it.
     head_seen: Mutex<Option<(std::time::Instant, BlockRef)>>,
+    /// The gateway through which this site joins another one.
+    remote: Option<remote::Remote>,
     guests: AtomicUsize,
     deploying: tokio::sync::Mutex<()>,
     witnesses: Mutex<lanes::Witnesses>,
@@ -115,16 +127,24 @@ impl Site {
     /// # Errors
     /// Where ledger or vault cannot be opened; chain and master come up (or fail) later.
     pub fn start(home: Home, config: Config, lock: SiteLock, needs: Needs) -> Result<Arc<Self>, Failure> {
+        // Robots are where the gateway is.
+        let needs = Needs { ros: needs.ros && config.site.is_none(), ..needs };
+        let provider = provider(config.provider);
+        let remote = config.site.as_ref().map(|site| remote::Remote::new(site, &home, provider)).transpose()?;
         let (events, _) = broadcast::channel(1024);
         let hub = Arc::new(Hub::new(events));
         let ledger = Ledger::open(&home.ledger())?;
         let vault = open_vault(config.vault_url.as_deref(), &home.vault())?;
-        let plant = Plant { ledger: ledger.clone(), vault, provider: provider(config.provider), observer: hub.clone() };
+        let plant = Plant { ledger: ledger.clone(), vault, provider, observer: hub.clone() };
         let ring = Arc::new(Ring::new(RING_BYTES));
+        let (reserve, reserved) = Reserve::open(&home.reserve());
         let site = Arc::new(Self {
             recorder: Arc::new(Recorder::new(Arc::clone(&ring), hub.clone())),
             sender: Arc::new(Sender::new(ledger, hub.clone(), Policy { cap: config.max_fee })),
             audit: AuditLog::new(plant.ledger.clone()),
+            refusals: refusals::Refusals::default(),
+            reserve,
+            contacts: tokio::sync::Mutex::default(),
             home,
             config,
             plant,
@@ -139,6 +159,7 @@ impl Site {
             stopping: watch::channel(false).0,
             chain_silent: AtomicBool::new(false),
             head_seen: Mutex::default(),
+            remote,
             guests: AtomicUsize::new(0),
             deploying: tokio::sync::Mutex::default(),
             witnesses: Mutex::default(),
@@ -147,6 +168,10 @@ impl Site {
             _lock: lock,
         });
         site.warn_of_policy();
+        if let Err(error) = reserved {
+            let text = format!("no space could be set aside for a revoke on a full disk: {error}");
+            site.hub.notice(super::event::NoticeLevel::Warning, &text);
+        }
         workers::start(&site, needs)?;
         Ok(site)
     }
@@ -223,6 +248,7 @@ impl Site {
         }
         self.stopping.send_replace(true);
         self.network.send_replace(NetworkState::Off);
+        self.write_counted(None).await;
         let ledger = self.plant.ledger.clone();
         drop(tokio::task::spawn_blocking(move || ledger.close()).await);
     }

@@ -24,13 +24,14 @@ impl Site {
         let (me, now) = (owner.address, Timestamp::now());
         let grants = network.directory.grants(|grant| grant.terms.grantee == me && grant.is_active(now));
         let mut scopes: HashMap<Address, Scope> = HashMap::new();
-        for grant in grants.into_iter().filter(|grant| query.owner.is_none_or(|wanted| wanted == grant.terms.owner)) {
+        let wanted = query.owner.as_ref().map(|owner| self.resolve(owner)).transpose()?;
+        for grant in grants.into_iter().filter(|grant| wanted.is_none_or(|wanted| wanted == grant.terms.owner)) {
             scopes.insert(grant.terms.owner, grant.terms.scope);
         }
         if scopes.is_empty() {
             return Ok(RecordPage { records: Vec::new(), next: None });
         }
-        self.audit_first(owner, "list shared", "records").await?;
+        self.audit_query(owner, "list shared", &query).await?;
         let readable = self.readable_topics(&scopes).await?;
         let query = RecordQuery {
             owners: Some(scopes.keys().copied().collect()),
@@ -42,7 +43,12 @@ impl Site {
         for owner in scopes.keys() {
             self.learn_names(&reader, *owner).await?;
         }
-        self.readable_page(&reader, query).await
+        let mut page = self.readable_page(&reader, query).await?;
+        let names = self.names();
+        for record in &mut page.records {
+            record.owner_name = record.owner.and_then(|owner| names.get(&owner).cloned());
+        }
+        Ok(page)
     }
 
     /// The next page with a record that the reader's keys open; such pages may be short.
@@ -83,8 +89,9 @@ impl Site {
         let network = self.network().await?;
         let reader = Reader { plant: &self.plant, network: &network, reader: owner };
         let allowed = reader.authorise(&row);
-        self.record_audit(&owner.profile, "check", &row.id, if allowed.is_ok() { "begun" } else { "refused" }).await?;
+        self.count_refusal(owner, &allowed);
         allowed?;
+        self.audit_first(owner, "check", &row.id).await?;
         let (verdict, digest) = reader.check(&row).await?;
         Ok(CheckView { id: row.id, verdict, digest, transaction: row.transaction, block: row.block })
     }
@@ -95,9 +102,9 @@ impl Site {
         let network = self.network().await?;
         let reader = Reader { plant: &self.plant, network: &network, reader: owner };
         let allowed = reader.authorise(&row);
-        self.record_audit(&owner.profile, "decrypt", &row.id, if allowed.is_ok() { "begun" } else { "refused" })
-            .await?;
+        self.count_refusal(owner, &allowed);
         allowed?;
+        self.audit_first(owner, "decrypt", &row.id).await?;
         let opened = reader.open(&row).await?;
         let definition = reader.definition(&row, &opened).await?;
         let decoded =

@@ -62,6 +62,7 @@ impl Site {
         self.owners.write().unwrap_or_else(PoisonError::into_inner).insert(profile, Arc::clone(&owner));
         tokio::spawn(workers::anchor(Arc::clone(self), Arc::clone(&owner)));
         tokio::spawn(Arc::clone(self).keep_witnesses(Arc::clone(&owner)));
+        tokio::spawn(Arc::clone(self).mirror(Arc::clone(&owner)));
         self.restore_watches(&owner);
         self.changed(Part::Identity);
         owner

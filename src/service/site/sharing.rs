@@ -4,8 +4,9 @@ use std::sync::Arc;
 
 use super::Site;
 use crate::chain::Call;
+use crate::gateway::GrantNotice;
 use crate::model::grant::MOST_TOPICS;
-use crate::model::{Address, GrantTerms, Scope, Timestamp, TopicName};
+use crate::model::{Address, GrantTerms, Party, Scope, Timestamp, TopicName};
 use crate::pipeline::Owner;
 use crate::pipeline::directory::Granted;
 use crate::service::command::Epochs;
@@ -18,7 +19,7 @@ impl Site {
     pub(super) async fn grant(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
-        grantee: Address,
+        grantee: &Party,
         topics: &[TopicName],
         epochs: Epochs,
         expires: Option<Timestamp>,
@@ -26,6 +27,7 @@ impl Site {
         let network = self.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
         network.directory.identity(owner.address)?;
+        let grantee = self.resolve(grantee)?;
         if grantee == owner.address {
             return Err(refused(format!("{grantee} is this profile itself; it reads its own records without a grant")));
         }
@@ -36,6 +38,7 @@ impl Site {
             return Err(input("the grant would end before it begins; give a later --expires"));
         }
         network.directory.identity(grantee)?;
+        self.check_contact(&network, grantee).await?;
         if self.active_grant(&network, owner.address, grantee).is_some() {
             return Err(refused(format!("{grantee} has an active grant already; revoke it first to change its terms")));
         }
@@ -52,7 +55,11 @@ impl Site {
         self.settle_revocation(owner, grantee)?;
         self.foresee_expiry(owner, &network, expires)?;
         let call = Call::AuthorityGrant { grantee, epoch, expiry: terms.expiry, scope: terms.scope, envelope };
-        let (transaction, receipt) = self.sender.send(&network.chain, &owner.eoa(), call, "authorityGrant").await?;
+        let sent = self.sender.send(&network.chain, &owner.eoa(), call, "authorityGrant").await;
+        let sent = self.audit_end(owner, "grant", &grantee.to_string(), sent.map_err(Failure::from)).await;
+        let (transaction, receipt) = sent?;
+        let notice = GrantNotice { grantee, epoch, expiry: expires.map_or(0, Timestamp::seconds), transaction };
+        self.tell_of_grant(owner, &network, notice).await;
         self.scanned(receipt.block).await;
         self.changed(Part::Grants);
         let what = if names.is_empty() { "all topics".to_owned() } else { names.join(", ") };
@@ -62,40 +69,6 @@ impl Site {
             epoch,
             text: format!("{grantee} may read {what}, from epoch {epoch} on"),
         })
-    }
-
-    /// Stops sharing with an account. What it has read cannot be recalled.
-    pub(super) async fn revoke(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        grantee: Address,
-    ) -> Result<TransactionView, Failure> {
-        let network = self.network().await?;
-        let _one_at_a_time = owner.changes.lock().await;
-        if self.active_grant(&network, owner.address, grantee).is_none() {
-            return Err(refused(format!(
-                "{grantee} has no active grant of {}; `authros grants list` shows who has",
-                owner.address
-            )));
-        }
-        self.owe_revocation(owner, grantee)?;
-        let purpose = format!("revoke {grantee}");
-        let mut view = self
-            .begin_epoch(owner, &network, &purpose, |new_token| Call::AuthorityRevoke { grantee, new_token })
-            .await
-            .map_err(|failure| Failure {
-                message: format!(
-                    "{}; the revocation is noted and is sent again until the chain has it",
-                    failure.message
-                ),
-                ..failure
-            })?;
-        self.settle_revocation(owner, grantee)?;
-        view.text = format!(
-            "{grantee} can read nothing sealed from now on (epoch {}); what was already read cannot be recalled",
-            view.epoch
-        );
-        Ok(view)
     }
 
     pub(super) fn active_grant(
@@ -127,7 +100,14 @@ impl Site {
         let network = self.network().await?;
         let me = owner.address;
         let grants = network.directory.grants(|grant| grant.terms.owner == me || grant.terms.grantee == me);
-        grants.iter().map(|grant| self.grant_row(owner, &network, grant)).collect()
+        let names = self.names();
+        let with_name = |mut row: GrantRow| {
+            let other = if row.owner == me { row.grantee } else { row.owner };
+            row.name = names.get(&other).cloned();
+            row.fingerprint = Self::registered_fingerprint(&network, other);
+            row
+        };
+        grants.iter().map(|grant| self.grant_row(owner, &network, grant).map(with_name)).collect()
     }
 
     fn grant_row(
@@ -155,6 +135,8 @@ impl Site {
             state: grant.word(Timestamp::now()).to_owned(),
             block: grant.block,
             transaction: grant.transaction,
+            name: None,
+            fingerprint: None,
         })
     }
 

@@ -36,7 +36,10 @@ impl Site {
     }
 
     fn chain_health(&self) -> PartHealth {
-        let name = self.config.chain_url.as_deref().map_or_else(|| "embedded chain".to_owned(), without_password);
+        let name = match &self.remote {
+            Some(remote) => remote.chain_text(),
+            None => self.config.chain_url.as_deref().map_or_else(|| "embedded chain".to_owned(), without_password),
+        };
         let silent = self.chain_is_silent();
         let (level, text) = match &*self.network.borrow() {
             NetworkState::Off => (HealthLevel::Absent, "not part of this run".to_owned()),
@@ -130,6 +133,8 @@ impl Site {
             pending,
             lanes,
             client: clean(&status.client, 100),
+            through: self.remote.as_ref().map(|remote| clean(&remote.chain_text(), 300)),
+            administration: self.network_now().map(|network| self.administration_view(&network)).unwrap_or_default(),
             sealing: chain.sealing().await?,
         })
     }

@@ -100,11 +100,13 @@ impl Site {
         Ok(Provenance { record: record_view(&row, false), steps })
     }
 
-    /// The files by which others check a record with openssl and a node.
+    /// The files by which others check a record with openssl and a node; accounts are redacted in `proof.json` unless
+    /// `addresses` are asked for.
     pub(super) async fn export_upload(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
         id: &str,
+        addresses: bool,
     ) -> Result<Vec<ExportedFile>, Failure> {
         let row = self.own_record(&owner.profile, id).await?;
         let network = self.network().await?;
@@ -120,12 +122,15 @@ impl Site {
             signer.ok_or_else(|| refused("the record's signing key is not among those registered on the chain"))?;
         let signed = record::signed_bytes(&bound, &row.digest);
         let pin = network.chain.pin();
+        // The record's own header and leaf hold the owner, and cannot do without: only what lies beside is redacted.
+        let shown = |account: Address| if addresses { account.to_string() } else { account.redacted() };
         let proof = serde_json::json!({
             "format": "authros-proof/1",
             "digest": row.digest,
             "signed_message_hex": hex(&signed),
             "signature_id": "1234567812345678",
-            "owner": row.owner,
+            "owner": shown(row.owner),
+            "addresses": if addresses { "full" } else { "redacted" },
             "signer": row.signer,
             "signing_key": signer,
             "epoch": row.epoch,
@@ -136,7 +141,7 @@ impl Site {
             "chain_id": network.chain.chain_id(),
             "genesis": network.chain.genesis(),
             "contract": pin.map(|pin| pin.contract),
-            "anchor": anchor_json(&row, place.as_ref()),
+            "anchor": anchor_json(&row, place.as_ref(), &shown),
             "state": row.state.word(),
         });
         let proof = serde_json::to_vec_pretty(&proof).map_err(|error| internal(error.to_string()))?;
@@ -152,7 +157,7 @@ impl Site {
 }
 
 /// Where the digest is on the chain, and for a batched one the path from its leaf to the root.
-fn anchor_json(row: &RecordRow, place: Option<&BatchPlace>) -> serde_json::Value {
+fn anchor_json(row: &RecordRow, place: Option<&BatchPlace>, shown: &dyn Fn(Address) -> String) -> serde_json::Value {
     let (transaction, block, block_hash) = (row.transaction, row.block, row.block_hash);
     let Some(place) = place else {
         return serde_json::json!({
@@ -167,7 +172,7 @@ fn anchor_json(row: &RecordRow, place: Option<&BatchPlace>) -> serde_json::Value
         "count": inclusion.count,
         "path": inclusion.path,
         "root": inclusion.root,
-        "account": place.account,
+        "account": place.account.map(shown),
         "transaction": transaction,
         "block": block,
         "block_hash": block_hash,

@@ -13,6 +13,7 @@ pub(super) fn record_view(row: &RecordRow, with_owner: bool) -> RecordView {
     RecordView {
         id: row.id.clone(),
         owner: with_owner.then_some(row.owner),
+        owner_name: None,
         seq: row.seq,
         topic: clean(&row.topic, WIDEST),
         type_name: clean(&row.type_name, WIDEST),
@@ -36,7 +37,6 @@ pub(super) fn record_page(page: crate::store::RecordPage, with_owner: bool) -> R
 /// A person's query as the ledger's; captured messages unless another kind is asked for.
 pub(super) fn record_query(query: UploadQuery) -> RecordQuery {
     RecordQuery {
-        owner: query.owner,
         topic: query.topic.map(|topic| topic.to_string()),
         kind: Some(query.kind.unwrap_or(RecordKind::Data)),
         state: query.state,

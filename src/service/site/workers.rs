@@ -21,6 +21,7 @@ const LONGEST_REST: Duration = Duration::from_secs(60);
 /// Starts all tasks that the run needs.
 pub(super) fn start(site: &Arc<Site>, needs: Needs) -> Result<(), Failure> {
     tokio::spawn(Arc::clone(&site.hub).run());
+    tokio::spawn(Arc::clone(site).keep_audit());
     if needs.ros {
         start_sealer(site)?;
         let task = tokio::spawn(Arc::clone(site).keep_ros());
@@ -34,6 +35,7 @@ pub(super) fn start(site: &Arc<Site>, needs: Needs) -> Result<(), Failure> {
         tokio::spawn(watch(Arc::clone(site)));
         tokio::spawn(verify(Arc::clone(site)));
         tokio::spawn(Arc::clone(site).expire_grants());
+        tokio::spawn(Arc::clone(site).keep_parties_known());
     }
     Ok(())
 }

@@ -53,6 +53,7 @@ impl Ledger {
     /// another name, [`StoreError::IllegalEdge`] where a record cannot begin in its state,
     /// [`StoreError::DiskFull`] and the like: then nothing is acknowledged.
     pub fn append(&self, records: Vec<NewRecord>) -> Result<(), StoreError> {
+        self.takes_records()?;
         self.write(move |session| {
             let now = whole("time", Timestamp::now().0)?;
             records.iter().try_for_each(|record| add(session, record, now))

@@ -155,6 +155,17 @@ fn a_failing_job_leaves_its_neighbours_alone() {
 }
 
 #[test]
+fn records_are_held_back_while_the_space_is_for_something_else() {
+    let (_home, ledger) = open();
+    let (one, other) = (ledger.hold_records(), ledger.hold_records());
+    drop(one);
+    assert!(matches!(ledger.append(vec![record(1, 1, 1)]), Err(StoreError::DiskFull { .. })));
+    ledger.put_setting("revoking", "x").expect("everything else is written");
+    drop(other);
+    ledger.append(vec![record(1, 1, 1)]).expect("acknowledged");
+}
+
+#[test]
 fn a_full_disk_acknowledges_nothing_and_takes_all_later() {
     let (_home, ledger) = open();
     ledger.append(vec![record(1, 1, 1)]).expect("acknowledged");

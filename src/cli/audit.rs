@@ -1,0 +1,124 @@
+//! `audit`: what its arguments mean, and its results for people.
+
+use clap::Subcommand;
+
+use super::output::table;
+use super::parse;
+use crate::model::{ErrorKind, Timestamp};
+use crate::service::command::AuditQuery;
+use crate::service::reply::{AuditCheck, AuditView};
+use crate::service::{Command, Failure};
+
+/// `audit …`
+#[derive(Debug, Subcommand)]
+pub enum AuditVerb {
+    /// The newest lines, newest first
+    List {
+        /// Written at or after: a time as 2026-11-21T08:30:00Z, or so long ago, as 10m
+        #[arg(long, value_name = "TIME")]
+        since: Option<String>,
+        /// Only what was done so: grant, decrypt, refused, …
+        #[arg(long, value_name = "WORD")]
+        action: Option<String>,
+        /// Only what this profile (for refusals: this peer) did
+        #[arg(long, value_name = "NAME")]
+        by: Option<String>,
+        /// Only lines before this number: pages going back
+        #[arg(long, value_name = "N")]
+        before: Option<u64>,
+        /// At most so many lines, 1 to 1000
+        #[arg(long, value_name = "N", default_value_t = 100)]
+        limit: usize,
+    },
+    /// Recompute the chain of hashes; compare it with the heads this profile anchored
+    Verify {
+        /// Only the hashes: needs neither keyring nor chain, and does not see lines cut off at the end
+        #[arg(long)]
+        without_heads: bool,
+    },
+    /// Write the whole log to a file for others: one JSON document a line
+    Export {
+        /// Directory to write audit.jsonl to
+        #[arg(long, value_name = "DIR")]
+        dir: std::path::PathBuf,
+        /// Addresses in full, which the hashes of the lines need to be recomputed
+        #[arg(long)]
+        addresses: bool,
+    },
+}
+
+/// The query of `audit list`.
+///
+/// # Errors
+/// What is wrong with the arguments.
+pub fn query(verb: &AuditVerb) -> Result<Command, Failure> {
+    Ok(match verb {
+        AuditVerb::List { since, action, by, before, limit } => {
+            if !(1..=1000).contains(limit) {
+                return Err(Failure::new(ErrorKind::Input, format!("--limit {limit} is not between 1 and 1000")));
+            }
+            let since = since.as_deref().map(beginning).transpose()?;
+            let (action, profile) = (action.clone(), by.clone());
+            Command::ListAudit(AuditQuery { since, action, profile, before: *before, limit: *limit })
+        }
+        AuditVerb::Verify { without_heads } => Command::VerifyAudit { heads: !without_heads },
+        AuditVerb::Export { addresses, .. } => Command::ExportAudit { addresses: *addresses },
+    })
+}
+
+fn beginning(text: &str) -> Result<Timestamp, Failure> {
+    if let Ok(time) = parse::moment(text) {
+        return Ok(time);
+    }
+    let length = u64::try_from(parse::duration(text)?.as_nanos()).unwrap_or(u64::MAX);
+    Ok(Timestamp(Timestamp::now().0.saturating_sub(length)))
+}
+
+/// The lines, for people.
+pub fn lines(lines: &[AuditView]) -> String {
+    let row = |line: &AuditView| {
+        vec![
+            line.line.to_string(),
+            line.at.to_string(),
+            line.profile.clone(),
+            line.action.clone(),
+            line.subject.clone(),
+            line.outcome.clone(),
+        ]
+    };
+    let rows: Vec<Vec<String>> = lines.iter().map(row).collect();
+    table(&["line", "at", "by", "action", "subject", "outcome"], &rows)
+}
+
+/// What a check found, for people.
+pub fn check(check: &AuditCheck) -> String {
+    let mut lines = Vec::new();
+    match &check.text {
+        Some(text) => lines.push(format!("BROKEN: {text}")),
+        None => lines.push(format!("{} lines, each chained to the one before", check.lines)),
+    }
+    let (heads, anchored, covered) = (check.heads, check.anchored, check.covered);
+    lines.push(format!("{heads} heads compared, {anchored} of them on the chain; the newest covers {covered} lines"));
+    lines.extend(check.unusable.iter().map(|record| format!("an anchored head cannot be used: {record}")));
+    lines.join("\n")
+}
+
+/// The exit code of a check.
+pub fn code(check: &AuditCheck) -> u8 {
+    if check.ok { 0 } else { ErrorKind::Tampered.exit_code() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_list_begins_at_a_time_or_so_long_ago() {
+        let list = |since: &str| {
+            let (since, limit) = (Some(since.to_owned()), 10);
+            query(&AuditVerb::List { since, action: None, by: None, before: None, limit })
+        };
+        assert!(matches!(list("2026-11-21T08:30:00Z"), Ok(Command::ListAudit(AuditQuery { since: Some(_), .. }))));
+        assert!(list("10m").is_ok() && list("soon").is_err());
+    }
+}

@@ -1,0 +1,129 @@
+//! `contacts`, `identity compare` and the administrator's `chain` verbs: what their arguments mean, and results.
+
+use clap::Subcommand;
+
+use super::args::ChainVerb;
+use super::output::table;
+use super::parse;
+use crate::model::{Address, ErrorKind};
+use crate::service::command::Administration;
+use crate::service::reply::{AdministrationView, CompareView, ContactRow, SuccessionView};
+use crate::service::{Command, Failure};
+
+/// `contacts …`
+#[derive(Debug, Subcommand)]
+pub enum ContactsVerb {
+    /// Enter an account; names then stand for addresses in every command
+    Add {
+        /// Name, as bob or lab-2
+        name: String,
+        /// Account, as 0x and 40 hex
+        address: String,
+        /// Fingerprint of its SM2 key, as its owner told it [default: what it has registered]
+        #[arg(long, value_name = "FINGERPRINT")]
+        fingerprint: Option<String>,
+    },
+    /// Every contact, and whether its key is still the one noted
+    List,
+    /// Take an account out
+    Remove {
+        /// Name
+        name: String,
+    },
+    /// Take the key that the account has registered now for the right one
+    Confirm {
+        /// Name
+        name: String,
+        /// Only where it has this fingerprint
+        #[arg(long, value_name = "FINGERPRINT")]
+        fingerprint: Option<String>,
+    },
+}
+
+/// The command for a verb.
+///
+/// # Errors
+/// What is wrong with the arguments.
+pub fn contacts(verb: ContactsVerb) -> Result<Command, Failure> {
+    Ok(match verb {
+        ContactsVerb::Add { name, address, fingerprint } => {
+            Command::AddContact { name: parse::value(&name)?, address: parse::value(&address)?, fingerprint }
+        }
+        ContactsVerb::List => Command::ListContacts,
+        ContactsVerb::Remove { name } => Command::RemoveContact { name: parse::value(&name)? },
+        ContactsVerb::Confirm { name, fingerprint } => {
+            Command::ConfirmContact { name: parse::value(&name)?, fingerprint }
+        }
+    })
+}
+
+/// The administrator's act of a verb; `None` for any other verb.
+///
+/// # Errors
+/// What is wrong with the arguments.
+pub fn act(verb: &ChainVerb) -> Result<Option<Command>, Failure> {
+    let act = match verb {
+        ChainVerb::Succeed { lost, successor } => {
+            Administration::Succeed { lost: parse::value(lost)?, successor: parse::value(successor)? }
+        }
+        ChainVerb::Admit { account } => Administration::Admit { account: parse::value(account)? },
+        ChainVerb::Suspend { account } => Administration::Suspend { account: parse::value(account)? },
+        ChainVerb::Restore { account } => Administration::Restore { account: parse::value(account)? },
+        ChainVerb::Open => Administration::Open { open: true },
+        ChainVerb::Close => Administration::Open { open: false },
+        ChainVerb::Pause => Administration::Pause { paused: true },
+        ChainVerb::Resume => Administration::Pause { paused: false },
+        ChainVerb::HandOver { account } => Administration::HandOver { account: parse::value(account)? },
+        ChainVerb::Accept => Administration::Accept,
+        _ => return Ok(None),
+    };
+    Ok(Some(Command::Administer(act)))
+}
+
+/// The address book, for people.
+pub fn contact_table(rows: &[ContactRow]) -> String {
+    let or_dash = |text: &Option<String>| text.clone().unwrap_or_else(|| "-".to_owned());
+    let row = |row: &ContactRow| {
+        let from = if row.given { "told" } else { "found" };
+        let noted = row.fingerprint.as_ref().map_or_else(|| "-".to_owned(), |noted| format!("{noted} ({from})"));
+        vec![row.name.to_string(), row.address.to_string(), row.state.clone(), noted, or_dash(&row.registered)]
+    };
+    let rows: Vec<Vec<String>> = rows.iter().map(row).collect();
+    table(&["name", "address", "key", "noted", "registered"], &rows)
+}
+
+/// Two fingerprints, for people.
+pub fn comparison(view: &CompareView) -> String {
+    let account = named(view.account, view.name.as_ref());
+    let word = if view.equal { "EQUAL" } else { "DIFFERENT" };
+    format!("{word}\n{}  of {account}\n{}  as given", view.fingerprint, view.given)
+}
+
+/// The exit code of a comparison.
+pub fn comparison_code(view: &CompareView) -> u8 {
+    if view.equal { 0 } else { ErrorKind::Refused.exit_code() }
+}
+
+/// An address with its name, where it has one.
+pub fn named(account: Address, name: Option<&String>) -> String {
+    name.map_or_else(|| account.to_string(), |name| format!("{name} {account}"))
+}
+
+/// What the administrator decided, as lines of `chain status`.
+pub fn administration(view: &AdministrationView) -> Vec<(&'static str, String)> {
+    let Some(administrator) = view.administrator else { return Vec::new() };
+    let registration = if view.open { "open to all" } else { "only admitted accounts" };
+    let mut rows = vec![("administrator", administrator.to_string()), ("registration", registration.to_owned())];
+    rows.extend(view.nominee.map(|nominee| ("hands over to", nominee.to_string())));
+    rows.extend(view.paused.then(|| ("paused", "all changes but those that take rights away".to_owned())));
+    rows.extend(view.successions.iter().map(|one| ("successor", succession(one))));
+    let lost = |account: &&Address| view.successions.iter().any(|one| one.lost == **account);
+    rows.extend(view.suspended.iter().filter(|account| !lost(account)).map(|one| ("suspended", one.to_string())));
+    rows
+}
+
+fn succession(one: &SuccessionView) -> String {
+    let (lost, successor) =
+        (named(one.lost, one.lost_name.as_ref()), named(one.successor, one.successor_name.as_ref()));
+    format!("{successor} continues for {lost}, since block {}", one.block)
+}

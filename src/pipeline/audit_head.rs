@@ -1,0 +1,120 @@
+//! The head of the audit log, put on the chain while it changes: a record of each owner who is open, under her own
+//! keys, for nobody can open another's, and a head that somebody else signed proves nothing to her.
+
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+
+use crate::model::{AuditHead, Digest, RecordKind, Timestamp};
+use crate::store::{AuditLog, Ledger, RecordQuery, RecordRow, StoreError};
+
+use super::reader::Reader;
+use super::statement::{self, Statement};
+use super::{Network, Owner, PipelineError, Plant};
+
+/// The name that the records are filed under.
+const TOPIC: &str = "authros/audit";
+/// Heads that are opened for one check, the newest; each covers all lines below it.
+const MOST_HEADS: usize = 100;
+
+/// The head that an owner's newest record holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+struct Last {
+    line: u64,
+    hash: Digest,
+}
+
+fn key(owner: &Owner) -> String {
+    format!("audit-head:{}", owner.address)
+}
+
+fn last(ledger: &Ledger, owner: &Owner) -> Result<Option<Last>, StoreError> {
+    let Some(text) = ledger.setting(&key(owner))? else { return Ok(None) };
+    let detail = "its note about the anchored audit head cannot be read".to_owned();
+    serde_json::from_str(&text).map(Some).map_err(|_| StoreError::Corrupt { file: ledger.path().to_owned(), detail })
+}
+
+/// Seals the log's head for `owner` where its oldest line that no head of hers covers is older than `every`: a
+/// function of the ledger, so it goes on where it stood before a restart, and idles while nothing changes. The
+/// caller holds [`Owner::changes`]: a head must not be signed by a key that is just being replaced.
+///
+/// # Errors
+/// Of ledger and vault; `StoreError::Corrupt` where the log does not go on from the head before, and then no head
+/// is put on top of it.
+pub fn state_head(
+    plant: &Plant,
+    network: &Network,
+    log: &AuditLog,
+    owner: &Owner,
+    every: Duration,
+) -> Result<Option<Digest>, PipelineError> {
+    let Some(keys) = owner.sealing().filter(|keys| keys.domain == network.domain) else { return Ok(None) };
+    let before = last(&plant.ledger, owner)?;
+    if let Some(before) = before
+        && let Err(fault) = log.compare(&[(before.line, before.hash)])
+    {
+        let file = plant.ledger.path().to_owned();
+        return Err(StoreError::Corrupt { file, detail: fault.to_string() }.into());
+    }
+    let covered = before.map_or(0, |before| before.line);
+    let Some(oldest) = log.written_after(covered)? else { return Ok(None) };
+    let every = u64::try_from(every.as_nanos()).unwrap_or(u64::MAX);
+    if Timestamp::now().0.saturating_sub(oldest.0) < every {
+        return Ok(None);
+    }
+    let (line, hash) = log.head()?;
+    let previous_hash = before.map_or(Digest([0; Digest::LENGTH]), |before| before.hash);
+    let body = AuditHead { line, hash, previous_line: covered, previous_hash }.encode();
+    let named = Statement { kind: RecordKind::Audit, topic: TOPIC, type_name: "authros/AuditHead", body: &body };
+    let Some(digest) = statement::state(plant, owner.address, &keys, named)? else { return Ok(None) };
+    // Cut here, the next head names the same one before it, which is no contradiction.
+    plant.ledger.put_setting(&key(owner), &serde_json::to_string(&Last { line, hash }).unwrap_or_default())?;
+    plant.observer.records_changed();
+    Ok(Some(digest))
+}
+
+/// The heads of the log that a reader's own records hold.
+#[derive(Debug, Default)]
+pub struct Heads {
+    /// Number of lines and hash each, newest first, out of records whose checks passed.
+    pub good: Vec<(u64, Digest)>,
+    /// Of these in a block that the chain confirms.
+    pub anchored: usize,
+    /// Records that fail their checks, with the reason.
+    pub bad: Vec<(String, String)>,
+}
+
+/// Opens the newest heads of the log that this owner anchored.
+///
+/// # Errors
+/// Of the ledger; a record that does not open is told in the answer.
+pub async fn heads(reader: &Reader<'_>) -> Result<Heads, PipelineError> {
+    let query = RecordQuery {
+        owner: Some(reader.reader.address),
+        kind: Some(RecordKind::Audit),
+        limit: MOST_HEADS,
+        newest_first: true,
+        ..RecordQuery::default()
+    };
+    let page = tokio::task::block_in_place(|| reader.plant.ledger.list(&query))?;
+    let mut heads = Heads::default();
+    for row in &page.rows {
+        match open(reader, row).await {
+            Ok((head, anchored)) => {
+                heads.good.push((head.line, head.hash));
+                heads.anchored += usize::from(anchored);
+            }
+            Err(error) => heads.bad.push((row.id.clone(), error.to_string())),
+        }
+    }
+    // The ledger's own note, for a head whose record was taken away.
+    let noted = tokio::task::block_in_place(|| last(&reader.plant.ledger, reader.reader))?;
+    heads.good.extend(noted.map(|last| (last.line, last.hash)));
+    Ok(heads)
+}
+
+async fn open(reader: &Reader<'_>, row: &RecordRow) -> Result<(AuditHead, bool), PipelineError> {
+    let opened = reader.open(row).await?;
+    let head = AuditHead::parse(&opened.body).map_err(|error| PipelineError::Refused(error.to_string()))?;
+    Ok((head, opened.verdict == crate::model::Verdict::Verified))
+}

@@ -1,0 +1,69 @@
+//! What is told of other accounts: the address book, fingerprints, the administrator's decisions.
+
+use serde::{Deserialize, Serialize};
+
+use crate::model::{Address, ContactName};
+
+/// One account of the address book.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ContactRow {
+    /// Its name here.
+    pub name: ContactName,
+    /// Its address.
+    pub address: Address,
+    /// The fingerprint of its SM2 key as it was noted.
+    pub fingerprint: Option<String>,
+    /// Whether that was given by a person, and not just found on the chain.
+    pub given: bool,
+    /// The fingerprint of the key that it has registered now.
+    pub registered: Option<String>,
+    /// `same`, `differs`, `not registered` or `not noted`.
+    pub state: String,
+}
+
+/// Two fingerprints side by side.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct CompareView {
+    /// Whose.
+    pub account: Address,
+    /// Its name in the address book.
+    pub name: Option<String>,
+    /// That of its SM2 key.
+    pub fingerprint: String,
+    /// The one that was given, in the same form.
+    pub given: String,
+    /// Whether they are the same.
+    pub equal: bool,
+}
+
+/// A lost account and who continues its work.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SuccessionView {
+    /// The lost one.
+    pub lost: Address,
+    /// Its name in the address book.
+    pub lost_name: Option<String>,
+    /// Who continues.
+    pub successor: Address,
+    /// Its name in the address book.
+    pub successor_name: Option<String>,
+    /// Since which block.
+    pub block: u64,
+}
+
+/// What the administrator of the contract decided.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct AdministrationView {
+    /// Who administers.
+    pub administrator: Option<Address>,
+    /// Who is to, once it accepts.
+    pub nominee: Option<Address>,
+    /// Whether anyone may register.
+    pub open: bool,
+    /// Whether all changes are stopped but those that take rights away.
+    pub paused: bool,
+    /// Accounts whose changes are stopped.
+    pub suspended: Vec<Address>,
+    /// Lost accounts with their successors.
+    pub successions: Vec<SuccessionView>,
+}

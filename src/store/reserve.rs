@@ -1,0 +1,117 @@
+//! Disk space set aside for what must succeed on a full disk: a file of random bytes that is given up then.
+//!
+//! Random, so that no file system compresses it away; written and fsynced, so that the space is really taken.
+
+use std::fs::{self, File};
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use super::{StoreError, files};
+
+/// Bytes set aside: enough for a revoke with its audit line, its transaction, the keyring and a block.
+pub const RESERVE_BYTES: u64 = 4 * 1024 * 1024;
+/// Random bytes drawn at a time.
+const PIECE: usize = 64 * 1024;
+
+/// The reserve of a home.
+#[derive(Debug)]
+pub struct Reserve {
+    path: PathBuf,
+    /// Whether the space is set aside.
+    held: Mutex<bool>,
+}
+
+impl Reserve {
+    /// The reserve at `path`; it is [`Self::refill`]ed where it is missing or was cut short.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`], [`StoreError::Home`]: there is no reserve then; the handle can be used all the same.
+    pub fn open(path: &Path) -> (Self, Result<(), StoreError>) {
+        let whole = fs::metadata(path).is_ok_and(|about| about.len() == RESERVE_BYTES);
+        let reserve = Self { path: path.to_owned(), held: Mutex::new(whole) };
+        let filled = reserve.refill();
+        (reserve, filled)
+    }
+
+    fn held(&self) -> MutexGuard<'_, bool> {
+        self.held.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Whether the space is set aside now.
+    pub fn is_held(&self) -> bool {
+        *self.held()
+    }
+
+    /// Gives the space up; whether there was any.
+    ///
+    /// # Errors
+    /// [`StoreError::Home`] where the file cannot be removed.
+    pub fn release(&self) -> Result<bool, StoreError> {
+        let mut held = self.held();
+        if !*held {
+            return Ok(false);
+        }
+        fs::remove_file(&self.path).map_err(|error| StoreError::home(&self.path, &error))?;
+        *held = false;
+        Ok(true)
+    }
+
+    /// Sets the space aside again, where it is not.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`], [`StoreError::Home`]: nothing is taken then.
+    pub fn refill(&self) -> Result<(), StoreError> {
+        let mut held = self.held();
+        if *held {
+            return Ok(());
+        }
+        let filled = files::open_private(&self.path).and_then(|file| {
+            fill(file).map_err(|error| StoreError::home(&self.path, &error))?;
+            Ok(())
+        });
+        if let Err(error) = filled {
+            // Half a reserve would take the space that others need now.
+            drop(fs::remove_file(&self.path));
+            return Err(error);
+        }
+        *held = true;
+        Ok(())
+    }
+}
+
+fn fill(mut file: File) -> std::io::Result<()> {
+    file.set_len(0)?;
+    let mut piece = vec![0; PIECE];
+    let mut left = RESERVE_BYTES;
+    while left > 0 {
+        let length = usize::try_from(left).unwrap_or(PIECE).min(PIECE);
+        let Some(part) = piece.get_mut(..length) else { break };
+        getrandom::fill(part).map_err(|error| std::io::Error::other(error.to_string()))?;
+        file.write_all(part)?;
+        left -= length as u64;
+    }
+    file.sync_all()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn space_is_set_aside_given_up_once_and_set_aside_again() {
+        let home = tempfile::tempdir().expect("folder");
+        let path = home.path().join("reserve");
+        let size = || fs::metadata(&path).map(|about| about.len()).ok();
+        let (reserve, opened) = Reserve::open(&path);
+        assert_eq!((opened, reserve.is_held(), size()), (Ok(()), true, Some(RESERVE_BYTES)));
+        assert_eq!((reserve.release(), reserve.release(), size()), (Ok(true), Ok(false), None));
+        reserve.refill().expect("there is room");
+        assert_eq!(size(), Some(RESERVE_BYTES));
+        fs::write(&path, b"cut short").expect("written");
+        let (again, opened) = Reserve::open(&path);
+        assert_eq!((opened, again.is_held(), size()), (Ok(()), true, Some(RESERVE_BYTES)));
+        let (none, opened) = Reserve::open(&home.path().join("no/such/folder"));
+        assert!(opened.is_err() && !none.is_held() && none.release() == Ok(false));
+    }
+}
