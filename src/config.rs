@@ -12,7 +12,7 @@ use serde::Serialize;
 
 pub use self::definitions::{DEFINITIONS, Definition};
 use crate::crypto::ProviderName;
-use crate::model::{Address, AnchorMode, Consensus, ErrorKind, SignerId, clean};
+use crate::model::{Address, AnchorMode, Consensus, ErrorKind, ListedPublishers, PinMode, SignerId, clean};
 
 /// Why the settings cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -112,6 +112,10 @@ pub struct Config {
     pub ros_host: Option<String>,
     /// Which topics are measured.
     pub meter: MeterMode,
+    /// How captured topics come to their pinned publishers.
+    pub pin_mode: PinMode,
+    /// Publishers that are pinned by the settings.
+    pub publishers: ListedPublishers,
     /// Simulated robots; 0 with a real master.
     pub robots: u16,
     /// Node of a real chain.
@@ -181,6 +185,8 @@ impl Config {
         Ok(Self {
             ros_host: text("ros.host").map(str::to_owned),
             meter,
+            pin_mode: parsed(&values, "ros.pins")?.unwrap_or_default(),
+            publishers: parsed(&values, "ros.publishers")?.unwrap_or_default(),
             robots: if ros_master.is_some() { 0 } else { u16::try_from(robots).unwrap_or(0) },
             ros_master,
             chain_url: url(&values, "chain.url", &["http://", "ws://", "ipc://", "/"])?,

@@ -115,9 +115,12 @@ pub enum Verb {
     Keys(KeysVerb),
     /// Put the identity on the chain
     Register,
-    /// ROS topics: list, watch, unwatch
+    /// ROS topics: list, watch, unwatch, pin
     #[command(subcommand)]
     Topics(TopicsVerb),
+    /// Messages of publishers that are not pinned: list, release, discard
+    #[command(subcommand)]
+    Quarantine(super::quarantine::QuarantineVerb),
     /// Capture topics; ends when all captured is verified
     Capture(CaptureArguments),
     /// Own records: list, show, export
@@ -249,6 +252,21 @@ pub enum TopicsVerb {
     Unwatch {
         /// Topic
         topic: String,
+    },
+    /// Accept publishers of a topic; messages of others are quarantined
+    Pin(super::quarantine::PinArguments),
+    /// Accepted publishers, and alarms about others
+    Pins {
+        /// Only this topic
+        #[arg(long, value_name = "TOPIC")]
+        topic: Option<String>,
+    },
+    /// No longer accept a publisher of a topic
+    Unpin {
+        /// Topic
+        topic: String,
+        /// Node name, as /driver
+        caller_id: String,
     },
 }
 

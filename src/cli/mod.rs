@@ -20,6 +20,7 @@ mod output;
 mod parse;
 mod parties;
 mod passphrase;
+mod quarantine;
 mod serve;
 mod verbs;
 

@@ -14,7 +14,7 @@ pub struct Definition {
 }
 
 /// Every setting, in the order shown.
-pub const DEFINITIONS: [Definition; 17] = [
+pub const DEFINITIONS: [Definition; 19] = [
     Definition {
         name: "ros.master",
         variable: "ROS_MASTER_URI",
@@ -32,6 +32,18 @@ pub const DEFINITIONS: [Definition; 17] = [
         variable: "AUTHROS_METER",
         default: "auto",
         text: "measure rates of: all topics, watched ones, or auto (all on the embedded master)",
+    },
+    Definition {
+        name: "ros.pins",
+        variable: "AUTHROS_PINS",
+        default: "first",
+        text: "publishers of a captured topic: the first seen are pinned, only those on a list, or off = anybody",
+    },
+    Definition {
+        name: "ros.publishers",
+        variable: "AUTHROS_PUBLISHERS",
+        default: "",
+        text: "publishers that are pinned: TOPIC=CALLER_ID@HOST:TYPE:MD5, separated by commas",
     },
     Definition {
         name: "robots",

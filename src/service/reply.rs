@@ -2,12 +2,14 @@
 
 mod audit;
 mod chain;
+mod forging;
 mod parties;
 
 use serde::{Deserialize, Serialize};
 
 pub use self::audit::{AuditCheck, AuditView};
 pub use self::chain::{ChainView, DeployedView, GatewayView, ServedView};
+pub use self::forging::{AlarmView, DecidedView, HeldView, PinView, PinsView, QuarantineView};
 pub use self::parties::{AdministrationView, CompareView, ContactRow, SuccessionView};
 use super::command::SecretBytes;
 use crate::model::{Address, Digest, ErrorKind, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token, Verdict};
@@ -106,6 +108,12 @@ pub struct TopicRow {
     pub lost_in_recorder: u64,
     /// Arrival of the last message.
     pub last_message: Option<Timestamp>,
+    /// Messages of it that this profile holds in quarantine.
+    #[serde(default)]
+    pub quarantined: u64,
+    /// Whether an alarm about a publisher of it is open.
+    #[serde(default)]
+    pub alarm: bool,
 }
 
 /// One record in a list.
@@ -318,8 +326,11 @@ pub struct LifeLine {
     pub pending: u64,
     /// Held back.
     pub quarantined: u64,
-    /// Dropped before acknowledgement, counted.
+    /// Dropped before acknowledgement, counted, or discarded out of quarantine.
     pub dropped: u64,
+    /// Of these discarded by the operator out of quarantine.
+    #[serde(default)]
+    pub discarded: u64,
     /// Differ from the chain.
     pub tampered: u64,
     /// Never arrived here (header.seq gaps).
@@ -351,6 +362,9 @@ pub struct TopicSummary {
     pub captured: u64,
     /// Of these verified.
     pub verified: u64,
+    /// Of these held back: their publisher is not a pinned one.
+    #[serde(default)]
+    pub quarantined: u64,
     /// Lost in transport or in the recorder.
     pub lost: u64,
 }
@@ -362,6 +376,9 @@ pub struct CaptureSummary {
     pub captured: u64,
     /// Of these verified: re-read from the vault, digest equal to the chain, signature valid.
     pub verified: u64,
+    /// Of these held back: their publisher is not a pinned one.
+    #[serde(default)]
+    pub quarantined: u64,
     /// Lost in transport or in the recorder.
     pub lost: u64,
     /// Left out on purpose (bag import).
@@ -421,6 +438,12 @@ pub enum Reply {
     Check(CheckView),
     /// To `OpenShared`.
     Opened(Box<OpenedView>),
+    /// To commands about pins.
+    Pins(PinsView),
+    /// To `ListQuarantine`.
+    Quarantine(QuarantineView),
+    /// To `ReleaseHeld` and `DiscardHeld`.
+    Decided(DecidedView),
     /// To `ChainStatus`.
     Chain(ChainView),
     /// To `DeployContract`.

@@ -12,6 +12,8 @@ mod edges;
 mod forwarding;
 mod kept;
 mod lanes;
+mod pins;
+mod quarantine;
 mod query;
 mod rows;
 mod settings;
@@ -39,6 +41,8 @@ pub use edges::is_legal;
 pub use forwarding::KeptReceipt;
 pub use kept::KeptBinding;
 pub use lanes::{LaneCount, OpenTransaction, Reissue};
+pub use pins::{AlarmRow, PinRow};
+pub use quarantine::{HeldMinute, HeldQuery, HeldRow, Hold};
 pub use query::{RecordPage, RecordQuery};
 pub use rows::{Foreign, NewRecord, RecordRow};
 pub use sightings::{KeptEvent, Sighting};
@@ -53,6 +57,7 @@ const SCHEMA: Schema = Schema {
         include_str!("ledger/schema_3.sql"),
         include_str!("ledger/schema_4.sql"),
         include_str!("ledger/schema_5.sql"),
+        include_str!("ledger/schema_6.sql"),
     ],
 };
 const READERS_KEPT: usize = 4;

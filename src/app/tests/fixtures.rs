@@ -103,6 +103,8 @@ pub fn topic(name: &str, hz: f64) -> TopicRow {
         lost_in_transport: 0,
         lost_in_recorder: 0,
         last_message: Some(NOW),
+        quarantined: 0,
+        alarm: false,
     }
 }
 

@@ -43,6 +43,16 @@ impl Site {
             Command::ListTopics => Ok(Reply::Topics(self.topic_rows(&profile).await?)),
             Command::WatchTopic { topic, type_name } => self.watch_topic(&profile, topic, type_name).await,
             Command::UnwatchTopic { topic } => self.unwatch_topic(&profile, &topic).await,
+            Command::ListPins { topic } => self.pins_view(&profile, topic.as_ref()).await.map(Reply::Pins),
+            Command::PinTopic { topic, publishers } => {
+                self.pin_topic(&profile, &topic, publishers).await.map(Reply::Pins)
+            }
+            Command::UnpinTopic { topic, caller_id } => {
+                self.unpin_topic(&profile, &topic, &caller_id).await.map(Reply::Pins)
+            }
+            Command::ListQuarantine { topic, limit } => {
+                self.quarantine_view(&profile, topic, limit).await.map(Reply::Quarantine)
+            }
             Command::StopCapture => Ok(self.stop_captures(&profile)),
             Command::ServeChain { address } => {
                 let (end, ended) = oneshot::channel();
@@ -93,6 +103,8 @@ impl Site {
             Command::Capture { topics, type_name, count, milliseconds, tags } => {
                 self.capture(&owner, &topics, type_name, count, milliseconds, tags).await.map(Reply::Captured)
             }
+            Command::ReleaseHeld { held } => self.release_held(&owner, held).await.map(Reply::Decided),
+            Command::DiscardHeld { held } => self.discard_held(&owner, held).await.map(Reply::Decided),
             Command::ExportUpload { id, addresses } => {
                 self.export_upload(&owner, &id, addresses).await.map(Reply::Files)
             }

@@ -23,6 +23,8 @@ mod naming;
 mod opening;
 mod overdue;
 mod owners;
+mod pins;
+mod quarantine;
 mod refusals;
 mod remote;
 mod revoking;
@@ -60,7 +62,7 @@ use crate::paths::Home;
 use crate::pipeline::recorder::CapturedMessage;
 use crate::pipeline::ring::Ring;
 use crate::pipeline::sender::Policy;
-use crate::pipeline::{CaptureSession, Owner, Plant, Recorder, Sender};
+use crate::pipeline::{CaptureSession, Owner, PinRules, Pins, Plant, Recorder, Sender};
 use crate::store::{AuditLog, Ledger, Reserve, SiteLock, open_vault};
 
 /// Memory for captured messages that wait to be sealed, bytes.
@@ -86,6 +88,9 @@ pub struct Site {
     pub(crate) hub: Arc<Hub>,
     pub(crate) sender: Arc<Sender>,
     recorder: Arc<Recorder>,
+    pins: Arc<Pins>,
+    /// Quarantine records are sealed one at a time.
+    reporting: tokio::sync::Mutex<()>,
     ring: Arc<Ring<CapturedMessage>>,
     audit: AuditLog,
     refusals: refusals::Refusals,
@@ -138,8 +143,12 @@ impl Site {
         let plant = Plant { ledger: ledger.clone(), vault, provider, observer: hub.clone() };
         let ring = Arc::new(Ring::new(RING_BYTES));
         let (reserve, reserved) = Reserve::open(&home.reserve());
+        let rules = PinRules { mode: config.pin_mode, listed: config.publishers.clone() };
+        let pins = Arc::new(Pins::new(ledger.clone(), hub.clone(), rules));
         let site = Arc::new(Self {
-            recorder: Arc::new(Recorder::new(Arc::clone(&ring), hub.clone())),
+            recorder: Arc::new(Recorder::new(Arc::clone(&ring), hub.clone()).with_pins(Arc::clone(&pins))),
+            pins,
+            reporting: tokio::sync::Mutex::default(),
             sender: Arc::new(Sender::new(ledger, hub.clone(), Policy { cap: config.max_fee })),
             audit: AuditLog::new(plant.ledger.clone()),
             refusals: refusals::Refusals::default(),

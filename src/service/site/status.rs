@@ -87,8 +87,9 @@ impl Site {
             states.map(|state| counts.data_in(state)).sum()
         };
         let tampered = counts.data_in(RecordState::Tampered);
+        let discarded = counts.data_in(RecordState::Dropped);
         Ok(LifeLine {
-            captured: counts.captured(),
+            captured: counts.captured() + losses.in_recorder,
             sealed: at_least(RecordState::Sealed) + tampered,
             stored: at_least(RecordState::Stored) + tampered,
             anchored: at_least(RecordState::Mined) + tampered,
@@ -96,7 +97,8 @@ impl Site {
             verified: counts.data_in(RecordState::Verified),
             pending: counts.pending(),
             quarantined: counts.data_in(RecordState::Quarantined),
-            dropped: losses.in_recorder,
+            dropped: losses.in_recorder + discarded,
+            discarded,
             tampered,
             lost_in_transport: losses.in_transport,
         })

@@ -1,7 +1,7 @@
 //! The legal edges of a record's life line, and which part of the program may take each.
 
 use crate::model::RecordState::{
-    self, Batched, Confirmed, Mined, Quarantined, Sealed, Stored, Submitted, Tampered, Verified,
+    self, Batched, Confirmed, Dropped, Mined, Quarantined, Sealed, Stored, Submitted, Tampered, Verified,
 };
 
 /// What takes an edge.
@@ -23,9 +23,11 @@ pub(super) enum By {
     Reorg,
     /// A gateway took the record over, or says how it stands there.
     Gateway,
+    /// The operator decides about a quarantined record.
+    Operator,
 }
 
-const EDGES: [(RecordState, RecordState, By); 42] = [
+const EDGES: [(RecordState, RecordState, By); 46] = [
     (Sealed, Stored, By::Worker),
     (Sealed, Quarantined, By::Worker),
     (Stored, Quarantined, By::Worker),
@@ -39,6 +41,10 @@ const EDGES: [(RecordState, RecordState, By); 42] = [
     (Confirmed, Tampered, By::Worker),
     (Verified, Tampered, By::Worker),
     (Quarantined, Tampered, By::Worker),
+    (Tampered, Quarantined, By::Worker),
+    (Quarantined, Stored, By::Operator),
+    (Quarantined, Sealed, By::Operator),
+    (Quarantined, Dropped, By::Operator),
     (Tampered, Stored, By::Worker),
     (Tampered, Batched, By::Worker),
     (Tampered, Submitted, By::Worker),
@@ -105,6 +111,7 @@ mod tests {
             assert_eq!(may(By::Gateway, state, Verified), state == Submitted);
             assert_eq!(may(By::Worker, state, Verified), state == Confirmed);
         }
+        assert!(!may(By::Worker, Quarantined, Stored) && !is_legal(Quarantined, Batched) && !is_legal(Dropped, Stored));
         assert!(!may(By::Worker, Stored, Submitted) && !may(By::Worker, Submitted, Mined));
     }
 }
