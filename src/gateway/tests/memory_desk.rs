@@ -19,7 +19,7 @@ use crate::gateway::{Code, NetworkName, Refusal};
 use crate::model::{Address, Digest, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token};
 
 #[derive(Default)]
-pub(super) struct State {
+pub(crate) struct State {
     pub accounts: HashMap<Address, Account>,
     pub tokens: HashSet<(Address, Token)>,
     pub signers: HashMap<(Address, SignerId), PublicKey>,
@@ -27,6 +27,8 @@ pub(super) struct State {
     pub lent: HashSet<(Address, SignerId)>,
     pub bindings: HashMap<ProfileName, Binding>,
     pub records: BTreeMap<u64, Received>,
+    /// How all records stand; acknowledged unless set.
+    pub standing: Option<Standing>,
     pub readers: HashSet<(Address, Address)>,
     pub subscribers: Vec<(Caller, Selection, mpsc::Sender<Entry>)>,
     pub refusals: Vec<Code>,
@@ -40,7 +42,7 @@ pub(super) struct State {
 }
 
 #[derive(Default)]
-pub(super) struct MemoryDesk(Mutex<State>);
+pub(crate) struct MemoryDesk(Mutex<State>);
 
 fn entry(record: &Received) -> Entry {
     Entry {
@@ -172,7 +174,8 @@ impl Desk for MemoryDesk {
     async fn check(&self, _: &Caller, digests: &[Digest]) -> Result<Vec<Standing>, Refusal> {
         let state = self.state();
         let known: HashSet<Digest> = state.records.values().map(|record| record.digest).collect();
-        let standing = |digest| if known.contains(digest) { Standing::Acknowledged } else { Standing::Unknown };
+        let here = state.standing.unwrap_or(Standing::Acknowledged);
+        let standing = |digest| if known.contains(digest) { here } else { Standing::Unknown };
         Ok(digests.iter().map(standing).collect())
     }
 
