@@ -27,8 +27,6 @@ pub(crate) struct State {
     pub lent: HashSet<(Address, SignerId)>,
     pub bindings: HashMap<ProfileName, Binding>,
     pub records: BTreeMap<u64, Received>,
-    /// How all records stand; acknowledged unless set.
-    pub standing: Option<Standing>,
     pub readers: HashSet<(Address, Address)>,
     pub subscribers: Vec<(Caller, Selection, mpsc::Sender<Entry>)>,
     pub refusals: Vec<Code>,
@@ -37,6 +35,8 @@ pub(crate) struct State {
     pub revokes: Vec<RevokeNotice>,
     /// What was passed on to the chain: by whom, which method.
     pub relayed: Vec<(Option<Address>, String)>,
+    /// How every record stands; acknowledged unless said otherwise.
+    pub standing: Option<Standing>,
     /// Everything that ever changed.
     pub changes: usize,
 }
