@@ -19,7 +19,7 @@ use crate::gateway::{Code, NetworkName, Refusal};
 use crate::model::{Address, Digest, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token};
 
 #[derive(Default)]
-pub(super) struct State {
+pub(crate) struct State {
     pub accounts: HashMap<Address, Account>,
     pub tokens: HashSet<(Address, Token)>,
     pub signers: HashMap<(Address, SignerId), PublicKey>,
@@ -42,7 +42,7 @@ pub(super) struct State {
 }
 
 #[derive(Default)]
-pub(super) struct MemoryDesk(Mutex<State>);
+pub(crate) struct MemoryDesk(Mutex<State>);
 
 fn entry(record: &Received) -> Entry {
     Entry {
