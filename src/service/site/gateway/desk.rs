@@ -150,7 +150,7 @@ impl Desk for GatewayDesk {
 
     async fn register(&self, registration: &Registration) -> Result<Hash, Refusal> {
         let network = self.network()?;
-        let call = Call::Register { identity: registration.identity.clone() };
+        let call = Call::Register { identity: registration.identity };
         let transaction = network.chain.expect_call(&registration.transaction, registration.account, &call);
         let transaction = transaction.map_err(Refusal::because(Code::Transaction))?;
         let account = registration.account.to_string();
