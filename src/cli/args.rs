@@ -10,7 +10,7 @@ use std::path::PathBuf;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
 pub use self::agent::{AgentVerb, EnrolArguments, RunArguments};
-pub use self::bench::{BenchArguments, BenchVerb, ConsensusArguments};
+pub use self::bench::{BenchArguments, BenchVerb, ConsensusArguments, GatewayArguments};
 pub use self::chain::{ChainVerb, GenesisArguments};
 pub use self::gateway::GatewayVerb;
 
