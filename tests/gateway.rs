@@ -126,7 +126,7 @@ async fn what_robots_send_is_anchored_by_the_gateway_and_read_by_a_grantee_until
         Selection { filters: vec![authros::crypto::filter_id(owner.index(), "type", "a/B")], ..filtered.selection };
     assert!(session.query(&Query { selection: none, ..all_of(&owner) }).await.expect("a page").entries.is_empty());
 
-    revoked_while_live(&site, &alice, &bob_address, (&owner, &mut robot), &mut session).await;
+    revoked_while_live(&alice, &bob_address, (&owner, &mut robot), &mut session).await;
     site.process.stop("TERM", 20).expect_code(0);
 }
 
@@ -160,13 +160,7 @@ async fn read_all(session: &mut Client, owner: &Member, reader: &Member) -> Vec<
 }
 
 /// No further record reaches a live subscriber after the block of the revoke.
-async fn revoked_while_live(
-    site: &Site,
-    alice: &Authros,
-    bob: &str,
-    (owner, robot): (&Member, &mut Client),
-    session: &mut Client,
-) {
+async fn revoked_while_live(alice: &Authros, bob: &str, (owner, robot): (&Member, &mut Client), session: &mut Client) {
     session.subscribe(&Selection::all(owner.address())).await.expect("subscribes");
     let send = async |robot: &mut Client, seq: u64| {
         let upload = owner.record(&owner.keyring.signing, TOPIC, seq, b"live");
@@ -203,7 +197,6 @@ async fn revoked_while_live(
     assert!(session.next_event(Duration::from_secs(3)).await.is_err(), "nothing after the cut");
     assert_eq!(refused(session.query(&all_of(owner)).await), Code::NotAuthorised);
     assert_eq!(refused(session.subscribe(&Selection::all(owner.address())).await), Code::NotAuthorised);
-    drop(site);
 }
 
 #[tokio::test(flavor = "multi_thread")]

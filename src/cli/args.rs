@@ -11,7 +11,7 @@ use std::path::PathBuf;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
 pub use self::agent::{AgentVerb, EnrolArguments, RunArguments};
-pub use self::bench::{BenchArguments, BenchVerb, ConsensusArguments};
+pub use self::bench::{BenchArguments, BenchVerb, ConsensusArguments, GatewayArguments};
 pub use self::chain::{ChainVerb, GenesisArguments};
 pub use self::gateway::GatewayVerb;
 pub use self::global::Global;

@@ -10,13 +10,13 @@ use tokio::time::{Instant, sleep, sleep_until};
 
 use crate::crypto::{Provider, SmKeyPair, TransportKey};
 use crate::model::wire::WireError;
-use crate::model::{Digest, Timestamp};
+use crate::model::{Digest, ProfileName, Timestamp};
 
 use super::code::{Code, Refusal};
 use super::command::{Answer, Command, Inner, Speaker, split};
-use super::desk::{Caller, Desk};
+use super::desk::{Binding, Caller, Desk};
 use super::frame::FrameKind;
-use super::hello::{Context, GatewayHello, Identified, ListSummary, NetworkName, Purpose};
+use super::hello::{Agreed, Context, GatewayHello, Identified, ListSummary, NetworkName, Purpose};
 use super::limits::{Charge, Limits, Peers, Seat};
 use super::line::{Line, LineError};
 use super::parts::Assembler;
@@ -108,13 +108,28 @@ impl From<LineError> for End {
 
 /// Serves one connection until it ends.
 pub(super) async fn serve(shared: Arc<Shared>, line: Line, peer: SocketAddr, seat: Seat, stop: watch::Receiver<bool>) {
-    let now = Instant::now();
-    let mut connection = Connection { shared, line, peer, seat, stop, since: now, partial: false };
+    let mut connection = Connection::new(shared, line, peer, seat, stop);
     // The session's state is large and idle connections are many: only what runs is on the heap.
-    if let Err(End::Refused(refusal)) = Box::pin(connection.run()).await {
-        connection.shared.desk.refused(peer, &refusal);
-        connection.line.refuse(refusal.code).await;
-    }
+    let outcome = Box::pin(connection.run()).await;
+    connection.close(outcome).await;
+}
+
+/// Serves a session that was agreed elsewhere: tests try thousands of frames, each in one of its own.
+#[cfg(test)]
+pub(super) async fn serve_agreed(
+    (shared, line, seat, stop): (Arc<Shared>, Line, Seat, watch::Receiver<bool>),
+    session: Session,
+    agreed: Agreed,
+    (name, binding): (ProfileName, Option<Binding>),
+) {
+    let peer = SocketAddr::from(([127, 0, 0, 1], 1));
+    let mut connection = Connection::new(shared, line, peer, seat, stop);
+    let deadline = Instant::now() + connection.shared.limits().hello_time;
+    let outcome = match binding {
+        Some(binding) => connection.transfer_frames(session, agreed, name, binding, deadline).await,
+        None => connection.allocation_frames(session, agreed, name).await,
+    };
+    connection.close(outcome).await;
 }
 
 struct Connection {
@@ -135,6 +150,17 @@ enum Next {
 }
 
 impl Connection {
+    fn new(shared: Arc<Shared>, line: Line, peer: SocketAddr, seat: Seat, stop: watch::Receiver<bool>) -> Self {
+        Self { shared, line, peer, seat, stop, since: Instant::now(), partial: false }
+    }
+
+    async fn close(self, outcome: Result<(), End>) {
+        if let Err(End::Refused(refusal)) = outcome {
+            self.shared.desk.refused(self.peer, &refusal);
+            self.line.refuse(refusal.code).await;
+        }
+    }
+
     async fn run(&mut self) -> Result<(), End> {
         let deadline = Instant::now() + self.shared.limits().hello_time;
         let identified = self.hello(deadline).await?;
@@ -241,10 +267,13 @@ impl Connection {
 
     /// A session without a transport key: small frames, few of them, soon over; longer only where it reads the chain.
     async fn allocation(&mut self, identified: Identified) -> Result<(), End> {
+        let (agreed, name) = (identified.agreed(), identified.name().clone());
+        self.allocation_frames(identified.session(None), agreed, name).await
+    }
+
+    async fn allocation_frames(&mut self, mut session: Session, agreed: Agreed, name: ProfileName) -> Result<(), End> {
         let patience = self.shared.limits().hello_time * ALLOCATION_PATIENCE;
         let end = Instant::now() + self.shared.limits().visit_time;
-        let (agreed, name) = (identified.agreed(), identified.name().clone());
-        let mut session = identified.session(None);
         let (mut deadline, mut frames) = (Instant::now() + patience, 0);
         while frames < MOST_ALLOCATION_FRAMES {
             let payload = self.expect(FrameKind::Transfer, deadline).await?;
@@ -280,7 +309,18 @@ impl Connection {
         let binding = self.shared.desk.binding(identified.name()).await?;
         let (agreed, name) = (identified.agreed(), identified.name().clone());
         let Some(binding) = binding else { return self.refuse_unknown(identified, hello_deadline).await };
-        let mut session = identified.session(Some(&binding.key));
+        let session = identified.session(Some(&binding.key));
+        self.transfer_frames(session, agreed, name, binding, hello_deadline).await
+    }
+
+    async fn transfer_frames(
+        &mut self,
+        mut session: Session,
+        agreed: Agreed,
+        name: ProfileName,
+        binding: Binding,
+        hello_deadline: Instant,
+    ) -> Result<(), End> {
         let caller = Caller { name, account: binding.account, signing: binding.signing, peer: self.peer };
         let mut desk = Commands { agreed, caller, binding, feeds: None };
         let payload = self.expect(FrameKind::Transfer, hello_deadline).await?;

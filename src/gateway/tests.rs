@@ -1,9 +1,11 @@
 use super::*;
 
 mod fixtures;
+mod flipped_bits;
 mod hostile;
 mod loopback;
 mod memory_desk;
+mod refusals;
 mod relaying;
 mod vectors;
 

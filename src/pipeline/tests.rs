@@ -138,7 +138,8 @@ pub(super) fn body_of(
         topic_id: Some(row.topic_id),
         topic: Some(row.topic.clone()),
     };
-    let (signer, key) = (keys.signing.public, &keys.topic(&row.topic).key);
+    let topic = keys.topic(&row.topic).expect("covered");
+    let (signer, key) = (keys.signing.public, &topic.key);
     open(provider, blob, &row.signature, &signer, Anchor::Unanchored, key, &expected).expect("opens").body
 }
 

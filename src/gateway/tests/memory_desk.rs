@@ -19,7 +19,7 @@ use crate::gateway::{Code, NetworkName, Refusal};
 use crate::model::{Address, Digest, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token};
 
 #[derive(Default)]
-pub(super) struct State {
+pub(crate) struct State {
     pub accounts: HashMap<Address, Account>,
     pub tokens: HashSet<(Address, Token)>,
     pub signers: HashMap<(Address, SignerId), PublicKey>,
@@ -35,12 +35,14 @@ pub(super) struct State {
     pub revokes: Vec<RevokeNotice>,
     /// What was passed on to the chain: by whom, which method.
     pub relayed: Vec<(Option<Address>, String)>,
+    /// How every record stands; acknowledged unless said otherwise.
+    pub standing: Option<Standing>,
     /// Everything that ever changed.
     pub changes: usize,
 }
 
 #[derive(Default)]
-pub(super) struct MemoryDesk(Mutex<State>);
+pub(crate) struct MemoryDesk(Mutex<State>);
 
 fn entry(record: &Received) -> Entry {
     Entry {
@@ -172,7 +174,8 @@ impl Desk for MemoryDesk {
     async fn check(&self, _: &Caller, digests: &[Digest]) -> Result<Vec<Standing>, Refusal> {
         let state = self.state();
         let known: HashSet<Digest> = state.records.values().map(|record| record.digest).collect();
-        let standing = |digest| if known.contains(digest) { Standing::Acknowledged } else { Standing::Unknown };
+        let here = state.standing.unwrap_or(Standing::Acknowledged);
+        let standing = |digest| if known.contains(digest) { here } else { Standing::Unknown };
         Ok(digests.iter().map(standing).collect())
     }
 

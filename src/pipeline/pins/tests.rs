@@ -6,6 +6,7 @@ use std::time::Duration;
 use super::super::fixture::Notes;
 use super::*;
 use crate::ros::Rival;
+use crate::store::AuditQuery;
 use proptest::prelude::*;
 
 const OWNER: Address = Address([1; 20]);
@@ -54,7 +55,8 @@ impl Desk {
     }
 
     fn audited(&self, action: &str) -> usize {
-        let lines = self.pins.audit.tail(1000).expect("lines");
+        let all = AuditQuery { limit: 1000, ..AuditQuery::default() };
+        let lines = self.pins.audit.list(&all).expect("lines");
         lines.iter().filter(|line| line.entry.action == action && line.entry.profile == "alice").count()
     }
 }

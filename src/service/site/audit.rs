@@ -208,6 +208,7 @@ impl Site {
                 let mut bytes = Vec::new();
                 for mut line in pages.into_iter().rev().flatten() {
                     if !addresses {
+                        line.entry.action = crate::model::redact_addresses(&line.entry.action);
                         line.entry.subject = crate::model::redact_addresses(&line.entry.subject);
                         line.entry.outcome = crate::model::redact_addresses(&line.entry.outcome);
                     }

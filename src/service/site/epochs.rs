@@ -40,7 +40,8 @@ impl Site {
         }
         let sent = self.sender.send(&network.chain, &owner.eoa(), call(token), purpose).await;
         let outcome = if sent.is_ok() { "done" } else { "failed" };
-        self.record_audit(&owner.profile, purpose, &format!("epoch {next}"), outcome).await?;
+        let (action, what) = purpose.split_once(' ').unwrap_or((purpose, ""));
+        self.record_audit(&owner.profile, action, format!("{what} epoch {next}").trim_start(), outcome).await?;
         let (transaction, receipt) = sent?;
         self.scanned(receipt.block).await;
         owner.confirm_epoch(network.domain, next)?;

@@ -54,7 +54,7 @@ impl Site {
     ) -> Result<TransactionView, Failure> {
         self.owe_revocation(owner, grantee)?;
         let call = |new_token| Call::AuthorityRevoke { grantee, new_token };
-        let sent = self.begin_epoch(owner, network, &purpose(grantee), call).await;
+        let sent = self.begin_epoch(owner, network, &format!("revoke {grantee}"), call).await;
         let view = sent.map_err(|failure| {
             let noted = "the revocation is noted and is sent again until the chain has it";
             Failure { message: format!("{}; {noted}", failure.message), ..failure }
@@ -81,16 +81,12 @@ impl Site {
             return self.revoke_once(owner, network, grantee).await;
         }
         let epoch = network.directory.epoch(owner.address);
-        self.record_audit(&owner.profile, &purpose(grantee), &format!("epoch {epoch}"), "done").await?;
+        self.record_audit(&owner.profile, "revoke", &format!("{grantee} epoch {epoch}"), "done").await?;
         owner.confirm_epoch(network.domain, epoch)?;
         self.settle_revocation(owner, grantee)?;
         let view = TransactionView { transaction: None, block: None, epoch, text: String::new() };
         Ok(told(grantee, view))
     }
-}
-
-fn purpose(grantee: Address) -> String {
-    format!("revoke {grantee}")
 }
 
 fn told(grantee: Address, view: TransactionView) -> TransactionView {
