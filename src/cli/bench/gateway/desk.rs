@@ -6,13 +6,15 @@ use std::path::Path;
 use std::sync::Arc;
 
 use async_trait::async_trait;
+use serde_json::Value;
 use tokio::sync::mpsc;
 
 use super::Sender;
+use crate::chain::RelayError;
 use crate::crypto::{TransportKey, signer_id};
 use crate::gateway::desk::Account;
 use crate::gateway::{
-    Binding, Caller, Code, Credentials, Desk, Entry, Fetched, GrantNotice, Page, Query, Received, Refusal,
+    Binding, Caller, Code, Credentials, Desk, Entry, Fetched, GrantNotice, NetworkName, Page, Query, Received, Refusal,
     Registration, RevokeNotice, Selection, Standing,
 };
 use crate::model::header::TAG_LENGTH;
@@ -108,6 +110,10 @@ impl Desk for BenchDesk {
         Ok((*name == self.name).then(|| self.binding.clone()))
     }
 
+    async fn successor(&self, _: &Address) -> Result<Option<Address>, Refusal> {
+        not_measured()
+    }
+
     async fn bind(&self, _: &ProfileName, _: Binding) -> Result<(), Refusal> {
         not_measured()
     }
@@ -151,5 +157,13 @@ impl Desk for BenchDesk {
     }
 
     // Whoever uploads is told the code, and the bench ends with it.
+    async fn network_name(&self) -> Result<NetworkName, Refusal> {
+        not_measured()
+    }
+
+    async fn relay(&self, _: Option<&Caller>, _: &str, _: &Value) -> Result<Value, RelayError> {
+        Err(RelayError::NotAllowed)
+    }
+
     fn refused(&self, _: SocketAddr, _: &Refusal) {}
 }
