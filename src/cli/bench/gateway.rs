@@ -85,6 +85,8 @@ pub async fn run(
     output: Output,
 ) -> Result<u8, Failure> {
     let sender = Sender::new(provider)?;
+    // First, while the allocator holds nothing that was freed.
+    let idle = idle::measure(&sender, arguments.idle as usize).await?;
     let places = places()?;
     let cores = Machine::read().cores;
     let widths = if cores > 1 { vec![1, 4 * cores] } else { vec![1] };
@@ -118,7 +120,6 @@ pub async fn run(
         }
     }
     drop(progress);
-    let idle = idle::measure(&sender, arguments.idle as usize).await?;
     let mut about = Map::new();
     about.insert("idle".to_owned(), json!(idle));
     about.insert("notes".to_owned(), json!(NOTES));
