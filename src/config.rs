@@ -12,7 +12,7 @@ use serde::Serialize;
 
 pub use self::definitions::{DEFINITIONS, Definition};
 use crate::crypto::ProviderName;
-use crate::model::{Address, AnchorMode, Consensus, ErrorKind, clean};
+use crate::model::{Address, AnchorMode, Consensus, ErrorKind, ListedPublishers, PinMode, SignerId, clean};
 
 /// Why the settings cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -112,6 +112,10 @@ pub struct Config {
     pub ros_host: Option<String>,
     /// Which topics are measured.
     pub meter: MeterMode,
+    /// How captured topics come to their pinned publishers.
+    pub pin_mode: PinMode,
+    /// Publishers that are pinned by the settings.
+    pub publishers: ListedPublishers,
     /// Simulated robots; 0 with a real master.
     pub robots: u16,
     /// Node of a real chain.
@@ -134,6 +138,19 @@ pub struct Config {
     pub audit_every: Duration,
     /// Blocks until confirmed.
     pub confirmations: u64,
+    /// The gateway of the remote site that this one joins.
+    pub site: Option<RemoteSite>,
+}
+
+/// A remote site as the settings name it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct RemoteSite {
+    /// HOST:PORT of its gateway.
+    pub address: String,
+    /// SM3 of its gateway's identity key.
+    pub gateway_key: Option<SignerId>,
+    /// Whether to pin whatever gateway answers first.
+    pub trust_first: bool,
 }
 
 impl Config {
@@ -168,6 +185,8 @@ impl Config {
         Ok(Self {
             ros_host: text("ros.host").map(str::to_owned),
             meter,
+            pin_mode: parsed(&values, "ros.pins")?.unwrap_or_default(),
+            publishers: parsed(&values, "ros.publishers")?.unwrap_or_default(),
             robots: if ros_master.is_some() { 0 } else { u16::try_from(robots).unwrap_or(0) },
             ros_master,
             chain_url: url(&values, "chain.url", &["http://", "ws://", "ipc://", "/"])?,
@@ -183,6 +202,7 @@ impl Config {
             anchor_mode: parsed(&values, "anchor.mode")?.unwrap_or_default(),
             audit_every: Duration::from_secs(number(&values, "audit.anchor_every", 1, 86_400)?),
             confirmations: number(&values, "confirmations", 1, 1000)?,
+            site: remote_site(&values)?,
             values,
         })
     }
@@ -305,6 +325,25 @@ fn parsed<T: FromStr<Err: fmt::Display>>(values: &Values, name: &'static str) ->
     text.map(str::parse).transpose().map_err(|error: T::Err| wrong(values, name, &error.to_string()))
 }
 
+fn remote_site(values: &Values) -> Result<Option<RemoteSite>, ConfigError> {
+    let gateway_key = parsed(values, "site.gateway_key")?;
+    let trust_first = match value(values, "site.trust_first") {
+        Some("yes") => true,
+        Some("no") | None => false,
+        Some(_) => return Err(wrong(values, "site.trust_first", "write yes or no")),
+    };
+    let Some(address) = value(values, "site.address") else { return Ok(None) };
+    let parts = address.rsplit_once(':').filter(|(host, port)| !host.is_empty() && port.parse::<u16>().is_ok());
+    let plain = address.len() <= 260 && address.bytes().all(|byte| byte.is_ascii_graphic() && byte != b'/');
+    if parts.is_none() || !plain {
+        return Err(wrong(values, "site.address", "write HOST:PORT"));
+    }
+    if value(values, "chain.url").is_some() {
+        return Err(wrong(values, "chain.url", "leave it empty where site.address is set: the chain comes through it"));
+    }
+    Ok(Some(RemoteSite { address: address.to_owned(), gateway_key, trust_first }))
+}
+
 fn url(values: &Values, name: &'static str, schemes: &[&str]) -> Result<Option<String>, ConfigError> {
     let Some(text) = value(values, name) else { return Ok(None) };
     let usable = text.len() <= 500
@@ -363,6 +402,25 @@ mod tests {
         assert!(matches!(with_file("robots = "), Err(ConfigError::Syntax { .. })));
         assert!(with_file("[vault]\nurl = \"ftp://x\"").is_err());
         assert!(with_file("[chain]\ncontract = \"0x12\"").is_err());
+    }
+
+    #[test]
+    fn a_remote_site_is_an_address_and_whom_to_trust() {
+        let site = |text: &str| with_file(text).map(|config| config.site);
+        assert_eq!(site(""), Ok(None));
+        let key = "ab".repeat(32);
+        let text = format!("[site]\naddress = \"gate.example:4222\"\ngateway_key = \"{key}\"\n");
+        let named = site(&text).expect("file").expect("a site");
+        assert_eq!((named.address.as_str(), named.trust_first), ("gate.example:4222", false));
+        assert_eq!(named.gateway_key, Some(SignerId([0xab; 32])));
+        assert!(site("[site]\naddress = \"[::1]:4222\"\ntrust_first = \"yes\"").expect("file").is_some());
+        for bad in ["host", ":1", "host:", "host:70000", "ho st:1", "http://host:1"] {
+            assert!(site(&format!("[site]\naddress = \"{bad}\"")).is_err(), "{bad}");
+        }
+        assert!(site("[site]\naddress = \"h:1\"\ngateway_key = \"ab\"").is_err());
+        assert!(site("[site]\naddress = \"h:1\"\ntrust_first = \"maybe\"").is_err());
+        let error = site("[chain]\nurl = \"http://node\"\n[site]\naddress = \"h:1\"").expect_err("both");
+        assert!(error.to_string().contains("chain.url"), "{error}");
     }
 
     #[test]

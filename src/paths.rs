@@ -73,6 +73,16 @@ impl Home {
         self.root.join("chain-pin.json")
     }
 
+    /// What is known of the gateway that this home joins through.
+    pub fn gateway_trust(&self) -> PathBuf {
+        self.root.join("gateway-trust.json")
+    }
+
+    /// The transport key of a profile at that gateway, sealed under its keyring.
+    pub fn transport_key(&self, profile: &ProfileName) -> PathBuf {
+        self.profile(profile).join("transport-key")
+    }
+
     /// The directory of a profile.
     pub fn profile(&self, profile: &ProfileName) -> PathBuf {
         self.root.join("profiles").join(profile.as_str())

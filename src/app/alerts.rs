@@ -42,7 +42,11 @@ fn life(life: &LifeLine) -> Vec<(NoticeLevel, String)> {
     let counted = [
         (life.tampered, NoticeLevel::Error, "tampered: not the bytes that were anchored (3, then / tampered)"),
         (life.quarantined, NoticeLevel::Warning, "quarantined: sent by a node that is not the pinned publisher"),
-        (life.dropped, NoticeLevel::Warning, "dropped by the recorder before they were sealed"),
+        (
+            life.dropped.saturating_sub(life.discarded),
+            NoticeLevel::Warning,
+            "dropped by the recorder before they were sealed",
+        ),
         (life.lost_in_transport, NoticeLevel::Warning, "lost in transport, before they arrived here"),
     ];
     let seen = counted.into_iter().filter(|(count, ..)| *count > 0);

@@ -73,7 +73,7 @@ impl Chain {
         let client = clean(&client.unwrap_or_else(|| "unknown".into()), 80);
         let consensus = match options.endpoint {
             Endpoint::Embedded { .. } => provider.as_ref().embedded().map_or("poa", |chain| chain.consensus().word()),
-            Endpoint::Node { .. } => consensus(&latest, &client),
+            Endpoint::Node { .. } | Endpoint::Relay(_) => consensus(&latest, &client),
         };
         let inner = Inner {
             provider,

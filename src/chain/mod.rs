@@ -17,6 +17,7 @@ mod foreign;
 mod genesis;
 pub mod merkle;
 mod reader;
+pub mod relay;
 mod sealing;
 mod sender;
 pub mod serve;
@@ -38,6 +39,7 @@ pub use self::event::Event;
 pub use self::fees::{Market, Offered, call_data, is_same_call, offered};
 pub use self::foreign::{ForeignContract, created_address};
 pub use self::genesis::{Allocation, GUIDE, Genesis, GenesisKind};
+pub use self::relay::{Relay, RelayError, RelayLine};
 pub use self::sealing::Sealing;
 pub use self::work::BlockWork;
 pub use crate::model::Consensus;
@@ -59,6 +61,8 @@ pub enum Endpoint {
         /// `http://…`, `ws://…`, `ipc:/path` or `/path.ipc`.
         url: String,
     },
+    /// Somebody who passes requests on, and whose word has to be taken for the answers.
+    Relay(RelayLine),
 }
 
 /// How to connect.
@@ -109,7 +113,7 @@ pub struct BlockRef {
 /// A chain and an account on it, for `authros chain status`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ChainStatus {
-    /// `embedded` or `node`.
+    /// `embedded`, `node` or `relay`.
     pub kind: String,
     /// `poa`, `pow`, `pos` or `dev`, as far as a block shows it.
     pub consensus: String,

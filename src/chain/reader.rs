@@ -18,7 +18,7 @@ impl Chain {
     /// The node's.
     pub async fn status(&self, account: Option<Address>) -> Result<ChainStatus, ChainError> {
         let mut status = ChainStatus {
-            kind: if self.transport().embedded().is_some() { "embedded" } else { "node" }.to_owned(),
+            kind: self.kind().to_owned(),
             consensus: self.inner.consensus.to_owned(),
             chain_id: self.chain_id(),
             genesis: self.genesis(),
@@ -36,6 +36,14 @@ impl Chain {
             status.pending = Some(self.nonce(account, true).await?.saturating_sub(nonce));
         }
         Ok(status)
+    }
+
+    fn kind(&self) -> &'static str {
+        match self.transport() {
+            relayed if relayed.is_relayed() => "relay",
+            transport if transport.embedded().is_some() => "embedded",
+            _ => "node",
+        }
     }
 
     /// Wei held by an account.

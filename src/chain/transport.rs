@@ -1,4 +1,4 @@
-//! One JSON-RPC client for every kind of chain: embedded, http, ws, ipc; with time limits and reconnection.
+//! One JSON-RPC client for every kind of chain: embedded, http, ws, ipc, relayed; with time limits and reconnection.
 
 use std::fmt::Debug;
 use std::path::PathBuf;
@@ -11,6 +11,7 @@ use serde::de::{DeserializeOwned, Error as _};
 use tokio::sync::Mutex;
 
 use super::embedded::{Embedded, Fault};
+use super::relay::RelayLine;
 use super::{ChainError, Endpoint};
 use crate::model::clean;
 
@@ -32,6 +33,7 @@ enum Line {
     Http(Http),
     Ws(Mutex<Option<Ws>>),
     Ipc(PathBuf, Mutex<Option<Ipc>>),
+    Relay(RelayLine),
 }
 
 /// Why a request got no result.
@@ -85,12 +87,18 @@ impl Transport {
                 Ok(Self { line: Line::Embedded(Embedded::open(directory.clone(), *consensus).await?), url })
             }
             Endpoint::Node { url } => Ok(Self { line: line(url)?, url: shown(url) }),
+            Endpoint::Relay(relay) => Ok(Self { line: Line::Relay(relay.clone()), url: relay.0.place() }),
         }
     }
 
     /// Where it leads, without credentials.
     pub fn url(&self) -> &str {
         &self.url
+    }
+
+    /// Whether somebody passes the requests on.
+    pub fn is_relayed(&self) -> bool {
+        matches!(self.line, Line::Relay(_))
     }
 
     /// The embedded chain behind it.
@@ -109,6 +117,11 @@ impl Transport {
                 let value = embedded.request(method, parameters).await?;
                 serde_json::from_value(value).map_err(TransportError::Malformed)
             }
+            Line::Relay(relay) => {
+                let parameters = serde_json::to_value(parameters).map_err(TransportError::Malformed)?;
+                let value = relay.0.ask(method, parameters).await?;
+                serde_json::from_value(value).map_err(TransportError::Malformed)
+            }
             Line::Http(client) => through(client, method, parameters).await,
             Line::Ws(slot) => {
                 let open = Ws::connect_with_reconnects(self.url.as_str(), 0);
@@ -123,7 +136,7 @@ impl Transport {
         match &self.line {
             Line::Ws(slot) => *slot.lock().await = None,
             Line::Ipc(_, slot) => *slot.lock().await = None,
-            Line::Embedded(_) | Line::Http(_) => {}
+            Line::Embedded(_) | Line::Http(_) | Line::Relay(_) => {}
         }
     }
 }

@@ -51,7 +51,11 @@ pub fn command(verb: &DevicesVerb) -> Result<Command, Failure> {
     })
 }
 
-fn end(text: &str) -> Result<Timestamp, Failure> {
+/// The end of a loan: a moment, or a length of time from now.
+///
+/// # Errors
+/// Where the text is neither.
+pub fn end(text: &str) -> Result<Timestamp, Failure> {
     if let Ok(time) = parse::moment(text) {
         return Ok(Timestamp::from_seconds(time.seconds()));
     }

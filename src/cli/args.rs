@@ -1,16 +1,20 @@
 //! The command line: every verb and flag, in the words of the issue and the console.
 
+mod agent;
 mod bench;
 mod chain;
 mod gateway;
+mod keys;
 
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
+pub use self::agent::{AgentVerb, EnrolArguments, RunArguments};
 pub use self::bench::{BenchArguments, BenchVerb, ConsensusArguments};
 pub use self::chain::{ChainVerb, GenesisArguments};
 pub use self::gateway::GatewayVerb;
+pub use self::keys::{ExportKind, IdentityVerb, KeysVerb};
 
 /// Share robot data under proof: messages sealed with SM4, signed with SM2, anchored by SM3
 /// digest on a private Ethereum network. Without a command it opens the operator console.
@@ -67,6 +71,15 @@ pub struct Global {
     /// rustcrypto or libsm
     #[arg(long, global = true, value_name = "NAME")]
     pub crypto_provider: Option<String>,
+    /// Join a remote site through its gateway: records and chain come from there
+    #[arg(long, global = true, value_name = "HOST:PORT")]
+    pub site: Option<String>,
+    /// Fingerprint of that gateway's identity key, as its operator tells it
+    #[arg(long, global = true, value_name = "FINGERPRINT", conflicts_with = "trust_first")]
+    pub gateway_key: Option<String>,
+    /// Pin whatever gateway answers the first time
+    #[arg(long, global = true)]
+    pub trust_first: bool,
     /// batch (Merkle roots) or each (one transaction per record)
     #[arg(long, global = true, value_name = "MODE")]
     pub anchor_mode: Option<String>,
@@ -85,6 +98,9 @@ impl Global {
             "confirmations" => self.confirmations.clone(),
             "crypto.provider" => self.crypto_provider.clone(),
             "anchor.mode" => self.anchor_mode.clone(),
+            "site.address" => self.site.clone(),
+            "site.gateway_key" => self.gateway_key.clone(),
+            "site.trust_first" => self.trust_first.then(|| "yes".to_owned()),
             _ => None,
         }
     }
@@ -101,9 +117,12 @@ pub enum Verb {
     Keys(KeysVerb),
     /// Put the identity on the chain
     Register,
-    /// ROS topics: list, watch, unwatch
+    /// ROS topics: list, watch, unwatch, pin
     #[command(subcommand)]
     Topics(TopicsVerb),
+    /// Messages of publishers that are not pinned: list, release, discard
+    #[command(subcommand)]
+    Quarantine(super::quarantine::QuarantineVerb),
     /// Capture topics; ends when all captured is verified
     Capture(CaptureArguments),
     /// Own records: list, show, export
@@ -125,6 +144,9 @@ pub enum Verb {
     /// Devices that may sign: lend, recall, list
     #[command(subcommand)]
     Devices(super::adopt::DevicesVerb),
+    /// A robot's side: enrol it, capture on it and pass on to a gateway
+    #[command(subcommand)]
+    Agent(AgentVerb),
     /// The chain
     #[command(subcommand)]
     Chain(ChainVerb),
@@ -150,71 +172,6 @@ pub enum Verb {
     Console(ConsoleArguments),
 }
 
-/// `identity …`
-#[derive(Debug, Subcommand)]
-pub enum IdentityVerb {
-    /// Make keys: EOA, SM2, SM4
-    Create,
-    /// Show the public identity
-    Show,
-    /// Whether a fingerprint is that of this profile's key, or of an account's
-    Compare {
-        /// Eight groups of four hex characters, in quotes or without spaces
-        fingerprint: String,
-        /// Account, or its name [default: this profile]
-        #[arg(long, value_name = "ADDRESS_OR_NAME")]
-        account: Option<String>,
-    },
-}
-
-/// Which key to export.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum ExportKind {
-    /// The SM4 key, hex
-    Sm4,
-    /// The SM2 signing key, PKCS#8 PEM
-    Sm2,
-    /// The EOA, Ethereum V3 keystore
-    Eoa,
-}
-
-/// `keys …`
-#[derive(Debug, Subcommand)]
-pub enum KeysVerb {
-    /// Fingerprints and epochs
-    List,
-    /// Load a key from a 0600 file
-    #[command(group(clap::ArgGroup::new("key").required(true)))]
-    Load {
-        /// SM4 key: 16 bytes, or 32 hex
-        #[arg(long, value_name = "FILE", group = "key")]
-        sm4: Option<PathBuf>,
-        /// SM2 signing key: PKCS#8 PEM, or 64 hex
-        #[arg(long, value_name = "FILE", group = "key")]
-        sm2: Option<PathBuf>,
-        /// EOA: 64 hex, or V3 keystore
-        #[arg(long, value_name = "FILE", group = "key")]
-        eoa: Option<PathBuf>,
-        /// File with the V3 keystore's passphrase
-        #[arg(long, value_name = "FILE")]
-        keystore_passphrase_file: Option<PathBuf>,
-    },
-    /// Begin a new epoch: readers keep what they have, new records need a new key
-    Rotate,
-    /// Write one key to a new 0600 file
-    Export {
-        /// Which key
-        #[arg(value_enum)]
-        kind: ExportKind,
-        /// File to write; must not exist
-        #[arg(long, value_name = "FILE")]
-        out: PathBuf,
-        /// File with the passphrase for the V3 keystore (EOA)
-        #[arg(long, value_name = "FILE")]
-        keystore_passphrase_file: Option<PathBuf>,
-    },
-}
-
 /// `topics …`
 #[derive(Debug, Subcommand)]
 pub enum TopicsVerb {
@@ -232,6 +189,21 @@ pub enum TopicsVerb {
     Unwatch {
         /// Topic
         topic: String,
+    },
+    /// Accept publishers of a topic; messages of others are quarantined
+    Pin(super::quarantine::PinArguments),
+    /// Accepted publishers, and alarms about others
+    Pins {
+        /// Only this topic
+        #[arg(long, value_name = "TOPIC")]
+        topic: Option<String>,
+    },
+    /// No longer accept a publisher of a topic
+    Unpin {
+        /// Topic
+        topic: String,
+        /// Node name, as /driver
+        caller_id: String,
     },
 }
 

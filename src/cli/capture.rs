@@ -69,15 +69,16 @@ fn text(summary: &CaptureSummary) -> String {
                 type_name,
                 topic.captured.to_string(),
                 topic.verified.to_string(),
+                topic.quarantined.to_string(),
                 topic.lost.to_string(),
             ]
         })
         .collect();
-    table(&["topic", "type", "captured", "verified", "lost"], &rows)
+    table(&["topic", "type", "captured", "verified", "quarantined", "lost"], &rows)
 }
 
 fn code(summary: &CaptureSummary, output: &Output) -> u8 {
-    if summary.verified < summary.captured {
+    if summary.verified + summary.quarantined < summary.captured {
         output.note(
             "authros: some records differ from what was anchored; `authros uploads list --state tampered` names them",
         );
@@ -85,7 +86,13 @@ fn code(summary: &CaptureSummary, output: &Output) -> u8 {
     }
     let unseen: Vec<&str> =
         summary.topics.iter().filter(|topic| topic.captured == 0).map(|topic| topic.topic.as_str()).collect();
-    if !unseen.is_empty() || summary.lost > 0 {
+    if !unseen.is_empty() || summary.lost > 0 || summary.quarantined > 0 {
+        if summary.quarantined > 0 {
+            output.note(&format!(
+                "authros: {} messages are quarantined, their publisher is not a pinned one; look at `authros quarantine list`",
+                summary.quarantined
+            ));
+        }
         if summary.lost > 0 {
             output.note(&format!(
                 "authros: {} messages were lost before capture; they are counted, not hidden",

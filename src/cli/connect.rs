@@ -61,6 +61,16 @@ impl Context {
         Ok(Self { global, home, profile, config })
     }
 
+    /// For an agent: without `--home` it has a home of its own below the standard one.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn for_agent(global: Global, name: &ProfileName) -> Result<Self, Failure> {
+        let own = || Home::standard(&environment).root().join("agents").join(name.as_str());
+        let home = Some(global.home.clone().unwrap_or_else(own));
+        Self::new(Global { home, ..global })
+    }
+
     fn read_config(global: &Global, home: &Home) -> Result<Config, Failure> {
         let path = home.config();
         let text = match std::fs::read_to_string(&path) {

@@ -86,11 +86,12 @@ pub fn topics(rows: &[TopicRow]) -> String {
             row.publishers.join(" "),
             row.hz.map_or_else(|| "-".to_owned(), |hz| format!("{hz:.1}")),
             if row.watched { "watched" } else { "" }.to_owned(),
+            if row.alarm { "ALARM" } else { "" }.to_owned(),
             if row.simulated { "SIMULATED" } else { "" }.to_owned(),
         ]
     };
     let rows: Vec<Vec<String>> = rows.iter().map(row).collect();
-    table(&["topic", "type", "publishers", "Hz", "", ""], &rows)
+    table(&["topic", "type", "publishers", "Hz", "", "", ""], &rows)
 }
 
 /// A page of records.
@@ -164,6 +165,7 @@ pub fn chain(view: &ChainView) -> String {
         ("difficulty", or_dash(view.sealing.difficulty.as_ref().map(|hashes| format!("{hashes} hashes a block")))),
         ("sealers", listed(&view.sealing.sealers)),
     ];
+    rows.extend(view.through.clone().map(|text| ("seen", text)));
     rows.extend(parties::administration(&view.administration));
     rows.extend(view.lanes.iter().filter_map(paused));
     pairs(&rows)

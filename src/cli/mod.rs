@@ -4,6 +4,7 @@
 //! never the channel. Nothing here does work of its own but the demo's story.
 
 mod adopt;
+mod agent;
 pub mod args;
 mod audit;
 mod bench;
@@ -19,6 +20,7 @@ mod output;
 mod parse;
 mod parties;
 mod passphrase;
+mod quarantine;
 mod serve;
 mod verbs;
 
@@ -69,6 +71,10 @@ fn run(runtime: &tokio::runtime::Runtime, arguments: Arguments, output: &Output)
     }
     let verb = match arguments.verb {
         // Needs no home, so it does not look at one.
+        // Its home follows from its enrolment.
+        Some(Verb::Agent(args::AgentVerb::Run(run))) => {
+            return runtime.block_on(agent::run(arguments.global, run, output));
+        }
         Some(Verb::Bench(bench)) => return runtime.block_on(bench::run(&arguments.global, bench, output)),
         other => other,
     };
@@ -76,6 +82,7 @@ fn run(runtime: &tokio::runtime::Runtime, arguments: Arguments, output: &Output)
     match verb {
         None => console::run(runtime, context, args::ConsoleArguments::default()),
         Some(Verb::Console(console)) => console::run(runtime, context, console),
+        Some(Verb::Agent(args::AgentVerb::Enrol(enrol))) => runtime.block_on(agent::enrol(context, enrol, output)),
         Some(Verb::Serve) => runtime.block_on(serve::run(context, output)),
         Some(Verb::Demo(demo)) => runtime.block_on(demo::run(context, demo, output)),
         Some(Verb::Gateway(args::GatewayVerb::Serve { listen })) => {

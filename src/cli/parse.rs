@@ -4,7 +4,7 @@ use std::fmt::Display;
 use std::str::FromStr;
 use std::time::Duration;
 
-use crate::model::{ErrorKind, RecordKind, RecordState, Timestamp, clean};
+use crate::model::{ErrorKind, RecordKind, RecordState, SignerId, Timestamp, bytes::unhex, clean};
 use crate::service::{Failure, UploadQuery};
 
 use super::args::ListArguments;
@@ -51,6 +51,18 @@ pub fn duration(text: &str) -> Result<Duration, Failure> {
             ),
         )),
     }
+}
+
+/// A gateway's fingerprint: the whole id, with or without spaces between.
+///
+/// # Errors
+/// A [`Failure`] of kind `Input` that says how to write it.
+pub fn fingerprint(text: &str) -> Result<SignerId, Failure> {
+    let digits: String = text.chars().filter(|character| !character.is_whitespace()).collect();
+    unhex(&digits).and_then(|bytes| SignerId::from_slice(&bytes)).ok_or_else(|| {
+        let advice = "a gateway's operator shows it as 64 hex characters";
+        Failure::new(ErrorKind::Input, format!("'{}' is no fingerprint; {advice}", clean(text, 80)))
+    })
 }
 
 /// A tag, `key=value`.

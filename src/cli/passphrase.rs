@@ -55,6 +55,19 @@ pub fn given(global: &Global, home: &Home, profile: &ProfileName) -> Result<Opti
     if own.exists() { from_file(&own).map(Some) } else { Ok(None) }
 }
 
+/// The passphrase given, or that in a file beside what it protects; `None` where there is neither.
+///
+/// # Errors
+/// As [`given`].
+pub fn of_file(global: &Global, beside: &Path) -> Result<Option<SecretText>, Failure> {
+    match (&global.passphrase_file, global.passphrase_fd) {
+        (Some(path), _) => from_file(path).map(Some),
+        (None, Some(number)) => from_descriptor(number).map(Some),
+        (None, None) if beside.exists() => from_file(beside).map(Some),
+        (None, None) => Ok(None),
+    }
+}
+
 /// The passphrase given, or a new random one written beside the keyring, which is said.
 ///
 /// # Errors

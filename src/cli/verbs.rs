@@ -9,6 +9,7 @@ use super::args::{
 use super::audit::AuditVerb;
 use super::connect::{Context, ProfileNeed};
 use super::output::Output;
+use super::quarantine::{self, QuarantineVerb};
 use super::{lists, parse, parties, passphrase};
 use crate::crypto::private_file;
 use crate::model::{ErrorKind, Timestamp};
@@ -86,6 +87,19 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
         Verb::Topics(TopicsVerb::Unwatch { topic }) => {
             Plan::new(NEITHER, NoProfile, Command::UnwatchTopic { topic: parse::value(&topic)? })
         }
+        Verb::Topics(TopicsVerb::Pin(pin)) => Plan::new(NEITHER, NoProfile, pin.command()?),
+        Verb::Topics(TopicsVerb::Pins { topic }) => {
+            let topic = topic.as_deref().map(parse::value).transpose()?;
+            Plan::new(NEITHER, NoProfile, Command::ListPins { topic })
+        }
+        Verb::Topics(TopicsVerb::Unpin { topic, caller_id }) => {
+            Plan::new(NEITHER, NoProfile, Command::UnpinTopic { topic: parse::value(&topic)?, caller_id })
+        }
+        Verb::Quarantine(verb) => {
+            let decides = !matches!(verb, QuarantineVerb::List { .. });
+            let (needs, profile) = if decides { (CHAIN, Unlocked) } else { (NEITHER, NoProfile) };
+            Plan::new(needs, profile, quarantine::command(verb)?)
+        }
         Verb::Uploads(UploadsVerb::List(list)) => {
             Plan::new(NEITHER, NoProfile, Command::ListUploads(parse::query(&list)?))
         }
@@ -110,7 +124,8 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
             let command = parties::act(&verb)?.ok_or_else(super::connect::unexpected)?;
             Plan::new(CHAIN, Unlocked, command)
         }
-        Verb::Config(_)
+        Verb::Agent(_)
+        | Verb::Config(_)
         | Verb::Capture(_)
         | Verb::Serve
         | Verb::Gateway(_)
@@ -216,6 +231,9 @@ fn show(reply: Reply, out: Option<&Path>, output: &Output) -> Result<u8, Failure
             output.result(&check, || super::audit::check(&check));
             return Ok(super::audit::code(&check));
         }
+        Reply::Pins(view) => output.result(&view, || quarantine::pins(&view)),
+        Reply::Quarantine(view) => output.result(&view, || quarantine::held(&view)),
+        Reply::Decided(view) => output.result(&view, || view.text.clone()),
         Reply::Check(view) => {
             output.result(&view, || format!("{}: {}", view.id, view.verdict.word()));
             return Ok(lists::verdict_code(view.verdict));
@@ -247,7 +265,7 @@ fn show(reply: Reply, out: Option<&Path>, output: &Output) -> Result<u8, Failure
                 format!("written to {} (0600)", path.display())
             });
         }
-        Reply::Captured(_) | Reply::Served(_) | Reply::Gateway(_) | Reply::Site(_) => {
+        Reply::Enrolled(_) | Reply::Captured(_) | Reply::Served(_) | Reply::Gateway(_) | Reply::Site(_) => {
             return Err(super::connect::unexpected());
         }
     }

@@ -14,7 +14,7 @@ pub struct Definition {
 }
 
 /// Every setting, in the order shown.
-pub const DEFINITIONS: [Definition; 14] = [
+pub const DEFINITIONS: [Definition; 19] = [
     Definition {
         name: "ros.master",
         variable: "ROS_MASTER_URI",
@@ -32,6 +32,18 @@ pub const DEFINITIONS: [Definition; 14] = [
         variable: "AUTHROS_METER",
         default: "auto",
         text: "measure rates of: all topics, watched ones, or auto (all on the embedded master)",
+    },
+    Definition {
+        name: "ros.pins",
+        variable: "AUTHROS_PINS",
+        default: "first",
+        text: "publishers of a captured topic: the first seen are pinned, only those on a list, or off = anybody",
+    },
+    Definition {
+        name: "ros.publishers",
+        variable: "AUTHROS_PUBLISHERS",
+        default: "",
+        text: "publishers that are pinned: TOPIC=CALLER_ID@HOST:TYPE:MD5, separated by commas",
     },
     Definition {
         name: "robots",
@@ -98,5 +110,23 @@ pub const DEFINITIONS: [Definition; 14] = [
         variable: "AUTHROS_CONFIRMATIONS",
         default: "1",
         text: "blocks until an anchor counts as confirmed, its own included, 1 to 1000",
+    },
+    Definition {
+        name: "site.address",
+        variable: "AUTHROS_SITE",
+        default: "",
+        text: "gateway of a remote site to join, as HOST:PORT; chain and records come through it; empty = no gateway",
+    },
+    Definition {
+        name: "site.gateway_key",
+        variable: "AUTHROS_GATEWAY_KEY",
+        default: "",
+        text: "fingerprint of that gateway's identity key, 64 hex; compare it with its operator",
+    },
+    Definition {
+        name: "site.trust_first",
+        variable: "AUTHROS_TRUST_FIRST",
+        default: "no",
+        text: "yes = pin whatever gateway answers the first time",
     },
 ];

@@ -49,6 +49,8 @@ pub struct EpochIssue {
     pub epoch: u64,
     /// Its token.
     pub token: Token,
+    /// When its earliest grant runs out: nothing captured from then on may be sealed under it.
+    pub ends: Option<Timestamp>,
     /// Its keys.
     pub key: SealingKey,
 }
@@ -64,7 +66,8 @@ pub struct IssuedKeys {
 
 impl IssuedKeys {
     /// Its bytes, the body of a notice: issue || 0 or 1 || [moment (8) || issue]; an issue is epoch (8) ||
-    /// token (32) || 0 || EK (32), or epoch || token || 1 || count (2) || topic and key (32) each.
+    /// token (32) || end (8, 0 for none) || 0 || EK (32), or instead of the last two 1 || count (2) || topic and
+    /// key (32) each.
     pub fn encode(&self) -> Zeroizing<Vec<u8>> {
         let length = self.now.length() + self.next.as_ref().map_or(1, |(_, next)| 9 + next.length());
         // Reserved in one piece, tag included: growing would leave unwiped copies behind.
@@ -108,7 +111,7 @@ impl IssuedKeys {
 
 impl EpochIssue {
     fn length(&self) -> usize {
-        41 + match &self.key {
+        49 + match &self.key {
             SealingKey::Epoch(_) => 32,
             SealingKey::Topics(keys) => 2 + keys.keys().map(|topic| topic.len() + 34).sum::<usize>(),
         }
@@ -117,6 +120,7 @@ impl EpochIssue {
     fn put(&self, out: &mut Vec<u8>) {
         out.extend_from_slice(&self.epoch.to_be_bytes());
         out.extend_from_slice(&self.token.0);
+        out.extend_from_slice(&self.ends.map_or(0, |ends| ends.0).to_be_bytes());
         match &self.key {
             SealingKey::Epoch(key) => {
                 out.push(EPOCH);
@@ -139,12 +143,13 @@ impl EpochIssue {
         if epoch == 0 {
             return Err(WireError::Value("epoch"));
         }
+        let ends = Some(Timestamp(reader.u64("end")?)).filter(|ends| ends.0 > 0);
         let key = match reader.u8("key")? {
             EPOCH => SealingKey::Epoch(EpochKey::new(reader.array("epoch key")?)),
             TOPICS => SealingKey::Topics(read_topics(reader)?),
             _ => return Err(WireError::Value("key")),
         };
-        Ok(Self { epoch, token, key })
+        Ok(Self { epoch, token, ends, key })
     }
 }
 

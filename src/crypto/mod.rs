@@ -27,6 +27,7 @@ pub mod record;
 mod rustcrypto;
 pub mod secret;
 pub mod sm3;
+pub mod transport_file;
 
 #[cfg(test)]
 mod differential_tests;

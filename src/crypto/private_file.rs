@@ -27,7 +27,7 @@ pub fn read_private(path: &Path, most: usize) -> Result<Zeroizing<Vec<u8>>, Cryp
     }
     let file = File::open(path).map_err(CryptoError::read(path))?;
     let metadata = file.metadata().map_err(CryptoError::read(path))?;
-    check_mode(path, metadata.permissions().mode(), 0o600)?;
+    check_mode(path, metadata.permissions().mode() & !shown_as_group(path), 0o600)?;
     let length = usize::try_from(metadata.len()).unwrap_or(usize::MAX);
     // One byte more than expected, so that the buffer never grows and leaves a copy behind.
     let mut bytes = Zeroizing::new(Vec::with_capacity(length.min(most) + 1));
@@ -91,6 +91,12 @@ pub(super) fn directory_of(path: &Path) -> PathBuf {
         Some(parent) if !parent.as_os_str().is_empty() => parent.to_owned(),
         _ => PathBuf::from("."),
     }
+}
+
+/// systemd lets a service read its credentials by an access list, which shows as a right of the group.
+fn shown_as_group(path: &Path) -> u32 {
+    let credentials = std::env::var_os("CREDENTIALS_DIRECTORY").filter(|directory| !directory.is_empty());
+    if credentials.is_some_and(|directory| path.starts_with(directory)) { 0o040 } else { 0 }
 }
 
 fn check_mode(path: &Path, mode: u32, wanted: u32) -> Result<(), CryptoError> {

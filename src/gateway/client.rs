@@ -11,12 +11,13 @@ use crate::crypto::{Anchor, SmKeyPair, TransportKey};
 use crate::model::{Digest, Hash, ProfileName, PublicKey, Timestamp, Token};
 
 use super::allocation::{AllocationRequest, Applicant, apply};
+use super::command::relay::LONGEST_PARAMETERS;
 use super::command::{
-    Answer, Command, Entry, Fetched, GrantNotice, Page, Query, Registration, Request, RevokeNotice, Selection,
-    Standing, Upload,
+    Answer, Command, Entry, Fetched, GrantNotice, Page, Query, Registration, RelayCall, Relayed, Request, RevokeNotice,
+    Selection, Standing, Upload,
 };
 use super::error::GatewayError;
-use super::hello::{Agreed, Context};
+use super::hello::{Agreed, Context, NetworkName};
 use super::line::Line;
 use super::parts::Assembler;
 use super::receipt::Receipt;
@@ -136,6 +137,41 @@ impl Client {
         match client.ask(&Request::Register(Box::new(registration))).await? {
             Answer::Registered(hash) => Ok(hash),
             _ => Err(GatewayError::Unexpected("no transaction")),
+        }
+    }
+
+    /// Asks an address which network it stands on; nothing is proven yet, the hello on that network proves it.
+    ///
+    /// # Errors
+    /// [`GatewayError`].
+    pub async fn inquire(address: &str, patience: Duration) -> Result<NetworkName, GatewayError> {
+        timeout(patience, exchange::inquire(address, patience)).await.map_err(|_| GatewayError::TimedOut)?
+    }
+
+    /// Connects without a transport key, to read the chain through the gateway. `name` is only for its log.
+    ///
+    /// # Errors
+    /// [`GatewayError`].
+    pub async fn visit(endpoint: &Endpoint, trust: &mut Trust, name: &ProfileName) -> Result<Self, GatewayError> {
+        let mut client = Self::open(endpoint, trust, name, None, Token([0; 32])).await?;
+        // The gateway signed the hello and holds its keys: from the pong on, large frames are accepted.
+        client.ping().await?;
+        client.line.raise_cap();
+        Ok(client)
+    }
+
+    /// Has the gateway pass a JSON-RPC request on to its chain. Its word for the answer has to be taken.
+    ///
+    /// # Errors
+    /// [`GatewayError`]; `Refused(Stale)` where the chain does not answer.
+    pub async fn relay(&mut self, method: &str, parameters: &serde_json::Value) -> Result<Relayed, GatewayError> {
+        let call = RelayCall { method: method.to_owned(), parameters: parameters.to_string() };
+        if call.parameters.len() > LONGEST_PARAMETERS {
+            return Err(GatewayError::TooLarge(call.parameters.len()));
+        }
+        match self.ask(&Request::Relay(call)).await? {
+            Answer::Relayed(relayed) => Ok(relayed),
+            _ => Err(GatewayError::Unexpected("no answer of the chain")),
         }
     }
 

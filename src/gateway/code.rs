@@ -87,6 +87,8 @@ codes! {
     NotYours = 25 Refused "the record belongs to another account or network; send your own";
     /// A chain transaction that was refused.
     Transaction = 26 Refused "the chain refused the transaction; check account, nonce and balance";
+    /// A request that is not passed on to the chain.
+    Method = 27 Refused "the gateway does not pass this request on to the chain; use a node for it";
 }
 
 impl Code {
@@ -157,6 +159,6 @@ mod tests {
             assert!(code.to_string().contains("; "), "{code:?} says what to do next");
         }
         assert_eq!(Code::from_number(0), None);
-        assert_eq!(Code::from_number(27), None);
+        assert_eq!(Code::from_number(28), None);
     }
 }

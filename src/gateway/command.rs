@@ -9,10 +9,12 @@ use super::session::{LONGEST_TEXT, SessionId};
 
 pub mod answer;
 pub mod query;
+pub mod relay;
 pub mod request;
 
 pub use answer::{Answer, Fetched, Standing};
 pub use query::{Entry, Page, Query, Selection};
+pub use relay::{RelayCall, Relayed};
 pub use request::{GrantNotice, Registration, Request, RevokeNotice, Upload};
 
 /// The largest message, in parts or whole, bytes of body: a record of 64 MiB with its head and header.
@@ -73,6 +75,8 @@ commands! {
     Refuse = 16;
     /// The public key of a device that its owner has lent on the chain, which knows only its hash.
     DeviceNotice = 17;
+    /// A JSON-RPC request, passed on to the chain.
+    Relay = 18;
 }
 
 impl Command {
@@ -99,7 +103,7 @@ impl Command {
 
     /// Whether a session without a transport key may use it.
     pub fn is_for_allocation(self) -> bool {
-        matches!(self, Self::SystemKeys | Self::KeyAllocation | Self::Register | Self::Ping)
+        matches!(self, Self::SystemKeys | Self::KeyAllocation | Self::Register | Self::Ping | Self::Relay)
     }
 }
 

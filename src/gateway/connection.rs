@@ -10,13 +10,13 @@ use tokio::time::{Instant, sleep, sleep_until};
 
 use crate::crypto::{Provider, SmKeyPair, TransportKey};
 use crate::model::wire::WireError;
-use crate::model::{Digest, Timestamp};
+use crate::model::{Digest, ProfileName, Timestamp};
 
 use super::code::{Code, Refusal};
-use super::command::{Answer, Inner, Speaker, split};
-use super::desk::{Caller, Desk};
+use super::command::{Answer, Command, Inner, Speaker, split};
+use super::desk::{Binding, Caller, Desk};
 use super::frame::FrameKind;
-use super::hello::{Context, GatewayHello, Identified, ListSummary, Purpose};
+use super::hello::{Agreed, Context, GatewayHello, Identified, ListSummary, NetworkName, Purpose};
 use super::limits::{Charge, Limits, Peers, Seat};
 use super::line::{Line, LineError};
 use super::parts::Assembler;
@@ -108,13 +108,28 @@ impl From<LineError> for End {
 
 /// Serves one connection until it ends.
 pub(super) async fn serve(shared: Arc<Shared>, line: Line, peer: SocketAddr, seat: Seat, stop: watch::Receiver<bool>) {
-    let now = Instant::now();
-    let mut connection = Connection { shared, line, peer, seat, stop, since: now, partial: false };
+    let mut connection = Connection::new(shared, line, peer, seat, stop);
     // The session's state is large and idle connections are many: only what runs is on the heap.
-    if let Err(End::Refused(refusal)) = Box::pin(connection.run()).await {
-        connection.shared.desk.refused(peer, &refusal);
-        connection.line.refuse(refusal.code).await;
-    }
+    let outcome = Box::pin(connection.run()).await;
+    connection.close(outcome).await;
+}
+
+/// Serves a session that was agreed elsewhere: tests try thousands of frames, each in one of its own.
+#[cfg(test)]
+pub(super) async fn serve_agreed(
+    (shared, line, seat, stop): (Arc<Shared>, Line, Seat, watch::Receiver<bool>),
+    session: Session,
+    agreed: Agreed,
+    (name, binding): (ProfileName, Option<Binding>),
+) {
+    let peer = SocketAddr::from(([127, 0, 0, 1], 1));
+    let mut connection = Connection::new(shared, line, peer, seat, stop);
+    let deadline = Instant::now() + connection.shared.limits().hello_time;
+    let outcome = match binding {
+        Some(binding) => connection.transfer_frames(session, agreed, name, binding, deadline).await,
+        None => connection.allocation_frames(session, agreed, name).await,
+    };
+    connection.close(outcome).await;
 }
 
 struct Connection {
@@ -135,6 +150,17 @@ enum Next {
 }
 
 impl Connection {
+    fn new(shared: Arc<Shared>, line: Line, peer: SocketAddr, seat: Seat, stop: watch::Receiver<bool>) -> Self {
+        Self { shared, line, peer, seat, stop, since: Instant::now(), partial: false }
+    }
+
+    async fn close(self, outcome: Result<(), End>) {
+        if let Err(End::Refused(refusal)) = outcome {
+            self.shared.desk.refused(self.peer, &refusal);
+            self.line.refuse(refusal.code).await;
+        }
+    }
+
     async fn run(&mut self) -> Result<(), End> {
         let deadline = Instant::now() + self.shared.limits().hello_time;
         let identified = self.hello(deadline).await?;
@@ -145,12 +171,27 @@ impl Connection {
     }
 
     async fn hello(&mut self, deadline: Instant) -> Result<Identified, End> {
-        let payload = self.expect(FrameKind::Hello, deadline).await?;
+        let payload = match self.next(deadline, None).await? {
+            Next::Frame(FrameKind::Hello, payload) => payload,
+            Next::Frame(FrameKind::Inquiry, payload) => {
+                self.tell_network(&payload).await?;
+                self.expect(FrameKind::Hello, deadline).await?
+            }
+            _ => return Err(Refusal::new(Code::Malformed, "a frame that is no hello").into()),
+        };
         let (list, _) = self.shared.list();
         let (answer, hello) = GatewayHello::answer(self.shared.context, &self.shared.identity, list, &payload)?;
         self.line.send(FrameKind::Answer, &answer, self.shared.limits().write_time).await?;
         let payload = self.expect(FrameKind::Identify, deadline).await?;
         Ok(hello.identified(&payload)?)
+    }
+
+    async fn tell_network(&mut self, payload: &[u8]) -> Result<(), End> {
+        if payload != NetworkName::INQUIRY {
+            return Err(Refusal::new(Code::Version, "an inquiry of another version").into());
+        }
+        let network = self.shared.desk.network_name().await?;
+        Ok(self.line.send(FrameKind::Network, &network.encode(), self.shared.limits().write_time).await?)
     }
 
     async fn expect(&mut self, wanted: FrameKind, deadline: Instant) -> Result<Vec<u8>, End> {
@@ -204,34 +245,63 @@ impl Connection {
         request: u32,
         outcome: Result<Answer, Refusal>,
     ) -> Result<(), End> {
-        let answer = match outcome {
-            Ok(answer) => answer,
+        let charged = outcome.and_then(|answer| {
+            // The chain's answers are the chain's to bound: their memory is on the account of whoever asked.
+            let length = answer.relayed_length();
+            let charge = if length > 0 { Some(self.seat.charge(length)?) } else { None };
+            Ok((answer, charge))
+        });
+        let (answer, _charge) = match charged {
+            Ok(charged) => charged,
             Err(refusal) if refusal.code.ends_session() => return Err(refusal.into()),
             Err(refusal) => {
                 self.shared.desk.refused(self.peer, &refusal);
-                Answer::Refused(refusal.code)
+                (Answer::Refused(refusal.code), None)
             }
         };
-        self.send(session, request, &answer).await
+        self.send(session, request, &answer).await?;
+        // What was sent delays what is read next.
+        self.seat.pace(std::time::Instant::now(), answer.relayed_length());
+        Ok(())
     }
 
-    /// A session without a transport key: small frames, few of them, soon over.
+    /// A session without a transport key: small frames, few of them, soon over; longer only where it reads the chain.
     async fn allocation(&mut self, identified: Identified) -> Result<(), End> {
-        let deadline = Instant::now() + self.shared.limits().hello_time * ALLOCATION_PATIENCE;
         let (agreed, name) = (identified.agreed(), identified.name().clone());
-        let mut session = identified.session(None);
-        for _ in 0..MOST_ALLOCATION_FRAMES {
+        self.allocation_frames(identified.session(None), agreed, name).await
+    }
+
+    async fn allocation_frames(&mut self, mut session: Session, agreed: Agreed, name: ProfileName) -> Result<(), End> {
+        let patience = self.shared.limits().hello_time * ALLOCATION_PATIENCE;
+        let end = Instant::now() + self.shared.limits().visit_time;
+        let (mut deadline, mut frames) = (Instant::now() + patience, 0);
+        while frames < MOST_ALLOCATION_FRAMES {
             let payload = self.expect(FrameKind::Transfer, deadline).await?;
+            self.pace(payload.len()).await;
             let (counter, text) = session.open(&payload)?;
             let inner = Inner::from_client(&text)?;
             let message = Assembler::<()>::new().take(&inner, counter, |_| {
                 Err(Refusal::new(Code::Length, "a message in parts in a session for allocation"))
             })?;
             let Some(message) = message else { continue };
+            if message.command == Command::Relay {
+                self.seat.visit()?;
+                deadline = end.min(Instant::now() + patience);
+            } else {
+                frames += 1;
+            }
             let outcome = self.shared.allocation_answer(&agreed, &name, &message).await;
             self.reply(&mut session, message.request, outcome).await?;
         }
         Err(Refusal::new(Code::Session, "the session for allocation is over").into())
+    }
+
+    /// Counts what came, and waits where the peer sends more than it may.
+    async fn pace(&self, bytes: usize) {
+        let pause = self.seat.pace(std::time::Instant::now(), bytes);
+        if pause > Duration::ZERO {
+            sleep(pause.min(self.shared.limits().frame_time)).await;
+        }
     }
 
     /// A session under a transport key.
@@ -239,7 +309,18 @@ impl Connection {
         let binding = self.shared.desk.binding(identified.name()).await?;
         let (agreed, name) = (identified.agreed(), identified.name().clone());
         let Some(binding) = binding else { return self.refuse_unknown(identified, hello_deadline).await };
-        let mut session = identified.session(Some(&binding.key));
+        let session = identified.session(Some(&binding.key));
+        self.transfer_frames(session, agreed, name, binding, hello_deadline).await
+    }
+
+    async fn transfer_frames(
+        &mut self,
+        mut session: Session,
+        agreed: Agreed,
+        name: ProfileName,
+        binding: Binding,
+        hello_deadline: Instant,
+    ) -> Result<(), End> {
         let caller = Caller { name, account: binding.account, signing: binding.signing, peer: self.peer };
         let mut desk = Commands { agreed, caller, binding, feeds: None };
         let payload = self.expect(FrameKind::Transfer, hello_deadline).await?;
@@ -257,10 +338,7 @@ impl Connection {
             }
             match next? {
                 Next::Frame(FrameKind::Transfer, payload) => {
-                    let pause = self.seat.pace(std::time::Instant::now(), payload.len());
-                    if pause > Duration::ZERO {
-                        sleep(pause.min(self.shared.limits().frame_time)).await;
-                    }
+                    self.pace(payload.len()).await;
                     let (counter, text) = session.open(&payload)?;
                     self.frame(&mut session, &mut desk, &mut assembler, counter, &text).await?;
                 }

@@ -4,13 +4,16 @@
 use std::net::SocketAddr;
 
 use async_trait::async_trait;
+use serde_json::Value;
 use tokio::sync::mpsc;
 
+use crate::chain::RelayError;
 use crate::crypto::TransportKey;
 use crate::model::{Address, Digest, Hash, Header, ProfileName, PublicKey, Signature, SignerId, Timestamp, Token};
 
 use super::code::Refusal;
 use super::command::{Entry, Fetched, GrantNotice, Page, Query, Registration, RevokeNotice, Selection, Standing};
+use super::hello::NetworkName;
 
 /// What the chain says of an account.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -107,6 +110,13 @@ pub trait Desk: Send + Sync + 'static {
 
     /// The caller's revoke, signed by d_C: from now on the grantee is refused.
     async fn revoke(&self, caller: &Caller, notice: &RevokeNotice) -> Result<(), Refusal>;
+
+    /// Which network it stands on, told to whoever asks: `Stale` before it is known.
+    async fn network_name(&self) -> Result<NetworkName, Refusal>;
+
+    /// Passes a JSON-RPC request on to the chain, of somebody proven or (`None`) of a visitor without a transport
+    /// key. What may pass is the chain's to say ([`crate::chain::Chain::relay`]).
+    async fn relay(&self, caller: Option<&Caller>, method: &str, parameters: &Value) -> Result<Value, RelayError>;
 
     /// The public key of a device of the caller, a point of the curve, signed by d_C: kept durably, so that
     /// [`Self::signer`] can give it as long as the device is lent. `Signature` where the chain has no such loan.

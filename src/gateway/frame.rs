@@ -24,10 +24,15 @@ pub enum FrameKind {
     Transfer = 4,
     /// A code in clear, before the connection closes.
     Refusal = 5,
+    /// Which network is this? Before the hello, by whoever does not know yet.
+    Inquiry = 6,
+    /// The network, in clear; the hello that follows proves it.
+    Network = 7,
 }
 
 impl FrameKind {
-    const ALL: [Self; 5] = [Self::Hello, Self::Answer, Self::Identify, Self::Transfer, Self::Refusal];
+    const ALL: [Self; 7] =
+        [Self::Hello, Self::Answer, Self::Identify, Self::Transfer, Self::Refusal, Self::Inquiry, Self::Network];
 
     /// The byte on the wire.
     pub fn code(self) -> u8 {

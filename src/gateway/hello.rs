@@ -14,7 +14,7 @@ use super::session::{Session, SessionId, SessionKeys, Side};
 
 mod messages;
 
-pub use messages::{Answer, Hello, ListSummary};
+pub use messages::{Answer, Hello, ListSummary, NetworkName};
 
 /// The version of the protocol.
 pub const VERSION: u8 = 1;

@@ -39,6 +39,12 @@ pub struct Limits {
     pub write_time: Duration,
     /// Subscriptions of one connection.
     pub subscriptions: usize,
+    /// Connections in all that read the chain without a transport key.
+    pub visits: usize,
+    /// The same of one peer.
+    pub visits_of_peer: usize,
+    /// How long one of them may last.
+    pub visit_time: Duration,
 }
 
 impl Default for Limits {
@@ -58,6 +64,9 @@ impl Default for Limits {
             idle_time: Duration::from_secs(600),
             write_time: Duration::from_secs(30),
             subscriptions: 16,
+            visits: 64,
+            visits_of_peer: 8,
+            visit_time: Duration::from_secs(600),
         }
     }
 }
@@ -107,6 +116,7 @@ impl Bucket {
 #[derive(Debug)]
 struct Peer {
     connections: usize,
+    visits: usize,
     charged: usize,
     handshakes: Bucket,
     frames: Bucket,
@@ -117,6 +127,7 @@ struct Peer {
 struct Counts {
     connections: usize,
     handshakes: usize,
+    visits: usize,
     charged: usize,
     peers: HashMap<IpAddr, Peer>,
 }
@@ -181,7 +192,7 @@ impl Peers {
         peer.connections += 1;
         counts.connections += 1;
         counts.handshakes += 1;
-        Ok(Seat { peers: self.clone(), key, in_handshake: true })
+        Ok(Seat { peers: self.clone(), key, in_handshake: true, visits: false })
     }
 }
 
@@ -189,6 +200,7 @@ impl Peer {
     fn new(limits: &Limits, now: Instant) -> Self {
         Self {
             connections: 0,
+            visits: 0,
             charged: 0,
             handshakes: Bucket::new(limits.handshake_rate, limits.handshake_burst, now),
             frames: Bucket::new(limits.frame_rate, limits.frame_rate, now),
@@ -213,6 +225,7 @@ pub struct Seat {
     peers: Peers,
     key: IpAddr,
     in_handshake: bool,
+    visits: bool,
 }
 
 impl Seat {
@@ -221,6 +234,31 @@ impl Seat {
         if std::mem::take(&mut self.in_handshake) {
             self.peers.lock().handshakes -= 1;
         }
+    }
+
+    /// The connection reads the chain without a transport key: the handshake is over, and it takes a visitor's place
+    /// until it ends.
+    ///
+    /// # Errors
+    /// [`Refusal`] with `Busy`.
+    pub fn visit(&mut self) -> Result<(), Refusal> {
+        if self.visits {
+            return Ok(());
+        }
+        {
+            let mut counts = self.peers.lock();
+            let limits = &self.peers.limits;
+            let room = counts.visits < limits.visits;
+            let peer = counts.peers.get_mut(&self.key).filter(|peer| room && peer.visits < limits.visits_of_peer);
+            let Some(peer) = peer else {
+                return Err(Refusal::new(Code::Busy, format_args!("too many visitors, one more of {}", self.key)));
+            };
+            peer.visits += 1;
+            counts.visits += 1;
+        }
+        self.visits = true;
+        self.authenticated();
+        Ok(())
     }
 
     /// Counts one frame; how long the connection must wait before it reads on.
@@ -254,8 +292,10 @@ impl Drop for Seat {
         self.authenticated();
         let mut counts = self.peers.lock();
         counts.connections -= 1;
+        counts.visits -= usize::from(self.visits);
         if let Some(peer) = counts.peers.get_mut(&self.key) {
             peer.connections -= 1;
+            peer.visits -= usize::from(self.visits);
         }
     }
 }

@@ -3,6 +3,7 @@
 //! the server with its `Desk` and the client over TCP.
 
 pub mod allocation;
+pub mod chain_line;
 pub mod client;
 pub mod code;
 pub mod command;
@@ -22,20 +23,21 @@ pub mod system_keys;
 pub mod trust;
 
 pub use allocation::Applicant;
+pub use chain_line::ChainLine;
 pub use client::{Client, Credentials, Endpoint};
 pub use code::{Code, Refusal};
 pub use command::{
-    Answer, Command, Entry, Fetched, GrantNotice, Page, Query, Registration, Request, RevokeNotice, Selection,
-    Standing, Upload,
+    Answer, Command, Entry, Fetched, GrantNotice, Page, Query, Registration, RelayCall, Relayed, Request, RevokeNotice,
+    Selection, Standing, Upload,
 };
 pub use desk::{Account, Binding, Caller, Desk, Received};
 pub use error::GatewayError;
-pub use hello::Context;
+pub use hello::{Context, NetworkName};
 pub use limits::Limits;
 pub use receipt::Receipt;
 pub use server::Server;
 pub use system_keys::cabinet::{Cabinet, Schedule};
-pub use trust::Trust;
+pub use trust::{KeptTrust, Trust};
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

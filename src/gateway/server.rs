@@ -78,6 +78,12 @@ impl Server {
         self.shared.peers.connections()
     }
 
+    /// What its connections share, for tests that serve one themselves.
+    #[cfg(test)]
+    pub(super) fn shared(&self) -> Arc<Shared> {
+        Arc::clone(&self.shared)
+    }
+
     /// Takes no more connections, lets requests under way finish, closes all; whatever lasts longer than
     /// `patience` is cut.
     pub async fn stop(mut self, patience: Duration) {

@@ -1,7 +1,8 @@
 //! Whom a client takes for its gateway: a pinned fingerprint, and the highest system-key list seen.
 //! Kept in a file, so that neither another gateway nor an older list passes after a restart.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
 use serde::{Deserialize, Serialize};
 
@@ -99,6 +100,61 @@ impl Trust {
     }
 }
 
+/// A [`Trust`] with its file, shared by all connections to one gateway.
+#[derive(Debug)]
+pub struct KeptTrust {
+    path: PathBuf,
+    trust: Mutex<Trust>,
+}
+
+impl KeptTrust {
+    /// What the file says, where there is one; else what was asked for: a pinned fingerprint, or trust on first use.
+    ///
+    /// # Errors
+    /// [`GatewayError::NotTheGateway`] where another gateway is pinned in the file than was asked for, or what
+    /// reading the file gives.
+    pub fn open(path: PathBuf, pinned: Option<SignerId>, first_use: bool) -> Result<Self, GatewayError> {
+        let trust = match path.exists() {
+            false => Trust { pinned, first_use: first_use && pinned.is_none(), seen: None },
+            true => {
+                let known = Trust::load(&path)?;
+                match (known.pinned, pinned) {
+                    (Some(found), Some(pinned)) if found != pinned => {
+                        return Err(GatewayError::NotTheGateway { pinned, found });
+                    }
+                    _ => known,
+                }
+            }
+        };
+        Ok(Self { path, trust: Mutex::new(trust) })
+    }
+
+    /// What is known now: for a connection to judge by.
+    pub fn current(&self) -> Trust {
+        self.trust.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Remembers what a connection has learnt, also in the file.
+    ///
+    /// # Errors
+    /// [`GatewayError::NotTheGateway`] where another connection met another gateway first, or what writing gives.
+    pub fn learn(&self, learnt: &Trust) -> Result<(), GatewayError> {
+        let mut trust = self.trust.lock().unwrap_or_else(PoisonError::into_inner);
+        if let (Some(pinned), Some(found)) = (trust.pinned, learnt.pinned)
+            && pinned != found
+        {
+            return Err(GatewayError::NotTheGateway { pinned, found });
+        }
+        let version = |trust: &Trust| trust.seen.map_or(0, |seen| seen.version);
+        let first = trust.pinned.is_none() || trust.seen.is_none();
+        if first || version(learnt) > version(&trust) {
+            *trust = Trust { first_use: false, ..learnt.clone() };
+            trust.save(&self.path)?;
+        }
+        Ok(())
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -145,5 +201,27 @@ mod tests {
         assert!(matches!(again.judge(&agreed(1, 4, 5)), Err(GatewayError::RolledBack { .. })));
         write_private(&path, b"{}").expect("writes");
         assert!(Trust::load(&path).is_err());
+    }
+
+    #[test]
+    fn connections_share_what_they_learn() {
+        let home = tempfile::tempdir().expect("directory");
+        let path = home.path().join("gateway.json");
+        let open = |pinned, first_use| KeptTrust::open(path.clone(), pinned, first_use);
+        let kept = open(None, true).expect("opens");
+        let (mut one, mut two) = (kept.current(), kept.current());
+        one.judge(&agreed(1, 5, 5)).expect("first use");
+        two.judge(&agreed(2, 5, 5)).expect("first use, of another one");
+        kept.learn(&one).expect("the first counts");
+        assert!(matches!(kept.learn(&two), Err(GatewayError::NotTheGateway { .. })));
+        let mut newer = kept.current();
+        newer.judge(&agreed(1, 7, 7)).expect("newer");
+        kept.learn(&newer).expect("learns");
+        kept.learn(&one).expect("older news change nothing");
+        assert_eq!(kept.current().seen.map(|seen| seen.version), Some(7));
+        let again = open(None, false).expect("opens").current();
+        assert_eq!((again.pinned, again.first_use), (Some(SignerId([1; 32])), false));
+        assert!(open(Some(SignerId([1; 32])), false).is_ok());
+        assert!(matches!(open(Some(SignerId([2; 32])), false), Err(GatewayError::NotTheGateway { .. })));
     }
 }

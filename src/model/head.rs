@@ -42,7 +42,7 @@ impl Head {
     /// The bytes that are sealed.
     ///
     /// Texts have a two-byte length; definition (32), boot id (16), compression (1),
-    /// plain length (8), tag count (2) and pairs.
+    /// plain length (8), tag count (2) and pairs, in the order of the tags' bytes.
     pub fn encode(&self) -> Vec<u8> {
         let mut out = Vec::with_capacity(192);
         for text in [&self.topic, &self.type_name, &self.md5sum] {
@@ -92,13 +92,50 @@ fn read_tags(reader: &mut Reader<'_>) -> Result<BTreeMap<String, String>, WireEr
     if count > MOST_TAGS {
         return Err(WireError::Value("tag count"));
     }
-    (0..count).map(|_| Ok((reader.text("tag")?, reader.text("tag value")?))).collect()
+    let mut tags: BTreeMap<String, String> = BTreeMap::new();
+    for _ in 0..count {
+        let (tag, value) = (reader.text("tag")?, reader.text("tag value")?);
+        // In their order, none twice: every head has one encoding.
+        if tags.last_key_value().is_some_and(|(last, _)| *last >= tag) {
+            return Err(WireError::Value("tag"));
+        }
+        tags.insert(tag, value);
+    }
+    Ok(tags)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use proptest::prelude::*;
+
+    #[test]
+    fn tags_out_of_order_or_twice_are_refused() {
+        let head = |tags: [(&str, &str); 2]| {
+            let empty = Head {
+                topic: "/a".into(),
+                type_name: "a/B".into(),
+                md5sum: "0".repeat(32),
+                definition: Digest([1; 32]),
+                caller_id: "/a".into(),
+                boot_id: [2; 16],
+                compression: Compression::None,
+                plain_length: 0,
+                tags: BTreeMap::new(),
+            };
+            let mut bytes = empty.encode();
+            bytes.truncate(bytes.len() - 2);
+            bytes.extend_from_slice(&[0, 2]);
+            for (tag, value) in tags {
+                put_text(&mut bytes, tag);
+                put_text(&mut bytes, value);
+            }
+            Head::parse(&bytes)
+        };
+        assert!(head([("mission", "1"), ("robot", "2")]).is_ok());
+        assert_eq!(head([("robot", "2"), ("mission", "1")]), Err(WireError::Value("tag")));
+        assert_eq!(head([("robot", "1"), ("robot", "2")]), Err(WireError::Value("tag")));
+    }
 
     proptest! {
         #[test]

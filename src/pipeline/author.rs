@@ -3,6 +3,7 @@
 
 use std::sync::{Arc, PoisonError, RwLock};
 
+use crate::crypto::Enrolment;
 use crate::model::{Address, Timestamp};
 
 use super::epoch::EpochKeys;
@@ -27,7 +28,7 @@ impl Author {
         Self { address, sealing: RwLock::default() }
     }
 
-    /// The keys that seal new records; `None` before the first.
+    /// The keys that seal new records; `None` before the first, and where the last have ended.
     ///
     /// What was captured after the moment given to [`Self::seal_from`] is never sealed under the keys
     /// before it, whether or not anybody was awake at that moment.
@@ -35,14 +36,27 @@ impl Author {
         {
             let sealing = self.sealing.read().unwrap_or_else(PoisonError::into_inner);
             if sealing.next.as_ref().is_none_or(|(from, _)| Timestamp::now() < *from) {
-                return sealing.keys.clone();
+                return in_force(sealing.keys.as_ref());
             }
         }
         let mut sealing = self.sealing.write().unwrap_or_else(PoisonError::into_inner);
         if let Some((_, keys)) = sealing.next.take_if(|(from, _)| Timestamp::now() >= *from) {
             sealing.keys = Some(keys);
         }
-        sealing.keys.clone()
+        in_force(sealing.keys.as_ref())
+    }
+
+    /// What seals from a moment on that has not come yet.
+    pub fn next(&self) -> Option<(Timestamp, Arc<EpochKeys>)> {
+        self.sealing.read().unwrap_or_else(PoisonError::into_inner).next.clone()
+    }
+
+    /// Seals as an owner has told a device to: under the keys of now, and of a moment to come.
+    pub fn obey(&self, enrolment: &Enrolment) {
+        self.seal_under(Arc::new(EpochKeys::issued(enrolment, &enrolment.keys.now)));
+        if let Some((moment, next)) = &enrolment.keys.next {
+            self.seal_from(*moment, Arc::new(EpochKeys::issued(enrolment, next)));
+        }
     }
 
     /// From now on records are sealed under these keys.
@@ -61,4 +75,8 @@ impl Author {
             sealing.next = Some((moment, keys));
         }
     }
+}
+
+fn in_force(keys: Option<&Arc<EpochKeys>>) -> Option<Arc<EpochKeys>> {
+    keys.filter(|keys| keys.ends.is_none_or(|ends| Timestamp::now() < ends)).cloned()
 }

@@ -290,6 +290,16 @@ impl Directory {
         })
     }
 
+    /// The account whose signing key has this id now.
+    pub fn registered_as(&self, signer: SignerId) -> Option<Address> {
+        let state = self.state.read().unwrap_or_else(PoisonError::into_inner);
+        let has = |account: &Account| {
+            let now = account.identities.last();
+            now.is_some_and(|identity| identity.proven && signer_id(&identity.signing) == signer)
+        };
+        state.accounts.iter().find(|(_, account)| has(account)).map(|(address, _)| *address)
+    }
+
     /// Whether the account ever registered this token.
     pub fn has_token(&self, owner: Address, token: Token) -> bool {
         let state = self.state.read().unwrap_or_else(PoisonError::into_inner);

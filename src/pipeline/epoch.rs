@@ -3,9 +3,11 @@
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{Arc, Mutex, PoisonError};
 
-use crate::crypto::{IndexKey, SealingKey, SmKeyPair, TopicKey, filter_id, signer_id, topic_id, topic_key};
+use crate::crypto::{
+    Enrolment, EpochIssue, IndexKey, SealingKey, SmKeyPair, TopicKey, filter_id, signer_id, topic_id, topic_key,
+};
 use crate::model::header::MOST_FILTERS;
-use crate::model::{Domain, FilterId, SignerId, Token, TopicId};
+use crate::model::{Domain, FilterId, SignerId, Timestamp, Token, TopicId};
 
 /// The tag of what simulated robots send.
 pub const SIMULATED: (&str, &str) = ("simulated", "true");
@@ -26,6 +28,8 @@ pub struct EpochKeys {
     pub epoch: u64,
     /// Its public commitment.
     pub token: Token,
+    /// When it must no longer be sealed under, where that is known; an owner has the next one ready by then.
+    pub ends: Option<Timestamp>,
     /// Signs records.
     pub signing: Arc<SmKeyPair>,
     /// SM3 of the signing key.
@@ -45,7 +49,24 @@ impl EpochKeys {
         index: IndexKey,
     ) -> Self {
         let signer = signer_id(&signing.public);
-        Self { domain, epoch, token, signing: Arc::new(signing), signer, key, index, topics: Mutex::default() }
+        Self {
+            domain,
+            epoch,
+            token,
+            ends: None,
+            signing: Arc::new(signing),
+            signer,
+            key,
+            index,
+            topics: Mutex::default(),
+        }
+    }
+
+    /// The keys of an epoch as a device was given them.
+    pub fn issued(enrolment: &Enrolment, issue: &EpochIssue) -> Self {
+        let (signing, key, index) = (enrolment.device.clone(), issue.key.clone(), enrolment.index.clone());
+        let keys = Self::new(enrolment.domain, (issue.epoch, issue.token), signing, key, index);
+        Self { ends: issue.ends, ..keys }
     }
 
     /// The keys of a topic, derived once; `None` for a topic that these keys do not cover.

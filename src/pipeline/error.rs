@@ -2,7 +2,7 @@
 
 use crate::chain::ChainError;
 use crate::crypto::CryptoError;
-use crate::model::{Address, ErrorKind};
+use crate::model::{Address, Digest, ErrorKind};
 use crate::ros::RosError;
 use crate::store::StoreError;
 
@@ -72,6 +72,14 @@ pub enum PipelineError {
     /// The chain changed again and again while it was read.
     #[error("the chain changes while it is read; it is read again, check that all nodes behind the URL agree")]
     Unsteady,
+    /// A record from a gateway of which something does not hold.
+    #[error("record {digest} that the gateway gave is not taken in: {why}; tell its owner and the gateway's operator")]
+    NotTakenIn {
+        /// Which.
+        digest: Digest,
+        /// What does not hold.
+        why: &'static str,
+    },
     /// A grant or revoke that the state of things does not allow.
     #[error("{0}")]
     Refused(String),
@@ -90,7 +98,7 @@ impl PipelineError {
             }
             Self::Reverted { .. } | Self::Refused(_) => ErrorKind::Refused,
             Self::NoRecord(_) => ErrorKind::Input,
-            Self::Missing(_) => ErrorKind::Tampered,
+            Self::Missing(_) | Self::NotTakenIn { .. } => ErrorKind::Tampered,
             Self::UnknownEpoch(_) | Self::Uncovered(_) => ErrorKind::Refused,
             Self::NotMined(_) | Self::Unsteady => ErrorKind::Incomplete,
         }

@@ -12,10 +12,15 @@ pub mod epoch;
 pub mod error;
 #[cfg(test)]
 mod fixture;
+pub mod forwarder;
 pub mod meter;
+pub mod mirror;
+pub mod notices;
 pub mod owner;
 pub mod pace;
+pub mod pins;
 pub mod proof;
+pub mod quarantine;
 pub mod reader;
 pub mod recorder;
 pub mod ring;
@@ -34,7 +39,9 @@ pub mod witness;
 pub use author::Author;
 pub use directory::Directory;
 pub use error::PipelineError;
+pub use forwarder::Forwarder;
 pub use owner::Owner;
+pub use pins::{PinRules, Pins};
 pub use recorder::Recorder;
 pub use sender::{Outgoing, Sender};
 pub use session::CaptureSession;
@@ -55,6 +62,8 @@ pub trait Observer: Send + Sync {
     fn tampered(&self, digests: &[Digest]);
     /// Registrations or grants changed on the chain.
     fn directory_changed(&self);
+    /// A publisher of a watched topic is doubted.
+    fn publishers_doubted(&self) {}
     /// An operator should know; `urgent` stays on screen.
     fn alert(&self, urgent: bool, text: String);
 }

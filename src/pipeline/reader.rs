@@ -44,6 +44,9 @@ impl Reader<'_> {
     /// `NotGranted`.
     pub fn authorise(&self, row: &RecordRow) -> Result<(), PipelineError> {
         let own = row.owner == self.reader.address;
+        if !own && is_held(row) {
+            return Err(PipelineError::NoRecord(row.id.clone()));
+        }
         let granted = || self.grants_of(row.owner).iter().any(|grant| grant.terms.scope.covers(row.topic_id));
         if own || crate::crypto::fault::is_off("authorise") || granted() {
             return Ok(());
@@ -60,7 +63,7 @@ impl Reader<'_> {
     /// # Errors
     /// Of chain, vault and ledger; what is wrong with the record itself is the verdict.
     pub async fn check(&self, row: &RecordRow) -> Result<(Verdict, Digest), PipelineError> {
-        let Some(blob) = block_in_place(|| self.plant.vault.get(row.digest))? else {
+        let Some(blob) = self.blob(row)? else {
             return Ok((Verdict::Missing, row.digest));
         };
         let digest = Digest(self.plant.provider.sm3(&[&blob]));
@@ -69,6 +72,17 @@ impl Reader<'_> {
         let signer = block_in_place(|| signers::key_of(self.plant, self.network, row))?;
         let verdict = signer.and_then(|signer| check(self.plant.provider, &blob, &row.signature, &signer, anchor).ok());
         Ok((verdict.map_or(Verdict::Tampered, |(_, _, verdict)| verdict), digest))
+    }
+
+    /// The stored bytes; of a quarantined record they may not be in the vault yet.
+    fn blob(&self, row: &RecordRow) -> Result<Option<Vec<u8>>, PipelineError> {
+        block_in_place(|| {
+            let stored = self.plant.vault.get(row.digest)?;
+            if stored.is_none() && row.state == RecordState::Quarantined {
+                return Ok(self.plant.ledger.local_copy(row.digest)?);
+            }
+            Ok(stored)
+        })
     }
 
     async fn is_anchored(&self, row: &RecordRow) -> Result<bool, PipelineError> {
@@ -83,8 +97,7 @@ impl Reader<'_> {
     /// of this reader opens it; a missing blob is tampering too.
     pub async fn open(&self, row: &RecordRow) -> Result<OpenedRecord, PipelineError> {
         self.authorise(row)?;
-        let blob = block_in_place(|| self.plant.vault.get(row.digest))?
-            .ok_or_else(|| PipelineError::Missing(row.id.clone()))?;
+        let blob = self.blob(row)?.ok_or_else(|| PipelineError::Missing(row.id.clone()))?;
         let anchor = if self.is_anchored(row).await? { Anchor::Chain(row.digest) } else { Anchor::Unanchored };
         let unknown_signer = || CryptoError::Tampered("the signer was not the owner's at the anchoring block");
         let signer = block_in_place(|| signers::key_of(self.plant, self.network, row))?.ok_or_else(unknown_signer)?;
@@ -189,6 +202,11 @@ impl Reader<'_> {
         }
         Ok(None)
     }
+}
+
+/// Whether a record is its owner's alone: held back, or given up.
+pub fn is_held(row: &RecordRow) -> bool {
+    matches!(row.state, RecordState::Quarantined | RecordState::Dropped)
 }
 
 /// By the topic's pseudonym, and as it was done before, where its name is known.

@@ -5,12 +5,12 @@ use std::collections::{BTreeMap, HashMap};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 
-use crate::model::{Timestamp, TypeName, clean};
-use crate::ros::{CaptureNotice, Message, MessageSink};
+use crate::model::{Doubt, Timestamp, TypeName, clean};
+use crate::ros::{CaptureNotice, Message, MessageSink, Origin};
 
 use super::meter::Meter;
 use super::ring::{Ring, Weighted};
-use super::{Author, CaptureSession, Observer};
+use super::{Author, CaptureSession, Observer, Pins};
 
 /// One message for one author, on its way to the sealer.
 pub struct CapturedMessage {
@@ -22,6 +22,8 @@ pub struct CapturedMessage {
     pub simulated: bool,
     /// Sessions that wait for it.
     pub sessions: Vec<Arc<CaptureSession>>,
+    /// Why it must be held back.
+    pub doubt: Option<Doubt>,
 }
 
 impl Weighted for CapturedMessage {
@@ -55,6 +57,7 @@ pub struct Recorder {
     moved: AtomicBool,
     simulated: RwLock<Vec<String>>,
     observer: Arc<dyn Observer>,
+    pins: Option<Arc<Pins>>,
 }
 
 impl Recorder {
@@ -68,7 +71,13 @@ impl Recorder {
             moved: AtomicBool::new(false),
             simulated: RwLock::default(),
             observer,
+            pins: None,
         }
+    }
+
+    /// Messages of publishers that are not pinned are held back.
+    pub fn with_pins(self, pins: Arc<Pins>) -> Self {
+        Self { pins: Some(pins), ..self }
     }
 
     /// Whether a message arrived on any topic since this was last asked.
@@ -169,16 +178,44 @@ impl Recorder {
         if interest.type_name.as_ref().is_some_and(|wanted| wanted.as_str() != &*message.type_name) {
             return;
         }
-        let takes = |session: &&Arc<CaptureSession>| session.take(&message.topic, &message.type_name);
+        let doubt = self.doubt(interest, &message.topic, &message.origin);
+        let takes = |session: &&Arc<CaptureSession>| match doubt {
+            None => session.take(&message.topic, &message.type_name),
+            Some(_) => session.hold(&message.topic),
+        };
         let sessions: Vec<_> = interest.sessions.iter().filter(takes).cloned().collect();
         if sessions.is_empty() && !interest.watched {
             return;
         }
         let author = Arc::clone(&interest.author);
-        let item = CapturedMessage { author, message: Arc::clone(message), simulated, sessions };
+        let item = CapturedMessage { author, message: Arc::clone(message), simulated, sessions, doubt };
         if let Err(refused) = self.ring.push(item) {
             self.lose(&message.topic, |losses| losses.in_recorder += 1);
-            refused.sessions.iter().for_each(|session| session.dropped(&message.topic));
+            refused.sessions.iter().for_each(|session| session.dropped(&message.topic, refused.doubt.is_some()));
+        }
+    }
+
+    fn doubt(&self, interest: &Interest, topic: &str, origin: &Arc<Origin>) -> Option<Doubt> {
+        self.pins.as_ref().and_then(|pins| pins.judge(interest.author.address, topic, origin))
+    }
+
+    /// Publishers are judged as soon as they are there, not only by what they send.
+    fn look_at_publishers(&self, notice: &CaptureNotice) {
+        let Some(pins) = &self.pins else { return };
+        let interests = self.interests.read().unwrap_or_else(PoisonError::into_inner);
+        let owners = |topic: &str| interests.get(topic).into_iter().flatten();
+        match notice {
+            CaptureNotice::PublisherConnected { topic, origin, .. } => {
+                pins.connected(topic, origin);
+                for interest in owners(topic) {
+                    pins.judge(interest.author.address, topic, origin);
+                }
+            }
+            CaptureNotice::PublisherLost { number, .. } => pins.lost(*number),
+            CaptureNotice::UnconfirmedPublisher { topic, publisher } => {
+                owners(topic).for_each(|interest| pins.unconfirmed(interest.author.address, topic, publisher));
+            }
+            _ => {}
         }
     }
 }
@@ -197,6 +234,7 @@ impl MessageSink for Recorder {
     }
 
     fn notice(&self, notice: CaptureNotice) {
+        self.look_at_publishers(&notice);
         if let CaptureNotice::LostInTransport { topic, count, .. } = &notice {
             self.lose(topic, |losses| losses.in_transport += count);
             let interests = self.interests.read().unwrap_or_else(PoisonError::into_inner);
@@ -213,10 +251,11 @@ impl MessageSink for Recorder {
 /// A notice as an operator reads it; `None` for what is told elsewhere.
 fn words(notice: &CaptureNotice) -> Option<(bool, String)> {
     let told = match notice {
-        CaptureNotice::PublisherConnected { .. } | CaptureNotice::MasterBack | CaptureNotice::MasterLost { .. } => {
-            return None;
-        }
-        CaptureNotice::PublisherLost { topic, caller_id, reason } => {
+        CaptureNotice::PublisherConnected { .. }
+        | CaptureNotice::UnconfirmedPublisher { .. }
+        | CaptureNotice::MasterBack
+        | CaptureNotice::MasterLost { .. } => return None,
+        CaptureNotice::PublisherLost { topic, caller_id, reason, .. } => {
             (false, format!("{caller_id} no longer publishes {topic}: {reason}"))
         }
         CaptureNotice::PublisherUnreachable { topic, publisher, reason } => {

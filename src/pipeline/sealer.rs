@@ -9,13 +9,13 @@ use crate::crypto::{SealRequest, SealedRecord, seal};
 use crate::model::head::Compression;
 use crate::model::{Address, Digest, Head, RecordKind, RecordState, TopicId, clean};
 use crate::ros::Message;
-use crate::store::NewRecord;
+use crate::store::{Hold, NewRecord};
 
 use super::epoch::{EpochKeys, SIMULATED, TopicKeys};
 use super::recorder::CapturedMessage;
 use super::ring::Ring;
 use super::session::Sessions;
-use super::{PipelineError, Plant};
+use super::{PipelineError, Plant, quarantine};
 
 /// Messages sealed at most before they are acknowledged together.
 const ROUND: usize = 256;
@@ -26,6 +26,7 @@ const ROUND_BYTES: usize = 8 * 1024 * 1024;
 struct Ready {
     sealed: SealedRecord,
     row: NewRecord,
+    hold: Option<Hold>,
     definition: Option<String>,
     item: Option<usize>,
 }
@@ -80,7 +81,8 @@ impl Sealer {
         for (index, item) in items.iter().enumerate() {
             let keys = item.author.sealing().filter(|keys| keys.topic(&item.message.topic).is_some());
             let Some(keys) = keys else {
-                item.sessions.iter().for_each(|session| session.dropped(&item.message.topic));
+                let held = item.doubt.is_some();
+                item.sessions.iter().for_each(|session| session.dropped(&item.message.topic, held));
                 continue;
             };
             self.seal_definition(item, &keys, &mut seqs, &mut ready)?;
@@ -102,7 +104,10 @@ impl Sealer {
     ) -> Result<(), PipelineError> {
         let topic = covered(keys, &item.message.topic)?;
         let digest = self.definition_digest(&item.message.definition);
-        let name = format!("definition:{}:{}:{}:{}:{digest}", keys.domain, item.author.address, keys.epoch, topic.id);
+        // A quarantined definition is none for those who may never see it.
+        let held = if item.doubt.is_some() { ":quarantined" } else { "" };
+        let name =
+            format!("definition:{}:{}:{}:{}:{digest}{held}", keys.domain, item.author.address, keys.epoch, topic.id);
         let waiting = ready.iter().any(|one| one.definition.as_ref() == Some(&name));
         if waiting || self.definitions.contains(&name) {
             return Ok(());
@@ -160,7 +165,8 @@ impl Sealer {
         let sealed = seal(self.plant.provider, &request)?;
         seqs.insert((owner, topic.id), seq);
         let row = self.row(message, item, &sealed, keys, kind, seq, topic.id, body.len());
-        Ok(Ready { sealed, row, definition: None, item: None })
+        let hold = item.doubt.map(|doubt| quarantine::hold(sealed.digest, doubt, &message.origin));
+        Ok(Ready { sealed, row, hold, definition: None, item: None })
     }
 
     fn next_seq(
@@ -220,7 +226,11 @@ impl Sealer {
             bytes: length as u64,
             captured_at: message.captured_at,
             simulated: item.simulated,
-            state: if durable { RecordState::Stored } else { RecordState::Sealed },
+            state: match item.doubt {
+                Some(_) => RecordState::Quarantined,
+                None if durable => RecordState::Stored,
+                None => RecordState::Sealed,
+            },
             local_copy: (!durable).then(|| sealed.blob.clone()),
         }
     }
@@ -233,13 +243,18 @@ impl Sealer {
         }
         // Sessions wait before the append: verification may be quicker than this thread.
         for one in &ready {
-            if let Some(item) = one.item.and_then(|index| items.get(index)) {
+            if let Some(item) = one.item.and_then(|index| items.get(index)).filter(|item| item.doubt.is_none()) {
                 self.sessions.wait(one.sealed.digest, &item.message.topic, &item.sessions);
             }
         }
-        let (rows, names): (Vec<_>, Vec<_>) = ready.into_iter().map(|one| (one.row, one.definition)).unzip();
-        self.plant.ledger.append(rows)?;
-        for name in names.into_iter().flatten() {
+        let (mut rows, mut names, mut holds) = (Vec::with_capacity(ready.len()), Vec::new(), Vec::new());
+        for one in ready {
+            rows.push(one.row);
+            names.extend(one.definition);
+            holds.extend(one.hold);
+        }
+        self.plant.ledger.append_held(rows, holds)?;
+        for name in names {
             self.plant.ledger.put_setting(&name, "sent")?;
             self.definitions.insert(name);
         }
@@ -258,6 +273,9 @@ fn tags(item: &CapturedMessage) -> BTreeMap<String, String> {
         item.sessions.iter().flat_map(|session| session.tags().iter().cloned()).collect();
     if item.simulated {
         tags.insert(SIMULATED.0.to_owned(), SIMULATED.1.to_owned());
+    }
+    if let Some(doubt) = item.doubt {
+        tags.insert(quarantine::TAG.to_owned(), doubt.word().to_owned());
     }
     tags
 }

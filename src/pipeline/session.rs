@@ -14,6 +14,7 @@ struct TopicTally {
     captured: AtomicU64,
     verified: AtomicU64,
     tampered: AtomicU64,
+    quarantined: AtomicU64,
     lost: AtomicU64,
     type_name: OnceLock<String>,
 }
@@ -25,12 +26,14 @@ pub struct TopicFigures {
     pub topic: String,
     /// Type of the first message, where one came.
     pub type_name: Option<String>,
-    /// Messages taken.
+    /// Messages taken, the quarantined ones included.
     pub captured: u64,
     /// Of these verified.
     pub verified: u64,
     /// Of these tampered or missing.
     pub tampered: u64,
+    /// Of these held back, their publisher not being a pinned one.
+    pub quarantined: u64,
     /// Lost in transport or in the recorder.
     pub lost: u64,
 }
@@ -41,6 +44,8 @@ pub struct CaptureSession {
     topics: BTreeMap<String, TopicTally>,
     limit: Option<u64>,
     tags: Vec<(String, String)>,
+    /// Whether the fate of its records is followed.
+    followed: bool,
     closed: AtomicBool,
     changed: Notify,
 }
@@ -49,7 +54,13 @@ impl CaptureSession {
     /// A session for `topics`, ending by itself after `limit` messages of each.
     pub fn new(topics: &[String], limit: Option<u64>, tags: Vec<(String, String)>) -> Self {
         let topics = topics.iter().map(|topic| (topic.clone(), TopicTally::default())).collect();
-        Self { topics, limit, tags, closed: AtomicBool::new(limit == Some(0)), changed: Notify::new() }
+        let closed = AtomicBool::new(limit == Some(0));
+        Self { topics, limit, tags, followed: true, closed, changed: Notify::new() }
+    }
+
+    /// One that may last for months: what becomes of its records is for the ledger to tell, not kept in memory.
+    pub fn unfollowed(topics: &[String], limit: Option<u64>, tags: Vec<(String, String)>) -> Self {
+        Self { followed: false, ..Self::new(topics, limit, tags) }
     }
 
     /// Tags that its messages get.
@@ -74,10 +85,18 @@ impl CaptureSession {
         true
     }
 
-    /// A message that was counted in had to be dropped.
-    pub fn dropped(&self, topic: &str) {
+    /// Counts a message of a doubted publisher in, which fills no quota; `false` where the session is closed.
+    pub fn hold(&self, topic: &str) -> bool {
+        let Some(tally) = self.topics.get(topic).filter(|_| !self.closed.load(Ordering::Acquire)) else { return false };
+        tally.quarantined.fetch_add(1, Ordering::AcqRel);
+        true
+    }
+
+    /// A message that was counted in (`held`: as a doubted one) had to be dropped.
+    pub fn dropped(&self, topic: &str, held: bool) {
         if let Some(tally) = self.topics.get(topic) {
-            tally.captured.fetch_sub(1, Ordering::AcqRel);
+            let counter = if held { &tally.quarantined } else { &tally.captured };
+            counter.fetch_sub(1, Ordering::AcqRel);
             tally.lost.fetch_add(1, Ordering::AcqRel);
         }
         self.changed.notify_waiters();
@@ -137,7 +156,7 @@ impl CaptureSession {
     }
 
     fn is_settled(&self) -> bool {
-        self.figures().iter().all(|topic| topic.verified + topic.tampered >= topic.captured)
+        self.figures().iter().all(|topic| topic.verified + topic.tampered + topic.quarantined >= topic.captured)
     }
 
     /// Figures per topic.
@@ -145,9 +164,10 @@ impl CaptureSession {
         let figures = |(topic, tally): (&String, &TopicTally)| TopicFigures {
             topic: topic.clone(),
             type_name: tally.type_name.get().cloned(),
-            captured: tally.captured.load(Ordering::Acquire),
+            captured: tally.captured.load(Ordering::Acquire) + tally.quarantined.load(Ordering::Acquire),
             verified: tally.verified.load(Ordering::Acquire),
             tampered: tally.tampered.load(Ordering::Acquire),
+            quarantined: tally.quarantined.load(Ordering::Acquire),
             lost: tally.lost.load(Ordering::Acquire),
         };
         self.topics.iter().map(figures).collect()
@@ -165,10 +185,11 @@ pub struct Sessions {
 impl Sessions {
     /// `sessions` wait for the record `digest` of `topic`.
     pub fn wait(&self, digest: Digest, topic: &Arc<str>, sessions: &[Arc<CaptureSession>]) {
-        if sessions.is_empty() {
+        let mut followed = sessions.iter().filter(|session| session.followed).peekable();
+        if followed.peek().is_none() {
             return;
         }
-        let entries = sessions.iter().map(|session| (Arc::clone(session), Arc::clone(topic)));
+        let entries = followed.map(|session| (Arc::clone(session), Arc::clone(topic)));
         self.waiting.lock().unwrap_or_else(PoisonError::into_inner).entry(digest).or_default().extend(entries);
     }
 
@@ -210,9 +231,23 @@ mod tests {
     fn a_dropped_message_is_lost_not_captured() {
         let session = CaptureSession::new(&["/a".into()], None, Vec::new());
         assert!(session.take("/a", "x/Y"));
-        session.dropped("/a");
+        session.dropped("/a", false);
         session.lost_in_transport("/a", 3);
         let figures = &session.figures()[0];
         assert_eq!((figures.captured, figures.lost), (0, 4));
+    }
+
+    #[tokio::test]
+    async fn held_messages_fill_no_quota_and_are_waited_for_by_nobody() {
+        let session = CaptureSession::new(&["/a".into()], Some(1), Vec::new());
+        assert!(session.hold("/a") && session.hold("/a") && !session.hold("/b"));
+        session.dropped("/a", true);
+        assert!(session.take("/a", "x/Y"));
+        assert!(!session.hold("/a"), "closed");
+        let figures = &session.figures()[0];
+        assert_eq!((figures.captured, figures.quarantined, figures.lost), (2, 1, 1));
+        assert!(!session.is_settled());
+        session.settle("/a", true);
+        session.settled().await;
     }
 }

@@ -8,9 +8,11 @@ use super::sender::Policy;
 use super::{Directory, Network, Observer, Owner, Plant, Sender, proof, watcher, witness};
 use crate::chain::{Call, Chain, ChainOptions, Endpoint};
 use crate::crypto::sm3::sm3;
-use crate::crypto::{Keyring, Passphrase, ProviderName, UnlockedKeyring, domain, prove, provider};
+use crate::crypto::{
+    Anchor, Expected, Keyring, Passphrase, ProviderName, UnlockedKeyring, domain, open, prove, provider,
+};
 use crate::model::{
-    AnchorMode, Digest, ProfileName, RecordKind, RecordState, Signature, SignerId, Timestamp, Token, TopicId,
+    AnchorMode, Digest, Domain, ProfileName, RecordKind, RecordState, Signature, SignerId, Timestamp, Token, TopicId,
 };
 use crate::store::{Ledger, NewRecord, RecordQuery, RecordRow, open_vault};
 
@@ -102,6 +104,43 @@ impl Line {
     fn rows(&self, limit: usize) -> Vec<RecordRow> {
         self.plant.ledger.list(&RecordQuery { limit, ..RecordQuery::default() }).expect("a page").rows
     }
+}
+
+/// An owner that seals under epoch 1 of some network.
+pub(super) fn owner_with_keys(provider: &'static dyn crate::crypto::Provider, home: &Path) -> (Owner, Domain) {
+    let (owner, domain) = owner_without_keys(provider, home);
+    owner.prepare_epoch(domain, 1).expect("prepared");
+    owner.seal_under(domain, 1).expect("seals");
+    (owner, domain)
+}
+
+/// An owner that has begun no epoch.
+pub(super) fn owner_without_keys(provider: &'static dyn crate::crypto::Provider, home: &Path) -> (Owner, Domain) {
+    let keyring = Keyring::generate(provider).expect("keys");
+    let passphrase = Passphrase::new("correct horse battery".to_owned()).expect("long enough");
+    let keyring = UnlockedKeyring::create(keyring, &home.join("keys/k"), &passphrase).expect("keyring");
+    (Owner::new("owner".parse::<ProfileName>().expect("a name"), keyring), Domain([5; 32]))
+}
+
+/// The body of a record that these keys sealed.
+pub(super) fn body_of(
+    provider: &'static dyn crate::crypto::Provider,
+    keys: &super::epoch::EpochKeys,
+    row: &RecordRow,
+    blob: &[u8],
+) -> Vec<u8> {
+    let expected = Expected {
+        domain: keys.domain,
+        owner: row.owner,
+        recorder: Some(row.recorder),
+        epoch: Some(row.epoch),
+        seq: Some(row.seq),
+        topic_id: Some(row.topic_id),
+        topic: Some(row.topic.clone()),
+    };
+    let topic = keys.topic(&row.topic).expect("covered");
+    let (signer, key) = (keys.signing.public, &topic.key);
+    open(provider, blob, &row.signature, &signer, Anchor::Unanchored, key, &expected).expect("opens").body
 }
 
 fn plant(home: &Path) -> Plant {

@@ -5,6 +5,7 @@
 //! goes to a [`MessageSink`]; sealing, storing and bounding the ring is not done here.
 
 mod node;
+mod origin;
 mod reader;
 mod registrar;
 mod sequence;
@@ -21,6 +22,7 @@ use super::address::{Endpoint, own_host};
 use super::slave::SlaveServer;
 use crate::model::{Timestamp, TopicName, TypeName};
 use node::Shared;
+pub use origin::{Origin, Rival};
 use registrar::Registrar;
 
 /// How long starting may wait for names to be resolved.
@@ -39,6 +41,8 @@ pub struct Message {
     pub definition: Arc<str>,
     /// The publisher's node name, as it gave it: clean it before it is shown.
     pub caller_id: Arc<str>,
+    /// Who it is, as far as can be seen.
+    pub origin: Arc<Origin>,
     /// When the whole message had arrived.
     pub captured_at: Timestamp,
     /// `header.seq`, where the type begins with a header.
@@ -66,6 +70,8 @@ pub enum CaptureNotice {
         caller_id: String,
         /// Its type.
         type_name: Arc<str>,
+        /// Who it is, as far as can be seen.
+        origin: Arc<Origin>,
     },
     /// A publisher that was read is gone.
     PublisherLost {
@@ -73,8 +79,17 @@ pub enum CaptureNotice {
         topic: Arc<str>,
         /// The publisher's node name.
         caller_id: String,
+        /// Its number among those met.
+        number: u64,
         /// Why.
         reason: String,
+    },
+    /// Somebody told this node of a publisher that the master does not list; it is not asked for anything.
+    UnconfirmedPublisher {
+        /// Topic name.
+        topic: Arc<str>,
+        /// The URI that was named.
+        publisher: String,
     },
     /// The master names a publisher that cannot be read; said once until it can.
     PublisherUnreachable {
@@ -164,7 +179,7 @@ pub struct TopicCapture {
 pub struct Capture {
     shared: Arc<Shared>,
     registrar: Registrar,
-    _slave: SlaveServer,
+    slave: SlaveServer,
 }
 
 impl Capture {
@@ -179,7 +194,7 @@ impl Capture {
         let shared = Arc::new(Shared::new(master, options.node_name, sink));
         let slave = SlaveServer::start(&host, Arc::clone(&shared) as _)?;
         let registrar = Registrar::start(Arc::clone(&shared), slave.uri.clone())?;
-        Ok(Self { shared, registrar, _slave: slave })
+        Ok(Self { shared, registrar, slave })
     }
 
     /// Watches a topic; with `type_name` only publishers of that type are read. Watching it again
@@ -191,6 +206,11 @@ impl Capture {
     /// Stops watching a topic. A message being handed to the sink is still handed over.
     pub fn unwatch(&self, topic: &TopicName) {
         self.shared.unwatch(topic);
+    }
+
+    /// The URI of this node's own slave API.
+    pub fn uri(&self) -> &str {
+        &self.slave.uri
     }
 
     /// The watched topics, by name, with the types asked for.

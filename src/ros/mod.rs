@@ -14,7 +14,7 @@ mod slave;
 mod tcpros;
 mod xmlrpc;
 
-pub use capture::{Capture, CaptureNotice, CaptureOptions, Message, MessageSink, TopicCapture};
+pub use capture::{Capture, CaptureNotice, CaptureOptions, Message, MessageSink, Origin, Rival, TopicCapture};
 pub use error::RosError;
 pub use graph::{Graph, TopicInfo};
 pub use master::EmbeddedMaster;

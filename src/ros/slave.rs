@@ -27,8 +27,8 @@ pub(super) trait Node: Send + Sync + 'static {
     fn publications(&self) -> Vec<(String, String)>;
     /// Its connections.
     fn links(&self) -> Vec<BusLink>;
-    /// The publishers of a topic have changed.
-    fn publishers_changed(&self, topic: &str);
+    /// Somebody says that the publishers of a topic have changed, and to which URIs.
+    fn publishers_changed(&self, topic: &str, publishers: &[&str]);
     /// Host and port where it gives out a topic.
     fn outlet(&self, topic: &str) -> Option<(String, u16)>;
     /// Somebody asks it to end.
@@ -119,7 +119,9 @@ fn bus_info(links: Vec<BusLink>) -> Value {
 fn publisher_update(node: &dyn Node, params: &[Value]) -> Value {
     match params.get(1).and_then(Value::as_text) {
         Some(topic) => {
-            node.publishers_changed(topic);
+            let uris = params.get(2).and_then(Value::as_array).unwrap_or_default();
+            let uris: Vec<&str> = uris.iter().filter_map(Value::as_text).collect();
+            node.publishers_changed(topic, &uris);
             success(Value::Int(0))
         }
         None => failure(-1, "publisherUpdate needs a topic"),

@@ -6,7 +6,8 @@ use serde::{Deserialize, Serialize};
 use zeroize::{Zeroize, ZeroizeOnDrop};
 
 use crate::model::{
-    Address, ContactName, Party, ProfileName, RecordKind, RecordState, SignerId, Timestamp, TopicName, TypeName,
+    Address, ContactName, Party, ProfileName, Publisher, RecordKind, RecordState, SignerId, Timestamp, TopicName,
+    TypeName,
 };
 
 pub use crate::store::AuditQuery;
@@ -148,6 +149,15 @@ pub enum Administration {
     Accept,
 }
 
+/// Which quarantined messages: all of a topic, or these.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Held {
+    /// All of this topic.
+    pub topic: Option<TopicName>,
+    /// Ids; only where no topic is given.
+    pub ids: Vec<String>,
+}
+
 /// One thing asked of the site, for one profile.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "command")]
@@ -199,6 +209,42 @@ pub enum Command {
     UnwatchTopic {
         /// The topic.
         topic: TopicName,
+    },
+    /// Pinned publishers, and alarms about others.
+    ListPins {
+        /// Only of this topic.
+        topic: Option<TopicName>,
+    },
+    /// Accept publishers of a topic.
+    PinTopic {
+        /// The topic.
+        topic: TopicName,
+        /// Who; empty = those that are being read now.
+        publishers: Vec<Publisher>,
+    },
+    /// No longer accept a caller id on a topic.
+    UnpinTopic {
+        /// The topic.
+        topic: TopicName,
+        /// The node name.
+        caller_id: String,
+    },
+    /// Messages that are held back, oldest first.
+    ListQuarantine {
+        /// Only of this topic.
+        topic: Option<TopicName>,
+        /// At most so many, 1 to 1,000.
+        limit: usize,
+    },
+    /// Let quarantined messages go on.
+    ReleaseHeld {
+        /// Which.
+        held: Held,
+    },
+    /// Delete quarantined messages.
+    DiscardHeld {
+        /// Which.
+        held: Held,
     },
     /// Capture topics until a count or time is reached; answers when all captured is verified.
     Capture {
@@ -272,6 +318,8 @@ pub enum Command {
         /// The device's id, or the beginning of it.
         device: String,
     },
+    /// Make a robot a device of the profile, known to a gateway.
+    EnrolDevice(super::site::EnrolWishes),
     /// Devices lent and recalled.
     ListDevices,
     /// A fingerprint beside that of an account's registered key.

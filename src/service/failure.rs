@@ -4,6 +4,7 @@ use super::reply::Failure;
 use crate::chain::ChainError;
 use crate::config::ConfigError;
 use crate::crypto::CryptoError;
+use crate::gateway::GatewayError;
 use crate::model::{ErrorKind, clean_lines};
 use crate::pipeline::PipelineError;
 use crate::ros::RosError;
@@ -18,7 +19,7 @@ macro_rules! failure_from {
         }
     )*};
 }
-failure_from!(ChainError, ConfigError, CryptoError, PipelineError, RosError, StoreError);
+failure_from!(ChainError, ConfigError, CryptoError, GatewayError, PipelineError, RosError, StoreError);
 
 /// A failure of kind `Refused`.
 pub fn refused(message: impl Into<String>) -> Failure {

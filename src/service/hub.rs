@@ -126,6 +126,10 @@ impl Observer for Hub {
         self.stored.notify_waiters();
     }
 
+    fn publishers_doubted(&self) {
+        self.changed(Part::Topics);
+    }
+
     fn alert(&self, urgent: bool, text: String) {
         self.notice(if urgent { NoticeLevel::Error } else { NoticeLevel::Info }, &text);
     }

@@ -2,13 +2,15 @@
 
 mod audit;
 mod chain;
+mod forging;
 mod parties;
 
 use serde::{Deserialize, Serialize};
 
 pub use self::audit::{AuditCheck, AuditView};
 pub use self::chain::{ChainView, DeployedView, GatewayView, ServedView};
-pub use self::parties::{AdministrationView, CompareView, ContactRow, SuccessionView};
+pub use self::forging::{AlarmView, DecidedView, HeldView, PinView, PinsView, QuarantineView};
+pub use self::parties::{AdministrationView, CompareView, ContactRow, DeviceRow, GrantRow, SuccessionView};
 use super::command::SecretBytes;
 use crate::model::{Address, Digest, ErrorKind, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token, Verdict};
 
@@ -106,6 +108,12 @@ pub struct TopicRow {
     pub lost_in_recorder: u64,
     /// Arrival of the last message.
     pub last_message: Option<Timestamp>,
+    /// Messages of it that this profile holds in quarantine.
+    #[serde(default)]
+    pub quarantined: u64,
+    /// Whether an alarm about a publisher of it is open.
+    #[serde(default)]
+    pub alarm: bool,
 }
 
 /// One record in a list.
@@ -213,50 +221,19 @@ pub struct CheckView {
     pub block: Option<u64>,
 }
 
-/// One grant, given or received.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct GrantRow {
-    /// `given` or `received`.
-    pub direction: String,
-    /// Who shares.
-    pub owner: Address,
-    /// Who reads.
-    pub grantee: Address,
-    /// From this epoch on (or the only epochs it opens, once revoked).
-    pub epoch: u64,
-    /// When it ends.
-    pub expires: Option<Timestamp>,
-    /// Topic names where known, else ids; empty = all topics.
-    pub topics: Vec<String>,
-    /// `active`, `revoked` or `expired`.
-    pub state: String,
-    /// Block of the grant.
-    pub block: u64,
-    /// Its transaction.
-    pub transaction: Hash,
-    /// The other side's name in the address book.
-    #[serde(default)]
-    pub name: Option<String>,
-    /// The fingerprint of the SM2 key that the other side has registered.
-    #[serde(default)]
-    pub fingerprint: Option<String>,
-}
-
-/// One device that was lent.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct DeviceRow {
+/// A robot that was enrolled.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct EnrolledView {
+    /// N.
+    pub name: ProfileName,
     /// SM3 of its public key.
     pub device: SignerId,
-    /// Its fingerprint, as the device shows it.
-    pub fingerprint: String,
-    /// `lent`, `expired` or `recalled`.
-    pub state: String,
-    /// Block of the loan.
-    pub from: u64,
-    /// When the loan ends.
-    pub until: Option<Timestamp>,
-    /// Block of the recall.
-    pub recalled: Option<u64>,
+    /// The gateway.
+    pub gateway: String,
+    /// SM3 of the gateway's identity key.
+    pub gateway_key: SignerId,
+    /// The enrolment file, sealed.
+    pub file: SecretBytes,
 }
 
 /// How a part of the site is.
@@ -303,8 +280,11 @@ pub struct LifeLine {
     pub pending: u64,
     /// Held back.
     pub quarantined: u64,
-    /// Dropped before acknowledgement, counted.
+    /// Dropped before acknowledgement, counted, or discarded out of quarantine.
     pub dropped: u64,
+    /// Of these discarded by the operator out of quarantine.
+    #[serde(default)]
+    pub discarded: u64,
     /// Differ from the chain.
     pub tampered: u64,
     /// Never arrived here (header.seq gaps).
@@ -336,6 +316,9 @@ pub struct TopicSummary {
     pub captured: u64,
     /// Of these verified.
     pub verified: u64,
+    /// Of these held back: their publisher is not a pinned one.
+    #[serde(default)]
+    pub quarantined: u64,
     /// Lost in transport or in the recorder.
     pub lost: u64,
 }
@@ -347,6 +330,9 @@ pub struct CaptureSummary {
     pub captured: u64,
     /// Of these verified: re-read from the vault, digest equal to the chain, signature valid.
     pub verified: u64,
+    /// Of these held back: their publisher is not a pinned one.
+    #[serde(default)]
+    pub quarantined: u64,
     /// Lost in transport or in the recorder.
     pub lost: u64,
     /// Left out on purpose (bag import).
@@ -396,6 +382,8 @@ pub enum Reply {
     Grants(Vec<GrantRow>),
     /// To `ListDevices`.
     Devices(Vec<DeviceRow>),
+    /// To `EnrolDevice`.
+    Enrolled(EnrolledView),
     /// To `CompareFingerprint`.
     Compared(CompareView),
     /// To commands of the address book.
@@ -404,6 +392,12 @@ pub enum Reply {
     Check(CheckView),
     /// To `OpenShared`.
     Opened(Box<OpenedView>),
+    /// To commands about pins.
+    Pins(PinsView),
+    /// To `ListQuarantine`.
+    Quarantine(QuarantineView),
+    /// To `ReleaseHeld` and `DiscardHeld`.
+    Decided(DecidedView),
     /// To `ChainStatus`.
     Chain(ChainView),
     /// To `DeployContract`.

@@ -127,8 +127,17 @@ async fn serve_joiner(site: Arc<Site>, stream: UnixStream) {
 
 /// Settings that a joiner cannot have otherwise.
 pub fn greeting(site: &Site) -> Greeting {
-    let binding =
-        ["ros.master", "chain.url", "chain.contract", "chain.consensus", "vault.url", "robots", "crypto.provider"];
+    let binding = [
+        "ros.master",
+        "chain.url",
+        "chain.contract",
+        "chain.consensus",
+        "vault.url",
+        "robots",
+        "crypto.provider",
+        "site.address",
+        "site.gateway_key",
+    ];
     let settings = site.config.show().into_iter().filter(|setting| binding.contains(&setting.name));
     Greeting {
         version: env!("CARGO_PKG_VERSION").to_owned(),

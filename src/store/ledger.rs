@@ -9,8 +9,11 @@ mod batches;
 mod counts;
 mod earlier;
 mod edges;
+mod forwarding;
 mod kept;
 mod lanes;
+mod pins;
+mod quarantine;
 mod query;
 mod rows;
 mod settings;
@@ -35,8 +38,11 @@ pub use batches::{Anchors, BatchPlace, NewBatch, RootSighting, WaitingBatch};
 pub use counts::{LOST_IN_TRANSPORT, StateCounts, TopicCounts};
 pub use earlier::{EarlierAnchor, Left};
 pub use edges::is_legal;
+pub use forwarding::KeptReceipt;
 pub use kept::KeptBinding;
 pub use lanes::{LaneCount, OpenTransaction, Reissue};
+pub use pins::{AlarmRow, PinRow};
+pub use quarantine::{HeldMinute, HeldQuery, HeldRow, Hold};
 pub use query::{RecordPage, RecordQuery};
 pub use rows::{Foreign, NewRecord, RecordRow};
 pub use sightings::{KeptEvent, Sighting};
@@ -50,6 +56,8 @@ const SCHEMA: Schema = Schema {
         include_str!("ledger/schema_2.sql"),
         include_str!("ledger/schema_3.sql"),
         include_str!("ledger/schema_4.sql"),
+        include_str!("ledger/schema_5.sql"),
+        include_str!("ledger/schema_6.sql"),
     ],
 };
 const READERS_KEPT: usize = 4;

@@ -55,6 +55,14 @@ pub trait Vault: Send + Sync {
     /// [`StoreError::Unreachable`] and the like.
     fn delete(&self, digest: Digest) -> Result<bool, StoreError>;
 
+    /// Takes many records out.
+    ///
+    /// # Errors
+    /// As [`Vault::delete`]: then some may be out and some not.
+    fn discard(&self, digests: &[Digest]) -> Result<(), StoreError> {
+        digests.iter().try_for_each(|digest| self.delete(*digest).map(|_| ()))
+    }
+
     /// Whether something is stored under a digest.
     ///
     /// # Errors

@@ -26,7 +26,10 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
 fn draw_chain(canvas: &mut Canvas, area: Rect, state: &State, chain: &ChainView) {
     let contract = chain.contract.map_or_else(|| "not deployed yet".to_owned(), |contract| contract.to_string());
     let lines = [
-        ("Kind", chain.kind.clone()),
+        (
+            "Kind",
+            chain.through.as_ref().map_or_else(|| chain.kind.clone(), |through| format!("{}, {through}", chain.kind)),
+        ),
         ("Node", chain.client.clone()),
         ("Consensus", format!("{}{}", chain.consensus, sealing(chain))),
         ("Chain id", chain.chain_id.to_string()),

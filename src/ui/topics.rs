@@ -56,8 +56,13 @@ fn draw_detail(canvas: &mut Canvas, area: Rect, topic: &TopicRow) {
     let type_name = topic.type_name.as_deref().unwrap_or("type not known yet");
     let lost = topic.lost_in_transport + topic.lost_in_recorder;
     let lost = if lost > 0 { format!(", {} lost", words::count(lost)) } else { String::new() };
+    let held = match topic.quarantined {
+        0 if topic.alarm => String::from(", ALARM: a publisher is doubted (`authros topics pins`)"),
+        0 => String::new(),
+        held => format!(", {} QUARANTINED", words::count(held)),
+    };
     let captured = words::count(topic.messages);
-    let detail = format!("{type_name} from {publishers}: {captured} captured{lost}{last}");
+    let detail = format!("{type_name} from {publishers}: {captured} captured{held}{lost}{last}");
     canvas.put(area, &detail, Role::Body);
 }
 
@@ -89,9 +94,13 @@ fn cells(state: &State, row: &TopicRow) -> Vec<(String, Role)> {
     ]
 }
 
-/// The cell that says whether a topic is watched.
+/// The cell that says whether a topic is watched, or that one of its publishers is doubted.
 pub fn watched(row: &TopicRow) -> (String, Role) {
-    if row.watched { ("watched".to_owned(), Role::Good) } else { ("-".to_owned(), Role::Dim) }
+    match row {
+        TopicRow { alarm: true, .. } => ("ALARM".to_owned(), Role::Bad),
+        TopicRow { watched: true, .. } => ("watched".to_owned(), Role::Good),
+        _ => ("-".to_owned(), Role::Dim),
+    }
 }
 
 /// The cell that says what comes from a simulated robot.

@@ -7,10 +7,12 @@
 pub mod anvil;
 pub mod authros;
 pub mod console;
+pub mod member;
 pub mod process;
 pub mod proxy;
 pub mod redis;
 pub mod ros;
+pub mod wire;
 
 use std::io::Write;
 use std::net::TcpListener;
@@ -26,6 +28,7 @@ pub use proxy::{Proxy, Spoil};
 pub use redis::Redis;
 pub use ros::{Roscore, read_bag};
 use serde_json::Value;
+pub use wire::Wire;
 
 /// Ends the test early and counts it as skipped: `skipped!("no redis-server")`.
 macro_rules! skipped {

@@ -77,6 +77,29 @@ impl Roscore {
         command.args(["pub", "-r", &hz.to_string(), topic, type_name, message]);
         Running::start(command)
     }
+
+    /// Publishes a text as a node of exactly this name, `hz` times a second; another one of the name ends it.
+    pub fn publish_as(&self, name: &str, topic: &str, text: &str, hz: u32) -> Running {
+        let mut node = Running::start(self.forge(&["publish", name, topic, text, &hz.to_string()]));
+        node.wait_for_text("publishing", 60);
+        node
+    }
+
+    /// The URI that the master has for a node.
+    pub fn uri_of(&self, name: &str) -> String {
+        Running::start(self.forge(&["uri", name])).wait(60).expect_code(0).stdout
+    }
+
+    /// Tells the subscribers of a topic that `uri` publishes it, without being the master; gives their answers.
+    pub fn announce(&self, topic: &str, uri: &str) -> String {
+        Running::start(self.forge(&["announce", topic, uri])).wait(60).expect_code(0).stdout
+    }
+
+    fn forge(&self, arguments: &[&str]) -> Command {
+        let mut command = self.command("python3");
+        command.arg(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/support/forge.py")).args(arguments);
+        command
+    }
 }
 
 impl Drop for Roscore {

@@ -103,6 +103,8 @@ pub fn topic(name: &str, hz: f64) -> TopicRow {
         lost_in_transport: 0,
         lost_in_recorder: 0,
         last_message: Some(NOW),
+        quarantined: 0,
+        alarm: false,
     }
 }
 
@@ -191,6 +193,7 @@ fn chain() -> ChainView {
         nonce: 12,
         pending: 1,
         client: "AuthROS embedded".to_owned(),
+        through: None,
         administration: AdministrationView::default(),
         lanes: vec![LaneState { open: 1, paused: Some(PauseReason::Stalled), ..LaneState::idle(OWN) }],
         sealing: Sealing { period: Some(100), difficulty: None, sealers: vec![Address([0x5e; 20])] },

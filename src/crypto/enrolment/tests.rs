@@ -4,7 +4,7 @@ use super::*;
 use crate::crypto::{CryptoError, Passphrase};
 
 fn issue(epoch: u64, key: SealingKey) -> EpochIssue {
-    EpochIssue { epoch, token: Token([7; 32]), key }
+    EpochIssue { epoch, token: Token([7; 32]), ends: (epoch == 3).then_some(Timestamp(9)), key }
 }
 
 fn sample(topics: usize) -> Enrolment {
@@ -54,6 +54,16 @@ fn a_file_opens_with_its_passphrase_alone() {
     assert!(sealed.create(&path).is_err(), "never over another");
     let opened = SealedEnrolment::open(&path, &passphrase("correct horse")).expect("opens");
     assert_eq!(opened.enrolment, sealed.enrolment);
+    let kept = SealedEnrolment::kept_in(home.path());
+    let mut later = SealedEnrolment::open(&path, &passphrase("correct horse")).expect("opens");
+    later.enrolment.keys.now.epoch = 8;
+    later.save(&kept).expect("writes");
+    let mut again = opened;
+    again.catch_up(&kept).expect("reads");
+    assert_eq!(again.enrolment, later.enrolment, "what it was told since");
+    SealedEnrolment::new(sample(1), &passphrase("correct horse")).expect("stretches").save(&kept).expect("writes");
+    again.catch_up(&kept).expect("reads");
+    assert_eq!(again.enrolment, later.enrolment, "another one's is not taken");
     let wrong = SealedEnrolment::open(&path, &passphrase("battery staple"));
     assert!(matches!(wrong, Err(CryptoError::WrongPassphrase(_))));
     let whole = sealed.seal().expect("seals");

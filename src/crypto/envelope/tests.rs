@@ -93,6 +93,47 @@ fn other_networks_signers_and_readers_are_refused() {
     assert!(matches!(attempt(DOMAIN, owner, owner), Err(CryptoError::BadCiphertext)));
 }
 
+/// The chain shows every envelope to everybody: whoever copies one into a grant of his own shares nothing.
+#[test]
+fn an_envelope_copied_into_another_grant_opens_for_nobody() {
+    let wrapped = all();
+    let envelope = wrap_with(ProviderName::RustCrypto, &wrapped);
+    let [owner, grantee] = &*PAIRS;
+    let provider = provider(ProviderName::RustCrypto);
+    let [thief, friend] = [(); 2].map(|()| SmKeyPair::generate(provider).expect("pair"));
+    let (theirs, stranger) = (Address([0x70; 20]), Address([0x71; 20]));
+    let terms = |owner, grantee| GrantTerms { owner, grantee, ..wrapped.terms.clone() };
+    let read = |terms: &GrantTerms, signer: &SmKeyPair, reader: &SmKeyPair| {
+        unwrap(provider, &DOMAIN, &envelope, terms, &signer.public, &reader.secret)
+    };
+    assert!(read(&wrapped.terms, owner, grantee).is_ok());
+    // In the thief's own grant the chain names the thief, whose key signed nothing: to a friend, to himself, and to
+    // the very reader it was wrapped for.
+    for (reader, address) in [(&friend, stranger), (&thief, theirs), (grantee, wrapped.terms.grantee)] {
+        assert!(matches!(read(&terms(theirs, address), &thief, reader), Err(CryptoError::BadSignature)));
+    }
+    // In another grant of the same owner: others lack d_E, and the reader sees another grant's terms.
+    assert!(matches!(read(&terms(wrapped.terms.owner, stranger), owner, &friend), Err(CryptoError::BadCiphertext)));
+    let other_terms = [
+        terms(wrapped.terms.owner, stranger),
+        GrantTerms { epoch: 5, ..wrapped.terms.clone() },
+        GrantTerms { expiry: None, ..wrapped.terms.clone() },
+    ];
+    for terms in other_terms {
+        assert!(matches!(read(&terms, owner, grantee), Err(CryptoError::NotAccepted { .. })), "{terms:?}");
+    }
+    // Signed anew by the thief, the terms inside still name the owner.
+    let mut resigned = envelope[..envelope.len() - 64].to_vec();
+    let signature = provider.sign(&thief.secret, &signed_bytes(&DOMAIN, &resigned)).expect("signs");
+    resigned.extend_from_slice(&signature.0);
+    let outcome = |reader: &SmKeyPair, terms: &GrantTerms| {
+        unwrap(provider, &DOMAIN, &resigned, terms, &thief.public, &reader.secret)
+    };
+    let to_reader = outcome(grantee, &terms(theirs, wrapped.terms.grantee));
+    assert!(matches!(to_reader, Err(CryptoError::NotAccepted { field: "owner", .. })));
+    assert!(matches!(outcome(&friend, &terms(theirs, stranger)), Err(CryptoError::BadCiphertext)));
+}
+
 #[test]
 fn keys_that_do_not_fit_their_terms_are_not_wrapped() {
     let [owner, grantee] = &*PAIRS;

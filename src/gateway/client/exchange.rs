@@ -11,7 +11,7 @@ use crate::gateway::command::answer::read_code;
 use crate::gateway::command::{Answer, Inner, LARGEST_MESSAGE, Part, Request, Speaker, signed_bytes, split};
 use crate::gateway::error::GatewayError;
 use crate::gateway::frame::FrameKind;
-use crate::gateway::hello::{Agreed, ClientHello};
+use crate::gateway::hello::{Agreed, ClientHello, NetworkName};
 use crate::gateway::line::{Line, LineError};
 use crate::gateway::parts::Message;
 use crate::gateway::receipt::Receipt;
@@ -32,10 +32,11 @@ pub(super) async fn hello(
     name: &ProfileName,
     key: Option<&TransportKey>,
 ) -> Result<(Line, Agreed, Session), GatewayError> {
-    let stream = TcpStream::connect(&endpoint.address).await.map_err(|source| unreachable(endpoint, source))?;
+    let address = &endpoint.address;
+    let stream = TcpStream::connect(address).await.map_err(|source| unreachable(address, source))?;
     let mut line = Line::new(stream);
     let hello = ClientHello::begin(endpoint.context)?;
-    let send = |error| line_error(endpoint, error);
+    let send = |error| line_error(address, error);
     line.send(FrameKind::Hello, &hello.encode(), endpoint.patience).await.map_err(send)?;
     let (kind, payload) = line.frame().await.map_err(send)?;
     let hello = hello.agree(&expected(kind, payload, FrameKind::Answer)?)?;
@@ -46,14 +47,25 @@ pub(super) async fn hello(
     Ok((line, agreed, session))
 }
 
-fn unreachable(endpoint: &Endpoint, source: std::io::Error) -> GatewayError {
-    GatewayError::Unreachable { address: clean(&endpoint.address, 240), source }
+/// Which network is at an address.
+pub(super) async fn inquire(address: &str, patience: Duration) -> Result<NetworkName, GatewayError> {
+    let stream = TcpStream::connect(address).await.map_err(|source| unreachable(address, source))?;
+    let mut line = Line::new(stream);
+    let send = |error| line_error(address, error);
+    line.send(FrameKind::Inquiry, &NetworkName::INQUIRY, patience).await.map_err(send)?;
+    let (kind, payload) = line.frame().await.map_err(send)?;
+    let payload = expected(kind, payload, FrameKind::Network)?;
+    NetworkName::parse(&payload).map_err(GatewayError::malformed("network"))
 }
 
-fn line_error(endpoint: &Endpoint, error: LineError) -> GatewayError {
+fn unreachable(address: &str, source: std::io::Error) -> GatewayError {
+    GatewayError::Unreachable { address: clean(address, 240), source }
+}
+
+fn line_error(address: &str, error: LineError) -> GatewayError {
     match error {
         LineError::Closed(None) => GatewayError::Closed,
-        LineError::Closed(Some(source)) => unreachable(endpoint, source),
+        LineError::Closed(Some(source)) => unreachable(address, source),
         LineError::Frame(error) => GatewayError::Session(Refusal::new(Code::Length, error)),
         LineError::TooSlow => GatewayError::TimedOut,
     }
@@ -102,7 +114,7 @@ impl Client {
         // The gateway may have said why before it closed.
         match timeout(self.endpoint.patience, self.line.frame()).await {
             Ok(Ok((kind @ FrameKind::Refusal, payload))) => expected(kind, payload, FrameKind::Transfer).map(|_| ()),
-            _ => Err(line_error(&self.endpoint, error)),
+            _ => Err(line_error(&self.endpoint.address, error)),
         }
     }
 
@@ -118,7 +130,7 @@ impl Client {
 
     async fn message(&mut self) -> Result<Message<()>, GatewayError> {
         loop {
-            let (kind, payload) = self.line.frame().await.map_err(|error| line_error(&self.endpoint, error))?;
+            let (kind, payload) = self.line.frame().await.map_err(|error| line_error(&self.endpoint.address, error))?;
             let payload = expected(kind, payload, FrameKind::Transfer)?;
             let (counter, text) = self.session.open(&payload)?;
             let inner = Inner::from_gateway(&text).map_err(GatewayError::malformed("answer"))?;

@@ -5,6 +5,7 @@ use crate::model::{Hash, PublicKey, Signature, Timestamp};
 
 use super::Command;
 use super::query::{Entry, Page};
+use super::relay::Relayed;
 use super::request::MOST_CHECKED;
 use crate::gateway::code::Code;
 use crate::gateway::receipt::Receipt;
@@ -100,6 +101,8 @@ pub enum Answer {
     Done(Command),
     /// The gateway's time (8).
     Time(Timestamp),
+    /// What the chain answered.
+    Relayed(Relayed),
     /// A record of a subscription: entry || record.
     Event(Box<(Entry, Fetched)>),
     /// A subscription has ended: code (2).
@@ -119,10 +122,16 @@ impl Answer {
             Self::Standings(_) => Command::Check,
             Self::Record(_) => Command::Fetch,
             Self::Time(_) => Command::Ping,
+            Self::Relayed(_) => Command::Relay,
             Self::Event(_) => Command::Event,
             Self::End(_) => Command::End,
             Self::Refused(_) => Command::Refuse,
         }
+    }
+
+    /// How long the chain's part of it is, bytes; 0 where it has none.
+    pub fn relayed_length(&self) -> usize {
+        if let Self::Relayed(relayed) = self { relayed.length() } else { 0 }
     }
 
     /// The body.
@@ -136,6 +145,7 @@ impl Answer {
             Self::Record(record) => record.encode(),
             Self::Done(_) => Vec::new(),
             Self::Time(time) => time.0.to_be_bytes().to_vec(),
+            Self::Relayed(relayed) => relayed.encode(),
             Self::Event(event) => [event.0.encode(), event.1.encode()].concat(),
             Self::End(code) | Self::Refused(code) => code.number().to_be_bytes().to_vec(),
         }
@@ -164,6 +174,7 @@ impl Answer {
             Command::Fetch => Self::Record(Box::new(Fetched::read(&mut reader)?)),
             Command::Subscribe | Command::Unsubscribe => Self::Done(command),
             Command::Ping => Self::Time(Timestamp(reader.u64("time")?)),
+            Command::Relay => Self::Relayed(Relayed::read(&mut reader)?),
             Command::Event => Self::Event(Box::new((Entry::read(&mut reader)?, Fetched::read(&mut reader)?))),
             Command::End => Self::End(read_code(&mut reader)?),
             Command::Refuse => Self::Refused(read_code(&mut reader)?),

@@ -6,6 +6,7 @@ use crate::model::{Address, Digest, Hash, Identity, PublicKey, Signature, Token}
 
 use super::Command;
 use super::query::{Query, Selection};
+use super::relay::RelayCall;
 use crate::gateway::allocation::AllocationRequest;
 
 /// The most records in one message.
@@ -98,6 +99,8 @@ pub enum Request {
     DeviceNotice(PublicKey),
     /// Nothing.
     Ping,
+    /// A request to the chain.
+    Relay(RelayCall),
 }
 
 impl Request {
@@ -118,6 +121,7 @@ impl Request {
             Self::RevokeNotice(_) => Command::RevokeNotice,
             Self::DeviceNotice(_) => Command::DeviceNotice,
             Self::Ping => Command::Ping,
+            Self::Relay(_) => Command::Relay,
         }
     }
 
@@ -138,6 +142,7 @@ impl Request {
             Self::Unsubscribe(request) => request.to_be_bytes().to_vec(),
             Self::GrantNotice(notice) => notice.encode(),
             Self::RevokeNotice(notice) => notice.encode(),
+            Self::Relay(call) => call.encode(),
             Self::DeviceNotice(key) => key.0.to_vec(),
         }
     }
@@ -166,6 +171,7 @@ impl Request {
             Command::RevokeNotice => Self::RevokeNotice(RevokeNotice::read(&mut reader)?),
             Command::DeviceNotice => Self::DeviceNotice(PublicKey(reader.array("device key")?)),
             Command::Ping => Self::Ping,
+            Command::Relay => Self::Relay(RelayCall::read(&mut reader)?),
             Command::Event | Command::End | Command::Refuse => return Err(WireError::Value("command")),
         };
         reader.end()?;

@@ -1,8 +1,8 @@
 //! What a session may ask, and the order of its checks: token, then signature, then account, then the desk.
 
 use crate::gateway::code::{Code, Refusal};
-use crate::gateway::command::{Answer, Command, Request, Upload};
-use crate::gateway::desk::{Binding, Caller};
+use crate::gateway::command::{Answer, Command, RelayCall, Relayed, Request, Upload};
+use crate::gateway::desk::{Binding, Caller, Desk};
 use crate::gateway::hello::Agreed;
 use crate::gateway::identity_check::{
     allocate, check_account, check_records, check_registration, check_signed, check_token,
@@ -27,6 +27,7 @@ impl Shared {
         match Request::parse(message.command, &message.body)? {
             Request::SystemKeys => Ok(Answer::SystemKeys(self.list().1)),
             Request::Ping => Ok(Answer::Time(Timestamp::now())),
+            Request::Relay(call) => relayed(self.desk.as_ref(), None, &call).await,
             Request::Register(registration) => {
                 check_registration(&self.context, &registration)?;
                 self.desk.register(&registration).await.map(Answer::Registered)
@@ -44,6 +45,11 @@ impl Shared {
             _ => Err(Refusal::new(Code::NotHere, "a command for another session")),
         }
     }
+}
+
+async fn relayed(desk: &dyn Desk, caller: Option<&Caller>, call: &RelayCall) -> Result<Answer, Refusal> {
+    let parameters = serde_json::from_str(&call.parameters).map_err(Refusal::because(Code::Malformed))?;
+    Relayed::of(desk.relay(caller, &call.method, &parameters).await).map(Answer::Relayed)
 }
 
 /// What a session under a transport key may do.
@@ -65,6 +71,8 @@ impl Commands {
         match request {
             Request::Ping => return Ok(Answer::Time(Timestamp::now())),
             Request::SystemKeys => return Ok(Answer::SystemKeys(shared.list().1)),
+            // Also of an account that is suspended or has other keys by now: the chain itself tells it so.
+            Request::Relay(call) => return relayed(desk, Some(&self.caller), &call).await,
             Request::Upload(upload) => return self.store(shared, message.command, vec![upload]).await,
             Request::UploadMany(uploads) => return self.store(shared, message.command, uploads).await,
             _ => check_account(desk, &self.binding).await?,

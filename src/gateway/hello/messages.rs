@@ -2,8 +2,9 @@
 
 use zeroize::Zeroizing;
 
+use crate::crypto::domain;
 use crate::model::wire::{Reader, WireError};
-use crate::model::{Digest, Domain, ProfileName, PublicKey, Signature};
+use crate::model::{Address, Digest, Domain, Hash, ProfileName, PublicKey, Signature};
 
 use super::{Agreed, Purpose, SUITE_SM, VERSION, gateway_id};
 use crate::gateway::code::{Code, Refusal};
@@ -11,6 +12,51 @@ use crate::gateway::session::SessionId;
 
 /// The longest name, bytes; shorter ones are padded, so that the frame's length tells nothing.
 const NAME: usize = 32;
+
+/// Which network a gateway stands on: version (1) chain id (8) genesis hash (32) contract (20). Told in clear to
+/// whoever sends the version (1); a wrong answer leads to a hello that the gateway does not sign.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct NetworkName {
+    /// EIP-155.
+    pub chain_id: u64,
+    /// Hash of block 0.
+    pub genesis: Hash,
+    /// The contract.
+    pub contract: Address,
+}
+
+impl NetworkName {
+    /// What is sent to ask for it.
+    pub const INQUIRY: [u8; 1] = [VERSION];
+
+    /// The domain that follows from it.
+    pub fn domain(&self) -> Domain {
+        domain(self.chain_id, &self.genesis, &self.contract)
+    }
+
+    /// The payload of the frame, 61 bytes.
+    pub fn encode(&self) -> Vec<u8> {
+        [&[VERSION], &self.chain_id.to_be_bytes()[..], &self.genesis.0, &self.contract.0].concat()
+    }
+
+    /// From the payload of a frame.
+    ///
+    /// # Errors
+    /// [`WireError`] where it is none of this version.
+    pub fn parse(payload: &[u8]) -> Result<Self, WireError> {
+        let mut reader = Reader::new(payload);
+        if reader.u8("version")? != VERSION {
+            return Err(WireError::Value("version"));
+        }
+        let network = Self {
+            chain_id: reader.u64("chain id")?,
+            genesis: Hash(reader.array("genesis")?),
+            contract: Address(reader.array("contract")?),
+        };
+        reader.end()?;
+        Ok(network)
+    }
+}
 
 /// The client's first message: version (1) suite (1) domain (32) nonce (32) point (64).
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -7,10 +7,10 @@ use crate::crypto::{
 };
 use crate::gateway::allocation::{AllocationRequest, Applicant};
 use crate::gateway::command::{
-    Answer, Command, Entry, Fetched, GrantNotice, Page, Query, Registration, Request, RevokeNotice, Selection,
-    Standing, Upload,
+    Answer, Command, Entry, Fetched, GrantNotice, Page, Query, Registration, RelayCall, Relayed, Request, RevokeNotice,
+    Selection, Standing, Upload,
 };
-use crate::gateway::hello::{ClientHello, Context, GatewayHello, ListSummary};
+use crate::gateway::hello::{ClientHello, Context, GatewayHello, ListSummary, NetworkName};
 use crate::gateway::session::Session;
 use crate::gateway::{Code, Receipt};
 use crate::model::head::Compression;
@@ -19,18 +19,23 @@ use crate::model::{
     SignerId, Timestamp, Token, TopicId,
 };
 
-pub(in crate::gateway) fn context() -> Context {
+pub(crate) fn context() -> Context {
     Context { provider: provider(ProviderName::RustCrypto), domain: Domain([0x11; 32]) }
 }
 
+/// What the memory desk says it stands on; not the network of [`context`], which no chain id leads to.
+pub(in crate::gateway) fn network() -> NetworkName {
+    NetworkName { chain_id: 7, genesis: Hash([0x61; 32]), contract: Address([0x62; 20]) }
+}
+
 /// The pair of a known secret.
-pub(in crate::gateway) fn pair(byte: u8) -> SmKeyPair {
+pub(crate) fn pair(byte: u8) -> SmKeyPair {
     let secret = SmSecret::from_slice(&[byte; 32]).expect("in range");
     SmKeyPair::from_secret(context().provider, secret).expect("pair")
 }
 
 /// A profile with all its keys.
-pub(in crate::gateway) struct Member {
+pub(crate) struct Member {
     pub name: ProfileName,
     pub signing: SmKeyPair,
     pub envelope: SmKeyPair,
@@ -167,6 +172,7 @@ pub(in crate::gateway) fn sample_requests() -> Vec<Request> {
         Request::RevokeNotice(RevokeNotice { grantee, epoch: 2, token: Token([7; 32]), transaction }),
         Request::DeviceNotice(pair(0x66).public),
         Request::Ping,
+        Request::Relay(RelayCall { method: "eth_call".into(), parameters: "[{},\"latest\"]".into() }),
     ]
 }
 
@@ -187,6 +193,8 @@ pub(in crate::gateway) fn sample_answers() -> Vec<Answer> {
         Answer::Done(Command::Subscribe),
         Answer::Done(Command::Unsubscribe),
         Answer::Time(Timestamp(5)),
+        Answer::Relayed(Relayed::Result("\"0x7\"".into())),
+        Answer::Relayed(Relayed::Fault { code: -32000, words: "reverted".into(), data: "\"0x08\"".into() }),
         Answer::Event(Box::new((entry(), record))),
         Answer::End(Code::NotAuthorised),
         Answer::Refused(Code::Token),

@@ -16,14 +16,14 @@ use crate::gateway::line::Line;
 use crate::gateway::session::Session;
 use crate::model::{Signature, Token};
 
-const PATIENCE: Duration = Duration::from_secs(30);
+pub(super) const PATIENCE: Duration = Duration::from_secs(30);
 
 fn alice() -> Member {
     Member::new("alice", 0x11)
 }
 
 /// The code with which the gateway closes a connection; `None` where it says nothing.
-async fn last_words(stream: &mut TcpStream) -> Option<Code> {
+pub(super) async fn last_words(stream: &mut TcpStream) -> Option<Code> {
     let mut bytes = Vec::new();
     // A reset after the refusal is as good as a close.
     let _ = timeout(PATIENCE, stream.read_to_end(&mut bytes)).await.expect("the gateway closes");
@@ -32,14 +32,14 @@ async fn last_words(stream: &mut TcpStream) -> Option<Code> {
     Code::from_number(u16::from_be_bytes([refusal[5], refusal[6]]))
 }
 
-async fn raw(stage: &Stage, bytes: &[u8]) -> TcpStream {
+pub(super) async fn raw(stage: &Stage, bytes: &[u8]) -> TcpStream {
     let mut stream = TcpStream::connect(stage.server.address()).await.expect("connects");
     stream.write_all(bytes).await.expect("writes");
     stream
 }
 
 /// A session whose frames the test writes itself.
-async fn session(stage: &Stage, credentials: &Credentials) -> (Line, Session) {
+pub(super) async fn session(stage: &Stage, credentials: &Credentials) -> (Line, Session) {
     let mut line = Line::new(TcpStream::connect(stage.server.address()).await.expect("connects"));
     let hello = ClientHello::begin(context()).expect("begins");
     line.send(FrameKind::Hello, &hello.encode(), PATIENCE).await.expect("sends");
@@ -50,7 +50,7 @@ async fn session(stage: &Stage, credentials: &Credentials) -> (Line, Session) {
     (line, session)
 }
 
-fn text(request: &Request, token: Token, signature: Option<Signature>) -> Vec<u8> {
+pub(super) fn text(request: &Request, token: Token, signature: Option<Signature>) -> Vec<u8> {
     let (command, body) = (request.command(), request.encode());
     Inner { command, part: Part::Whole, request: 1, token: Some(token), signature, body: &body }.encode(false)
 }

@@ -8,27 +8,29 @@ use super::*;
 use crate::crypto::{SmKeyPair, prove};
 use crate::model::{Digest, Hash, Timestamp, Token};
 
-pub(super) struct Stage {
+pub(crate) struct Stage {
     pub desk: Arc<MemoryDesk>,
     pub server: Server,
     pub endpoint: Endpoint,
-    _home: tempfile::TempDir,
+    limits: Limits,
+    home: tempfile::TempDir,
 }
 
 impl Stage {
     pub async fn with(limits: Limits) -> Self {
         let home = tempfile::tempdir().expect("directory");
-        let context = context();
-        let path = home.path().join("gateway");
-        let cabinet =
-            Cabinet::open(&path, context.provider, context.domain, pair(0x21), Schedule::default(), Timestamp::now());
         let desk = Arc::new(MemoryDesk::default());
-        let server =
-            Server::start("127.0.0.1:0", Arc::clone(&desk) as Arc<dyn Desk>, context, cabinet.expect("opens"), limits);
-        let server = server.await.expect("listens");
+        let server = serve(home.path(), &desk, limits).await;
         let address = server.address().to_string();
-        let endpoint = Endpoint { address, context, patience: Duration::from_secs(30) };
-        Self { desk, server, endpoint, _home: home }
+        let endpoint = Endpoint { address, context: context(), patience: Duration::from_secs(30) };
+        Self { desk, server, endpoint, limits, home }
+    }
+
+    /// Ends the server, then starts it anew on another port with the same keys and desk.
+    pub async fn restart(&mut self) {
+        let server = serve(self.home.path(), &self.desk, self.limits).await;
+        std::mem::replace(&mut self.server, server).stop(Duration::from_secs(5)).await;
+        self.endpoint.address = self.server.address().to_string();
     }
 
     pub async fn new() -> Self {
@@ -55,6 +57,13 @@ impl Stage {
     pub async fn code(&self, credentials: &Credentials) -> Option<Code> {
         refusal(self.connect(credentials).await)
     }
+}
+
+async fn serve(home: &std::path::Path, desk: &Arc<MemoryDesk>, limits: Limits) -> Server {
+    let (path, context, schedule) = (home.join("gateway"), context(), Schedule::default());
+    let cabinet = Cabinet::open(&path, context.provider, context.domain, pair(0x21), schedule, Timestamp::now());
+    let desk = Arc::clone(desk) as Arc<dyn Desk>;
+    Server::start("127.0.0.1:0", desk, context, cabinet.expect("opens"), limits).await.expect("listens")
 }
 
 pub(super) fn refusal<T>(outcome: Result<T, GatewayError>) -> Option<Code> {

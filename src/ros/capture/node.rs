@@ -86,6 +86,13 @@ impl Shared {
         self.send(|errands| errands.stopping = true);
     }
 
+    /// The master is asked about this topic at once.
+    pub fn ask_about(&self, name: &TopicName) {
+        self.send(|errands| {
+            errands.urgent.insert(name.clone());
+        });
+    }
+
     pub fn notice(&self, notice: CaptureNotice) {
         self.sink.notice(notice);
     }
@@ -127,13 +134,12 @@ impl Node for Shared {
         self.topics().iter().flat_map(|topic| topic.links()).collect()
     }
 
-    /// Anybody can send this, so it is only a hint to ask the master at once.
-    fn publishers_changed(&self, topic: &str) {
+    /// Anybody can send this, so it is only a hint to ask the master at once, and a claim to hold against the answer.
+    fn publishers_changed(&self, topic: &str, publishers: &[&str]) {
         if let Some(topic) = self.topic(topic) {
+            topic.claim(publishers);
             topic.kick();
-            self.send(|errands| {
-                errands.urgent.insert(topic.name.clone());
-            });
+            self.ask_about(&topic.name);
         }
     }
 

@@ -7,11 +7,12 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::node::Shared;
+use super::origin::{Origin, host_of};
 use super::sequence::{Sequence, header_seq};
 use super::topic::{Publisher, Topic};
 use super::{CaptureNotice, Message};
 use crate::model::{Timestamp, TypeName, clean};
-use crate::ros::address::connect;
+use crate::ros::address::{Endpoint, connect};
 use crate::ros::message::Definition;
 use crate::ros::tcpros::{ConnectionHeader, FrameReader, LONGEST_HEADER, LONGEST_MESSAGE, Poll};
 use crate::ros::xmlrpc::{CallError, Value, call};
@@ -54,6 +55,13 @@ struct Description {
     definition: Arc<str>,
     caller_id: Arc<str>,
     has_header: bool,
+}
+
+/// A connection that is up.
+struct Link {
+    frames: FrameReader<TcpStream>,
+    from: Description,
+    origin: Arc<Origin>,
 }
 
 /// Why a publisher is not (or no longer) read.
@@ -105,31 +113,35 @@ impl Reader {
 
     /// Connects and reads until the connection is gone; `Ok` where it was up.
     fn attempt(&mut self) -> Result<(), Failure> {
-        let (mut frames, description) = self.open()?;
-        self.publisher.set_connected(Some(&description.caller_id));
-        self.topic.set_type(&description.type_name);
-        let caller_id = clean(&description.caller_id, 120);
+        let mut link = self.open()?;
+        self.topic.set_type(&link.from.type_name);
+        let caller_id = clean(&link.from.caller_id, 120);
         self.shared.notice(CaptureNotice::PublisherConnected {
             topic: Arc::clone(&self.topic.label),
             caller_id: caller_id.clone(),
-            type_name: Arc::clone(&description.type_name),
+            type_name: Arc::clone(&link.from.type_name),
+            origin: Arc::clone(&link.origin),
         });
-        let ended = self.read(&mut frames, &description);
-        self.publisher.set_connected(None);
+        let ended = self.read(&mut link);
+        let taken = !self.topic.has_ended() && self.is_taken(&link.from.caller_id);
+        self.topic.disconnected(&self.publisher, &link.from.caller_id, taken);
         if self.topic.has_ended() {
             return Ok(());
         }
+        // Whoever is listed already had registered while this one was still there.
+        self.shared.ask_about(&self.topic.name);
         let (reason, result) = match ended {
             Ok(reason) => (reason, Ok(())),
             Err(Failure::Refused(reason)) => (reason.clone(), Err(Failure::Refused(reason))),
             Err(failure) => (String::from("it failed"), Err(failure)),
         };
         let topic = Arc::clone(&self.topic.label);
-        self.shared.notice(CaptureNotice::PublisherLost { topic, caller_id, reason });
+        let number = self.publisher.number;
+        self.shared.notice(CaptureNotice::PublisherLost { topic, caller_id, number, reason });
         result
     }
 
-    fn open(&self) -> Result<(FrameReader<TcpStream>, Description), Failure> {
+    fn open(&self) -> Result<Link, Failure> {
         let (host, port) = self.ask()?;
         let passing = |error: io::Error| Failure::Passing(error.to_string());
         let stream = connect(&host, port, Instant::now() + PATIENCE).map_err(passing)?;
@@ -145,10 +157,22 @@ impl Reader {
             ("tcp_nodelay", "1"),
         ]);
         io::Write::write_all(&mut (&stream), &request.to_bytes()).map_err(passing)?;
+        let peer = stream.peer_addr().ok();
         let mut frames = FrameReader::new(stream);
         let header = self.answer(&mut frames)?;
-        let description = describe(&header, self.topic.wanted.as_ref())?;
-        Ok((frames, description))
+        let from = describe(&header, self.topic.wanted.as_ref())?;
+        let publisher = &*self.publisher;
+        let origin = Origin {
+            number: publisher.number,
+            caller_id: Arc::clone(&from.caller_id),
+            host: host_of(&publisher.endpoint, peer, Instant::now() + PATIENCE),
+            uri: publisher.endpoint.to_string(),
+            type_name: Arc::clone(&from.type_name),
+            md5sum: Arc::clone(&from.md5sum),
+            listed_at: publisher.listed_at,
+            rival: self.topic.connected(publisher, &from.caller_id),
+        };
+        Ok(Link { frames, from, origin: Arc::new(origin) })
     }
 
     /// Asks the publisher's slave API where it gives out the topic.
@@ -186,13 +210,13 @@ impl Reader {
     }
 
     /// Hands on messages until the connection or the topic ends; why it ended.
-    fn read(&mut self, frames: &mut FrameReader<TcpStream>, from: &Description) -> Result<String, Failure> {
+    fn read(&mut self, link: &mut Link) -> Result<String, Failure> {
         let mut heard = Instant::now();
         loop {
-            match frames.poll(LONGEST_MESSAGE) {
+            match link.frames.poll(LONGEST_MESSAGE) {
                 Ok(Poll::Frame(_)) if self.topic.has_ended() => return Ok(String::new()),
                 Ok(Poll::Frame(body)) => {
-                    self.take(body, from);
+                    self.take(body, &link.from, &link.origin);
                     heard = Instant::now();
                 }
                 Ok(Poll::Pending) if heard.elapsed() > SILENCE => {
@@ -215,7 +239,7 @@ impl Reader {
         }
     }
 
-    fn take(&mut self, body: Vec<u8>, from: &Description) {
+    fn take(&mut self, body: Vec<u8>, from: &Description, origin: &Arc<Origin>) {
         let captured_at = Timestamp::now();
         let header_seq = from.has_header.then(|| header_seq(&body)).flatten();
         let missing = header_seq.map_or(0, |next| self.sequence.follow(next));
@@ -234,11 +258,21 @@ impl Reader {
             md5sum: Arc::clone(&from.md5sum),
             definition: Arc::clone(&from.definition),
             caller_id: Arc::clone(&from.caller_id),
+            origin: Arc::clone(origin),
             captured_at,
             header_seq,
             body,
         });
         self.topic.count_message(bytes, captured_at);
+    }
+
+    /// Whether the master has another process under this caller id. One that takes a name over registers first, and
+    /// only then does the master end the elder one; one that is restarted comes after the elder one's end.
+    fn is_taken(&self, caller_id: &str) -> bool {
+        let params = [self.shared.node_name.as_str().into(), caller_id.into()];
+        let found = call(&self.shared.master, "lookupNode", &params, Instant::now() + PATIENCE).ok();
+        let found = found.as_ref().and_then(Value::as_text).and_then(Endpoint::parse);
+        found.is_some_and(|found| found != self.publisher.endpoint)
     }
 
     /// A peer without power says nothing, as one without news does. A hung one still lives.

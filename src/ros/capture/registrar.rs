@@ -98,9 +98,26 @@ impl Work {
 
     /// Registers a topic and meets its publishers; whether the master answered.
     fn register_one(&mut self, topic: &Arc<Topic>) -> bool {
+        // Taken first: only an answer asked for later can gainsay a claim.
+        let claims = topic.take_claims();
+        let asked_at = Instant::now();
         let answer = self.publishers(topic);
         self.master_is(answer.as_ref().map(drop).map_err(ToString::to_string));
-        answer.map(|publishers| meet(&self.shared, topic, &publishers)).is_ok()
+        match answer {
+            Ok(publishers) => {
+                meet(&self.shared, topic, &publishers, asked_at);
+                refute(&self.shared, topic, claims);
+                true
+            }
+            Err(error) => {
+                topic.give_back(claims);
+                if matches!(error, CallError::Connect(_)) {
+                    // There is no master, so nobody is registered at one.
+                    topic.asked(asked_at);
+                }
+                false
+            }
+        }
     }
 
     fn publishers(&self, topic: &Topic) -> Result<Vec<String>, CallError> {
@@ -143,7 +160,7 @@ impl Work {
 }
 
 /// Takes note of a topic's publishers and starts a reader for each new one.
-fn meet(shared: &Arc<Shared>, topic: &Arc<Topic>, uris: &[String]) {
+fn meet(shared: &Arc<Shared>, topic: &Arc<Topic>, uris: &[String], asked_at: Instant) {
     let refuse = |publisher: &str, reason: &str| {
         if topic.first_complaint(publisher) {
             shared.notice(CaptureNotice::Refused {
@@ -161,10 +178,17 @@ fn meet(shared: &Arc<Shared>, topic: &Arc<Topic>, uris: &[String]) {
             None => refuse(uri, "its address is not http://HOST:PORT"),
         }
     }
-    for publisher in topic.list(&endpoints) {
+    for publisher in topic.list(&endpoints, asked_at) {
         if let Err(error) = reader::spawn(shared, topic, Arc::clone(&publisher)) {
             topic.forget(&publisher);
             refuse(&publisher.endpoint.to_string(), &format!("no thread to read it: {error}"));
         }
+    }
+}
+
+/// Tells of claimed publishers that the master's answer did not name. Nobody connects to them.
+fn refute(shared: &Shared, topic: &Topic, claims: BTreeSet<String>) {
+    for publisher in topic.unconfirmed(claims) {
+        shared.notice(CaptureNotice::UnconfirmedPublisher { topic: Arc::clone(&topic.label), publisher });
     }
 }

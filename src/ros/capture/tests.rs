@@ -33,7 +33,7 @@ impl Node for Publisher {
     fn links(&self) -> Vec<BusLink> {
         Vec::new()
     }
-    fn publishers_changed(&self, _topic: &str) {}
+    fn publishers_changed(&self, _topic: &str, _publishers: &[&str]) {}
     fn outlet(&self, _topic: &str) -> Option<(String, u16)> {
         Some(("127.0.0.1".into(), self.port))
     }
@@ -192,5 +192,94 @@ fn a_broken_connection_header_is_refused() {
         let controls = |notice: &CaptureNotice| matches!(notice, CaptureNotice::Refused { reason, .. } if reason.contains('\u{1b}'));
         assert_eq!(kept.noticed(controls), 0);
         assert_eq!(capture.status()[0].messages, 0);
+    }
+}
+
+/// Tells a capture what its publishers are, as the master would, but not being it.
+fn tell(capture: &Capture, uris: &[&str]) {
+    let slave = Endpoint::parse(capture.uri()).expect("uri");
+    let uris = crate::ros::xmlrpc::Value::Array(uris.iter().map(|uri| (*uri).into()).collect());
+    let params = ["/master".into(), TOPIC.into(), uris];
+    call(&slave, "publisherUpdate", &params, Instant::now() + Duration::from_secs(5)).expect("told");
+}
+
+#[test]
+fn an_unconfirmed_publisher_is_told_of_once_and_never_connected_to() {
+    let master = EmbeddedMaster::start().expect("master");
+    let (listed, listener) = publisher(&master, "/p");
+    let (capture, kept) = start(&master);
+    let mut stream = welcome(&listener, "/p");
+    // Somebody's node, with a slave API and a port that would give out the topic.
+    let trap = TcpListener::bind("127.0.0.1:0").expect("bind");
+    let port = trap.local_addr().expect("address").port();
+    let forged = SlaveServer::start("127.0.0.1", Arc::new(Publisher { port })).expect("slave");
+    for _ in 0..3 {
+        tell(&capture, &[&listed.uri, &forged.uri, "no uri\u{1b}"]);
+    }
+    let unconfirmed = |notice: &CaptureNotice| matches!(notice, CaptureNotice::UnconfirmedPublisher { .. });
+    until("the alarms", || kept.noticed(unconfirmed) == 2);
+    tell(&capture, &[&forged.uri]);
+    send(&mut stream, 1);
+    until("the message of the listed one", || kept.seqs("/p") == [1]);
+    let raw = |notice: &CaptureNotice| matches!(notice, CaptureNotice::UnconfirmedPublisher { publisher, .. } if publisher.contains('\u{1b}'));
+    assert_eq!((kept.noticed(unconfirmed), kept.noticed(raw)), (2, 0));
+    trap.set_nonblocking(true).expect("set");
+    assert_eq!(trap.accept().err().map(|error| error.kind()), Some(std::io::ErrorKind::WouldBlock), "nobody came");
+}
+
+/// The origins of the connections so far, by their order.
+fn origins(kept: &Kept) -> Vec<Arc<Origin>> {
+    let notices = kept.notices.lock().expect("lock");
+    let origin = |notice: &CaptureNotice| match notice {
+        CaptureNotice::PublisherConnected { origin, .. } => Some(Arc::clone(origin)),
+        _ => None,
+    };
+    notices.iter().filter_map(origin).collect()
+}
+
+fn unregister(master: &EmbeddedMaster, name: &str, slave: &SlaveServer) {
+    let master = Endpoint::parse(master.uri()).expect("uri");
+    let params = [name, TOPIC, &slave.uri].map(Into::into);
+    call(&master, "unregisterPublisher", &params, Instant::now() + Duration::from_secs(5)).expect("unregistered");
+}
+
+#[test]
+fn a_restarted_node_is_nobodys_rival() {
+    let master = EmbeddedMaster::start().expect("master");
+    let (slave, listener) = publisher(&master, "/p");
+    let (_capture, kept) = start(&master);
+    let stream = welcome(&listener, "/p");
+    until("the first", || origins(&kept).len() == 1);
+    unregister(&master, "/p", &slave);
+    drop((stream, listener, slave));
+    until("its end", || kept.noticed(|notice| matches!(notice, CaptureNotice::PublisherLost { .. })) == 1);
+    // The look that follows the end finds nobody; the new process comes later.
+    std::thread::sleep(Duration::from_millis(700));
+    let (_slave, listener) = publisher(&master, "/p");
+    let _stream = welcome(&listener, "/p");
+    until("the second", || origins(&kept).len() == 2);
+    let met = origins(&kept);
+    assert!(met.iter().all(|origin| origin.rival.is_none()), "{met:?}");
+    assert!(met[0].number != met[1].number && met[0].host == "127.0.0.1");
+}
+
+#[test]
+fn one_that_registers_while_its_namesake_is_read_is_its_rival_whether_that_one_ends_or_not() {
+    for ends in [false, true] {
+        let master = EmbeddedMaster::start().expect("master");
+        let (_slave, listener) = publisher(&master, "/p");
+        let (_capture, kept) = start(&master);
+        let stream = welcome(&listener, "/p");
+        until("the first", || origins(&kept).len() == 1);
+        let (_second, forged) = publisher(&master, "/p");
+        if ends {
+            // As a node ends that the master tells to: a moment after the other one has registered.
+            drop((stream, listener));
+        }
+        let _stream = welcome(&forged, "/p");
+        until("the second", || origins(&kept).len() == 2);
+        let met = origins(&kept);
+        assert_eq!(met[0].rival, None);
+        assert_eq!(met[1].rival.as_ref().map(|rival| rival.number), Some(met[0].number), "{ends} {met:?}");
     }
 }

@@ -1,22 +1,35 @@
 //! One watched topic: its publishers, its counters, and when it ends.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeSet, HashMap, HashSet};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use super::TopicCapture;
 use super::node::lock;
-use crate::model::{Timestamp, TopicName, TypeName};
+use super::origin::{Lineage, Rival, next_number};
+use crate::model::{Timestamp, TopicName, TypeName, clean};
 use crate::ros::address::Endpoint;
 use crate::ros::slave::BusLink;
 
 /// The most addresses complained about; further ones are refused in silence.
 const MOST_COMPLAINTS: usize = 64;
 
+/// The most claims of publishers kept until the master has answered.
+const MOST_CLAIMS: usize = 64;
+
+/// A publisher that the master listed so short a time ago may still be named by a late note of the master.
+const LATELY: Duration = Duration::from_secs(10);
+
 /// A publisher of the topic, read by one thread.
 pub(super) struct Publisher {
     pub endpoint: Endpoint,
+    /// Its own in this process.
+    pub number: u64,
+    /// When an answer of the master first named it.
+    pub listed_at: Instant,
+    /// It registered no earlier than this.
+    absent_until: Option<Instant>,
     state: Mutex<PublisherState>,
 }
 
@@ -25,19 +38,22 @@ struct PublisherState {
     /// Whether the master still names it.
     listed: bool,
     /// Its node name while it is read.
-    connected: Option<String>,
-}
-
-impl Publisher {
-    pub fn set_connected(&self, caller_id: Option<&str>) {
-        lock(&self.state).connected = caller_id.map(str::to_owned);
-    }
+    connected: Option<Arc<str>>,
+    /// The caller id that it first came with, and whom it pushed aside then.
+    judged: Option<(Arc<str>, Option<Rival>)>,
 }
 
 #[derive(Default)]
 struct State {
     publishers: HashMap<Endpoint, Arc<Publisher>>,
     complaints: HashSet<String>,
+    lineage: Lineage,
+    /// URIs that somebody named as publishers, until the master has answered.
+    claims: BTreeSet<String>,
+    /// Claims that were told of.
+    refuted: HashSet<String>,
+    /// When the master last listed each.
+    lately: HashMap<Endpoint, Instant>,
     type_name: Option<Arc<str>>,
     /// Counts kicks, so that a waiting thread sees one that came just before it waited.
     kicks: u64,
@@ -77,18 +93,96 @@ impl Topic {
     }
 
     /// Takes the master's list: returns the publishers that nobody reads yet.
-    pub fn list(&self, endpoints: &[Endpoint]) -> Vec<Arc<Publisher>> {
+    /// `asked_at` is when that list was asked for.
+    pub fn list(&self, endpoints: &[Endpoint], asked_at: Instant) -> Vec<Arc<Publisher>> {
         let mut state = lock(&self.state);
+        let (now, absent_until) = (Instant::now(), state.lineage.absent_until());
+        state.lineage.asked(asked_at);
+        state.lately.retain(|_, at| now.saturating_duration_since(*at) < LATELY);
+        state.lately.extend(endpoints.iter().map(|endpoint| (endpoint.clone(), now)));
         for (endpoint, publisher) in &state.publishers {
             lock(&publisher.state).listed = endpoints.contains(endpoint);
         }
         let mut fresh = Vec::new();
         for endpoint in endpoints {
             if !state.publishers.contains_key(endpoint) {
-                let listed = PublisherState { listed: true, connected: None };
-                let publisher = Arc::new(Publisher { endpoint: endpoint.clone(), state: Mutex::new(listed) });
+                let listed = PublisherState { listed: true, ..PublisherState::default() };
+                let publisher = Arc::new(Publisher {
+                    endpoint: endpoint.clone(),
+                    number: next_number(),
+                    listed_at: now,
+                    absent_until,
+                    state: Mutex::new(listed),
+                });
                 state.publishers.insert(endpoint.clone(), Arc::clone(&publisher));
                 fresh.push(publisher);
+            }
+        }
+        fresh
+    }
+
+    /// The master was asked then and was not there.
+    pub fn asked(&self, at: Instant) {
+        lock(&self.state).lineage.asked(at);
+    }
+
+    /// A publisher is being read under this caller id; whom it pushes aside, decided once for each.
+    pub fn connected(&self, publisher: &Publisher, caller_id: &Arc<str>) -> Option<Rival> {
+        let state = lock(&self.state);
+        let beside = state.publishers.values().filter(|other| other.number != publisher.number).find_map(|other| {
+            let same = lock(&other.state).connected.as_ref() == Some(caller_id);
+            same.then(|| Rival { number: other.number, uri: other.endpoint.to_string() })
+        });
+        let before = state.lineage.rival(caller_id, publisher.number, publisher.absent_until);
+        let mut own = lock(&publisher.state);
+        own.connected = Some(Arc::clone(caller_id));
+        match &own.judged {
+            Some((known, rival)) if known == caller_id => rival.clone(),
+            _ => {
+                let rival = beside.or(before);
+                own.judged = Some((Arc::clone(caller_id), rival.clone()));
+                rival
+            }
+        }
+    }
+
+    /// A publisher's connection has ended; `taken` where the master has somebody else under its caller id.
+    pub fn disconnected(&self, publisher: &Publisher, caller_id: &Arc<str>, taken: bool) {
+        let mut state = lock(&self.state);
+        state.lineage.ended(caller_id, (publisher.number, &publisher.endpoint), Instant::now(), taken);
+        lock(&publisher.state).connected = None;
+    }
+
+    /// Somebody says that these are the publishers.
+    pub fn claim(&self, uris: &[&str]) {
+        let claims = &mut lock(&self.state).claims;
+        for uri in uris.iter().filter(|uri| uri.len() <= 1024) {
+            if claims.len() < MOST_CLAIMS {
+                claims.insert((*uri).to_owned());
+            }
+        }
+    }
+
+    /// The claims so far, to be held against an answer that is asked for now.
+    pub fn take_claims(&self) -> BTreeSet<String> {
+        std::mem::take(&mut lock(&self.state).claims)
+    }
+
+    /// The master did not answer: the claims wait for the next time.
+    pub fn give_back(&self, claims: BTreeSet<String>) {
+        let kept = &mut lock(&self.state).claims;
+        kept.extend(claims.into_iter().take(MOST_CLAIMS));
+    }
+
+    /// Those of the claims that the master does not list and has not listed lately, each once.
+    pub fn unconfirmed(&self, claims: BTreeSet<String>) -> Vec<String> {
+        let state = &mut *lock(&self.state);
+        let listed = |uri: &str| Endpoint::parse(uri).is_some_and(|endpoint| state.lately.contains_key(&endpoint));
+        let doubtful: Vec<String> = claims.into_iter().filter(|uri| !listed(uri)).map(|uri| clean(&uri, 120)).collect();
+        let mut fresh = Vec::new();
+        for uri in doubtful {
+            if state.refuted.len() < MOST_COMPLAINTS && state.refuted.insert(uri.clone()) {
+                fresh.push(uri);
             }
         }
         fresh

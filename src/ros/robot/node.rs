@@ -116,7 +116,7 @@ impl Node for Identity {
         self.outlets.iter().flat_map(|outlet| outlet.links()).collect()
     }
 
-    fn publishers_changed(&self, _topic: &str) {}
+    fn publishers_changed(&self, _topic: &str, _publishers: &[&str]) {}
 
     fn outlet(&self, topic: &str) -> Option<(String, u16)> {
         self.outlets.iter().any(|outlet| outlet.topic() == topic).then(|| (self.host.clone(), self.port))

@@ -10,7 +10,7 @@ use crate::pipeline::sender::LaneState;
 /// The chain as seen from here.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ChainView {
-    /// `embedded` or `node`.
+    /// `embedded`, `node` or `relay`.
     pub kind: String,
     /// `poa`, `pow`, `unknown`.
     pub consensus: String,
@@ -30,6 +30,9 @@ pub struct ChainView {
     pub pending: u64,
     /// The node's own name, cleaned.
     pub client: String,
+    /// Whose word has to be taken for all this, where it is not the own node's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub through: Option<String>,
     /// How this profile's lanes stand: its own account's first, then its witnesses'.
     #[serde(default)]
     pub lanes: Vec<LaneState>,

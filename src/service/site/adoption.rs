@@ -82,6 +82,9 @@ impl Site {
 
     /// A connection to whatever answers.
     async fn chain_there(&self) -> Result<Chain, Failure> {
+        if let Some(remote) = &self.remote {
+            return Ok(remote.chain(None, None, self.config.confirmations).await?);
+        }
         let endpoint = match &self.config.chain_url {
             Some(url) => Endpoint::Node { url: url.clone() },
             None => Endpoint::Embedded { directory: self.home.chain(), consensus: self.config.consensus },

@@ -93,6 +93,7 @@ fn summary(session: &CaptureSession) -> CaptureSummary {
             type_name: figures.type_name.map(|name| crate::model::clean(&name, 255)),
             captured: figures.captured,
             verified: figures.verified,
+            quarantined: figures.quarantined,
             lost: figures.lost,
         })
         .collect();
@@ -100,6 +101,7 @@ fn summary(session: &CaptureSession) -> CaptureSummary {
     CaptureSummary {
         captured: sum(|topic| topic.captured),
         verified: sum(|topic| topic.verified),
+        quarantined: sum(|topic| topic.quarantined),
         lost: sum(|topic| topic.lost),
         skipped: 0,
         topics,

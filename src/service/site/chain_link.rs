@@ -112,14 +112,7 @@ impl Site {
         if matches!(*self.network.borrow(), NetworkState::Up(_) | NetworkState::Bare(_) | NetworkState::Off) {
             return Ok(());
         }
-        let endpoint = match &self.config.chain_url {
-            Some(url) => Endpoint::Node { url: url.clone() },
-            None => Endpoint::Embedded { directory: self.home.chain(), consensus: self.config.consensus },
-        };
-        let pinned = self.pin()?;
-        let options =
-            ChainOptions { endpoint, contract: self.config.contract, pinned, confirmations: self.config.confirmations };
-        let chain = Chain::connect(options).await?;
+        let chain = self.reach_chain().await?;
         if let Some(pin) = chain.pin() {
             self.save_pin(&pin)?;
             return self.use_network(chain, &pin).await;
@@ -127,6 +120,19 @@ impl Site {
         self.network.send_replace(NetworkState::Bare(chain));
         self.changed(Part::Chain);
         Ok(())
+    }
+
+    /// The chain of the settings, held against the home's pin.
+    async fn reach_chain(&self) -> Result<Chain, Lost> {
+        let (pinned, contract, confirmations) = (self.pin()?, self.config.contract, self.config.confirmations);
+        if let Some(remote) = &self.remote {
+            return remote.chain(pinned, contract, confirmations).await;
+        }
+        let endpoint = match &self.config.chain_url {
+            Some(url) => Endpoint::Node { url: url.clone() },
+            None => Endpoint::Embedded { directory: self.home.chain(), consensus: self.config.consensus },
+        };
+        Ok(Chain::connect(ChainOptions { endpoint, contract, pinned, confirmations }).await?)
     }
 
     pub(super) async fn use_network(self: &Arc<Self>, chain: Chain, pin: &Pin) -> Result<(), Lost> {

@@ -7,6 +7,7 @@ use tokio::sync::oneshot;
 
 use super::Site;
 use crate::model::{ErrorKind, ProfileName};
+use crate::pipeline::Owner;
 use crate::service::command::{Command, Request};
 use crate::service::reply::{Failure, Reply};
 
@@ -20,6 +21,10 @@ pub struct Held {
 
 /// What a connection holds, shared by its requests.
 pub type Claims = Arc<Mutex<Held>>;
+
+fn unknown() -> Failure {
+    crate::service::failure::internal("this command is not known to the site")
+}
 
 impl Site {
     /// Answers one request.
@@ -38,6 +43,16 @@ impl Site {
             Command::ListTopics => Ok(Reply::Topics(self.topic_rows(&profile).await?)),
             Command::WatchTopic { topic, type_name } => self.watch_topic(&profile, topic, type_name).await,
             Command::UnwatchTopic { topic } => self.unwatch_topic(&profile, &topic).await,
+            Command::ListPins { topic } => self.pins_view(&profile, topic.as_ref()).await.map(Reply::Pins),
+            Command::PinTopic { topic, publishers } => {
+                self.pin_topic(&profile, &topic, publishers).await.map(Reply::Pins)
+            }
+            Command::UnpinTopic { topic, caller_id } => {
+                self.unpin_topic(&profile, &topic, &caller_id).await.map(Reply::Pins)
+            }
+            Command::ListQuarantine { topic, limit } => {
+                self.quarantine_view(&profile, topic, limit).await.map(Reply::Quarantine)
+            }
             Command::StopCapture => Ok(self.stop_captures(&profile)),
             Command::ServeChain { address } => {
                 let (end, ended) = oneshot::channel();
@@ -88,6 +103,8 @@ impl Site {
             Command::Capture { topics, type_name, count, milliseconds, tags } => {
                 self.capture(&owner, &topics, type_name, count, milliseconds, tags).await.map(Reply::Captured)
             }
+            Command::ReleaseHeld { held } => self.release_held(&owner, held).await.map(Reply::Decided),
+            Command::DiscardHeld { held } => self.discard_held(&owner, held).await.map(Reply::Decided),
             Command::ExportUpload { id, addresses } => {
                 self.export_upload(&owner, &id, addresses).await.map(Reply::Files)
             }
@@ -106,14 +123,25 @@ impl Site {
                 self.lend_device(&owner, device, until).await.map(Reply::Transaction)
             }
             Command::RecallDevice { device } => self.recall_device(&owner, &device).await.map(Reply::Transaction),
+            Command::EnrolDevice(wishes) => self.enrol_device(&owner, wishes).await.map(Reply::Enrolled),
             Command::ListDevices => self.device_rows(&owner).await.map(Reply::Devices),
             Command::Administer(act) => self.administer(&owner, &act).await.map(Reply::Transaction),
             Command::AdoptChain => self.adopt_chain(&owner).await.map(Reply::Transaction),
+            Command::ListShared(_) | Command::CheckShared { .. } | Command::OpenShared { .. } => {
+                self.caught_up(profile).await?;
+                self.handle_shared(&owner, command).await
+            }
             Command::ListGrants => self.grant_rows(&owner).await.map(Reply::Grants),
-            Command::ListShared(query) => self.list_shared(&owner, query).await.map(Reply::Records),
-            Command::CheckShared { id } => self.check_record(&owner, &id).await.map(Reply::Check),
-            Command::OpenShared { id } => self.open_record(&owner, &id).await.map(|view| Reply::Opened(Box::new(view))),
-            _ => Err(crate::service::failure::internal("this command is not known to the site")),
+            _ => Err(unknown()),
+        }
+    }
+
+    async fn handle_shared(self: &Arc<Self>, owner: &Arc<Owner>, command: Command) -> Result<Reply, Failure> {
+        match command {
+            Command::ListShared(query) => self.list_shared(owner, query).await.map(Reply::Records),
+            Command::CheckShared { id } => self.check_record(owner, &id).await.map(Reply::Check),
+            Command::OpenShared { id } => self.open_record(owner, &id).await.map(|view| Reply::Opened(Box::new(view))),
+            _ => Err(unknown()),
         }
     }
 

@@ -4,11 +4,13 @@
 //! process of a home is the site, further ones join it over the socket (`service::socket`).
 
 mod adoption;
+mod agent;
 mod audit;
 mod capture;
 mod chain_link;
 mod contacts;
 mod devices;
+mod enrolling;
 mod epochs;
 mod exposure;
 mod gateway;
@@ -16,16 +18,21 @@ mod handle;
 mod identity;
 mod keys;
 mod lanes;
+mod mirror;
 mod naming;
 mod opening;
 mod overdue;
 mod owners;
+mod pins;
+mod quarantine;
 mod refusals;
+mod remote;
 mod revoking;
 mod robots;
 mod sharing;
 mod status;
 mod succession;
+mod telling;
 mod topics;
 mod uploads;
 mod view;
@@ -37,7 +44,9 @@ use std::sync::{Arc, Mutex, RwLock};
 
 use tokio::sync::{broadcast, mpsc, watch};
 
+pub use agent::{Agent, AgentEnd, AgentFigures, AgentWishes};
 pub use chain_link::NetworkState;
+pub use enrolling::EnrolWishes;
 pub use robots::RosState;
 
 use super::client::{Call, Client};
@@ -53,7 +62,7 @@ use crate::paths::Home;
 use crate::pipeline::recorder::CapturedMessage;
 use crate::pipeline::ring::Ring;
 use crate::pipeline::sender::Policy;
-use crate::pipeline::{CaptureSession, Owner, Plant, Recorder, Sender};
+use crate::pipeline::{CaptureSession, Owner, PinRules, Pins, Plant, Recorder, Sender};
 use crate::store::{AuditLog, Ledger, Reserve, SiteLock, open_vault};
 
 /// Memory for captured messages that wait to be sealed, bytes.
@@ -79,6 +88,9 @@ pub struct Site {
     pub(crate) hub: Arc<Hub>,
     pub(crate) sender: Arc<Sender>,
     recorder: Arc<Recorder>,
+    pins: Arc<Pins>,
+    /// Quarantine records are sealed one at a time.
+    reporting: tokio::sync::Mutex<()>,
     ring: Arc<Ring<CapturedMessage>>,
     audit: AuditLog,
     refusals: refusals::Refusals,
@@ -95,6 +107,8 @@ pub struct Site {
     chain_silent: AtomicBool,
     /// The newest head, and when the chain told it.
     head_seen: Mutex<Option<(std::time::Instant, BlockRef)>>,
+    /// The gateway through which this site joins another one.
+    remote: Option<remote::Remote>,
     guests: AtomicUsize,
     deploying: tokio::sync::Mutex<()>,
     witnesses: Mutex<lanes::Witnesses>,
@@ -118,15 +132,23 @@ impl Site {
     /// # Errors
     /// Where ledger or vault cannot be opened; chain and master come up (or fail) later.
     pub fn start(home: Home, config: Config, lock: SiteLock, needs: Needs) -> Result<Arc<Self>, Failure> {
+        // Robots are where the gateway is.
+        let needs = Needs { ros: needs.ros && config.site.is_none(), ..needs };
+        let provider = provider(config.provider);
+        let remote = config.site.as_ref().map(|site| remote::Remote::new(site, &home, provider)).transpose()?;
         let (events, _) = broadcast::channel(1024);
         let hub = Arc::new(Hub::new(events));
         let ledger = Ledger::open(&home.ledger())?;
         let vault = open_vault(config.vault_url.as_deref(), &home.vault())?;
-        let plant = Plant { ledger: ledger.clone(), vault, provider: provider(config.provider), observer: hub.clone() };
+        let plant = Plant { ledger: ledger.clone(), vault, provider, observer: hub.clone() };
         let ring = Arc::new(Ring::new(RING_BYTES));
         let (reserve, reserved) = Reserve::open(&home.reserve());
+        let rules = PinRules { mode: config.pin_mode, listed: config.publishers.clone() };
+        let pins = Arc::new(Pins::new(ledger.clone(), hub.clone(), rules));
         let site = Arc::new(Self {
-            recorder: Arc::new(Recorder::new(Arc::clone(&ring), hub.clone())),
+            recorder: Arc::new(Recorder::new(Arc::clone(&ring), hub.clone()).with_pins(Arc::clone(&pins))),
+            pins,
+            reporting: tokio::sync::Mutex::default(),
             sender: Arc::new(Sender::new(ledger, hub.clone(), Policy { cap: config.max_fee })),
             audit: AuditLog::new(plant.ledger.clone()),
             refusals: refusals::Refusals::default(),
@@ -146,6 +168,7 @@ impl Site {
             stopping: watch::channel(false).0,
             chain_silent: AtomicBool::new(false),
             head_seen: Mutex::default(),
+            remote,
             guests: AtomicUsize::new(0),
             deploying: tokio::sync::Mutex::default(),
             witnesses: Mutex::default(),

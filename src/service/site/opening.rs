@@ -7,7 +7,7 @@ use super::Site;
 use super::view::{record_page, record_query, record_view};
 use crate::model::{Address, Scope, Timestamp, TopicId, clean};
 use crate::pipeline::Owner;
-use crate::pipeline::reader::Reader;
+use crate::pipeline::reader::{Reader, is_held};
 use crate::ros::Limits;
 use crate::service::command::UploadQuery;
 use crate::service::reply::{CheckView, Failure, OpenedView, RecordPage};
@@ -60,7 +60,7 @@ impl Site {
         loop {
             let asked = query.clone();
             let mut page = self.blocking(move |site| Ok(site.plant.ledger.list(&asked)?)).await?;
-            page.rows.retain(|row| reader.topic_key(row).is_ok());
+            page.rows.retain(|row| !is_held(row) && reader.topic_key(row).is_ok());
             if !page.rows.is_empty() || page.next.is_none() {
                 return Ok(record_page(page, true));
             }

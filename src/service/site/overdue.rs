@@ -28,11 +28,7 @@ impl Site {
         let Some(epoch) = owner.sealing().filter(|keys| keys.domain == network.domain).map(|keys| keys.epoch) else {
             return Ok(());
         };
-        let covering = network.directory.grants(|grant| {
-            let runs_out = grant.terms.expiry.is_some() && grant.revoked.is_none();
-            runs_out && grant.terms.owner == owner.address && grant.envelopes.contains_key(&epoch)
-        });
-        let earliest = covering.iter().filter_map(|grant| grant.terms.expiry).chain(also).min();
+        let earliest = self.earliest_expiry(owner, network, epoch).into_iter().chain(also).min();
         if let Some(moment) = earliest.filter(|moment| moment.0 < Timestamp::now().0 + FORESIGHT) {
             owner.prepare_epoch(network.domain, epoch + 1)?;
             owner.seal_from(moment, network.domain, epoch + 1)?;
@@ -40,10 +36,20 @@ impl Site {
         Ok(())
     }
 
+    /// When the first of the grants that cover an epoch runs out.
+    pub(super) fn earliest_expiry(&self, owner: &Owner, network: &Network, epoch: u64) -> Option<Timestamp> {
+        let covering = network.directory.grants(|grant| {
+            let runs_out = grant.terms.expiry.is_some() && grant.revoked.is_none();
+            runs_out && grant.terms.owner == owner.address && grant.envelopes.contains_key(&epoch)
+        });
+        covering.iter().filter_map(|grant| grant.terms.expiry).min()
+    }
+
     /// Sends what is overdue: the next epoch where a grant that covers the current one has run out or records
     /// are sealed under the next one already, revocations that were cut short, envelopes that are lacking.
     pub(super) async fn settle_overdue(self: &Arc<Self>, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
         self.foresee_expiry(owner, network, None)?;
+        block_in_place(|| self.tell_devices(owner, network))?;
         if !self.is_behind(owner, network)? && self.lacking(owner, network)?.is_empty() {
             return Ok(());
         }

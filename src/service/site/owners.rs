@@ -59,9 +59,11 @@ impl Site {
     /// Puts an open keyring into the site, in place of the profile's former one.
     pub(super) fn adopt_owner(self: &Arc<Self>, profile: ProfileName, keyring: UnlockedKeyring) -> Arc<Owner> {
         let owner = Arc::new(Owner::new(profile.clone(), keyring));
+        self.pins.introduce(owner.address, profile.as_str());
         self.owners.write().unwrap_or_else(PoisonError::into_inner).insert(profile, Arc::clone(&owner));
         tokio::spawn(workers::anchor(Arc::clone(self), Arc::clone(&owner)));
         tokio::spawn(Arc::clone(self).keep_witnesses(Arc::clone(&owner)));
+        tokio::spawn(Arc::clone(self).mirror(Arc::clone(&owner)));
         self.restore_watches(&owner);
         self.changed(Part::Identity);
         owner

@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use super::Site;
 use crate::chain::Call;
+use crate::gateway::RevokeNotice;
 use crate::model::{Address, ErrorKind};
 use crate::pipeline::{Network, Owner};
 use crate::service::event::NoticeLevel;
@@ -58,6 +59,10 @@ impl Site {
             let noted = "the revocation is noted and is sent again until the chain has it";
             Failure { message: format!("{}; {noted}", failure.message), ..failure }
         })?;
+        if let (Some(transaction), Some(token)) = (view.transaction, owner.token(network.domain, view.epoch)) {
+            let notice = RevokeNotice { grantee, epoch: view.epoch, token, transaction };
+            self.tell_of_revoke(owner, network, notice).await;
+        }
         self.settle_revocation(owner, grantee)?;
         Ok(told(grantee, view))
     }

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use super::Site;
 use crate::chain::Call;
+use crate::gateway::GrantNotice;
 use crate::model::grant::MOST_TOPICS;
 use crate::model::{Address, GrantTerms, Party, Scope, Timestamp, TopicName};
 use crate::pipeline::Owner;
@@ -57,6 +58,8 @@ impl Site {
         let sent = self.sender.send(&network.chain, &owner.eoa(), call, "authorityGrant").await;
         let sent = self.audit_end(owner, "grant", &grantee.to_string(), sent.map_err(Failure::from)).await;
         let (transaction, receipt) = sent?;
+        let notice = GrantNotice { grantee, epoch, expiry: expires.map_or(0, Timestamp::seconds), transaction };
+        self.tell_of_grant(owner, &network, notice).await;
         self.scanned(receipt.block).await;
         self.changed(Part::Grants);
         let what = if names.is_empty() { "all topics".to_owned() } else { names.join(", ") };

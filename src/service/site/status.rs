@@ -36,7 +36,10 @@ impl Site {
     }
 
     fn chain_health(&self) -> PartHealth {
-        let name = self.config.chain_url.as_deref().map_or_else(|| "embedded chain".to_owned(), without_password);
+        let name = match &self.remote {
+            Some(remote) => remote.chain_text(),
+            None => self.config.chain_url.as_deref().map_or_else(|| "embedded chain".to_owned(), without_password),
+        };
         let silent = self.chain_is_silent();
         let (level, text) = match &*self.network.borrow() {
             NetworkState::Off => (HealthLevel::Absent, "not part of this run".to_owned()),
@@ -84,8 +87,9 @@ impl Site {
             states.map(|state| counts.data_in(state)).sum()
         };
         let tampered = counts.data_in(RecordState::Tampered);
+        let discarded = counts.data_in(RecordState::Dropped);
         Ok(LifeLine {
-            captured: counts.captured(),
+            captured: counts.captured() + losses.in_recorder,
             sealed: at_least(RecordState::Sealed) + tampered,
             stored: at_least(RecordState::Stored) + tampered,
             anchored: at_least(RecordState::Mined) + tampered,
@@ -93,7 +97,8 @@ impl Site {
             verified: counts.data_in(RecordState::Verified),
             pending: counts.pending(),
             quarantined: counts.data_in(RecordState::Quarantined),
-            dropped: losses.in_recorder,
+            dropped: losses.in_recorder + discarded,
+            discarded,
             tampered,
             lost_in_transport: losses.in_transport,
         })
@@ -130,6 +135,7 @@ impl Site {
             pending,
             lanes,
             client: clean(&status.client, 100),
+            through: self.remote.as_ref().map(|remote| clean(&remote.chain_text(), 300)),
             administration: self.network_now().map(|network| self.administration_view(&network)).unwrap_or_default(),
             sealing: chain.sealing().await?,
         })

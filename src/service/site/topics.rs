@@ -1,6 +1,6 @@
 //! Topics of the graph: listed with their rates, watched and unwatched.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 use tokio::task::block_in_place;
@@ -39,8 +39,10 @@ impl Site {
             }
         }
         let captured = self.captured_by_topic(profile)?;
+        let alarms = self.alarmed_topics(profile)?;
         for row in &mut rows {
-            row.messages = captured.get(&row.topic).copied().unwrap_or(0);
+            (row.messages, row.quarantined) = captured.get(&row.topic).copied().unwrap_or_default();
+            row.alarm = alarms.contains(&row.topic);
             row.watched = watches.iter().any(|(topic, _)| topic.as_str() == row.topic);
         }
         rows.sort_by(|one, other| one.topic.cmp(&other.topic));
@@ -69,13 +71,23 @@ impl Site {
             lost_in_transport: losses.in_transport,
             lost_in_recorder: losses.in_recorder,
             last_message: rate.and_then(|rate| rate.last),
+            quarantined: 0,
+            alarm: false,
         }
     }
 
-    fn captured_by_topic(&self, profile: &ProfileName) -> Result<HashMap<String, u64>, Failure> {
+    /// Messages captured, and those of them in quarantine.
+    fn captured_by_topic(&self, profile: &ProfileName) -> Result<HashMap<String, (u64, u64)>, Failure> {
         let Some(owner) = self.owner(profile) else { return Ok(HashMap::new()) };
         let counts = block_in_place(|| self.plant.ledger.counts(Some(owner.address)))?;
-        Ok(counts.topics.into_iter().map(|topic| (topic.topic, topic.captured)).collect())
+        Ok(counts.topics.into_iter().map(|topic| (topic.topic, (topic.captured, topic.quarantined))).collect())
+    }
+
+    /// Topics with an open alarm about a publisher.
+    fn alarmed_topics(&self, profile: &ProfileName) -> Result<HashSet<String>, Failure> {
+        let Some(owner) = self.owner(profile) else { return Ok(HashSet::new()) };
+        let alarms = block_in_place(|| self.plant.ledger.alarms(owner.address, None))?;
+        Ok(alarms.into_iter().filter(|alarm| alarm.open).map(|alarm| alarm.topic).collect())
     }
 
     fn watches(&self, profile: &ProfileName) -> Result<Watches, Failure> {

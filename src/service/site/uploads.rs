@@ -15,7 +15,7 @@ use crate::service::reply::{ExportedFile, Failure, Provenance, RecordPage};
 use crate::store::{BatchPlace, RecordRow};
 
 impl Site {
-    fn address_of(&self, profile: &ProfileName) -> Result<Address, Failure> {
+    pub(super) fn address_of(&self, profile: &ProfileName) -> Result<Address, Failure> {
         if let Some(owner) = self.owner(profile) {
             return Ok(owner.address);
         }

@@ -22,6 +22,7 @@ const LONGEST_REST: Duration = Duration::from_secs(60);
 pub(super) fn start(site: &Arc<Site>, needs: Needs) -> Result<(), Failure> {
     tokio::spawn(Arc::clone(&site.hub).run());
     tokio::spawn(Arc::clone(site).keep_audit());
+    tokio::spawn(Arc::clone(site).keep_quarantine());
     if needs.ros {
         start_sealer(site)?;
         let task = tokio::spawn(Arc::clone(site).keep_ros());

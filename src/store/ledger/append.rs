@@ -68,7 +68,7 @@ impl Ledger {
         if !may(By::Worker, from, to) {
             return Err(StoreError::IllegalEdge { from, to });
         }
-        let sql = move_sql(to);
+        let sql = move_sql(from, to);
         let digests = digests.to_vec();
         self.write(move |session| {
             let mut statement = session.connection.prepare_cached(sql)?;
@@ -78,13 +78,14 @@ impl Ledger {
         })
     }
 
-    /// Puts tampered records whose bytes are right again back to where they belong: mined, submitted, batched or
-    /// stored, by what the chain has of them. Returns how many were put back.
+    /// Puts tampered records whose bytes are right again back to where they belong: quarantined where nobody has
+    /// decided about them, else mined, submitted, batched or stored, by what the chain has of them. Returns how many were put back.
     ///
     /// # Errors
     /// [`StoreError::Database`] and its kin.
     pub fn heal(&self, digests: &[Digest]) -> Result<u64, StoreError> {
-        [RecordState::Mined, RecordState::Submitted, RecordState::Batched, RecordState::Stored]
+        use RecordState::{Batched, Mined, Quarantined, Stored, Submitted};
+        [Quarantined, Mined, Submitted, Batched, Stored]
             .into_iter()
             .try_fold(0, |healed, to| Ok(healed + self.advance(digests, RecordState::Tampered, to)?))
     }
@@ -141,8 +142,12 @@ pub(super) fn count(rows: usize) -> u64 {
 }
 
 /// Out of `tampered` the way back depends on how far the record had come.
-fn move_sql(to: RecordState) -> &'static str {
+fn move_sql(from: RecordState, to: RecordState) -> &'static str {
     match to {
+        RecordState::Quarantined if from == RecordState::Tampered => {
+            "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2
+             AND EXISTS (SELECT 1 FROM held WHERE record = n AND decision IS NULL)"
+        }
         RecordState::Mined | RecordState::Confirmed => {
             "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2 AND block IS NOT NULL"
         }
@@ -161,7 +166,7 @@ fn move_sql(to: RecordState) -> &'static str {
     }
 }
 
-fn add(session: &mut Session<'_>, record: &NewRecord, now: i64) -> Result<(), StoreError> {
+pub(super) fn add(session: &mut Session<'_>, record: &NewRecord, now: i64) -> Result<(), StoreError> {
     if !matches!(record.state, RecordState::Sealed | RecordState::Stored | RecordState::Quarantined) {
         return Err(StoreError::IllegalEdge { from: RecordState::Captured, to: record.state });
     }

@@ -1,7 +1,7 @@
 //! The legal edges of a record's life line, and which part of the program may take each.
 
 use crate::model::RecordState::{
-    self, Batched, Confirmed, Mined, Quarantined, Sealed, Stored, Submitted, Tampered, Verified,
+    self, Batched, Confirmed, Dropped, Mined, Quarantined, Sealed, Stored, Submitted, Tampered, Verified,
 };
 
 /// What takes an edge.
@@ -21,9 +21,13 @@ pub(super) enum By {
     Confirm,
     /// The block is gone.
     Reorg,
+    /// A gateway took the record over, or says how it stands there.
+    Gateway,
+    /// The operator decides about a quarantined record.
+    Operator,
 }
 
-const EDGES: [(RecordState, RecordState, By); 38] = [
+const EDGES: [(RecordState, RecordState, By); 46] = [
     (Sealed, Stored, By::Worker),
     (Sealed, Quarantined, By::Worker),
     (Stored, Quarantined, By::Worker),
@@ -37,6 +41,10 @@ const EDGES: [(RecordState, RecordState, By); 38] = [
     (Confirmed, Tampered, By::Worker),
     (Verified, Tampered, By::Worker),
     (Quarantined, Tampered, By::Worker),
+    (Tampered, Quarantined, By::Worker),
+    (Quarantined, Stored, By::Operator),
+    (Quarantined, Sealed, By::Operator),
+    (Quarantined, Dropped, By::Operator),
     (Tampered, Stored, By::Worker),
     (Tampered, Batched, By::Worker),
     (Tampered, Submitted, By::Worker),
@@ -62,6 +70,10 @@ const EDGES: [(RecordState, RecordState, By); 38] = [
     (Verified, Submitted, By::Reorg),
     (Verified, Batched, By::Reorg),
     (Verified, Stored, By::Reorg),
+    (Stored, Submitted, By::Gateway),
+    (Submitted, Stored, By::Gateway),
+    (Submitted, Verified, By::Gateway),
+    (Submitted, Tampered, By::Gateway),
 ];
 
 /// Whether a record may ever go from one state to another in one step.
@@ -81,7 +93,10 @@ mod tests {
     #[test]
     fn edges_are_distinct_and_leave_no_state_stuck() {
         for (index, edge) in EDGES.iter().enumerate() {
-            assert!(!EDGES[..index].iter().any(|other| (other.0, other.1) == (edge.0, edge.1)), "{edge:?}");
+            let same = |other: &(RecordState, RecordState, By)| {
+                (other.0, other.1) == (edge.0, edge.1) && (other.2 == By::Gateway) == (edge.2 == By::Gateway)
+            };
+            assert!(!EDGES[..index].iter().any(same), "{edge:?}");
             assert_ne!(edge.0, edge.1);
         }
         for state in [Sealed, Stored, Batched, Submitted, Mined, Confirmed] {
@@ -92,8 +107,11 @@ mod tests {
     #[test]
     fn nobody_verifies_by_leaping() {
         for state in RecordState::ALL {
-            assert_eq!(is_legal(state, Verified), state == Confirmed);
+            assert_eq!(is_legal(state, Verified), matches!(state, Confirmed | Submitted));
+            assert_eq!(may(By::Gateway, state, Verified), state == Submitted);
+            assert_eq!(may(By::Worker, state, Verified), state == Confirmed);
         }
+        assert!(!may(By::Worker, Quarantined, Stored) && !is_legal(Quarantined, Batched) && !is_legal(Dropped, Stored));
         assert!(!may(By::Worker, Stored, Submitted) && !may(By::Worker, Submitted, Mined));
     }
 }

@@ -155,6 +155,11 @@ impl RecordRow {
         !self.topic.starts_with(UNNAMED)
     }
 
+    /// What stands in the place of a topic's name where that is not known.
+    pub fn unnamed(topic: TopicId) -> String {
+        format!("{UNNAMED}{topic}")
+    }
+
     /// What its batch binds.
     pub fn leaf(&self) -> Leaf {
         let Self { owner, recorder, topic_id, seq, digest, .. } = *self;

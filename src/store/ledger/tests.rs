@@ -3,6 +3,7 @@
 mod adoption;
 mod model;
 mod pages;
+mod quarantine;
 mod speed;
 
 use std::path::Path;

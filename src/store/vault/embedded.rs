@@ -81,6 +81,22 @@ impl Vault for EmbeddedVault {
         })
     }
 
+    fn discard(&self, digests: &[Digest]) -> Result<(), StoreError> {
+        if digests.is_empty() {
+            return Ok(());
+        }
+        self.on(&self.writer, |connection| {
+            let transaction = connection.transaction()?;
+            {
+                let mut statement = transaction.prepare_cached("DELETE FROM blobs WHERE digest = ?1")?;
+                for digest in digests {
+                    statement.execute([digest.0])?;
+                }
+            }
+            Ok(transaction.commit()?)
+        })
+    }
+
     fn contains(&self, digest: Digest) -> Result<bool, StoreError> {
         self.on(&self.reader, |connection| {
             Ok(connection.prepare_cached("SELECT 1 FROM blobs WHERE digest = ?1")?.exists([digest.0])?)

@@ -4,17 +4,18 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 
 use async_trait::async_trait;
+use serde_json::Value;
 use tokio::sync::mpsc;
 
 use super::GatewayDesk;
 use super::live::Watch;
 use super::reading::announced_key;
-use crate::chain::Call;
+use crate::chain::{Call, RelayError};
 use crate::crypto::{open_transport_key, seal_transport_key, signer_id};
 use crate::gateway::desk::Account;
 use crate::gateway::{
-    Binding, Caller, Code, Desk, Entry, Fetched, GrantNotice, Page, Query, Received, Refusal, Registration,
-    RevokeNotice, Selection, Standing,
+    Binding, Caller, Code, Desk, Entry, Fetched, GrantNotice, NetworkName, Page, Query, Received, Refusal,
+    Registration, RevokeNotice, Selection, Standing,
 };
 use crate::model::bytes::hex;
 use crate::model::header::TAG_LENGTH;
@@ -93,7 +94,7 @@ impl GatewayDesk {
 #[async_trait]
 impl Desk for GatewayDesk {
     async fn account(&self, account: &Address) -> Result<Account, Refusal> {
-        let network = self.network()?;
+        let network = self.fresh_network()?;
         let identity = network.directory.identity(*account).map_err(Refusal::because(Code::NotRegistered))?;
         if network.directory.account(*account).is_some_and(|account| account.suspended) {
             return Err(Refusal::new(Code::Suspended, format_args!("{account} is suspended")));
@@ -102,11 +103,11 @@ impl Desk for GatewayDesk {
     }
 
     async fn is_token(&self, account: &Address, token: &Token) -> Result<bool, Refusal> {
-        Ok(self.network()?.directory.has_token(*account, *token))
+        Ok(self.fresh_network()?.directory.has_token(*account, *token))
     }
 
     async fn signer(&self, owner: &Address, signer: &SignerId) -> Result<Option<PublicKey>, Refusal> {
-        let network = self.network()?;
+        let network = self.fresh_network()?;
         let own = network.directory.signing_key(*owner, *signer, None);
         if own.is_some() || !network.directory.is_lent(*owner, *signer, None, Timestamp::now()) {
             return Ok(own);
@@ -149,7 +150,7 @@ impl Desk for GatewayDesk {
     }
 
     async fn register(&self, registration: &Registration) -> Result<Hash, Refusal> {
-        let network = self.network()?;
+        let network = self.fresh_network()?;
         let call = Call::Register { identity: registration.identity };
         let transaction = network.chain.expect_call(&registration.transaction, registration.account, &call);
         let transaction = transaction.map_err(Refusal::because(Code::Transaction))?;
@@ -202,9 +203,19 @@ impl Desk for GatewayDesk {
         self.audit(caller, "revoke notice", &notice.grantee.to_string()).await
     }
 
+    async fn network_name(&self) -> Result<NetworkName, Refusal> {
+        let pin = self.fresh_network()?.chain.pin().ok_or_else(|| Refusal::new(Code::Stale, "no contract"))?;
+        Ok(NetworkName { chain_id: pin.chain_id, genesis: pin.genesis, contract: pin.contract })
+    }
+
+    async fn relay(&self, _: Option<&Caller>, method: &str, parameters: &Value) -> Result<Value, RelayError> {
+        let silent = |refusal: Refusal| RelayError::Silent(refusal.to_string());
+        self.fresh_network().map_err(silent)?.chain.relay(method, parameters).await
+    }
+
     async fn device(&self, caller: &Caller, key: &PublicKey) -> Result<(), Refusal> {
         let (key, device) = (*key, signer_id(key));
-        if !self.network()?.directory.is_lent(caller.account, device, None, Timestamp::now()) {
+        if !self.fresh_network()?.directory.is_lent(caller.account, device, None, Timestamp::now()) {
             return Err(Refusal::new(Code::Signature, format_args!("device {device} is not lent")));
         }
         self.audit(caller, "device notice", &device.to_string()).await?;

@@ -61,7 +61,7 @@ impl Watch {
     }
 
     fn reach(&self) -> Result<Reach, Refusal> {
-        let network = self.desk.network()?;
+        let network = self.desk.fresh_network()?;
         self.desk.reach(&network, &self.caller.account, &self.selection.owner)
     }
 

@@ -42,7 +42,7 @@ fn not_authorised(owner: &Address, reader: &Address) -> Refusal {
 
 impl GatewayDesk {
     /// The network, where the chain has told a head lately.
-    pub(super) fn network(&self) -> Result<Network, Refusal> {
+    pub(super) fn fresh_network(&self) -> Result<Network, Refusal> {
         let network = self.site.network_now().filter(|network| network.domain == self.domain);
         let fresh = self.site.fresh_head(LONGEST_SILENCE);
         network.filter(|_| fresh.is_some()).ok_or_else(|| Refusal::new(Code::Stale, "no fresh head of the chain"))
@@ -88,7 +88,7 @@ impl GatewayDesk {
     }
 
     pub(super) fn page(&self, caller: &Caller, query: &Query) -> Result<Page, Refusal> {
-        let network = self.network()?;
+        let network = self.fresh_network()?;
         let reach = self.reach(&network, &caller.account, &query.selection.owner)?;
         let asked = record_query(query, &reach, &caller.account)?;
         let found = self.site.plant.ledger.list(&asked).map_err(Refusal::because(Code::Internal))?;
@@ -97,7 +97,7 @@ impl GatewayDesk {
     }
 
     pub(super) fn standings(&self, caller: &Caller, digests: &[Digest]) -> Result<Vec<Standing>, Refusal> {
-        let network = self.network()?;
+        let network = self.fresh_network()?;
         let mut known: Vec<(Address, Option<Reach>)> = Vec::new();
         let mut standings = Vec::with_capacity(digests.len());
         for digest in digests {
@@ -119,7 +119,7 @@ impl GatewayDesk {
     /// A record's bytes, compared with its digest before any of them leaves.
     pub(super) fn record(&self, caller: &Caller, digest: &Digest) -> Result<Fetched, Refusal> {
         let internal = Refusal::because(Code::Internal);
-        let network = self.network()?;
+        let network = self.fresh_network()?;
         let plant = &self.site.plant;
         let row = plant.ledger.record(*digest).map_err(&internal)?;
         let row = row.filter(is_offered);

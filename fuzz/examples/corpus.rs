@@ -1,0 +1,37 @@
+//! After a change of a format: `cargo run --release -p authros-fuzz --example corpus -- write` writes `fuzz/corpus`
+//! anew. The targets are compiled with what is valid in it, so the same without `write` then says in a second run
+//! which files are accepted all the way through.
+
+use std::path::Path;
+use std::{fs, io};
+
+use authros_fuzz::{Sample, frame, key_allocation, proof, record};
+
+/// Name, valid encodings, what is done with them.
+type Target = (&'static str, Vec<Sample>, fn(&[u8]) -> bool);
+
+fn main() -> io::Result<()> {
+    let write = std::env::args().nth(1).is_some_and(|word| word == "write");
+    let targets: [Target; 4] = [
+        ("frame", frame::samples(), frame::run),
+        ("key_allocation", key_allocation::samples(), key_allocation::run),
+        ("record", record::samples(), record::run),
+        ("proof", proof::samples(), proof::run),
+    ];
+    let corpus = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpus");
+    for (target, samples, run) in targets {
+        let folder = corpus.join(target);
+        fs::create_dir_all(&folder)?;
+        if write {
+            for (name, bytes) in samples {
+                fs::write(folder.join(name), &bytes)?;
+            }
+            continue;
+        }
+        for file in fs::read_dir(&folder)? {
+            let path = file?.path();
+            println!("{} {}", if run(&fs::read(&path)?) { "accepted" } else { "refused " }, path.display());
+        }
+    }
+    Ok(())
+}

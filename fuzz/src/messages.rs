@@ -1,0 +1,108 @@
+//! One valid message of every Command and shape.
+
+use authros::crypto::AccountSignature;
+use authros::gateway::allocation::AllocationRequest;
+use authros::gateway::command::{Inner, Part};
+use authros::gateway::{
+    Answer, Code, Command, Entry, Fetched, GrantNotice, Page, Query, Receipt, Registration, Request, RevokeNotice,
+    Selection, Standing, Upload,
+};
+use authros::model::{
+    Address, Digest, FilterId, Hash, Identity, PublicKey, RecordKind, RecorderId, Signature, SignerId, Timestamp,
+    Token, TopicId,
+};
+
+fn selection() -> Selection {
+    Selection {
+        owner: Address([1; 20]),
+        topic_id: Some(TopicId([2; 16])),
+        kind: Some(RecordKind::Data),
+        filters: vec![FilterId([3; 8]); 2],
+    }
+}
+
+fn allocation() -> AllocationRequest {
+    AllocationRequest {
+        system_key: SignerId([1; 32]),
+        ciphertext: vec![2; 30],
+        signature: Signature([3; 64]),
+        account_signature: AccountSignature([4; 65]),
+    }
+}
+
+fn registration() -> Registration {
+    let (token, signing, envelope) = (Token([1; 32]), PublicKey([2; 64]), PublicKey([3; 64]));
+    let identity = Identity { token, signing, envelope, proof: Signature([4; 64]) };
+    Registration { account: Address([5; 20]), identity, transaction: vec![9; 20] }
+}
+
+/// What a client asks.
+pub fn requests() -> Vec<Request> {
+    let upload = |length| Upload { signature: Signature([7; 64]), blob: vec![8; length] };
+    let query = |selection| Query { selection, from: Timestamp(1), until: Timestamp(u64::MAX), cursor: 9, limit: 500 };
+    let (grantee, transaction) = (Address([5; 20]), Hash([6; 32]));
+    vec![
+        Request::Ping,
+        Request::SystemKeys,
+        Request::KeyAllocation(allocation()),
+        Request::Register(Box::new(registration())),
+        Request::Upload(upload(30)),
+        Request::UploadMany(vec![upload(0), upload(10), upload(20)]),
+        Request::Query(query(selection())),
+        Request::Query(query(Selection::all(Address([1; 20])))),
+        Request::Check(vec![Digest([1; 32]), Digest([2; 32])]),
+        Request::Fetch(Digest([3; 32])),
+        Request::Subscribe(selection()),
+        Request::Unsubscribe(5),
+        Request::GrantNotice(GrantNotice { grantee, epoch: 2, expiry: 3, transaction }),
+        Request::RevokeNotice(RevokeNotice { grantee, epoch: 2, token: Token([7; 32]), transaction }),
+    ]
+}
+
+fn entry() -> Entry {
+    Entry {
+        digest: Digest([1; 32]),
+        owner: Address([2; 20]),
+        recorder: RecorderId([3; 16]),
+        seq: 4,
+        topic_id: TopicId([5; 16]),
+        epoch: 6,
+        captured_at: Timestamp(7),
+        length: 8,
+        kind: RecordKind::Gap,
+        standing: Standing::Verified,
+    }
+}
+
+/// What the gateway answers.
+pub fn answers() -> Vec<Answer> {
+    let (signer, signature) = (PublicKey([1; 64]), Signature([2; 64]));
+    let record = Fetched { signer, signature, proof: vec![3; 10], blob: vec![4; 20] };
+    let receipt = Receipt { time: Timestamp(9), digests: vec![Digest([1; 32])], signature: Signature([3; 64]) };
+    vec![
+        Answer::SystemKeys(vec![1; 30]),
+        Answer::Receipt(Command::UploadMany, receipt),
+        Answer::Registered(Hash([1; 32])),
+        Answer::Page(Page { entries: vec![entry(); 2], next: Some(4) }),
+        Answer::Standings(vec![Standing::Unknown, Standing::Tampered]),
+        Answer::Record(Box::new(record.clone())),
+        Answer::Done(Command::Subscribe),
+        Answer::Time(Timestamp(5)),
+        Answer::Event(Box::new((entry(), record))),
+        Answer::End(Code::NotAuthorised),
+        Answer::Refused(Code::Token),
+    ]
+}
+
+/// The ND2 of a request.
+pub fn client_text(request: &Request) -> Vec<u8> {
+    let (command, body) = (request.command(), request.encode());
+    let (token, signature) = (Some(Token([8; 32])), command.is_signed().then_some(Signature([9; 64])));
+    Inner { command, part: Part::Whole, request: 7, token, signature, body: &body }.encode(false)
+}
+
+/// The ND2 of an answer.
+pub fn gateway_text(answer: &Answer) -> Vec<u8> {
+    let (command, body) = (answer.command(), answer.encode());
+    Inner { command, part: Part::Whole, request: 7, token: None, signature: None, body: &body }.encode(true)
+}

@@ -1,0 +1,175 @@
+//! `authros agent`: the robot's side. `enrol` is run by the owner, `run` on the robot or its host.
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use serde::Serialize;
+
+use super::args::{EnrolArguments, Global, RunArguments};
+use super::connect::{Context, ProfileNeed, unexpected};
+use super::output::Output;
+use super::{parse, passphrase};
+use crate::crypto::{Fingerprint, Passphrase, SealedEnrolment, private_file};
+use crate::model::ErrorKind;
+use crate::service::{
+    Agent, AgentEnd, AgentFigures, AgentWishes, Command, EnrolWishes, Failure, Needs, Reply, SecretText, Site,
+};
+use crate::store::TopicCounts;
+
+/// Enrols a robot and writes its file.
+///
+/// # Errors
+/// What the site, the gateway or the arguments say.
+pub async fn enrol(context: Context, arguments: EnrolArguments, output: &Output) -> Result<u8, Failure> {
+    let out = arguments.out;
+    if out.exists() {
+        let advice = "name another --out, an enrolment is never overwritten";
+        return Err(Failure::new(ErrorKind::Input, format!("{} exists; {advice}", out.display())));
+    }
+    let passphrase = match &arguments.robot_passphrase_file {
+        Some(file) => passphrase::from_file(file)?,
+        None => SecretText::new(Passphrase::random()?.expose().to_owned()),
+    };
+    let wishes = EnrolWishes {
+        gateway: arguments.gateway,
+        fingerprint: arguments.gateway_key.as_deref().map(parse::fingerprint).transpose()?,
+        name: parse::value(&arguments.name)?,
+        topics: parse::values(&arguments.topics)?,
+        until: arguments.until.as_deref().map(super::adopt::end).transpose()?,
+        passphrase: passphrase.clone(),
+    };
+    let connection = context.connect(Needs { ros: false, chain: true }).await?;
+    let answer = async {
+        context.prepare(&connection.client, ProfileNeed::Unlocked, output).await?;
+        connection.client.request(Command::EnrolDevice(wishes)).await
+    };
+    let answer = answer.await;
+    connection.close().await;
+    let Reply::Enrolled(view) = answer? else { return Err(unexpected()) };
+    private_file::create_private(&out, view.file.expose())?;
+    if arguments.robot_passphrase_file.is_none() {
+        let beside = beside(&out);
+        private_file::create_private(&beside, format!("{}\n", passphrase.expose()).as_bytes())?;
+        output.note(&format!("its passphrase was written to {}; bring it to the robot another way", beside.display()));
+    }
+    let document = serde_json::json!({
+        "name": view.name, "device": view.device, "gateway": view.gateway, "gateway_key": view.gateway_key,
+        "file": out.display().to_string(),
+    });
+    output.result(&document, || {
+        format!(
+            "robot '{}' enrolled: device {}, gateway {} with fingerprint {}\nits enrolment is {}; start it with `authros agent run`",
+            view.name,
+            view.device,
+            view.gateway,
+            Fingerprint::of_signer(&view.gateway_key),
+            out.display()
+        )
+    });
+    Ok(0)
+}
+
+fn beside(enrolment: &Path) -> PathBuf {
+    let mut name = enrolment.as_os_str().to_owned();
+    name.push(".passphrase");
+    name.into()
+}
+
+fn open(global: &Global, path: &Path) -> Result<SealedEnrolment, Failure> {
+    let secret = passphrase::of_file(global, &beside(path))?.ok_or_else(|| {
+        let advice = "give --passphrase-file or --passphrase-fd";
+        Failure::new(ErrorKind::Refused, format!("{} is protected by a passphrase; {advice}", path.display()))
+    })?;
+    Ok(SealedEnrolment::open(path, &Passphrase::new(secret.expose().to_owned())?)?)
+}
+
+/// The last document of a run.
+#[derive(Serialize)]
+struct Summary {
+    #[serde(flatten)]
+    figures: AgentFigures,
+    ended: &'static str,
+    topics: Vec<TopicCounts>,
+}
+
+/// Runs an agent until it is done or told to end.
+///
+/// # Errors
+/// What the enrolment, the outbox or the arguments say.
+pub async fn run(global: Global, arguments: RunArguments, output: &Output) -> Result<u8, Failure> {
+    let tags: Result<Vec<_>, Failure> = arguments.tags.iter().map(|text| parse::tag(text)).collect();
+    let wishes = AgentWishes {
+        topics: parse::values(&arguments.topics)?,
+        tags: tags?,
+        count: arguments.count,
+        length: arguments.seconds.map(Duration::from_secs),
+    };
+    let unlimited = wishes.count.is_none() && wishes.length.is_none();
+    let sealed = open(&global, &arguments.enrolment)?;
+    let context = Context::for_agent(global, &sealed.enrolment.name)?;
+    let root = context.home.root().display().to_string();
+    let lock = context.lock()?;
+    let lock = lock.ok_or_else(|| Failure::new(ErrorKind::Home, format!("{root} is in use by another process")))?;
+    let site = Site::start(context.home, context.config, lock, Needs { ros: true, chain: false })?;
+    let notes = tokio::spawn(follow(site.events(), *output));
+    let mut agent = match Agent::start(&site, sealed, wishes).await {
+        Ok(agent) => agent,
+        Err(failure) => {
+            site.stop().await;
+            return Err(failure);
+        }
+    };
+    let progress = |figures: &AgentFigures| output.result(figures, || text(figures));
+    let end = agent.run(super::serve::asked_to_end(), progress).await;
+    agent.stop().await;
+    notes.abort();
+    let (end, figures, topics) = (end?, agent.figures()?, agent.topics()?);
+    let ended = match end {
+        AgentEnd::Done => "done",
+        AgentEnd::Refused => "refused",
+        AgentEnd::Told => "told",
+    };
+    let code = code(end, unlimited, &figures);
+    let summary = Summary { figures, ended, topics };
+    output.result(&summary, || format!("{}; ended: {ended}", text(&summary.figures)));
+    Ok(code)
+}
+
+/// Warnings of the site go to stderr.
+async fn follow(mut events: tokio::sync::broadcast::Receiver<crate::service::Event>, output: Output) {
+    use crate::service::{Event, NoticeLevel};
+    use tokio::sync::broadcast::error::RecvError;
+    loop {
+        match events.recv().await {
+            Ok(Event::Notice { at, level, text }) if level >= NoticeLevel::Info => {
+                output.note(&format!("{at} {text}"));
+            }
+            Ok(_) | Err(RecvError::Lagged(_)) => {}
+            Err(RecvError::Closed) => return,
+        }
+    }
+}
+
+fn text(figures: &AgentFigures) -> String {
+    format!(
+        "{}: captured {}, accepted {}, verified {}, pending {}, lost {}; gateway: {}",
+        figures.name,
+        figures.captured,
+        figures.accepted,
+        figures.verified,
+        figures.pending,
+        figures.lost,
+        figures.gateway
+    )
+}
+
+/// An end that was told is a good one for an agent without an end of its own: the outbox goes on later.
+fn code(end: AgentEnd, unlimited: bool, figures: &AgentFigures) -> u8 {
+    let kind = match end {
+        _ if figures.tampered > 0 => Some(ErrorKind::Tampered),
+        AgentEnd::Refused => Some(ErrorKind::Refused),
+        AgentEnd::Told if unlimited => None,
+        _ => (figures.pending > 0 || figures.lost > 0).then_some(ErrorKind::Incomplete),
+    };
+    kind.map_or(0, ErrorKind::exit_code)
+}

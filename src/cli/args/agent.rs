@@ -1,0 +1,64 @@
+//! `agent …`
+
+use std::path::PathBuf;
+
+use clap::{Args, Subcommand};
+
+/// `agent …`
+#[derive(Debug, Subcommand)]
+pub enum AgentVerb {
+    /// Make a robot a device of this profile, known to a gateway; writes the robot's enrolment file
+    Enrol(EnrolArguments),
+    /// Capture on a robot and pass everything on to its gateway, without a chain
+    Run(RunArguments),
+}
+
+/// `agent enrol …`
+#[derive(Debug, Args)]
+#[command(group(clap::ArgGroup::new("trust").required(true)))]
+pub struct EnrolArguments {
+    /// The gateway
+    #[arg(long, value_name = "HOST:PORT")]
+    pub gateway: String,
+    /// The gateway's fingerprint (64 hex), as its operator shows it
+    #[arg(long, value_name = "FINGERPRINT", group = "trust")]
+    pub gateway_key: Option<String>,
+    /// Pin whatever gateway answers; compare the fingerprint afterwards
+    #[arg(long, group = "trust")]
+    pub trust_first: bool,
+    /// What the gateway is to know the robot by
+    #[arg(long, value_name = "NAME")]
+    pub name: String,
+    /// Only this topic; may be repeated [default: all topics]
+    #[arg(long = "topic", value_name = "TOPIC")]
+    pub topics: Vec<String>,
+    /// End of the loan: 30d, 12h, or a time as 2027-01-31T12:00:00Z
+    #[arg(long, value_name = "TIME")]
+    pub until: Option<String>,
+    /// Enrolment file to write; must not exist
+    #[arg(long, value_name = "FILE")]
+    pub out: PathBuf,
+    /// File with the passphrase for the enrolment file [default: a random one, written to FILE.passphrase]
+    #[arg(long, value_name = "FILE")]
+    pub robot_passphrase_file: Option<PathBuf>,
+}
+
+/// `agent run …`
+#[derive(Debug, Args)]
+pub struct RunArguments {
+    /// The enrolment file
+    #[arg(value_name = "ENROLMENT")]
+    pub enrolment: PathBuf,
+    /// Topic to capture; may be repeated [default: those that the enrolment is limited to]
+    #[arg(long = "topic", value_name = "TOPIC")]
+    pub topics: Vec<String>,
+    /// Tag for every record, as mission=harbour; may be repeated
+    #[arg(long = "tag", value_name = "KEY=VALUE")]
+    pub tags: Vec<String>,
+    /// End after so many messages of each topic
+    #[arg(long, value_name = "N")]
+    pub count: Option<u64>,
+    /// End after capturing so long
+    #[arg(long, value_name = "S", conflicts_with = "count")]
+    pub seconds: Option<u64>,
+}

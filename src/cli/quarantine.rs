@@ -1,0 +1,139 @@
+//! `topics pin`, and `quarantine`: what their arguments mean, and their results for people.
+
+use clap::{Args, Subcommand};
+
+use super::output::table;
+use super::parse;
+use crate::model::{ErrorKind, Publisher};
+use crate::service::command::Held;
+use crate::service::reply::{PinsView, QuarantineView};
+use crate::service::{Command, Failure};
+
+/// `topics pin …`
+#[derive(Debug, Args)]
+pub struct PinArguments {
+    /// Topic, as /robot1/odom
+    pub topic: String,
+    /// Who may publish it; may be repeated [default: those that are being read now]
+    #[arg(long = "publisher", value_name = "CALLER_ID@HOST:TYPE:MD5")]
+    pub publishers: Vec<String>,
+}
+
+impl PinArguments {
+    /// The command.
+    ///
+    /// # Errors
+    /// What is wrong with the arguments.
+    pub fn command(&self) -> Result<Command, Failure> {
+        let publishers: Vec<Publisher> = parse::values(&self.publishers)?;
+        Ok(Command::PinTopic { topic: parse::value(&self.topic)?, publishers })
+    }
+}
+
+/// Which messages of the quarantine.
+#[derive(Debug, Args)]
+#[command(group(clap::ArgGroup::new("held").required(true).multiple(false)))]
+pub struct HeldArguments {
+    /// Record ids, as `quarantine list` shows them
+    #[arg(group = "held", value_name = "ID")]
+    pub ids: Vec<String>,
+    /// All of this topic; also takes its alarms as seen
+    #[arg(long, group = "held", value_name = "TOPIC")]
+    pub topic: Option<String>,
+}
+
+impl HeldArguments {
+    fn held(self) -> Result<Held, Failure> {
+        Ok(Held { topic: self.topic.as_deref().map(parse::value).transpose()?, ids: self.ids })
+    }
+}
+
+/// `quarantine …`
+#[derive(Debug, Subcommand)]
+pub enum QuarantineVerb {
+    /// Messages that are held back: their publisher is not a pinned one
+    List {
+        /// Only this topic
+        #[arg(long, value_name = "TOPIC")]
+        topic: Option<String>,
+        /// Messages shown, 1 to 1000
+        #[arg(long, value_name = "N", default_value_t = 100)]
+        limit: usize,
+    },
+    /// Let messages go on: they are anchored like others
+    Release {
+        /// Which
+        #[command(flatten)]
+        held: HeldArguments,
+    },
+    /// Delete messages for good; their digests and the count on the chain stay
+    Discard {
+        /// Which
+        #[command(flatten)]
+        held: HeldArguments,
+        /// Yes, delete them
+        #[arg(long)]
+        yes: bool,
+    },
+}
+
+/// The command for a verb.
+///
+/// # Errors
+/// What is wrong with the arguments.
+pub fn command(verb: QuarantineVerb) -> Result<Command, Failure> {
+    Ok(match verb {
+        QuarantineVerb::List { topic, limit } => {
+            Command::ListQuarantine { topic: topic.as_deref().map(parse::value).transpose()?, limit }
+        }
+        QuarantineVerb::Release { held } => Command::ReleaseHeld { held: held.held()? },
+        QuarantineVerb::Discard { held, yes: true } => Command::DiscardHeld { held: held.held()? },
+        QuarantineVerb::Discard { .. } => {
+            return Err(Failure::new(
+                ErrorKind::Usage,
+                "a discarded message cannot be brought back; say --yes to do it",
+            ));
+        }
+    })
+}
+
+/// Pins and alarms.
+pub fn pins(view: &PinsView) -> String {
+    let pins = view.pins.iter().map(|pin| {
+        let at = pin.at.map_or_else(|| "-".to_owned(), |at| at.to_string());
+        vec![pin.topic.clone(), pin.publisher.to_string(), pin.source.clone(), at]
+    });
+    let mut text = table(&["topic", "pinned publisher", "by", "since"], &pins.collect::<Vec<_>>());
+    if !view.alarms.is_empty() {
+        let alarms = view.alarms.iter().map(|alarm| {
+            let state = if alarm.open { "open" } else { "seen" };
+            vec![
+                alarm.topic.clone(),
+                alarm.publisher.clone(),
+                alarm.reason.clone(),
+                state.to_owned(),
+                alarm.at.to_string(),
+            ]
+        });
+        text.push_str("\n\n");
+        text.push_str(&table(&["topic", "doubted publisher", "why", "alarm", "at"], &alarms.collect::<Vec<_>>()));
+    }
+    text
+}
+
+/// What is held back.
+pub fn held(view: &QuarantineView) -> String {
+    let rows = view.records.iter().map(|held| {
+        let record = &held.record;
+        vec![
+            record.id.clone(),
+            record.topic.clone(),
+            record.seq.to_string(),
+            held.reason.clone(),
+            held.publisher.clone(),
+            record.captured_at.to_string(),
+        ]
+    });
+    let list = table(&["id", "topic", "seq", "why", "publisher", "captured"], &rows.collect::<Vec<_>>());
+    format!("{list}\n{} messages in quarantine", view.messages)
+}

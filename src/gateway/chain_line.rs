@@ -1,0 +1,142 @@
+//! The chain through a gateway: the chain room's port, over one connection that heals by itself. A visitor's session
+//! until there are credentials, then one under the transport key.
+
+use std::sync::{Arc, PoisonError, RwLock};
+
+use async_trait::async_trait;
+use serde_json::Value;
+use tokio::sync::Mutex;
+
+use crate::chain::{Relay, RelayError};
+use crate::model::ProfileName;
+
+use super::client::{Client, Credentials, Endpoint};
+use super::code::Code;
+use super::command::Relayed;
+use super::error::GatewayError;
+use super::hello::Agreed;
+use super::trust::KeptTrust;
+
+/// One's own requests to the chain behind a gateway.
+pub struct ChainLine {
+    endpoint: Endpoint,
+    trust: Arc<KeptTrust>,
+    visitor: ProfileName,
+    credentials: RwLock<Option<Credentials>>,
+    open: Mutex<Option<Open>>,
+}
+
+struct Open {
+    client: Client,
+    proven: bool,
+}
+
+impl ChainLine {
+    /// To the gateway at `endpoint`; nothing is sent yet. `visitor` is the name given before there are credentials.
+    pub fn new(endpoint: Endpoint, trust: Arc<KeptTrust>, visitor: ProfileName) -> Self {
+        Self { endpoint, trust, visitor, credentials: RwLock::default(), open: Mutex::default() }
+    }
+
+    /// Where the gateway is.
+    pub fn endpoint(&self) -> &Endpoint {
+        &self.endpoint
+    }
+
+    /// From the next request on, in the name of an account.
+    pub fn prove_by(&self, credentials: Credentials) {
+        *self.credentials.write().unwrap_or_else(PoisonError::into_inner) = Some(credentials);
+    }
+
+    /// Connects where there is no connection, so that a gateway which is not the pinned one is told apart from one
+    /// that does not answer.
+    ///
+    /// # Errors
+    /// [`GatewayError`].
+    pub async fn meet(&self) -> Result<Agreed, GatewayError> {
+        let mut open = self.open.lock().await;
+        let met = match open.take() {
+            Some(met) if !met.client.is_spent() => met,
+            _ => self.connect().await?,
+        };
+        let agreed = *met.client.agreed();
+        *open = Some(met);
+        Ok(agreed)
+    }
+
+    async fn connect(&self) -> Result<Open, GatewayError> {
+        let credentials = self.credentials.read().unwrap_or_else(PoisonError::into_inner).clone();
+        let mut trust = self.trust.current();
+        if let Some(credentials) = credentials {
+            match Client::connect(&self.endpoint, &mut trust, &credentials).await {
+                // A key that is void by now is its owner's to replace; the chain is open to visitors.
+                Err(GatewayError::Refused(Code::Tag | Code::Token)) => self.forget(&credentials),
+                connected => {
+                    let client = connected?;
+                    self.trust.learn(&trust)?;
+                    return Ok(Open { client, proven: true });
+                }
+            }
+        }
+        let client = Client::visit(&self.endpoint, &mut trust, &self.visitor).await?;
+        self.trust.learn(&trust)?;
+        Ok(Open { client, proven: false })
+    }
+
+    fn forget(&self, void: &Credentials) {
+        let mut credentials = self.credentials.write().unwrap_or_else(PoisonError::into_inner);
+        credentials.take_if(|credentials| credentials == void);
+    }
+
+    async fn relay(&self, method: &str, parameters: &Value) -> Result<Relayed, GatewayError> {
+        let mut slot = self.open.lock().await;
+        let waiting = self.credentials.read().unwrap_or_else(PoisonError::into_inner).is_some();
+        // Taken out meanwhile: a request that is given up halfway must not leave its answer to the next one.
+        let kept = slot.take().filter(|open| !open.client.is_spent() && (open.proven || !waiting));
+        let reused = kept.is_some();
+        let mut open = match kept {
+            Some(open) => open,
+            None => self.connect().await?,
+        };
+        let mut relayed = open.client.relay(method, parameters).await;
+        // A connection that was idle may have been closed at the other end long ago. Asking again does no harm: the
+        // very same transaction is known to the chain, whatever became of the first attempt.
+        if reused && !goes_on(&relayed) {
+            open = self.connect().await?;
+            relayed = open.client.relay(method, parameters).await;
+        }
+        if goes_on(&relayed) {
+            *slot = Some(open);
+        }
+        relayed
+    }
+}
+
+/// Whether the session goes on after this answer.
+fn goes_on(relayed: &Result<Relayed, GatewayError>) -> bool {
+    match relayed {
+        Ok(_) => true,
+        Err(GatewayError::Refused(code)) => !code.ends_session(),
+        Err(_) => false,
+    }
+}
+
+#[async_trait]
+impl Relay for ChainLine {
+    async fn ask(&self, method: &str, parameters: Value) -> Result<Value, RelayError> {
+        let silent = |error: GatewayError| RelayError::Silent(error.to_string());
+        let parse = |text: &str| serde_json::from_str(text).map_err(|error| RelayError::Silent(error.to_string()));
+        match self.relay(method, &parameters).await {
+            Ok(Relayed::Result(result)) => parse(&result),
+            Ok(Relayed::Fault { code, words, data }) => {
+                let data = if data.is_empty() { None } else { Some(parse(&data)?) };
+                Err(RelayError::Answered { code, message: words, data })
+            }
+            Err(GatewayError::Refused(Code::Method)) => Err(RelayError::NotAllowed),
+            Err(error) => Err(silent(error)),
+        }
+    }
+
+    fn place(&self) -> String {
+        format!("the gateway {}", crate::model::clean(&self.endpoint.address, 120))
+    }
+}

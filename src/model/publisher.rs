@@ -1,0 +1,227 @@
+//! Who may publish a topic: caller id, host, type and md5sum, all of which a ROS 1 publisher merely claims.
+
+use std::fmt;
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+
+use super::topic::{LONGEST_NAME, TypeName};
+use super::{TopicName, clean};
+
+/// Why a text names no publisher.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum PublisherError {
+    /// One publisher.
+    #[error(
+        "'{0}' is not a publisher; write CALLER_ID@HOST:TYPE:MD5, as \
+         /driver@127.0.0.1:std_msgs/String:992ce8a1687cec8c8bd883ec73ca41d1"
+    )]
+    Publisher(String),
+    /// One of a list.
+    #[error("'{0}' is not TOPIC=CALLER_ID@HOST:TYPE:MD5; separate several by commas")]
+    Listed(String),
+    /// How publishers are pinned.
+    #[error("'{0}' is no way to pin publishers; write first, list or off")]
+    Mode(String),
+}
+
+/// A publisher as pins name it, `CALLER_ID@HOST:TYPE:MD5`.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub struct Publisher {
+    /// Its node name. From a peer it may be any text: clean it before it is shown.
+    pub caller_id: String,
+    /// The host in its URI, in small letters.
+    pub host: String,
+    /// Message type, `package/Type`.
+    #[serde(rename = "type")]
+    pub type_name: String,
+    /// The type's md5sum, 32 hex digits in small letters.
+    pub md5sum: String,
+}
+
+impl fmt::Display for Publisher {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "{}@{}:{}:{}", self.caller_id, self.host, self.type_name, self.md5sum)
+    }
+}
+
+impl FromStr for Publisher {
+    type Err = PublisherError;
+
+    fn from_str(text: &str) -> Result<Self, PublisherError> {
+        parse(text).ok_or_else(|| PublisherError::Publisher(clean(text, 120)))
+    }
+}
+
+fn parse(text: &str) -> Option<Publisher> {
+    let (rest, md5sum) = text.rsplit_once(':')?;
+    let (rest, type_name) = rest.rsplit_once(':')?;
+    let (caller_id, host) = rest.rsplit_once('@')?;
+    let named = caller_id.starts_with('/')
+        && (2..=LONGEST_NAME).contains(&caller_id.len())
+        && caller_id.bytes().all(|b| b.is_ascii_alphanumeric() || b"/_".contains(&b));
+    let placed = (1..=LONGEST_NAME).contains(&host.len())
+        && host.bytes().all(|b| b.is_ascii_alphanumeric() || b"-._:%".contains(&b));
+    let typed = type_name.parse::<TypeName>().is_ok();
+    let summed = md5sum.len() == 32 && md5sum.bytes().all(|b| b.is_ascii_hexdigit());
+    (named && placed && typed && summed).then(|| Publisher {
+        caller_id: caller_id.to_owned(),
+        host: host.to_ascii_lowercase(),
+        type_name: type_name.to_owned(),
+        md5sum: md5sum.to_ascii_lowercase(),
+    })
+}
+
+/// Publishers that the settings allow, topic by topic: `TOPIC=CALLER_ID@HOST:TYPE:MD5, …`.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct ListedPublishers(pub Vec<(TopicName, Publisher)>);
+
+impl FromStr for ListedPublishers {
+    type Err = PublisherError;
+
+    fn from_str(text: &str) -> Result<Self, PublisherError> {
+        let one = |entry: &str| {
+            let listed = entry.split_once('=').and_then(|(topic, publisher)| {
+                Some((topic.trim().parse::<TopicName>().ok()?, parse(publisher.trim())?))
+            });
+            listed.ok_or_else(|| PublisherError::Listed(clean(entry.trim(), 120)))
+        };
+        let entries = text.split(',').filter(|entry| !entry.trim().is_empty());
+        entries.map(one).collect::<Result<_, _>>().map(Self)
+    }
+}
+
+/// How a topic comes to its pinned publishers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PinMode {
+    /// The first that are seen, where none are named.
+    #[default]
+    First,
+    /// Only those that the operator or the settings name.
+    List,
+    /// Anybody may publish; nothing is quarantined.
+    Off,
+}
+
+impl FromStr for PinMode {
+    type Err = PublisherError;
+
+    fn from_str(text: &str) -> Result<Self, PublisherError> {
+        match text {
+            "first" => Ok(Self::First),
+            "list" => Ok(Self::List),
+            "off" => Ok(Self::Off),
+            other => Err(PublisherError::Mode(clean(other, 40))),
+        }
+    }
+}
+
+/// Why a publisher is not taken for a pinned one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Doubt {
+    /// No publisher of this caller id is pinned.
+    New,
+    /// A pinned caller id, from another host.
+    Host,
+    /// A pinned caller id and host, with another type or definition.
+    Type,
+    /// A pinned publisher's very likeness, registered while that one was still there.
+    Replaced,
+    /// A pinned publisher's likeness after such a replacement, which nobody has decided about.
+    Undecided,
+    /// Named by somebody who is not the master.
+    Unconfirmed,
+}
+
+impl Doubt {
+    /// All of them.
+    pub const ALL: [Self; 6] = [Self::New, Self::Host, Self::Type, Self::Replaced, Self::Undecided, Self::Unconfirmed];
+
+    /// One word: for the tag in sealed heads, the ledger and JSON.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::New => "new",
+            Self::Host => "host",
+            Self::Type => "type",
+            Self::Replaced => "replaced",
+            Self::Undecided => "undecided",
+            Self::Unconfirmed => "unconfirmed",
+        }
+    }
+
+    /// What it means.
+    pub fn text(self) -> &'static str {
+        match self {
+            Self::New => "it is not a pinned publisher",
+            Self::Host => "the pinned publisher of this name is on another host",
+            Self::Type => "the pinned publisher of this name sends another type",
+            Self::Replaced => "it registered as the pinned publisher while that one was still there",
+            Self::Undecided => "a publisher of this name was replaced, and nobody has decided yet which is right",
+            Self::Unconfirmed => "the master does not list it; it was not connected to",
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const MD5: &str = "992ce8a1687cec8c8bd883ec73ca41d1";
+
+    #[test]
+    fn good_ones_and_bad_ones() {
+        let text = format!("/ns/driver@Robot-1.local:std_msgs/String:{}", MD5.to_uppercase());
+        let publisher: Publisher = text.parse().expect("good");
+        assert_eq!((publisher.caller_id.as_str(), publisher.host.as_str()), ("/ns/driver", "robot-1.local"));
+        assert_eq!(publisher.to_string(), format!("/ns/driver@robot-1.local:std_msgs/String:{MD5}"));
+        let six: Publisher = format!("/a@::1:a/B:{MD5}").parse().expect("IPv6");
+        assert_eq!((six.host.as_str(), six.type_name.as_str()), ("::1", "a/B"));
+        for bad in ["", "/a", "/a@h:a/B", "a@h:a/B:MD5", "/@h:a/B:MD5", "/a@:a/B:MD5", "/a@h:aB:MD5", "/a b@h:a/B:MD5"]
+        {
+            assert!(bad.replace("MD5", MD5).parse::<Publisher>().is_err(), "{bad}");
+        }
+        assert!(format!("/a@h:a/B:{}", &MD5[1..]).parse::<Publisher>().is_err());
+    }
+
+    #[test]
+    fn lists_and_modes() {
+        let text = format!("/t=/a@h:a/B:{MD5}, /u=/b@h:a/B:{MD5} ,");
+        let listed: ListedPublishers = text.parse().expect("a list");
+        let topics: Vec<&str> = listed.0.iter().map(|(topic, _)| topic.as_str()).collect();
+        assert_eq!(topics, ["/t", "/u"]);
+        assert_eq!("".parse(), Ok(ListedPublishers::default()));
+        assert!(format!("/a@h:a/B:{MD5}").parse::<ListedPublishers>().is_err());
+        assert_eq!("list".parse(), Ok(PinMode::List));
+        assert!("".parse::<PinMode>().is_err());
+    }
+
+    #[test]
+    fn every_doubt_has_its_own_word() {
+        let mut words: Vec<&str> = Doubt::ALL.iter().map(|doubt| doubt.word()).collect();
+        words.sort_unstable();
+        words.dedup();
+        assert_eq!(words.len(), Doubt::ALL.len());
+    }
+
+    proptest! {
+        #[test]
+        fn round_trip(caller in "/[a-zA-Z0-9_/]{1,40}", host in "[a-z0-9.:-]{1,30}", type_name in "[a-z_]{1,9}/[A-Z][a-z]{0,9}",
+                      md5sum in "[0-9a-f]{32}") {
+            let publisher = Publisher { caller_id: caller, host, type_name, md5sum };
+            prop_assert_eq!(publisher.to_string().parse(), Ok(publisher));
+        }
+
+        #[test]
+        fn noise_never_panics(text in any::<String>(), tail in "[ -~]{0,60}") {
+            for noise in [&text, &tail, &format!("/a@{tail}:a/B:{MD5}")] {
+                if let Ok(publisher) = noise.parse::<Publisher>() {
+                    prop_assert_eq!(publisher.to_string().parse(), Ok(publisher));
+                }
+                let _ = noise.parse::<ListedPublishers>();
+            }
+        }
+    }
+}

@@ -1,0 +1,310 @@
+//! Passes stored records on to a gateway and follows them until they are verified there: the durable outbox of
+//! a robot. A function of the ledger: `stored` waits to be sent, `submitted` has the gateway's signed receipt,
+//! `verified` is verified there, and only then is the local ciphertext deleted. After a lost line or receipt,
+//! or a restart, what has no receipt is sent again.
+
+use std::collections::HashSet;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use tokio::sync::{Notify, watch};
+use tokio::task::block_in_place;
+use tokio::time::{sleep, timeout};
+
+use crate::crypto::CryptoError;
+use crate::gateway::{Client, Code, Credentials, Endpoint, GatewayError, Trust, Upload};
+use crate::model::{Digest, ErrorKind, RecordState};
+use crate::store::{KeptReceipt, RecordQuery};
+
+use super::{PipelineError, Plant};
+
+mod standing;
+#[cfg(test)]
+mod tests;
+
+/// The most records of one upload.
+const WINDOW: usize = 256;
+/// Bytes of one upload, unless a single record has more.
+const WINDOW_BYTES: usize = 4 * 1024 * 1024;
+
+/// How fast a forwarder works.
+#[derive(Debug, Clone, Copy)]
+pub struct Pace {
+    /// The first pause after a failure; it doubles.
+    pub first_pause: Duration,
+    /// The longest pause after a failure.
+    pub longest_pause: Duration,
+    /// Between two looks at how records stand at the gateway.
+    pub check: Duration,
+}
+
+impl Default for Pace {
+    fn default() -> Self {
+        Self {
+            first_pause: Duration::from_millis(250),
+            longest_pause: Duration::from_secs(10),
+            check: Duration::from_secs(1),
+        }
+    }
+}
+
+/// Where the line to the gateway stands.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Link {
+    /// Not reached yet.
+    Connecting,
+    /// Connected.
+    Up,
+    /// It does not answer; the outbox grows meanwhile.
+    Away(String),
+    /// It answers and says no to this robot as such; it is asked again at long intervals.
+    Refused(String),
+}
+
+/// What a session does beside uploads and checks, once in a while.
+#[async_trait::async_trait]
+pub trait Errand: Send {
+    /// A session has begun.
+    async fn begin(&mut self, client: &mut Client) -> Result<(), ForwardError>;
+
+    /// Does what is due.
+    async fn run(&mut self, client: &mut Client) -> Result<(), ForwardError>;
+}
+
+/// Why a session with the gateway ended.
+#[derive(Debug, thiserror::Error)]
+pub enum ForwardError {
+    /// The gateway or the line to it.
+    #[error(transparent)]
+    Gateway(#[from] GatewayError),
+    /// The ledger or vault of this robot.
+    #[error(transparent)]
+    Here(#[from] PipelineError),
+}
+
+impl From<crate::store::StoreError> for ForwardError {
+    fn from(error: crate::store::StoreError) -> Self {
+        Self::Here(error.into())
+    }
+}
+
+impl ForwardError {
+    /// How the line stands after it.
+    fn link(&self) -> Link {
+        let text = self.to_string();
+        match self {
+            Self::Gateway(error) if error.kind() == ErrorKind::Refused => Link::Refused(text),
+            _ => Link::Away(text),
+        }
+    }
+}
+
+/// Sends records of an outbox, oldest first.
+pub struct Forwarder {
+    plant: Plant,
+    endpoint: Endpoint,
+    credentials: Credentials,
+    trust: Trust,
+    /// Where what was seen of the gateway is kept.
+    trust_file: PathBuf,
+    pace: Pace,
+    link: watch::Sender<Link>,
+    errand: Option<Box<dyn Errand>>,
+    /// Records that the gateway refuses for themselves: not sent again before the next start.
+    refused: Arc<Mutex<HashSet<Digest>>>,
+    /// So many of the next uploads go one by one: one of them is refused.
+    singly: usize,
+    /// Where the next look at standings begins.
+    cursor: Option<String>,
+    checked: Option<Instant>,
+    /// Whether the present session achieved anything.
+    moved: bool,
+}
+
+impl Forwarder {
+    /// A forwarder to one gateway.
+    pub fn new(plant: Plant, endpoint: Endpoint, credentials: Credentials, trust: Trust, trust_file: PathBuf) -> Self {
+        Self {
+            plant,
+            endpoint,
+            credentials,
+            trust,
+            trust_file,
+            pace: Pace::default(),
+            link: watch::channel(Link::Connecting).0,
+            errand: None,
+            refused: Arc::default(),
+            singly: 0,
+            cursor: None,
+            checked: None,
+            moved: false,
+        }
+    }
+
+    /// The same at another pace.
+    #[must_use]
+    pub fn paced(self, pace: Pace) -> Self {
+        Self { pace, ..self }
+    }
+
+    /// The same with something to be done beside.
+    #[must_use]
+    pub fn with_errand(self, errand: Box<dyn Errand>) -> Self {
+        Self { errand: Some(errand), ..self }
+    }
+
+    /// How the line to the gateway stands, from now on.
+    pub fn link(&self) -> watch::Receiver<Link> {
+        self.link.subscribe()
+    }
+
+    /// Records that the gateway refuses for themselves, as they become known.
+    pub fn refused(&self) -> Arc<Mutex<HashSet<Digest>>> {
+        Arc::clone(&self.refused)
+    }
+
+    /// Works until it is dropped; `stored` rings when records wait. Can be cancelled at any point.
+    pub async fn run(&mut self, stored: &Notify) {
+        let mut pause = self.pace.first_pause;
+        loop {
+            self.moved = false;
+            if let Err(error) = self.session(stored).await {
+                self.tell(&error);
+            }
+            if self.moved {
+                pause = self.pace.first_pause;
+            }
+            sleep(pause).await;
+            pause = (pause * 2).min(self.pace.longest_pause);
+        }
+    }
+
+    fn tell(&self, error: &ForwardError) {
+        let link = error.link();
+        let urgent = matches!(link, Link::Refused(_));
+        let text = match &link {
+            Link::Refused(text) => format!("records wait in the outbox: {text}"),
+            _ => format!("records wait in the outbox until the gateway is back: {error}"),
+        };
+        self.link.send_replace(link);
+        self.plant.observer.alert(urgent, text);
+    }
+
+    /// One session: connects, then sends and checks until the line breaks or the session is used up.
+    async fn session(&mut self, stored: &Notify) -> Result<(), ForwardError> {
+        let mut client = Client::connect(&self.endpoint, &mut self.trust, &self.credentials).await?;
+        block_in_place(|| self.trust.save(&self.trust_file)).map_err(PipelineError::from)?;
+        if let Some(errand) = &mut self.errand {
+            errand.begin(&mut client).await?;
+        }
+        while !client.is_spent() {
+            let ringing = stored.notified();
+            tokio::pin!(ringing);
+            ringing.as_mut().enable();
+            if let Some(errand) = &mut self.errand {
+                errand.run(&mut client).await?;
+            }
+            let sent = self.upload(&mut client).await?;
+            self.link.send_if_modified(|link| std::mem::replace(link, Link::Up) != Link::Up);
+            let due = self.checked.is_none_or(|at| at.elapsed() >= self.pace.check);
+            if due {
+                self.check(&mut client).await?;
+                self.checked = Some(Instant::now());
+            }
+            if sent == 0 {
+                // Both outcomes mean: look again.
+                drop(timeout(self.pace.check, ringing).await);
+            }
+        }
+        Ok(())
+    }
+
+    /// Sends the oldest records that wait; returns how many the gateway took over, or refused for themselves.
+    async fn upload(&mut self, client: &mut Client) -> Result<usize, ForwardError> {
+        let window = block_in_place(|| self.window())?;
+        let (digests, uploads): (Vec<Digest>, Vec<Upload>) = window.into_iter().unzip();
+        if uploads.is_empty() {
+            return Ok(0);
+        }
+        self.singly = self.singly.saturating_sub(1);
+        match client.upload(uploads).await {
+            Ok(receipt) => {
+                let kept = KeptReceipt { time: receipt.time, digests: receipt.digests, signature: receipt.signature };
+                let ledger = &self.plant.ledger;
+                block_in_place(|| ledger.accept(kept))?;
+                self.moved = true;
+                self.plant.observer.records_changed();
+                Ok(digests.len())
+            }
+            Err(error) if is_about_a_record(&error) => {
+                self.set_aside(&digests, &error);
+                Ok(digests.len())
+            }
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    /// One of these records is refused: alone it is set aside, in a window it is looked for.
+    fn set_aside(&mut self, digests: &[Digest], error: &GatewayError) {
+        let [digest] = digests else {
+            self.singly = digests.len();
+            return;
+        };
+        self.refused.lock().unwrap_or_else(PoisonError::into_inner).insert(*digest);
+        self.plant.observer.alert(true, format!("record {digest} stays in the outbox: {error}"));
+    }
+
+    /// The next records to send, their bytes compared with their digests.
+    fn window(&self) -> Result<Vec<(Digest, Upload)>, PipelineError> {
+        let refused = self.refused.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let most = if self.singly > 0 { 1 } else { WINDOW };
+        let limit = most + refused.len();
+        let query = RecordQuery { state: Some(RecordState::Stored), limit, ..RecordQuery::default() };
+        let rows = self.plant.ledger.list(&query)?.rows;
+        let (mut window, mut bytes, mut spoilt) = (Vec::new(), 0, Vec::new());
+        for row in rows.into_iter().filter(|row| !refused.contains(&row.digest)).take(most) {
+            let blob = self.plant.vault.get(row.digest)?;
+            let Some(blob) = blob.filter(|blob| self.plant.provider.sm3(&[blob]) == row.digest.0) else {
+                spoilt.push(row.digest);
+                continue;
+            };
+            if !window.is_empty() && bytes + blob.len() > WINDOW_BYTES {
+                break;
+            }
+            bytes += blob.len();
+            window.push((row.digest, Upload { signature: row.signature, blob }));
+        }
+        if !spoilt.is_empty() {
+            self.plant.ledger.advance(&spoilt, RecordState::Stored, RecordState::Tampered)?;
+            self.plant.observer.tampered(&spoilt);
+            let count = spoilt.len();
+            self.plant.observer.alert(true, format!("{count} records in the outbox are damaged or gone; not sent"));
+        }
+        Ok(window)
+    }
+}
+
+/// Whether a refusal is about the record itself, so that others may pass.
+fn is_about_a_record(error: &GatewayError) -> bool {
+    matches!(
+        error,
+        GatewayError::TooLarge(_) | GatewayError::Refused(Code::Malformed | Code::NotYours | Code::Tampered)
+    )
+}
+
+/// What is known of the gateway from earlier runs, or its fingerprint alone.
+///
+/// # Errors
+/// Of the file; [`CryptoError::NotAKey`] where it is of another gateway.
+pub fn trust_in(file: &std::path::Path, fingerprint: crate::model::SignerId) -> Result<Trust, CryptoError> {
+    if !file.exists() {
+        return Ok(Trust::pinned(fingerprint));
+    }
+    let trust = Trust::load(file)?;
+    if trust.pinned == Some(fingerprint) {
+        return Ok(trust);
+    }
+    let found = "it names another gateway than the enrolment; use another --home for this enrolment".to_owned();
+    Err(CryptoError::NotAKey { path: crate::crypto::error::shown(file), wanted: "the note of this gateway", found })
+}

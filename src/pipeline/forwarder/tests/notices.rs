@@ -1,0 +1,140 @@
+use super::*;
+use crate::crypto::{
+    Enrolment, EpochIssue, EpochKey, IndexKey, IssuedKeys, Passphrase, SealRequest, SealedEnrolment, SealingKey,
+    TopicKey, notice_topic, seal, signer_id, topic_id,
+};
+use crate::model::head::Compression;
+use crate::model::{Head, RecorderId, SignerId, Timestamp, Token};
+use crate::pipeline::Author;
+use crate::pipeline::notices::Notices;
+
+fn issued(epoch: u64) -> IssuedKeys {
+    let key = SealingKey::Epoch(EpochKey::new([u8::try_from(epoch).expect("small"); 32]));
+    IssuedKeys { now: EpochIssue { epoch, token: Token([9; 32]), ends: None, key }, next: None }
+}
+
+fn enrolment(scene: &Scene) -> Enrolment {
+    Enrolment {
+        domain: context().domain,
+        chain_id: 1,
+        gateway: scene.relay.address.to_string(),
+        fingerprint: scene.stage.server.id(),
+        name: scene.credentials.name.clone(),
+        owner: scene.alice.account(),
+        owner_key: scene.alice.signing.public,
+        transport: scene.credentials.key.clone(),
+        device: scene.device.clone(),
+        index: IndexKey::new([3; 32]),
+        notice_key: TopicKey::new([4; 32]),
+        token: scene.credentials.token,
+        noticed: None,
+        keys: issued(1),
+    }
+}
+
+/// A notice to a device.
+fn notice(scene: &Scene, signer: &SmKeyPair, device: SignerId, seq: u64, epoch: u64) -> Upload {
+    let (name, body) = (notice_topic(&device), issued(epoch).encode());
+    let head = Head {
+        topic: name.clone(),
+        type_name: "authros/Keys".into(),
+        md5sum: String::new(),
+        definition: Digest([0; 32]),
+        caller_id: String::new(),
+        boot_id: [0; 16],
+        compression: Compression::None,
+        plain_length: body.len() as u64,
+        tags: std::collections::BTreeMap::new(),
+    };
+    let request = SealRequest {
+        domain: context().domain,
+        owner: scene.alice.account(),
+        signer,
+        epoch,
+        topic_key: &TopicKey::new([4; 32]),
+        recorder: RecorderId([8; 16]),
+        seq,
+        topic_id: topic_id(&IndexKey::new([3; 32]), &name),
+        kind: RecordKind::Key,
+        filters: Vec::new(),
+        captured_at: Timestamp(seq),
+        head: &head,
+        body: &body,
+    };
+    Upload::from(&seal(context().provider, &request).expect("seals"))
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn only_the_owners_newest_notice_to_this_device_is_obeyed() {
+    let mut scene = Scene::new().await;
+    let passphrase = Passphrase::new("correct horse".to_owned()).expect("long enough");
+    let sealed = SealedEnrolment::new(enrolment(&scene), &passphrase).expect("stretches");
+    let (kept, given) = (SealedEnrolment::kept_in(scene.home.path()), scene.home.path().join("given"));
+    sealed.create(&given).expect("writes");
+    let author = Arc::new(Author::new(scene.alice.account()));
+    author.obey(&sealed.enrolment);
+    let observer = Arc::clone(&scene.plant.observer);
+    let notices = Notices::new(context().provider, observer, Arc::clone(&author), sealed, kept.clone());
+    let mut forwarder = scene.forwarder().with_errand(Box::new(notices));
+    let (stored, epoch) = (Arc::clone(&scene.stored), || author.sealing().expect("keys").epoch);
+
+    let mut owner = scene.stage.connect(&scene.credentials).await.expect("connects");
+    let own = signer_id(&scene.device.public);
+    // Before the robot connects: found in the list.
+    let early = notice(&scene, &scene.alice.signing, own, 3, 3);
+    let older = notice(&scene, &scene.alice.signing, own, 2, 2);
+    owner.upload(vec![early]).await.expect("receipt");
+    owner.upload(vec![older]).await.expect("receipt");
+    let work = tokio::spawn(async move { forwarder.run(&stored).await });
+    scene.until("the newest of the list", |_| epoch() == 3).await;
+
+    // While it is connected. A robot that was stolen from the same owner cannot speak for him.
+    owner.upload(vec![notice(&scene, &scene.device, own, 9, 9)]).await.expect("the gateway takes it");
+    scene.until("passed over", |scene| scene.notes.with("was passed over") > 0).await;
+    owner.upload(vec![notice(&scene, &scene.alice.signing, SignerId([1; 32]), 10, 10)]).await.expect("receipt");
+    owner.upload(vec![notice(&scene, &scene.alice.signing, own, 1, 4)]).await.expect("an old number");
+    owner.upload(vec![notice(&scene, &scene.alice.signing, own, 11, 5)]).await.expect("receipt");
+    scene.until("the next one", |_| epoch() == 5).await;
+    scene.capture(3, 10);
+    scene.until_state(RecordState::Submitted, 3).await;
+    assert_eq!(epoch(), 5);
+    work.abort();
+
+    let mut again = SealedEnrolment::open(&given, &passphrase).expect("opens");
+    again.catch_up(&kept).expect("reads");
+    assert_eq!((again.enrolment.keys.now.epoch, again.enrolment.noticed), (5, Some((RecorderId([8; 16]), 11))));
+}
+
+#[test]
+fn nothing_is_sealed_under_an_epoch_that_has_ended() {
+    let device = pair(0x66);
+    let stage = |ends: Option<Timestamp>, next: Option<(Timestamp, EpochIssue)>| {
+        let mut keys = issued(1);
+        keys.now.ends = ends;
+        let enrolment = Enrolment {
+            domain: context().domain,
+            chain_id: 1,
+            gateway: String::new(),
+            fingerprint: SignerId([0; 32]),
+            name: "robot".parse().expect("a name"),
+            owner: crate::model::Address([1; 20]),
+            owner_key: device.public,
+            transport: crate::crypto::TransportKey::new([0; 32]),
+            device: device.clone(),
+            index: IndexKey::new([3; 32]),
+            notice_key: TopicKey::new([4; 32]),
+            token: Token([0; 32]),
+            noticed: None,
+            keys: IssuedKeys { next, ..keys },
+        };
+        let author = Author::new(enrolment.owner);
+        author.obey(&enrolment);
+        author.sealing().map(|keys| keys.epoch)
+    };
+    let (past, future) = (Timestamp(1), Timestamp(u64::MAX));
+    assert_eq!(stage(None, None), Some(1));
+    assert_eq!(stage(Some(future), None), Some(1));
+    assert_eq!(stage(Some(past), None), None, "not captured rather than readable by whom it was to end for");
+    assert_eq!(stage(Some(past), Some((past, issued(2).now))), Some(2));
+    assert_eq!(stage(Some(future), Some((future, issued(2).now))), Some(1));
+}

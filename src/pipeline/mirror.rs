@@ -1,0 +1,277 @@
+//! Records that come through a gateway: every claim is held against the chain, then they are taken into vault and
+//! ledger as if they had been captured here. A gateway that lies gets nothing in.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::{Mutex, PoisonError};
+
+use tokio::task::block_in_place;
+
+use crate::chain::AnchorProof;
+use crate::chain::merkle::Leaf;
+use crate::crypto::{OpenedRecord, signer_id};
+use crate::gateway::{Entry, Fetched, Standing};
+use crate::model::{Address, Digest, Hash, Header, RecordState, Timestamp};
+use crate::store::{Foreign, NewRecord, RecordRow, RootSighting, Sighting, StoreError};
+
+use super::reader::Reader;
+use super::{Network, Owner, PipelineError, Plant};
+
+/// Length of the tag at the end of a sealed body, bytes.
+const TAG: u64 = 16;
+/// Anchors remembered at most.
+const MOST_ANCHORS: usize = 4096;
+
+/// Takes records in for one reader.
+pub struct Mirror<'a> {
+    /// Ledger, vault, provider.
+    pub plant: &'a Plant,
+    /// The chain.
+    pub network: &'a Network,
+    /// Who reads.
+    pub reader: &'a Owner,
+    /// The gateway's account: it anchors what it keeps for others, so nobody here tries to.
+    pub keeper: Address,
+    /// Anchors that the chain confirmed, by their transaction.
+    pub anchors: Anchors,
+}
+
+/// Anchors that the chain confirmed.
+#[derive(Default)]
+pub struct Anchors(Mutex<BTreeMap<(Address, Hash), (u64, Hash)>>);
+
+/// Whose records a reader may have: its own, and those of every owner who shares with it now.
+pub fn sources(network: &Network, reader: &Owner) -> BTreeSet<Address> {
+    let (me, now) = (reader.address, Timestamp::now());
+    let grants = network.directory.grants(|grant| grant.terms.grantee == me && grant.is_active(now));
+    grants.into_iter().map(|grant| grant.terms.owner).chain([me]).collect()
+}
+
+impl Mirror<'_> {
+    fn opener(&self) -> Reader<'_> {
+        Reader { plant: self.plant, network: self.network, reader: self.reader }
+    }
+
+    /// Whether a listed record is to be fetched: readable with the keys there are, and unknown here or without the
+    /// proof that there is by now.
+    ///
+    /// # Errors
+    /// Of the ledger.
+    pub fn wants(&self, entry: &Entry) -> Result<bool, PipelineError> {
+        let anchored = matches!(entry.standing, Standing::Anchored | Standing::Verified);
+        match block_in_place(|| self.plant.ledger.record(entry.digest))? {
+            Some(row) => Ok(anchored && row.state == RecordState::Stored),
+            None if matches!(entry.standing, Standing::Unknown | Standing::Tampered) => Ok(false),
+            None => Ok(self.opener().topic_key(&row_of_entry(entry)).is_ok()),
+        }
+    }
+
+    /// Records of others that wait here for their proofs.
+    ///
+    /// # Errors
+    /// Of the ledger.
+    pub fn unproven(&self, owner: Address, most: usize) -> Result<Vec<Digest>, PipelineError> {
+        let rows = block_in_place(|| self.plant.ledger.in_state(Some(owner), RecordState::Stored, most))?;
+        let here = self.plant.ledger.recorder();
+        Ok(rows.iter().filter(|row| row.recorder != here).map(|row| row.digest).collect())
+    }
+
+    /// Takes one record in. Its digest and its signature by the key that came with it have been checked already.
+    /// Returns whether anything changed.
+    ///
+    /// # Errors
+    /// [`PipelineError::NotTakenIn`] where a claim does not hold, else of chain, vault and ledger.
+    pub async fn take(&self, owner: Address, digest: Digest, fetched: &Fetched) -> Result<bool, PipelineError> {
+        let refused = |why| PipelineError::NotTakenIn { digest, why };
+        let (header, _) = Header::parse(&fetched.blob).map_err(|_| refused("it is no record"))?;
+        if header.owner != owner || !self.network.accepts(&header.domain) {
+            return Err(refused("it is not of the owner or the network that was asked for"));
+        }
+        let proof = match fetched.proof.is_empty() {
+            true => None,
+            false => Some(AnchorProof::parse(&fetched.proof).map_err(|_| refused("its proof is malformed"))?),
+        };
+        self.check_signer(&header, digest, fetched, proof.as_ref())?;
+        let proof = match proof {
+            Some(proof) => Some(self.confirmed(&header, digest, proof).await?),
+            None => None,
+        };
+        let known = block_in_place(|| self.plant.ledger.record(digest))?;
+        let mut changed = false;
+        if known.is_none() {
+            self.keep(&header, digest, fetched).await?;
+            changed = true;
+        }
+        if let Some(proof) = proof {
+            changed |= block_in_place(|| self.prove(owner, digest, proof))?;
+        }
+        Ok(changed)
+    }
+
+    /// The key is the owner's own, or that of a device lent by the owner, at the anchoring block.
+    fn check_signer(
+        &self,
+        header: &Header,
+        digest: Digest,
+        fetched: &Fetched,
+        proof: Option<&AnchorProof>,
+    ) -> Result<(), PipelineError> {
+        let refused = |why| PipelineError::NotTakenIn { digest, why };
+        if signer_id(&fetched.signer) != header.signer {
+            return Err(refused("its header names another key than signed it"));
+        }
+        let (directory, block) = (&self.network.directory, proof.map(|proof| proof.block));
+        if directory.signing_key(header.owner, header.signer, block) == Some(fetched.signer) {
+            return Ok(());
+        }
+        if directory.is_lent(header.owner, header.signer, block, Timestamp::now()) {
+            return Ok(block_in_place(|| self.plant.ledger.keep_signer(header.signer, fetched.signer))?);
+        }
+        Err(refused("its signer was neither its owner nor a device lent by the owner"))
+    }
+
+    /// Holds the proof against the chain; block and hash are then the chain's own.
+    async fn confirmed(
+        &self,
+        header: &Header,
+        digest: Digest,
+        proof: AnchorProof,
+    ) -> Result<AnchorProof, PipelineError> {
+        let Some(inclusion) = &proof.inclusion else {
+            if proof.account != header.owner || !self.network.chain.anchored(header.owner, digest).await? {
+                return Err(PipelineError::NotTakenIn { digest, why: "the chain does not have its digest" });
+            }
+            let (block, block_hash) = self.block_of(digest, &proof).await?;
+            return Ok(AnchorProof { block, block_hash, ..proof });
+        };
+        let Header { owner, recorder, topic_id, seq, .. } = *header;
+        if !inclusion.proves(&Leaf { owner, recorder, topic_id, seq, digest }) {
+            return Err(PipelineError::NotTakenIn { digest, why: "its path does not lead to its root" });
+        }
+        let key = (proof.account, inclusion.root);
+        let known = self.anchors.0.lock().unwrap_or_else(PoisonError::into_inner).get(&key).copied();
+        if let Some((block, block_hash)) = known {
+            return Ok(AnchorProof { block, block_hash, ..proof });
+        }
+        let anchored = self.network.chain.root_anchored(proof.account, inclusion.root).await?;
+        if anchored.is_none_or(|(_, count)| count != inclusion.count) {
+            return Err(PipelineError::NotTakenIn { digest, why: "the chain does not have its root" });
+        }
+        let (block, block_hash) = self.block_of(digest, &proof).await?;
+        let mut anchors = self.anchors.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if anchors.len() >= MOST_ANCHORS {
+            anchors.clear();
+        }
+        anchors.insert(key, (block, block_hash));
+        Ok(AnchorProof { block, block_hash, ..proof })
+    }
+
+    /// The block that has the proof's transaction.
+    async fn block_of(&self, digest: Digest, proof: &AnchorProof) -> Result<(u64, Hash), PipelineError> {
+        let receipt = self.network.chain.receipt(proof.transaction).await?.filter(|receipt| receipt.success);
+        let receipt = receipt
+            .ok_or(PipelineError::NotTakenIn { digest, why: "the chain does not have its anchoring transaction" })?;
+        Ok((receipt.block, receipt.block_hash))
+    }
+
+    /// Vault first, then the ledger: acknowledged is only what is durable.
+    async fn keep(&self, header: &Header, digest: Digest, fetched: &Fetched) -> Result<(), PipelineError> {
+        let durable = self.plant.vault.durable();
+        block_in_place(|| self.plant.vault.put(&[(digest, fetched.blob.as_slice())]))?;
+        let opened = self.opener().open(&row_of(header, digest, fetched)).await?;
+        let row = new_record(header, digest, fetched, &opened, self.keeper, durable);
+        match block_in_place(|| self.plant.ledger.append(vec![row])) {
+            Err(StoreError::Conflict { .. }) => Err(PipelineError::NotTakenIn {
+                digest,
+                why: "another record has its number or another name its topic",
+            }),
+            done => Ok(done?),
+        }
+    }
+
+    fn prove(&self, owner: Address, digest: Digest, proof: AnchorProof) -> Result<bool, PipelineError> {
+        let AnchorProof { account, transaction, block, block_hash, inclusion } = proof;
+        let ledger = &self.plant.ledger;
+        if ledger.record(digest)?.is_none_or(|row| row.state != RecordState::Stored) {
+            return Ok(false);
+        }
+        Ok(match inclusion {
+            None => ledger.mined(&[Sighting { owner, digest, transaction, block, block_hash }])? > 0,
+            Some(inclusion) => {
+                let (root, count) = (inclusion.root, inclusion.count);
+                let anchor = RootSighting { account, root, count, transaction, block, block_hash };
+                ledger.take_in(digest, inclusion, anchor)?
+            }
+        })
+    }
+}
+
+fn new_record(
+    header: &Header,
+    digest: Digest,
+    fetched: &Fetched,
+    opened: &OpenedRecord,
+    keeper: Address,
+    durable: bool,
+) -> NewRecord {
+    NewRecord {
+        digest,
+        owner: header.owner,
+        topic_id: header.topic_id,
+        seq: header.seq,
+        foreign: Some(Foreign { recorder: header.recorder, keeper }),
+        epoch: header.epoch,
+        kind: header.kind,
+        signer: header.signer,
+        signature: fetched.signature,
+        filters: header.filters.clone(),
+        topic: opened.head.topic.clone(),
+        type_name: opened.head.type_name.clone(),
+        bytes: opened.head.plain_length,
+        captured_at: header.captured_at,
+        simulated: opened.head.tags.get("simulated").is_some_and(|value| value == "true"),
+        state: if durable { RecordState::Stored } else { RecordState::Sealed },
+        local_copy: (!durable).then(|| fetched.blob.clone()),
+    }
+}
+
+/// As a row that the ledger does not have yet: enough to find keys and to open it.
+fn row_of(header: &Header, digest: Digest, fetched: &Fetched) -> RecordRow {
+    let entry = Entry {
+        digest,
+        owner: header.owner,
+        recorder: header.recorder,
+        seq: header.seq,
+        topic_id: header.topic_id,
+        epoch: header.epoch,
+        captured_at: header.captured_at,
+        length: header.body_length.saturating_sub(TAG),
+        kind: header.kind,
+        standing: Standing::Acknowledged,
+    };
+    RecordRow { signer: header.signer, signature: fetched.signature, ..row_of_entry(&entry) }
+}
+
+fn row_of_entry(entry: &Entry) -> RecordRow {
+    RecordRow {
+        id: entry.digest.to_hex().get(..16).unwrap_or_default().to_owned(),
+        digest: entry.digest,
+        owner: entry.owner,
+        recorder: entry.recorder,
+        topic_id: entry.topic_id,
+        seq: entry.seq,
+        epoch: entry.epoch,
+        kind: entry.kind,
+        signer: crate::model::SignerId([0; 32]),
+        signature: crate::model::Signature([0; 64]),
+        topic: RecordRow::unnamed(entry.topic_id),
+        type_name: String::new(),
+        bytes: entry.length,
+        captured_at: entry.captured_at,
+        acknowledged_at: Timestamp::now(),
+        simulated: false,
+        state: RecordState::Stored,
+        transaction: None,
+        block: None,
+        block_hash: None,
+    }
+}

@@ -1,0 +1,376 @@
+//! Node forging: who may publish a watched topic, and the alarm about everybody else.
+//!
+//! All that is compared is claimed: ROS 1 authenticates nobody. A likeness that the claims cannot tell from the
+//! pinned publisher is doubted only where both were there at once.
+
+use std::collections::{BTreeMap, HashMap, HashSet};
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
+use std::time::Instant;
+
+use crate::model::{Address, Doubt, ListedPublishers, PinMode, Publisher, Timestamp, clean};
+use crate::ros::Origin;
+use crate::store::{AuditEntry, AuditLog, Ledger, StoreError};
+
+use super::Observer;
+
+/// The most verdicts kept; beyond that they are found anew.
+const MOST_VERDICTS: usize = 4096;
+/// The most publishers of a topic that are told of one by one, in this process.
+const MOST_ALARMS: usize = 64;
+
+/// What pinning rests on: the operator's settings.
+#[derive(Debug, Clone, Default)]
+pub struct PinRules {
+    /// How topics without pins come to them.
+    pub mode: PinMode,
+    /// Publishers that the settings allow.
+    pub listed: ListedPublishers,
+}
+
+/// The pinned publishers of all owners of a site.
+pub struct Pins {
+    ledger: Ledger,
+    audit: AuditLog,
+    observer: Arc<dyn Observer>,
+    mode: PinMode,
+    listed: BTreeMap<String, Vec<Publisher>>,
+    names: RwLock<HashMap<Address, String>>,
+    verdicts: RwLock<HashMap<(Address, u64), Verdict>>,
+    topics: Mutex<HashMap<(Address, String), Known>>,
+    live: Mutex<HashMap<u64, Live>>,
+}
+
+/// A publisher that is being read, by its number.
+type Live = (Arc<str>, Arc<Origin>);
+
+/// What was found about a publisher: why it is doubted, where it is.
+struct Judged(Option<Doubt>);
+
+/// What was found about one publisher, for one owner.
+struct Verdict {
+    topic: String,
+    origin: Arc<Origin>,
+    doubt: Option<Doubt>,
+}
+
+/// What is known of one topic of one owner.
+#[derive(Default)]
+struct Known {
+    pins: Vec<Publisher>,
+    /// The topic had pins before: there is no second first use.
+    used: bool,
+    /// When the first publisher was pinned on first use, in this process.
+    first_use: Option<Instant>,
+    /// Pinned publishers that were replaced, and nobody has decided which is right.
+    undecided: HashSet<String>,
+    /// When the operator last accepted a publisher, in this process.
+    accepted: HashMap<Publisher, Instant>,
+    /// Publishers told of.
+    alarms: usize,
+}
+
+/// The publisher that an origin claims to be.
+pub fn publisher_of(origin: &Origin) -> Publisher {
+    Publisher {
+        caller_id: origin.caller_id.to_string(),
+        host: origin.host.clone(),
+        type_name: origin.type_name.to_string(),
+        md5sum: origin.md5sum.to_ascii_lowercase(),
+    }
+}
+
+impl Pins {
+    /// Pins that are kept in `ledger`; alarms go to `observer` and into the audit log.
+    pub fn new(ledger: Ledger, observer: Arc<dyn Observer>, rules: PinRules) -> Self {
+        let mut listed: BTreeMap<String, Vec<Publisher>> = BTreeMap::new();
+        for (topic, publisher) in rules.listed.0 {
+            listed.entry(topic.to_string()).or_default().push(publisher);
+        }
+        Self {
+            audit: AuditLog::new(ledger.clone()),
+            ledger,
+            observer,
+            mode: rules.mode,
+            listed,
+            names: RwLock::default(),
+            verdicts: RwLock::default(),
+            topics: Mutex::default(),
+            live: Mutex::default(),
+        }
+    }
+
+    /// The name that an owner has in the audit log.
+    pub fn introduce(&self, owner: Address, name: &str) {
+        self.names.write().unwrap_or_else(PoisonError::into_inner).insert(owner, name.to_owned());
+    }
+
+    /// How topics come to their pins.
+    pub fn mode(&self) -> PinMode {
+        self.mode
+    }
+
+    /// The publishers of a topic that the settings allow.
+    pub fn listed(&self, topic: &str) -> &[Publisher] {
+        self.listed.get(topic).map_or(&[], Vec::as_slice)
+    }
+
+    /// All that the settings allow, topic by topic.
+    pub fn all_listed(&self) -> impl Iterator<Item = (&String, &Publisher)> {
+        self.listed.iter().flat_map(|(topic, publishers)| publishers.iter().map(move |one| (topic, one)))
+    }
+
+    /// A publisher is being read.
+    pub fn connected(&self, topic: &Arc<str>, origin: &Arc<Origin>) {
+        let mut live = self.live.lock().unwrap_or_else(PoisonError::into_inner);
+        live.insert(origin.number, (Arc::clone(topic), Arc::clone(origin)));
+    }
+
+    /// A publisher is no longer read.
+    pub fn lost(&self, number: u64) {
+        self.live.lock().unwrap_or_else(PoisonError::into_inner).remove(&number);
+    }
+
+    /// Publishers of a topic that are being read now.
+    pub fn live(&self, topic: &str) -> Vec<Publisher> {
+        let live = self.live.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut found: Vec<_> =
+            live.values().filter(|(name, _)| &**name == topic).map(|(_, origin)| publisher_of(origin)).collect();
+        found.sort();
+        found.dedup();
+        found
+    }
+
+    /// Why this publisher's messages on the topic must be held back; `None` for a pinned one. The first time it is
+    /// doubted raises the alarm. Cheap for a publisher that was judged before.
+    pub fn judge(&self, owner: Address, topic: &str, origin: &Arc<Origin>) -> Option<Doubt> {
+        if self.mode == PinMode::Off {
+            return None;
+        }
+        if let Some(Judged(doubt)) = self.judged(owner, origin) {
+            return doubt;
+        }
+        let mut topics = self.topics.lock().unwrap_or_else(PoisonError::into_inner);
+        // Another thread may have judged it meanwhile.
+        if let Some(Judged(doubt)) = self.judged(owner, origin) {
+            return doubt;
+        }
+        match self.decide(&mut topics, owner, topic, origin) {
+            Ok(doubt) => {
+                self.keep(owner, topic, origin, doubt);
+                doubt
+            }
+            Err(error) => {
+                self.observer
+                    .alert(true, format!("publishers of {topic} cannot be checked, so they are held back: {error}"));
+                Some(Doubt::New)
+            }
+        }
+    }
+
+    fn judged(&self, owner: Address, origin: &Arc<Origin>) -> Option<Judged> {
+        let verdicts = self.verdicts.read().unwrap_or_else(PoisonError::into_inner);
+        let verdict = verdicts.get(&(owner, origin.number))?;
+        (Arc::ptr_eq(&verdict.origin, origin) || verdict.origin == *origin).then_some(Judged(verdict.doubt))
+    }
+
+    fn keep(&self, owner: Address, topic: &str, origin: &Arc<Origin>, doubt: Option<Doubt>) {
+        let mut verdicts = self.verdicts.write().unwrap_or_else(PoisonError::into_inner);
+        if verdicts.len() >= MOST_VERDICTS {
+            verdicts.clear();
+        }
+        let verdict = Verdict { topic: topic.to_owned(), origin: Arc::clone(origin), doubt };
+        verdicts.insert((owner, origin.number), verdict);
+    }
+
+    /// Whether an origin pushes aside one that was not doubted itself, and the operator has not accepted that
+    /// since. One that this owner never met counts only with `unmet`, or while it is still there.
+    fn replaces(&self, owner: Address, origin: &Origin, accepted: Option<&Instant>, unmet: bool) -> bool {
+        let Some(rival) = &origin.rival else { return false };
+        if accepted.is_some_and(|at| *at >= origin.listed_at) {
+            return false;
+        }
+        let verdicts = self.verdicts.read().unwrap_or_else(PoisonError::into_inner);
+        match verdicts.get(&(owner, rival.number)) {
+            Some(verdict) => verdict.doubt.is_none(),
+            None => unmet || self.live.lock().unwrap_or_else(PoisonError::into_inner).contains_key(&rival.number),
+        }
+    }
+
+    fn decide(
+        &self,
+        topics: &mut HashMap<(Address, String), Known>,
+        owner: Address,
+        topic: &str,
+        origin: &Origin,
+    ) -> Result<Option<Doubt>, StoreError> {
+        let known = self.known(topics, owner, topic)?;
+        let publisher = publisher_of(origin);
+        let accepted = known.accepted.get(&publisher);
+        let replaces = |unmet| self.replaces(owner, origin, accepted, unmet);
+        let doubt = match self.claims(known, topic, origin, &publisher) {
+            None if replaces(true) => Some(Doubt::Replaced),
+            None if known.undecided.contains(&publisher.to_string()) => Some(Doubt::Undecided),
+            Some(Doubt::New | Doubt::Type | Doubt::Host) if self.is_first(known, topic, origin) && !replaces(false) => {
+                self.pin_first(known, owner, topic, &publisher)?;
+                None
+            }
+            other => other,
+        };
+        if let Some(doubt) = doubt {
+            if doubt == Doubt::Replaced {
+                known.undecided.insert(publisher.to_string());
+            }
+            self.alarm(known, owner, topic, &publisher.to_string(), doubt);
+        }
+        Ok(doubt)
+    }
+
+    /// What the claims alone say against a publisher.
+    fn claims(&self, known: &Known, topic: &str, origin: &Origin, publisher: &Publisher) -> Option<Doubt> {
+        let allowed = || known.pins.iter().chain(self.listed(topic));
+        if allowed().any(|pin| pin == publisher) {
+            return None;
+        }
+        let namesakes = || allowed().filter(|pin| *pin.caller_id == *origin.caller_id);
+        Some(match namesakes().count() {
+            0 => Doubt::New,
+            _ if namesakes().any(|pin| pin.host == origin.host) => Doubt::Type,
+            _ => Doubt::Host,
+        })
+    }
+
+    /// Whether a publisher belongs to the first set: the topic has no pins yet, or got them while this one was there.
+    fn is_first(&self, known: &Known, topic: &str, origin: &Origin) -> bool {
+        let begins = !known.used && known.pins.is_empty() && self.listed(topic).is_empty();
+        let belongs = known.first_use.is_some_and(|at| origin.listed_at <= at);
+        self.mode == PinMode::First && (begins || belongs)
+    }
+
+    fn known<'a>(
+        &self,
+        topics: &'a mut HashMap<(Address, String), Known>,
+        owner: Address,
+        topic: &str,
+    ) -> Result<&'a mut Known, StoreError> {
+        let key = (owner, topic.to_owned());
+        if !topics.contains_key(&key) {
+            let replaced = |alarm: &crate::store::AlarmRow| alarm.reason == Doubt::Replaced.word();
+            let alarms = self.ledger.alarms(owner, Some(topic))?;
+            let known = Known {
+                pins: self.ledger.pins(owner, Some(topic))?.into_iter().map(|row| row.publisher).collect(),
+                used: self.ledger.was_pinned(owner, topic)?,
+                undecided: alarms.into_iter().filter(replaced).map(|alarm| alarm.publisher).collect(),
+                ..Known::default()
+            };
+            topics.insert(key.clone(), known);
+        }
+        Ok(topics.entry(key).or_default())
+    }
+
+    fn pin_first(
+        &self,
+        known: &mut Known,
+        owner: Address,
+        topic: &str,
+        publisher: &Publisher,
+    ) -> Result<(), StoreError> {
+        self.ledger.pin(owner, topic, std::slice::from_ref(publisher), "first")?;
+        known.pins.push(publisher.clone());
+        known.used = true;
+        known.first_use.get_or_insert_with(Instant::now);
+        let name = clean(&publisher.to_string(), 200);
+        self.note(owner, "pin on first use", &format!("{topic} {name}"), "done")?;
+        self.observer.alert(
+            false,
+            format!("{topic} is pinned to its first publisher, {name}; look whether it is the right one: `authros topics pins`"),
+        );
+        Ok(())
+    }
+
+    /// Somebody named a publisher of the topic that the master does not list.
+    pub fn unconfirmed(&self, owner: Address, topic: &str, uri: &str) {
+        if self.mode == PinMode::Off {
+            return;
+        }
+        let mut topics = self.topics.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Ok(known) = self.known(&mut topics, owner, topic) {
+            self.alarm(known, owner, topic, uri, Doubt::Unconfirmed);
+        }
+    }
+
+    /// Tells of a doubted publisher, once; what cannot be written is told all the same.
+    fn alarm(&self, known: &mut Known, owner: Address, topic: &str, publisher: &str, doubt: Doubt) {
+        // A flood of names must become neither a flood of words nor of rows.
+        if known.alarms > MOST_ALARMS {
+            return;
+        }
+        let name = clean(publisher, 200);
+        match self.ledger.raise_alarm(owner, topic, publisher, doubt.word()) {
+            Ok(false) => return,
+            Ok(true) => {
+                if let Err(error) = self.note(owner, "node forging", &format!("{topic} {name}"), doubt.word()) {
+                    self.observer.alert(true, format!("the alarm about {topic} is not in the audit log: {error}"));
+                }
+            }
+            Err(error) => self.observer.alert(true, format!("the alarm about {topic} cannot be kept: {error}")),
+        }
+        known.alarms += 1;
+        let advice = match doubt {
+            Doubt::Unconfirmed => "look who can reach this machine",
+            _ => "its messages are quarantined: `authros quarantine list`, or `authros topics pin` accepts it",
+        };
+        let text = match known.alarms {
+            ..=MOST_ALARMS => format!("NODE FORGING? {name} on {topic}: {}; {advice}", doubt.text()),
+            _ => {
+                format!("NODE FORGING? more than {MOST_ALARMS} alarms on {topic}: further ones are quarantined unsaid")
+            }
+        };
+        self.observer.alert(true, text);
+        self.observer.publishers_doubted();
+    }
+
+    fn note(&self, owner: Address, action: &str, subject: &str, outcome: &str) -> Result<(), StoreError> {
+        let names = self.names.read().unwrap_or_else(PoisonError::into_inner);
+        let profile = names.get(&owner).cloned().unwrap_or_else(|| owner.to_string());
+        drop(names);
+        let (action, outcome) = (action.to_owned(), outcome.to_owned());
+        self.audit.append(AuditEntry { at: Timestamp::now(), profile, action, subject: clean(subject, 200), outcome })
+    }
+
+    /// The operator accepts publishers of a topic.
+    ///
+    /// # Errors
+    /// Of the ledger: then nothing is pinned.
+    pub fn pin(&self, owner: Address, topic: &str, publishers: &[Publisher]) -> Result<(), StoreError> {
+        let mut topics = self.topics.lock().unwrap_or_else(PoisonError::into_inner);
+        self.ledger.pin(owner, topic, publishers, "operator")?;
+        let accepted = topics.get(&(owner, topic.to_owned())).map(|known| known.accepted.clone()).unwrap_or_default();
+        topics.remove(&(owner, topic.to_owned()));
+        let known = self.known(&mut topics, owner, topic)?;
+        known.accepted = accepted;
+        known.accepted.extend(publishers.iter().map(|publisher| (publisher.clone(), Instant::now())));
+        self.judge_anew(owner, topic, |verdict| verdict.doubt.is_some());
+        Ok(())
+    }
+
+    /// The operator no longer accepts a caller id on a topic; returns how many pins that were.
+    ///
+    /// # Errors
+    /// Of the ledger: then nothing has changed.
+    pub fn unpin(&self, owner: Address, topic: &str, caller_id: &str) -> Result<u64, StoreError> {
+        let mut topics = self.topics.lock().unwrap_or_else(PoisonError::into_inner);
+        let gone = self.ledger.unpin(owner, topic, caller_id)?;
+        topics.remove(&(owner, topic.to_owned()));
+        self.judge_anew(owner, topic, |verdict| *verdict.origin.caller_id == *caller_id);
+        Ok(gone)
+    }
+
+    /// Forgets verdicts that no longer follow from the pins.
+    fn judge_anew(&self, owner: Address, topic: &str, changed: impl Fn(&Verdict) -> bool) {
+        let mut verdicts = self.verdicts.write().unwrap_or_else(PoisonError::into_inner);
+        verdicts.retain(|(of, _), verdict| *of != owner || verdict.topic != topic || !changed(verdict));
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,156 @@
+//! Quarantine records: what was held back, per topic and minute, anchored before anybody can choose among it.
+//!
+//! They are filed under a topic of their own, so that the sealer's numbers stay its alone; a function of the ledger:
+//! called again, it does what is left.
+
+use std::collections::BTreeMap;
+
+use crate::crypto::{SealRequest, seal};
+use crate::model::head::Compression;
+use crate::model::{
+    Address, Digest, Domain, Doubt, Head, QuarantineReport, RecordKind, RecordState, RecorderId, Timestamp, TopicId,
+};
+use crate::ros::Origin;
+use crate::store::{HeldMinute, Hold, NewRecord};
+
+use super::{Owner, PipelineError, Plant, pins};
+
+/// The name that quarantine records are filed under; no ROS name begins like this.
+pub const TOPIC: &str = "authros/quarantine";
+/// The tag in the sealed head of a quarantined message.
+pub const TAG: &str = "quarantined";
+
+/// The minute of a time, since 1970 UTC.
+pub fn minute(at: Timestamp) -> u64 {
+    at.0 / 60_000_000_000
+}
+
+/// Why a record is held back, as the ledger keeps it.
+pub fn hold(digest: Digest, doubt: Doubt, origin: &Origin) -> Hold {
+    Hold { digest, reason: doubt.word(), publisher: pins::publisher_of(origin).to_string() }
+}
+
+/// The rolling hash over held digests; see [`QuarantineReport`].
+pub fn rolling(
+    plant: &Plant,
+    domain: &Domain,
+    (owner, recorder): (Address, RecorderId),
+    topic: TopicId,
+    minute: u64,
+    digests: impl IntoIterator<Item = Digest>,
+) -> Digest {
+    let minute = minute.to_be_bytes();
+    let start = plant.provider.sm3(&[b"AuthROS/quarantined/1", &domain.0, &owner.0, &recorder.0, &topic.0, &minute]);
+    let end = digests.into_iter().fold(start, |rolling, digest| plant.provider.sm3(&[&rolling, &digest.0]));
+    Digest(end)
+}
+
+/// Seals a quarantine record for every (topic, minute) of the owner before minute `before` with records that none
+/// counts; returns how many were sealed. Not to be called twice at once for one owner.
+///
+/// # Errors
+/// Of sealing, vault and ledger; what is sealed so far stays.
+pub fn report(plant: &Plant, owner: &Owner, before: u64) -> Result<usize, PipelineError> {
+    let mut sealed = 0;
+    while let Some(held) = plant.ledger.unreported(owner.address, before)? {
+        if !report_one(plant, owner, &held)? {
+            break;
+        }
+        sealed += 1;
+    }
+    if sealed > 0 {
+        plant.observer.records_changed();
+    }
+    Ok(sealed)
+}
+
+/// `false`: there are no keys to seal with yet.
+fn report_one(plant: &Plant, owner: &Owner, held: &HeldMinute) -> Result<bool, PipelineError> {
+    let Some(keys) = owner.sealing() else { return Ok(false) };
+    let recorder = plant.ledger.recorder();
+    let seqs = || held.records.iter().map(|(seq, _)| *seq);
+    let digests: Vec<Digest> = held.records.iter().map(|(_, digest)| *digest).collect();
+    let stream = (owner.address, recorder);
+    let report = QuarantineReport {
+        topic_id: held.topic_id,
+        topic: held.topic.clone(),
+        minute: held.minute,
+        first_seq: seqs().min().unwrap_or(0),
+        last_seq: seqs().max().unwrap_or(0),
+        count: digests.len() as u64,
+        rolling: rolling(plant, &keys.domain, stream, held.topic_id, held.minute, digests.iter().copied()),
+    };
+    let body = report.encode();
+    let topic = keys.topic(TOPIC).ok_or_else(|| PipelineError::Uncovered(TOPIC.to_owned()))?;
+    let head = Head {
+        topic: TOPIC.to_owned(),
+        type_name: "authros/Quarantine".to_owned(),
+        md5sum: String::new(),
+        definition: Digest([0; 32]),
+        caller_id: String::new(),
+        boot_id: [0; 16],
+        compression: Compression::None,
+        plain_length: body.len() as u64,
+        tags: BTreeMap::new(),
+    };
+    let seq = plant.ledger.next_seq(owner.address, topic.id)?;
+    let captured_at = Timestamp::now();
+    let request = SealRequest {
+        domain: keys.domain,
+        owner: owner.address,
+        signer: &keys.signing,
+        epoch: keys.epoch,
+        topic_key: &topic.key,
+        recorder,
+        seq,
+        topic_id: topic.id,
+        kind: RecordKind::Quarantine,
+        filters: Vec::new(),
+        captured_at,
+        head: &head,
+        body: &body,
+    };
+    let sealed = seal(plant.provider, &request)?;
+    let durable = plant.vault.durable();
+    if durable {
+        plant.vault.put(&[(sealed.digest, &sealed.blob)])?;
+    }
+    let row = NewRecord {
+        digest: sealed.digest,
+        owner: owner.address,
+        topic_id: topic.id,
+        seq,
+        foreign: None,
+        epoch: keys.epoch,
+        kind: RecordKind::Quarantine,
+        signer: keys.signer,
+        signature: sealed.signature,
+        filters: Vec::new(),
+        topic: TOPIC.to_owned(),
+        type_name: head.type_name.clone(),
+        bytes: body.len() as u64,
+        captured_at,
+        simulated: false,
+        state: if durable { RecordState::Stored } else { RecordState::Sealed },
+        local_copy: (!durable).then_some(sealed.blob),
+    };
+    plant.ledger.report(row, digests)?;
+    Ok(true)
+}
+
+/// Deletes the ciphertext of quarantined records and gives them up; returns how many. Their quarantine records must
+/// stand on the chain before.
+///
+/// # Errors
+/// Of vault and ledger: then repeat it, what is deleted already does no harm.
+pub fn discard(plant: &Plant, digests: &[Digest]) -> Result<u64, PipelineError> {
+    for digest in digests {
+        plant.vault.delete(*digest)?;
+    }
+    let gone = plant.ledger.discard(digests)?;
+    plant.observer.records_changed();
+    Ok(gone)
+}
+
+#[cfg(test)]
+mod tests;

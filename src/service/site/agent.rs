@@ -1,0 +1,272 @@
+//! The agent: a site without a chain, on a robot or its host. It captures in its owner's name, as its enrolment
+//! allows, and passes everything on to a gateway.
+
+use std::collections::HashSet;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use serde::Serialize;
+use tokio::task::{JoinHandle, block_in_place};
+
+use super::Site;
+use crate::crypto::{Enrolment, SealedEnrolment};
+use crate::gateway::{Context, Credentials, Endpoint};
+use crate::model::{Digest, ErrorKind, ProfileName, RecordState, TopicName, clean};
+use crate::pipeline::forwarder::{Forwarder, Link, trust_in};
+use crate::pipeline::notices::Notices;
+use crate::pipeline::{Author, CaptureSession, Observer as _};
+use crate::service::failure::{input, internal, refused};
+use crate::service::reply::Failure;
+use crate::store::{StateCounts, TopicCounts};
+
+/// How long the gateway may take to answer.
+const PATIENCE: Duration = Duration::from_secs(10);
+/// Between two looks at the figures.
+const LOOK: Duration = Duration::from_millis(200);
+
+/// What an agent is to capture.
+#[derive(Debug, Clone, Default)]
+pub struct AgentWishes {
+    /// The topics; empty = those that the enrolment is limited to.
+    pub topics: Vec<TopicName>,
+    /// Tags for every record.
+    pub tags: Vec<(String, String)>,
+    /// So many messages of each topic.
+    pub count: Option<u64>,
+    /// So long.
+    pub length: Option<Duration>,
+}
+
+/// How an agent stands. Messages are those of its whole outbox, over all its runs.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct AgentFigures {
+    /// N.
+    pub name: ProfileName,
+    /// Acknowledged: sealed and fsynced on this machine.
+    pub captured: u64,
+    /// Of these, those that the gateway has signed for.
+    pub accepted: u64,
+    /// Of these, those that are verified at the gateway.
+    pub verified: u64,
+    /// Messages of this run that were not captured: lost in transport, dropped at a full ring or without a key.
+    pub lost: u64,
+    /// Captured and not verified yet.
+    pub pending: u64,
+    /// Damaged here, or altered at the gateway after it signed for them.
+    pub tampered: u64,
+    /// Whether the gateway answers, in words.
+    pub gateway: String,
+}
+
+/// Why an agent's work is over.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum AgentEnd {
+    /// All that was asked for is captured, and its fate is known.
+    Done,
+    /// All that was asked for is captured; the gateway does not take it from this robot.
+    Refused,
+    /// It was told to end.
+    Told,
+}
+
+/// An agent at work.
+pub struct Agent {
+    site: Arc<Site>,
+    name: ProfileName,
+    author: Arc<Author>,
+    session: Arc<CaptureSession>,
+    topics: Vec<String>,
+    length: Option<Duration>,
+    link: tokio::sync::watch::Receiver<Link>,
+    refused: Arc<Mutex<HashSet<Digest>>>,
+    /// Messages in the outbox when this run began.
+    before: u64,
+    forwarder: JoinHandle<()>,
+}
+
+impl Agent {
+    /// Begins to capture and to forward.
+    ///
+    /// # Errors
+    /// Where a topic is not covered, or a file of the home cannot be used; a gateway or master that does not
+    /// answer is waited for.
+    pub async fn start(site: &Arc<Site>, mut sealed: SealedEnrolment, wishes: AgentWishes) -> Result<Self, Failure> {
+        if !site.plant.vault.durable() {
+            return Err(input("an agent keeps its outbox itself; leave --vault and vault.url out"));
+        }
+        let kept = SealedEnrolment::kept_in(site.home.root());
+        sealed.catch_up(&kept)?;
+        let enrolment = &sealed.enrolment;
+        let topics = topics(enrolment, &wishes.topics)?;
+        site.record_audit(&enrolment.name, "agent", &enrolment.device_id().to_string(), "begun").await?;
+        let author = Arc::new(Author::new(enrolment.owner));
+        author.obey(enrolment);
+        let (name, forwarder) = (enrolment.name.clone(), block_in_place(|| forwarder(site, enrolment))?);
+        let (provider, observer) = (site.plant.provider, Arc::clone(&site.plant.observer));
+        let notices = Notices::new(provider, observer, Arc::clone(&author), sealed, kept);
+        let forwarder = forwarder.with_errand(Box::new(notices));
+        let before = block_in_place(|| site.plant.ledger.counts(None))?.captured();
+        let session = Arc::new(CaptureSession::unfollowed(&topics, wishes.count, wishes.tags));
+        for topic in &topics {
+            site.recorder.join(topic, &author, None, &session);
+        }
+        site.wishes_changed();
+        let (link, refused) = (forwarder.link(), forwarder.refused());
+        let forwarder = tokio::spawn(forward(Arc::clone(site), forwarder));
+        let (site, length) = (Arc::clone(site), wishes.length);
+        Ok(Self { site, name, author, session, topics, length, link, refused, before, forwarder })
+    }
+
+    /// Works until all that was asked for is verified, or until `told`. `progress` gets the figures whenever
+    /// they have changed, once a second.
+    ///
+    /// # Errors
+    /// Of the outbox.
+    pub async fn run(
+        &mut self,
+        told: impl Future<Output = ()>,
+        mut progress: impl FnMut(&AgentFigures),
+    ) -> Result<AgentEnd, Failure> {
+        let length = self.length;
+        let time_is_up = async {
+            match length {
+                Some(length) => tokio::time::sleep(length).await,
+                None => std::future::pending().await,
+            }
+        };
+        tokio::pin!(told, time_is_up);
+        let (mut up, mut looks, mut shown) = (false, 0u32, None);
+        loop {
+            tokio::select! {
+                () = &mut told => return Ok(AgentEnd::Told),
+                () = &mut time_is_up, if !up => {
+                    up = true;
+                    self.session.close();
+                }
+                () = tokio::time::sleep(LOOK) => {}
+            }
+            let counts = block_in_place(|| self.site.plant.ledger.counts(None))?;
+            let figures = self.figures_of(&counts);
+            if looks.is_multiple_of(5) && shown.as_ref() != Some(&figures) {
+                progress(&figures);
+                shown = Some(figures);
+            }
+            looks = looks.wrapping_add(1);
+            self.warn_of_epoch();
+            if let Some(end) = self.end(&counts) {
+                return Ok(end);
+            }
+        }
+    }
+
+    fn warn_of_epoch(&self) {
+        if self.author.sealing().is_none() {
+            let text = "the epoch that this robot seals under has ended and its owner has not sent the next key: \
+                        nothing is captured until the notice comes or the robot is enrolled again";
+            self.site.hub.alert(true, text.to_owned());
+        }
+    }
+
+    fn end(&self, counts: &StateCounts) -> Option<AgentEnd> {
+        let taken: u64 = self.session.figures().iter().map(|topic| topic.captured).sum();
+        if !self.session.is_closed() || counts.captured() < self.before + taken {
+            return None;
+        }
+        let aside = self.refused.lock().unwrap_or_else(PoisonError::into_inner).len();
+        if counts.pending_of_any_kind() <= aside as u64 {
+            return Some(AgentEnd::Done);
+        }
+        matches!(&*self.link.borrow(), Link::Refused(_)).then_some(AgentEnd::Refused)
+    }
+
+    /// How it stands now.
+    ///
+    /// # Errors
+    /// Of the ledger.
+    pub fn figures(&self) -> Result<AgentFigures, Failure> {
+        Ok(self.figures_of(&block_in_place(|| self.site.plant.ledger.counts(None))?))
+    }
+
+    fn figures_of(&self, counts: &StateCounts) -> AgentFigures {
+        let losses = self.site.recorder.all_losses();
+        let unsealed: u64 = self.session.figures().iter().map(|topic| topic.lost).sum();
+        let verified = counts.data_in(RecordState::Verified);
+        AgentFigures {
+            name: self.name.clone(),
+            captured: counts.captured(),
+            accepted: verified + counts.data_in(RecordState::Submitted),
+            verified,
+            lost: unsealed.max(losses.in_transport + losses.in_recorder),
+            pending: counts.pending(),
+            tampered: counts.data_in(RecordState::Tampered),
+            gateway: match &*self.link.borrow() {
+                Link::Connecting => "connecting".to_owned(),
+                Link::Up => "connected".to_owned(),
+                Link::Away(text) | Link::Refused(text) => clean(text, 300),
+            },
+        }
+    }
+
+    /// Figures by topic.
+    ///
+    /// # Errors
+    /// Of the ledger.
+    pub fn topics(&self) -> Result<Vec<TopicCounts>, Failure> {
+        Ok(block_in_place(|| self.site.plant.ledger.counts(None))?.topics)
+    }
+
+    /// Ends: no further capture, all that was captured fsynced. Its figures can still be read.
+    pub async fn stop(&self) {
+        self.session.close();
+        for topic in &self.topics {
+            self.site.recorder.leave(topic, &self.author, &self.session);
+        }
+        self.forwarder.abort();
+        Arc::clone(&self.site).stop().await;
+    }
+}
+
+async fn forward(site: Arc<Site>, mut forwarder: Forwarder) {
+    forwarder.run(&site.hub.stored).await;
+}
+
+fn forwarder(site: &Site, enrolment: &Enrolment) -> Result<Forwarder, Failure> {
+    let trust_file = site.home.root().join("gateway.json");
+    let trust = trust_in(&trust_file, enrolment.fingerprint)?;
+    let context = Context { provider: site.plant.provider, domain: enrolment.domain };
+    let endpoint = Endpoint { address: enrolment.gateway.clone(), context, patience: PATIENCE };
+    let credentials =
+        Credentials { name: enrolment.name.clone(), key: enrolment.transport.clone(), token: enrolment.token };
+    let forwarder = Forwarder::new(site.plant.clone(), endpoint, credentials, trust, trust_file);
+    forwarder.tidy()?;
+    Ok(forwarder)
+}
+
+/// What is captured: what was asked for, each with a key, or all that there are keys for.
+fn topics(enrolment: &Enrolment, asked: &[TopicName]) -> Result<Vec<String>, Failure> {
+    let covered = enrolment.keys.now.key.topics();
+    if let (Some(covered), Some(strange)) =
+        (&covered, asked.iter().find(|topic| covered.as_ref().is_some_and(|all| !all.contains(&topic.to_string()))))
+    {
+        return Err(refused(format!(
+            "this enrolment has no key for topic {strange}, only for {}; its owner can enrol the robot again",
+            clean(&covered.join(", "), 300)
+        )));
+    }
+    let mut topics: Vec<String> = match covered {
+        Some(covered) if asked.is_empty() => covered,
+        _ => asked.iter().map(ToString::to_string).collect(),
+    };
+    topics.sort();
+    topics.dedup();
+    if topics.is_empty() {
+        return Err(Failure::new(
+            ErrorKind::Usage,
+            "name what to capture with --topic; this enrolment covers all topics",
+        ));
+    }
+    if topics.iter().any(|topic| topic.parse::<TopicName>().is_err()) {
+        return Err(internal("the enrolment names a topic that is none; have its owner enrol the robot again"));
+    }
+    Ok(topics)
+}

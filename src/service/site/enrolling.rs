@@ -1,0 +1,209 @@
+//! Making a robot a device of its owner: a pair of its own, K_T for its name at a gateway, the loan on the chain,
+//! its public key to the gateway, and the file with all that the robot works with.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+use tokio::task::block_in_place;
+
+use super::Site;
+use crate::crypto::{
+    Enrolment, EpochIssue, IssuedKeys, Passphrase, SealedEnrolment, SealingKey, SmKeyPair, TransportKey, notice_key,
+    signer_id, topic_key,
+};
+use crate::gateway::{Applicant, Client, Code, Context, Credentials, Endpoint, GatewayError, Trust};
+use crate::model::{ProfileName, PublicKey, SignerId, Timestamp, TopicName, clean};
+use crate::pipeline::{Network, Owner};
+use crate::service::command::{SecretBytes, SecretText};
+use crate::service::failure::{input, refused};
+use crate::service::reply::{EnrolledView, Failure};
+
+/// How long a gateway may take to answer.
+const PATIENCE: Duration = Duration::from_secs(20);
+/// How often the gateway is told of a device before its chain has the loan.
+const ATTEMPTS: u32 = 20;
+
+/// What an owner asks for when enrolling a robot.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct EnrolWishes {
+    /// The gateway, host:port.
+    pub gateway: String,
+    /// SM3 of its identity key; `None` to trust whatever answers.
+    pub fingerprint: Option<SignerId>,
+    /// N.
+    pub name: ProfileName,
+    /// Only these topics; empty = all.
+    pub topics: Vec<TopicName>,
+    /// When the loan ends.
+    pub until: Option<Timestamp>,
+    /// Protects the file.
+    pub passphrase: SecretText,
+}
+
+/// A device that was enrolled, as its owner's ledger keeps it: no secret.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct Enrolled {
+    /// N.
+    pub name: ProfileName,
+    /// SM3 of its public key.
+    pub device: SignerId,
+    /// What it is limited to; empty = nothing.
+    pub topics: Vec<String>,
+}
+
+impl Site {
+    /// Enrols a robot; the answer holds the sealed file.
+    pub(super) async fn enrol_device(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        wishes: EnrolWishes,
+    ) -> Result<EnrolledView, Failure> {
+        let network = self.network().await?;
+        network.directory.identity(owner.address)?;
+        let passphrase = Passphrase::new(wishes.passphrase.expose().to_owned())?;
+        let mut topics: Vec<String> = wishes.topics.iter().map(ToString::to_string).collect();
+        topics.sort();
+        topics.dedup();
+        if topics.len() > crate::crypto::enrolment::MOST_TOPICS {
+            return Err(input("a robot can be limited to at most 1,024 topics; leave --topic out to cover all"));
+        }
+        if wishes.gateway.len() > crate::crypto::enrolment::LONGEST_GATEWAY {
+            return Err(input("a gateway's address has at most 255 characters"));
+        }
+        let device = SmKeyPair::generate(self.plant.provider)?;
+        let id = signer_id(&device.public);
+        self.audit_first(owner, "enrol device", &format!("{} {id}", wishes.name)).await?;
+        let context = Context { provider: self.plant.provider, domain: network.domain };
+        let endpoint = Endpoint { address: wishes.gateway.clone(), context, patience: PATIENCE };
+        let mut trust = wishes.fingerprint.map_or_else(Trust::on_first_use, Trust::pinned);
+        let transport = allocate(owner, &endpoint, &mut trust, &wishes.name).await?;
+        self.lend_device(owner, id, wishes.until).await?;
+        let told = self.tell_gateway(owner, &network, &endpoint, &mut trust, (&wishes.name, &transport), device.public);
+        if let Err(failure) = told.await {
+            // A device that nobody will ever use should not stay lent; where this fails too, `devices list` shows it.
+            drop(self.recall_device(owner, &id.to_string()).await);
+            return Err(failure);
+        }
+        let enrolled = Enrolled { name: wishes.name.clone(), device: id, topics };
+        let keys = self.issue(owner, &network, &enrolled)?;
+        let fingerprint = trust.pinned.ok_or_else(|| refused("the gateway did not show who it is"))?;
+        let enrolment = Enrolment {
+            domain: network.domain,
+            chain_id: network.chain.chain_id(),
+            gateway: wishes.gateway,
+            fingerprint,
+            name: wishes.name,
+            owner: owner.address,
+            owner_key: owner.public_keys().0,
+            transport,
+            device,
+            index: owner.index(),
+            notice_key: notice_key(&owner.eoa(), &network.domain, &id),
+            token: self.known_token(owner, &network)?,
+            noticed: None,
+            keys,
+        };
+        block_in_place(|| self.note_told(owner, &enrolled, &enrolment.keys))?;
+        self.note_enrolled(owner, enrolled)?;
+        let file = block_in_place(|| SealedEnrolment::new(enrolment, &passphrase).and_then(|sealed| sealed.seal()))?;
+        self.enrolled_view(&endpoint, fingerprint, id, owner, SecretBytes::new(file))
+    }
+
+    fn enrolled_view(
+        &self,
+        endpoint: &Endpoint,
+        gateway_key: SignerId,
+        device: SignerId,
+        owner: &Owner,
+        file: SecretBytes,
+    ) -> Result<EnrolledView, Failure> {
+        let enrolled = self.enrolled_devices(owner)?;
+        let name = enrolled.iter().find(|other| other.device == device).map(|other| other.name.clone());
+        let name = name.ok_or_else(|| refused("the device was not noted"))?;
+        Ok(EnrolledView { name, device, gateway: clean(&endpoint.address, 255), gateway_key, file })
+    }
+
+    /// A token of the owner that the chain has.
+    fn known_token(&self, owner: &Owner, network: &Network) -> Result<crate::model::Token, Failure> {
+        let account = network.directory.account(owner.address);
+        let token = account.and_then(|account| account.tokens.get(&account.epoch).copied());
+        token.ok_or_else(|| refused("the chain has no token of this account; run `authros register` first"))
+    }
+
+    async fn tell_gateway(
+        &self,
+        owner: &Owner,
+        network: &Network,
+        endpoint: &Endpoint,
+        trust: &mut Trust,
+        (name, key): (&ProfileName, &TransportKey),
+        device: PublicKey,
+    ) -> Result<(), Failure> {
+        let token = self.known_token(owner, network)?;
+        let credentials = Credentials { name: name.clone(), key: key.clone(), token };
+        let mut client = Client::connect(endpoint, trust, &credentials).await?;
+        for attempt in 1.. {
+            match client.device(&owner.signing(), device).await {
+                // Its node may be behind ours.
+                Err(GatewayError::Refused(Code::Signature | Code::NotRegistered | Code::Stale))
+                    if attempt < ATTEMPTS =>
+                {
+                    tokio::time::sleep(Duration::from_secs(1)).await;
+                }
+                told => return Ok(told.map(|_| ())?),
+            }
+        }
+        Ok(())
+    }
+
+    /// What a device is to seal under, as the owner's own recorder does.
+    pub(super) fn issue(&self, owner: &Owner, network: &Network, to: &Enrolled) -> Result<IssuedKeys, Failure> {
+        let sealing = owner.sealing().filter(|keys| keys.domain == network.domain);
+        let sealing = sealing.ok_or_else(|| refused("no epoch has begun; run `authros register` first"))?;
+        let now = self.issue_of(owner, network, to, sealing.epoch)?;
+        let next = match owner.author.next().filter(|(_, keys)| keys.epoch > sealing.epoch) {
+            Some((moment, keys)) => Some((moment, self.issue_of(owner, network, to, keys.epoch)?)),
+            None => None,
+        };
+        Ok(IssuedKeys { now, next })
+    }
+
+    fn issue_of(&self, owner: &Owner, network: &Network, to: &Enrolled, epoch: u64) -> Result<EpochIssue, Failure> {
+        let lacking = || refused(format!("the keyring has no key of epoch {epoch}"));
+        let key = owner.epoch_key(network.domain, epoch).ok_or_else(lacking)?;
+        let token = owner.token(network.domain, epoch).ok_or_else(lacking)?;
+        let of = |topic: &String| (topic.clone(), topic_key(&key, &owner.topic_id(topic)));
+        let keys = to.topics.iter().map(of).collect();
+        let key = if to.topics.is_empty() { SealingKey::Epoch(key) } else { SealingKey::Topics(keys) };
+        Ok(EpochIssue { epoch, token, ends: self.earliest_expiry(owner, network, epoch), key })
+    }
+
+    /// The robots that this owner has enrolled, oldest first.
+    pub(super) fn enrolled_devices(&self, owner: &Owner) -> Result<Vec<Enrolled>, Failure> {
+        let text = block_in_place(|| self.plant.ledger.setting(&place(owner)))?;
+        Ok(text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default())
+    }
+
+    fn note_enrolled(&self, owner: &Owner, enrolled: Enrolled) -> Result<(), Failure> {
+        let mut all = self.enrolled_devices(owner)?;
+        all.push(enrolled);
+        let text = serde_json::to_string(&all).unwrap_or_default();
+        Ok(block_in_place(|| self.plant.ledger.put_setting(&place(owner), &text))?)
+    }
+}
+
+fn place(owner: &Owner) -> String {
+    format!("enrolled:{}", owner.address)
+}
+
+async fn allocate(
+    owner: &Owner,
+    endpoint: &Endpoint,
+    trust: &mut Trust,
+    name: &ProfileName,
+) -> Result<TransportKey, Failure> {
+    let (signing, account) = (owner.signing(), owner.eoa());
+    let applicant = Applicant { name, signing: &signing, envelope: owner.envelope().public, account: &account };
+    Ok(Client::allocate(endpoint, trust, &applicant).await?.0)
+}

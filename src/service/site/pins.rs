@@ -1,0 +1,104 @@
+//! Pinned publishers of watched topics: shown, accepted and taken back by the operator.
+
+use std::sync::Arc;
+
+use tokio::task::block_in_place;
+
+use super::Site;
+use crate::model::{ProfileName, Publisher, TopicName, clean};
+use crate::service::event::Part;
+use crate::service::failure::input;
+use crate::service::reply::{AlarmView, Failure, PinView, PinsView};
+
+/// Widest publisher shown, characters.
+const WIDEST: usize = 400;
+
+/// A publisher as people see it.
+fn cleaned(publisher: Publisher) -> Publisher {
+    let Publisher { caller_id, host, type_name, md5sum } = publisher;
+    Publisher {
+        caller_id: clean(&caller_id, 255),
+        host: clean(&host, 255),
+        type_name: clean(&type_name, 255),
+        md5sum: clean(&md5sum, 32),
+    }
+}
+
+impl Site {
+    /// Pins and alarms of a profile; needs no passphrase.
+    pub(super) async fn pins_view(
+        self: &Arc<Self>,
+        profile: &ProfileName,
+        topic: Option<&TopicName>,
+    ) -> Result<PinsView, Failure> {
+        let owner = self.address_of(profile)?;
+        let topic = topic.map(|topic| topic.as_str().to_owned());
+        let wanted = |name: &str| topic.as_deref().is_none_or(|topic| topic == name);
+        let settings = self.pins.all_listed().filter(|(name, _)| wanted(name)).map(|(topic, publisher)| PinView {
+            topic: topic.clone(),
+            publisher: publisher.clone(),
+            source: "settings".to_owned(),
+            at: None,
+        });
+        let mut pins: Vec<PinView> = settings.collect();
+        let ledger = &self.plant.ledger;
+        let kept = block_in_place(|| ledger.pins(owner, topic.as_deref()))?;
+        pins.extend(kept.into_iter().map(|row| PinView {
+            topic: clean(&row.topic, 255),
+            publisher: cleaned(row.publisher),
+            source: row.source,
+            at: Some(row.at),
+        }));
+        let alarms = block_in_place(|| ledger.alarms(owner, topic.as_deref()))?;
+        let alarms = alarms.into_iter().map(|row| AlarmView {
+            topic: clean(&row.topic, 255),
+            publisher: clean(&row.publisher, WIDEST),
+            reason: row.reason,
+            at: row.at,
+            open: row.open,
+        });
+        Ok(PinsView { mode: self.pins.mode(), pins, alarms: alarms.collect() })
+    }
+
+    /// Accepts publishers of a topic; none named = those that are being read now.
+    pub(super) async fn pin_topic(
+        self: &Arc<Self>,
+        profile: &ProfileName,
+        topic: &TopicName,
+        publishers: Vec<Publisher>,
+    ) -> Result<PinsView, Failure> {
+        let owner = self.address_of(profile)?;
+        let publishers = if publishers.is_empty() { self.pins.live(topic.as_str()) } else { publishers };
+        if publishers.is_empty() {
+            return Err(input(format!(
+                "no publisher of {topic} is being read now; name it with --publisher CALLER_ID@HOST:TYPE:MD5"
+            )));
+        }
+        for publisher in &publishers {
+            self.record_audit(profile, "pin", &format!("{topic} {publisher}"), "begun").await?;
+        }
+        block_in_place(|| self.pins.pin(owner, topic.as_str(), &publishers))?;
+        self.changed(Part::Topics);
+        self.pins_view(profile, Some(topic)).await
+    }
+
+    /// No longer accepts a caller id on a topic.
+    pub(super) async fn unpin_topic(
+        self: &Arc<Self>,
+        profile: &ProfileName,
+        topic: &TopicName,
+        caller_id: &str,
+    ) -> Result<PinsView, Failure> {
+        let owner = self.address_of(profile)?;
+        let name = clean(caller_id, 255);
+        if self.pins.listed(topic.as_str()).iter().any(|publisher| publisher.caller_id == caller_id) {
+            return Err(input(format!("{name} is pinned to {topic} by ros.publishers; take it out there")));
+        }
+        self.record_audit(profile, "unpin", &format!("{topic} {name}"), "begun").await?;
+        if block_in_place(|| self.pins.unpin(owner, topic.as_str(), caller_id))? == 0 {
+            return Err(input(format!("{name} is not pinned to {topic}; `authros topics pins` lists who is")));
+        }
+        self.changed(Part::Topics);
+        self.pins_view(profile, Some(topic)).await
+    }
+}

@@ -1,0 +1,194 @@
+//! Records that are passed on to a gateway: accepted by its signed receipt, verified or lost by its word.
+
+use std::collections::BTreeSet;
+
+use rusqlite::{OptionalExtension as _, params};
+
+use super::append::count;
+use super::edges::{By, may};
+use super::{Ledger, Session};
+use crate::model::{Digest, RecordState, Signature, Timestamp};
+use crate::store::StoreError;
+use crate::store::database::whole;
+
+/// What a gateway signed when it took records over.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct KeptReceipt {
+    /// Its time.
+    pub time: Timestamp,
+    /// All that it covers, in its order.
+    pub digests: Vec<Digest>,
+    /// By the gateway's identity key.
+    pub signature: Signature,
+}
+
+/// Records of no transaction and no block of this ledger.
+const MOVE: &str = "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2 AND tx IS NULL AND block IS NULL";
+
+impl Ledger {
+    /// A gateway took records over: the receipt is kept, and those that were stored are submitted. Returns how
+    /// many moved.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like: then nothing moved, and they are passed on again.
+    pub fn accept(&self, receipt: KeptReceipt) -> Result<u64, StoreError> {
+        self.write(move |session| {
+            let digests: Vec<u8> = receipt.digests.iter().flat_map(|digest| digest.0).collect();
+            session
+                .connection
+                .prepare_cached("INSERT INTO receipts (at, digests, signature) VALUES (?1, ?2, ?3)")?
+                .execute(params![whole("time", receipt.time.0)?, digests, receipt.signature.0])?;
+            let key = session.connection.last_insert_rowid();
+            let moved = shift(session, &receipt.digests, RecordState::Stored, RecordState::Submitted)?;
+            let before = held(session, &receipt.digests)?;
+            let mut bind = session.connection.prepare_cached(
+                "INSERT INTO receipted SELECT n, ?2 FROM records WHERE digest = ?1
+                 ON CONFLICT DO UPDATE SET receipt = excluded.receipt",
+            )?;
+            for digest in &receipt.digests {
+                bind.execute(params![digest.0, key])?;
+            }
+            sweep(session, before)?;
+            Ok(moved)
+        })
+    }
+
+    /// What the gateway says of records that it took over: verified, tampered, or, where it knows them no more,
+    /// stored again. Receipts of which all is verified are forgotten. Returns how many moved.
+    ///
+    /// # Errors
+    /// [`StoreError::IllegalEdge`] where no gateway may take this edge, [`StoreError::DiskFull`] and the like.
+    pub fn settle_forwarded(&self, digests: &[Digest], to: RecordState) -> Result<u64, StoreError> {
+        let from = RecordState::Submitted;
+        if !may(By::Gateway, from, to) {
+            return Err(StoreError::IllegalEdge { from, to });
+        }
+        let digests = digests.to_vec();
+        self.write(move |session| {
+            let moved = shift(session, &digests, from, to)?;
+            if to == RecordState::Verified {
+                let before = held(session, &digests)?;
+                let mut release = session
+                    .connection
+                    .prepare_cached("DELETE FROM receipted WHERE record = (SELECT n FROM records WHERE digest = ?1)")?;
+                for digest in &digests {
+                    release.execute(params![digest.0])?;
+                }
+                sweep(session, before)?;
+            }
+            Ok(moved)
+        })
+    }
+
+    /// The newest receipt that covers a record which is not verified yet.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn receipt_of(&self, digest: Digest) -> Result<Option<KeptReceipt>, StoreError> {
+        self.read(|connection| {
+            let row: Option<(i64, Vec<u8>, [u8; 64])> = connection
+                .prepare_cached(
+                    "SELECT at, digests, signature FROM receipts WHERE key = (SELECT receipt FROM receipted
+                     WHERE record = (SELECT n FROM records WHERE digest = ?1))",
+                )?
+                .query_row(params![digest.0], |row| Ok((row.get(0)?, row.get(1)?, row.get(2)?)))
+                .optional()?;
+            Ok(row.map(|(at, digests, signature)| KeptReceipt {
+                time: Timestamp(at.cast_unsigned()),
+                digests: digests.chunks(Digest::LENGTH).filter_map(Digest::from_slice).collect(),
+                signature: Signature(signature),
+            }))
+        })
+    }
+}
+
+fn shift(session: &Session<'_>, digests: &[Digest], from: RecordState, to: RecordState) -> Result<u64, StoreError> {
+    let mut statement = session.connection.prepare_cached(MOVE)?;
+    digests
+        .iter()
+        .try_fold(0, |moved, digest| Ok(moved + count(statement.execute(params![digest.0, from.code(), to.code()])?)))
+}
+
+/// The receipts that cover these records.
+fn held(session: &Session<'_>, digests: &[Digest]) -> Result<BTreeSet<i64>, StoreError> {
+    let mut find = session
+        .connection
+        .prepare_cached("SELECT receipt FROM receipted WHERE record = (SELECT n FROM records WHERE digest = ?1)")?;
+    let found = digests.iter().map(|digest| find.query_row(params![digest.0], |row| row.get(0)).optional());
+    Ok(found.filter_map(Result::transpose).collect::<Result<_, _>>()?)
+}
+
+/// Forgets those of the receipts that cover no record any more.
+fn sweep(session: &Session<'_>, receipts: BTreeSet<i64>) -> Result<(), StoreError> {
+    let mut forget = session.connection.prepare_cached(
+        "DELETE FROM receipts WHERE key = ?1 AND NOT EXISTS (SELECT 1 FROM receipted WHERE receipt = ?1)",
+    )?;
+    for receipt in receipts {
+        forget.execute([receipt])?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::{Address, RecordKind, SignerId, TopicId};
+    use crate::store::NewRecord;
+
+    fn record(number: u8) -> NewRecord {
+        NewRecord {
+            digest: Digest([number; 32]),
+            owner: Address([1; 20]),
+            topic_id: TopicId([2; 16]),
+            seq: u64::from(number),
+            foreign: None,
+            epoch: 1,
+            kind: RecordKind::Data,
+            signer: SignerId([3; 32]),
+            signature: Signature([4; 64]),
+            filters: Vec::new(),
+            topic: "/a".into(),
+            type_name: "a/B".into(),
+            bytes: 1,
+            captured_at: Timestamp(u64::from(number)),
+            simulated: false,
+            state: RecordState::Stored,
+            local_copy: None,
+        }
+    }
+
+    fn receipt(numbers: &[u8]) -> KeptReceipt {
+        let digests = numbers.iter().map(|number| Digest([*number; 32])).collect();
+        KeptReceipt { time: Timestamp(7), digests, signature: Signature([number_of(numbers); 64]) }
+    }
+
+    fn number_of(numbers: &[u8]) -> u8 {
+        numbers.iter().sum()
+    }
+
+    #[test]
+    fn a_receipt_moves_its_records_and_is_kept_until_all_are_verified() {
+        let home = tempfile::tempdir().expect("folder");
+        let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opens");
+        ledger.append((1..=4).map(record).collect()).expect("acknowledged");
+        assert_eq!(ledger.accept(receipt(&[1, 2, 9])), Ok(2), "one is not of this ledger");
+        assert_eq!(ledger.accept(receipt(&[2, 3])), Ok(1), "acknowledged again");
+        let state = |number: u8| ledger.record(Digest([number; 32])).expect("reads").map(|row| row.state);
+        assert_eq!(
+            [1, 2, 3, 4].map(state),
+            [RecordState::Submitted, RecordState::Submitted, RecordState::Submitted, RecordState::Stored].map(Some)
+        );
+        assert_eq!(ledger.receipt_of(Digest([2; 32])), Ok(Some(receipt(&[2, 3]))), "the newest");
+        assert_eq!(ledger.settle_forwarded(&[Digest([1; 32]), Digest([4; 32])], RecordState::Verified), Ok(1));
+        assert_eq!(ledger.receipt_of(Digest([1; 32])), Ok(None));
+        assert_eq!(ledger.settle_forwarded(&[Digest([2; 32])], RecordState::Stored), Ok(1));
+        assert_eq!(ledger.receipt_of(Digest([2; 32])), Ok(Some(receipt(&[2, 3]))), "evidence");
+        assert!(ledger.settle_forwarded(&[Digest([2; 32])], RecordState::Mined).is_err());
+        assert_eq!(ledger.accept(receipt(&[2])), Ok(1));
+        assert_eq!(ledger.settle_forwarded(&[Digest([2; 32]), Digest([3; 32])], RecordState::Verified), Ok(2));
+        let left: i64 = ledger
+            .read(|connection| Ok(connection.query_row("SELECT count(*) FROM receipts", [], |row| row.get(0))?))
+            .expect("reads");
+        assert_eq!(left, 0);
+    }
+}

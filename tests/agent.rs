@@ -1,0 +1,264 @@
+//! Robots that run no chain client: enrolled by their owners, captured by `authros agent run`, passed on over TCP to
+//! one gateway, which anchors for all of them.
+#![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
+
+mod support;
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use authros::crypto::{Passphrase, SealedEnrolment, SealingKey};
+use serde_json::Value;
+use support::{Authros, Home, Running, Wire, count, free_port, heavy, holds, text, wait_until};
+
+/// A gateway's home with a profile of its own, and owners who use the same site.
+struct Gateway {
+    home: Home,
+    port: u16,
+    site: Option<Running>,
+    fingerprint: String,
+}
+
+impl Gateway {
+    fn new() -> Self {
+        let mut gateway = Self { home: Home::new(), port: free_port(), site: None, fingerprint: String::new() };
+        gateway.start();
+        gateway
+    }
+
+    fn start(&mut self) {
+        let listen = format!("127.0.0.1:{}", self.port);
+        let authros = self.home.profile("keeper").with(&["--json"]);
+        let mut site = authros.spawn(&["gateway", "serve", "--listen", &listen]);
+        let said = site.wait_for_text("\"gateway\"", 120);
+        let line = said.lines().find(|line| line.contains("\"gateway\"")).expect("a document").to_owned();
+        let document: Value = serde_json::from_str(&line).expect("JSON");
+        self.fingerprint = text(&document["gateway"], "gateway");
+        self.site = Some(site);
+    }
+
+    fn kill(&mut self) {
+        self.site.take().expect("running").stop("KILL", 10);
+    }
+
+    /// An owner registered through the gateway's own site.
+    fn owner(&self, name: &str) -> Authros {
+        let owner = self.home.profile(name);
+        owner.enrol();
+        owner
+    }
+}
+
+/// A robot with an outbox of its own.
+struct Robot {
+    home: Home,
+    enrolment: String,
+    device: String,
+}
+
+impl Robot {
+    fn enrol(gateway: &Gateway, owner: &Authros, address: &str, name: &str, topics: &[&str]) -> Self {
+        let home = Home::new();
+        let enrolment = home.root().join("robot.enrolment").to_str().expect("UTF-8").to_owned();
+        let mut arguments = vec!["agent", "enrol", "--gateway", address, "--gateway-key", &gateway.fingerprint];
+        arguments.extend(["--name", name, "--out", &enrolment]);
+        arguments.extend(topics.iter().flat_map(|topic| ["--topic", topic]));
+        let view = owner.json(&arguments);
+        assert_eq!((text(&view, "name").as_str(), view["gateway_key"] == gateway.fingerprint.as_str()), (name, true));
+        Self { home, enrolment, device: text(&view, "device") }
+    }
+
+    fn run(&self, arguments: &[&str]) -> Running {
+        let agent = self.home.authros().with(&["--json"]);
+        agent.spawn(&[&["agent", "run", &self.enrolment], arguments].concat())
+    }
+
+    fn secrets(&self) -> SealedEnrolment {
+        let passphrase = std::fs::read_to_string(format!("{}.passphrase", self.enrolment)).expect("a passphrase");
+        let passphrase = Passphrase::new(passphrase).expect("long enough");
+        SealedEnrolment::open(Path::new(&self.enrolment), &passphrase).expect("opens")
+    }
+}
+
+/// The newest document that a running agent has printed.
+fn figures(agent: &Running) -> Option<Value> {
+    agent.stdout().lines().rev().find_map(|line| serde_json::from_str(line).ok())
+}
+
+fn last(stdout: &str) -> Value {
+    serde_json::from_str(stdout.lines().last().expect("a document")).expect("JSON")
+}
+
+/// All of an owner's captured messages, once they are verified.
+fn verified(owner: &Authros, least: usize) -> Vec<Value> {
+    wait_until(120, "all records are verified", || {
+        let records = owner.records(&["uploads", "list"]);
+        let done = records.len() >= least && records.iter().all(|record| record["state"] == "verified");
+        done.then_some(records)
+    })
+}
+
+#[test]
+fn four_robots_of_two_accounts_through_one_gateway() {
+    let _alone = heavy();
+    let gateway = Gateway::new();
+    let wire = Wire::to(gateway.port);
+    let (alice, bob) = (gateway.owner("alice"), gateway.owner("bob"));
+    let robots: Vec<Robot> = (1..=4)
+        .map(|number| {
+            let owner = if number <= 2 { &alice } else { &bob };
+            // Some with EK, some with topic keys alone.
+            let topics: &[&str] = if number % 2 == 0 { &["/robot1/odom"] } else { &[] };
+            Robot::enrol(&gateway, owner, &wire.address(), &format!("scout-{number}"), topics)
+        })
+        .collect();
+    let each = 25;
+    let wanted = each.to_string();
+    let options = ["--topic", "/robot1/odom", "--count", &wanted, "--robots", "1", "--tag", "mission=harbour-watch"];
+    let running: Vec<Running> = robots.iter().map(|robot| robot.run(&options)).collect();
+    for agent in running {
+        let outcome = agent.wait(180).expect_code(0);
+        let summary = last(&outcome.stdout);
+        assert_eq!(
+            ["captured", "accepted", "verified", "pending", "lost"].map(|field| count(&summary, field)),
+            [each, each, each, 0, 0],
+            "{summary}"
+        );
+    }
+    for owner in [&alice, &bob] {
+        let records = verified(owner, 50);
+        assert_eq!(records.len(), 50, "what was published, no more and no less");
+        let opened = owner.json(&["shared", "open", &text(&records[0], "id")]);
+        assert_eq!(opened["verdict"], "verified", "{opened}");
+        assert_eq!((&opened["topic"], &opened["tags"]["mission"]), (&"/robot1/odom".into(), &"harbour-watch".into()));
+        let mut seqs: BTreeMap<u64, usize> = BTreeMap::new();
+        records.iter().for_each(|record| *seqs.entry(count(record, "seq")).or_default() += 1);
+        assert!(seqs.values().all(|robots| *robots == 2), "each of two robots has each number once: {seqs:?}");
+    }
+    nothing_shows(&wire.recorded(), &robots);
+    assert!(robots.iter().all(|robot| {
+        let vault = robot.home.path().join("vault").join("vault.db");
+        vault.exists()
+    }));
+}
+
+/// What passed between robots and gateway holds no key and no word of theirs.
+fn nothing_shows(bytes: &[u8], robots: &[Robot]) {
+    assert!(bytes.len() > 100 * 500, "the records went this way");
+    for word in ["scout-", "alice", "bob", "/robot1/odom", "nav_msgs", "Odometry", "mission", "harbour", "robot1"] {
+        assert!(!holds(bytes, word.as_bytes()), "'{word}' on the wire");
+    }
+    for robot in robots {
+        let sealed = robot.secrets();
+        let enrolment = &sealed.enrolment;
+        let mut secrets: Vec<&[u8]> = vec![
+            enrolment.transport.expose(),
+            enrolment.device.secret.expose(),
+            enrolment.index.expose(),
+            enrolment.notice_key.expose(),
+            &enrolment.token.0,
+        ];
+        match &enrolment.keys.now.key {
+            SealingKey::Epoch(key) => secrets.push(key.expose()),
+            SealingKey::Topics(keys) => secrets.extend(keys.values().map(|key| &key.expose()[..])),
+        }
+        assert!(secrets.iter().all(|secret| !holds(bytes, secret)), "a key on the wire");
+    }
+    assert!(holds(bytes, &robots[0].secrets().enrolment.domain.0), "the search finds what is there");
+}
+
+#[test]
+fn the_outbox_outlives_gateway_and_agent() {
+    let _alone = heavy();
+    let mut gateway = Gateway::new();
+    let alice = gateway.owner("alice");
+    let address = format!("127.0.0.1:{}", gateway.port);
+    let robot = Robot::enrol(&gateway, &alice, &address, "scout", &["/robot1/odom"]);
+    let agent = robot.run(&["--robots", "1"]);
+    let with = |agent: &Running, what: &str, test: &dyn Fn(&Value) -> bool| {
+        wait_until(90, what, || figures(agent).filter(|figures| test(figures)))
+    };
+    with(&agent, "the gateway takes records", &|figures| count(figures, "accepted") > 0);
+    gateway.kill();
+    let away = with(&agent, "the agent notices", &|figures| {
+        !["connected", "connecting"].contains(&figures["gateway"].as_str().expect("text"))
+    });
+    let more = count(&away, "captured") + 20;
+    let grown = with(&agent, "the outbox grows", &|figures| count(figures, "captured") >= more);
+    assert!(count(&grown, "pending") >= 20, "{grown}");
+    // Between seal and upload, without a word.
+    agent.stop("KILL", 10);
+
+    // The outbox goes on growing in the next run, still without a gateway; told to end, it ends.
+    let agent = robot.run(&["--robots", "1"]);
+    let kept = count(&grown, "captured");
+    with(&agent, "nothing that was acknowledged is missing", &|figures| count(figures, "captured") > kept);
+    let outcome = agent.stop("TERM", 10).expect_code(0);
+    let summary = last(&outcome.stdout);
+    assert_eq!((text(&summary, "ended").as_str(), count(&summary, "lost")), ("told", 0), "{summary}");
+
+    gateway.start();
+    let outcome = robot.run(&["--robots", "1", "--count", "5"]).wait(180).expect_code(0);
+    let settled = last(&outcome.stdout);
+    let all = count(&settled, "captured");
+    assert_eq!(all, count(&summary, "captured") + 5);
+    assert_eq!((count(&settled, "verified"), count(&settled, "pending")), (all, 0), "{settled}");
+    let records = verified(&alice, usize::try_from(all).expect("few"));
+    assert_eq!(records.len() as u64, all, "none twice");
+}
+
+#[test]
+fn a_recalled_device_and_a_topic_without_a_key_are_refused() {
+    let gateway = Gateway::new();
+    let alice = gateway.owner("alice");
+    let address = format!("127.0.0.1:{}", gateway.port);
+    let robot = Robot::enrol(&gateway, &alice, &address, "scout", &["/robot1/odom"]);
+    let outcome = robot.run(&["--topic", "/robot1/camera/compressed", "--count", "1"]).wait(60).expect_code(5);
+    assert!(outcome.stdout.contains("no key for topic /robot1/camera/compressed"), "{outcome}");
+    let twice = alice.fails(
+        3,
+        &["agent", "enrol", "--gateway", &address, "--trust-first", "--name", "scout", "--out", &robot.enrolment],
+    );
+    assert!(twice.contains("never overwritten"), "{twice}");
+    let other = "ab".repeat(32);
+    let out = robot.home.root().join("other").to_str().expect("UTF-8").to_owned();
+    let wrong = alice.fails(
+        5,
+        &["agent", "enrol", "--gateway", &address, "--gateway-key", &other, "--name", "scout", "--out", &out],
+    );
+    assert!(wrong.contains("not the pinned gateway"), "{wrong}");
+
+    robot.run(&["--robots", "1", "--count", "3"]).wait(120).expect_code(0);
+    alice.json(&["devices", "recall", &robot.device]);
+    let outcome = robot.run(&["--robots", "1", "--count", "3"]).wait(120).expect_code(5);
+    let summary = last(&outcome.stdout);
+    assert_eq!(
+        (count(&summary, "captured"), count(&summary, "verified"), count(&summary, "pending")),
+        (6, 3, 3),
+        "they stay in the outbox: {summary}"
+    );
+    assert_eq!(verified(&alice, 3).len(), 3, "none of a recalled device came through");
+}
+
+#[test]
+fn a_new_epoch_reaches_the_robots() {
+    let gateway = Gateway::new();
+    let alice = gateway.owner("alice");
+    let address = format!("127.0.0.1:{}", gateway.port);
+    let robot = Robot::enrol(&gateway, &alice, &address, "scout", &["/robot1/odom"]);
+    let agent = robot.run(&["--robots", "1"]);
+    wait_until(90, "the gateway takes records", || figures(&agent).filter(|figures| count(figures, "accepted") > 0));
+    assert_eq!(count(&alice.json(&["keys", "rotate"]), "epoch"), 2);
+    let newer = wait_until(120, "records of the new epoch", || {
+        let records = alice.records(&["uploads", "list"]);
+        records.into_iter().find(|record| count(record, "epoch") == 2 && record["state"] == "verified")
+    });
+    let opened = alice.json(&["shared", "open", &text(&newer, "id")]);
+    assert_eq!((&opened["verdict"], &opened["topic"]), (&"verified".into(), &"/robot1/odom".into()), "{opened}");
+    agent.stop("TERM", 10).expect_code(0);
+    // What it was told outlives the run; the enrolment file itself is as it was.
+    let outcome = robot.run(&["--robots", "1", "--count", "2"]).wait(120).expect_code(0);
+    assert_eq!(count(&last(&outcome.stdout), "pending"), 0);
+    let epochs: Vec<u64> = verified(&alice, 3).iter().map(|record| count(record, "epoch")).collect();
+    assert_eq!(epochs.last(), Some(&2), "{epochs:?}");
+}

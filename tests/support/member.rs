@@ -1,0 +1,141 @@
+//! A profile's keys in the test's own hands: what a second client of the gateway's protocol would have.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use authros::crypto::{
+    EpochKey, IndexKey, Keyring, Passphrase, Provider, ProviderName, SealRequest, SmKeyPair, TopicKey, UnlockedKeyring,
+    epoch_key, filter_id, provider, random_bytes, seal, token, topic_id, topic_key,
+};
+use authros::gateway::{Applicant, Client, Context, Credentials, Endpoint, GatewayError, Trust, Upload};
+use authros::model::head::Compression;
+use authros::model::{
+    Address, Digest, Domain, Head, ProfileName, RecordKind, RecorderId, SignerId, Timestamp, Token, TopicId,
+};
+use serde_json::Value;
+
+use super::{Home, text};
+
+/// A gateway that a test started, as its JSON tells of it.
+#[derive(Debug, Clone)]
+pub struct Gateway {
+    pub address: String,
+    pub id: SignerId,
+    pub domain: Domain,
+    pub account: String,
+}
+
+impl Gateway {
+    /// From the first line of `gateway serve --json`.
+    pub fn of(told: &Value) -> Self {
+        let view = &told["gateway"];
+        Self {
+            address: text(view, "address"),
+            id: text(view, "gateway").parse().expect("an id"),
+            domain: text(view, "domain").parse().expect("a domain"),
+            account: text(view, "account"),
+        }
+    }
+
+    pub fn endpoint(&self) -> Endpoint {
+        let context = Context { provider: provider(ProviderName::RustCrypto), domain: self.domain };
+        Endpoint { address: self.address.clone(), context, patience: Duration::from_secs(20) }
+    }
+
+    pub fn trust(&self) -> Trust {
+        Trust::pinned(self.id)
+    }
+}
+
+/// A registered profile with its keys.
+pub struct Member {
+    pub keyring: Keyring,
+    pub domain: Domain,
+    pub recorder: RecorderId,
+    pub epoch: u64,
+}
+
+impl Member {
+    /// Of a profile whose passphrase lies beside its keyring.
+    pub fn of(home: &Home, profile: &str, domain: Domain) -> Self {
+        let directory = home.path().join("profiles").join(profile);
+        let passphrase = std::fs::read_to_string(directory.join("passphrase")).expect("a passphrase");
+        let passphrase = Passphrase::new(passphrase.trim_end().to_owned()).expect("a passphrase");
+        let keyring = UnlockedKeyring::open(&directory.join("keyring"), &passphrase).expect("opens").keyring;
+        let epoch = keyring.networks.get(&domain).expect("registered").current;
+        Self { keyring, domain, recorder: RecorderId(random_bytes().expect("random")), epoch }
+    }
+
+    pub fn provider(&self) -> &'static dyn Provider {
+        provider(ProviderName::RustCrypto)
+    }
+
+    pub fn address(&self) -> Address {
+        self.keyring.eoa.address()
+    }
+
+    pub fn epoch_key(&self) -> EpochKey {
+        let secret = &self.keyring.networks[&self.domain].epochs[&self.epoch];
+        epoch_key(&secret.sm4, secret.salt.expose(), &self.domain, &self.address(), self.epoch)
+    }
+
+    pub fn token(&self) -> Token {
+        token(&self.domain, &self.address(), self.epoch, &self.epoch_key())
+    }
+
+    pub fn topic(&self, name: &str) -> (TopicId, TopicKey) {
+        let id = topic_id(&self.keyring.index, name);
+        (id, topic_key(&self.epoch_key(), &id))
+    }
+
+    pub fn index(&self) -> &IndexKey {
+        &self.keyring.index
+    }
+
+    /// A sealed record of `std_msgs/String`, as a robot sends it.
+    pub fn record(&self, signer: &SmKeyPair, topic: &str, seq: u64, body: &[u8]) -> Upload {
+        let (id, key) = self.topic(topic);
+        let head = Head {
+            topic: topic.to_owned(),
+            type_name: "std_msgs/String".to_owned(),
+            md5sum: "992ce8a1687cec8c8bd883ec73ca41d1".to_owned(),
+            definition: Digest(self.provider().sm3(&[b"string data\n"])),
+            caller_id: "/robot".to_owned(),
+            boot_id: [1; 16],
+            compression: Compression::None,
+            plain_length: body.len() as u64,
+            tags: BTreeMap::new(),
+        };
+        let request = SealRequest {
+            domain: self.domain,
+            owner: self.address(),
+            signer,
+            epoch: self.epoch,
+            topic_key: &key,
+            recorder: self.recorder,
+            seq,
+            topic_id: id,
+            kind: RecordKind::Data,
+            filters: vec![filter_id(self.index(), "type", "std_msgs/String")],
+            captured_at: Timestamp::now(),
+            head: &head,
+            body,
+        };
+        Upload::from(&seal(self.provider(), &request).expect("seals"))
+    }
+
+    /// Allocates a transport key for a name.
+    pub async fn allocate(&self, gateway: &Gateway, name: &str) -> Result<Credentials, GatewayError> {
+        let name: ProfileName = name.parse().expect("a name");
+        let keys = &self.keyring;
+        let applicant =
+            Applicant { name: &name, signing: &keys.signing, envelope: keys.envelope.public, account: &keys.eoa };
+        let (key, _) = Client::allocate(&gateway.endpoint(), &mut gateway.trust(), &applicant).await?;
+        Ok(Credentials { name, key, token: self.token() })
+    }
+}
+
+/// A session; a gateway that was just started is given a moment.
+pub async fn connect(gateway: &Gateway, credentials: &Credentials) -> Client {
+    Client::connect(&gateway.endpoint(), &mut gateway.trust(), credentials).await.expect("connects")
+}
