@@ -130,7 +130,8 @@ fn four_robots_of_two_accounts_through_one_gateway() {
         assert_eq!(records.len(), 50, "what was published, no more and no less");
         let opened = owner.json(&["shared", "open", &text(&records[0], "id")]);
         assert_eq!(opened["verdict"], "verified", "{opened}");
-        assert_eq!((&opened["topic"], &opened["tags"]["mission"]), (&"/robot1/odom".into(), &"harbour-watch".into()));
+        assert_eq!(opened["topic"], "/robot1/odom", "{opened}");
+        assert!(opened["tags"].to_string().contains(r#"["mission","harbour-watch"]"#), "{opened}");
         let mut seqs: BTreeMap<u64, usize> = BTreeMap::new();
         records.iter().for_each(|record| *seqs.entry(count(record, "seq")).or_default() += 1);
         assert!(seqs.values().all(|robots| *robots == 2), "each of two robots has each number once: {seqs:?}");

@@ -117,6 +117,31 @@ fn uploaders_succeed_on_every_network() {
 }
 
 #[test]
+fn a_gateway_keeps_every_record_it_is_measured_with() {
+    let _alone = heavy();
+    let home = Home::new();
+    let report = bare(&home).json_within(LIMIT, &["bench", "gateway", "--records", "64", "--idle", "20"]);
+    expect_shape(&report, "gateway", &home);
+    let rows = list(&report, "results");
+    for bytes in [1024, 58 * 1024] {
+        let of_size: Vec<&Value> = rows.iter().filter(|row| count(row, "bytes") == bytes).collect();
+        for way in ["sm3", "sm2 verify", "bound", "sm2 sign", "each", "window", "many"] {
+            assert!(of_size.iter().any(|row| row["way"] == way), "no {way} of {bytes} bytes");
+        }
+        for row in of_size {
+            let records = if bytes == 1024 { 64 } else { 8 };
+            assert_eq!(count(row, "records"), records, "{row}");
+            assert!(number(row, "mb_per_second") > 0.0 && number(row, "per_core") > 0.0, "{row}");
+            let is_bound = row["kept"].is_null();
+            assert!(is_bound == row["of_bound"].is_null() && is_bound == (count(row, "connections") == 0), "{row}");
+        }
+    }
+    let idle = &report["idle"];
+    assert_eq!((count(idle, "asked"), count(idle, "connections")), (20, 20), "{idle}");
+    assert!(idle["limited_by"].is_null() && idle["resident"].is_u64(), "{idle}");
+}
+
+#[test]
 fn what_cannot_be_measured_is_told() {
     let home = Home::new();
     let silent = format!("http://127.0.0.1:{}", support::free_port());

@@ -250,6 +250,7 @@ pub fn samples() -> Vec<Sample> {
         "unsubscribe",
         "grant_notice",
         "revoke_notice",
+        "device_notice",
     ];
     samples.extend(names.iter().zip(requests()).map(|(name, request)| sample(name, 1, &client_text(&request))));
     let names =

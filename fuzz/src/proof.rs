@@ -1,7 +1,8 @@
-//! Proofs: paths to a batch's root, and trees of any width.
+//! Proofs: as they travel with a record, paths to a batch's root, trees of any width.
 
 use std::sync::LazyLock;
 
+use authros::chain::AnchorProof;
 use authros::chain::merkle::{Inclusion, LONGEST_PATH, Leaf, Tree, root_of};
 use authros::model::wire::Reader;
 use authros::model::{Address, Digest, Hash, RecorderId, TopicId};
@@ -9,7 +10,7 @@ use authros::model::{Address, Digest, Hash, RecorderId, TopicId};
 use crate::cast::provider;
 use crate::{Sample, masked, sample, way};
 
-const WAYS: u8 = 4;
+const WAYS: u8 = 5;
 /// Leaves of the batch that proofs are tried against.
 const COUNT: u64 = 11;
 /// The widest tree that is built from an input.
@@ -22,6 +23,7 @@ pub fn run(data: &[u8]) -> bool {
         Some((1, bytes)) => altered(bytes),
         Some((2, bytes)) => any_path(bytes),
         Some((3, bytes)) => any_tree(bytes),
+        Some((4, bytes)) => travelling(bytes),
         _ => false,
     }
 }
@@ -119,8 +121,28 @@ fn any_tree(bytes: &[u8]) -> bool {
     true
 }
 
+/// A proof as the gateway sends it with a record: which leaf (1), then the proof.
+fn travelling(bytes: &[u8]) -> bool {
+    let Some((&which, bytes)) = bytes.split_first() else { return false };
+    let Ok(proof) = AnchorProof::parse(bytes) else { return false };
+    assert_eq!(proof.encode(), bytes, "one encoding for one proof");
+    let Some(inclusion) = proof.inclusion else { return true };
+    let place = u64::from(which) % COUNT;
+    let proven = inclusion.root == BATCH.root() && inclusion.count == COUNT && inclusion.proves(&leaf(place));
+    assert!(
+        !proven || (inclusion.index == place && inclusion.path == BATCH.path(usize::try_from(place).expect("small")))
+    );
+    proven
+}
+
+fn anchored(inclusion: Option<Inclusion>) -> Vec<u8> {
+    let (transaction, block_hash) = (Hash([2; 32]), Hash([4; 32]));
+    AnchorProof { account: Address([1; 20]), transaction, block: 3, block_hash, inclusion }.encode()
+}
+
 /// Valid encodings of every kind.
 pub fn samples() -> Vec<Sample> {
+    let inclusion = Inclusion { index: 6, count: COUNT, path: BATCH.path(6), root: BATCH.root() };
     vec![
         sample("first", 0, &genuine(0)),
         sample("middle", 0, &genuine(5)),
@@ -128,6 +150,8 @@ pub fn samples() -> Vec<Sample> {
         sample("altered", 1, &[0; 8]),
         sample("any_path", 2, &genuine(7)),
         sample("alone", 2, &encode(&leaf(0), 0, 1, &[])),
+        sample("travelling", 4, &[&[6][..], &anchored(Some(inclusion))].concat()),
+        sample("travelling_alone", 4, &[&[6][..], &anchored(None)].concat()),
         sample("any_tree", 3, &[0, 200, 0, 130, 0, 7]),
     ]
 }

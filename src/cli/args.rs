@@ -4,6 +4,7 @@ mod agent;
 mod bench;
 mod chain;
 mod gateway;
+mod global;
 mod keys;
 
 use std::path::PathBuf;
@@ -11,9 +12,10 @@ use std::path::PathBuf;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
 pub use self::agent::{AgentVerb, EnrolArguments, RunArguments};
-pub use self::bench::{BenchArguments, BenchVerb, ConsensusArguments};
+pub use self::bench::{BenchArguments, BenchVerb, ConsensusArguments, GatewayArguments};
 pub use self::chain::{ChainVerb, GenesisArguments};
 pub use self::gateway::GatewayVerb;
+pub use self::global::Global;
 pub use self::keys::{ExportKind, IdentityVerb, KeysVerb};
 
 /// Share robot data under proof: messages sealed with SM4, signed with SM2, anchored by SM3
@@ -27,83 +29,6 @@ pub struct Arguments {
     /// What to do; nothing = the console.
     #[command(subcommand)]
     pub verb: Option<Verb>,
-}
-
-/// Flags of every command.
-#[derive(Debug, Clone, Args)]
-pub struct Global {
-    /// Directory of this site [default: $XDG_DATA_HOME/authros or ~/.local/share/authros]
-    #[arg(long, global = true, value_name = "DIR", env = "AUTHROS_HOME")]
-    pub home: Option<PathBuf>,
-    /// Identity on this machine
-    #[arg(long, global = true, value_name = "NAME", env = "AUTHROS_PROFILE", default_value = "default")]
-    pub profile: String,
-    /// Print one JSON document (streams: one per line) on stdout
-    #[arg(long, global = true)]
-    pub json: bool,
-    /// File with the keyring's passphrase (first line)
-    #[arg(long, global = true, value_name = "FILE", conflicts_with = "passphrase_fd")]
-    pub passphrase_file: Option<PathBuf>,
-    /// Descriptor to read the keyring's passphrase from
-    #[arg(long, global = true, value_name = "N")]
-    pub passphrase_fd: Option<u32>,
-    /// Real ROS master, as http://host:11311
-    #[arg(long, global = true, value_name = "URI")]
-    pub ros_master: Option<String>,
-    /// Node of a real chain: http://, ws:// or ipc path
-    #[arg(long, global = true, value_name = "URL")]
-    pub chain: Option<String>,
-    /// Address of the `AuthROS` contract on that chain
-    #[arg(long, global = true, value_name = "ADDRESS")]
-    pub contract: Option<String>,
-    /// How the embedded chain seals: poa, poa:SIGNERS:PERIOD_MS, pow or pow:DIFFICULTY
-    #[arg(long, global = true, value_name = "NAME")]
-    pub consensus: Option<String>,
-    /// Real Redis, as redis://host:6379
-    #[arg(long, global = true, value_name = "URL")]
-    pub vault: Option<String>,
-    /// Simulated robots on the embedded master, 0 to 32
-    #[arg(long, global = true, value_name = "N")]
-    pub robots: Option<String>,
-    /// Blocks until an anchor counts as confirmed
-    #[arg(long, global = true, value_name = "N")]
-    pub confirmations: Option<String>,
-    /// rustcrypto or libsm
-    #[arg(long, global = true, value_name = "NAME")]
-    pub crypto_provider: Option<String>,
-    /// Join a remote site through its gateway: records and chain come from there
-    #[arg(long, global = true, value_name = "HOST:PORT")]
-    pub site: Option<String>,
-    /// Fingerprint of that gateway's identity key, as its operator tells it
-    #[arg(long, global = true, value_name = "FINGERPRINT", conflicts_with = "trust_first")]
-    pub gateway_key: Option<String>,
-    /// Pin whatever gateway answers the first time
-    #[arg(long, global = true)]
-    pub trust_first: bool,
-    /// batch (Merkle roots) or each (one transaction per record)
-    #[arg(long, global = true, value_name = "MODE")]
-    pub anchor_mode: Option<String>,
-}
-
-impl Global {
-    /// The flag's value for a setting.
-    pub fn setting(&self, name: &str) -> Option<String> {
-        match name {
-            "ros.master" => self.ros_master.clone(),
-            "chain.url" => self.chain.clone(),
-            "chain.contract" => self.contract.clone(),
-            "chain.consensus" => self.consensus.clone(),
-            "vault.url" => self.vault.clone(),
-            "robots" => self.robots.clone(),
-            "confirmations" => self.confirmations.clone(),
-            "crypto.provider" => self.crypto_provider.clone(),
-            "anchor.mode" => self.anchor_mode.clone(),
-            "site.address" => self.site.clone(),
-            "site.gateway_key" => self.gateway_key.clone(),
-            "site.trust_first" => self.trust_first.then(|| "yes".to_owned()),
-            _ => None,
-        }
-    }
 }
 
 /// The verbs.

@@ -5,6 +5,7 @@ mod account;
 mod batcher;
 mod consensus;
 mod gas;
+mod gateway;
 mod lane;
 mod machine;
 mod mined;
@@ -36,6 +37,7 @@ pub async fn run(global: &Global, arguments: BenchArguments, output: &Output) ->
         match arguments.verb {
             BenchVerb::Consensus(consensus) => consensus::run(consensus, provider, csv, output).await,
             BenchVerb::Gas => gas::run(provider, csv, output).await,
+            BenchVerb::Gateway(gateway) => gateway::run(gateway, provider, csv, output).await,
         }
     };
     tokio::select! {

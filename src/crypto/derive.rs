@@ -8,7 +8,7 @@ use crate::model::{Address, Domain, FilterId, Hash, PublicKey, SignerId, Token, 
 use super::kdf::{Info, derived};
 use super::secret::uncompressed;
 use super::sm3::sm3;
-use super::{CryptoError, EoaSecret, EpochKey, IndexKey, Sm4Key, TopicKey};
+use super::{CryptoError, EoaSecret, EpochKey, IndexKey, Sm4Key, SmSecret, TopicKey};
 
 /// What binds signed, derived and hashed structures to one chain and contract:
 /// SM3(label || chain id (8) || genesis hash || contract).
@@ -58,8 +58,8 @@ pub fn witness_secret(owner: &EoaSecret, domain: &Domain, index: u8) -> Result<E
     EoaSecret::from_slice(&*bytes)
 }
 
-/// What seals transport keys at rest with the gateway whose keyring has this index key.
-pub(super) fn kept_key(keeper: &IndexKey) -> Zeroizing<[u8; 16]> {
+/// What seals transport keys at rest with the gateway whose keeper has this d_E.
+pub(super) fn kept_key(keeper: &SmSecret) -> Zeroizing<[u8; 16]> {
     Zeroizing::new(derived(keeper.expose(), &[], &Info::new("AuthROS/binding/1")))
 }
 

@@ -1,8 +1,9 @@
-//! Transport keys at rest with a gateway: sealed under a key that follows from its keyring.
+//! Transport keys at rest with a gateway: sealed under a key that follows from d_E of its keeper, which no grant gives
+//! away.
 
 use super::derive::kept_key;
 use super::random::random_bytes;
-use super::{CryptoError, IndexKey, Provider, TransportKey};
+use super::{CryptoError, Provider, SmSecret, TransportKey};
 
 /// Bytes of the nonce before what is sealed.
 const NONCE: usize = 12;
@@ -13,12 +14,14 @@ const NONCE: usize = 12;
 /// Of the random source.
 pub fn seal_transport_key(
     provider: &dyn Provider,
-    keeper: &IndexKey,
+    keeper: &SmSecret,
     name: &str,
     key: &TransportKey,
 ) -> Result<Vec<u8>, CryptoError> {
     let nonce: [u8; NONCE] = random_bytes()?;
-    let mut buffer = key.expose().to_vec();
+    // Reserved in one piece, tag included: growing would leave an unwiped copy behind.
+    let mut buffer = Vec::with_capacity(TransportKey::LENGTH + 16);
+    buffer.extend_from_slice(key.expose());
     provider.gcm_seal(&kept_key(keeper), &nonce, name.as_bytes(), &mut buffer)?;
     Ok([&nonce[..], &buffer].concat())
 }
@@ -29,7 +32,7 @@ pub fn seal_transport_key(
 /// [`CryptoError::BadCiphertext`] where it was sealed for another name, by another keeper, or altered.
 pub fn open_transport_key(
     provider: &dyn Provider,
-    keeper: &IndexKey,
+    keeper: &SmSecret,
     name: &str,
     sealed: &[u8],
 ) -> Result<TransportKey, CryptoError> {
@@ -47,7 +50,7 @@ mod tests {
     #[test]
     fn only_the_same_keeper_and_name_open_it() {
         let provider = provider(ProviderName::RustCrypto);
-        let (keeper, other) = (IndexKey::new([1; 32]), IndexKey::new([2; 32]));
+        let [keeper, other] = [1, 2].map(|byte| SmSecret::from_slice(&[byte; 32]).expect("in range"));
         let key = TransportKey::new([3; 32]);
         let sealed = seal_transport_key(provider, &keeper, "robot-1", &key).expect("seals");
         assert_eq!(open_transport_key(provider, &keeper, "robot-1", &sealed).expect("opens").expose(), key.expose());

@@ -80,8 +80,11 @@ pub trait Desk: Send + Sync + 'static {
     /// What a name stands for.
     async fn binding(&self, name: &ProfileName) -> Result<Option<Binding>, Refusal>;
 
-    /// Binds a name, durably before it returns. Called one at a time, and only where the name is free or
-    /// bound to the same account.
+    /// Who continues for a lost account, as the administrator said on the chain.
+    async fn successor(&self, lost: &Address) -> Result<Option<Address>, Refusal>;
+
+    /// Binds a name, durably before it returns. Called one at a time, and only where the name is free, bound to the
+    /// same account, or to one that this account continues for.
     async fn bind(&self, name: &ProfileName, binding: Binding) -> Result<(), Refusal>;
 
     /// Passes a registration to the chain: `Transaction` unless it is signed by the account and calls the

@@ -134,6 +134,7 @@ pub async fn allocate(
     same_keys(&account, &allocation.signing, &allocation.envelope)?;
     if let Some(bound) = desk.binding(name).await?
         && bound.account != allocation.account
+        && desk.successor(&bound.account).await? != Some(allocation.account)
     {
         return Err(Refusal::new(Code::NameBound, format_args!("{name} belongs to {}", bound.account)));
     }

@@ -98,7 +98,8 @@ impl Mirror<'_> {
         let known = block_in_place(|| self.plant.ledger.record(digest))?;
         let mut changed = false;
         if known.is_none() {
-            self.keep(&header, digest, fetched).await?;
+            let block = proof.as_ref().map(|proof| proof.block);
+            self.keep(&header, digest, fetched, block).await?;
             changed = true;
         }
         if let Some(proof) = proof {
@@ -174,10 +175,16 @@ impl Mirror<'_> {
     }
 
     /// Vault first, then the ledger: acknowledged is only what is durable.
-    async fn keep(&self, header: &Header, digest: Digest, fetched: &Fetched) -> Result<(), PipelineError> {
+    async fn keep(
+        &self,
+        header: &Header,
+        digest: Digest,
+        fetched: &Fetched,
+        block: Option<u64>,
+    ) -> Result<(), PipelineError> {
         let durable = self.plant.vault.durable();
         block_in_place(|| self.plant.vault.put(&[(digest, fetched.blob.as_slice())]))?;
-        let opened = self.opener().open(&row_of(header, digest, fetched)).await?;
+        let opened = self.opener().open(&RecordRow { block, ..row_of(header, digest, fetched) }).await?;
         let row = new_record(header, digest, fetched, &opened, self.keeper, durable);
         match block_in_place(|| self.plant.ledger.append(vec![row])) {
             Err(StoreError::Conflict { .. }) => Err(PipelineError::NotTakenIn {

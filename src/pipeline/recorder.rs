@@ -39,6 +39,12 @@ struct Interest {
     sessions: Vec<Arc<CaptureSession>>,
 }
 
+impl Interest {
+    fn wants(&self, type_name: &str) -> bool {
+        self.type_name.as_ref().is_none_or(|wanted| wanted.as_str() == type_name)
+    }
+}
+
 /// Messages that did not become records.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Losses {
@@ -175,7 +181,7 @@ impl Recorder {
     }
 
     fn offer(&self, interest: &Interest, message: &Arc<Message>, simulated: bool) {
-        if interest.type_name.as_ref().is_some_and(|wanted| wanted.as_str() != &*message.type_name) {
+        if !interest.wants(&message.type_name) {
             return;
         }
         let doubt = self.doubt(interest, &message.topic, &message.origin);
@@ -207,7 +213,8 @@ impl Recorder {
         match notice {
             CaptureNotice::PublisherConnected { topic, origin, .. } => {
                 pins.connected(topic, origin);
-                for interest in owners(topic) {
+                // Of another type than asked for nothing is captured, so it is nobody's first publisher either.
+                for interest in owners(topic).filter(|interest| interest.wants(&origin.type_name)) {
                     pins.judge(interest.author.address, topic, origin);
                 }
             }

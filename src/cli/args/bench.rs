@@ -20,6 +20,8 @@ pub enum BenchVerb {
     Consensus(ConsensusArguments),
     /// Gas per record: one by one, in batches, and the prototype's way
     Gas,
+    /// Records that a gateway accepts per second, beside SM2 and SM3 alone; memory of idle connections
+    Gateway(GatewayArguments),
 }
 
 /// `bench consensus …`
@@ -32,4 +34,15 @@ pub struct ConsensusArguments {
     /// Also on this node, which must give ether to test accounts or ask no fees
     #[arg(long, value_name = "URL")]
     pub node: Option<String>,
+}
+
+/// `bench gateway …`
+#[derive(Debug, Args)]
+pub struct GatewayArguments {
+    /// Records of 1 KiB in each run; of 58 KB, an eighth of that
+    #[arg(long, value_name = "N", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(8..=100_000))]
+    pub records: u32,
+    /// Idle connections; as many as open files allow
+    #[arg(long, value_name = "N", default_value_t = 5000, value_parser = clap::value_parser!(u32).range(0..=50_000))]
+    pub idle: u32,
 }

@@ -122,7 +122,8 @@ impl Account {
     }
 }
 
-fn head(length: usize) -> Head {
+/// The head of a message of that length.
+pub(super) fn head(length: usize) -> Head {
     Head {
         topic: TOPIC.to_owned(),
         type_name: "nav_msgs/Odometry".to_owned(),

@@ -46,7 +46,15 @@ impl Directory {
     /// # Errors
     /// Where none can be made.
     pub fn new() -> Result<Self, Failure> {
-        let made = tempfile::Builder::new().prefix("authros-bench-").tempdir();
+        Self::within(&std::env::temp_dir())
+    }
+
+    /// A new one in `parent`.
+    ///
+    /// # Errors
+    /// Where none can be made.
+    pub fn within(parent: &Path) -> Result<Self, Failure> {
+        let made = tempfile::Builder::new().prefix("authros-bench-").tempdir_in(parent);
         let made = made.map_err(|error| {
             Failure::new(ErrorKind::Home, format!("no temporary directory can be made: {error}; set TMPDIR"))
         });

@@ -46,7 +46,7 @@ struct Scene {
     member: crate::model::ProfileName,
     binding: Option<Binding>,
     listener: TcpListener,
-    _running: watch::Sender<bool>,
+    running: watch::Sender<bool>,
 }
 
 impl Scene {
@@ -58,7 +58,7 @@ impl Scene {
             member: member.name.clone(),
             binding: binding.filter(|_| under_key),
             listener: TcpListener::bind("127.0.0.1:0").await.expect("listens"),
-            _running: watch::channel(false).0,
+            running: watch::channel(false).0,
         }
     }
 
@@ -66,7 +66,7 @@ impl Scene {
     async fn told(&self, bytes: &[u8]) -> Vec<u8> {
         let address = self.listener.local_addr().expect("an address");
         let seat = self.shared.peers.admit(address.ip(), Instant::now()).expect("within the limits");
-        let stop = self._running.subscribe();
+        let stop = self.running.subscribe();
         let (client, accepted) = tokio::join!(TcpStream::connect(address), self.listener.accept());
         let line = Line::new(accepted.expect("accepts").0);
         let mut client = client.expect("connects");

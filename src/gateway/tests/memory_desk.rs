@@ -19,13 +19,15 @@ use crate::gateway::{Code, NetworkName, Refusal};
 use crate::model::{Address, Digest, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token};
 
 #[derive(Default)]
-pub(super) struct State {
+pub(crate) struct State {
     pub accounts: HashMap<Address, Account>,
     pub tokens: HashSet<(Address, Token)>,
     pub signers: HashMap<(Address, SignerId), PublicKey>,
     /// What the chain would say: ids of devices, without their keys.
     pub lent: HashSet<(Address, SignerId)>,
     pub bindings: HashMap<ProfileName, Binding>,
+    /// Who continues for a lost account.
+    pub successors: HashMap<Address, Address>,
     pub records: BTreeMap<u64, Received>,
     pub readers: HashSet<(Address, Address)>,
     pub subscribers: Vec<(Caller, Selection, mpsc::Sender<Entry>)>,
@@ -42,7 +44,7 @@ pub(super) struct State {
 }
 
 #[derive(Default)]
-pub(super) struct MemoryDesk(Mutex<State>);
+pub(crate) struct MemoryDesk(Mutex<State>);
 
 fn entry(record: &Received) -> Entry {
     Entry {
@@ -125,6 +127,10 @@ impl Desk for MemoryDesk {
 
     async fn binding(&self, name: &ProfileName) -> Result<Option<Binding>, Refusal> {
         Ok(self.state().bindings.get(name).cloned())
+    }
+
+    async fn successor(&self, lost: &Address) -> Result<Option<Address>, Refusal> {
+        Ok(self.state().successors.get(lost).copied())
     }
 
     async fn bind(&self, name: &ProfileName, binding: Binding) -> Result<(), Refusal> {

@@ -188,15 +188,14 @@ impl Agent {
     }
 
     fn figures_of(&self, counts: &StateCounts) -> AgentFigures {
-        let losses = self.site.recorder.all_losses();
-        let unsealed: u64 = self.session.figures().iter().map(|topic| topic.lost).sum();
+        let lost: u64 = self.session.figures().iter().map(|topic| topic.lost).sum();
         let verified = counts.data_in(RecordState::Verified);
         AgentFigures {
             name: self.name.clone(),
             captured: counts.captured(),
             accepted: verified + counts.data_in(RecordState::Submitted),
             verified,
-            lost: unsealed.max(losses.in_transport + losses.in_recorder),
+            lost,
             pending: counts.pending(),
             tampered: counts.data_in(RecordState::Tampered),
             gateway: match &*self.link.borrow() {

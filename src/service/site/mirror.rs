@@ -141,7 +141,14 @@ impl Site {
         loop {
             tokio::select! {
                 next = fed.recv() => {
-                    let (entry, record) = next.unwrap_or(Err(GatewayError::Closed))?;
+                    let next = next.unwrap_or(Err(GatewayError::Closed));
+                    if matches!(next, Err(GatewayError::Refused(Code::NotAuthorised))) {
+                        // Somebody does not share any more: begin again with those who do.
+                        remote.note(&owner.profile, Mirrored::Behind);
+                        tokio::time::sleep(TICK).await;
+                        return Ok(());
+                    }
+                    let (entry, record) = next?;
                     if mirror.wants(&entry)? {
                         self.take(&mirror, entry.owner, &entry, &record).await?;
                     }

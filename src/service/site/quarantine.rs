@@ -56,7 +56,8 @@ impl Site {
     ) -> Result<QuarantineView, Failure> {
         let owner = self.address_of(profile)?;
         let name = topic.as_ref().map(ToString::to_string);
-        let query = HeldQuery { topic: name.clone(), decided: false, limit: MOST };
+        let query =
+            HeldQuery { topic: name.clone(), messages: true, limit: limit.clamp(1, 1000), ..HeldQuery::default() };
         let (rows, counts) = self
             .blocking(move |site| Ok((site.plant.ledger.held(owner, &query)?, site.plant.ledger.counts(Some(owner))?)))
             .await?;
@@ -69,14 +70,15 @@ impl Site {
         };
         Ok(QuarantineView {
             messages: wanted.map(|topic| topic.quarantined).sum(),
-            records: rows.into_iter().filter(HeldRow::is_message).take(limit.clamp(1, 1000)).map(view).collect(),
+            records: rows.into_iter().map(view).collect(),
         })
     }
 
     /// The held records that a person names; definitions are among them only by their topic.
     async fn named(self: &Arc<Self>, owner: &Arc<Owner>, held: &Held) -> Result<Vec<HeldRow>, Failure> {
         let address = owner.address;
-        let query = HeldQuery { topic: held.topic.as_ref().map(ToString::to_string), decided: false, limit: MOST };
+        let query =
+            HeldQuery { topic: held.topic.as_ref().map(ToString::to_string), limit: MOST, ..HeldQuery::default() };
         let mut rows = self.blocking(move |site| Ok(site.plant.ledger.held(address, &query)?)).await?;
         if held.topic.is_some() {
             return Ok(rows);
@@ -122,7 +124,8 @@ impl Site {
         let topics: BTreeSet<String> = rows.iter().map(|row| row.record.topic.clone()).collect();
         let mut digests: BTreeSet<Digest> = rows.iter().map(|row| row.record.digest).collect();
         for topic in topics {
-            let (address, query) = (owner.address, HeldQuery { topic: Some(topic), decided: false, limit: MOST });
+            let (address, query) =
+                (owner.address, HeldQuery { topic: Some(topic), limit: MOST, ..HeldQuery::default() });
             let held = self.blocking(move |site| Ok(site.plant.ledger.held(address, &query)?)).await?;
             digests.extend(held.iter().filter(|row| !row.is_message()).map(|row| row.record.digest));
         }

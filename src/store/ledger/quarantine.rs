@@ -59,6 +59,8 @@ pub struct HeldQuery {
     pub topic: Option<String>,
     /// Also those that were decided about.
     pub decided: bool,
+    /// Captured messages alone, no definitions.
+    pub messages: bool,
     /// At most so many.
     pub limit: usize,
 }
@@ -87,12 +89,15 @@ impl Ledger {
             let sql = format!(
                 "SELECT {}, reason, publisher, report, decision FROM held CROSS JOIN records ON n = record
                  JOIN topics ON key = topic
-                 WHERE (?1 OR decision IS NULL) AND owner = ?2 AND (?3 IS NULL OR name = ?3) ORDER BY record LIMIT ?4",
+                 WHERE (?1 OR decision IS NULL) AND owner = ?2 AND (?3 IS NULL OR name = ?3)
+                 AND (NOT ?5 OR stream IN (SELECT key FROM streams WHERE kind = ?6)) ORDER BY record LIMIT ?4",
                 rows::COLUMNS
             );
             let limit = i64::try_from(query.limit).unwrap_or(i64::MAX);
             let mut statement = connection.prepare_cached(&sql)?;
-            let found = statement.query_map(params![query.decided, owner.0, query.topic, limit], |row| {
+            let data = RecordKind::Data.code();
+            let values = params![query.decided, owner.0, query.topic, limit, query.messages, data];
+            let found = statement.query_map(values, |row| {
                 Ok(HeldRow {
                     record: rows::record(row, &streams)?,
                     reason: row.get(13)?,

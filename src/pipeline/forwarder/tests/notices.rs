@@ -1,3 +1,5 @@
+//! Notices of keys as a robot hears them: only the owner's, only its own, only newer ones.
+
 use super::*;
 use crate::crypto::{
     Enrolment, EpochIssue, EpochKey, IndexKey, IssuedKeys, Passphrase, SealRequest, SealedEnrolment, SealingKey,

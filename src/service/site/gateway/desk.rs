@@ -125,12 +125,16 @@ impl Desk for GatewayDesk {
         self.blocking(move |desk| {
             let internal = Refusal::because(Code::Internal);
             let Some(kept) = desk.site.plant.ledger.binding(&name).map_err(&internal)? else { return Ok(None) };
-            let (provider, index) = (desk.site.plant.provider, desk.keeper.index());
-            let key = open_transport_key(provider, &index, name.as_str(), &kept.sealed_key);
+            let (provider, keeper) = (desk.site.plant.provider, desk.keeper.envelope().secret);
+            let key = open_transport_key(provider, &keeper, name.as_str(), &kept.sealed_key);
             let key = key.map_err(Refusal::because(Code::Internal))?;
             Ok(Some(Binding { account: kept.account, key, signing: kept.signing, envelope: kept.envelope }))
         })
         .await
+    }
+
+    async fn successor(&self, lost: &Address) -> Result<Option<Address>, Refusal> {
+        Ok(self.fresh_network()?.directory.successor(*lost))
     }
 
     async fn bind(&self, name: &ProfileName, binding: Binding) -> Result<(), Refusal> {
@@ -139,8 +143,8 @@ impl Desk for GatewayDesk {
         audited.map_err(|failure| Refusal::new(Code::Internal, failure.message))?;
         let name = name.clone();
         self.blocking(move |desk| {
-            let (provider, index) = (desk.site.plant.provider, desk.keeper.index());
-            let sealed_key = seal_transport_key(provider, &index, name.as_str(), &binding.key);
+            let (provider, keeper) = (desk.site.plant.provider, desk.keeper.envelope().secret);
+            let sealed_key = seal_transport_key(provider, &keeper, name.as_str(), &binding.key);
             let sealed_key = sealed_key.map_err(Refusal::because(Code::Internal))?;
             let Binding { account, signing, envelope, .. } = binding;
             let kept = KeptBinding { account, signing, envelope, sealed_key };

@@ -12,7 +12,7 @@ fn hold(record: &NewRecord) -> Hold {
 }
 
 fn all() -> HeldQuery {
-    HeldQuery { limit: 100, decided: true, topic: None }
+    HeldQuery { limit: 100, decided: true, ..HeldQuery::default() }
 }
 
 #[test]
@@ -61,13 +61,21 @@ fn released_ones_go_on_and_discarded_ones_never() {
     let undecided = HeldQuery { decided: false, ..all() };
     let open: Vec<_> = ledger.held(Address([1; 20]), &undecided).expect("held");
     assert_eq!(open.iter().map(|row| row.record.digest).collect::<Vec<_>>(), [left]);
+    let definition = NewRecord { kind: RecordKind::Definition, ..held(5, false) };
+    ledger.append_held(vec![definition.clone()], vec![hold(&definition)]).expect("acknowledged");
+    let messages = HeldQuery { messages: true, ..undecided.clone() };
+    let count = |query: &HeldQuery| ledger.held(Address([1; 20]), query).expect("held").len();
+    assert_eq!((count(&messages), count(&undecided), ledger.release(&[definition.digest])), (1, 2, Ok(1)));
     assert!(ledger.held(Address([2; 20]), &all()).expect("held").is_empty());
     // It outlives the process.
     ledger.close().expect("closed");
     let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opens");
     let decisions: Vec<_> =
         ledger.held(Address([1; 20]), &all()).expect("held").into_iter().map(|row| row.decision).collect();
-    assert_eq!(decisions, [Some("released".into()), Some("released".into()), Some("discarded".into()), None]);
+    assert_eq!(
+        decisions,
+        [Some("released".into()), Some("released".into()), Some("discarded".into()), None, Some("released".into())]
+    );
 }
 
 #[test]
