@@ -5,6 +5,7 @@ mod bench;
 mod chain;
 mod gateway;
 mod global;
+mod keys;
 
 use std::path::PathBuf;
 
@@ -15,6 +16,7 @@ pub use self::bench::{BenchArguments, BenchVerb, ConsensusArguments, GatewayArgu
 pub use self::chain::{ChainVerb, GenesisArguments};
 pub use self::gateway::GatewayVerb;
 pub use self::global::Global;
+pub use self::keys::{ExportKind, IdentityVerb, KeysVerb};
 
 /// Share robot data under proof: messages sealed with SM4, signed with SM2, anchored by SM3
 /// digest on a private Ethereum network. Without a command it opens the operator console.
@@ -93,71 +95,6 @@ pub enum Verb {
     Bench(BenchArguments),
     /// The operator console (also without any command)
     Console(ConsoleArguments),
-}
-
-/// `identity …`
-#[derive(Debug, Subcommand)]
-pub enum IdentityVerb {
-    /// Make keys: EOA, SM2, SM4
-    Create,
-    /// Show the public identity
-    Show,
-    /// Whether a fingerprint is that of this profile's key, or of an account's
-    Compare {
-        /// Eight groups of four hex characters, in quotes or without spaces
-        fingerprint: String,
-        /// Account, or its name [default: this profile]
-        #[arg(long, value_name = "ADDRESS_OR_NAME")]
-        account: Option<String>,
-    },
-}
-
-/// Which key to export.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum ExportKind {
-    /// The SM4 key, hex
-    Sm4,
-    /// The SM2 signing key, PKCS#8 PEM
-    Sm2,
-    /// The EOA, Ethereum V3 keystore
-    Eoa,
-}
-
-/// `keys …`
-#[derive(Debug, Subcommand)]
-pub enum KeysVerb {
-    /// Fingerprints and epochs
-    List,
-    /// Load a key from a 0600 file
-    #[command(group(clap::ArgGroup::new("key").required(true)))]
-    Load {
-        /// SM4 key: 16 bytes, or 32 hex
-        #[arg(long, value_name = "FILE", group = "key")]
-        sm4: Option<PathBuf>,
-        /// SM2 signing key: PKCS#8 PEM, or 64 hex
-        #[arg(long, value_name = "FILE", group = "key")]
-        sm2: Option<PathBuf>,
-        /// EOA: 64 hex, or V3 keystore
-        #[arg(long, value_name = "FILE", group = "key")]
-        eoa: Option<PathBuf>,
-        /// File with the V3 keystore's passphrase
-        #[arg(long, value_name = "FILE")]
-        keystore_passphrase_file: Option<PathBuf>,
-    },
-    /// Begin a new epoch: readers keep what they have, new records need a new key
-    Rotate,
-    /// Write one key to a new 0600 file
-    Export {
-        /// Which key
-        #[arg(value_enum)]
-        kind: ExportKind,
-        /// File to write; must not exist
-        #[arg(long, value_name = "FILE")]
-        out: PathBuf,
-        /// File with the passphrase for the V3 keystore (EOA)
-        #[arg(long, value_name = "FILE")]
-        keystore_passphrase_file: Option<PathBuf>,
-    },
 }
 
 /// `topics …`

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 pub use self::audit::{AuditCheck, AuditView};
 pub use self::chain::{ChainView, DeployedView, GatewayView, ServedView};
 pub use self::forging::{AlarmView, DecidedView, HeldView, PinView, PinsView, QuarantineView};
-pub use self::parties::{AdministrationView, CompareView, ContactRow, SuccessionView};
+pub use self::parties::{AdministrationView, CompareView, ContactRow, DeviceRow, GrantRow, SuccessionView};
 use super::command::SecretBytes;
 use crate::model::{Address, Digest, ErrorKind, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token, Verdict};
 
@@ -219,52 +219,6 @@ pub struct CheckView {
     pub transaction: Option<Hash>,
     /// Its block.
     pub block: Option<u64>,
-}
-
-/// One grant, given or received.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct GrantRow {
-    /// `given` or `received`.
-    pub direction: String,
-    /// Who shares.
-    pub owner: Address,
-    /// Who reads.
-    pub grantee: Address,
-    /// From this epoch on (or the only epochs it opens, once revoked).
-    pub epoch: u64,
-    /// When it ends.
-    pub expires: Option<Timestamp>,
-    /// Topic names where known, else ids; empty = all topics.
-    pub topics: Vec<String>,
-    /// `active`, `revoked` or `expired`.
-    pub state: String,
-    /// Block of the grant.
-    pub block: u64,
-    /// Its transaction.
-    pub transaction: Hash,
-    /// The other side's name in the address book.
-    #[serde(default)]
-    pub name: Option<String>,
-    /// The fingerprint of the SM2 key that the other side has registered.
-    #[serde(default)]
-    pub fingerprint: Option<String>,
-}
-
-/// One device that was lent.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct DeviceRow {
-    /// SM3 of its public key.
-    pub device: SignerId,
-    /// Its fingerprint, as the device shows it.
-    pub fingerprint: String,
-    /// `lent`, `expired` or `recalled`.
-    pub state: String,
-    /// Block of the loan.
-    pub from: u64,
-    /// When the loan ends.
-    pub until: Option<Timestamp>,
-    /// Block of the recall.
-    pub recalled: Option<u64>,
 }
 
 /// A robot that was enrolled.

@@ -73,7 +73,9 @@ impl Mission {
                 );
                 add("epoch key", key.expose());
                 for topic in &self.topics {
-                    add("topic key", topic_key(&key, &owner.topic_id(topic.as_str())).expose());
+                    // Not by the owner: the keyring is held here.
+                    let id = crate::crypto::topic_id(&keys.index, topic.as_str());
+                    add("topic key", topic_key(&key, &id).expose());
                 }
             }
         }

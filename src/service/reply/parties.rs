@@ -1,8 +1,8 @@
-//! What is told of other accounts: the address book, fingerprints, the administrator's decisions.
+//! What is told of other accounts: grants, devices, the address book, fingerprints, the administrator's decisions.
 
 use serde::{Deserialize, Serialize};
 
-use crate::model::{Address, ContactName};
+use crate::model::{Address, ContactName, Hash, SignerId, Timestamp};
 
 /// One account of the address book.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -66,4 +66,50 @@ pub struct AdministrationView {
     pub suspended: Vec<Address>,
     /// Lost accounts with their successors.
     pub successions: Vec<SuccessionView>,
+}
+
+/// One grant, given or received.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct GrantRow {
+    /// `given` or `received`.
+    pub direction: String,
+    /// Who shares.
+    pub owner: Address,
+    /// Who reads.
+    pub grantee: Address,
+    /// From this epoch on (or the only epochs it opens, once revoked).
+    pub epoch: u64,
+    /// When it ends.
+    pub expires: Option<Timestamp>,
+    /// Topic names where known, else ids; empty = all topics.
+    pub topics: Vec<String>,
+    /// `active`, `revoked` or `expired`.
+    pub state: String,
+    /// Block of the grant.
+    pub block: u64,
+    /// Its transaction.
+    pub transaction: Hash,
+    /// The other side's name in the address book.
+    #[serde(default)]
+    pub name: Option<String>,
+    /// The fingerprint of the SM2 key that the other side has registered.
+    #[serde(default)]
+    pub fingerprint: Option<String>,
+}
+
+/// One device that was lent.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct DeviceRow {
+    /// SM3 of its public key.
+    pub device: SignerId,
+    /// Its fingerprint, as the device shows it.
+    pub fingerprint: String,
+    /// `lent`, `expired` or `recalled`.
+    pub state: String,
+    /// Block of the loan.
+    pub from: u64,
+    /// When the loan ends.
+    pub until: Option<Timestamp>,
+    /// Block of the recall.
+    pub recalled: Option<u64>,
 }
