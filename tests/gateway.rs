@@ -94,7 +94,7 @@ async fn what_robots_send_is_anchored_by_the_gateway_and_read_by_a_grantee_until
     robot.upload(uploads.clone()).await.expect("known ones are acknowledged again");
     until_verified(&mut robot, &digests).await;
 
-    let own = alice.records(&["uploads", "list", "--limit", "1000"]);
+    let own = alice.records(&["uploads", "list"]);
     assert_eq!(own.len(), 120, "each once");
     assert!(own.iter().all(|record| record["state"] == "verified" && record["topic"] == TOPIC), "{:?}", own[0]);
     assert_eq!(own[0]["type"], "std_msgs/String");

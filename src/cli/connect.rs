@@ -123,6 +123,10 @@ impl Context {
         let mine = self.config.show();
         for (name, theirs) in &greeting.settings {
             let Some(setting) = mine.iter().find(|setting| setting.name == name) else { continue };
+            // Without an address of a site they are about another gateway than the one joined through.
+            if name.starts_with("site.") && self.config.source("site.address") != Source::Flag {
+                continue;
+            }
             if self.config.source(setting.name) == Source::Flag && setting.value != *theirs {
                 return Err(Failure::new(
                     ErrorKind::Usage,

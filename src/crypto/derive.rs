@@ -114,7 +114,7 @@ mod tests {
         let mut out = [0; 32];
         hkdf_sm3(&[1; 32], &[], b"AuthROS/topic/1\0\x05/odom", &mut out).expect("derives");
         assert_eq!(key.expose(), &out);
-        let info = [&b"AuthROS/topic/2\0"[..], &[7; 16]].concat();
+        let info = [&b"AuthROS/topic/2"[..], &[7; 16]].concat();
         hkdf_sm3(&[1; 32], &[], &info, &mut out).expect("derives");
         assert_eq!(topic_key(&EpochKey::new([1; 32]), &TopicId([7; 16])).expose(), &out);
     }

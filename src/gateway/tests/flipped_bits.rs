@@ -14,7 +14,7 @@ use super::loopback::Stage;
 use super::*;
 use crate::crypto::prove;
 use crate::gateway::allocation::apply;
-use crate::gateway::command::Inner;
+use crate::gateway::command::{Inner, RelayCall};
 use crate::gateway::connection::{Shared, serve_agreed};
 use crate::gateway::frame::{FrameDecoder, FrameKind, encode};
 use crate::gateway::hello::Agreed;
@@ -129,6 +129,7 @@ fn accepted_requests(stage: &Stage, member: &Member) -> Vec<Request> {
         Request::RevokeNotice(RevokeNotice { grantee, epoch: 2, token: Token([2; 32]), transaction }),
         Request::DeviceNotice(device.public),
         Request::Ping,
+        Request::Relay(RelayCall { method: "eth_blockNumber".to_owned(), parameters: "[]".to_owned() }),
     ]
 }
 
