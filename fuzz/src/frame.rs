@@ -8,7 +8,7 @@ use authros::gateway::frame::{FrameDecoder, FrameKind, encode};
 use authros::gateway::hello::{self, ClientHello, GatewayHello, Hello, ListSummary};
 use authros::gateway::parts::{Assembler, Message};
 use authros::gateway::session::{Session, SessionId, SessionKeys, Side};
-use authros::gateway::{Answer, Code, Command, Request};
+use authros::gateway::{Answer, Code, Command, NetworkName, Request};
 use authros::model::{Digest, Token};
 
 use crate::cast::{CAST, context, provider};
@@ -82,6 +82,8 @@ fn payload_of(kind: FrameKind, payload: &[u8], session: &mut Session) -> bool {
             _ => false,
         },
         FrameKind::Transfer => transfer(payload, session),
+        FrameKind::Inquiry => payload == NetworkName::INQUIRY,
+        FrameKind::Network => NetworkName::parse(payload).is_ok_and(|name| same(&name.encode(), payload)),
     }
 }
 

@@ -4,8 +4,8 @@ use authros::crypto::AccountSignature;
 use authros::gateway::allocation::AllocationRequest;
 use authros::gateway::command::{Inner, Part};
 use authros::gateway::{
-    Answer, Code, Command, Entry, Fetched, GrantNotice, Page, Query, Receipt, Registration, Request, RevokeNotice,
-    Selection, Standing, Upload,
+    Answer, Code, Command, Entry, Fetched, GrantNotice, Page, Query, Receipt, Registration, RelayCall, Request,
+    RevokeNotice, Selection, Standing, Upload,
 };
 use authros::model::{
     Address, Digest, FilterId, Hash, Identity, PublicKey, RecordKind, RecorderId, Signature, SignerId, Timestamp,
@@ -57,6 +57,7 @@ pub fn requests() -> Vec<Request> {
         Request::GrantNotice(GrantNotice { grantee, epoch: 2, expiry: 3, transaction }),
         Request::RevokeNotice(RevokeNotice { grantee, epoch: 2, token: Token([7; 32]), transaction }),
         Request::DeviceNotice(PublicKey([6; 64])),
+        Request::Relay(RelayCall { method: "eth_call".to_owned(), parameters: "[{},\"latest\"]".to_owned() }),
     ]
 }
 

@@ -53,7 +53,7 @@ use super::client::{Call, Client};
 use super::event::{Event, Part};
 use super::failure::internal;
 use super::hub::Hub;
-use super::reply::Failure;
+use super::reply::{Failure, GatewayView};
 use crate::chain::BlockRef;
 use crate::config::Config;
 use crate::crypto::provider;
@@ -88,6 +88,8 @@ pub struct Site {
     pub(crate) hub: Arc<Hub>,
     pub(crate) sender: Arc<Sender>,
     recorder: Arc<Recorder>,
+    /// The gateway that this site serves, if it does.
+    served_gateway: Mutex<Option<GatewayView>>,
     pins: Arc<Pins>,
     /// Quarantine records are sealed one at a time.
     reporting: tokio::sync::Mutex<()>,
@@ -152,6 +154,7 @@ impl Site {
             sender: Arc::new(Sender::new(ledger, hub.clone(), Policy { cap: config.max_fee })),
             audit: AuditLog::new(plant.ledger.clone()),
             refusals: refusals::Refusals::default(),
+            served_gateway: Mutex::default(),
             reserve,
             contacts: tokio::sync::Mutex::default(),
             home,

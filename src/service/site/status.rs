@@ -1,6 +1,6 @@
 //! The site at a glance: health in words, the life line, the chain.
 
-use std::sync::Arc;
+use std::sync::{Arc, PoisonError};
 
 use tokio::task::block_in_place;
 
@@ -18,7 +18,7 @@ impl Site {
             _ => 0,
         };
         let profiles = self.all_owners().iter().map(|owner| owner.profile.clone()).collect();
-        let health = vec![self.ros_health(), self.chain_health(), self.vault_health(), gateway_health()];
+        let health = vec![self.ros_health(), self.chain_health(), self.vault_health(), self.gateway_health()];
         Ok(SiteView { health, life: block_in_place(|| self.life_line(profile))?, robots, profiles })
     }
 
@@ -61,6 +61,18 @@ impl Site {
     fn vault_health(&self) -> PartHealth {
         let name = self.config.vault_url.as_deref().map_or_else(|| "embedded vault".to_owned(), without_password);
         part("vault", HealthLevel::Ok, &name)
+    }
+
+    fn gateway_health(&self) -> PartHealth {
+        let served = self.served_gateway.lock().unwrap_or_else(PoisonError::into_inner);
+        match &*served {
+            Some(view) => part(
+                "gateway",
+                HealthLevel::Ok,
+                &format!("{}, fingerprint {}, anchors as {}", view.address, view.fingerprint, view.account),
+            ),
+            None => part("gateway", HealthLevel::Absent, "none here; authros gateway serve"),
+        }
     }
 
     /// Notes whether the chain answered the last time it was asked.
@@ -144,8 +156,4 @@ impl Site {
 
 fn part(name: &str, level: HealthLevel, text: &str) -> PartHealth {
     PartHealth { part: name.to_owned(), level, text: clean(text, 200) }
-}
-
-fn gateway_health() -> PartHealth {
-    part("gateway", HealthLevel::Absent, "not in this version")
 }

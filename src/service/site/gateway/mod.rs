@@ -7,7 +7,7 @@ mod reading;
 mod standing;
 
 use std::net::SocketAddr;
-use std::sync::Arc;
+use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
 use tokio::sync::oneshot;
@@ -18,7 +18,7 @@ use crate::crypto::Fingerprint;
 use crate::gateway::{Cabinet, Context, Limits, Schedule, Server};
 use crate::model::{AnchorMode, Domain, Timestamp};
 use crate::pipeline::Owner;
-use crate::service::event::NoticeLevel;
+use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::{input, refused};
 use crate::service::reply::{Failure, GatewayView};
 
@@ -65,6 +65,8 @@ impl Site {
         };
         self.record_audit(&keeper.profile, "gateway", &view.address, "serving").await?;
         self.hub.notice(NoticeLevel::Info, &format!("the gateway listens at {}", view.address));
+        *self.served_gateway.lock().unwrap_or_else(PoisonError::into_inner) = Some(view.clone());
+        self.changed(Part::Health);
         let site = Arc::clone(self);
         tokio::spawn(async move {
             tokio::select! {
@@ -72,6 +74,8 @@ impl Site {
                 // A dropped sender says the same.
                 _ = ended => {}
             }
+            *site.served_gateway.lock().unwrap_or_else(PoisonError::into_inner) = None;
+            site.changed(Part::Health);
             server.stop(FAREWELL).await;
         });
         Ok(view)
