@@ -31,8 +31,8 @@ pub async fn serve(context: Context, listen: SocketAddr, output: &Output) -> Res
     };
     output.result(&serde_json::json!({ "gateway": &view, "joined": joined }), || {
         format!(
-            "gateway at {}, fingerprint {}, anchoring as {}; end it with Ctrl-C",
-            view.address, view.fingerprint, view.account
+            "gateway at {}, key {} (fingerprint {}), anchoring as {}; end it with Ctrl-C",
+            view.address, view.gateway, view.fingerprint, view.account
         )
     });
     let ended = tokio::select! {
