@@ -6,15 +6,15 @@ mod support;
 
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
-use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use authros::chain::AnchorProof;
 use authros::crypto::{Anchor, Expected, SmKeyPair, open, signer_id};
 use authros::gateway::{Client, Code, Credentials, GatewayError, Query, Request, Selection, Standing, Upload};
 use authros::model::{Digest, Header, RecordKind, Timestamp};
+use support::client_stream::Recorder;
 use support::member::{Gateway, Member, connect};
-use support::{Authros, Home, Running, count, heavy, long, poll, text, wait_until};
+use support::{Authros, Home, Redis, Running, count, heavy, holds, long, poll, skipped, text, wait_until};
 
 const TOPIC: &str = "/robot7/log";
 
@@ -24,8 +24,8 @@ struct Site {
     gateway: Gateway,
 }
 
-fn gateway_process(home: &Home, listen: &str) -> (Running, Gateway) {
-    let keeper = home.profile("gateway").with(&["--json"]);
+fn gateway_process(home: &Home, listen: &str, options: &[&str]) -> (Running, Gateway) {
+    let keeper = home.profile("gateway").with(&["--json"]).with(options);
     let mut process = keeper.spawn(&["gateway", "serve", "--listen", listen]);
     let told = process.wait_for_text("\"joined\"", 60);
     let line = told.lines().find(|line| line.contains("\"joined\"")).expect("one line").to_owned();
@@ -35,7 +35,7 @@ fn gateway_process(home: &Home, listen: &str) -> (Running, Gateway) {
 
 fn site() -> Site {
     let home = Home::new();
-    let (process, gateway) = gateway_process(&home, "127.0.0.1:0");
+    let (process, gateway) = gateway_process(&home, "127.0.0.1:0", &[]);
     Site { home, process, gateway }
 }
 
@@ -231,48 +231,56 @@ async fn devices_sign_while_they_are_lent_and_names_belong_to_one_account() {
     site.process.stop("TERM", 20).expect_code(0);
 }
 
-/// Passes bytes on and keeps what the client sent.
-struct Recorder {
-    address: String,
-    streams: Arc<Mutex<Vec<Vec<u8>>>>,
+/// What a vault of a gateway must not hold: names, types, tags, plaintext, keys.
+fn expect_blind(dump: &[u8], owner: &Member, credentials: &Credentials, record: &Upload) {
+    assert!(holds(dump, &record.blob), "the ciphertext is there, so the search is worth something");
+    let (_, topic_key) = owner.topic(TOPIC);
+    let epoch_key = owner.epoch_key();
+    let secrets: [(&str, &[u8]); 9] = [
+        ("topic", TOPIC.as_bytes()),
+        ("type", b"std_msgs/String"),
+        ("profile", b"alice"),
+        ("name", b"robot-blind"),
+        ("plaintext", b"the burglar wore a hat"),
+        ("topic key", topic_key.expose()),
+        ("epoch key", epoch_key.expose()),
+        ("index key", owner.index().expose()),
+        ("transport key", credentials.key.expose()),
+    ];
+    for (what, secret) in secrets {
+        assert!(!holds(dump, secret), "the vault holds the {what}");
+    }
 }
 
-impl Recorder {
-    fn before(upstream: &str) -> Self {
-        let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
-        let address = listener.local_addr().expect("an address").to_string();
-        let streams: Arc<Mutex<Vec<Vec<u8>>>> = Arc::default();
-        let (kept, upstream) = (Arc::clone(&streams), upstream.to_owned());
-        std::thread::spawn(move || {
-            for client in listener.incoming().flatten() {
-                let Ok(gateway) = TcpStream::connect(&upstream) else { continue };
-                let number = {
-                    let mut streams = kept.lock().unwrap_or_else(PoisonError::into_inner);
-                    streams.push(Vec::new());
-                    streams.len() - 1
-                };
-                let (mut from, mut to) = (client.try_clone().expect("clones"), gateway.try_clone().expect("clones"));
-                let kept = Arc::clone(&kept);
-                std::thread::spawn(move || {
-                    let mut buffer = [0; 8192];
-                    while let Ok(length @ 1..) = from.read(&mut buffer) {
-                        kept.lock().unwrap_or_else(PoisonError::into_inner)[number].extend(&buffer[..length]);
-                        if to.write_all(&buffer[..length]).is_err() {
-                            return;
-                        }
-                    }
-                    drop(to.shutdown(std::net::Shutdown::Write));
-                });
-                let (mut from, mut to) = (gateway, client);
-                std::thread::spawn(move || std::io::copy(&mut from, &mut to));
-            }
-        });
-        Self { address, streams }
-    }
+async fn keep_one(home: &Home, gateway: &Gateway) -> (Member, Credentials, Upload) {
+    home.profile("alice").enrol();
+    let owner = Member::of(home, "alice", gateway.domain);
+    let credentials = owner.allocate(gateway, "robot-blind").await.expect("allocates");
+    let upload = owner.record(&owner.keyring.signing, TOPIC, 1, b"the burglar wore a hat");
+    let mut robot = connect(gateway, &credentials).await;
+    robot.upload(vec![upload.clone()]).await.expect("accepted");
+    until_verified(&mut robot, &[digest(&owner, &upload)]).await;
+    (owner, credentials, upload)
+}
 
-    fn recorded(&self) -> Vec<Vec<u8>> {
-        self.streams.lock().unwrap_or_else(PoisonError::into_inner).clone()
-    }
+#[tokio::test(flavor = "multi_thread")]
+async fn the_gateways_vault_is_blind() {
+    let site = site();
+    let (owner, credentials, upload) = keep_one(&site.home, &site.gateway).await;
+    site.process.stop("TERM", 20).expect_code(0);
+    let files = support::authros::files_below(&site.home.path().join("vault"));
+    let dump: Vec<u8> = files.iter().flat_map(|file| std::fs::read(file).expect("reads")).collect();
+    expect_blind(&dump, &owner, &credentials, &upload);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_gateways_redis_is_blind() {
+    let Some(redis) = Redis::start(&[]) else { skipped!("no redis-server and redis-cli") };
+    let home = Home::new();
+    let (process, gateway) = gateway_process(&home, "127.0.0.1:0", &["--vault", &redis.url()]);
+    let (owner, credentials, upload) = keep_one(&home, &gateway).await;
+    expect_blind(&redis.dump(), &owner, &credentials, &upload);
+    process.stop("TERM", 20).expect_code(0);
 }
 
 /// The frames of a stream: length (4), then so many bytes.
@@ -358,7 +366,7 @@ async fn replay_all() {
     let address = site.gateway.address.clone();
     site.process.signal("KILL");
     site.process.wait(20);
-    let (process, gateway) = gateway_process(&site.home, &address);
+    let (process, gateway) = gateway_process(&site.home, &address, &[]);
     let after = expect_refused(&gateway.address, &streams);
     assert_eq!(records(&site.home), seq);
     inject(&gateway, &owner, &credentials, &streams).await;

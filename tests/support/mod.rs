@@ -6,6 +6,7 @@
 
 pub mod anvil;
 pub mod authros;
+pub mod client_stream;
 pub mod console;
 pub mod member;
 pub mod process;
