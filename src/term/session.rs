@@ -29,7 +29,7 @@ const WATCH_EVERY: Duration = Duration::from_secs(1);
 /// How long sizes are let settle.
 const SETTLE: Duration = Duration::from_millis(40);
 /// How long a frame being written is waited for before the terminal counts as stuck.
-const STUCK_AFTER: Duration = Duration::from_millis(400);
+const STUCK_AFTER: Duration = Duration::from_millis(1500);
 
 /// What reaches the updating thread.
 enum Heard {

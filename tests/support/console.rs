@@ -82,6 +82,8 @@ impl Console {
 
     /// Fails the test unless the terminal is as it was before.
     pub fn expect_restored(&self) {
+        // Its last bytes may still be on their way to the emulator when the process has ended.
+        poll(5, || Some(()).filter(|()| !self.emulator().screen().alternate_screen()));
         let emulator = self.emulator();
         let screen = emulator.screen();
         assert!(!screen.alternate_screen(), "left in the alternate screen");
