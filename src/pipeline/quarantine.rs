@@ -3,16 +3,11 @@
 //! They are filed under a topic of their own, so that the sealer's numbers stay its alone; a function of the ledger:
 //! called again, it does what is left.
 
-use std::collections::BTreeMap;
-
-use crate::crypto::{SealRequest, seal};
-use crate::model::head::Compression;
-use crate::model::{
-    Address, Digest, Domain, Doubt, Head, QuarantineReport, RecordKind, RecordState, RecorderId, Timestamp, TopicId,
-};
+use crate::model::{Address, Digest, Domain, Doubt, QuarantineReport, RecordKind, RecorderId, Timestamp, TopicId};
 use crate::ros::Origin;
-use crate::store::{HeldMinute, Hold, NewRecord};
+use crate::store::{HeldMinute, Hold};
 
+use super::statement::{self, Speaker, Statement};
 use super::{Owner, PipelineError, Plant, pins};
 
 /// The name that quarantine records are filed under; no ROS name begins like this.
@@ -82,58 +77,17 @@ fn report_one(plant: &Plant, owner: &Owner, held: &HeldMinute) -> Result<bool, P
     };
     let body = report.encode();
     let topic = keys.topic(TOPIC).ok_or_else(|| PipelineError::Uncovered(TOPIC.to_owned()))?;
-    let head = Head {
-        topic: TOPIC.to_owned(),
-        type_name: "authros/Quarantine".to_owned(),
-        md5sum: String::new(),
-        definition: Digest([0; 32]),
-        caller_id: String::new(),
-        boot_id: [0; 16],
-        compression: Compression::None,
-        plain_length: body.len() as u64,
-        tags: BTreeMap::new(),
-    };
-    let seq = plant.ledger.next_seq(owner.address, topic.id)?;
-    let captured_at = Timestamp::now();
-    let request = SealRequest {
+    let speaker = Speaker {
         domain: keys.domain,
         owner: owner.address,
-        signer: &keys.signing,
+        signing: &keys.signing,
         epoch: keys.epoch,
+        topic_id: topic.id,
         topic_key: &topic.key,
-        recorder,
-        seq,
-        topic_id: topic.id,
-        kind: RecordKind::Quarantine,
-        filters: Vec::new(),
-        captured_at,
-        head: &head,
-        body: &body,
     };
-    let sealed = seal(plant.provider, &request)?;
-    let durable = plant.vault.durable();
-    if durable {
-        plant.vault.put(&[(sealed.digest, &sealed.blob)])?;
-    }
-    let row = NewRecord {
-        digest: sealed.digest,
-        owner: owner.address,
-        topic_id: topic.id,
-        seq,
-        foreign: None,
-        epoch: keys.epoch,
-        kind: RecordKind::Quarantine,
-        signer: keys.signer,
-        signature: sealed.signature,
-        filters: Vec::new(),
-        topic: TOPIC.to_owned(),
-        type_name: head.type_name.clone(),
-        bytes: body.len() as u64,
-        captured_at,
-        simulated: false,
-        state: if durable { RecordState::Stored } else { RecordState::Sealed },
-        local_copy: (!durable).then_some(sealed.blob),
-    };
+    let statement =
+        Statement { kind: RecordKind::Quarantine, topic: TOPIC, type_name: "authros/Quarantine", body: &body };
+    let row = statement::put(plant, &speaker, statement)?;
     plant.ledger.report(row, digests)?;
     Ok(true)
 }

@@ -1,9 +1,9 @@
 //! Records that the site itself writes for an owner: sealed, stored and acknowledged like captured messages, then
 //! batched, anchored and verified by the same workers.
 
-use crate::crypto::{SealRequest, seal};
+use crate::crypto::{SealRequest, SmKeyPair, TopicKey, seal, signer_id};
 use crate::model::head::Compression;
-use crate::model::{Address, Digest, Head, RecordKind, RecordState, Timestamp};
+use crate::model::{Address, Digest, Domain, Head, RecordKind, RecordState, Timestamp, TopicId};
 use crate::store::NewRecord;
 
 use super::epoch::EpochKeys;
@@ -33,24 +33,60 @@ pub fn state(
     keys: &EpochKeys,
     statement: Statement<'_>,
 ) -> Result<Option<Digest>, PipelineError> {
-    let Statement { kind, topic: name, type_name, body } = statement;
     plant.ledger.takes_records()?;
-    let Some(topic) = keys.topic(name) else { return Ok(None) };
-    let seq = plant.ledger.next_seq(owner, topic.id)?;
-    let captured_at = Timestamp::now();
-    let request = SealRequest {
+    let Some(topic) = keys.topic(statement.topic) else { return Ok(None) };
+    let speaker = Speaker {
         domain: keys.domain,
         owner,
-        signer: &keys.signing,
+        signing: &keys.signing,
         epoch: keys.epoch,
+        topic_id: topic.id,
         topic_key: &topic.key,
+    };
+    let row = put(plant, &speaker, statement)?;
+    let digest = row.digest;
+    plant.ledger.append(vec![row])?;
+    Ok(Some(digest))
+}
+
+/// In whose name a statement is sealed, and under what.
+pub struct Speaker<'a> {
+    /// The network.
+    pub domain: Domain,
+    /// Whose record it is.
+    pub owner: Address,
+    /// Signs it.
+    pub signing: &'a SmKeyPair,
+    /// The epoch it tells of in its header.
+    pub epoch: u64,
+    /// Pseudonym of the name it is filed under.
+    pub topic_id: TopicId,
+    /// Seals it.
+    pub topic_key: &'a TopicKey,
+}
+
+/// Seals a statement and puts it where the vault is durable; gives the row, which is to be acknowledged next.
+///
+/// # Errors
+/// Of sealing, vault and ledger.
+pub fn put(plant: &Plant, speaker: &Speaker<'_>, statement: Statement<'_>) -> Result<NewRecord, PipelineError> {
+    let Statement { kind, topic, type_name, body } = statement;
+    let Speaker { domain, owner, signing, epoch, topic_id, topic_key } = *speaker;
+    let seq = plant.ledger.next_seq(owner, topic_id)?;
+    let captured_at = Timestamp::now();
+    let request = SealRequest {
+        domain,
+        owner,
+        signer: signing,
+        epoch,
+        topic_key,
         recorder: plant.ledger.recorder(),
         seq,
-        topic_id: topic.id,
+        topic_id,
         kind,
         filters: Vec::new(),
         captured_at,
-        head: &head(name, type_name, body.len()),
+        head: &head(topic, type_name, body.len()),
         body,
     };
     let sealed = seal(plant.provider, &request)?;
@@ -58,26 +94,25 @@ pub fn state(
     if durable {
         plant.vault.put(&[(sealed.digest, &sealed.blob)])?;
     }
-    plant.ledger.append(vec![NewRecord {
+    Ok(NewRecord {
         digest: sealed.digest,
         owner,
-        topic_id: topic.id,
+        topic_id,
         seq,
         foreign: None,
-        epoch: keys.epoch,
+        epoch,
         kind,
-        signer: keys.signer,
+        signer: signer_id(&signing.public),
         signature: sealed.signature,
         filters: Vec::new(),
-        topic: name.to_owned(),
+        topic: topic.to_owned(),
         type_name: type_name.to_owned(),
         bytes: body.len() as u64,
         captured_at,
         simulated: false,
         state: if durable { RecordState::Stored } else { RecordState::Sealed },
         local_copy: (!durable).then_some(sealed.blob),
-    }])?;
-    Ok(Some(sealed.digest))
+    })
 }
 
 fn head(topic: &str, type_name: &str, length: usize) -> Head {

@@ -6,8 +6,8 @@ use super::super::fixture::Notes;
 use super::super::tests::owner_with_keys;
 use super::*;
 use crate::crypto::{ProviderName, provider};
-use crate::model::SignerId;
-use crate::store::{HeldQuery, Ledger, open_vault};
+use crate::model::{RecordState, SignerId};
+use crate::store::{HeldQuery, Ledger, NewRecord, open_vault};
 
 const MINUTE: u64 = 60_000_000_000;
 
