@@ -121,7 +121,7 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
         Verb::Chain(ChainVerb::Status) => Plan::new(CHAIN, NoProfile, Command::ChainStatus),
         Verb::Chain(ChainVerb::Adopt) => Plan::new(CHAIN, Unlocked, Command::AdoptChain),
         Verb::Devices(verb) => Plan::new(CHAIN, Unlocked, super::adopt::command(&verb)?),
-        Verb::Audit(verb) => audit(&verb)?,
+        Verb::Audit(arguments) => audit(context, &arguments)?,
         Verb::Chain(ChainVerb::Deploy) => Plan::new(CHAIN, Made, Command::DeployContract),
         Verb::Chain(verb) => {
             let command = parties::act(&verb)?.ok_or_else(super::connect::unexpected)?;
@@ -131,6 +131,10 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
         | Verb::Config(_)
         | Verb::Capture(_)
         | Verb::Serve
+        | Verb::Doctor
+        | Verb::Verify { .. }
+        | Verb::Backup { .. }
+        | Verb::Restore { .. }
         | Verb::Gateway(_)
         | Verb::Demo(_)
         | Verb::Bench(_)

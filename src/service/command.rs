@@ -1,12 +1,14 @@
 //! What can be asked of a site.
 
 mod administration;
+mod check;
 mod choices;
 mod secret;
 
 use serde::{Deserialize, Serialize};
 
 pub use self::administration::Administration;
+pub use self::check::StoreCommand;
 pub use self::choices::{Epochs, Held, KeyKind, UploadQuery};
 pub use self::secret::{SecretBytes, SecretText};
 use crate::model::{Address, ContactName, Party, ProfileName, Publisher, SignerId, Timestamp, TopicName, TypeName};
@@ -239,6 +241,8 @@ pub enum Command {
         /// With addresses in full.
         addresses: bool,
     },
+    /// About the whole store.
+    OfStore(StoreCommand),
     /// Claims the profile for a console, until the connection ends; refused where one is open already.
     OpenConsole,
 }

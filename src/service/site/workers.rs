@@ -35,6 +35,7 @@ pub(super) fn start(site: &Arc<Site>, needs: Needs) -> Result<(), Failure> {
         tokio::spawn(Arc::clone(site).keep_connected());
         tokio::spawn(watch(Arc::clone(site)));
         tokio::spawn(verify(Arc::clone(site)));
+        tokio::spawn(Arc::clone(site).keep_scrubbing());
         tokio::spawn(Arc::clone(site).expire_grants());
         tokio::spawn(Arc::clone(site).keep_parties_known());
     }
