@@ -8,7 +8,7 @@ use super::output::{Output, table};
 use super::verbs::NEITHER;
 use super::{parse, passphrase};
 use crate::model::{ErrorKind, Timestamp};
-use crate::service::command::{SecretText, StoreCommand};
+use crate::service::command::{SecretText, StoreCommand, UploadQuery};
 use crate::service::reply::{BackupView, CheckStatus, DoctorView, RecordAudit, SiteView};
 use crate::service::verification::{self, FolderCheck};
 use crate::service::{Command, Failure, Needs, Reply, doctor, restoring, socket};
@@ -17,6 +17,15 @@ use crate::store::SiteLock;
 /// The command of `audit` without a verb of its own.
 pub fn audit_command(deep: bool, since: Option<Timestamp>) -> Command {
     Command::OfStore(StoreCommand::AuditRecords { deep, since })
+}
+
+/// `uploads list`: of the profile that is named, else of all profiles of the home.
+pub fn list_uploads(context: &Context, query: UploadQuery) -> Command {
+    match context.global.profile {
+        Some(_) => Command::ListUploads(query),
+        None if context.home.profiles().len() < 2 => Command::ListUploads(query),
+        None => Command::OfStore(StoreCommand::ListUploads(query)),
+    }
 }
 
 /// What an audit of records needs: the chain where the home is bound to one.

@@ -7,7 +7,7 @@ use super::connect::{Context, ProfileNeed};
 use super::output::Output;
 use super::plans::{audit, grant, keys};
 use super::quarantine::{self, QuarantineVerb};
-use super::{lists, parse, parties, passphrase, show};
+use super::{check, lists, parse, parties, passphrase, show};
 use crate::service::{Command, Failure, Needs};
 
 /// The chain alone.
@@ -104,7 +104,7 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
             Plan::new(needs, profile, quarantine::command(verb)?)
         }
         Verb::Uploads(UploadsVerb::List(list)) => {
-            Plan::new(NEITHER, NoProfile, Command::ListUploads(parse::query(&list)?))
+            Plan::new(NEITHER, NoProfile, check::list_uploads(context, parse::query(&list)?))
         }
         Verb::Uploads(UploadsVerb::Show { id }) => Plan::new(CHAIN, NoProfile, Command::ShowUpload { id }),
         Verb::Uploads(UploadsVerb::Export { id, dir, addresses }) => {

@@ -213,6 +213,9 @@ fn row_fault(bench: Bench<'_>, record: &AuditedRecord, uploaded: Option<Option<u
     if settled && row.block.is_none() && !record.anchored_earlier && bench.network.is_some() {
         return Some(format!("is {} and stands in no block", row.state.word()));
     }
+    if row.state < RecordState::Mined && row.block.is_some() {
+        return Some(format!("is {} and stands in a block", row.state.word()));
+    }
     if let Some(place) = &record.place {
         let Some(inclusion) = &place.inclusion else { return Some("its batch is gone from the ledger".to_owned()) };
         let root = root_of(row.leaf().hash(), inclusion.index, inclusion.count, &inclusion.path);

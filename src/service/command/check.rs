@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
-use super::SecretText;
+use super::{SecretText, UploadQuery};
 use crate::model::Timestamp;
 
 /// What is done with the whole store; needs no keyring.
@@ -18,6 +18,8 @@ pub enum StoreCommand {
         /// Only records captured then or later.
         since: Option<Timestamp>,
     },
+    /// Records of all profiles of the home.
+    ListUploads(UploadQuery),
     /// Write keyrings, ledger, embedded vault and chain, settings and pins into one encrypted file.
     BackUp {
         /// The file, absolute; must not exist.

@@ -35,8 +35,8 @@ pub(super) fn home(home: &Home, sheet: &mut Sheet) {
 fn look_at_modes(path: &Path, open: &mut Vec<String>, looked: &mut u64, depth: usize) {
     *looked += 1;
     match files::mode_advice(path) {
-        // The settings hold no secrets by themselves.
-        Ok(Some(_)) if path.file_name().is_some_and(|name| name == "config.toml" || name == "site.sock") => {}
+        // Settings and themes hold no secrets.
+        Ok(Some(_)) if depth == 1 && !is_secret(path) => {}
         Ok(Some(advice)) => open.push(advice),
         Ok(None) | Err(_) => {}
     }
@@ -46,6 +46,11 @@ fn look_at_modes(path: &Path, open: &mut Vec<String>, looked: &mut u64, depth: u
             look_at_modes(&entry.path(), open, looked, depth + 1);
         }
     }
+}
+
+fn is_secret(path: &Path) -> bool {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    ["profiles", "vault", "chain", "gateway", "ledger.db"].iter().any(|begin| name.starts_with(begin))
 }
 
 /// Every profile's keyring.

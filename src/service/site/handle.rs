@@ -90,6 +90,7 @@ impl Site {
             StoreCommand::AuditRecords { deep, since } => {
                 self.audit_records(deep, since).await.map(|audit| Reply::RecordsAudited(Box::new(audit)))
             }
+            StoreCommand::ListUploads(query) => self.list_all_uploads(query).await.map(Reply::Records),
             StoreCommand::BackUp { file, passphrase } => {
                 self.back_up(profile, file, passphrase).await.map(Reply::BackedUp)
             }
