@@ -11,9 +11,7 @@
 use std::time::{Duration, Instant};
 
 use authros::app::{Action, Key, Screen, Settings, State, Verb, update};
-use authros::model::{
-    Address, Digest, RecordKind, RecordState, Signature, SignerId, Timestamp, TopicId, clean,
-};
+use authros::model::{Address, Digest, RecordKind, RecordState, Signature, SignerId, Timestamp, TopicId, clean};
 use authros::service::reply::{RecordPage, RecordView, TopicRow};
 use authros::service::{Reply, UploadQuery};
 use authros::store::{Ledger, NewRecord, RecordQuery};
@@ -76,10 +74,8 @@ fn pages(ledger: &Ledger) -> Vec<(&'static str, f64)> {
     let none = RecordQuery { state: Some(RecordState::Tampered), ..data.clone() };
     let time = RecordQuery { until: Some(Timestamp(1_700_000_000_500_000_000)), ..data.clone() };
     let asked = [("page", data), ("next", second), ("topic", topic), ("held", held), ("none", none), ("time", time)];
-    let mut figures: Vec<_> = asked
-        .iter()
-        .map(|(name, query)| (*name, median(|| drop(ledger.list(query).expect("page")))))
-        .collect();
+    let mut figures: Vec<_> =
+        asked.iter().map(|(name, query)| (*name, median(|| drop(ledger.list(query).expect("page"))))).collect();
     figures.push(("counts", median(|| drop(ledger.counts(Some(OWNER)).expect("counts")))));
     figures
 }
@@ -105,15 +101,17 @@ fn view(row: &authros::store::RecordRow) -> RecordView {
 }
 
 fn topics() -> Vec<TopicRow> {
-    (0..TOPICS).map(|number| {
-        let record = record(number);
-        let json = serde_json::json!({
-            "topic": record.topic, "type": record.type_name, "publishers": ["/driver"], "watched": true,
-            "simulated": true, "hz": 20.0, "bytes_per_second": 14_400.0, "messages": 500, "lost_in_transport": 0,
-            "lost_in_recorder": 0, "last_message": null,
-        });
-        serde_json::from_value(json).expect("a row")
-    }).collect()
+    (0..TOPICS)
+        .map(|number| {
+            let record = record(number);
+            let json = serde_json::json!({
+                "topic": record.topic, "type": record.type_name, "publishers": ["/driver"], "watched": true,
+                "simulated": true, "hz": 20.0, "bytes_per_second": 14_400.0, "messages": 500, "lost_in_transport": 0,
+                "lost_in_recorder": 0, "last_message": null,
+            });
+            serde_json::from_value(json).expect("a row")
+        })
+        .collect()
 }
 
 /// A console at 200x50 on a screen, with the page that the ledger gives.
@@ -141,17 +139,26 @@ fn frames(ledger: &Ledger) -> Vec<(&'static str, f64)> {
         if screen == Screen::Topics {
             figures.push(("key", median(|| drop(update(&mut state, Action::Key(Key::Down))))));
             let rows = topics();
-            figures.push(("rows in", median(|| {
-                state.topics.set(rows.clone(), state.now);
-            })));
+            figures.push((
+                "rows in",
+                median(|| {
+                    state.topics.set(rows.clone(), state.now);
+                }),
+            ));
             for key in ['/', 'r', '7', '7'] {
                 update(&mut state, Action::Key(Key::Char(key)));
             }
-            figures.push(("filter", median(|| {
-                drop(update(&mut state, Action::Key(Key::Char('x'))));
-                drop(update(&mut state, Action::Key(Key::Backspace)));
-            })));
-            figures.push(("filtered", median(|| drop(terminal.draw(|frame| draw(frame, &state, &theme)).expect("drawn")))));
+            figures.push((
+                "filter",
+                median(|| {
+                    drop(update(&mut state, Action::Key(Key::Char('x'))));
+                    drop(update(&mut state, Action::Key(Key::Backspace)));
+                }),
+            ));
+            figures.push((
+                "filtered",
+                median(|| drop(terminal.draw(|frame| draw(frame, &state, &theme)).expect("drawn"))),
+            ));
         }
     }
     let answer = Reply::Topics(topics());

@@ -31,6 +31,8 @@ pub struct RecordQuery {
     pub topic_ids: Option<Vec<TopicId>>,
     /// With all of these ids among its own.
     pub filters: Vec<FilterId>,
+    /// Of this message type.
+    pub type_name: Option<String>,
     /// Of this kind.
     pub kind: Option<RecordKind>,
     /// In this state.
@@ -55,6 +57,7 @@ impl Default for RecordQuery {
             topic: None,
             topic_ids: None,
             filters: Vec::new(),
+            type_name: None,
             kind: None,
             state: None,
             since: None,
@@ -72,6 +75,7 @@ impl RecordQuery {
             && self.owners.as_ref().is_none_or(|owners| owners.contains(&stream.owner))
             && self.topic.as_ref().is_none_or(|topic| *topic == stream.topic)
             && self.topic_ids.as_ref().is_none_or(|ids| ids.contains(&stream.topic_id))
+            && self.type_name.as_ref().is_none_or(|name| *name == stream.type_name)
             && self.kind.is_none_or(|kind| kind == stream.kind)
     }
 }
