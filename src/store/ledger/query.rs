@@ -11,7 +11,7 @@ use rusqlite::{CachedStatement, Connection, OptionalExtension as _, params};
 use serde::{Deserialize, Serialize};
 
 use super::rows::{self, ID_LENGTH, RecordRow, Stream};
-use super::{Ledger, database::whole};
+use super::{Ledger, database::whole, recent};
 use crate::model::{Address, Digest, FilterId, RecordKind, RecordState, Timestamp, TopicId, clean};
 use crate::store::StoreError;
 
@@ -100,7 +100,12 @@ impl Ledger {
         self.read(|connection| {
             let streams = rows::streams(connection)?;
             let wanted: Vec<i64> = streams.iter().filter(|stream| query.wants(stream)).map(|s| s.key).collect();
-            let mut keys = Merge::new(connection, &wanted, query, range, limit + 1)?.take(limit + 1)?;
+            let plain = query.state.is_none() && query.filters.is_empty();
+            let recent = if plain { recent::keys(connection, &wanted, range, limit + 1)? } else { None };
+            let mut keys = match recent {
+                Some(keys) => keys,
+                None => Merge::new(connection, &wanted, query, range, limit + 1)?.take(limit + 1)?,
+            };
             let more = keys.len() > limit;
             keys.truncate(limit);
             let next = keys.last().filter(|_| more).map(|key| key.cursor());
@@ -177,9 +182,9 @@ fn fetch(connection: &Connection, keys: &[Key], streams: Vec<Stream>) -> Result<
 
 /// Where a record stands in the order of capture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-struct Key {
-    captured_at: i64,
-    n: i64,
+pub(super) struct Key {
+    pub captured_at: i64,
+    pub n: i64,
 }
 
 impl Key {
@@ -196,10 +201,10 @@ impl Key {
 
 /// Keys strictly between two, read in one direction.
 #[derive(Debug, Clone, Copy)]
-struct Range {
-    low: Key,
-    high: Key,
-    newest_first: bool,
+pub(super) struct Range {
+    pub low: Key,
+    pub high: Key,
+    pub newest_first: bool,
 }
 
 impl Range {
