@@ -3,6 +3,8 @@
 use super::action::Errand;
 use super::available::available;
 use super::field::Field;
+use super::key::Key;
+use super::themes::ThemeChoice;
 use super::form::Form;
 use super::fuzzy;
 use super::state::State;
@@ -28,6 +30,10 @@ pub enum Popup {
     Provenance(Lookup<Provenance>),
     /// An opened record.
     Record(Lookup<OpenedView>),
+    /// The first keys of a chord; what may follow is shown.
+    Chord(Vec<Key>),
+    /// Choosing of a theme.
+    Themes(ThemeChoice),
     /// Leaving while work is pending.
     Quit {
         /// Leave by itself once the work is done.

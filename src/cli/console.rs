@@ -24,18 +24,13 @@ pub fn run(runtime: &tokio::runtime::Runtime, context: Context, arguments: Conso
             "the console needs a terminal, and this is none; without one use `authros demo`, `authros capture` or `authros serve`",
         ));
     }
+    let options = looks::options(&context, arguments)?;
     let (events, _) = broadcast::channel(1024);
     let (calls, waiting) = mpsc::unbounded_channel();
     let client = Client::new(context.profile.clone(), calls, events.clone());
     let site = Arc::new(OnceLock::new());
     // The first frame does not wait for the site: calls are answered as soon as it is there.
     runtime.spawn(serve(context, Arc::clone(&site), waiting, events));
-    let options = ConsoleOptions {
-        theme: arguments.theme,
-        ascii: arguments.ascii,
-        read_only: arguments.read_only,
-        ..ConsoleOptions::default()
-    };
     let ended = term::run(client, runtime.handle(), &options);
     if let Some(site) = site.get() {
         runtime.block_on(Arc::clone(site).stop());
