@@ -70,7 +70,9 @@ impl Key {
     fn letter(label: &str) -> Option<Self> {
         let mut characters = label.chars();
         match (characters.next(), characters.next(), characters.next()) {
-            (Some(character), None, _) => (!character.is_control() && character != ' ').then_some(Self::Char(character)),
+            (Some(character), None, _) => {
+                (!character.is_control() && character != ' ').then_some(Self::Char(character))
+            }
             // What terminals send for ^h, ^i, ^j and ^m is backspace, tab and enter.
             (Some('^'), Some(letter @ 'a'..='z'), None) => {
                 (!matches!(letter, 'h' | 'i' | 'j' | 'm')).then_some(Self::Control(letter))

@@ -3,10 +3,11 @@
 
 use super::action::Effect;
 use super::key::Key;
+use super::perform::perform;
 use super::popup_keys::popup_key;
 use super::screen::Screen;
 use super::state::State;
-use super::{cursor, perform, verb::Verb};
+use super::verb::Verb;
 
 /// Rows above the first row of a list: header, screens, title, columns.
 const ABOVE: u16 = 4;
@@ -26,7 +27,7 @@ pub fn toggle(state: &mut State) -> Vec<Effect> {
 /// The wheel was turned.
 pub fn wheel(state: &mut State, up: bool) -> Vec<Effect> {
     if state.popups.is_empty() {
-        return perform::perform(state, if up { Verb::Up } else { Verb::Down });
+        return perform(state, if up { Verb::Up } else { Verb::Down });
     }
     popup_key(state, if up { Key::Up } else { Key::Down })
 }

@@ -3,11 +3,11 @@
 use super::action::Errand;
 use super::available::available;
 use super::field::Field;
-use super::key::Key;
-use super::themes::ThemeChoice;
 use super::form::Form;
 use super::fuzzy;
+use super::key::Key;
 use super::state::State;
+use super::themes::ThemeChoice;
 use super::verb::{Entry, VERBS};
 use crate::service::Failure;
 use crate::service::reply::{OpenedView, Provenance};

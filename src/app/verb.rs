@@ -218,7 +218,8 @@ pub static VERBS: &[Entry] = &[
     entry(Verb::Sort, "sort", "sort", &[Key::Char('s')], "Sort by the next column").on(SORTED),
     entry(Verb::Copy, "copy", "copy", &[Key::Char('y')], "Send name, digest or address to the terminal's clipboard")
         .on(COPIED),
-    entry(Verb::WriteFile, "write-file", "", &[Key::Char('W')], "Write what `copy` would copy into a file here").on(COPIED),
+    entry(Verb::WriteFile, "write-file", "", &[Key::Char('W')], "Write what `copy` would copy into a file here")
+        .on(COPIED),
     entry(Verb::Freeze, "freeze", "freeze", &[Key::Char('f')], "Stand still while capture goes on"),
     entry(Verb::Palette, "palette", "commands", &[Key::Char(':')], "Every command by name").unlisted(),
     entry(Verb::Help, "help", "help", &[Key::Char('?')], "What the keys do here"),

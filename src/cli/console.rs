@@ -6,12 +6,12 @@ use tokio::sync::{broadcast, mpsc};
 
 use super::args::ConsoleArguments;
 use super::connect::{Connection, Context};
-use super::passphrase;
+use super::{looks, passphrase};
 use crate::model::{ErrorKind, Timestamp};
 use crate::service::client::site_gone;
 use crate::service::event::NoticeLevel;
 use crate::service::{Call, Client, Command, Event, Failure, Needs, Site};
-use crate::term::{self, ConsoleOptions, ExitReason};
+use crate::term::{self, ExitReason};
 
 /// Runs the console until it is left; the exit code is the terminal's.
 ///

@@ -24,7 +24,8 @@ pub fn options(context: &Context, arguments: ConsoleArguments) -> Result<Console
         theme: arguments.theme.or_else(|| settings.theme.clone()),
         themes: themes(&context.home)?,
         keymap: keymap(&context.home)?,
-        ascii: arguments.ascii || settings.ascii.unwrap_or_else(|| !locale_has_unicode(|name| std::env::var(name).ok())),
+        ascii: arguments.ascii
+            || settings.ascii.unwrap_or_else(|| !locale_has_unicode(|name| std::env::var(name).ok())),
         mouse: settings.mouse,
         read_only: arguments.read_only,
         bytes_per_second: settings.bytes_per_second,

@@ -155,7 +155,11 @@ impl Themes {
         for (file, text) in files {
             let theme = file::read(file, text, &themes)?;
             if let Some((_, other)) = from.iter().find(|(name, _)| *name == theme.name) {
-                let what = format!("the theme '{}' is also in {}; give one of them another name", theme.name, clean(other, 200));
+                let what = format!(
+                    "the theme '{}' is also in {}; give one of them another name",
+                    theme.name,
+                    clean(other, 200)
+                );
                 return Err(ThemeError::File { file: clean(file, 200), line: 1, what });
             }
             from.push((theme.name.clone(), file));

@@ -93,7 +93,8 @@ fn lines(source: &Source) -> Result<Vec<Read>, KeymapError> {
     for (name, part) in parts {
         let place = Place::all().find(|place| place.name() == *name.get_ref()).ok_or_else(|| {
             let known: Vec<String> = Place::all().map(Place::name).collect();
-            source.wrong(name.span().start, format!("there is no part '{}'; choose {}", name.get_ref(), known.join(", ")))
+            source
+                .wrong(name.span().start, format!("there is no part '{}'; choose {}", name.get_ref(), known.join(", ")))
         })?;
         for line in part.keys {
             let one = one(source, place, line)?;
@@ -153,7 +154,9 @@ fn reachable(source: &Source, keymap: &Keymap, lines: &[Read], screen: Screen) -
     }
     for verb in [Verb::Palette, Verb::Quit] {
         if !bindings.iter().any(|binding| binding.entry.verb == verb) {
-            let taken = |line: &&Read| VERBS.iter().any(|entry| entry.verb == verb && entry.chords().any(|on| on == line.change.on));
+            let taken = |line: &&Read| {
+                VERBS.iter().any(|entry| entry.verb == verb && entry.chords().any(|on| on == line.change.on))
+            };
             let at = lines.iter().rfind(taken).map_or(0, |line| line.at.start);
             let what = format!("on the {} screen no key is left for '{}'", screen.title(), name_of(verb));
             return Err(source.wrong(at, what));
@@ -198,7 +201,8 @@ mod tests {
         assert!(line == 3 && what.contains("wacth"), "{line} {what}");
         let (line, what) = refused("# mine\n[topic]\nkeys = []\n");
         assert!(line == 2 && what.contains("'topic'") && what.contains("topics"), "{line} {what}");
-        let (line, what) = refused("[log]\nkeys = [\n { on = \"v\", run = \"sort\" },\n { on = \"v\", run = \"filter\" }]\n");
+        let (line, what) =
+            refused("[log]\nkeys = [\n { on = \"v\", run = \"sort\" },\n { on = \"v\", run = \"filter\" }]\n");
         assert!(line == 4 && what.contains("twice"), "{line} {what}");
         let (line, what) = refused("[log]\nkeys = [\n { on = \"v\", rum = \"sort\" }]\n");
         assert!(line == 3 && what.contains("rum"), "{line} {what}");
@@ -219,7 +223,8 @@ mod tests {
         assert!(line == 3 && what.contains("'w x'") && what.contains("watch"), "{line} {what}");
         let (line, what) = refused("[everywhere]\nkeys = [\n{ on = \"z\", run = \"sort\" }]\n");
         assert!(line == 3 && what.contains("never be reached"), "{line} {what}");
-        let (line, what) = refused("[everywhere]\nkeys = [{ on = \"q\", run = \"none\" },\n{ on = \"^c\", run = \"none\" }]\n");
+        let (line, what) =
+            refused("[everywhere]\nkeys = [{ on = \"q\", run = \"none\" },\n{ on = \"^c\", run = \"none\" }]\n");
         assert!(line == 2 && what.contains("quit"), "{line} {what}");
         refused("[everywhere]\nkeys = [{ on = \":\", run = \"none\" }]\n");
     }

@@ -48,7 +48,7 @@ pub enum Meaning<'a> {
 }
 
 /// Where bindings hold; a more particular place goes before a more general one.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Place {
     /// On every screen.
     Everywhere,

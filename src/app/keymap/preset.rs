@@ -32,9 +32,9 @@ pub fn text() -> String {
         let width = |column: usize| lines.iter().map(|line| line[column].chars().count()).max().unwrap_or(0);
         let (on_width, run_width) = (width(0), width(1));
         // Writing to a string cannot fail.
-        drop(write!(text, "\n[{}]\nkeys = [\n", place.name()));
+        let _ = write!(text, "\n[{}]\nkeys = [\n", place.name());
         for [on, run, desc] in &lines {
-            drop(writeln!(text, "  {{ on = {on:on_width$}, run = {run:run_width$}, desc = {desc} }},"));
+            let _ = writeln!(text, "  {{ on = {on:on_width$}, run = {run:run_width$}, desc = {desc} }},");
         }
         text.push_str("]\n");
     }
@@ -65,8 +65,7 @@ mod tests {
         for screen in crate::app::Screen::ALL {
             let on = |keymap: &Keymap| -> Vec<(String, &'static str)> {
                 let lines = keymap.bindings(screen).iter();
-                let mut lines: Vec<_> =
-                    lines.map(|binding| (chord_label(&binding.on), binding.entry.name)).collect();
+                let mut lines: Vec<_> = lines.map(|binding| (chord_label(&binding.on), binding.entry.name)).collect();
                 lines.sort();
                 lines
             };

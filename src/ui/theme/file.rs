@@ -106,5 +106,7 @@ fn base<'a>(
     let find = |name: &str| known.iter().find(|theme| theme.name == name);
     let Some(wanted) = wanted else { return Ok(find(BASE)) };
     let found = find(wanted.get_ref());
-    found.map(Some).ok_or_else(|| source.wrong(wanted.span().start, format!("there is no theme '{}'", wanted.get_ref())))
+    found
+        .map(Some)
+        .ok_or_else(|| source.wrong(wanted.span().start, format!("there is no theme '{}'", wanted.get_ref())))
 }
