@@ -33,6 +33,16 @@ impl Home {
         self.root.join("config.toml")
     }
 
+    /// What differs from the console's preset keys.
+    pub fn keymap(&self) -> PathBuf {
+        self.root.join("keymap.toml")
+    }
+
+    /// The operator's own themes, one file each.
+    pub fn themes(&self) -> PathBuf {
+        self.root.join("themes")
+    }
+
     /// Held by the process that is the site.
     pub fn site_lock(&self) -> PathBuf {
         self.root.join("site.lock")

@@ -42,6 +42,18 @@ pub enum Action {
     FilesWritten(Result<String, String>),
     /// The theme is now this one.
     ThemeIs(String),
+    /// The wheel was turned: up or down.
+    Wheel {
+        /// Away from the operator.
+        up: bool,
+    },
+    /// The left button was pressed on a cell, from 0.
+    Click {
+        /// Column.
+        column: u16,
+        /// Row.
+        row: u16,
+    },
     /// The process was suspended and runs again.
     Resumed,
     /// A background task of this process failed.
@@ -61,8 +73,12 @@ pub enum Effect {
     Suspend,
     /// Draw everything anew.
     Redraw,
-    /// Show the next theme.
-    NextTheme,
+    /// Show the theme of that name.
+    ShowTheme(String),
+    /// Change between ASCII characters only and all.
+    ToggleAscii,
+    /// Take the mouse, or leave it to the terminal.
+    Mouse(bool),
     /// Give a text to the terminal's clipboard (OSC 52).
     CopyText(String),
     /// Write files into a new place below the working directory, 0600, never over others.

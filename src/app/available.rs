@@ -30,7 +30,7 @@ pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
             given(entry.works_on(state.screen), "other screen")?;
             given(state.has_rows(), "no row")
         }
-        Verb::Copy => given(copyable(state), "nothing here to copy"),
+        Verb::Copy | Verb::WriteFile => given(copyable(state), "nothing here to copy"),
         Verb::Level => given(state.screen == Screen::Log, "other screen"),
         _ => Ok(()),
     }

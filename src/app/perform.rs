@@ -1,16 +1,18 @@
 //! What each verb does.
 
-use super::action::{Effect, Errand, Tag};
+use super::action::{Contents, Effect, Errand, Tag};
 use super::available::available;
 use super::confirm;
 use super::cursor;
 use super::feed::Feed;
 use super::forms;
 use super::identity_path::{self, Need};
+use super::mouse;
 use super::popup::{Lookup, Palette, Popup, Purpose};
 use super::screen::Screen;
 use super::screens::grants::other_side;
 use super::state::State;
+use super::themes;
 use super::verb::Verb;
 use crate::model::TopicName;
 use crate::service::Command;
@@ -32,7 +34,10 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Unlock => identity_path::run(state, Need::Unlocked, Vec::new()),
         Verb::Copy => copied(state).map_or_else(Vec::new, |text| vec![copy(state, text)]),
         Verb::Quit => quit(state),
-        Verb::NextTheme => vec![Effect::NextTheme],
+        Verb::WriteFile => copied(state).map_or_else(Vec::new, |text| vec![write_file(state, &text)]),
+        Verb::ChooseTheme => themes::choose(state),
+        Verb::Ascii => vec![Effect::ToggleAscii],
+        Verb::Mouse => mouse::toggle(state),
         Verb::Redraw => vec![Effect::Redraw],
         Verb::Suspend => vec![Effect::Suspend],
         Verb::Up => moved(state, -1),
@@ -191,6 +196,13 @@ fn quit(state: &mut State) -> Vec<Effect> {
 pub fn copy(state: &mut State, text: String) -> Effect {
     state.inform(format!("sent to the terminal's clipboard: {text}"));
     Effect::CopyText(text)
+}
+
+/// The same as a file, for terminals that take nothing from a program.
+fn write_file(state: &State, text: &str) -> Effect {
+    let name = format!("{}.txt", state.screen.title().to_lowercase());
+    let file = Contents { name, bytes: format!("{text}\n").into_bytes().into() };
+    Effect::WriteFiles { directory: None, files: vec![file] }
 }
 
 /// What `copy` would copy now.

@@ -5,7 +5,9 @@ use super::available::available;
 use super::field::Field;
 use super::form::Form;
 use super::fuzzy;
+use super::key::Key;
 use super::state::State;
+use super::themes::ThemeChoice;
 use super::verb::{Entry, VERBS};
 use crate::service::Failure;
 use crate::service::reply::{OpenedView, Provenance};
@@ -28,6 +30,10 @@ pub enum Popup {
     Provenance(Lookup<Provenance>),
     /// An opened record.
     Record(Lookup<OpenedView>),
+    /// The first keys of a chord; what may follow is shown.
+    Chord(Vec<Key>),
+    /// Choosing of a theme.
+    Themes(ThemeChoice),
     /// Leaving while work is pending.
     Quit {
         /// Leave by itself once the work is done.

@@ -7,10 +7,12 @@ use super::confirm;
 use super::form::{Form, FormStep};
 use super::forms;
 use super::identity_path::{self, Need};
-use super::key::Key;
+use super::key::{Key, chord_label};
+use super::keymap::Meaning;
 use super::perform::{copy, perform};
 use super::popup::{Confirm, Lookup, Palette, Popup, Purpose};
 use super::state::State;
+use super::themes;
 use crate::service::reply::OpenedView;
 
 /// A popup's keys, for the bottom bar: key and what it does.
@@ -18,6 +20,8 @@ pub fn hints(popup: &Popup) -> Vec<(&'static str, &'static str)> {
     match popup {
         Popup::Palette(_) => vec![("enter", "do"), ("up down", "choose"), ("esc", "close")],
         Popup::Help { .. } | Popup::Provenance(_) => vec![("up down", "scroll"), ("q", "close")],
+        Popup::Chord(_) => vec![("esc", "close")],
+        Popup::Themes(_) => vec![("up down", "see it"), ("enter", "keep it"), ("esc", "as before")],
         Popup::Confirm(confirm) => vec![("y", confirm.yes), ("any other key", "no")],
         Popup::Form(..) => vec![("enter", "next, then go on"), ("tab", "next field"), ("esc", "close")],
         Popup::Record(lookup) => match lookup.found().and_then(writable) {
@@ -39,6 +43,8 @@ pub fn popup_key(state: &mut State, key: Key) -> Vec<Effect> {
         Popup::Form(purpose, form) => form_key(state, purpose, form, key),
         Popup::Confirm(confirm) => confirm_key(state, confirm, key),
         Popup::Quit { .. } => quit_key(state, key),
+        Popup::Chord(begun) => chord_key(state, begun, key),
+        Popup::Themes(choice) => themes::key(state, choice, key),
         Popup::Record(lookup) => record_key(state, lookup, key),
         Popup::Provenance(mut lookup) => {
             if let Some(scroll) = scrolled(lookup.scroll, key, state.page_rows()) {
@@ -96,6 +102,21 @@ fn palette_key(state: &mut State, mut palette: Palette, key: Key) -> Vec<Effect>
         }
     }
     state.popups.push(Popup::Palette(palette));
+    Vec::new()
+}
+
+/// The next key of a chord.
+fn chord_key(state: &mut State, mut pressed: Vec<Key>, key: Key) -> Vec<Effect> {
+    if key == Key::Escape {
+        return Vec::new();
+    }
+    pressed.push(key);
+    let meaning = state.settings.keymap.meaning(&pressed, state.screen);
+    match meaning {
+        Meaning::Does(verb) => return perform(state, verb),
+        Meaning::Begins(_) => state.popups.push(Popup::Chord(pressed)),
+        Meaning::Nothing => state.inform(format!("'{}' does nothing here", chord_label(&pressed))),
+    }
     Vec::new()
 }
 

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use super::action::{Effect, Errand, Tag};
 use super::feed::{Feed, Feeds};
 use super::identity_path::IdentityPath;
+use super::keymap::Keymap;
 use super::popup::{Lookup, Popup};
 use super::rates::Rates;
 use super::screen::Screen;
@@ -31,6 +32,10 @@ pub struct Settings {
     pub directory: PathBuf,
     /// What `~` means.
     pub home: Option<PathBuf>,
+    /// Which keys do what.
+    pub keymap: Keymap,
+    /// Names of the themes that can be chosen.
+    pub themes: Vec<String>,
 }
 
 /// All the console knows and shows.
@@ -46,6 +51,10 @@ pub struct State {
     pub screen: Screen,
     /// Whether the view stands still.
     pub paused: bool,
+    /// Name of the theme in use.
+    pub theme: String,
+    /// Whether the mouse is the console's.
+    pub mouse: bool,
     /// How the questions to the site stand.
     pub feeds: Feeds,
     /// The profile's public side.
@@ -87,6 +96,8 @@ impl State {
             size: (80, 24),
             screen: Screen::Overview,
             paused: false,
+            theme: String::new(),
+            mouse: false,
             feeds: Feeds::default(),
             identity: None,
             keys: None,

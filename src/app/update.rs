@@ -5,12 +5,14 @@ use super::answer::answered;
 use super::cursor;
 use super::feed::Feed;
 use super::key::Key;
+use super::keymap::Meaning;
+use super::mouse;
 use super::perform::{perform, wants_grants};
 use super::popup::Popup;
 use super::popup_keys::{popup_key, popup_paste};
 use super::screens::log::MOST_AUDIT;
 use super::state::State;
-use super::verb::{Verb, verb_for};
+use super::verb::Verb;
 use crate::model::Timestamp;
 use crate::service::command::AuditQuery;
 use crate::service::{Command, Event, Part};
@@ -47,7 +49,9 @@ fn act(state: &mut State, action: Action) -> Vec<Effect> {
         Action::Missed => state.feeds.touch_all(),
         Action::FilesWritten(Ok(place)) => state.inform(format!("written: {place}")),
         Action::FilesWritten(Err(error)) | Action::Fault(error) => state.complain(error),
-        Action::ThemeIs(name) => state.inform(format!("theme: {name}")),
+        Action::ThemeIs(name) => state.theme = name,
+        Action::Wheel { up } => return mouse::wheel(state, up),
+        Action::Click { column, row } => mouse::click(state, column, row),
         Action::Resumed => {
             state.feeds.touch_all();
             state.inform("resumed; a site inside this console stood still meanwhile");
@@ -57,10 +61,11 @@ fn act(state: &mut State, action: Action) -> Vec<Effect> {
 }
 
 fn pressed(state: &mut State, key: Key) -> Vec<Effect> {
-    match key {
-        Key::Control('z') => return perform(state, Verb::Suspend),
-        Key::Control('l') => return perform(state, Verb::Redraw),
-        _ => {}
+    // These two go before whatever lies over the screen.
+    for verb in [Verb::Suspend, Verb::Redraw] {
+        if state.settings.keymap.is(key, verb, state.screen) {
+            return perform(state, verb);
+        }
     }
     if !state.popups.is_empty() {
         return popup_key(state, key);
@@ -68,7 +73,12 @@ fn pressed(state: &mut State, key: Key) -> Vec<Effect> {
     if state.table().is_some_and(|table| table.filtering) && key != Key::Control('c') {
         return filter_or_move(state, key);
     }
-    verb_for(key, state.screen).map_or_else(Vec::new, |verb| perform(state, verb))
+    match state.settings.keymap.meaning(&[key], state.screen) {
+        Meaning::Does(verb) => return perform(state, verb),
+        Meaning::Begins(_) => state.popups.push(Popup::Chord(vec![key])),
+        Meaning::Nothing => {}
+    }
+    Vec::new()
 }
 
 fn filter_or_move(state: &mut State, key: Key) -> Vec<Effect> {

@@ -138,7 +138,9 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
         | Verb::Gateway(_)
         | Verb::Demo(_)
         | Verb::Bench(_)
-        | Verb::Console(_) => {
+        | Verb::Console(_)
+        | Verb::Completions { .. }
+        | Verb::Man => {
             return Err(super::connect::unexpected());
         }
     })

@@ -23,17 +23,24 @@ use std::path::PathBuf;
 
 use tokio::runtime::Handle;
 
+use crate::app::Keymap;
 use crate::model::ErrorKind;
 use crate::service::{Client, Failure};
-use crate::ui::ThemeError;
+use crate::ui::{ThemeError, Themes};
 
 /// How the console is to look and what it may do.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub struct ConsoleOptions {
     /// A theme's name; `None` = chosen by the terminal's colours.
     pub theme: Option<String>,
+    /// The themes there are.
+    pub themes: Themes,
+    /// Which keys do what.
+    pub keymap: Keymap,
     /// Draw with ASCII characters only.
     pub ascii: bool,
+    /// Take the mouse from the beginning on.
+    pub mouse: bool,
     /// Hide what changes keys, grants or records.
     pub read_only: bool,
     /// Bytes a second for drawing of data; `None` = 4 kB/s over SSH, else no limit.

@@ -22,7 +22,7 @@ use crate::app::{Action, Contents, Effect, Settings, State, update};
 use crate::model::Timestamp;
 use crate::service::client::site_gone;
 use crate::service::{Client, Command};
-use crate::ui::Theme;
+use crate::ui::{Theme, Themes};
 
 /// How often the terminal is looked for.
 const WATCH_EVERY: Duration = Duration::from_secs(1);
@@ -49,6 +49,8 @@ pub struct Session {
     directory: PathBuf,
     resized: Option<(u16, u16, Instant)>,
     watched_at: Instant,
+    themes: Themes,
+    mouse: bool,
     _guard: guard::Guard,
     _signals: Listener,
 }
@@ -64,7 +66,10 @@ impl Session {
             read_only: options.read_only,
             directory: directory.clone(),
             home: std::env::var_os("HOME").map(PathBuf::from),
+            keymap: options.keymap.clone(),
+            themes: options.themes.names(),
         });
+        (state.theme, state.mouse) = (theme.name.clone(), options.mouse);
         state.now = Timestamp::now();
         state.size = crossterm::terminal::size()?;
         let (mouth, ears) = channel();
@@ -86,10 +91,15 @@ impl Session {
             directory,
             resized: None,
             watched_at: Instant::now(),
+            themes: options.themes.clone(),
+            mouse: options.mouse,
             _guard: guard,
             _signals: signals,
         };
         session.listen();
+        if session.mouse {
+            session.stage.change(Wish::Now, |scene| scene.extra.push_str(guard::TAKE_MOUSE));
+        }
         Ok(session)
     }
 
@@ -195,7 +205,9 @@ impl Session {
                 Effect::Leave(failure) => return Some(Ok(ExitReason::Refused(failure))),
                 Effect::Suspend => return self.suspend(),
                 Effect::Redraw => self.stage.change(Wish::Now, |scene| scene.anew = true),
-                Effect::NextTheme => self.next_theme(),
+                Effect::ShowTheme(name) => self.show_theme(&name),
+                Effect::ToggleAscii => self.stage.change(Wish::Now, |scene| scene.theme.ascii = !scene.theme.ascii),
+                Effect::Mouse(taken) => self.take_mouse(taken),
                 Effect::CopyText(text) => {
                     self.stage.change(Wish::Now, |scene| scene.extra.push_str(&clipboard::sequence(&text)));
                 }
@@ -221,14 +233,19 @@ impl Session {
         });
     }
 
-    fn next_theme(&self) {
+    fn show_theme(&self, name: &str) {
+        // The names are those of the state, which come from here.
+        let Ok(theme) = self.themes.named(name) else { return };
         self.stage.change(Wish::Now, |scene| {
-            let name = Theme::name_after(&scene.theme.name);
-            if let Ok(theme) = Theme::named(name) {
-                scene.theme = theme.with_ascii(scene.theme.ascii);
-                drop(update(&mut scene.state, Action::ThemeIs(name.to_owned())));
-            }
+            scene.theme = theme.with_ascii(scene.theme.ascii);
+            drop(update(&mut scene.state, Action::ThemeIs(name.to_owned())));
         });
+    }
+
+    fn take_mouse(&mut self, taken: bool) {
+        self.mouse = taken;
+        let bytes = if taken { guard::TAKE_MOUSE } else { guard::LEAVE_MOUSE };
+        self.stage.change(Wish::Now, |scene| scene.extra.push_str(bytes));
     }
 
     /// Gives the terminal to the shell until this process is continued.
@@ -253,6 +270,9 @@ impl Session {
             guard::take().and_then(|()| crossterm::terminal::size())
         };
         self.stage.change(Wish::Now, |scene| scene.anew = true);
+        if self.mouse {
+            self.take_mouse(true);
+        }
         match taken {
             Ok((columns, rows)) => self.act(Action::Resize { columns, rows }),
             Err(error) => Some(Err(error.into())),
@@ -298,7 +318,7 @@ fn sender<T, W: Fn(T) -> Heard>(mouth: &Sender<Heard>, wrap: W) -> impl Fn(T) + 
 
 fn theme(options: &ConsoleOptions, depth: Depth) -> Result<Theme, TermError> {
     let fitting = if depth == Depth::None { "mono" } else { "night" };
-    let theme = Theme::named(options.theme.as_deref().unwrap_or(fitting))?;
+    let theme = options.themes.named(options.theme.as_deref().unwrap_or(fitting))?;
     Ok(theme.with_ascii(options.ascii))
 }
 

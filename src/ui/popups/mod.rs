@@ -1,9 +1,11 @@
 //! What lies over a screen: a frame in its middle, one file per popup.
 
+mod chord;
 mod form;
 mod help;
 mod lookup;
 mod palette;
+mod themes;
 
 use ratatui::layout::Rect;
 
@@ -23,6 +25,8 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, popup: &Popup) {
         Popup::Form(_, form) => form::draw(canvas, area, form),
         Popup::Provenance(lookup) => lookup::draw_provenance(canvas, area, lookup),
         Popup::Record(lookup) => lookup::draw_record(canvas, area, lookup),
+        Popup::Chord(pressed) => chord::draw(canvas, area, state, pressed),
+        Popup::Themes(choice) => themes::draw(canvas, area, state, choice),
         Popup::Quit { waiting } => draw_quit(canvas, area, state, *waiting),
     }
 }
