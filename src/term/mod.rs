@@ -16,6 +16,7 @@ pub mod renderer;
 pub mod signals;
 pub mod stage;
 
+mod kept;
 mod session;
 
 use std::io::{self, IsTerminal};
@@ -47,6 +48,10 @@ pub struct ConsoleOptions {
     pub bytes_per_second: Option<u32>,
     /// Where relative paths begin and files are written; `None` = the working directory.
     pub directory: Option<PathBuf>,
+    /// Where screen, filters and orders are kept for the next start; `None` = nowhere.
+    pub kept: Option<PathBuf>,
+    /// Nanoseconds without a key after which the keyring locks; `None` = never.
+    pub lock_after: Option<u64>,
 }
 
 /// Why the console ended.

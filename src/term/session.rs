@@ -18,6 +18,7 @@ use super::renderer::{self, Painter};
 use super::signals::{self, Listener};
 use super::stage::{Stage, Wish};
 use super::{ConsoleOptions, ExitReason, TermError, clipboard, files, guard, input};
+use crate::app::zone::Zone;
 use crate::app::{Action, Contents, Effect, Settings, State, update};
 use crate::model::Timestamp;
 use crate::service::client::site_gone;
@@ -51,6 +52,7 @@ pub struct Session {
     watched_at: Instant,
     themes: Themes,
     mouse: bool,
+    kept: Option<PathBuf>,
     _guard: guard::Guard,
     _signals: Listener,
 }
@@ -68,9 +70,14 @@ impl Session {
             home: std::env::var_os("HOME").map(PathBuf::from),
             keymap: options.keymap.clone(),
             themes: options.themes.names(),
+            lock_after: options.lock_after,
+            zone: Zone::new(jiff::tz::TimeZone::system()),
         });
         (state.theme, state.mouse) = (theme.name.clone(), options.mouse);
         state.now = Timestamp::now();
+        if let Some(kept) = options.kept.as_deref().and_then(super::kept::read) {
+            crate::app::resume::recall(&mut state, &kept);
+        }
         state.size = crossterm::terminal::size()?;
         let (mouth, ears) = channel();
         let signals = Listener::start(sender(&mouth, Heard::Signal))?;
@@ -93,6 +100,7 @@ impl Session {
             watched_at: Instant::now(),
             themes: options.themes.clone(),
             mouse: options.mouse,
+            kept: options.kept.clone(),
             _guard: guard,
             _signals: signals,
         };
@@ -282,6 +290,10 @@ impl Session {
     /// Ends the threads and gives the terminal back.
     fn close(&self) {
         self.stop.store(true, Ordering::Relaxed);
+        if let Some(path) = &self.kept {
+            let kept = crate::app::resume::kept(&self.stage.scene().state);
+            super::kept::write(path, &kept);
+        }
         self.stage.change(Wish::None, |scene| scene.over = true);
         let writing = finished(&self.stage);
         if writing.is_some() {
