@@ -16,6 +16,7 @@ pub mod renderer;
 pub mod signals;
 pub mod stage;
 
+mod kept;
 mod session;
 
 use std::io::{self, IsTerminal};
@@ -23,23 +24,34 @@ use std::path::PathBuf;
 
 use tokio::runtime::Handle;
 
+use crate::app::Keymap;
 use crate::model::ErrorKind;
 use crate::service::{Client, Failure};
-use crate::ui::ThemeError;
+use crate::ui::{ThemeError, Themes};
 
 /// How the console is to look and what it may do.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub struct ConsoleOptions {
     /// A theme's name; `None` = chosen by the terminal's colours.
     pub theme: Option<String>,
+    /// The themes there are.
+    pub themes: Themes,
+    /// Which keys do what.
+    pub keymap: Keymap,
     /// Draw with ASCII characters only.
     pub ascii: bool,
+    /// Take the mouse from the beginning on.
+    pub mouse: bool,
     /// Hide what changes keys, grants or records.
     pub read_only: bool,
     /// Bytes a second for drawing of data; `None` = 4 kB/s over SSH, else no limit.
     pub bytes_per_second: Option<u32>,
     /// Where relative paths begin and files are written; `None` = the working directory.
     pub directory: Option<PathBuf>,
+    /// Where screen, filters and orders are kept for the next start; `None` = nowhere.
+    pub kept: Option<PathBuf>,
+    /// Nanoseconds without a key after which the keyring locks; `None` = never.
+    pub lock_after: Option<u64>,
 }
 
 /// Why the console ended.

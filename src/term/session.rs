@@ -18,11 +18,12 @@ use super::renderer::{self, Painter};
 use super::signals::{self, Listener};
 use super::stage::{Stage, Wish};
 use super::{ConsoleOptions, ExitReason, TermError, clipboard, files, guard, input};
+use crate::app::zone::Zone;
 use crate::app::{Action, Contents, Effect, Settings, State, update};
 use crate::model::Timestamp;
 use crate::service::client::site_gone;
 use crate::service::{Client, Command};
-use crate::ui::Theme;
+use crate::ui::{Theme, Themes};
 
 /// How often the terminal is looked for.
 const WATCH_EVERY: Duration = Duration::from_secs(1);
@@ -49,6 +50,9 @@ pub struct Session {
     directory: PathBuf,
     resized: Option<(u16, u16, Instant)>,
     watched_at: Instant,
+    themes: Themes,
+    mouse: bool,
+    kept: Option<PathBuf>,
     _guard: guard::Guard,
     _signals: Listener,
 }
@@ -64,8 +68,16 @@ impl Session {
             read_only: options.read_only,
             directory: directory.clone(),
             home: std::env::var_os("HOME").map(PathBuf::from),
+            keymap: options.keymap.clone(),
+            themes: options.themes.names(),
+            lock_after: options.lock_after,
+            zone: Zone::new(jiff::tz::TimeZone::system()),
         });
+        (state.theme, state.mouse) = (theme.name.clone(), options.mouse);
         state.now = Timestamp::now();
+        if let Some(kept) = options.kept.as_deref().and_then(super::kept::read) {
+            crate::app::resume::recall(&mut state, &kept);
+        }
         state.size = crossterm::terminal::size()?;
         let (mouth, ears) = channel();
         let signals = Listener::start(sender(&mouth, Heard::Signal))?;
@@ -86,10 +98,16 @@ impl Session {
             directory,
             resized: None,
             watched_at: Instant::now(),
+            themes: options.themes.clone(),
+            mouse: options.mouse,
+            kept: options.kept.clone(),
             _guard: guard,
             _signals: signals,
         };
         session.listen();
+        if session.mouse {
+            session.stage.change(Wish::Now, |scene| scene.extra.push_str(guard::TAKE_MOUSE));
+        }
         Ok(session)
     }
 
@@ -195,7 +213,9 @@ impl Session {
                 Effect::Leave(failure) => return Some(Ok(ExitReason::Refused(failure))),
                 Effect::Suspend => return self.suspend(),
                 Effect::Redraw => self.stage.change(Wish::Now, |scene| scene.anew = true),
-                Effect::NextTheme => self.next_theme(),
+                Effect::ShowTheme(name) => self.show_theme(&name),
+                Effect::ToggleAscii => self.stage.change(Wish::Now, |scene| scene.theme.ascii = !scene.theme.ascii),
+                Effect::Mouse(taken) => self.take_mouse(taken),
                 Effect::CopyText(text) => {
                     self.stage.change(Wish::Now, |scene| scene.extra.push_str(&clipboard::sequence(&text)));
                 }
@@ -221,14 +241,19 @@ impl Session {
         });
     }
 
-    fn next_theme(&self) {
+    fn show_theme(&self, name: &str) {
+        // The names are those of the state, which come from here.
+        let Ok(theme) = self.themes.named(name) else { return };
         self.stage.change(Wish::Now, |scene| {
-            let name = Theme::name_after(&scene.theme.name);
-            if let Ok(theme) = Theme::named(name) {
-                scene.theme = theme.with_ascii(scene.theme.ascii);
-                drop(update(&mut scene.state, Action::ThemeIs(name.to_owned())));
-            }
+            scene.theme = theme.with_ascii(scene.theme.ascii);
+            drop(update(&mut scene.state, Action::ThemeIs(name.to_owned())));
         });
+    }
+
+    fn take_mouse(&mut self, taken: bool) {
+        self.mouse = taken;
+        let bytes = if taken { guard::TAKE_MOUSE } else { guard::LEAVE_MOUSE };
+        self.stage.change(Wish::Now, |scene| scene.extra.push_str(bytes));
     }
 
     /// Gives the terminal to the shell until this process is continued.
@@ -253,6 +278,9 @@ impl Session {
             guard::take().and_then(|()| crossterm::terminal::size())
         };
         self.stage.change(Wish::Now, |scene| scene.anew = true);
+        if self.mouse {
+            self.take_mouse(true);
+        }
         match taken {
             Ok((columns, rows)) => self.act(Action::Resize { columns, rows }),
             Err(error) => Some(Err(error.into())),
@@ -262,6 +290,10 @@ impl Session {
     /// Ends the threads and gives the terminal back.
     fn close(&self) {
         self.stop.store(true, Ordering::Relaxed);
+        if let Some(path) = &self.kept {
+            let kept = crate::app::resume::kept(&self.stage.scene().state);
+            super::kept::write(path, &kept);
+        }
         self.stage.change(Wish::None, |scene| scene.over = true);
         let writing = finished(&self.stage);
         if writing.is_some() {
@@ -298,7 +330,7 @@ fn sender<T, W: Fn(T) -> Heard>(mouth: &Sender<Heard>, wrap: W) -> impl Fn(T) + 
 
 fn theme(options: &ConsoleOptions, depth: Depth) -> Result<Theme, TermError> {
     let fitting = if depth == Depth::None { "mono" } else { "night" };
-    let theme = Theme::named(options.theme.as_deref().unwrap_or(fitting))?;
+    let theme = options.themes.named(options.theme.as_deref().unwrap_or(fitting))?;
     Ok(theme.with_ascii(options.ascii))
 }
 

@@ -39,7 +39,7 @@ use ratatui::layout::Rect;
 
 use crate::app::{Screen, State};
 use canvas::Canvas;
-pub use theme::{Role, Theme, ThemeError};
+pub use theme::{Role, Theme, ThemeError, Themes};
 
 /// The smallest terminal the screens are made for, columns.
 pub const LEAST_COLUMNS: u16 = 60;
