@@ -185,6 +185,9 @@ pub struct ConsoleArguments {
     /// Plain ASCII glyphs
     #[arg(long)]
     pub ascii: bool,
+    /// Lines instead of a screen: words in, sentences out, for screen readers and pipes
+    #[arg(long)]
+    pub plain: bool,
     /// Look, do not touch
     #[arg(long)]
     pub read_only: bool,
