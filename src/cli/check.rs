@@ -23,6 +23,8 @@ pub fn audit_command(deep: bool, since: Option<Timestamp>) -> Command {
 pub fn list_uploads(context: &Context, query: UploadQuery) -> Command {
     match context.global.profile {
         Some(_) => Command::ListUploads(query),
+        // The ids of tags follow from each profile's own key.
+        None if !query.tags.is_empty() => Command::ListUploads(query),
         None if context.home.profiles().len() < 2 => Command::ListUploads(query),
         None => Command::OfStore(StoreCommand::ListUploads(query)),
     }

@@ -46,6 +46,7 @@ pub fn show(reply: Reply, out: Option<&Path>, output: &Output) -> Result<u8, Fai
             return Ok(super::check::audit_code(&audit));
         }
         Reply::BackedUp(view) => output.result(&view, || super::check::backed_up(&view)),
+        Reply::GatewayStatus(view) => output.result(&view, || super::gateway::status(&view)),
         Reply::Pins(view) => output.result(&view, || quarantine::pins(&view)),
         Reply::Quarantine(view) => output.result(&view, || quarantine::held(&view)),
         Reply::Decided(view) => output.result(&view, || view.text.clone()),

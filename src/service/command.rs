@@ -3,6 +3,7 @@
 mod administration;
 mod check;
 mod choices;
+mod operate;
 mod secret;
 
 use serde::{Deserialize, Serialize};
@@ -10,6 +11,7 @@ use serde::{Deserialize, Serialize};
 pub use self::administration::Administration;
 pub use self::check::StoreCommand;
 pub use self::choices::{Epochs, Held, KeyKind, UploadQuery};
+pub use self::operate::Operation;
 pub use self::secret::{SecretBytes, SecretText};
 use crate::model::{Address, ContactName, Party, ProfileName, Publisher, SignerId, Timestamp, TopicName, TypeName};
 pub use crate::store::AuditQuery;
@@ -243,6 +245,8 @@ pub enum Command {
     },
     /// About the whole store.
     OfStore(StoreCommand),
+    /// What an operator asks of the site itself.
+    Operate(Operation),
     /// Claims the profile for a console, until the connection ends; refused where one is open already.
     OpenConsole,
 }
