@@ -157,7 +157,7 @@ fn verify_text(check: &FolderCheck) -> String {
     };
     let steps = table(&["step", "", ""], &check.steps.iter().map(row).collect::<Vec<_>>());
     let verdict = match check.worst {
-        None => "VERIFIED: captured by its owner, unaltered, anchored and signed by a registered key",
+        None => "VERIFIED: unaltered, anchored, and signed with a key that was its owner's or lent by them",
         Some(ErrorKind::Tampered) => "NOT VERIFIED: do not trust this record",
         Some(_) => "NOT VERIFIED: the chain was not asked for all of it",
     };

@@ -14,8 +14,8 @@ mod topics;
 use serde::{Deserialize, Serialize};
 
 pub use self::audit::{AuditCheck, AuditView};
-pub use self::check::{BackupView, CheckStatus, DoctorCheck, DoctorView, FindingKind, RecordAudit, RecordFinding};
 pub use self::chain::{ChainView, DeployedView, GasView, GatewayView, ServedView};
+pub use self::check::{BackupView, CheckStatus, DoctorCheck, DoctorView, FindingKind, RecordAudit, RecordFinding};
 pub use self::forging::{AlarmView, DecidedView, HeldView, PinView, PinsView, QuarantineView};
 pub use self::identity::{EnrolledView, EpochView, IdentityView, KeysView, TransactionView};
 pub use self::operate::{GatewayStatusView, RefusedView, SenderView, SystemKeyView};

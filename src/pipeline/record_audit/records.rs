@@ -22,6 +22,8 @@ use crate::store::{AuditedRecord, StoreError};
 const PAGE: usize = 512;
 /// Bytes that one piece of work may hold, unless a single record is larger.
 const PIECE: u64 = 4 << 20;
+/// Questions to the chain at once.
+const AT_ONCE: usize = 32;
 /// The most threads.
 const MOST_THREADS: usize = 16;
 
@@ -112,26 +114,27 @@ fn feed(
 async fn ask(chain: Option<&Network>, records: Vec<AuditedRecord>) -> (Vec<Looked>, Option<ChainError>) {
     let mut looked: Vec<Looked> = records.into_iter().map(|record| (record, None)).collect();
     let Some(network) = chain else { return (looked, None) };
-    let mut answers = JoinSet::new();
-    for (index, (record, _)) in looked.iter().enumerate() {
-        if stands_alone(record) {
-            let (chain, owner, digest) = (network.chain.clone(), record.row.owner, record.row.digest);
-            answers.spawn(async move { (index, chain.uploaded_at(owner, digest).await) });
+    let alone: Vec<usize> =
+        (0..looked.len()).filter(|at| looked.get(*at).is_some_and(|one| stands_alone(&one.0))).collect();
+    for some in alone.chunks(AT_ONCE) {
+        let mut answers = JoinSet::new();
+        for (at, row) in some.iter().filter_map(|at| Some((*at, &looked.get(*at)?.0.row))) {
+            let (chain, owner, digest) = (network.chain.clone(), row.owner, row.digest);
+            answers.spawn(async move { (at, chain.uploaded_at(owner, digest).await) });
         }
-    }
-    let mut failed = None;
-    while let Some(answer) = answers.join_next().await {
-        match answer {
-            Ok((index, Ok(block))) => {
-                if let Some(one) = looked.get_mut(index) {
-                    one.1 = Some(block);
+        while let Some(answer) = answers.join_next().await {
+            match answer {
+                Ok((at, Ok(block))) => {
+                    if let Some(one) = looked.get_mut(at) {
+                        one.1 = Some(block);
+                    }
                 }
+                Ok((_, Err(error))) => return (looked, Some(error)),
+                Err(_) => {}
             }
-            Ok((_, Err(error))) => failed = Some(error),
-            Err(_) => {}
         }
     }
-    (looked, failed)
+    (looked, None)
 }
 
 /// Whether its own digest is on the chain, not its batch's root.
@@ -228,6 +231,7 @@ fn row_fault(bench: Bench<'_>, record: &AuditedRecord, uploaded: Option<Option<u
         }
     }
     match uploaded {
+        Some(None) if record.place.is_some() => Some("its row names another block than its batch".to_owned()),
         Some(None) => Some("its digest is not on the chain".to_owned()),
         Some(found) if found != row.block => {
             let block = found.unwrap_or_default();
@@ -295,7 +299,8 @@ fn bytes_fault(bench: Bench<'_>, record: &AuditedRecord, blob: &[u8]) -> Result<
             Err(CryptoError::Tampered("signature")) => {
                 return Ok(Fault::Text("its signature is not its signer's".to_owned()));
             }
-            Err(error) => return altered(&error.to_string()),
+            Err(CryptoError::DamagedRecord(error)) => return altered(&error.to_string()),
+            Err(_) => return altered("another digest"),
         },
         None if Digest(bench.plant.provider.sm3(&[blob])) != row.digest => return altered("another digest"),
         None if row.block.is_some() && bench.network.is_some() => {
