@@ -16,7 +16,7 @@ pub use error::StoreError;
 pub use files::{ConsoleLock, SiteLock, atomic_write};
 pub use ledger::{
     AlarmRow, Anchors, BatchPlace, EarlierAnchor, Foreign, HeldMinute, HeldQuery, HeldRow, Hold, KeptBinding,
-    KeptEvent, KeptReceipt, LOST_IN_TRANSPORT, LaneCount, Ledger, Left, NewBatch, NewRecord, NewTransaction,
+    GapRow, KeptEvent, KeptReceipt, LaneCount, Ledger, Left, Loss, NewBatch, NewRecord, NewTransaction,
     OpenTransaction, PinRow, RecordPage, RecordQuery, RecordRow, RecordsHeld, Reissue, RootSighting, Sighting,
     StateCounts, TopicCounts, TransactionOutcome, TransactionRow, TransactionState, WaitingBatch,
 };

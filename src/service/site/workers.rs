@@ -47,9 +47,10 @@ fn thread(name: &str, work: impl FnOnce() + Send + 'static) -> Result<std::threa
 }
 
 fn start_sealer(site: &Arc<Site>) -> Result<(), Failure> {
-    let mut sealer = Sealer::new(site.plant.clone(), Arc::clone(&site.hub.sessions));
-    let (ring, hub) = (Arc::clone(&site.ring), Arc::clone(&site.hub));
-    let handle = thread("sealer", move || sealer.run(&ring, &|| hub.stored.notify_waiters()))?;
+    let (sessions, losses) = (Arc::clone(&site.hub.sessions), Arc::clone(&site.losses));
+    let mut sealer = Sealer::new(site.plant.clone(), sessions, losses, site.config.vault_backlog);
+    let (rings, hub) = (Arc::clone(&site.rings), Arc::clone(&site.hub));
+    let handle = thread("sealer", move || sealer.run(&rings, &|| hub.stored.notify_waiters()))?;
     *site.sealer.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = Some(handle);
     Ok(())
 }
