@@ -24,6 +24,7 @@ mod plans;
 mod quarantine;
 mod serve;
 mod show;
+mod status;
 mod verbs;
 
 use std::process::ExitCode;

@@ -79,6 +79,7 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
             let account = account.as_deref().map(parse::value).transpose()?;
             Plan::new(needs, NoProfile, Command::CompareFingerprint { fingerprint, account })
         }
+        Verb::Status => Plan::new(NEITHER, NoProfile, Command::SiteStatus),
         Verb::Contacts(verb) => Plan::new(CHAIN, NoProfile, parties::contacts(verb)?),
         Verb::Register => Plan::new(CHAIN, Made, Command::Register),
         Verb::Keys(verb) => keys(verb)?,

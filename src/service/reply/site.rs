@@ -64,6 +64,9 @@ pub struct LifeLine {
     /// Messages of all profiles in memory that are not acknowledged yet; no part of captured.
     #[serde(default)]
     pub waiting: u64,
+    /// Of the verified ones those whose ciphertext retention has deleted; header, signature and proof are there.
+    #[serde(default)]
+    pub deleted: u64,
     /// Whether the counts add up, in all and for each topic.
     #[serde(default)]
     pub conserved: bool,

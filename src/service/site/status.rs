@@ -113,6 +113,7 @@ impl Site {
             tampered,
             lost_in_transport: counts.lost_in_transport,
             waiting: waiting as u64,
+            deleted: 0,
             conserved: counts.is_conserved(),
         })
     }
