@@ -114,13 +114,18 @@ pub trait Vault: Send + Sync {
     /// [`StoreError::Unreachable`] and the like.
     fn replace(&self, digest: Digest, bytes: &[u8]) -> Result<bool, StoreError>;
 
-    /// Whether the vault was restarted since this was last asked (or since it was opened), so that what is
-    /// not yet verified has to be put back.
+    /// Names the present runs of its servers: where it names others than before, what was held may be lost. Always the
+    /// same for a vault that is durable by itself.
     ///
     /// # Errors
     /// [`StoreError::Unreachable`] and the like.
-    fn restarted(&self) -> Result<bool, StoreError> {
-        Ok(false)
+    fn runs(&self) -> Result<String, StoreError> {
+        Ok(String::new())
+    }
+
+    /// Whether it answers as a whole or not at all.
+    fn is_one(&self) -> bool {
+        true
     }
 }
 

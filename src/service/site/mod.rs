@@ -10,6 +10,7 @@ mod capture;
 mod chain_link;
 mod contacts;
 mod devices;
+mod disk;
 mod enrolling;
 mod epochs;
 mod exposure;
@@ -63,7 +64,7 @@ use crate::pipeline::recorder::CapturedMessage;
 use crate::pipeline::ring::Rings;
 use crate::pipeline::sender::Policy;
 use crate::pipeline::{CaptureSession, Losses, Owner, PinRules, Pins, Plant, Recorder, Sender};
-use crate::store::{AuditLog, Ledger, Reserve, SiteLock, open_vault};
+use crate::store::{AuditLog, RESERVE_BYTES, Reserve, SiteLock, open_vault};
 
 /// How long the nodes may take to leave the ROS graph.
 const LEAVING: std::time::Duration = std::time::Duration::from_secs(3);
@@ -95,6 +96,8 @@ pub struct Site {
     audit: AuditLog,
     refusals: refusals::Refusals,
     reserve: Reserve,
+    /// Space for the states of records on a full disk.
+    states: Reserve,
     /// Changes of the address book happen one at a time.
     contacts: tokio::sync::Mutex<()>,
     owners: RwLock<BTreeMap<ProfileName, Arc<Owner>>>,
@@ -138,13 +141,14 @@ impl Site {
         let remote = config.site.as_ref().map(|site| remote::Remote::new(site, &home, provider)).transpose()?;
         let (events, _) = broadcast::channel(1024);
         let hub = Arc::new(Hub::new(events));
-        let ledger = Ledger::open(&home.ledger())?;
+        let ledger = disk::open_ledger(&home)?;
         let vault = open_vault(config.vault_url.as_deref(), &home.vault())?;
         let plant = Plant { ledger: ledger.clone(), vault, provider, observer: hub.clone() };
         let rings = Arc::new(Rings::new(usize::try_from(config.capture_memory).unwrap_or(usize::MAX)));
         let losses = Arc::new(Losses::default());
         let recorder = Recorder::new(Arc::clone(&rings), Arc::clone(&losses), hub.clone());
-        let (reserve, reserved) = Reserve::open(&home.reserve());
+        let (reserve, reserved) = Reserve::open(&home.reserve(), RESERVE_BYTES);
+        let states = disk::working_reserve(&home, config.disk_reserve);
         let rules = PinRules { mode: config.pin_mode, listed: config.publishers.clone() };
         let pins = Arc::new(Pins::new(ledger.clone(), hub.clone(), rules));
         let site = Arc::new(Self {
@@ -156,6 +160,7 @@ impl Site {
             refusals: refusals::Refusals::default(),
             served_gateway: Mutex::default(),
             reserve,
+            states,
             contacts: tokio::sync::Mutex::default(),
             home,
             config,

@@ -60,7 +60,8 @@ impl Site {
 
     fn vault_health(&self) -> PartHealth {
         let name = self.config.vault_url.as_deref().map_or_else(|| "embedded vault".to_owned(), without_password);
-        part("vault", HealthLevel::Ok, &name)
+        let (level, text) = self.room_health().unwrap_or((HealthLevel::Ok, name));
+        part("vault", level, &text)
     }
 
     fn gateway_health(&self) -> PartHealth {

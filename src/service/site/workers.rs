@@ -23,6 +23,7 @@ pub(super) fn start(site: &Arc<Site>, needs: Needs) -> Result<(), Failure> {
     tokio::spawn(Arc::clone(&site.hub).run());
     tokio::spawn(Arc::clone(site).keep_audit());
     tokio::spawn(Arc::clone(site).keep_quarantine());
+    tokio::spawn(Arc::clone(site).keep_room());
     if needs.ros {
         start_sealer(site)?;
         let task = tokio::spawn(Arc::clone(site).keep_ros());

@@ -281,18 +281,24 @@ impl Vault for RedisVault {
         })
     }
 
-    fn restarted(&self) -> Result<bool, StoreError> {
+    fn runs(&self) -> Result<String, StoreError> {
         match &self.servers {
-            Servers::One(node) => node.restarted(),
+            Servers::One(node) => node.run(),
             Servers::Many(cluster) => {
-                let mut restarted = cluster.moved();
-                for member in cluster.members().iter().filter(|member| member.rests().is_none()) {
-                    // One that does not answer now is asked when it does.
-                    restarted |= member.node.restarted().unwrap_or(false);
-                }
-                Ok(restarted)
+                // One that does not answer now counts as it was, until it does.
+                let run = |member: &Arc<Member>| {
+                    let run = if member.rests().is_none() { member.node.run().ok() } else { None };
+                    format!("{}={}", member.host, run.or_else(|| member.node.known_run()).unwrap_or_default())
+                };
+                let mut runs: Vec<String> = cluster.members().iter().map(run).collect();
+                runs.sort();
+                Ok(runs.join(" "))
             }
         }
+    }
+
+    fn is_one(&self) -> bool {
+        matches!(self.servers, Servers::One(_))
     }
 }
 

@@ -2,7 +2,6 @@
 //!
 //! A node that is gone fails only what lies in its slots, and is left alone for a moment before it is tried again.
 
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
 use std::time::{Duration, Instant};
 
@@ -21,7 +20,7 @@ const ASKED_EVERY: Duration = Duration::from_secs(1);
 
 /// One node with when it may be tried again.
 pub(super) struct Member {
-    host: String,
+    pub(super) host: String,
     pub(super) node: Node,
     resting: Mutex<Option<(Instant, StoreError)>>,
 }
@@ -66,8 +65,6 @@ pub(super) struct Cluster {
     address: Address,
     map: RwLock<Map>,
     asked: Mutex<Option<Instant>>,
-    /// Whether slots went to other nodes since this was last asked.
-    moved: AtomicBool,
 }
 
 impl Cluster {
@@ -76,7 +73,7 @@ impl Cluster {
     /// # Errors
     /// [`StoreError::Unreachable`] where none answers, [`StoreError::Policy`] where one may throw records away.
     pub(super) fn open(address: Address) -> Result<Self, StoreError> {
-        let cluster = Self { address, map: RwLock::default(), asked: Mutex::default(), moved: AtomicBool::new(false) };
+        let cluster = Self { address, map: RwLock::default(), asked: Mutex::default() };
         cluster.learn()?;
         for member in cluster.members() {
             match member.with(|connection| cmd("PING").exec(connection)) {
@@ -84,7 +81,6 @@ impl Cluster {
                 _ => {}
             }
         }
-        cluster.moved.store(false, Ordering::Release);
         Ok(cluster)
     }
 
@@ -153,11 +149,6 @@ impl Cluster {
         asked.is_none_or(|at| at.elapsed() >= ASKED_EVERY)
     }
 
-    /// Whether slots went to other nodes since this was last asked.
-    pub(super) fn moved(&self) -> bool {
-        self.moved.swap(false, Ordering::AcqRel)
-    }
-
     fn by_host(&self, host: &str) -> Result<Arc<Member>, StoreError> {
         let known = self.members().into_iter().find(|member| member.host == host);
         known.map_or_else(|| Member::new(&self.address, host).map(Arc::new), Ok)
@@ -198,14 +189,7 @@ impl Cluster {
             let index = u16::try_from(index).ok();
             map.slots.iter_mut().take(usize::from(last) + 1).skip(usize::from(first)).for_each(|slot| *slot = index);
         }
-        let mut now = self.map.write().unwrap_or_else(PoisonError::into_inner);
-        let host = |map: &Map, slot: &Option<u16>| {
-            slot.and_then(|index| map.members.get(usize::from(index))).map(|member| member.host.clone())
-        };
-        let same = now.slots.len() == map.slots.len()
-            && now.slots.iter().zip(&map.slots).all(|(one, other)| host(&now, one) == host(&map, other));
-        self.moved.fetch_or(!same, Ordering::AcqRel);
-        *now = map;
+        *self.map.write().unwrap_or_else(PoisonError::into_inner) = map;
         Ok(())
     }
 }

@@ -1,7 +1,7 @@
 //! One Redis server and the connection to it, made anew on the next call after a failure.
 //!
 //! Every new connection first looks at how the server is set up, because a restart may have brought another
-//! configuration, and at its run id, because a restart may have lost what it held.
+//! configuration.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -53,7 +53,6 @@ pub(super) struct Node {
 struct Link {
     connection: Option<Connection>,
     run_id: Option<String>,
-    restarted: bool,
 }
 
 impl Node {
@@ -113,9 +112,6 @@ impl Node {
         if let Some(Finding { server, text, advice, .. }) = refused {
             return Err(StoreError::Policy { url: server, detail: text, advice });
         }
-        let run_id = run_id(&mut connection).map_err(|e| self.error(&e))?;
-        link.restarted |= link.run_id.as_ref().is_some_and(|known| Some(known) != run_id.as_ref());
-        link.run_id = run_id.or(link.run_id.take());
         link.connection = Some(connection);
         Ok(())
     }
@@ -203,16 +199,19 @@ impl Node {
         })
     }
 
-    /// Whether it was restarted since this was last asked.
+    /// The id of its present run; empty where it does not say.
     ///
     /// # Errors
     /// [`StoreError::Unreachable`] and the like.
-    pub(super) fn restarted(&self) -> Result<bool, StoreError> {
+    pub(super) fn run(&self) -> Result<String, StoreError> {
         let found = self.with(run_id).map_err(|failure| failure.error)?;
-        let mut link = self.link();
-        let changed = found.is_some() && link.run_id.is_some() && found != link.run_id;
-        link.run_id = found.or(link.run_id.take());
-        Ok(std::mem::take(&mut link.restarted) || changed)
+        self.link().run_id.clone_from(&found);
+        Ok(found.unwrap_or_default())
+    }
+
+    /// The id of the last run that it told of.
+    pub(super) fn known_run(&self) -> Option<String> {
+        self.link().run_id.clone()
     }
 
     fn gone(&self, detail: &str) -> StoreError {
