@@ -76,7 +76,10 @@ mod tests {
     fn sizes_as_people_write_them() {
         let read = |text: &str| text.parse::<ByteSize>().map(|size| size.0).ok();
         assert_eq!(read("0"), Some(0));
-        assert_eq!((read("256MiB"), read("256 mib"), read("1.5 KiB")), (Some(268_435_456), Some(268_435_456), Some(1536)));
+        assert_eq!(
+            (read("256MiB"), read("256 mib"), read("1.5 KiB")),
+            (Some(268_435_456), Some(268_435_456), Some(1536))
+        );
         assert_eq!((read("10GB"), read("12 b"), read("2TiB")), (Some(10_000_000_000), Some(12), Some(2 << 40)));
         for bad in ["", "MiB", "-1", "1.", "1.x MB", "1e9", "9999999999TiB", "10 XB", "1 2"] {
             assert_eq!(read(bad), None, "{bad}");

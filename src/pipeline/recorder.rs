@@ -60,11 +60,7 @@ pub struct Recorder {
 
 impl Recorder {
     /// A recorder that fills `rings`, and notes in `losses` what does not fit.
-    pub fn new(
-        rings: Arc<Rings<CapturedMessage>>,
-        losses: Arc<Losses>,
-        observer: Arc<dyn Observer>,
-    ) -> Self {
+    pub fn new(rings: Arc<Rings<CapturedMessage>>, losses: Arc<Losses>, observer: Arc<dyn Observer>) -> Self {
         Self {
             rings,
             losses,

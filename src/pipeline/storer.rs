@@ -161,7 +161,9 @@ impl Storer<'_> {
         };
         if let Some(failure) = pass.failure {
             let waiting = pass.waiting;
-            self.alert(format!("the vault does not take {waiting} records or more, they wait in the ledger: {failure}"));
+            self.alert(format!(
+                "the vault does not take {waiting} records or more, they wait in the ledger: {failure}"
+            ));
         } else if self.failing && pass.waiting == 0 {
             self.plant.observer.alert(false, "the vault takes all records again".to_owned());
         }
@@ -193,10 +195,13 @@ impl Storer<'_> {
         let found = put_back(self.plant, stopped)?;
         if found.replaced > 0 {
             let count = found.replaced;
-            self.alert(format!("{count} records in the vault were not the bytes that were stored; they are right again"));
+            self.alert(format!(
+                "{count} records in the vault were not the bytes that were stored; they are right again"
+            ));
         }
         if found.put_back > 0 {
-            let text = format!("the vault had lost {} records; they were put back from their local copies", found.put_back);
+            let text =
+                format!("the vault had lost {} records; they were put back from their local copies", found.put_back);
             self.plant.observer.alert(known.is_some(), text);
         }
         if found.waiting > 0 {

@@ -123,8 +123,10 @@ pub enum StoreError {
     #[error("'{0}' is not a cursor; use the `next` of the page before")]
     Cursor(String),
     /// The vault's URL cannot be used.
-    #[error("vault.url {url} cannot be used: {detail}; write redis://HOST:PORT/DB, redis+unix:///PATH, \
-             redis+cluster://HOST:PORT,HOST:PORT or redis+sentinel://HOST:PORT,HOST:PORT/MASTER")]
+    #[error(
+        "vault.url {url} cannot be used: {detail}; write redis://HOST:PORT/DB, redis+unix:///PATH, \
+             redis+cluster://HOST:PORT,HOST:PORT or redis+sentinel://HOST:PORT,HOST:PORT/MASTER"
+    )]
     VaultUrl {
         /// The URL, secrets taken out.
         url: String,
@@ -192,10 +194,7 @@ impl StoreError {
 
     /// Whether the same call can succeed later without anybody changing what was asked.
     pub fn is_passing(&self) -> bool {
-        matches!(
-            self,
-            Self::DiskFull { .. } | Self::Backlog { .. } | Self::Unreachable { .. } | Self::VaultFull { .. }
-        )
+        matches!(self, Self::DiskFull { .. } | Self::Backlog { .. } | Self::Unreachable { .. } | Self::VaultFull { .. })
     }
 
     /// A failure of the file system at `path`.

@@ -31,6 +31,7 @@ mod remote;
 mod revoking;
 mod robots;
 mod sharing;
+mod statements;
 mod status;
 mod succession;
 mod telling;

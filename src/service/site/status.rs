@@ -89,7 +89,9 @@ impl Site {
     }
 
     fn life_line(&self, profile: &ProfileName) -> Result<LifeLine, Failure> {
-        let Ok(owner) = self.address_of(profile) else { return Ok(LifeLine { conserved: true, ..LifeLine::default() }) };
+        let Ok(owner) = self.address_of(profile) else {
+            return Ok(LifeLine { conserved: true, ..LifeLine::default() });
+        };
         let (waiting, _) = self.rings.depth();
         let counts = self.losses.counts(&self.plant, owner)?;
         let at_least = |least: RecordState| -> u64 {

@@ -5,8 +5,8 @@ use std::collections::{BTreeMap, HashMap};
 use rusqlite::Connection;
 use serde::{Deserialize, Serialize};
 
-use super::rows::{self, Stream};
 use super::Ledger;
+use super::rows::{self, Stream};
 use crate::model::{Address, LossReason, RecordKind, RecordState, TopicId};
 use crate::store::StoreError;
 

@@ -150,13 +150,7 @@ fn settle(connection: &Connection, gap: &GapRow, report: Digest) -> Result<(), S
         .ok_or_else(not_open)?;
     connection
         .prepare_cached("UPDATE gaps SET report = ?2, count = ?3, last_number = ?4, last_at = ?5 WHERE key = ?1")?
-        .execute(params![
-            gap.key,
-            report.0,
-            told,
-            gap.numbers.map(|(_, last)| last),
-            whole("time", gap.last_at.0)?
-        ])?;
+        .execute(params![gap.key, report.0, told, gap.numbers.map(|(_, last)| last), whole("time", gap.last_at.0)?])?;
     if count > told {
         connection
             .prepare_cached(

@@ -11,7 +11,8 @@ fn report(seq: u64) -> NewRecord {
 #[test]
 fn losses_are_merged_until_a_gap_record_tells_of_them() {
     let (_home, ledger) = open();
-    let later = |numbers| Loss { numbers, first_at: Timestamp(7), last_at: Timestamp(8), ..loss(LossReason::Memory, 4) };
+    let later =
+        |numbers| Loss { numbers, first_at: Timestamp(7), last_at: Timestamp(8), ..loss(LossReason::Memory, 4) };
     ledger.count_losses(vec![Loss { numbers: None, ..loss(LossReason::Memory, 3) }]).expect("counted");
     ledger.count_losses(vec![later(Some((20, 24))), loss(LossReason::Transport, 2)]).expect("counted");
     let open = |by| ledger.open_gaps(OWNER, Timestamp(by), 1).expect("read").pop();

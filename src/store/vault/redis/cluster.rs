@@ -108,11 +108,7 @@ impl Cluster {
     ///
     /// # Errors
     /// Of the node, or where the slot has none.
-    pub(super) fn with<T>(
-        &self,
-        slot: u16,
-        work: impl Fn(&mut Connection) -> RedisResult<T>,
-    ) -> Result<T, StoreError> {
+    pub(super) fn with<T>(&self, slot: u16, work: impl Fn(&mut Connection) -> RedisResult<T>) -> Result<T, StoreError> {
         let member = self.of(slot)?;
         let failure = match member.with(&work) {
             Ok(done) => return Ok(done),

@@ -6,9 +6,12 @@ pub(super) const SLOTS: u16 = 16_384;
 /// The slot of a key without a hash tag: CRC-16/XMODEM of it (Redis cluster specification, appendix A).
 pub(super) fn slot(key: &str) -> u16 {
     let crc = key.bytes().fold(0u16, |crc, byte| {
-        (0..8).fold(crc ^ (u16::from(byte) << 8), |crc, _| {
-            if crc & 0x8000 == 0 { crc << 1 } else { (crc << 1) ^ 0x1021 }
-        })
+        (0..8).fold(
+            crc ^ (u16::from(byte) << 8),
+            |crc, _| {
+                if crc & 0x8000 == 0 { crc << 1 } else { (crc << 1) ^ 0x1021 }
+            },
+        )
     });
     crc % SLOTS
 }
