@@ -105,6 +105,8 @@ pub enum Verb {
     /// Settings and where they come from
     #[command(subcommand)]
     Config(ConfigVerb),
+    /// Health of the site's parts, and where this profile's records stand
+    Status,
     /// Run the site without a console
     Serve,
     /// Serve robots and operators that run no chain client

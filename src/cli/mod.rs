@@ -27,6 +27,7 @@ mod printed;
 mod quarantine;
 mod serve;
 mod show;
+mod status;
 mod verbs;
 
 use std::process::ExitCode;

@@ -83,6 +83,7 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
         }
         Verb::Identity(IdentityVerb::Lock) => Plan::new(NEITHER, NoProfile, Command::Operate(Operation::Lock)),
         Verb::Gateway(GatewayVerb::Status) => Plan::new(NEITHER, NoProfile, Command::Operate(Operation::GatewayStatus)),
+        Verb::Status => Plan::new(NEITHER, NoProfile, Command::SiteStatus),
         Verb::Contacts(verb) => Plan::new(CHAIN, NoProfile, parties::contacts(verb)?),
         Verb::Register => Plan::new(CHAIN, Made, Command::Register),
         Verb::Keys(verb) => keys(verb)?,

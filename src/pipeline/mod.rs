@@ -14,6 +14,7 @@ pub mod export_folder;
 #[cfg(test)]
 mod fixture;
 pub mod forwarder;
+pub mod losses;
 pub mod meter;
 pub mod mirror;
 pub mod notices;
@@ -43,6 +44,7 @@ pub use author::Author;
 pub use directory::Directory;
 pub use error::PipelineError;
 pub use forwarder::Forwarder;
+pub use losses::Losses;
 pub use owner::Owner;
 pub use pins::{PinRules, Pins};
 pub use recorder::Recorder;

@@ -1,5 +1,5 @@
 //! Seals captured messages and acknowledges them: one thread, order per topic kept, one fsync
-//! for as many records as wait. What fails is kept and tried again; the ring fills meanwhile.
+//! for as many records as wait. What fails is kept and tried again; the rings fill meanwhile.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::sync::Arc;
@@ -7,13 +7,14 @@ use std::time::{Duration, Instant};
 
 use crate::crypto::{SealRequest, SealedRecord, seal};
 use crate::model::head::Compression;
-use crate::model::{Address, Digest, Head, RecordKind, RecordState, TopicId, clean};
+use crate::model::{Address, Digest, Head, LossReason, RecordKind, RecordState, Timestamp, TopicId, clean};
 use crate::ros::Message;
-use crate::store::{Hold, NewRecord};
+use crate::store::{Hold, NewRecord, StoreError};
 
 use super::epoch::{EpochKeys, SIMULATED, TopicKeys};
+use super::losses::{GATHERED, Losses, Lost};
 use super::recorder::CapturedMessage;
-use super::ring::Ring;
+use super::ring::Rings;
 use super::session::Sessions;
 use super::stages::{Milestone, Stage};
 use super::{PipelineError, Plant, quarantine};
@@ -22,6 +23,10 @@ use super::{PipelineError, Plant, quarantine};
 const ROUND: usize = 256;
 /// Bytes sealed at most before they are acknowledged together.
 const ROUND_BYTES: usize = 8 * 1024 * 1024;
+/// Between two writings of the losses into the ledger.
+const LOSSES_EVERY: Duration = Duration::from_secs(1);
+/// How long messages are tried to be stored once the program ends.
+const LAST_TRIES: Duration = Duration::from_secs(3);
 
 /// A sealed record on its way into vault and ledger.
 struct Ready {
@@ -32,10 +37,14 @@ struct Ready {
     item: Option<usize>,
 }
 
-/// Seals everything that comes through the ring.
+/// Seals everything that comes through the rings.
 pub struct Sealer {
     plant: Plant,
     sessions: Arc<Sessions>,
+    losses: Arc<Losses>,
+    /// Bytes of records that may wait in the ledger for a vault that does not take them.
+    backlog: u64,
+    losses_at: Instant,
     boot_id: [u8; 16],
     seqs: HashMap<(Address, TopicId), u64>,
     definitions: HashSet<String>,
@@ -46,11 +55,15 @@ pub struct Sealer {
 const MOST_HASHES: usize = 1024;
 
 impl Sealer {
-    /// A sealer over `plant`; `sessions` learn which records they wait for.
-    pub fn new(plant: Plant, sessions: Arc<Sessions>) -> Self {
+    /// A sealer over `plant`; `sessions` learn which records they wait for, `losses` what became none. Up to `backlog`
+    /// bytes of records may wait in the ledger for a vault that does not take them.
+    pub fn new(plant: Plant, sessions: Arc<Sessions>, losses: Arc<Losses>, backlog: u64) -> Self {
         Self {
             plant,
             sessions,
+            losses,
+            backlog,
+            losses_at: Instant::now(),
             boot_id: boot_id(),
             seqs: HashMap::new(),
             definitions: HashSet::new(),
@@ -58,33 +71,77 @@ impl Sealer {
         }
     }
 
-    /// Works until the ring is closed and empty. `acknowledged` is called after each round.
-    pub fn run(&mut self, ring: &Ring<CapturedMessage>, acknowledged: &dyn Fn()) {
-        while let Some(items) = ring.take(ROUND, ROUND_BYTES, Duration::from_secs(1)) {
-            if items.is_empty() {
-                continue;
+    /// Works until the rings are closed and empty. `acknowledged` is called after each round.
+    pub fn run(&mut self, rings: &Rings<CapturedMessage>, acknowledged: &dyn Fn()) {
+        let mut closed_at = None;
+        while let Some(items) = rings.take(ROUND, ROUND_BYTES, LOSSES_EVERY) {
+            if !items.is_empty() {
+                self.store(&items, rings, &mut closed_at);
+                acknowledged();
             }
-            let mut pause = Duration::from_millis(100);
-            while let Err(error) = self.round(&items) {
-                self.plant
-                    .observer
-                    .alert(true, format!("captured messages cannot be stored, they wait in memory: {error}"));
-                std::thread::sleep(pause);
-                pause = (pause * 2).min(Duration::from_secs(5));
+            drop(items);
+            self.tell_losses(false);
+        }
+        self.tell_losses(true);
+    }
+
+    /// Tries until the messages are acknowledged; when the program ends, not for ever: then they are counted as lost.
+    fn store(&mut self, items: &[CapturedMessage], rings: &Rings<CapturedMessage>, closed_at: &mut Option<Instant>) {
+        let mut pause = Duration::from_millis(100);
+        while let Err(error) = self.round(items) {
+            self.losses.blame(cause(&error));
+            let text = format!("captured messages cannot be stored, they wait in memory: {error}");
+            self.plant.observer.alert(true, text);
+            if rings.is_closed() {
+                let end = *closed_at.get_or_insert_with(Instant::now) + LAST_TRIES;
+                if Instant::now() >= end {
+                    items.iter().for_each(|item| self.lose(item, LossReason::End));
+                    return;
+                }
+                pause = Duration::from_millis(200);
             }
-            acknowledged();
+            self.tell_losses(false);
+            std::thread::sleep(pause);
+            pause = (pause * 2).min(Duration::from_secs(2));
+        }
+        self.losses.blame(LossReason::Memory);
+    }
+
+    fn lose(&self, item: &CapturedMessage, reason: LossReason) {
+        let held = item.doubt.is_some();
+        item.sessions.iter().for_each(|session| session.dropped(&item.message.topic, held));
+        self.losses.note(&item.author, Lost::message(&item.message), reason);
+    }
+
+    /// Writes what was lost into the ledger, once a second, and seals gap records of what is a few seconds old; at the
+    /// `end` of all.
+    fn tell_losses(&mut self, end: bool) {
+        if !end && self.losses_at.elapsed() < LOSSES_EVERY {
+            return;
+        }
+        self.losses_at = Instant::now();
+        let age = if end { 0 } else { u64::try_from(GATHERED.as_nanos()).unwrap_or(0) };
+        let by = Timestamp(Timestamp::now().0.saturating_sub(age));
+        let told = self.losses.write(&self.plant).map_err(PipelineError::from);
+        match told.and_then(|()| self.losses.tell(&self.plant, by)) {
+            Ok(told) => self.seqs.extend(told.into_iter().map(|(owner, topic, seq)| ((owner, topic), seq))),
+            Err(error) => {
+                // Of a stream whose number was taken all the same the ledger knows.
+                self.seqs.clear();
+                let text = format!("lost messages are counted, but not yet told of in gap records: {error}");
+                self.plant.observer.alert(true, text);
+            }
         }
     }
 
     fn round(&mut self, items: &[CapturedMessage]) -> Result<(), PipelineError> {
         let begun = Instant::now();
         let mut seqs = HashMap::new();
-        let mut ready = Vec::with_capacity(items.len());
+        let (mut ready, mut keyless) = (Vec::with_capacity(items.len()), Vec::new());
         for (index, item) in items.iter().enumerate() {
             let keys = item.author.sealing().filter(|keys| keys.topic(&item.message.topic).is_some());
             let Some(keys) = keys else {
-                let held = item.doubt.is_some();
-                item.sessions.iter().for_each(|session| session.dropped(&item.message.topic, held));
+                keyless.push(item);
                 continue;
             };
             self.seal_definition(item, &keys, &mut seqs, &mut ready)?;
@@ -93,13 +150,21 @@ impl Sealer {
             ready.push(Ready { item: Some(index), definition: None, ..one });
         }
         self.spent(Stage::Seal, begun);
-        let begun = Instant::now();
-        self.acknowledge(items, ready)?;
-        self.spent(Stage::Commit, begun);
-        if let Some(stages) = self.plant.observer.stages() {
-            stages.reached(Milestone::Durable, items.iter().map(|item| item.message.captured_at));
+        if !ready.is_empty() {
+            let captured: Vec<Timestamp> = ready
+                .iter()
+                .filter_map(|one| one.item.and_then(|index| items.get(index)))
+                .map(|item| item.message.captured_at)
+                .collect();
+            let begun = Instant::now();
+            self.acknowledge(items, ready)?;
+            self.spent(Stage::Commit, begun);
+            if let Some(stages) = self.plant.observer.stages() {
+                stages.reached(Milestone::Durable, captured);
+            }
         }
         self.seqs.extend(seqs);
+        keyless.into_iter().for_each(|item| self.lose(item, LossReason::Key));
         Ok(())
     }
 
@@ -249,8 +314,18 @@ impl Sealer {
         }
     }
 
+    /// A vault that takes nothing must not fill the disk.
+    fn keep_backlog(&self) -> Result<(), StoreError> {
+        if self.plant.vault.durable() {
+            return Ok(());
+        }
+        let waiting = self.plant.ledger.backlog()?;
+        if waiting <= self.backlog { Ok(()) } else { Err(StoreError::Backlog { waiting, limit: self.backlog }) }
+    }
+
     fn acknowledge(&mut self, items: &[CapturedMessage], ready: Vec<Ready>) -> Result<(), PipelineError> {
         self.plant.ledger.takes_records()?;
+        self.keep_backlog()?;
         if self.plant.vault.durable() {
             let entries: Vec<_> = ready.iter().map(|one| (one.sealed.digest, one.sealed.blob.as_slice())).collect();
             self.plant.vault.put(&entries)?;
@@ -274,6 +349,15 @@ impl Sealer {
         }
         self.plant.observer.records_changed();
         Ok(())
+    }
+}
+
+/// Why messages wait, as a gap record tells it of those that did not fit any more.
+fn cause(error: &PipelineError) -> LossReason {
+    match error {
+        PipelineError::Store(StoreError::DiskFull { .. }) => LossReason::Disk,
+        PipelineError::Store(StoreError::Backlog { .. }) => LossReason::Backlog,
+        _ => LossReason::Memory,
     }
 }
 

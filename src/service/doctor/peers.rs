@@ -4,22 +4,25 @@ use super::{Sheet, files};
 use crate::config::{Config, without_password};
 use crate::paths::Home;
 use crate::ros::Graph;
-use crate::store::open_vault;
+use crate::store::vault::policy::{self, Gravity};
 
 /// The vault: the embedded file, or Redis with its policy and persistence.
 pub(super) fn vault(home: &Home, config: &Config, sheet: &mut Sheet) {
     let Some(url) = &config.vault_url else {
         return files::database("vault", &home.vault().join("vault.db"), sheet);
     };
-    match open_vault(Some(url), &home.vault()) {
-        Ok(vault) => {
-            let warnings = vault.policy_warnings();
-            if warnings.is_empty() {
-                sheet.ok("vault", &format!("{} answers, evicts nothing and keeps an append-only file", vault.name()));
+    match policy::examine(Some(url)) {
+        Ok(findings) => {
+            if findings.is_empty() {
+                let text = format!("{} answers, evicts nothing and keeps an append-only file", without_password(url));
+                sheet.ok("vault", &text);
             }
-            for warning in warnings {
-                let (text, advice) = warning.split_once(';').unwrap_or((&warning, "look at redis.conf"));
-                sheet.warn("vault", text.trim(), advice.trim());
+            for finding in findings {
+                let text = format!("Redis at {} {}", finding.server, finding.text);
+                match finding.gravity {
+                    Gravity::Warning => sheet.warn("vault", &text, &finding.advice),
+                    Gravity::Refused => sheet.fail("vault", &text, &finding.advice),
+                }
             }
         }
         Err(error) => {

@@ -11,6 +11,7 @@ mod capture;
 mod chain_link;
 mod contacts;
 mod devices;
+mod disk;
 mod enrolling;
 mod epochs;
 mod exposure;
@@ -33,6 +34,7 @@ mod remote;
 mod revoking;
 mod robots;
 mod sharing;
+mod statements;
 mod status;
 mod succession;
 mod telling;
@@ -63,13 +65,10 @@ use crate::crypto::provider;
 use crate::model::ProfileName;
 use crate::paths::Home;
 use crate::pipeline::recorder::CapturedMessage;
-use crate::pipeline::ring::Ring;
+use crate::pipeline::ring::Rings;
 use crate::pipeline::sender::Policy;
-use crate::pipeline::{CaptureSession, Owner, PinRules, Pins, Plant, Recorder, Sender};
-use crate::store::{AuditLog, Ledger, Reserve, SiteLock, open_vault};
-
-/// Memory for captured messages that wait to be sealed, bytes.
-const RING_BYTES: usize = 192 * 1024 * 1024;
+use crate::pipeline::{CaptureSession, Losses, Owner, PinRules, Pins, Plant, Recorder, Sender};
+use crate::store::{AuditLog, RESERVE_BYTES, Reserve, SiteLock, open_vault};
 
 /// How long the nodes may take to leave the ROS graph.
 const LEAVING: std::time::Duration = std::time::Duration::from_secs(3);
@@ -96,10 +95,13 @@ pub struct Site {
     pins: Arc<Pins>,
     /// Quarantine records are sealed one at a time.
     reporting: tokio::sync::Mutex<()>,
-    ring: Arc<Ring<CapturedMessage>>,
+    rings: Arc<Rings<CapturedMessage>>,
+    losses: Arc<Losses>,
     audit: AuditLog,
     refusals: refusals::Refusals,
     reserve: Reserve,
+    /// Space for the states of records on a full disk.
+    states: Reserve,
     /// Changes of the address book happen one at a time.
     contacts: tokio::sync::Mutex<()>,
     owners: RwLock<BTreeMap<ProfileName, Arc<Owner>>>,
@@ -143,15 +145,18 @@ impl Site {
         let remote = config.site.as_ref().map(|site| remote::Remote::new(site, &home, provider)).transpose()?;
         let (events, _) = broadcast::channel(1024);
         let hub = Arc::new(Hub::new(events));
-        let ledger = Ledger::open(&home.ledger())?;
+        let ledger = disk::open_ledger(&home)?;
         let vault = open_vault(config.vault_url.as_deref(), &home.vault())?;
         let plant = Plant { ledger: ledger.clone(), vault, provider, observer: hub.clone() };
-        let ring = Arc::new(Ring::new(RING_BYTES));
-        let (reserve, reserved) = Reserve::open(&home.reserve());
+        let rings = Arc::new(Rings::new(usize::try_from(config.capture_memory).unwrap_or(usize::MAX)));
+        let losses = Arc::new(Losses::default());
+        let recorder = Recorder::new(Arc::clone(&rings), Arc::clone(&losses), hub.clone());
+        let (reserve, reserved) = Reserve::open(&home.reserve(), RESERVE_BYTES);
+        let states = disk::working_reserve(&home, config.disk_reserve);
         let rules = PinRules { mode: config.pin_mode, listed: config.publishers.clone() };
         let pins = Arc::new(Pins::new(ledger.clone(), hub.clone(), rules));
         let site = Arc::new(Self {
-            recorder: Arc::new(Recorder::new(Arc::clone(&ring), hub.clone()).with_pins(Arc::clone(&pins))),
+            recorder: Arc::new(recorder.with_pins(Arc::clone(&pins))),
             pins,
             reporting: tokio::sync::Mutex::default(),
             sender: Arc::new(Sender::new(ledger, hub.clone(), Policy { cap: config.max_fee })),
@@ -159,12 +164,14 @@ impl Site {
             refusals: refusals::Refusals::default(),
             served_gateway: Mutex::default(),
             reserve,
+            states,
             contacts: tokio::sync::Mutex::default(),
             home,
             config,
             plant,
             hub,
-            ring,
+            rings,
+            losses,
             owners: RwLock::default(),
             consoles: Mutex::default(),
             captures: Mutex::default(),
@@ -261,7 +268,7 @@ impl Site {
         if let Some(task) = ros {
             drop(tokio::time::timeout(LEAVING, task).await);
         }
-        self.ring.close();
+        self.rings.close();
         let sealer = self.sealer.lock().unwrap_or_else(std::sync::PoisonError::into_inner).take();
         if let Some(thread) = sealer {
             drop(tokio::task::spawn_blocking(move || thread.join()).await);

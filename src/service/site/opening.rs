@@ -3,8 +3,8 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use super::Site;
 use super::view::{record_page, record_query, record_view};
+use super::{Site, statements};
 use crate::crypto::GrantedKeys;
 use crate::model::{Address, FilterId, Scope, Timestamp, TopicId, clean};
 use crate::pipeline::directory::Granted;
@@ -150,13 +150,19 @@ impl Site {
             .and_then(|picture| opened.body.get(picture.data).map(<[u8]>::to_vec))
             .filter(|_| !crate::crypto::fault::is_off("restore"));
         let fields = decoded.as_ref().map(|value| value.flatten()).unwrap_or_default();
+        let stated = statements::view(row.kind, &opened.body);
         Ok(OpenedView {
             record: record_view(&row, row.owner != owner.address),
             verdict: opened.verdict,
             caller_id: clean(&opened.head.caller_id, 255),
             tags: opened.head.tags.iter().map(|(key, value)| (clean(key, 64), clean(value, 200))).collect(),
-            fields: fields.into_iter().map(|(path, text)| (clean(&path, 200), clean(&text, 400))).collect(),
-            message: decoded.map_or(serde_json::Value::Null, |value| value.to_json()),
+            fields: stated
+                .as_ref()
+                .map_or(fields, statements::fields)
+                .into_iter()
+                .map(|(path, text)| (clean(&path, 200), clean(&text, 400)))
+                .collect(),
+            message: stated.or_else(|| decoded.map(|value| value.to_json())).unwrap_or_default(),
             body: Some(opened.body),
             picture,
         })

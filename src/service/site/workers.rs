@@ -24,6 +24,7 @@ pub(super) fn start(site: &Arc<Site>, needs: Needs) -> Result<(), Failure> {
     tokio::spawn(Arc::clone(&site.hub).run());
     tokio::spawn(Arc::clone(site).keep_audit());
     tokio::spawn(Arc::clone(site).keep_quarantine());
+    tokio::spawn(Arc::clone(site).keep_room());
     if needs.ros {
         start_sealer(site)?;
         let task = tokio::spawn(Arc::clone(site).keep_ros());
@@ -49,9 +50,10 @@ fn thread(name: &str, work: impl FnOnce() + Send + 'static) -> Result<std::threa
 }
 
 fn start_sealer(site: &Arc<Site>) -> Result<(), Failure> {
-    let mut sealer = Sealer::new(site.plant.clone(), Arc::clone(&site.hub.sessions));
-    let (ring, hub) = (Arc::clone(&site.ring), Arc::clone(&site.hub));
-    let handle = thread("sealer", move || sealer.run(&ring, &|| hub.stored.notify_waiters()))?;
+    let (sessions, losses) = (Arc::clone(&site.hub.sessions), Arc::clone(&site.losses));
+    let mut sealer = Sealer::new(site.plant.clone(), sessions, losses, site.config.vault_backlog);
+    let (rings, hub) = (Arc::clone(&site.rings), Arc::clone(&site.hub));
+    let handle = thread("sealer", move || sealer.run(&rings, &|| hub.stored.notify_waiters()))?;
     *site.sealer.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = Some(handle);
     Ok(())
 }
