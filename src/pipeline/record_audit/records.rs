@@ -12,11 +12,12 @@ use super::report::{FindingKind, Reading, Tally};
 use super::{Network, Plant, Scope};
 use crate::chain::ChainError;
 use crate::chain::merkle::root_of;
+use crate::crypto::record::signed_bytes;
 use crate::crypto::{Anchor, CryptoError, check};
 use crate::model::header::TAG_LENGTH;
-use crate::model::{Digest, Header, RecordState};
+use crate::model::{Digest, Header, PublicKey, RecordKind, RecordState};
 use crate::pipeline::{PipelineError, signers};
-use crate::store::{AuditedRecord, StoreError};
+use crate::store::{AuditedRecord, RecordRow, StoreError};
 
 /// Rows of a page.
 const PAGE: usize = 512;
@@ -268,10 +269,52 @@ fn gone(bench: Bench<'_>, record: &AuditedRecord, tally: &mut Tally) -> Result<(
     let handed_over = now.state == RecordState::Verified && bench.network.is_none() && !bench.blind;
     if now.state == RecordState::Dropped || handed_over {
         tally.given_up += 1;
+    } else if let Some((report, header)) = bench.plant.ledger.retained(now.digest)? {
+        match retention_fault(bench, &now, report, &header)? {
+            None => tally.given_up += 1,
+            Some(text) => tally.find(FindingKind::Tampered, &subject(record), &text),
+        }
     } else if bench.plant.vault.get(now.digest)?.is_none() && bench.plant.ledger.local_copy(now.digest)?.is_none() {
         tally.find(FindingKind::Missing, &subject(record), "its stored bytes are gone from the vault");
     }
     Ok(())
+}
+
+/// What does not fit where retention gave a record up: a retention record on the chain must tell of it, and what was
+/// kept of it (header, signature) must still be its owner's word.
+fn retention_fault(
+    bench: Bench<'_>,
+    row: &RecordRow,
+    report: Digest,
+    header: &[u8],
+) -> Result<Option<String>, StoreError> {
+    let told = bench.plant.ledger.record(report)?.filter(|told| told.kind == RecordKind::Retention);
+    let anchored = told.is_some_and(|told| told.block.is_some() || bench.network.is_none());
+    if !anchored {
+        return Ok(Some("its bytes were deleted, and no retention record on the chain tells of it".to_owned()));
+    }
+    let Ok((header, _)) = Header::parse(header) else {
+        return Ok(Some("the header that was kept of it is none".to_owned()));
+    };
+    if let Some(field) = header_fault(bench, row, &header) {
+        return Ok(Some(format!("its row and the header that was kept of it differ in their {field}")));
+    }
+    let Some(signer) = signer_of(bench, row)? else { return Ok(None) };
+    let signed = signed_bytes(&header.domain, &row.digest);
+    let valid = bench.plant.provider.verify(&signer, &signed, &row.signature).is_ok();
+    Ok((!valid).then(|| "its signature is not its signer's".to_owned()))
+}
+
+/// The key that could sign the record; `None` where that is not known here.
+fn signer_of(bench: Bench<'_>, row: &RecordRow) -> Result<Option<PublicKey>, StoreError> {
+    match bench.network {
+        Some(network) => match signers::key_of(bench.plant, network, row) {
+            Ok(signer) => Ok(signer),
+            Err(PipelineError::Store(error)) => Err(error),
+            Err(_) => Ok(None),
+        },
+        None => bench.plant.ledger.signer(row.signer),
+    }
 }
 
 enum Fault {
@@ -285,14 +328,7 @@ enum Fault {
 fn bytes_fault(bench: Bench<'_>, record: &AuditedRecord, blob: &[u8]) -> Result<Fault, StoreError> {
     let row = &record.row;
     let altered = |what: &str| Ok(Fault::Text(format!("its stored bytes were altered: {what}")));
-    let signer = match bench.network {
-        Some(network) => match signers::key_of(bench.plant, network, row) {
-            Ok(signer) => signer,
-            Err(PipelineError::Store(error)) => return Err(error),
-            Err(_) => None,
-        },
-        None => bench.plant.ledger.signer(row.signer)?,
-    };
+    let signer = signer_of(bench, row)?;
     let (header, fault) = match signer {
         Some(signer) => match check(bench.plant.provider, blob, &row.signature, &signer, Anchor::Chain(row.digest)) {
             Ok((header, _, _)) => (header, Fault::None),
@@ -311,6 +347,14 @@ fn bytes_fault(bench: Bench<'_>, record: &AuditedRecord, blob: &[u8]) -> Result<
             Err(error) => return altered(&error.to_string()),
         },
     };
+    Ok(match header_fault(bench, row, &header) {
+        Some(field) => Fault::Text(format!("its row and its header differ in their {field}")),
+        None => fault,
+    })
+}
+
+/// The field in which a row and the header of its record differ.
+fn header_fault(bench: Bench<'_>, row: &RecordRow, header: &Header) -> Option<&'static str> {
     let length = header.body_length.saturating_sub(TAG_LENGTH as u64);
     let fields = [
         ("owner", header.owner == row.owner),
@@ -324,8 +368,5 @@ fn bytes_fault(bench: Bench<'_>, record: &AuditedRecord, blob: &[u8]) -> Result<
         ("length", length == row.bytes),
         ("network", bench.network.is_none_or(|network| network.accepts(&header.domain))),
     ];
-    Ok(match fields.iter().find(|(_, same)| !same) {
-        Some((field, _)) => Fault::Text(format!("its row and its header differ in their {field}")),
-        None => fault,
-    })
+    fields.iter().find(|(_, same)| !same).map(|(field, _)| *field)
 }
