@@ -165,8 +165,8 @@ fn the_scrubber_finds_damage_by_itself_and_says_so() {
     let authros = home.authros().with(&["--robots", "1"]).with_variable("AUTHROS_AUDIT_SCRUB", "1000000");
     authros.enrol();
     authros.capture(&["/robot1/odom"], 20);
-    let altered = flip(&database(&home, "vault/vault.db"), 5);
     let site = authros.serve(&home);
+    let altered = flip(&database(&home, "vault/vault.db"), 5);
     let tampered = || {
         let records = authros.records(&["uploads", "list", "--state", "tampered"]);
         (!records.is_empty()).then_some(records)
