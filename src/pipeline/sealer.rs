@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, HashMap, HashSet};
 use std::sync::Arc;
 use std::time::Duration;
 
-use crate::crypto::{SealRequest, SealedRecord, seal};
+use crate::crypto::{SealRequest, SealedRecord, fault, seal};
 use crate::model::head::Compression;
 use crate::model::{Address, Digest, Head, RecordKind, RecordState, TopicId, clean};
 use crate::ros::Message;
@@ -21,6 +21,8 @@ use super::{PipelineError, Plant, quarantine};
 const ROUND: usize = 256;
 /// Bytes sealed at most before they are acknowledged together.
 const ROUND_BYTES: usize = 8 * 1024 * 1024;
+/// Why a message was dropped over which the sealer panicked twice.
+const UNSEALABLE: &str = "unsealable";
 
 /// A sealed record on its way into vault and ledger.
 struct Ready {
@@ -29,6 +31,14 @@ struct Ready {
     hold: Option<Hold>,
     definition: Option<String>,
     item: Option<usize>,
+}
+
+/// Messages taken from the ring and not acknowledged yet: what a sealer that panicked leaves to the next one.
+#[derive(Default)]
+pub struct InHand {
+    items: Vec<CapturedMessage>,
+    /// The first of them is tried by itself.
+    alone: bool,
 }
 
 /// Seals everything that comes through the ring.
@@ -57,25 +67,78 @@ impl Sealer {
         }
     }
 
-    /// Works until the ring is closed and empty. `acknowledged` is called after each round.
-    pub fn run(&mut self, ring: &Ring<CapturedMessage>, acknowledged: &dyn Fn()) {
+    /// Works until the ring is closed and empty, first at what is left `in_hand`. `acknowledged` is called after
+    /// each round.
+    pub fn run(&mut self, ring: &Ring<CapturedMessage>, in_hand: &mut InHand, acknowledged: &dyn Fn()) {
+        self.work_off(in_hand, acknowledged);
         while let Some(items) = ring.take(ROUND, ROUND_BYTES, Duration::from_secs(1)) {
             if items.is_empty() {
                 continue;
             }
-            let mut pause = Duration::from_millis(100);
-            while let Err(error) = self.round(&items) {
-                self.plant
-                    .observer
-                    .alert(true, format!("captured messages cannot be stored, they wait in memory: {error}"));
-                std::thread::sleep(pause);
-                pause = (pause * 2).min(Duration::from_secs(5));
-            }
+            in_hand.items = items;
+            let length = in_hand.items.len();
+            self.store(in_hand, length);
             acknowledged();
         }
     }
 
-    fn round(&mut self, items: &[CapturedMessage]) -> Result<(), PipelineError> {
+    /// Over one of these a sealer panicked: each is tried by itself, and given up where that happens again.
+    fn work_off(&mut self, in_hand: &mut InHand, acknowledged: &dyn Fn()) {
+        while !in_hand.items.is_empty() {
+            if std::mem::replace(&mut in_hand.alone, true) {
+                self.give_up(&in_hand.items.remove(0));
+            } else {
+                self.store(in_hand, 1);
+                acknowledged();
+            }
+            in_hand.alone = false;
+        }
+        in_hand.alone = false;
+    }
+
+    fn give_up(&self, item: &CapturedMessage) {
+        let topic = &item.message.topic;
+        item.sessions.iter().for_each(|session| session.dropped(topic, item.doubt.is_some()));
+        let counted = self.plant.ledger.count_drop(item.author.address, topic, UNSEALABLE, 1);
+        let uncounted = counted.err().map(|error| format!("; it could not be counted: {error}"));
+        let shown = clean(topic, 255);
+        let text = format!("a message of {shown} could not be sealed by a fault of the program, it is dropped");
+        self.plant.observer.alert(true, text + &uncounted.unwrap_or_default());
+    }
+
+    /// Stores the first `length` messages; tries for as long as it takes.
+    fn store(&mut self, in_hand: &mut InHand, length: usize) {
+        let mut pause = Duration::from_millis(100);
+        let names = loop {
+            match self.round(&in_hand.items[..length]) {
+                Ok(names) => break names,
+                Err(error) => {
+                    let text = format!("captured messages cannot be stored, they wait in memory: {error}");
+                    self.plant.observer.alert(true, text);
+                    std::thread::sleep(pause);
+                    pause = (pause * 2).min(Duration::from_secs(5));
+                }
+            }
+        };
+        // From here on they are acknowledged: whatever fails, they must not be sealed a second time.
+        in_hand.items.drain(..length);
+        fault::point("appended");
+        self.note_definitions(names);
+        self.plant.observer.records_changed();
+    }
+
+    /// Remembers which definitions are stored; one that is not remembered is sealed once more, which is no harm.
+    fn note_definitions(&mut self, names: Vec<String>) {
+        for name in names {
+            match self.plant.ledger.put_setting(&name, "sent") {
+                Ok(()) => drop(self.definitions.insert(name)),
+                Err(error) => self.plant.observer.alert(false, format!("a definition is stored again: {error}")),
+            }
+        }
+    }
+
+    /// Seals and stores; the definitions that went with it.
+    fn round(&mut self, items: &[CapturedMessage]) -> Result<Vec<String>, PipelineError> {
         let mut seqs = HashMap::new();
         let mut ready = Vec::with_capacity(items.len());
         for (index, item) in items.iter().enumerate() {
@@ -90,9 +153,10 @@ impl Sealer {
             let one = self.seal_one(item, &keys, RecordKind::Data, body, &mut seqs)?;
             ready.push(Ready { item: Some(index), definition: None, ..one });
         }
-        self.acknowledge(items, ready)?;
+        fault::point("sealed");
+        let names = self.acknowledge(items, ready)?;
         self.seqs.extend(seqs);
-        Ok(())
+        Ok(names)
     }
 
     fn seal_definition(
@@ -235,11 +299,12 @@ impl Sealer {
         }
     }
 
-    fn acknowledge(&mut self, items: &[CapturedMessage], ready: Vec<Ready>) -> Result<(), PipelineError> {
+    fn acknowledge(&self, items: &[CapturedMessage], ready: Vec<Ready>) -> Result<Vec<String>, PipelineError> {
         self.plant.ledger.takes_records()?;
         if self.plant.vault.durable() {
             let entries: Vec<_> = ready.iter().map(|one| (one.sealed.digest, one.sealed.blob.as_slice())).collect();
             self.plant.vault.put(&entries)?;
+            fault::point("vault-put");
         }
         // Sessions wait before the append: verification may be quicker than this thread.
         for one in &ready {
@@ -254,12 +319,7 @@ impl Sealer {
             holds.extend(one.hold);
         }
         self.plant.ledger.append_held(rows, holds)?;
-        for name in names {
-            self.plant.ledger.put_setting(&name, "sent")?;
-            self.definitions.insert(name);
-        }
-        self.plant.observer.records_changed();
-        Ok(())
+        Ok(names)
     }
 }
 

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use crate::crypto::fault;
 use crate::model::RecordState;
 
 use super::{PipelineError, Plant};
@@ -15,6 +16,9 @@ const ROUND: usize = 64;
 /// Of vault and ledger; nothing is lost, the local copies stay.
 pub fn store_round(plant: &Plant) -> Result<usize, PipelineError> {
     let rows = plant.ledger.in_state(None, RecordState::Sealed, ROUND)?;
+    if rows.is_empty() {
+        return Ok(0);
+    }
     let mut entries = Vec::with_capacity(rows.len());
     for row in &rows {
         if let Some(copy) = plant.ledger.local_copy(row.digest)? {
@@ -22,9 +26,12 @@ pub fn store_round(plant: &Plant) -> Result<usize, PipelineError> {
         }
     }
     let borrowed: Vec<_> = entries.iter().map(|(digest, bytes)| (*digest, bytes.as_slice())).collect();
+    fault::point("store-read");
     plant.vault.put(&borrowed)?;
+    fault::point("store-put");
     let digests: Vec<_> = entries.iter().map(|(digest, _)| *digest).collect();
     plant.ledger.advance(&digests, RecordState::Sealed, RecordState::Stored)?;
+    fault::point("store-advanced");
     Ok(digests.len())
 }
 
@@ -44,7 +51,7 @@ pub fn run(plant: &Plant, stopped: &dyn Fn() -> bool, wait: &dyn Fn(Duration), s
                     .observer
                     .alert(true, format!("the vault does not take records, they wait in the ledger: {error}"));
                 wait(pause);
-                pause = (pause * 2).min(Duration::from_secs(8));
+                pause = (pause * 2).min(Duration::from_secs(5));
             }
         }
     }

@@ -1,6 +1,6 @@
 //! The last step: re-reads confirmed records from the vault and checks digest and signature.
 
-use crate::crypto::{Anchor, check};
+use crate::crypto::{Anchor, check, fault};
 use crate::model::{Digest, RecordState};
 use crate::store::RecordRow;
 
@@ -15,12 +15,17 @@ const ROUND: usize = 128;
 /// Of vault and ledger; a vault that does not answer decides nothing.
 pub fn verify_round(plant: &Plant, network: &Network) -> Result<usize, PipelineError> {
     let rows = plant.ledger.in_state(None, RecordState::Confirmed, ROUND)?;
+    if rows.is_empty() {
+        return Ok(0);
+    }
+    fault::point("read-back");
     let (mut good, mut bad) = (Vec::new(), Vec::new());
     for row in &rows {
         put_back(plant, row)?;
         let verified = is_sound(plant, network, row)?;
         if verified { &mut good } else { &mut bad }.push(row.digest);
     }
+    fault::point("checked");
     settle(plant, &good, RecordState::Verified)?;
     settle(plant, &bad, RecordState::Tampered)?;
     Ok(rows.len())
@@ -33,6 +38,7 @@ fn put_back(plant: &Plant, row: &RecordRow) -> Result<(), PipelineError> {
     }
     if let Some(copy) = plant.ledger.local_copy(row.digest)? {
         plant.vault.put(&[(row.digest, &copy)])?;
+        fault::point("put-back");
     }
     Ok(())
 }
@@ -53,8 +59,10 @@ fn settle(plant: &Plant, digests: &[Digest], state: RecordState) -> Result<(), P
     }
     plant.ledger.advance(digests, RecordState::Confirmed, state)?;
     if state == RecordState::Verified {
+        fault::point("verified");
         if !plant.vault.durable() {
             plant.ledger.drop_local_copies(digests)?;
+            fault::point("copies-dropped");
         }
         plant.observer.verified(digests);
     } else {

@@ -4,6 +4,7 @@ mod audit;
 mod chain;
 mod forging;
 mod parties;
+mod tasks;
 
 use serde::{Deserialize, Serialize};
 
@@ -11,6 +12,7 @@ pub use self::audit::{AuditCheck, AuditView};
 pub use self::chain::{ChainView, DeployedView, GatewayView, ServedView};
 pub use self::forging::{AlarmView, DecidedView, HeldView, PinView, PinsView, QuarantineView};
 pub use self::parties::{AdministrationView, CompareView, ContactRow, DeviceRow, GrantRow, SuccessionView};
+pub use self::tasks::{TaskState, TaskView};
 use super::command::SecretBytes;
 use crate::model::{Address, Digest, ErrorKind, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token, Verdict};
 
@@ -302,6 +304,9 @@ pub struct SiteView {
     pub robots: u16,
     /// Profiles open in this site.
     pub profiles: Vec<ProfileName>,
+    /// Background tasks and how they are.
+    #[serde(default)]
+    pub tasks: Vec<TaskView>,
 }
 
 /// Figures of one topic in a capture's summary.

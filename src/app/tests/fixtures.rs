@@ -85,6 +85,7 @@ pub fn site() -> SiteView {
         },
         robots: 4,
         profiles: vec![ProfileName::default()],
+        tasks: Vec::new(),
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, PoisonError};
 
-use super::{Site, workers};
+use super::Site;
 use crate::crypto::{Fingerprint, Keyring, Passphrase, UnlockedKeyring, read_public};
 use crate::model::ProfileName;
 use crate::pipeline::Owner;
@@ -61,9 +61,7 @@ impl Site {
         let owner = Arc::new(Owner::new(profile.clone(), keyring));
         self.pins.introduce(owner.address, profile.as_str());
         self.owners.write().unwrap_or_else(PoisonError::into_inner).insert(profile, Arc::clone(&owner));
-        tokio::spawn(workers::anchor(Arc::clone(self), Arc::clone(&owner)));
-        tokio::spawn(Arc::clone(self).keep_witnesses(Arc::clone(&owner)));
-        tokio::spawn(Arc::clone(self).mirror(Arc::clone(&owner)));
+        self.work_for(&owner);
         self.restore_watches(&owner);
         self.changed(Part::Identity);
         owner

@@ -75,6 +75,14 @@ impl Site {
     /// Brings the ROS side up and keeps looking at the graph until the site ends.
     pub(super) async fn keep_ros(self: Arc<Self>) {
         let link = loop {
+            // Begun again after a fault, the task finds the link still at work.
+            let kept = match &*self.ros.borrow() {
+                RosState::Up(link) | RosState::Down { link: Some(link), .. } => Some(Arc::clone(link)),
+                _ => None,
+            };
+            if let Some(link) = kept {
+                break link;
+            }
             let site = Arc::clone(&self);
             match self.blocking(move |_| site.start_ros()).await {
                 Ok(link) => break Arc::new(link),

@@ -19,7 +19,8 @@ impl Site {
         };
         let profiles = self.all_owners().iter().map(|owner| owner.profile.clone()).collect();
         let health = vec![self.ros_health(), self.chain_health(), self.vault_health(), self.gateway_health()];
-        Ok(SiteView { health, life: block_in_place(|| self.life_line(profile))?, robots, profiles })
+        let life = block_in_place(|| self.life_line(profile))?;
+        Ok(SiteView { health, life, robots, profiles, tasks: self.task_views() })
     }
 
     fn ros_health(&self) -> PartHealth {
