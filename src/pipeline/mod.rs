@@ -13,6 +13,7 @@ pub mod error;
 #[cfg(test)]
 mod fixture;
 pub mod forwarder;
+pub mod losses;
 pub mod meter;
 pub mod mirror;
 pub mod notices;
@@ -40,6 +41,7 @@ pub use author::Author;
 pub use directory::Directory;
 pub use error::PipelineError;
 pub use forwarder::Forwarder;
+pub use losses::Losses;
 pub use owner::Owner;
 pub use pins::{PinRules, Pins};
 pub use recorder::Recorder;

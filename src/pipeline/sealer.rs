@@ -1,19 +1,21 @@
 //! Seals captured messages and acknowledges them: one thread, order per topic kept, one fsync
-//! for as many records as wait. What fails is kept and tried again; the ring fills meanwhile.
+//! for as many records as wait. What fails is kept and tried again; the rings fill meanwhile.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use crate::crypto::{SealRequest, SealedRecord, fault, seal};
 use crate::model::head::Compression;
-use crate::model::{Address, Digest, Head, RecordKind, RecordState, TopicId, clean};
+use crate::model::{Address, Digest, Head, LossReason, RecordKind, RecordState, Timestamp, TopicId, clean};
 use crate::ros::Message;
-use crate::store::{Hold, NewRecord};
+use crate::store::{Hold, NewRecord, StoreError};
 
 use super::epoch::{EpochKeys, SIMULATED, TopicKeys};
+use super::losses::{GATHERED, Losses, Lost};
 use super::recorder::CapturedMessage;
-use super::ring::Ring;
+use super::ring::Rings;
 use super::session::Sessions;
 use super::{PipelineError, Plant, quarantine};
 
@@ -21,8 +23,10 @@ use super::{PipelineError, Plant, quarantine};
 const ROUND: usize = 256;
 /// Bytes sealed at most before they are acknowledged together.
 const ROUND_BYTES: usize = 8 * 1024 * 1024;
-/// Why a message was dropped over which the sealer panicked twice.
-const UNSEALABLE: &str = "unsealable";
+/// Between two writings of the losses into the ledger.
+const LOSSES_EVERY: Duration = Duration::from_secs(1);
+/// How long messages are tried to be stored once the program ends.
+const LAST_TRIES: Duration = Duration::from_secs(3);
 
 /// A sealed record on its way into vault and ledger.
 struct Ready {
@@ -33,18 +37,17 @@ struct Ready {
     item: Option<usize>,
 }
 
-/// Messages taken from the ring and not acknowledged yet: what a sealer that panicked leaves to the next one.
-#[derive(Default)]
-pub struct InHand {
-    items: Vec<CapturedMessage>,
-    /// The first of them is tried by itself.
-    alone: bool,
-}
+/// A round ended in a panic; what it was about is not acknowledged.
+struct Panicked;
 
-/// Seals everything that comes through the ring.
+/// Seals everything that comes through the rings.
 pub struct Sealer {
     plant: Plant,
     sessions: Arc<Sessions>,
+    losses: Arc<Losses>,
+    /// Bytes of records that may wait in the ledger for a vault that does not take them.
+    backlog: u64,
+    losses_at: Instant,
     boot_id: [u8; 16],
     seqs: HashMap<(Address, TopicId), u64>,
     definitions: HashSet<String>,
@@ -55,11 +58,15 @@ pub struct Sealer {
 const MOST_HASHES: usize = 1024;
 
 impl Sealer {
-    /// A sealer over `plant`; `sessions` learn which records they wait for.
-    pub fn new(plant: Plant, sessions: Arc<Sessions>) -> Self {
+    /// A sealer over `plant`; `sessions` learn which records they wait for, `losses` what became none. Up to `backlog`
+    /// bytes of records may wait in the ledger for a vault that does not take them.
+    pub fn new(plant: Plant, sessions: Arc<Sessions>, losses: Arc<Losses>, backlog: u64) -> Self {
         Self {
             plant,
             sessions,
+            losses,
+            backlog,
+            losses_at: Instant::now(),
             boot_id: boot_id(),
             seqs: HashMap::new(),
             definitions: HashSet::new(),
@@ -67,64 +74,69 @@ impl Sealer {
         }
     }
 
-    /// Works until the ring is closed and empty, first at what is left `in_hand`. `acknowledged` is called after
-    /// each round.
-    pub fn run(&mut self, ring: &Ring<CapturedMessage>, in_hand: &mut InHand, acknowledged: &dyn Fn()) {
-        self.work_off(in_hand, acknowledged);
-        while let Some(items) = ring.take(ROUND, ROUND_BYTES, Duration::from_secs(1)) {
-            if items.is_empty() {
-                continue;
-            }
-            in_hand.items = items;
-            let length = in_hand.items.len();
-            self.store(in_hand, length);
-            acknowledged();
-        }
-    }
-
-    /// Over one of these a sealer panicked: each is tried by itself, and given up where that happens again.
-    fn work_off(&mut self, in_hand: &mut InHand, acknowledged: &dyn Fn()) {
-        while !in_hand.items.is_empty() {
-            if std::mem::replace(&mut in_hand.alone, true) {
-                self.give_up(&in_hand.items.remove(0));
-            } else {
-                self.store(in_hand, 1);
+    /// Works until the rings are closed and empty. `acknowledged` is called after each round.
+    pub fn run(&mut self, rings: &Rings<CapturedMessage>, acknowledged: &dyn Fn()) {
+        let mut closed_at = None;
+        while let Some(items) = rings.take(ROUND, ROUND_BYTES, LOSSES_EVERY) {
+            if !items.is_empty() {
+                self.store(&items, rings, &mut closed_at);
                 acknowledged();
             }
-            in_hand.alone = false;
+            drop(items);
+            self.tell_losses(false);
         }
-        in_hand.alone = false;
+        self.tell_losses(true);
     }
 
-    fn give_up(&self, item: &CapturedMessage) {
-        let topic = &item.message.topic;
-        item.sessions.iter().for_each(|session| session.dropped(topic, item.doubt.is_some()));
-        let counted = self.plant.ledger.count_drop(item.author.address, topic, UNSEALABLE, 1);
-        let uncounted = counted.err().map(|error| format!("; it could not be counted: {error}"));
-        let shown = clean(topic, 255);
-        let text = format!("a message of {shown} could not be sealed by a fault of the program, it is dropped");
-        self.plant.observer.alert(true, text + &uncounted.unwrap_or_default());
+    /// Tries until the messages are acknowledged. Where that panics, each is tried by itself, and the one over which it
+    /// panics again is given up and counted: it must not take its neighbours with it.
+    fn store(&mut self, items: &[CapturedMessage], rings: &Rings<CapturedMessage>, closed_at: &mut Option<Instant>) {
+        if self.try_to_store(items, rings, closed_at).is_ok() {
+            return;
+        }
+        self.plant.observer.alert(true, "sealing failed by a fault of the program, it is tried again".to_owned());
+        for item in items {
+            if self.try_to_store(std::slice::from_ref(item), rings, closed_at).is_err() {
+                self.lose(item, LossReason::Fault);
+            }
+        }
     }
 
-    /// Stores the first `length` messages; tries for as long as it takes.
-    fn store(&mut self, in_hand: &mut InHand, length: usize) {
+    /// When the program ends, not for ever: then they are counted as lost.
+    fn try_to_store(
+        &mut self,
+        items: &[CapturedMessage],
+        rings: &Rings<CapturedMessage>,
+        closed_at: &mut Option<Instant>,
+    ) -> Result<(), Panicked> {
         let mut pause = Duration::from_millis(100);
         let names = loop {
-            match self.round(&in_hand.items[..length]) {
-                Ok(names) => break names,
-                Err(error) => {
-                    let text = format!("captured messages cannot be stored, they wait in memory: {error}");
-                    self.plant.observer.alert(true, text);
-                    std::thread::sleep(pause);
-                    pause = (pause * 2).min(Duration::from_secs(5));
+            let error = match catch_unwind(AssertUnwindSafe(|| self.round(items))) {
+                Ok(Ok(names)) => break names,
+                Ok(Err(error)) => error,
+                Err(_) => return Err(Panicked),
+            };
+            self.losses.blame(cause(&error));
+            let text = format!("captured messages cannot be stored, they wait in memory: {error}");
+            self.plant.observer.alert(true, text);
+            if rings.is_closed() {
+                let end = *closed_at.get_or_insert_with(Instant::now) + LAST_TRIES;
+                if Instant::now() >= end {
+                    items.iter().for_each(|item| self.lose(item, LossReason::End));
+                    return Ok(());
                 }
+                pause = Duration::from_millis(200);
             }
+            self.tell_losses(false);
+            std::thread::sleep(pause);
+            pause = (pause * 2).min(Duration::from_secs(2));
         };
         // From here on they are acknowledged: whatever fails, they must not be sealed a second time.
-        in_hand.items.drain(..length);
+        self.losses.blame(LossReason::Memory);
         fault::point("appended");
         self.note_definitions(names);
         self.plant.observer.records_changed();
+        Ok(())
     }
 
     /// Remembers which definitions are stored; one that is not remembered is sealed once more, which is no harm.
@@ -137,15 +149,41 @@ impl Sealer {
         }
     }
 
+    fn lose(&self, item: &CapturedMessage, reason: LossReason) {
+        let held = item.doubt.is_some();
+        item.sessions.iter().for_each(|session| session.dropped(&item.message.topic, held));
+        self.losses.note(&item.author, Lost::message(&item.message), reason);
+    }
+
+    /// Writes what was lost into the ledger, once a second, and seals gap records of what is a few seconds old; at the
+    /// `end` of all.
+    fn tell_losses(&mut self, end: bool) {
+        if !end && self.losses_at.elapsed() < LOSSES_EVERY {
+            return;
+        }
+        self.losses_at = Instant::now();
+        let age = if end { 0 } else { u64::try_from(GATHERED.as_nanos()).unwrap_or(0) };
+        let by = Timestamp(Timestamp::now().0.saturating_sub(age));
+        let told = self.losses.write(&self.plant).map_err(PipelineError::from);
+        match told.and_then(|()| self.losses.tell(&self.plant, by)) {
+            Ok(told) => self.seqs.extend(told.into_iter().map(|(owner, topic, seq)| ((owner, topic), seq))),
+            Err(error) => {
+                // Of a stream whose number was taken all the same the ledger knows.
+                self.seqs.clear();
+                let text = format!("lost messages are counted, but not yet told of in gap records: {error}");
+                self.plant.observer.alert(true, text);
+            }
+        }
+    }
+
     /// Seals and stores; the definitions that went with it.
     fn round(&mut self, items: &[CapturedMessage]) -> Result<Vec<String>, PipelineError> {
         let mut seqs = HashMap::new();
-        let mut ready = Vec::with_capacity(items.len());
+        let (mut ready, mut keyless) = (Vec::with_capacity(items.len()), Vec::new());
         for (index, item) in items.iter().enumerate() {
             let keys = item.author.sealing().filter(|keys| keys.topic(&item.message.topic).is_some());
             let Some(keys) = keys else {
-                let held = item.doubt.is_some();
-                item.sessions.iter().for_each(|session| session.dropped(&item.message.topic, held));
+                keyless.push(item);
                 continue;
             };
             self.seal_definition(item, &keys, &mut seqs, &mut ready)?;
@@ -153,9 +191,13 @@ impl Sealer {
             let one = self.seal_one(item, &keys, RecordKind::Data, body, &mut seqs)?;
             ready.push(Ready { item: Some(index), definition: None, ..one });
         }
-        fault::point("sealed");
-        let names = self.acknowledge(items, ready)?;
+        let mut names = Vec::new();
+        if !ready.is_empty() {
+            fault::point("sealed");
+            names = self.acknowledge(items, ready)?;
+        }
         self.seqs.extend(seqs);
+        keyless.into_iter().for_each(|item| self.lose(item, LossReason::Key));
         Ok(names)
     }
 
@@ -299,8 +341,18 @@ impl Sealer {
         }
     }
 
+    /// A vault that takes nothing must not fill the disk.
+    fn keep_backlog(&self) -> Result<(), StoreError> {
+        if self.plant.vault.durable() {
+            return Ok(());
+        }
+        let waiting = self.plant.ledger.backlog()?;
+        if waiting <= self.backlog { Ok(()) } else { Err(StoreError::Backlog { waiting, limit: self.backlog }) }
+    }
+
     fn acknowledge(&self, items: &[CapturedMessage], ready: Vec<Ready>) -> Result<Vec<String>, PipelineError> {
         self.plant.ledger.takes_records()?;
+        self.keep_backlog()?;
         if self.plant.vault.durable() {
             let entries: Vec<_> = ready.iter().map(|one| (one.sealed.digest, one.sealed.blob.as_slice())).collect();
             self.plant.vault.put(&entries)?;
@@ -320,6 +372,15 @@ impl Sealer {
         }
         self.plant.ledger.append_held(rows, holds)?;
         Ok(names)
+    }
+}
+
+/// Why messages wait, as a gap record tells it of those that did not fit any more.
+fn cause(error: &PipelineError) -> LossReason {
+    match error {
+        PipelineError::Store(StoreError::DiskFull { .. }) => LossReason::Disk,
+        PipelineError::Store(StoreError::Backlog { .. }) => LossReason::Backlog,
+        _ => LossReason::Memory,
     }
 }
 

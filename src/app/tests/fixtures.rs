@@ -81,6 +81,7 @@ pub fn site() -> SiteView {
             anchored: 12_320,
             confirmed: 12_310,
             verified: 12_300,
+            conserved: true,
             ..LifeLine::default()
         },
         robots: 4,

@@ -105,7 +105,7 @@ impl Agent {
         let (provider, observer) = (site.plant.provider, Arc::clone(&site.plant.observer));
         let notices = Notices::new(provider, observer, Arc::clone(&author), sealed, kept);
         let forwarder = forwarder.with_errand(Box::new(notices));
-        let before = block_in_place(|| site.plant.ledger.counts(None))?.captured();
+        let before = block_in_place(|| site.plant.ledger.counts(None))?.acknowledged;
         let session = Arc::new(CaptureSession::unfollowed(&topics, wishes.count, wishes.tags));
         for topic in &topics {
             site.recorder.join(topic, &author, None, &session);
@@ -170,7 +170,7 @@ impl Agent {
 
     fn end(&self, counts: &StateCounts) -> Option<AgentEnd> {
         let taken: u64 = self.session.figures().iter().map(|topic| topic.captured).sum();
-        if !self.session.is_closed() || counts.captured() < self.before + taken {
+        if !self.session.is_closed() || counts.acknowledged < self.before + taken {
             return None;
         }
         let aside = self.refused.lock().unwrap_or_else(PoisonError::into_inner).len();
@@ -193,7 +193,7 @@ impl Agent {
         let verified = counts.data_in(RecordState::Verified);
         AgentFigures {
             name: self.name.clone(),
-            captured: counts.captured(),
+            captured: counts.acknowledged,
             accepted: verified + counts.data_in(RecordState::Submitted),
             verified,
             lost,

@@ -62,13 +62,10 @@ use crate::crypto::provider;
 use crate::model::ProfileName;
 use crate::paths::Home;
 use crate::pipeline::recorder::CapturedMessage;
-use crate::pipeline::ring::Ring;
+use crate::pipeline::ring::Rings;
 use crate::pipeline::sender::Policy;
-use crate::pipeline::{CaptureSession, Owner, PinRules, Pins, Plant, Recorder, Sender};
+use crate::pipeline::{CaptureSession, Losses, Owner, PinRules, Pins, Plant, Recorder, Sender};
 use crate::store::{AuditLog, Ledger, Reserve, SiteLock, open_vault};
-
-/// Memory for captured messages that wait to be sealed, bytes.
-const RING_BYTES: usize = 192 * 1024 * 1024;
 
 /// How long the nodes may take to leave the ROS graph.
 const LEAVING: Duration = Duration::from_secs(2);
@@ -97,7 +94,8 @@ pub struct Site {
     pins: Arc<Pins>,
     /// Quarantine records are sealed one at a time.
     reporting: tokio::sync::Mutex<()>,
-    ring: Arc<Ring<CapturedMessage>>,
+    rings: Arc<Rings<CapturedMessage>>,
+    losses: Arc<Losses>,
     audit: AuditLog,
     refusals: refusals::Refusals,
     reserve: Reserve,
@@ -150,12 +148,14 @@ impl Site {
         let ledger = Ledger::open(&home.ledger())?;
         let vault = open_vault(config.vault_url.as_deref(), &home.vault())?;
         let plant = Plant { ledger: ledger.clone(), vault, provider, observer: hub.clone() };
-        let ring = Arc::new(Ring::new(RING_BYTES));
+        let rings = Arc::new(Rings::new(usize::try_from(config.capture_memory).unwrap_or(usize::MAX)));
+        let losses = Arc::new(Losses::default());
+        let recorder = Recorder::new(Arc::clone(&rings), Arc::clone(&losses), hub.clone());
         let (reserve, reserved) = Reserve::open(&home.reserve());
         let rules = PinRules { mode: config.pin_mode, listed: config.publishers.clone() };
         let pins = Arc::new(Pins::new(ledger.clone(), hub.clone(), rules));
         let site = Arc::new(Self {
-            recorder: Arc::new(Recorder::new(Arc::clone(&ring), hub.clone()).with_pins(Arc::clone(&pins))),
+            recorder: Arc::new(recorder.with_pins(Arc::clone(&pins))),
             pins,
             reporting: tokio::sync::Mutex::default(),
             sender: Arc::new(Sender::new(ledger, hub.clone(), Policy { cap: config.max_fee })),
@@ -168,7 +168,8 @@ impl Site {
             config,
             plant,
             hub,
-            ring,
+            rings,
+            losses,
             owners: RwLock::default(),
             consoles: Mutex::default(),
             captures: Mutex::default(),
@@ -269,7 +270,7 @@ impl Site {
         if let Some(task) = ros {
             drop(tokio::time::timeout(LEAVING, task).await);
         }
-        self.ring.close();
+        self.rings.close();
         let sealer = self.sealer.lock().unwrap_or_else(std::sync::PoisonError::into_inner).take();
         if let Some(thread) = sealer {
             let joined = tokio::task::spawn_blocking(move || thread.join());
@@ -286,7 +287,7 @@ impl Site {
 
     /// Ledger or vault take nothing, and the process must end all the same.
     fn tell_unstored(&self) {
-        let (messages, _) = self.ring.depth();
+        let (messages, _) = self.rings.depth();
         let text = format!(
             "{messages} or more captured messages could not be stored before the end, they were never acknowledged; \
              see to disk and vault before the next start"

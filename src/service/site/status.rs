@@ -89,20 +89,20 @@ impl Site {
     }
 
     fn life_line(&self, profile: &ProfileName) -> Result<LifeLine, Failure> {
-        let losses = self.recorder.all_losses();
-        let Some(owner) = self.owner(profile) else {
-            return Ok(LifeLine { lost_in_transport: losses.in_transport, ..LifeLine::default() });
+        let Ok(owner) = self.address_of(profile) else {
+            return Ok(LifeLine { conserved: true, ..LifeLine::default() });
         };
-        let counts = self.plant.ledger.counts(Some(owner.address))?;
+        let (waiting, _) = self.rings.depth();
+        let counts = self.losses.counts(&self.plant, owner)?;
         let at_least = |least: RecordState| -> u64 {
             let states =
                 RecordState::ALL.into_iter().filter(|state| *state >= least && *state <= RecordState::Verified);
             states.map(|state| counts.data_in(state)).sum()
         };
         let tampered = counts.data_in(RecordState::Tampered);
-        let discarded = counts.data_in(RecordState::Dropped);
+        let dropped = counts.data_in(RecordState::Dropped);
         Ok(LifeLine {
-            captured: counts.captured() + losses.in_recorder,
+            captured: counts.captured(),
             sealed: at_least(RecordState::Sealed) + tampered,
             stored: at_least(RecordState::Stored) + tampered,
             anchored: at_least(RecordState::Mined) + tampered,
@@ -110,10 +110,13 @@ impl Site {
             verified: counts.data_in(RecordState::Verified),
             pending: counts.pending(),
             quarantined: counts.data_in(RecordState::Quarantined),
-            dropped: losses.in_recorder + discarded,
-            discarded,
+            dropped,
+            lost_in_recorder: counts.lost_in_recorder,
+            discarded: dropped.saturating_sub(counts.lost_in_recorder),
             tampered,
-            lost_in_transport: losses.in_transport,
+            lost_in_transport: counts.lost_in_transport,
+            waiting: waiting as u64,
+            conserved: counts.is_conserved(),
         })
     }
 

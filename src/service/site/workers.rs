@@ -9,7 +9,7 @@ use crate::chain::ChainError;
 use crate::model::{Address, Domain};
 use crate::pipeline::adoption::{self, Word};
 use crate::pipeline::anchorer::{Anchorer, Round};
-use crate::pipeline::sealer::{InHand, Sealer};
+use crate::pipeline::sealer::Sealer;
 use crate::pipeline::{Network, Owner, PipelineError, storer, verifier, watcher};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::reply::Failure;
@@ -42,11 +42,11 @@ pub(super) fn start(site: &Arc<Site>, needs: Needs) -> Result<(), Failure> {
 }
 
 fn start_sealer(site: &Arc<Site>) -> Result<(), Failure> {
-    let (plant, ring, hub) = (site.plant.clone(), Arc::clone(&site.ring), Arc::clone(&site.hub));
-    let mut in_hand = InHand::default();
+    let (plant, hub, losses) = (site.plant.clone(), Arc::clone(&site.hub), Arc::clone(&site.losses));
+    let (rings, backlog) = (Arc::clone(&site.rings), site.config.vault_backlog);
     let handle = site.supervise_thread("sealer", move || {
-        let mut sealer = Sealer::new(plant.clone(), Arc::clone(&hub.sessions));
-        sealer.run(&ring, &mut in_hand, &|| hub.stored.notify_waiters());
+        let mut sealer = Sealer::new(plant.clone(), Arc::clone(&hub.sessions), Arc::clone(&losses), backlog);
+        sealer.run(&rings, &|| hub.stored.notify_waiters());
     })?;
     *site.sealer.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = Some(handle);
     Ok(())
