@@ -67,6 +67,7 @@ impl LossReason {
             Self::Backlog => "came while the vault took no records and the space for waiting ones was used up",
             Self::Key => "came while there was no key to seal them with",
             Self::End => "could not be stored before the program had to end",
+            Self::Fault => "could not be sealed by a fault of the program",
         }
     }
 }

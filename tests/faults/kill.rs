@@ -22,7 +22,7 @@ const EMBEDDED: [&str; 3] = ["vault-put", "block-due", "block-sealed"];
 const FORGETFUL: [&str; 5] = ["store-read", "store-put", "store-advanced", "copies-dropped", "put-back"];
 
 /// Nanoseconds since 1970.
-fn now() -> u64 {
+pub fn now() -> u64 {
     let since = SystemTime::now().duration_since(UNIX_EPOCH).expect("after 1970");
     u64::try_from(since.as_nanos()).expect("before 2554")
 }
@@ -134,7 +134,7 @@ impl Field {
             self.authros.run(&["topics", "unwatch", topic]).expect_code(0);
         }
         let states = wait_until(240, "everything is verified", || {
-            let life = self.observer.seen().life.clone()?;
+            let life = self.observer.seen().life?;
             (life.pending == 0 && life.captured > 0).then_some(life)
         });
         let records = self.every_record();
@@ -258,7 +258,7 @@ fn random_kills_on_redis_and_anvil_lose_and_double_nothing() {
 }
 
 /// The build with fail points lies beside the product's own.
-fn faulty() -> Option<PathBuf> {
+pub fn faulty() -> Option<PathBuf> {
     let built = PathBuf::from(env!("CARGO_BIN_EXE_authros")).with_file_name("authros-faulty");
     built.exists().then_some(built)
 }

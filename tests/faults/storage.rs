@@ -298,12 +298,13 @@ impl Mode {
 }
 
 /// The library that is preloaded, compiled once.
-struct Shim {
+pub struct Shim {
     directory: TempDir,
 }
 
 impl Shim {
-    fn compile() -> Option<Self> {
+    /// Compiles it; nothing where there is no compiler.
+    pub fn compile() -> Option<Self> {
         let compiler = system_program("cc")?;
         let directory = tempfile::tempdir().expect("a temporary directory");
         let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/support/storage_shim.c");
@@ -312,6 +313,11 @@ impl Shim {
         let built = command.status().expect("the compiler runs");
         assert!(built.success(), "the shim compiles");
         Some(Self { directory })
+    }
+
+    /// Where it lies.
+    pub fn path(&self) -> String {
+        self.directory.path().join("shim.so").to_str().expect("UTF-8").to_owned()
     }
 
     fn command(&self, place: &Path, operations: usize, mode: Mode, at: usize) -> Command {

@@ -1,6 +1,6 @@
 /* Between a program and its files: counts what it writes and syncs below the directory SHIM_DIR, and at number SHIM_AT
  * refuses (SHIM_MODE=fail, from there on always with SHIM_MODE=dead), hangs for ever (freeze), or hangs after half of
- * the bytes (torn). The file descriptor SHIM_TELL hears of a hang; SHIM_COUNT names the file for the count at the end.
+ * the bytes (torn); SHIM_MODE=often refuses each SHIM_AT-th one for as long as the file SHIM_SWITCH exists. The file descriptor SHIM_TELL hears of a hang; SHIM_COUNT names the file for the count at the end.
  * Preloaded by tests/storage_faults.rs, which compiles it. */
 #define _GNU_SOURCE
 #include <dlfcn.h>
@@ -45,6 +45,10 @@ static enum what decide(int descriptor) {
     pthread_mutex_unlock(&lock);
     unsigned long wanted = at ? strtoul(at, NULL, 10) : 0;
     if (!mode || !wanted || number < wanted) return GO_ON;
+    if (!strcmp(mode, "often")) {
+        const char *file = getenv("SHIM_SWITCH");
+        return file && number % wanted == 0 && access(file, F_OK) == 0 ? REFUSE : GO_ON;
+    }
     if (!strcmp(mode, "dead")) return REFUSE;
     if (number > wanted) return GO_ON;
     if (!strcmp(mode, "fail")) return REFUSE;
