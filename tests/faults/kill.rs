@@ -2,7 +2,7 @@
 //! chain and on Redis and anvil: nothing acknowledged is lost, nothing is anchored twice, every store opens.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use crate::support::anvil::{call, word};
@@ -97,7 +97,7 @@ impl Field {
     }
 
     /// One life that ends at a place in the program, at its `passing`th passing.
-    fn live_until(&mut self, program: &PathBuf, place: &str, passing: u64) {
+    fn live_until(&mut self, program: &Path, place: &str, passing: u64) {
         let point = format!("{place}:{passing}");
         let mut site = self.authros.with_program(program).with_variable("AUTHROS_FAIL_POINT", &point).spawn(&["serve"]);
         let mut tries = 0;
@@ -129,17 +129,25 @@ impl Field {
     /// Ends the load, lets everything be verified, and holds it against what was ever acknowledged, against the
     /// chain's events and against the files.
     fn settle(self, what: &str) {
-        let site = self.authros.serve(&self.home);
+        let Self { home, authros, peers, observer, mut restarts } = self;
+        let site = authros.serve(&home);
         for topic in TOPICS {
-            self.authros.run(&["topics", "unwatch", topic]).expect_code(0);
+            authros.run(&["topics", "unwatch", topic]).expect_code(0);
         }
         let states = wait_until(240, "everything is verified", || {
-            let life = self.observer.seen().life?;
+            let life = observer.seen().life?;
             (life.pending == 0 && life.captured > 0).then_some(life)
         });
-        let records = self.every_record();
+        let seen = observer.finish();
+        let records = wait_until(60, "the last ones are verified", || {
+            let records = every_record(&authros);
+            records.iter().all(|record| record["state"] == "verified").then_some(records)
+        });
         let kept: BTreeMap<String, &Value> = records.iter().map(|record| (text(record, "digest"), record)).collect();
-        let seen = self.observer.finish();
+        let roots = match &peers {
+            Some((_, anvil)) => anchored_roots(anvil.port(), &contract(&authros)),
+            None => roots_of_the_embedded_chain(&authros),
+        };
         for (digest, (topic, seq)) in &seen.noted {
             let record = kept.get(digest).unwrap_or_else(|| panic!("lost: number {seq} of {topic}, {digest}"));
             assert_eq!((text(record, "topic"), count(record, "seq")), (topic.clone(), *seq));
@@ -147,13 +155,8 @@ impl Field {
         }
         assert_eq!((states.tampered, states.quarantined), (0, 0), "{states:?}");
         expect_dense(&records);
-        let roots = match &self.peers {
-            Some((_, anvil)) => anchored_roots(anvil.port(), &contract(&self.authros)),
-            None => self.roots_of_the_embedded_chain(),
-        };
         site.stop("TERM", 30).expect_code(0);
-        expect_sound_files(&self.home, &roots);
-        let mut restarts = self.restarts;
+        expect_sound_files(&home, &roots);
         restarts.sort();
         println!(
             "{what}: {} records noted, {} in all, {} batches, {} looks at the law; restart to capturing: median {:?}, longest {:?}",
@@ -167,22 +170,22 @@ impl Field {
         // Two seconds are the aim on a machine that does nothing else.
         assert!(restarts.iter().all(|took| *took < Duration::from_secs(30)), "{restarts:?}");
     }
+}
 
-    /// Captured messages and their definitions.
-    fn every_record(&self) -> Vec<Value> {
-        let list = |kind| self.authros.records(&["uploads", "list", "--kind", kind]);
-        ["data", "definition", "gap"].into_iter().flat_map(list).collect()
-    }
+/// Captured messages, their definitions, and what tells of losses.
+fn every_record(authros: &Authros) -> Vec<Value> {
+    let list = |kind| authros.records(&["uploads", "list", "--kind", kind]);
+    ["data", "definition", "gap"].into_iter().flat_map(list).collect()
+}
 
-    fn roots_of_the_embedded_chain(&self) -> Vec<(String, u64)> {
-        let mut served = self.authros.with(&["--json"]).spawn(&["chain", "serve", "--listen", "127.0.0.1:0"]);
-        let said = served.wait_for_text("\"url\"", 30);
-        let line = said.lines().find(|line| line.contains("\"url\"")).expect("a line");
-        let told: Value = serde_json::from_str(line).expect("JSON");
-        let url = text(&told["serving"], "url");
-        let port = url.rsplit(':').next().and_then(|port| port.parse().ok()).expect("a port");
-        anchored_roots(port, &contract(&self.authros))
-    }
+fn roots_of_the_embedded_chain(authros: &Authros) -> Vec<(String, u64)> {
+    let mut served = authros.with(&["--json"]).spawn(&["chain", "serve", "--listen", "127.0.0.1:0"]);
+    let said = served.wait_for_text("\"url\"", 30);
+    let line = said.lines().find(|line| line.contains("\"url\"")).expect("a line");
+    let told: Value = serde_json::from_str(line).expect("JSON");
+    let url = text(&told["serving"], "url");
+    let port = url.rsplit(':').next().and_then(|port| port.parse().ok()).expect("a port");
+    anchored_roots(port, &contract(authros))
 }
 
 fn contract(authros: &Authros) -> String {
@@ -223,18 +226,17 @@ fn expect_sound_files(home: &Home, roots: &[(String, u64)]) {
     let ledger = open(files.iter().find(|path| path.ends_with("ledger.db")).expect("a ledger"));
     let mut once = BTreeMap::new();
     roots.iter().for_each(|(root, leaves)| assert_eq!(once.insert(root, *leaves), None, "{root} is anchored twice"));
-    let number = |sql: &str| ledger.query_row(sql, [], |row| row.get::<_, u64>(0)).expect("counted");
-    let anchored: u64 = once.values().sum();
+    let number = |sql: &str| ledger.query_row(sql, [], |row| row.get::<_, i64>(0)).expect("counted");
+    let anchored = i64::try_from(once.values().sum::<u64>()).expect("few");
     let leaves = number("SELECT count(*) FROM leaves JOIN batches ON key = batch WHERE block IS NOT NULL");
     assert_eq!(leaves, anchored, "each anchored leaf is one record's, and each record is in one anchored batch");
     for root in once.keys() {
-        let known =
-            ledger.query_row("SELECT count(*) FROM batches WHERE hex(root) = upper(?1)", [root], |row| row.get(0));
-        assert_eq!(known, Ok(1u64), "the ledger knows the anchored root {root}");
+        let known = number(&format!("SELECT count(*) FROM batches WHERE hex(root) = upper('{root}')"));
+        assert_eq!(known, 1, "the ledger knows the anchored root {root}");
     }
 }
 
-fn open(path: &std::path::Path) -> Connection {
+fn open(path: &Path) -> Connection {
     Connection::open_with_flags(path, OpenFlags::SQLITE_OPEN_READ_WRITE).expect("it opens")
 }
 

@@ -6,6 +6,7 @@
 mod support;
 
 mod kill;
+mod script;
 mod storage;
 mod supervision;
 mod weather;
