@@ -2,10 +2,11 @@
 //! for as many records as wait. What fails is kept and tried again; the rings fill meanwhile.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use crate::crypto::{SealRequest, SealedRecord, seal};
+use crate::crypto::{SealRequest, SealedRecord, fault, seal};
 use crate::model::head::Compression;
 use crate::model::{Address, Digest, Head, LossReason, RecordKind, RecordState, Timestamp, TopicId, clean};
 use crate::ros::Message;
@@ -36,6 +37,9 @@ struct Ready {
     definition: Option<String>,
     item: Option<usize>,
 }
+
+/// A round ended in a panic; what it was about is not acknowledged.
+struct Panicked;
 
 /// Seals everything that comes through the rings.
 pub struct Sealer {
@@ -85,10 +89,34 @@ impl Sealer {
         self.tell_losses(true);
     }
 
-    /// Tries until the messages are acknowledged; when the program ends, not for ever: then they are counted as lost.
+    /// Tries until the messages are acknowledged. Where that panics, each is tried by itself, and the one over which it
+    /// panics again is given up and counted: it must not take its neighbours with it.
     fn store(&mut self, items: &[CapturedMessage], rings: &Rings<CapturedMessage>, closed_at: &mut Option<Instant>) {
+        if self.try_to_store(items, rings, closed_at).is_ok() {
+            return;
+        }
+        self.plant.observer.alert(true, "sealing failed by a fault of the program, it is tried again".to_owned());
+        for item in items {
+            if self.try_to_store(std::slice::from_ref(item), rings, closed_at).is_err() {
+                self.lose(item, LossReason::Fault);
+            }
+        }
+    }
+
+    /// When the program ends, not for ever: then they are counted as lost.
+    fn try_to_store(
+        &mut self,
+        items: &[CapturedMessage],
+        rings: &Rings<CapturedMessage>,
+        closed_at: &mut Option<Instant>,
+    ) -> Result<(), Panicked> {
         let mut pause = Duration::from_millis(100);
-        while let Err(error) = self.round(items) {
+        let names = loop {
+            let error = match catch_unwind(AssertUnwindSafe(|| self.round(items))) {
+                Ok(Ok(names)) => break names,
+                Ok(Err(error)) => error,
+                Err(_) => return Err(Panicked),
+            };
             self.losses.blame(cause(&error));
             let text = format!("captured messages cannot be stored, they wait in memory: {error}");
             self.plant.observer.alert(true, text);
@@ -96,15 +124,30 @@ impl Sealer {
                 let end = *closed_at.get_or_insert_with(Instant::now) + LAST_TRIES;
                 if Instant::now() >= end {
                     items.iter().for_each(|item| self.lose(item, LossReason::End));
-                    return;
+                    return Ok(());
                 }
                 pause = Duration::from_millis(200);
             }
             self.tell_losses(false);
             std::thread::sleep(pause);
             pause = (pause * 2).min(Duration::from_secs(2));
-        }
+        };
+        // From here on they are acknowledged: whatever fails, they must not be sealed a second time.
         self.losses.blame(LossReason::Memory);
+        fault::point("appended");
+        self.note_definitions(names);
+        self.plant.observer.records_changed();
+        Ok(())
+    }
+
+    /// Remembers which definitions are stored; one that is not remembered is sealed once more, which is no harm.
+    fn note_definitions(&mut self, names: Vec<String>) {
+        for name in names {
+            match self.plant.ledger.put_setting(&name, "sent") {
+                Ok(()) => drop(self.definitions.insert(name)),
+                Err(error) => self.plant.observer.alert(false, format!("a definition is stored again: {error}")),
+            }
+        }
     }
 
     fn lose(&self, item: &CapturedMessage, reason: LossReason) {
@@ -134,7 +177,8 @@ impl Sealer {
         }
     }
 
-    fn round(&mut self, items: &[CapturedMessage]) -> Result<(), PipelineError> {
+    /// Seals and stores; the definitions that went with it.
+    fn round(&mut self, items: &[CapturedMessage]) -> Result<Vec<String>, PipelineError> {
         let begun = Instant::now();
         let mut seqs = HashMap::new();
         let (mut ready, mut keyless) = (Vec::with_capacity(items.len()), Vec::new());
@@ -150,14 +194,16 @@ impl Sealer {
             ready.push(Ready { item: Some(index), definition: None, ..one });
         }
         self.spent(Stage::Seal, begun);
+        let mut names = Vec::new();
         if !ready.is_empty() {
+            fault::point("sealed");
             let captured: Vec<Timestamp> = ready
                 .iter()
                 .filter_map(|one| one.item.and_then(|index| items.get(index)))
                 .map(|item| item.message.captured_at)
                 .collect();
             let begun = Instant::now();
-            self.acknowledge(items, ready)?;
+            names = self.acknowledge(items, ready)?;
             self.spent(Stage::Commit, begun);
             if let Some(stages) = self.plant.observer.stages() {
                 stages.reached(Milestone::Durable, captured);
@@ -165,7 +211,7 @@ impl Sealer {
         }
         self.seqs.extend(seqs);
         keyless.into_iter().for_each(|item| self.lose(item, LossReason::Key));
-        Ok(())
+        Ok(names)
     }
 
     fn spent(&self, stage: Stage, begun: Instant) {
@@ -323,12 +369,13 @@ impl Sealer {
         if waiting <= self.backlog { Ok(()) } else { Err(StoreError::Backlog { waiting, limit: self.backlog }) }
     }
 
-    fn acknowledge(&mut self, items: &[CapturedMessage], ready: Vec<Ready>) -> Result<(), PipelineError> {
+    fn acknowledge(&self, items: &[CapturedMessage], ready: Vec<Ready>) -> Result<Vec<String>, PipelineError> {
         self.plant.ledger.takes_records()?;
         self.keep_backlog()?;
         if self.plant.vault.durable() {
             let entries: Vec<_> = ready.iter().map(|one| (one.sealed.digest, one.sealed.blob.as_slice())).collect();
             self.plant.vault.put(&entries)?;
+            fault::point("vault-put");
         }
         // Sessions wait before the append: verification may be quicker than this thread.
         for one in &ready {
@@ -343,12 +390,7 @@ impl Sealer {
             holds.extend(one.hold);
         }
         self.plant.ledger.append_held(rows, holds)?;
-        for name in names {
-            self.plant.ledger.put_setting(&name, "sent")?;
-            self.definitions.insert(name);
-        }
-        self.plant.observer.records_changed();
-        Ok(())
+        Ok(names)
     }
 }
 

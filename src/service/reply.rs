@@ -8,6 +8,7 @@ mod operate;
 mod parties;
 mod records;
 mod site;
+mod tasks;
 mod topics;
 
 use serde::{Deserialize, Serialize};
@@ -20,6 +21,7 @@ pub use self::operate::{GatewayStatusView, RefusedView, SenderView, SystemKeyVie
 pub use self::parties::{AdministrationView, CompareView, ContactRow, DeviceRow, GrantRow, SuccessionView};
 pub use self::records::{CheckView, ExportedFile, OpenedView, Provenance, RecordPage, RecordView};
 pub use self::site::{HealthLevel, LifeLine, PartHealth, QueueView, SiteView};
+pub use self::tasks::{TaskState, TaskView};
 pub use self::topics::{CaptureSummary, TopicRow, TopicSummary};
 use super::command::SecretBytes;
 use crate::model::ErrorKind;

@@ -86,6 +86,7 @@ pub fn site() -> SiteView {
         },
         robots: 4,
         profiles: vec![ProfileName::default()],
+        tasks: Vec::new(),
     }
 }
 
