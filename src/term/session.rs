@@ -54,7 +54,10 @@ impl Session {
         state.size = crossterm::terminal::size()?;
         let (mouth, ears) = channel();
         let signals = Listener::start(sender(&mouth, Heard::Signal))?;
-        let guard = guard::Guard::enter(sender(&mouth, |fault| Heard::Act(Action::Fault(fault))))?;
+        let guard = guard::Guard::enter(
+            sender(&mouth, |fault| Heard::Act(Action::Fault(fault))),
+            sender(&mouth, Heard::Broken),
+        )?;
         let painter = Painter::new(depth, state.size);
         let stage = Arc::new(Stage::new(state, theme));
         let budget = Budget::new(bytes_per_second(options), Instant::now());
@@ -121,6 +124,7 @@ impl Session {
                 Some(Err(TermError::Fault("the terminal takes no more output".to_owned())))
             }
             Heard::TerminalFailed => Some(Ok(ExitReason::TerminalGone)),
+            Heard::Broken(what) => Some(Err(TermError::Fault(what))),
             Heard::Line(_) | Heard::NoMoreLines => None,
         }
     }

@@ -9,6 +9,7 @@ pub mod authros;
 pub mod client_stream;
 pub mod console;
 pub mod figures;
+pub mod hostile;
 pub mod member;
 pub mod process;
 pub mod proxy;

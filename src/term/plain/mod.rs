@@ -140,6 +140,7 @@ impl Plain {
             Heard::Signal(signal) if signals::suspends(signal) => self.suspend(),
             Heard::Signal(_) => None,
             Heard::TerminalFailed => Some(Ok(ExitReason::TerminalGone)),
+            Heard::Broken(what) => Some(Err(TermError::Fault(what))),
         }
     }
 
