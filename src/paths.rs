@@ -43,6 +43,11 @@ impl Home {
         self.root.join("themes")
     }
 
+    /// What the console of a profile remembers of its last run.
+    pub fn console(&self, profile: &ProfileName) -> PathBuf {
+        self.root.join("console").join(format!("{profile}.json"))
+    }
+
     /// Held by the process that is the site.
     pub fn site_lock(&self) -> PathBuf {
         self.root.join("site.lock")

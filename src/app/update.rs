@@ -6,6 +6,7 @@ use super::cursor;
 use super::feed::Feed;
 use super::key::Key;
 use super::keymap::Meaning;
+use super::lock;
 use super::mouse;
 use super::perform::{perform, wants_grants};
 use super::popup::Popup;
@@ -15,7 +16,7 @@ use super::state::State;
 use super::verb::Verb;
 use crate::model::Timestamp;
 use crate::service::command::AuditQuery;
-use crate::service::{Command, Event, Part};
+use crate::service::{Command, Event, Operation, Part};
 
 /// The first effects of a console: claim the profile, ask for what is on screen.
 pub fn start(state: &mut State) -> Vec<Effect> {
@@ -27,7 +28,11 @@ pub fn start(state: &mut State) -> Vec<Effect> {
 
 /// Takes one action.
 pub fn update(state: &mut State, action: Action) -> Vec<Effect> {
+    if matches!(action, Action::Key(_) | Action::Paste(_) | Action::Click { .. } | Action::Do(_)) {
+        state.touched = state.now;
+    }
     let mut effects = act(state, action);
+    state.topics.refresh(false);
     let leaves = matches!(state.popups.last(), Some(Popup::Quit { waiting: true })) && !state.has_pending_work();
     if leaves {
         effects.push(Effect::Quit);
@@ -45,7 +50,7 @@ fn act(state: &mut State, action: Action) -> Vec<Effect> {
         Action::Paste(text) if state.popups.is_empty() => cursor::filter_paste(state, &text),
         Action::Paste(text) => popup_paste(state, &text),
         Action::Resize { columns, rows } => resize(state, columns, rows),
-        Action::Tick(now) => tick(state, now),
+        Action::Tick(now) => return tick(state, now),
         Action::Missed => state.feeds.touch_all(),
         Action::FilesWritten(Ok(place)) => state.inform(format!("written: {place}")),
         Action::FilesWritten(Err(error)) | Action::Fault(error) => state.complain(error),
@@ -125,17 +130,27 @@ fn resize(state: &mut State, columns: u16, rows: u16) {
     }
 }
 
-fn tick(state: &mut State, now: Timestamp) {
+fn tick(state: &mut State, now: Timestamp) -> Vec<Effect> {
     state.now = now;
+    if state.touched.0 == 0 {
+        state.touched = now;
+    }
     state.toasts.expire(now);
     state.feeds.retry(now);
     state.rates.settle(now);
+    lock::tick(state)
+}
+
+/// The tasks popup tells of the lanes.
+fn wants_chain(state: &State) -> Option<Feed> {
+    matches!(state.popups.last(), Some(Popup::Tasks)).then_some(Feed::Chain)
 }
 
 /// Asks for what is on screen and out of date, one question per feed at a time.
 fn pull(state: &mut State) -> Vec<Effect> {
     let always = [Feed::Site, Feed::Identity];
-    let wanted = always.iter().chain(state.screen.feeds()).copied().chain(wants_grants(state));
+    let wanted =
+        always.iter().chain(state.screen.feeds()).copied().chain(wants_grants(state)).chain(wants_chain(state));
     let wanted: Vec<Feed> = wanted.collect();
     wanted.into_iter().filter_map(|feed| ask(state, feed)).collect()
 }
@@ -165,8 +180,9 @@ fn question(state: &State, feed: Feed) -> Option<Command> {
         Feed::Audit => Some(Command::ListAudit(AuditQuery { limit: MOST_AUDIT, ..AuditQuery::default() })),
         Feed::Keys => exists.then_some(Command::ListKeys),
         Feed::Grants => exists.then_some(Command::ListGrants),
-        Feed::Uploads => exists.then(|| Command::ListUploads(state.uploads.query(&state.topics.rows, rows))),
-        Feed::Shared => exists.then(|| Command::ListShared(state.shared.query(&state.topics.rows, rows))),
+        Feed::Uploads => exists.then(|| Command::ListUploads(state.uploads.query(&state.topics.rows, rows, state.now))),
+        Feed::Shared => exists.then(|| Command::ListShared(state.shared.query(&state.topics.rows, rows, state.now))),
+        Feed::Gateway => Some(Command::Operate(Operation::GatewayStatus)),
     }
 }
 

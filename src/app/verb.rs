@@ -1,6 +1,7 @@
 //! The one list of what an operator can do: keymap, palette, help and bottom bar are made
 //! from it, and tests speak in it.
 
+use super::administration::Act;
 use super::key::Key;
 use super::screen::Screen;
 
@@ -59,6 +60,32 @@ pub enum Verb {
     Grant,
     /// Stop sharing.
     Revoke,
+    /// Publishers of the topic, pinned and doubted.
+    Publishers,
+    /// Accept the publishers that are read now.
+    Pin,
+    /// No longer accept a publisher.
+    Unpin,
+    /// Let held messages go on.
+    Release,
+    /// Delete held messages.
+    Discard,
+    /// Who can read this now.
+    Readers,
+    /// Choose among what others share.
+    Browse,
+    /// A copy of the keyring.
+    BackUp,
+    /// Wipe the keys from memory.
+    Lock,
+    /// What is under way.
+    Tasks,
+    /// Take the last act back.
+    Undo,
+    /// Local times beside UTC.
+    LocalTime,
+    /// An act of the administrator, or of whoever sets up the chain.
+    Administer(Act),
     /// Copy what the cursor is on.
     Copy,
     /// Write the same into a file.
@@ -110,13 +137,21 @@ pub struct Entry {
     pub palette: bool,
 }
 
-const TABLES: &[Screen] = &[Screen::Topics, Screen::Uploads, Screen::Shared, Screen::Grants, Screen::Log];
-const SORTED: &[Screen] = &[Screen::Topics, Screen::Uploads, Screen::Shared, Screen::Grants];
+const TABLES: &[Screen] =
+    &[Screen::Topics, Screen::Uploads, Screen::Shared, Screen::Grants, Screen::Gateway, Screen::Log];
+const SORTED: &[Screen] = &[Screen::Topics, Screen::Uploads, Screen::Shared, Screen::Grants, Screen::Gateway];
+const MARKED: &[Screen] = &[Screen::Topics, Screen::Uploads, Screen::Shared];
+const ON_CHAIN: &[Screen] = &[Screen::Chain];
 const COPIED: &[Screen] =
     &[Screen::Topics, Screen::Uploads, Screen::Shared, Screen::Grants, Screen::Keys, Screen::Chain];
 
 const fn entry(verb: Verb, name: &'static str, label: &'static str, keys: &'static [Key], help: &'static str) -> Entry {
     Entry { verb, name, label, help, keys, chord: &[], on: &[], changes: false, palette: true }
+}
+
+/// An act of the administrator: in the palette, on no key.
+const fn administers(act: Act, name: &'static str, help: &'static str) -> Entry {
+    entry(Verb::Administer(act), name, "", &[], help).on(ON_CHAIN).changing()
 }
 
 impl Entry {
@@ -155,9 +190,9 @@ impl Entry {
 /// Everything an operator can do; what belongs to one screen comes first.
 pub static VERBS: &[Entry] = &[
     entry(Verb::Mark, "mark", "mark", &[Key::Char(' ')], "Mark the row; commands then act on the marked rows")
-        .on(&[Screen::Topics]),
+        .on(MARKED),
     entry(Verb::MarkAll, "mark-all", "mark all", &[Key::Char('a')], "Mark every row shown, or take all marks away")
-        .on(&[Screen::Topics]),
+        .on(MARKED),
     entry(Verb::Watch, "watch", "watch", &[Key::Char('w')], "Watch or unwatch the marked topics, or the selected one")
         .on(&[Screen::Overview, Screen::Topics])
         .changing(),
@@ -175,9 +210,36 @@ pub static VERBS: &[Entry] = &[
         &[Key::Char('c')],
         "Compare the stored bytes with the chain and the signature",
     )
-    .on(&[Screen::Shared]),
+    .on(&[Screen::Shared, Screen::Uploads]),
     entry(Verb::Export, "export", "export", &[Key::Char('e')], "Write the record's files for others to check")
         .on(&[Screen::Uploads]),
+    entry(Verb::Browse, "browse", "browse", &[Key::Char('b')], "Who shares, their topics and types, by time")
+        .on(&[Screen::Shared]),
+    entry(Verb::Readers, "readers", "readers", &[Key::Char('i')], "Who can read this now?").on(&[
+        Screen::Topics,
+        Screen::Uploads,
+        Screen::Grants,
+    ]),
+    entry(Verb::Publishers, "publishers", "publishers", &[Key::Enter], "Who publishes it: pinned, doubted, held back")
+        .on(&[Screen::Topics]),
+    entry(Verb::Pin, "pin", "pin", &[Key::Char('p')], "Accept the publishers that are read now")
+        .on(&[Screen::Topics])
+        .changing(),
+    entry(Verb::Unpin, "unpin", "", &[Key::Char('P')], "No longer accept a publisher of the topic")
+        .on(&[Screen::Topics])
+        .changing(),
+    entry(Verb::Release, "release", "", &[Key::Char('r')], "Let the held messages of the topic go on")
+        .on(&[Screen::Topics])
+        .changing(),
+    entry(
+        Verb::Discard,
+        "discard",
+        "",
+        &[Key::Char('D')],
+        "Delete the held messages of the topic; counted on the chain",
+    )
+    .on(&[Screen::Topics])
+    .changing(),
     entry(Verb::Grant, "grant", "grant", &[Key::Char('g')], "Let another account open your records")
         .on(&[Screen::Overview, Screen::Topics, Screen::Grants])
         .changing(),
@@ -212,6 +274,28 @@ pub static VERBS: &[Entry] = &[
     entry(Verb::ExportKey, "export-key", "export", &[Key::Char('e')], "Write a secret key into a file")
         .on(&[Screen::Keys])
         .changing(),
+    entry(
+        Verb::BackUp,
+        "back-up-keys",
+        "back up",
+        &[Key::Char('b')],
+        "Write the keyring, under its passphrase, to a file",
+    )
+    .on(&[Screen::Keys]),
+    entry(Verb::Administer(Act::Deploy), "deploy", "deploy", &[Key::Char('d')], "Put the contract on the chain")
+        .on(ON_CHAIN)
+        .changing(),
+    administers(Act::Admit, "admit", "Administrator: let an account register"),
+    administers(Act::Suspend, "suspend", "Administrator: stop an account's changes"),
+    administers(Act::Restore, "restore", "Administrator: free a suspended account"),
+    administers(Act::Open, "open-registration", "Administrator: anyone may register"),
+    administers(Act::Close, "close-registration", "Administrator: only admitted accounts may register"),
+    administers(Act::Pause, "pause-changes", "Administrator: stop all changes but revokes"),
+    administers(Act::Continue, "continue-changes", "Administrator: let changes go on"),
+    administers(Act::Succeed, "succeed", "Administrator: name who continues for a lost account"),
+    administers(Act::HandOver, "hand-over", "Administrator: name the next administrator"),
+    administers(Act::Accept, "accept-administration", "Take over as the administrator that was named"),
+    administers(Act::Adopt, "adopt-chain", "Go on with the chain that is there now instead of the pinned one"),
     entry(Verb::Level, "log-level", "level", &[Key::Char('l')], "All lines, warnings and errors, or errors only")
         .on(&[Screen::Log]),
     entry(Verb::Filter, "filter", "filter", &[Key::Char('/')], "Show only rows that match").on(TABLES),
@@ -220,6 +304,13 @@ pub static VERBS: &[Entry] = &[
         .on(COPIED),
     entry(Verb::WriteFile, "write-file", "", &[Key::Char('W')], "Write what `copy` would copy into a file here")
         .on(COPIED),
+    entry(Verb::Tasks, "tasks", "", &[Key::Char('t')], "What is under way, what waits, and for how long"),
+    entry(Verb::Undo, "undo", "", &[Key::Char('U')], "Take the last act back, where that is true")
+        .chord(&[Key::Char('z'), Key::Char('u')]),
+    entry(Verb::Lock, "lock", "", &[], "Wipe the keys that decrypt, grant and revoke; capture goes on")
+        .chord(&[Key::Char('z'), Key::Char('x')]),
+    entry(Verb::LocalTime, "local-time", "", &[], "Local times beside UTC, or UTC alone")
+        .chord(&[Key::Char('z'), Key::Char('l')]),
     entry(Verb::Freeze, "freeze", "freeze", &[Key::Char('f')], "Stand still while capture goes on"),
     entry(Verb::Palette, "palette", "commands", &[Key::Char(':')], "Every command by name").unlisted(),
     entry(Verb::Help, "help", "help", &[Key::Char('?')], "What the keys do here"),
@@ -254,7 +345,7 @@ pub static VERBS: &[Entry] = &[
     entry(Verb::Mouse, "mouse", "", &[], "Mouse for the console, or for the terminal's own selection")
         .chord(&[Key::Char('z'), Key::Char('m')]),
     entry(Verb::Redraw, "redraw", "", &[Key::Control('l')], "Draw the screen anew"),
-    entry(Verb::Suspend, "suspend", "", &[Key::Control('z')], "Back to the shell; `fg` returns"),
+    entry(Verb::Suspend, "shell", "", &[Key::Control('z')], "Back to the shell; `fg` returns"),
 ];
 
 /// The entry of a verb, the one of this screen first.

@@ -87,6 +87,8 @@ pub enum Verb {
     /// Settings and where they come from
     #[command(subcommand)]
     Config(ConfigVerb),
+    /// How the parts of the site are, and how far the records of this profile have come
+    Status,
     /// Run the site without a console
     Serve,
     /// Serve robots and operators that run no chain client

@@ -30,6 +30,8 @@ pub fn options(context: &Context, arguments: ConsoleArguments) -> Result<Console
         read_only: arguments.read_only,
         bytes_per_second: settings.bytes_per_second,
         directory: None,
+        kept: Some(context.home.console(&context.profile)),
+        lock_after: settings.lock_after,
     };
     if let Some(name) = &options.theme {
         options.themes.named(name).map_err(|error| Failure::new(ErrorKind::Input, error.to_string()))?;

@@ -26,6 +26,8 @@ mod printed;
 mod quarantine;
 mod serve;
 mod show;
+mod status;
+mod twins;
 mod verbs;
 
 use std::process::ExitCode;

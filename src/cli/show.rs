@@ -26,6 +26,7 @@ pub fn show(reply: Reply, out: Option<&Path>, output: &Output) -> Result<u8, Fai
             output.result(&serde_json::json!({ "devices": rows }), || super::adopt::devices(&rows));
         }
         Reply::Chain(view) => output.result(&view, || lists::chain(&view)),
+        Reply::Site(view) => output.result(&view, || super::status::text(&view)),
         Reply::Deployed(view) => output.result(&view, || lists::deployed(&view)),
         Reply::Contacts(rows) => {
             output.result(&serde_json::json!({ "contacts": rows }), || parties::contact_table(&rows));
@@ -41,6 +42,7 @@ pub fn show(reply: Reply, out: Option<&Path>, output: &Output) -> Result<u8, Fai
             output.result(&check, || super::audit::check(&check));
             return Ok(super::audit::code(&check));
         }
+        Reply::GatewayStatus(view) => output.result(&view, || super::gateway::status(&view)),
         Reply::Pins(view) => output.result(&view, || quarantine::pins(&view)),
         Reply::Quarantine(view) => output.result(&view, || quarantine::held(&view)),
         Reply::Decided(view) => output.result(&view, || view.text.clone()),
@@ -75,7 +77,7 @@ pub fn show(reply: Reply, out: Option<&Path>, output: &Output) -> Result<u8, Fai
                 format!("written to {} (0600)", path.display())
             });
         }
-        Reply::Enrolled(_) | Reply::Captured(_) | Reply::Served(_) | Reply::Gateway(_) | Reply::Site(_) => {
+        Reply::Enrolled(_) | Reply::Captured(_) | Reply::Served(_) | Reply::Gateway(_) => {
             return Err(super::connect::unexpected());
         }
     }

@@ -14,6 +14,8 @@ pub struct ConsoleSettings {
     pub mouse: bool,
     /// The most bytes a second drawn because data changed.
     pub bytes_per_second: Option<u32>,
+    /// Nanoseconds without a key after which the keyring locks; `None` = never.
+    pub lock_after: Option<u64>,
 }
 
 impl ConsoleSettings {
@@ -33,6 +35,14 @@ impl ConsoleSettings {
             Some(_) => u32::try_from(number(values, "console.bytes_per_second", 500, 100_000_000)?).ok(),
             None => None,
         };
-        Ok(Self { theme: value(values, "console.theme").map(str::to_owned), ascii, mouse, bytes_per_second })
+        let minutes = number(values, "console.lock_after", 0, 10_080)?;
+        let lock_after = (minutes > 0).then(|| minutes * 60_000_000_000);
+        Ok(Self {
+            lock_after,
+            theme: value(values, "console.theme").map(str::to_owned),
+            ascii,
+            mouse,
+            bytes_per_second,
+        })
     }
 }

@@ -153,4 +153,10 @@ pub const DEFINITIONS: &[Definition] = &[
         default: "",
         text: "most bytes a second drawn because data changed, keys apart; empty = 4000 over SSH, else no limit",
     },
+    Definition {
+        name: "console.lock_after",
+        variable: "AUTHROS_LOCK_AFTER",
+        default: "15",
+        text: "minutes without a key after which the console locks the keyring while capture goes on; 0 = never",
+    },
 ];

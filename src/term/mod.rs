@@ -18,6 +18,7 @@ pub mod renderer;
 pub mod signals;
 pub mod stage;
 
+mod kept;
 mod session;
 
 use std::io::{self, IsTerminal};
@@ -25,6 +26,7 @@ use std::path::{Path, PathBuf};
 
 use tokio::runtime::Handle;
 
+use crate::app::zone::Zone;
 use crate::app::{Keymap, Settings, State};
 use crate::model::{ErrorKind, Timestamp};
 use crate::service::{Client, Failure};
@@ -49,6 +51,10 @@ pub struct ConsoleOptions {
     pub bytes_per_second: Option<u32>,
     /// Where relative paths begin and files are written; `None` = the working directory.
     pub directory: Option<PathBuf>,
+    /// Where screen, filters and orders are kept for the next start; `None` = nowhere.
+    pub kept: Option<PathBuf>,
+    /// Nanoseconds without a key after which the keyring locks; `None` = never.
+    pub lock_after: Option<u64>,
 }
 
 /// Why the console ended.
@@ -118,6 +124,8 @@ fn first_state(client: &Client, options: &ConsoleOptions, directory: &Path) -> S
         home: std::env::var_os("HOME").map(PathBuf::from),
         keymap: options.keymap.clone(),
         themes: options.themes.names(),
+        lock_after: options.lock_after,
+        zone: Zone::new(jiff::tz::TimeZone::system()),
     });
     (state.now, state.mouse) = (Timestamp::now(), options.mouse);
     state

@@ -2,6 +2,7 @@
 //! effects to the site, the terminal and the files.
 
 use std::io::{self, IsTerminal};
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::sync::{Arc, MutexGuard, PoisonError, TryLockError};
@@ -39,6 +40,7 @@ pub struct Session {
     watched_at: Instant,
     themes: Themes,
     mouse: bool,
+    kept: Option<PathBuf>,
     _guard: guard::Guard,
     _signals: Listener,
 }
@@ -51,6 +53,9 @@ impl Session {
         let directory = super::directory(options)?;
         let mut state = super::first_state(&client, options, &directory);
         state.theme.clone_from(&theme.name);
+        if let Some(kept) = options.kept.as_deref().and_then(super::kept::read) {
+            crate::app::resume::recall(&mut state, &kept);
+        }
         state.size = crossterm::terminal::size()?;
         let (mouth, ears) = channel();
         let signals = Listener::start(sender(&mouth, Heard::Signal))?;
@@ -73,6 +78,7 @@ impl Session {
             watched_at: Instant::now(),
             themes: options.themes.clone(),
             mouse: options.mouse,
+            kept: options.kept.clone(),
             _guard: guard,
             _signals: signals,
         };
@@ -231,6 +237,10 @@ impl Session {
     /// Ends the threads and gives the terminal back.
     fn close(&self) {
         self.stop.store(true, Ordering::Relaxed);
+        if let Some(path) = &self.kept {
+            let kept = crate::app::resume::kept(&self.stage.scene().state);
+            super::kept::write(path, &kept);
+        }
         self.stage.change(Wish::None, |scene| scene.over = true);
         let writing = finished(&self.stage);
         if writing.is_some() {

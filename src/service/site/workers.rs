@@ -202,7 +202,8 @@ impl Site {
                 () = self.stopped() => return,
             }
             let Some(network) = self.network_now() else { continue };
-            for owner in self.all_owners() {
+            // What is overdue needs keys that a locked keyring does not have; keys sealed ahead hold without them.
+            for owner in self.all_owners().into_iter().filter(|owner| !owner.is_locked()) {
                 if resting.get(&owner.address).is_some_and(|(until, _)| Instant::now() < *until) {
                     continue;
                 }
