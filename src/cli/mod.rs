@@ -27,6 +27,7 @@ mod quarantine;
 mod serve;
 mod show;
 mod status;
+mod twins;
 mod verbs;
 
 use std::process::ExitCode;

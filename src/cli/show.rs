@@ -26,6 +26,7 @@ pub fn show(reply: Reply, out: Option<&Path>, output: &Output) -> Result<u8, Fai
             output.result(&serde_json::json!({ "devices": rows }), || super::adopt::devices(&rows));
         }
         Reply::Chain(view) => output.result(&view, || lists::chain(&view)),
+        Reply::Site(view) => output.result(&view, || super::status::text(&view)),
         Reply::Deployed(view) => output.result(&view, || lists::deployed(&view)),
         Reply::Contacts(rows) => {
             output.result(&serde_json::json!({ "contacts": rows }), || parties::contact_table(&rows));

@@ -123,6 +123,7 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
         Verb::Shared(SharedVerb::Open { id, out }) => {
             Plan { out, ..Plan::new(CHAIN, Unlocked, Command::OpenShared { id }) }
         }
+        Verb::Status => Plan::new(CHAIN, NoProfile, Command::SiteStatus),
         Verb::Chain(ChainVerb::Status) => Plan::new(CHAIN, NoProfile, Command::ChainStatus),
         Verb::Chain(ChainVerb::Adopt) => Plan::new(CHAIN, Unlocked, Command::AdoptChain),
         Verb::Devices(verb) => Plan::new(CHAIN, Unlocked, super::adopt::command(&verb)?),

@@ -38,7 +38,6 @@ struct Received {
     emulator: Mutex<Parser>,
     bytes: AtomicU64,
     kept: Mutex<Vec<u8>>,
-    ended: AtomicBool,
 }
 
 /// A console at work; killed when dropped.
