@@ -6,6 +6,7 @@
 mod decode;
 mod definition;
 mod digest;
+mod json;
 mod line;
 mod value;
 
