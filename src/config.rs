@@ -14,7 +14,7 @@ use std::time::Duration;
 pub use self::definitions::{DEFINITIONS, Definition};
 pub use self::error::ConfigError;
 pub use self::read::without_password;
-use self::read::{Values, find, number, parsed, read_file, url, value, wrong};
+use self::read::{Values, find, number, parsed, read_file, switch, url, value, wrong};
 pub use self::source::{SettingView, Source};
 use crate::crypto::ProviderName;
 use crate::model::{Address, AnchorMode, Consensus, ListedPublishers, PinMode, SignerId, clean};
@@ -56,6 +56,8 @@ pub struct Config {
     pub consensus: Option<Consensus>,
     /// A real Redis.
     pub vault_url: Option<String>,
+    /// Whether messages are compressed before they are sealed.
+    pub compression: bool,
     /// Which SM implementation.
     pub provider: ProviderName,
     /// How digests go on the chain.
@@ -124,6 +126,7 @@ impl Config {
             lanes: u8::try_from(number(&values, "anchor.lanes", 1, 8)?).unwrap_or(1),
             consensus: parsed(&values, "chain.consensus")?,
             vault_url: url(&values, "vault.url", &["redis://", "redis+unix://", "unix://"])?,
+            compression: switch(&values, "record.compression", ("auto", "off"))?,
             provider: parsed(&values, "crypto.provider")?.unwrap_or_default(),
             anchor_mode: parsed(&values, "anchor.mode")?.unwrap_or_default(),
             audit_every: Duration::from_secs(number(&values, "audit.anchor_every", 1, 86_400)?),

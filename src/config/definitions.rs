@@ -82,6 +82,12 @@ pub const DEFINITIONS: &[Definition] = &[
         text: "redis://host:port; empty = embedded vault",
     },
     Definition {
+        name: "record.compression",
+        variable: "AUTHROS_COMPRESSION",
+        default: "auto",
+        text: "auto = compress messages before they are sealed where it pays; off = seal them as they are",
+    },
+    Definition {
         name: "crypto.provider",
         variable: "AUTHROS_CRYPTO_PROVIDER",
         default: "rustcrypto",

@@ -101,6 +101,15 @@ pub(super) fn number(values: &Values, name: &'static str, least: u64, most: u64)
     parsed.ok_or_else(|| wrong(values, name, &format!("write a whole number from {least} to {most}")))
 }
 
+/// One of two words; the first means yes.
+pub(super) fn switch(values: &Values, name: &'static str, words: (&str, &str)) -> Result<bool, ConfigError> {
+    match value(values, name) {
+        Some(word) if word == words.0 => Ok(true),
+        Some(word) if word == words.1 => Ok(false),
+        _ => Err(wrong(values, name, &format!("write {} or {}", words.0, words.1))),
+    }
+}
+
 pub(super) fn parsed<T: FromStr<Err: fmt::Display>>(
     values: &Values,
     name: &'static str,

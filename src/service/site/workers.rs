@@ -47,7 +47,8 @@ fn thread(name: &str, work: impl FnOnce() + Send + 'static) -> Result<std::threa
 }
 
 fn start_sealer(site: &Arc<Site>) -> Result<(), Failure> {
-    let mut sealer = Sealer::new(site.plant.clone(), Arc::clone(&site.hub.sessions));
+    let sealer = Sealer::new(site.plant.clone(), Arc::clone(&site.hub.sessions));
+    let mut sealer = if site.config.compression { sealer } else { sealer.without_compression() };
     let (ring, hub) = (Arc::clone(&site.ring), Arc::clone(&site.hub));
     let handle = thread("sealer", move || sealer.run(&ring, &|| hub.stored.notify_waiters()))?;
     *site.sealer.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = Some(handle);
