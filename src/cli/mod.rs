@@ -25,6 +25,7 @@ mod quarantine;
 mod serve;
 mod show;
 mod verbs;
+mod viewing;
 
 use std::process::ExitCode;
 

@@ -8,6 +8,7 @@ mod parties;
 mod records;
 mod site;
 mod topics;
+mod viewing;
 
 use serde::{Deserialize, Serialize};
 
@@ -19,6 +20,7 @@ pub use self::parties::{AdministrationView, CompareView, ContactRow, DeviceRow, 
 pub use self::records::{CheckView, ExportedFile, OpenedView, Provenance, RecordPage, RecordView};
 pub use self::site::{HealthLevel, LifeLine, PartHealth, SiteView};
 pub use self::topics::{CaptureSummary, TopicRow, TopicSummary};
+pub use self::viewing::PathView;
 use super::command::SecretBytes;
 use crate::model::ErrorKind;
 
@@ -77,6 +79,8 @@ pub enum Reply {
     Check(CheckView),
     /// To `OpenShared`.
     Opened(Box<OpenedView>),
+    /// To `Viewing::Path`.
+    Path(PathView),
     /// To commands about pins.
     Pins(PinsView),
     /// To `ListQuarantine`.

@@ -36,6 +36,7 @@ mod telling;
 mod topics;
 mod uploads;
 mod view;
+mod viewing;
 mod workers;
 
 use std::collections::{BTreeMap, HashSet};
