@@ -41,6 +41,7 @@ pub fn show(reply: Reply, out: Option<&Path>, output: &Output) -> Result<u8, Fai
             output.result(&check, || super::audit::check(&check));
             return Ok(super::audit::code(&check));
         }
+        Reply::GatewayStatus(view) => output.result(&view, || super::gateway::status(&view)),
         Reply::Pins(view) => output.result(&view, || quarantine::pins(&view)),
         Reply::Quarantine(view) => output.result(&view, || quarantine::held(&view)),
         Reply::Decided(view) => output.result(&view, || view.text.clone()),

@@ -3,7 +3,7 @@
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use crate::crypto::compression::{Packed, pack};
 use crate::crypto::{SealRequest, SealedRecord, seal};
@@ -17,6 +17,7 @@ use super::packing::Packing;
 use super::recorder::CapturedMessage;
 use super::ring::Ring;
 use super::session::Sessions;
+use super::stages::{Milestone, Stage};
 use super::{PipelineError, Plant, quarantine};
 
 /// Messages sealed at most before they are acknowledged together.
@@ -86,6 +87,7 @@ impl Sealer {
     }
 
     fn round(&mut self, items: &[CapturedMessage]) -> Result<(), PipelineError> {
+        let begun = Instant::now();
         let mut seqs = HashMap::new();
         let mut ready = Vec::with_capacity(items.len());
         for (index, item) in items.iter().enumerate() {
@@ -100,9 +102,21 @@ impl Sealer {
             let one = self.seal_one(item, &keys, RecordKind::Data, &item.message.body, packed, &mut seqs)?;
             ready.push(Ready { item: Some(index), definition: None, ..one });
         }
+        self.spent(Stage::Seal, begun);
+        let begun = Instant::now();
         self.acknowledge(items, ready)?;
+        self.spent(Stage::Commit, begun);
+        if let Some(stages) = self.plant.observer.stages() {
+            stages.reached(Milestone::Durable, items.iter().map(|item| item.message.captured_at));
+        }
         self.seqs.extend(seqs);
         Ok(())
+    }
+
+    fn spent(&self, stage: Stage, begun: Instant) {
+        if let Some(stages) = self.plant.observer.stages() {
+            stages.spent(stage, begun.elapsed());
+        }
     }
 
     fn seal_definition(

@@ -2,6 +2,7 @@
 
 mod administration;
 mod choices;
+mod operate;
 mod secret;
 mod viewing;
 
@@ -9,6 +10,7 @@ use serde::{Deserialize, Serialize};
 
 pub use self::administration::Administration;
 pub use self::choices::{Epochs, Held, KeyKind, UploadQuery};
+pub use self::operate::Operation;
 pub use self::secret::{SecretBytes, SecretText};
 pub use self::viewing::{LONGEST_PATH, Viewing};
 use crate::model::{Address, ContactName, Party, ProfileName, Publisher, SignerId, Timestamp, TopicName, TypeName};
@@ -243,6 +245,8 @@ pub enum Command {
         /// With addresses in full.
         addresses: bool,
     },
+    /// What an operator asks of the site itself.
+    Operate(Operation),
     /// Claims the profile for a console, until the connection ends; refused where one is open already.
     OpenConsole,
 }

@@ -15,6 +15,7 @@ mod lanes;
 mod pins;
 mod quarantine;
 mod query;
+mod recent;
 mod rows;
 mod settings;
 mod sightings;
@@ -58,6 +59,7 @@ const SCHEMA: Schema = Schema {
         include_str!("ledger/schema_4.sql"),
         include_str!("ledger/schema_5.sql"),
         include_str!("ledger/schema_6.sql"),
+        include_str!("ledger/schema_7.sql"),
     ],
 };
 const READERS_KEPT: usize = 4;

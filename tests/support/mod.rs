@@ -8,6 +8,7 @@ pub mod anvil;
 pub mod authros;
 pub mod client_stream;
 pub mod console;
+pub mod figures;
 pub mod member;
 pub mod process;
 pub mod proxy;
@@ -23,7 +24,7 @@ use std::time::{Duration, Instant};
 
 pub use anvil::Anvil;
 pub use authros::{Authros, Home};
-pub use console::Console;
+pub use console::{Console, Terminal};
 pub use process::{Outcome, Running};
 pub use proxy::{Proxy, Spoil};
 pub use redis::Redis;

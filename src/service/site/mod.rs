@@ -21,6 +21,7 @@ mod lanes;
 mod mirror;
 mod naming;
 mod opening;
+mod operating;
 mod overdue;
 mod owners;
 mod pins;
@@ -54,7 +55,7 @@ use super::client::{Call, Client};
 use super::event::{Event, Part};
 use super::failure::internal;
 use super::hub::Hub;
-use super::reply::{Failure, GatewayView};
+use super::reply::Failure;
 use crate::chain::BlockRef;
 use crate::config::Config;
 use crate::crypto::provider;
@@ -90,7 +91,7 @@ pub struct Site {
     pub(crate) sender: Arc<Sender>,
     recorder: Arc<Recorder>,
     /// The gateway that this site serves, if it does.
-    served_gateway: Mutex<Option<GatewayView>>,
+    served_gateway: Mutex<Option<operating::Serving>>,
     pins: Arc<Pins>,
     /// Quarantine records are sealed one at a time.
     reporting: tokio::sync::Mutex<()>,
@@ -247,6 +248,11 @@ impl Site {
         drop(stopping.wait_for(|stopping| *stopping).await);
     }
 
+    /// Times of the line since the site began.
+    pub fn stages(&self) -> &crate::pipeline::stages::Stages {
+        &self.hub.stages
+    }
+
     /// Ends the site: no further capture, all captured messages acknowledged, files closed.
     pub async fn stop(self: Arc<Self>) {
         self.ros.send_replace(RosState::Off);
@@ -275,7 +281,7 @@ impl Site {
     }
 
     pub(crate) fn unlocked(&self, profile: &ProfileName) -> Result<Arc<Owner>, Failure> {
-        self.owner(profile).ok_or_else(|| match self.home.keyring(profile).exists() {
+        self.owner(profile).filter(|owner| !owner.is_locked()).ok_or_else(|| match self.home.keyring(profile).exists() {
             true => super::failure::refused(format!(
                 "the keyring of profile '{profile}' is locked; unlock it with --passphrase-file or --passphrase-fd"
             )),

@@ -5,10 +5,14 @@ use std::sync::Arc;
 
 use super::Site;
 use super::view::{record_page, record_query};
-use crate::model::{Address, Scope, Timestamp, TopicId};
-use crate::pipeline::Owner;
+use crate::crypto::GrantedKeys;
+use crate::model::{Address, FilterId, Scope, Timestamp, TopicId};
+use crate::pipeline::directory::Granted;
+use crate::pipeline::epoch::tag_filter;
 use crate::pipeline::reader::{Reader, is_held};
+use crate::pipeline::{Network, Owner};
 use crate::service::command::UploadQuery;
+use crate::service::failure::input;
 use crate::service::reply::{CheckView, Failure, RecordPage};
 use crate::store::RecordQuery;
 
@@ -21,21 +25,26 @@ impl Site {
     ) -> Result<RecordPage, Failure> {
         let network = self.network().await?;
         let (me, now) = (owner.address, Timestamp::now());
-        let grants = network.directory.grants(|grant| grant.terms.grantee == me && grant.is_active(now));
-        let mut scopes: HashMap<Address, Scope> = HashMap::new();
         let wanted = query.owner.as_ref().map(|owner| self.resolve(owner)).transpose()?;
-        for grant in grants.into_iter().filter(|grant| wanted.is_none_or(|wanted| wanted == grant.terms.owner)) {
-            scopes.insert(grant.terms.owner, grant.terms.scope);
+        let grants = network.directory.grants(|grant| {
+            let of_wanted = wanted.is_none_or(|wanted| wanted == grant.terms.owner);
+            of_wanted && grant.terms.grantee == me && grant.is_active(now)
+        });
+        let mut scopes: HashMap<Address, Scope> = HashMap::new();
+        for grant in &grants {
+            scopes.insert(grant.terms.owner, grant.terms.scope.clone());
         }
         if scopes.is_empty() {
             return Ok(RecordPage { records: Vec::new(), next: None });
         }
         self.audit_query(owner, "list shared", &query).await?;
+        let filters = self.shared_tag_filters(&network, owner, &grants, &query.tags)?;
         let readable = self.readable_topics(&scopes).await?;
         let query = RecordQuery {
             owners: Some(scopes.keys().copied().collect()),
             owner: None,
             topic_ids: Some(readable),
+            filters,
             ..record_query(query)
         };
         let reader = Reader { plant: &self.plant, network: &network, reader: owner };
@@ -64,6 +73,32 @@ impl Site {
                 return Ok(record_page(page, true));
             }
             query.after = page.next;
+        }
+    }
+
+    /// The ids by which records of another are found by their tags: IK of one owner, as a grant of all topics
+    /// carries it.
+    fn shared_tag_filters(
+        &self,
+        network: &Network,
+        owner: &Owner,
+        grants: &[Granted],
+        tags: &[(String, String)],
+    ) -> Result<Vec<FilterId>, Failure> {
+        if tags.is_empty() {
+            return Ok(Vec::new());
+        }
+        let [grant] = grants else {
+            return Err(input("tags are looked for among the records of one owner; name the owner beside them"));
+        };
+        let reader = Reader { plant: &self.plant, network, reader: owner };
+        match reader.open_envelope(grant, grant.terms.epoch)?.keys {
+            GrantedKeys::All { ref index_key, .. } => {
+                Ok(tags.iter().map(|(name, value)| tag_filter(index_key, name, value)).collect())
+            }
+            GrantedKeys::Topics { .. } => Err(input(
+                "a grant of some topics does not carry the key by which tags are found; search by topic or type",
+            )),
         }
     }
 
