@@ -29,6 +29,7 @@ mod show;
 mod status;
 mod twins;
 mod verbs;
+mod viewing;
 
 use std::process::ExitCode;
 

@@ -7,6 +7,7 @@ pub mod address;
 pub mod adoption;
 pub mod anchor_mode;
 pub mod audit_head;
+pub mod base64_text;
 pub mod byte_size;
 pub mod bytes;
 pub mod consensus;
