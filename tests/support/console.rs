@@ -23,7 +23,11 @@ pub struct Console {
 impl Console {
     /// Opens `authros` in a terminal of 100x30.
     pub fn open(authros: &Authros) -> Self {
-        let (rows, cols) = (30, 100);
+        Self::open_sized(authros, 30, 100)
+    }
+
+    /// Opens `authros` in a terminal of that size.
+    pub fn open_sized(authros: &Authros, rows: u16, cols: u16) -> Self {
         let pair = native_pty_system()
             .openpty(PtySize { rows, cols, pixel_width: 0, pixel_height: 0 })
             .expect("a pseudo-terminal");
@@ -72,6 +76,11 @@ impl Console {
     /// Sends a signal by name.
     pub fn signal(&self, name: &str) {
         signal(name, &self.child.process_id().expect("a process").to_string());
+    }
+
+    /// Whether it has ended.
+    pub fn has_ended(&mut self) -> bool {
+        self.child.try_wait().is_ok_and(|ended| ended.is_some())
     }
 
     /// Waits for its end.
