@@ -28,7 +28,9 @@ mod quarantine;
 mod serve;
 mod show;
 mod status;
+mod twins;
 mod verbs;
+mod viewing;
 
 use std::process::ExitCode;
 
@@ -41,6 +43,7 @@ use crate::service::Failure;
 
 /// Runs the program; the exit code follows from the kind of error.
 pub fn main() -> ExitCode {
+    serve::note_hangup();
     let arguments = match Arguments::try_parse() {
         Ok(arguments) => arguments,
         Err(error) => {

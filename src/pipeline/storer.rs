@@ -5,6 +5,7 @@
 
 use std::time::{Duration, Instant};
 
+use crate::crypto::fault;
 use crate::model::{Digest, RecordState};
 use crate::store::{RecordQuery, StoreError};
 
@@ -68,8 +69,11 @@ fn store_round(plant: &Plant, digests: &[Digest], pass: &mut Pass) -> Result<(),
         return Ok(());
     }
     let borrowed: Vec<_> = entries.iter().map(|(digest, bytes)| (*digest, bytes.as_slice())).collect();
+    fault::point("store-read");
     let put = plant.vault.put_each(&borrowed);
+    fault::point("store-put");
     plant.ledger.advance(&put.stored, RecordState::Sealed, RecordState::Stored)?;
+    fault::point("store-advanced");
     if let Some(stages) = plant.observer.stages() {
         stages.spent(Stage::Store, begun.elapsed());
     }

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::time::Instant;
 
-use crate::crypto::{Anchor, check};
+use crate::crypto::{Anchor, check, fault};
 use crate::model::{Digest, RecordState, Timestamp};
 use crate::store::{RecordQuery, RecordRow, StoreError};
 
@@ -34,6 +34,9 @@ pub fn verify_round(plant: &Plant, network: &Network) -> Result<usize, PipelineE
 fn verify_page(plant: &Plant, network: &Network, rows: &[RecordRow]) -> Result<usize, PipelineError> {
     let begun = Instant::now();
     let captured: HashMap<Digest, Timestamp> = rows.iter().map(|row| (row.digest, row.captured_at)).collect();
+    if !rows.is_empty() {
+        fault::point("read-back");
+    }
     let (mut good, mut bad) = (Vec::new(), Vec::new());
     let mut unreachable = None;
     for row in rows.iter().filter(|row| plant.vault.answers(row.digest)) {
@@ -46,6 +49,7 @@ fn verify_page(plant: &Plant, network: &Network, rows: &[RecordRow]) -> Result<u
             Err(error) => return Err(error),
         }
     }
+    fault::point("checked");
     settle(plant, &good, RecordState::Verified)?;
     settle(plant, &bad, RecordState::Tampered)?;
     if let Some(stages) = plant.observer.stages().filter(|_| !good.is_empty()) {
@@ -65,6 +69,7 @@ fn put_back(plant: &Plant, row: &RecordRow) -> Result<(), PipelineError> {
     }
     if let Some(copy) = plant.ledger.local_copy(row.digest)? {
         plant.vault.put(&[(row.digest, &copy)])?;
+        fault::point("put-back");
     }
     Ok(())
 }
@@ -86,6 +91,7 @@ fn settle(plant: &Plant, digests: &[Digest], state: RecordState) -> Result<(), P
     plant.ledger.advance(digests, RecordState::Confirmed, state)?;
     if state == RecordState::Verified {
         // Local copies beside a vault that is only a cache stay until retention says otherwise.
+        fault::point("verified");
         plant.observer.verified(digests);
     } else {
         plant.observer.tampered(digests);

@@ -83,6 +83,9 @@ pub struct SiteView {
     pub robots: u16,
     /// Profiles open in this site.
     pub profiles: Vec<ProfileName>,
+    /// Background tasks and how they are.
+    #[serde(default)]
+    pub tasks: Vec<super::TaskView>,
     /// What waits to be sealed.
     #[serde(default)]
     pub queue: QueueView,

@@ -37,15 +37,18 @@ mod sharing;
 mod statements;
 mod status;
 mod succession;
+mod supervision;
 mod telling;
 mod topics;
 mod uploads;
 mod view;
+mod viewing;
 mod workers;
 
 use std::collections::{BTreeMap, HashSet};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, RwLock};
+use std::time::{Duration, Instant};
 
 use tokio::sync::{broadcast, mpsc, watch};
 
@@ -71,7 +74,9 @@ use crate::pipeline::{CaptureSession, Losses, Owner, PinRules, Pins, Plant, Reco
 use crate::store::{AuditLog, RESERVE_BYTES, Reserve, SiteLock, open_vault};
 
 /// How long the nodes may take to leave the ROS graph.
-const LEAVING: std::time::Duration = std::time::Duration::from_secs(3);
+const LEAVING: Duration = Duration::from_secs(2);
+/// How long captured messages may take to be stored at the end, counted from its beginning.
+const FLUSHING: Duration = Duration::from_secs(4);
 
 /// Which parts this run needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -111,9 +116,12 @@ pub struct Site {
     scanned: watch::Sender<u64>,
     ros: watch::Sender<RosState>,
     stopping: watch::Sender<bool>,
+    /// Set as soon as the site was told to end; background tasks are not begun again from then on.
+    ending: AtomicBool,
+    tasks: supervision::Tasks,
     chain_silent: AtomicBool,
     /// The newest head, and when the chain told it.
-    head_seen: Mutex<Option<(std::time::Instant, BlockRef)>>,
+    head_seen: Mutex<Option<(Instant, BlockRef)>>,
     /// The gateway through which this site joins another one.
     remote: Option<remote::Remote>,
     guests: AtomicUsize,
@@ -179,6 +187,8 @@ impl Site {
             scanned: watch::channel(0).0,
             ros: watch::channel(if needs.ros { RosState::Starting } else { RosState::Off }).0,
             stopping: watch::channel(false).0,
+            ending: AtomicBool::new(false),
+            tasks: supervision::Tasks::default(),
             chain_silent: AtomicBool::new(false),
             head_seen: Mutex::default(),
             remote,
@@ -249,6 +259,11 @@ impl Site {
         *self.stopping.borrow()
     }
 
+    /// Whether the site was told to end; it may still be storing what was captured.
+    pub(super) fn is_ending(&self) -> bool {
+        self.ending.load(Ordering::Acquire)
+    }
+
     /// Waits until the site is ending.
     pub async fn stopped(&self) {
         let mut stopping = self.stopping.subscribe();
@@ -261,8 +276,10 @@ impl Site {
         &self.hub.stages
     }
 
-    /// Ends the site: no further capture, all captured messages acknowledged, files closed.
+    /// Ends the site within five seconds: no further capture, all captured messages acknowledged, files closed.
     pub async fn stop(self: Arc<Self>) {
+        let begun = Instant::now();
+        self.ending.store(true, Ordering::Release);
         self.ros.send_replace(RosState::Off);
         let ros = self.ros_task.lock().unwrap_or_else(std::sync::PoisonError::into_inner).take();
         if let Some(task) = ros {
@@ -271,13 +288,26 @@ impl Site {
         self.rings.close();
         let sealer = self.sealer.lock().unwrap_or_else(std::sync::PoisonError::into_inner).take();
         if let Some(thread) = sealer {
-            drop(tokio::task::spawn_blocking(move || thread.join()).await);
+            let joined = tokio::task::spawn_blocking(move || thread.join());
+            if tokio::time::timeout(FLUSHING.saturating_sub(begun.elapsed()), joined).await.is_err() {
+                self.tell_unstored();
+            }
         }
         self.stopping.send_replace(true);
         self.network.send_replace(NetworkState::Off);
         self.write_counted(None).await;
         let ledger = self.plant.ledger.clone();
         drop(tokio::task::spawn_blocking(move || ledger.close()).await);
+    }
+
+    /// Ledger or vault take nothing, and the process must end all the same.
+    fn tell_unstored(&self) {
+        let (messages, _) = self.rings.depth();
+        let text = format!(
+            "{messages} or more captured messages could not be stored before the end, they were never acknowledged; \
+             see to disk and vault before the next start"
+        );
+        self.hub.notice(super::event::NoticeLevel::Error, &text);
     }
 
     pub(crate) fn owner(&self, profile: &ProfileName) -> Option<Arc<Owner>> {

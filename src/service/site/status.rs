@@ -24,7 +24,7 @@ impl Site {
         let profiles = self.all_owners().iter().map(|owner| owner.profile.clone()).collect();
         let health = vec![self.ros_health(), self.chain_health(), self.vault_health(), self.gateway_health()];
         let life = block_in_place(|| self.life_line(profile))?;
-        Ok(SiteView { health, life, robots, profiles, queue: self.queue_view() })
+        Ok(SiteView { health, life, robots, profiles, queue: self.queue_view(), tasks: self.task_views() })
     }
 
     fn queue_view(&self) -> QueueView {
