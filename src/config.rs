@@ -75,6 +75,8 @@ pub struct Config {
     pub anchor_mode: AnchorMode,
     /// How long a line of the audit log may wait until a head over it is anchored.
     pub audit_every: Duration,
+    /// Per cent of the stored records that a running site re-hashes an hour.
+    pub scrub_percent: u64,
     /// Blocks until confirmed.
     pub confirmations: u64,
     /// The gateway of the remote site that this one joins.
@@ -146,6 +148,7 @@ impl Config {
             provider: parsed(&values, "crypto.provider")?.unwrap_or_default(),
             anchor_mode: parsed(&values, "anchor.mode")?.unwrap_or_default(),
             audit_every: Duration::from_secs(number(&values, "audit.anchor_every", 1, 86_400)?),
+            scrub_percent: number(&values, "audit.scrub", 0, 1_000_000)?,
             confirmations: number(&values, "confirmations", 1, 1000)?,
             site: remote_site(&values)?,
             console: ConsoleSettings::read(&values)?,

@@ -131,6 +131,12 @@ pub const DEFINITIONS: &[Definition] = &[
         text: "seconds after which a changed audit log's head is anchored, 1 to 86400",
     },
     Definition {
+        name: "audit.scrub",
+        variable: "AUTHROS_AUDIT_SCRUB",
+        default: "1",
+        text: "per cent of the stored records that a running site re-hashes an hour; 0 = none, above 100 = several times",
+    },
+    Definition {
         name: "confirmations",
         variable: "AUTHROS_CONFIRMATIONS",
         default: "1",

@@ -26,6 +26,7 @@ pub mod provider;
 pub mod random;
 pub mod record;
 mod rustcrypto;
+pub mod sealed_stream;
 pub mod secret;
 pub mod sm3;
 pub mod transport_file;

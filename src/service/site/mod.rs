@@ -6,6 +6,7 @@
 mod adoption;
 mod agent;
 mod audit;
+mod backing_up;
 mod capture;
 mod chain_link;
 mod contacts;
@@ -27,6 +28,7 @@ mod overdue;
 mod owners;
 mod pins;
 mod quarantine;
+mod record_audit;
 mod refusals;
 mod remote;
 mod revoking;
