@@ -16,7 +16,7 @@ pub use self::error::ConfigError;
 pub use self::read::without_password;
 use self::read::{Values, find, number, parsed, read_file, url, value, wrong};
 pub use self::source::{SettingView, Source};
-use crate::crypto::ProviderName;
+use crate::crypto::{Kernel, ProviderName};
 use crate::model::{Address, AnchorMode, Consensus, ListedPublishers, PinMode, SignerId, clean};
 
 /// Which topics' rates are measured.
@@ -58,6 +58,8 @@ pub struct Config {
     pub vault_url: Option<String>,
     /// Which SM implementation.
     pub provider: ProviderName,
+    /// Which SM4 kernel, where it is not to be the fastest.
+    pub sm4_kernel: Option<Kernel>,
     /// How digests go on the chain.
     pub anchor_mode: AnchorMode,
     /// How long a line of the audit log may wait until a head over it is anchored.
@@ -125,6 +127,7 @@ impl Config {
             consensus: parsed(&values, "chain.consensus")?,
             vault_url: url(&values, "vault.url", &["redis://", "redis+unix://", "unix://"])?,
             provider: parsed(&values, "crypto.provider")?.unwrap_or_default(),
+            sm4_kernel: parsed(&values, "crypto.sm4_kernel")?,
             anchor_mode: parsed(&values, "anchor.mode")?.unwrap_or_default(),
             audit_every: Duration::from_secs(number(&values, "audit.anchor_every", 1, 86_400)?),
             confirmations: number(&values, "confirmations", 1, 1000)?,
