@@ -15,7 +15,7 @@ use crate::service::Failure;
 const AAD: [u8; 32] = [0; 32];
 const NONCE: [u8; 12] = [0; 12];
 /// Messages hashed side by side.
-const MANY: usize = 16;
+const MANY: u32 = 16;
 /// A message of which many are hashed side by side is at most so long.
 const SHORT: usize = 8192;
 
@@ -91,8 +91,8 @@ impl Bench {
     fn sm3<'a>(&'a self, both: [(&'static str, &'static dyn Provider); 2]) -> Vec<Piece<'a>> {
         let mut pieces: Vec<_> = both.into_iter().map(|(by, provider)| self.digest(by, provider)).collect();
         if self.text.len() <= SHORT {
-            let many = || Ok(sm3_many(&[black_box(&self.text[..]); MANY]).concat());
-            pieces.push(Piece { messages: MANY as u32, ..piece("digest", "authros-many", many) });
+            let many = || Ok(sm3_many(&[black_box(&self.text[..]); MANY as usize]).concat());
+            pieces.push(Piece { messages: MANY, ..piece("digest", "authros-many", many) });
         }
         pieces
     }
