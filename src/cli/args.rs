@@ -11,7 +11,7 @@ mod records;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
 pub use self::agent::{AgentVerb, EnrolArguments, RunArguments};
-pub use self::bench::{BenchArguments, BenchVerb, ConsensusArguments, GatewayArguments};
+pub use self::bench::{BenchArguments, BenchVerb, ConsensusArguments, GatewayArguments, LoadChoice, PipelineArguments};
 pub use self::chain::{ChainVerb, GenesisArguments};
 pub use self::gateway::GatewayVerb;
 pub use self::global::Global;

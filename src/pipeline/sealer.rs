@@ -16,6 +16,7 @@ use super::losses::{GATHERED, Losses, Lost};
 use super::recorder::CapturedMessage;
 use super::ring::Rings;
 use super::session::Sessions;
+use super::stages::{Milestone, Stage};
 use super::{PipelineError, Plant, quarantine};
 
 /// Messages sealed at most before they are acknowledged together.
@@ -134,6 +135,7 @@ impl Sealer {
     }
 
     fn round(&mut self, items: &[CapturedMessage]) -> Result<(), PipelineError> {
+        let begun = Instant::now();
         let mut seqs = HashMap::new();
         let (mut ready, mut keyless) = (Vec::with_capacity(items.len()), Vec::new());
         for (index, item) in items.iter().enumerate() {
@@ -147,12 +149,26 @@ impl Sealer {
             let one = self.seal_one(item, &keys, RecordKind::Data, body, &mut seqs)?;
             ready.push(Ready { item: Some(index), definition: None, ..one });
         }
+        self.spent(Stage::Seal, begun);
         if !ready.is_empty() {
+            let begun = Instant::now();
+            let stored = ready.iter().filter_map(|one| items.get(one.item?)).map(|item| item.message.captured_at);
+            let stored: Vec<_> = stored.collect();
             self.acknowledge(items, ready)?;
+            self.spent(Stage::Commit, begun);
+            if let Some(stages) = self.plant.observer.stages() {
+                stages.reached(Milestone::Durable, stored.into_iter());
+            }
         }
         self.seqs.extend(seqs);
         keyless.into_iter().for_each(|item| self.lose(item, LossReason::Key));
         Ok(())
+    }
+
+    fn spent(&self, stage: Stage, begun: Instant) {
+        if let Some(stages) = self.plant.observer.stages() {
+            stages.spent(stage, begun.elapsed());
+        }
     }
 
     fn seal_definition(

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use crate::model::{Digest, RecordState};
 use crate::store::{RecordQuery, StoreError};
 
+use super::stages::Stage;
 use super::{PipelineError, Plant};
 
 /// Records a round.
@@ -54,6 +55,7 @@ pub fn store_pass(plant: &Plant) -> Result<Pass, PipelineError> {
 }
 
 fn store_round(plant: &Plant, digests: &[Digest], pass: &mut Pass) -> Result<(), PipelineError> {
+    let begun = Instant::now();
     let mut entries = Vec::with_capacity(digests.len());
     for digest in digests {
         if !plant.vault.answers(*digest) {
@@ -71,6 +73,9 @@ fn store_round(plant: &Plant, digests: &[Digest], pass: &mut Pass) -> Result<(),
     pass.stored += put.stored.len();
     pass.waiting += entries.len() - put.stored.len();
     pass.failure = put.failure.or_else(|| pass.failure.take());
+    if let Some(stages) = plant.observer.stages().filter(|_| !put.stored.is_empty()) {
+        stages.spent(Stage::Store, begun.elapsed());
+    }
     Ok(())
 }
 

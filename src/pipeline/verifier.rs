@@ -1,9 +1,12 @@
 //! The last step: re-reads confirmed records from the vault and checks digest and signature.
 
+use std::time::Instant;
+
 use crate::crypto::{Anchor, check};
 use crate::model::{Digest, RecordState};
 use crate::store::{RecordQuery, RecordRow, StoreError};
 
+use super::stages::{Milestone, Stage};
 use super::{Network, PipelineError, Plant, proof, signers};
 
 /// Records a round.
@@ -16,9 +19,15 @@ const ROUND: usize = 128;
 pub fn verify_round(plant: &Plant, network: &Network) -> Result<usize, PipelineError> {
     let mut after = None;
     loop {
+        let begun = Instant::now();
         let state = Some(RecordState::Confirmed);
         let page = plant.ledger.list(&RecordQuery { state, limit: ROUND, after, ..RecordQuery::default() })?;
         let decided = verify_page(plant, network, &page.rows)?;
+        if let Some(stages) = plant.observer.stages().filter(|_| decided > 0) {
+            stages.spent(Stage::Verify, begun.elapsed());
+            // Those whose part of the vault is gone are among them; there is none where times are measured.
+            stages.reached(Milestone::Verified, page.rows.iter().map(|row| row.captured_at));
+        }
         // Where a part of the vault is gone, the records behind it are not kept waiting.
         match page.next {
             Some(next) if decided == 0 => after = Some(next),
