@@ -1,5 +1,6 @@
 //! Settings: flag over environment over `config.toml` over default, each with where it came from.
 
+mod console;
 mod definitions;
 mod error;
 mod read;
@@ -11,6 +12,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::Duration;
 
+pub use self::console::ConsoleSettings;
 pub use self::definitions::{DEFINITIONS, Definition};
 pub use self::error::ConfigError;
 pub use self::read::without_password;
@@ -75,6 +77,8 @@ pub struct Config {
     pub confirmations: u64,
     /// The gateway of the remote site that this one joins.
     pub site: Option<RemoteSite>,
+    /// How the console looks.
+    pub console: ConsoleSettings,
 }
 
 /// A remote site as the settings name it.
@@ -141,6 +145,7 @@ impl Config {
             audit_every: Duration::from_secs(number(&values, "audit.anchor_every", 1, 86_400)?),
             confirmations: number(&values, "confirmations", 1, 1000)?,
             site: remote_site(&values)?,
+            console: ConsoleSettings::read(&values)?,
             values,
         })
     }

@@ -5,7 +5,8 @@ use std::net::SocketAddr;
 use super::connect::{Connection, Context, ProfileNeed, unexpected};
 use super::output::Output;
 use super::serve as site;
-use crate::service::reply::GatewayView;
+use crate::model::clean;
+use crate::service::reply::{GatewayStatusView, GatewayView};
 use crate::service::{Command, Failure, Needs, Reply};
 
 /// Serves until a signal: through the running site of this home, or as a site of its own without ROS.
@@ -58,4 +59,27 @@ async fn begin(
         Reply::Gateway(view) => Ok(view),
         _ => Err(unexpected()),
     }
+}
+
+/// A gateway for people.
+pub fn status(view: &GatewayStatusView) -> String {
+    let mut lines = Vec::new();
+    match (&view.served, &view.through) {
+        (Some(served), _) => lines.push(format!(
+            "gateway at {}, key {} (fingerprint {}), anchoring as {}; {} connections",
+            served.address, served.gateway, served.fingerprint, served.account, view.connections
+        )),
+        (None, Some(through)) => lines.push(format!("no gateway here; this site joins another one: {through}")),
+        (None, None) => lines.push("no gateway here; `authros gateway serve` starts one".to_owned()),
+    }
+    lines.extend(view.keys.iter().map(|key| {
+        let use_of = if key.current { "in use" } else { "next" };
+        format!("system key {} {use_of}, from {} to {}", key.id, key.not_before, key.not_after)
+    }));
+    lines.extend(view.senders.iter().map(|sender| {
+        let place = sender.peer.as_deref().map_or_else(|| "not connected".to_owned(), |peer| clean(peer, 60));
+        format!("{}  {}  {place}  {} frames, {} bytes", sender.name, sender.account, sender.frames, sender.bytes)
+    }));
+    lines.extend(view.refused.iter().map(|row| format!("refused {}: {}", row.count, row.text)));
+    lines.join("\n")
 }

@@ -16,14 +16,17 @@ mod demo;
 mod follow;
 mod gateway;
 mod lists;
+mod looks;
 mod output;
 mod parse;
 mod parties;
 mod passphrase;
 mod plans;
+mod printed;
 mod quarantine;
 mod serve;
 mod show;
+mod status;
 mod verbs;
 
 use std::process::ExitCode;
@@ -71,6 +74,10 @@ fn run(runtime: &tokio::runtime::Runtime, arguments: Arguments, output: &Output)
     // It needs no home, and its --consensus is no setting.
     if let Some(Verb::Chain(ChainVerb::Genesis(genesis))) = &arguments.verb {
         return chain::genesis(genesis, output);
+    }
+    if let Some(text) = printed::text(&arguments)? {
+        output.raw(&text);
+        return Ok(0);
     }
     let verb = match arguments.verb {
         // Needs no home, so it does not look at one.

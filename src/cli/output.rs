@@ -31,6 +31,13 @@ impl Output {
         drop(writeln!(stdout, "{line}").and_then(|()| stdout.flush()));
     }
 
+    /// A file of our own making, as it is.
+    pub fn raw(self, text: &str) {
+        let mut stdout = std::io::stdout().lock();
+        // A reader that went away wants no more.
+        drop(stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()));
+    }
+
     /// A word beside the result, for people.
     pub fn note(self, text: &str) {
         drop(writeln!(std::io::stderr().lock(), "{}", clean_lines(text, WIDEST)));

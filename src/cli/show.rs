@@ -41,6 +41,7 @@ pub fn show(reply: Reply, out: Option<&Path>, output: &Output) -> Result<u8, Fai
             output.result(&check, || super::audit::check(&check));
             return Ok(super::audit::code(&check));
         }
+        Reply::GatewayStatus(view) => output.result(&view, || super::gateway::status(&view)),
         Reply::Pins(view) => output.result(&view, || quarantine::pins(&view)),
         Reply::Quarantine(view) => output.result(&view, || quarantine::held(&view)),
         Reply::Decided(view) => output.result(&view, || view.text.clone()),
@@ -75,7 +76,8 @@ pub fn show(reply: Reply, out: Option<&Path>, output: &Output) -> Result<u8, Fai
                 format!("written to {} (0600)", path.display())
             });
         }
-        Reply::Enrolled(_) | Reply::Captured(_) | Reply::Served(_) | Reply::Gateway(_) | Reply::Site(_) => {
+        Reply::Site(view) => output.result(&view, || super::status::text(&view)),
+        Reply::Enrolled(_) | Reply::Captured(_) | Reply::Served(_) | Reply::Gateway(_) => {
             return Err(super::connect::unexpected());
         }
     }

@@ -2,13 +2,15 @@
 
 use std::path::PathBuf;
 
-use super::args::{ChainVerb, ConfigVerb, GrantsVerb, IdentityVerb, SharedVerb, TopicsVerb, UploadsVerb, Verb};
+use super::args::{
+    ChainVerb, ConfigVerb, GatewayVerb, GrantsVerb, IdentityVerb, SharedVerb, TopicsVerb, UploadsVerb, Verb,
+};
 use super::connect::{Context, ProfileNeed};
 use super::output::Output;
 use super::plans::{audit, grant, keys};
 use super::quarantine::{self, QuarantineVerb};
 use super::{lists, parse, parties, passphrase, show};
-use crate::service::{Command, Failure, Needs};
+use crate::service::{Command, Failure, Needs, Operation};
 
 /// The chain alone.
 pub const CHAIN: Needs = Needs { ros: false, chain: true };
@@ -79,6 +81,9 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
             let account = account.as_deref().map(parse::value).transpose()?;
             Plan::new(needs, NoProfile, Command::CompareFingerprint { fingerprint, account })
         }
+        Verb::Identity(IdentityVerb::Lock) => Plan::new(NEITHER, NoProfile, Command::Operate(Operation::Lock)),
+        Verb::Gateway(GatewayVerb::Status) => Plan::new(NEITHER, NoProfile, Command::Operate(Operation::GatewayStatus)),
+        Verb::Status => Plan::new(NEITHER, NoProfile, Command::SiteStatus),
         Verb::Contacts(verb) => Plan::new(CHAIN, NoProfile, parties::contacts(verb)?),
         Verb::Register => Plan::new(CHAIN, Made, Command::Register),
         Verb::Keys(verb) => keys(verb)?,
@@ -134,7 +139,9 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
         | Verb::Gateway(_)
         | Verb::Demo(_)
         | Verb::Bench(_)
-        | Verb::Console(_) => {
+        | Verb::Console(_)
+        | Verb::Completions { .. }
+        | Verb::Man => {
             return Err(super::connect::unexpected());
         }
     })

@@ -148,4 +148,34 @@ pub const DEFINITIONS: &[Definition] = &[
         default: "no",
         text: "yes = pin whatever gateway answers the first time",
     },
+    Definition {
+        name: "console.theme",
+        variable: "AUTHROS_THEME",
+        default: "",
+        text: "theme of the console: night, day, contrast, mono or one of your own; empty = by the terminal's colours",
+    },
+    Definition {
+        name: "console.ascii",
+        variable: "AUTHROS_ASCII",
+        default: "auto",
+        text: "ASCII characters only: yes, no, or auto (where the locale has no UTF-8)",
+    },
+    Definition {
+        name: "console.mouse",
+        variable: "AUTHROS_MOUSE",
+        default: "no",
+        text: "whether the console takes the mouse; no leaves selecting text to the terminal",
+    },
+    Definition {
+        name: "console.bytes_per_second",
+        variable: "AUTHROS_BYTES_PER_SECOND",
+        default: "",
+        text: "most bytes a second drawn because data changed, keys apart; empty = 4000 over SSH, else no limit",
+    },
+    Definition {
+        name: "console.lock_after",
+        variable: "AUTHROS_LOCK_AFTER",
+        default: "15",
+        text: "minutes without a key after which the console locks the keyring while capture goes on; 0 = never",
+    },
 ];

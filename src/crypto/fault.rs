@@ -9,7 +9,7 @@ pub const CHECKS: [&str; 9] =
     ["digest", "signature", "commit", "tag", "anchor", "proof", "revoke", "restore", "authorise"];
 
 /// The places of a record's life that can be named, in its order: at each edge before it, between its parts, behind it.
-pub const POINTS: [&str; 25] = [
+pub const POINTS: [&str; 24] = [
     "sealed",
     "vault-put",
     "appended",
@@ -31,7 +31,6 @@ pub const POINTS: [&str; 25] = [
     "read-back",
     "checked",
     "verified",
-    "copies-dropped",
     "put-back",
     "block-due",
     "block-sealed",

@@ -136,20 +136,6 @@ impl GapReport {
         reader.end()?;
         Ok(Self { topic_id, topic, publisher, reason, count, numbers, first_at, last_at })
     }
-
-    /// Names and values, as other messages are shown; texts are of a peer's making.
-    pub fn fields(&self) -> Vec<(&'static str, String)> {
-        let numbers = |(first, last): (u32, u32)| format!("{first} to {last}");
-        vec![
-            ("topic", self.topic.clone()),
-            ("publisher", self.publisher.clone()),
-            ("lost", self.count.to_string()),
-            ("reason", format!("{}: {}", self.reason.word(), self.reason.text())),
-            ("header.seq", self.numbers.map_or_else(|| "none".to_owned(), numbers)),
-            ("first", self.first_at.to_string()),
-            ("last", self.last_at.to_string()),
-        ]
-    }
 }
 
 #[cfg(test)]

@@ -165,6 +165,9 @@ impl Losses {
     /// # Errors
     /// Of sealing, vault and ledger; what is sealed so far stays.
     pub fn tell(&self, plant: &Plant, by: Timestamp) -> Result<Vec<(Address, TopicId, u64)>, PipelineError> {
+        if plant.ledger.takes_records().is_err() {
+            return Ok(Vec::new());
+        }
         let authors: Vec<_> = lock(&self.authors).values().cloned().collect();
         let mut told = Vec::new();
         for author in authors {
@@ -197,7 +200,6 @@ fn tell_one(plant: &Plant, author: &Author, gap: &GapRow) -> Result<Option<(Addr
     let Some(keys) = author.sealing() else { return Ok(None) };
     let Some(topic) = keys.topic(&gap.topic) else { return Ok(None) };
     let Some(reason) = LossReason::from_word(&gap.reason) else { return Ok(None) };
-    plant.ledger.takes_records()?;
     let body = GapReport {
         topic_id: topic.id,
         topic: gap.topic.clone(),

@@ -17,6 +17,7 @@ use super::losses::{GATHERED, Losses, Lost};
 use super::recorder::CapturedMessage;
 use super::ring::Rings;
 use super::session::Sessions;
+use super::stages::{Milestone, Stage};
 use super::{PipelineError, Plant, quarantine};
 
 /// Messages sealed at most before they are acknowledged together.
@@ -178,6 +179,7 @@ impl Sealer {
 
     /// Seals and stores; the definitions that went with it.
     fn round(&mut self, items: &[CapturedMessage]) -> Result<Vec<String>, PipelineError> {
+        let begun = Instant::now();
         let mut seqs = HashMap::new();
         let (mut ready, mut keyless) = (Vec::with_capacity(items.len()), Vec::new());
         for (index, item) in items.iter().enumerate() {
@@ -191,14 +193,31 @@ impl Sealer {
             let one = self.seal_one(item, &keys, RecordKind::Data, body, &mut seqs)?;
             ready.push(Ready { item: Some(index), definition: None, ..one });
         }
+        self.spent(Stage::Seal, begun);
         let mut names = Vec::new();
         if !ready.is_empty() {
             fault::point("sealed");
+            let captured: Vec<Timestamp> = ready
+                .iter()
+                .filter_map(|one| one.item.and_then(|index| items.get(index)))
+                .map(|item| item.message.captured_at)
+                .collect();
+            let begun = Instant::now();
             names = self.acknowledge(items, ready)?;
+            self.spent(Stage::Commit, begun);
+            if let Some(stages) = self.plant.observer.stages() {
+                stages.reached(Milestone::Durable, captured);
+            }
         }
         self.seqs.extend(seqs);
         keyless.into_iter().for_each(|item| self.lose(item, LossReason::Key));
         Ok(names)
+    }
+
+    fn spent(&self, stage: Stage, begun: Instant) {
+        if let Some(stages) = self.plant.observer.stages() {
+            stages.spent(stage, begun.elapsed());
+        }
     }
 
     fn seal_definition(

@@ -2,12 +2,14 @@
 
 mod administration;
 mod choices;
+mod operate;
 mod secret;
 
 use serde::{Deserialize, Serialize};
 
 pub use self::administration::Administration;
 pub use self::choices::{Epochs, Held, KeyKind, UploadQuery};
+pub use self::operate::Operation;
 pub use self::secret::{SecretBytes, SecretText};
 use crate::model::{Address, ContactName, Party, ProfileName, Publisher, SignerId, Timestamp, TopicName, TypeName};
 pub use crate::store::AuditQuery;
@@ -239,6 +241,8 @@ pub enum Command {
         /// With addresses in full.
         addresses: bool,
     },
+    /// What an operator asks of the site itself.
+    Operate(Operation),
     /// Claims the profile for a console, until the connection ends; refused where one is open already.
     OpenConsole,
 }

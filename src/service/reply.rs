@@ -4,6 +4,7 @@ mod audit;
 mod chain;
 mod forging;
 mod identity;
+mod operate;
 mod parties;
 mod records;
 mod site;
@@ -13,12 +14,13 @@ mod topics;
 use serde::{Deserialize, Serialize};
 
 pub use self::audit::{AuditCheck, AuditView};
-pub use self::chain::{ChainView, DeployedView, GatewayView, ServedView};
+pub use self::chain::{ChainView, DeployedView, GasView, GatewayView, ServedView};
 pub use self::forging::{AlarmView, DecidedView, HeldView, PinView, PinsView, QuarantineView};
 pub use self::identity::{EnrolledView, EpochView, IdentityView, KeysView, TransactionView};
+pub use self::operate::{GatewayStatusView, RefusedView, SenderView, SystemKeyView};
 pub use self::parties::{AdministrationView, CompareView, ContactRow, DeviceRow, GrantRow, SuccessionView};
 pub use self::records::{CheckView, ExportedFile, OpenedView, Provenance, RecordPage, RecordView};
-pub use self::site::{HealthLevel, LifeLine, PartHealth, SiteView};
+pub use self::site::{HealthLevel, LifeLine, PartHealth, QueueView, SiteView};
 pub use self::tasks::{TaskState, TaskView};
 pub use self::topics::{CaptureSummary, TopicRow, TopicSummary};
 use super::command::SecretBytes;
@@ -93,6 +95,8 @@ pub enum Reply {
     Served(ServedView),
     /// A gateway is served.
     Gateway(GatewayView),
+    /// To `Operation::GatewayStatus`.
+    GatewayStatus(GatewayStatusView),
     /// To `SiteStatus`.
     Site(SiteView),
     /// To `ListAudit`.

@@ -123,7 +123,10 @@ pub enum StoreError {
     #[error("'{0}' is not a cursor; use the `next` of the page before")]
     Cursor(String),
     /// The vault's URL cannot be used.
-    #[error("vault.url {url} cannot be used: {detail}; write redis://HOST:PORT/DB or redis+unix:///PATH")]
+    #[error(
+        "vault.url {url} cannot be used: {detail}; write redis://HOST:PORT/DB, redis+unix:///PATH, \
+             redis+cluster://HOST:PORT,HOST:PORT or redis+sentinel://HOST:PORT,HOST:PORT/MASTER"
+    )]
     VaultUrl {
         /// The URL, secrets taken out.
         url: String,
@@ -139,15 +142,14 @@ pub enum StoreError {
         detail: String,
     },
     /// Redis would throw records away when its memory is full.
-    #[error(
-        "Redis at {url} has maxmemory-policy {policy} and would throw records away; \
-         run `CONFIG SET maxmemory-policy noeviction` and put it into redis.conf"
-    )]
+    #[error("Redis at {url} {detail}; {advice}")]
     Policy {
         /// The URL, secrets taken out.
         url: String,
-        /// The policy found.
-        policy: String,
+        /// What was found.
+        detail: String,
+        /// What to do about it.
+        advice: String,
     },
     /// Redis has no memory left. Nothing is lost: try again later.
     #[error("Redis at {url} is out of memory; nothing is lost: raise its maxmemory, and the records follow")]

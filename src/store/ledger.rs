@@ -16,6 +16,7 @@ mod lanes;
 mod pins;
 mod quarantine;
 mod query;
+mod recent;
 mod rows;
 mod settings;
 mod sightings;

@@ -21,4 +21,4 @@ pub use ledger::{
     TransactionOutcome, TransactionRow, TransactionState, WaitingBatch,
 };
 pub use reserve::{RESERVE_BYTES, Reserve};
-pub use vault::{Usage, Vault, open_vault};
+pub use vault::{Stored, Usage, Vault, open_vault};

@@ -10,8 +10,12 @@ use crossterm::terminal::{disable_raw_mode, enable_raw_mode};
 
 /// Alternate screen, no cursor, bracketed paste.
 const ENTER: &str = "\x1b[?1049h\x1b[?25l\x1b[?2004h\x1b[2J";
-/// The way back, also out of a half-drawn frame.
-const LEAVE: &str = "\x1b[?2026l\x1b[m\x1b[?2004l\x1b[?25h\x1b[?1049l";
+/// The way back, also out of a half-drawn frame and with the mouse taken.
+const LEAVE: &str = "\x1b[?2026l\x1b[m\x1b[?1006l\x1b[?1000l\x1b[?2004l\x1b[?25h\x1b[?1049l";
+/// Buttons and wheel come to the console, in cells.
+pub const TAKE_MOUSE: &str = "\x1b[?1000h\x1b[?1006h";
+/// The terminal has the mouse for itself again.
+pub const LEAVE_MOUSE: &str = "\x1b[?1006l\x1b[?1000l";
 /// Threads of the console begin with this.
 pub const THREAD_PREFIX: &str = "console-";
 

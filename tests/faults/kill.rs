@@ -19,7 +19,7 @@ const NO_PEERS: &str = "no redis-server or no anvil";
 /// Places that only a vault that is durable by itself, or a chain in this process, passes.
 const EMBEDDED: [&str; 3] = ["vault-put", "block-due", "block-sealed"];
 /// Places that only a vault passes that may forget.
-const FORGETFUL: [&str; 5] = ["store-read", "store-put", "store-advanced", "copies-dropped", "put-back"];
+const FORGETFUL: [&str; 4] = ["store-read", "store-put", "store-advanced", "put-back"];
 
 /// Nanoseconds since 1970.
 pub fn now() -> u64 {

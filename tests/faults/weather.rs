@@ -117,7 +117,7 @@ fn redis_and_the_chain_come_back_and_nobody_needs_to_do_anything() {
     };
     redis.kill();
     more(80, "Redis");
-    redis.start_again();
+    redis.revive();
     heals(&observer, "Redis");
     let _anvil = anvil.end_and_start_again(&state, || more(160, "the chain"));
     heals(&observer, "the chain");

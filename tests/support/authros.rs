@@ -122,6 +122,11 @@ impl Authros {
         more
     }
 
+    /// The program's file.
+    pub fn program(&self) -> &Path {
+        &self.program
+    }
+
     /// All arguments of a command.
     pub fn arguments(&self, arguments: &[&str]) -> Vec<String> {
         arguments.iter().map(|&argument| argument.to_owned()).chain(self.options.iter().cloned()).collect()

@@ -22,33 +22,43 @@ impl Redis {
         system_program("redis-server")?;
         system_program("redis-cli")?;
         let directory = tempfile::Builder::new().prefix("redis").tempdir().expect("a temporary directory");
-        let port = free_port();
         let arguments = arguments.iter().map(|&argument| argument.to_owned()).collect();
-        let mut redis = Self { server: None, port, directory, arguments };
-        redis.start_again();
+        let mut redis = Self { server: None, port: free_port(), directory, arguments };
+        redis.revive();
         Some(redis)
     }
 
-    /// Kills it; what it holds is what it has written down.
-    pub fn kill(&mut self) {
-        if let Some(server) = self.server.take() {
-            server.stop("KILL", 10);
-        }
-    }
-
-    /// Starts it again at the same place, over the same files.
-    pub fn start_again(&mut self) {
-        let mut command = Command::new(system_program("redis-server").expect("it was there before"));
-        command.args(["--bind", "127.0.0.1", "--port", &self.port.to_string(), "--save", "", "--rdbcompression", "no"]);
+    /// Starts it (again) on the same port, over what it kept.
+    pub fn revive(&mut self) {
+        let port = self.port.to_string();
+        let mut command = Command::new("redis-server");
+        command.args(["--bind", "127.0.0.1", "--port", &port, "--save", "", "--rdbcompression", "no"]);
         command.arg("--dir").arg(self.directory.path()).args(&self.arguments);
         let mut server = Running::start(command);
         server.wait_for_text("Ready to accept connections", 30);
         self.server = Some(server);
     }
 
+    /// Ends it as a crash does.
+    pub fn kill(&mut self) {
+        if let Some(server) = self.server.take() {
+            server.stop("KILL", 20);
+        }
+    }
+
+    /// Its port on 127.0.0.1.
+    pub fn port(&self) -> u16 {
+        self.port
+    }
+
     /// Its URL for `--vault`.
     pub fn url(&self) -> String {
         format!("redis://127.0.0.1:{}", self.port)
+    }
+
+    /// How many keys it holds.
+    pub fn keys(&self) -> u64 {
+        self.cli(&["DBSIZE"]).trim().parse().expect("a number of keys")
     }
 
     /// One command through Redis's own client.

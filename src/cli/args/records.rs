@@ -65,6 +65,12 @@ pub struct ListArguments {
     /// Only this topic
     #[arg(long, value_name = "TOPIC")]
     pub topic: Option<String>,
+    /// Only this message type, as nav_msgs/Odometry
+    #[arg(long = "type", value_name = "TYPE")]
+    pub type_name: Option<String>,
+    /// Only with this tag, as mission=harbour; may be repeated
+    #[arg(long = "tag", value_name = "KEY=VALUE")]
+    pub tags: Vec<String>,
     /// Only this state (uploads)
     #[arg(long, value_name = "STATE")]
     pub state: Option<String>,

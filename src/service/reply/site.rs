@@ -64,6 +64,9 @@ pub struct LifeLine {
     /// Messages of all profiles in memory that are not acknowledged yet; no part of captured.
     #[serde(default)]
     pub waiting: u64,
+    /// Of the verified ones those whose ciphertext retention has deleted; header, signature and proof are there.
+    #[serde(default)]
+    pub deleted: u64,
     /// Whether the counts add up, in all and for each topic.
     #[serde(default)]
     pub conserved: bool,
@@ -83,4 +86,18 @@ pub struct SiteView {
     /// Background tasks and how they are.
     #[serde(default)]
     pub tasks: Vec<super::TaskView>,
+    /// What waits to be sealed.
+    #[serde(default)]
+    pub queue: QueueView,
+}
+
+/// The ring between capture and sealer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct QueueView {
+    /// Messages in it.
+    pub messages: u64,
+    /// Their bytes.
+    pub bytes: u64,
+    /// The most bytes it takes; beyond, the newest message is dropped and counted.
+    pub capacity: u64,
 }

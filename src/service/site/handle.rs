@@ -60,6 +60,7 @@ impl Site {
                 claims.lock().unwrap_or_else(PoisonError::into_inner).servers.push(end);
                 Ok(Reply::Served(served))
             }
+            Command::Operate(operation) => self.operate(&profile, operation).await,
             Command::ChainStatus => self.chain_view(&profile).await.map(Reply::Chain),
             Command::SiteStatus => self.site_view(&profile).await.map(Reply::Site),
             Command::ListAudit(query) => self.audit_lines(query).await.map(Reply::Audit),

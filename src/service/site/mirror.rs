@@ -75,6 +75,11 @@ impl Site {
                 tokio::time::sleep(TICK).await;
                 continue;
             };
+            if owner.is_locked() {
+                // The transport key lies under d_E.
+                tokio::time::sleep(TICK).await;
+                continue;
+            }
             if network.directory.identity(owner.address).is_err() {
                 // Nobody can share with it, and the gateway does not know it.
                 remote.note(&owner.profile, Mirrored::Caught);

@@ -10,6 +10,7 @@ mod capture;
 mod chain_link;
 mod contacts;
 mod devices;
+mod disk;
 mod enrolling;
 mod epochs;
 mod exposure;
@@ -21,6 +22,7 @@ mod lanes;
 mod mirror;
 mod naming;
 mod opening;
+mod operating;
 mod overdue;
 mod owners;
 mod pins;
@@ -30,6 +32,7 @@ mod remote;
 mod revoking;
 mod robots;
 mod sharing;
+mod statements;
 mod status;
 mod succession;
 mod supervision;
@@ -55,7 +58,7 @@ use super::client::{Call, Client};
 use super::event::{Event, Part};
 use super::failure::internal;
 use super::hub::Hub;
-use super::reply::{Failure, GatewayView};
+use super::reply::Failure;
 use crate::chain::BlockRef;
 use crate::config::Config;
 use crate::crypto::provider;
@@ -65,7 +68,7 @@ use crate::pipeline::recorder::CapturedMessage;
 use crate::pipeline::ring::Rings;
 use crate::pipeline::sender::Policy;
 use crate::pipeline::{CaptureSession, Losses, Owner, PinRules, Pins, Plant, Recorder, Sender};
-use crate::store::{AuditLog, Ledger, Reserve, SiteLock, open_vault};
+use crate::store::{AuditLog, RESERVE_BYTES, Reserve, SiteLock, open_vault};
 
 /// How long the nodes may take to leave the ROS graph.
 const LEAVING: Duration = Duration::from_secs(2);
@@ -90,7 +93,7 @@ pub struct Site {
     pub(crate) sender: Arc<Sender>,
     recorder: Arc<Recorder>,
     /// The gateway that this site serves, if it does.
-    served_gateway: Mutex<Option<GatewayView>>,
+    served_gateway: Mutex<Option<operating::Serving>>,
     pins: Arc<Pins>,
     /// Quarantine records are sealed one at a time.
     reporting: tokio::sync::Mutex<()>,
@@ -99,6 +102,8 @@ pub struct Site {
     audit: AuditLog,
     refusals: refusals::Refusals,
     reserve: Reserve,
+    /// Space for the states of records on a full disk.
+    states: Reserve,
     /// Changes of the address book happen one at a time.
     contacts: tokio::sync::Mutex<()>,
     owners: RwLock<BTreeMap<ProfileName, Arc<Owner>>>,
@@ -145,13 +150,14 @@ impl Site {
         let remote = config.site.as_ref().map(|site| remote::Remote::new(site, &home, provider)).transpose()?;
         let (events, _) = broadcast::channel(1024);
         let hub = Arc::new(Hub::new(events));
-        let ledger = Ledger::open(&home.ledger())?;
+        let ledger = disk::open_ledger(&home)?;
         let vault = open_vault(config.vault_url.as_deref(), &home.vault())?;
         let plant = Plant { ledger: ledger.clone(), vault, provider, observer: hub.clone() };
         let rings = Arc::new(Rings::new(usize::try_from(config.capture_memory).unwrap_or(usize::MAX)));
         let losses = Arc::new(Losses::default());
         let recorder = Recorder::new(Arc::clone(&rings), Arc::clone(&losses), hub.clone());
-        let (reserve, reserved) = Reserve::open(&home.reserve());
+        let (reserve, reserved) = Reserve::open(&home.reserve(), RESERVE_BYTES);
+        let states = disk::working_reserve(&home, config.disk_reserve);
         let rules = PinRules { mode: config.pin_mode, listed: config.publishers.clone() };
         let pins = Arc::new(Pins::new(ledger.clone(), hub.clone(), rules));
         let site = Arc::new(Self {
@@ -163,6 +169,7 @@ impl Site {
             refusals: refusals::Refusals::default(),
             served_gateway: Mutex::default(),
             reserve,
+            states,
             contacts: tokio::sync::Mutex::default(),
             home,
             config,
@@ -261,6 +268,11 @@ impl Site {
         drop(stopping.wait_for(|stopping| *stopping).await);
     }
 
+    /// Times of the line since the site began.
+    pub fn stages(&self) -> &crate::pipeline::stages::Stages {
+        &self.hub.stages
+    }
+
     /// Ends the site within five seconds: no further capture, all captured messages acknowledged, files closed.
     pub async fn stop(self: Arc<Self>) {
         let begun = Instant::now();
@@ -304,7 +316,7 @@ impl Site {
     }
 
     pub(crate) fn unlocked(&self, profile: &ProfileName) -> Result<Arc<Owner>, Failure> {
-        self.owner(profile).ok_or_else(|| match self.home.keyring(profile).exists() {
+        self.owner(profile).filter(|owner| !owner.is_locked()).ok_or_else(|| match self.home.keyring(profile).exists() {
             true => super::failure::refused(format!(
                 "the keyring of profile '{profile}' is locked; unlock it with --passphrase-file or --passphrase-fd"
             )),

@@ -42,13 +42,18 @@ impl Site {
         profile: ProfileName,
         secret: SecretText,
     ) -> Result<IdentityView, Failure> {
-        if self.owner(&profile).is_none() {
+        let there = self.owner(&profile);
+        if there.as_ref().is_none_or(|owner| owner.is_locked()) {
             let path = self.home.keyring(&profile);
             let passphrase = Passphrase::new(secret.expose().to_owned())?;
             let opened = self.blocking(move |_| Ok(UnlockedKeyring::open(&path, &passphrase)?)).await;
             let outcome = if opened.is_ok() { "done" } else { "refused" };
             self.record_audit(&profile, "unlock", "keyring", outcome).await?;
-            self.adopt_owner(profile.clone(), opened?);
+            match there {
+                Some(owner) => owner.unlock(opened?),
+                None => drop(self.adopt_owner(profile.clone(), opened?)),
+            }
+            self.changed(Part::Identity);
         }
         if let (Some(owner), Some(_)) = (self.owner(&profile), self.network_now()) {
             self.resume_owner(&owner).await?;
@@ -92,7 +97,7 @@ impl Site {
         let mut view = IdentityView {
             profile: profile.clone(),
             exists: path.exists(),
-            unlocked: owner.is_some(),
+            unlocked: owner.is_some_and(|owner| !owner.is_locked()),
             registered: false,
             address: None,
             epoch: None,

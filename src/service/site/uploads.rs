@@ -6,7 +6,8 @@ use super::Site;
 use super::view::{record_page, record_query, record_view};
 use crate::crypto::{keyfile, read_public, record};
 use crate::model::bytes::hex;
-use crate::model::{Address, ProfileName, RecordState};
+use crate::model::{Address, FilterId, ProfileName, RecordState};
+use crate::pipeline::epoch::tag_filter;
 use crate::pipeline::reader::Reader;
 use crate::pipeline::{Owner, PipelineError};
 use crate::service::command::UploadQuery;
@@ -35,13 +36,28 @@ impl Site {
         query: UploadQuery,
     ) -> Result<RecordPage, Failure> {
         let owner = self.address_of(profile)?;
-        if let (Some(reader), Some(network)) = (self.owner(profile), self.network_now()) {
+        if let (Some(reader), Some(network)) =
+            (self.owner(profile).filter(|owner| !owner.is_locked()), self.network_now())
+        {
             let reader = Reader { plant: &self.plant, network: &network, reader: &reader };
             self.learn_names(&reader, owner).await?;
         }
-        let query = crate::store::RecordQuery { owner: Some(owner), ..record_query(query) };
+        let filters = self.own_tag_filters(profile, &query.tags)?;
+        let query = crate::store::RecordQuery { owner: Some(owner), filters, ..record_query(query) };
         let page = self.blocking(move |site| Ok(site.plant.ledger.list(&query)?)).await?;
         Ok(record_page(page, false))
+    }
+
+    /// The ids by which a profile's own records are found by their tags; they follow from IK.
+    fn own_tag_filters(&self, profile: &ProfileName, tags: &[(String, String)]) -> Result<Vec<FilterId>, Failure> {
+        if tags.is_empty() {
+            return Ok(Vec::new());
+        }
+        // IK stays in memory while the keyring is locked: records are sealed with it.
+        let index = self
+            .owner(profile)
+            .map_or_else(|| self.unlocked(profile).map(|owner| owner.index()), |owner| Ok(owner.index()))?;
+        Ok(tags.iter().map(|(name, value)| tag_filter(&index, name, value)).collect())
     }
 
     /// A record by its id, whoever owns it.

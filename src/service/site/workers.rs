@@ -10,6 +10,7 @@ use crate::model::{Address, Domain};
 use crate::pipeline::adoption::{self, Word};
 use crate::pipeline::anchorer::{Anchorer, Round};
 use crate::pipeline::sealer::Sealer;
+use crate::pipeline::stages::Stage;
 use crate::pipeline::{Network, Owner, PipelineError, storer, verifier, watcher};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::reply::Failure;
@@ -22,6 +23,7 @@ pub(super) fn start(site: &Arc<Site>, needs: Needs) -> Result<(), Failure> {
     site.supervise("news", |site| Arc::clone(&site.hub).run());
     site.supervise("audit", Site::keep_audit);
     site.supervise("quarantine", Site::keep_quarantine);
+    site.supervise("room", Site::keep_room);
     if needs.ros {
         start_sealer(site)?;
         let here = |site: &Arc<Site>| !matches!(*site.ros.borrow(), RosState::Off);
@@ -72,9 +74,11 @@ async fn watch(site: Arc<Site>) {
             }
             continue;
         };
+        let begun = Instant::now();
         let pause = match watcher::watch_round(&site.plant, &network).await {
             Ok(head) => {
                 site.scanned.send_replace(head.number);
+                site.hub.stages.spent(Stage::Watch, begun.elapsed());
                 site.chain_answers(true);
                 site.saw_head(head);
                 if head.number != seen {
@@ -188,8 +192,10 @@ async fn anchor(site: Arc<Site>, owner: Arc<Owner>) {
             tokio::time::sleep(Duration::from_millis(200)).await;
             continue;
         };
+        let begun = Instant::now();
         match anchor_round(&site, &mut anchorer, &network, &owner, &mut spoken).await {
             Ok(round) => {
+                site.hub.stages.spent(Stage::Anchor, begun.elapsed());
                 pause = Duration::from_millis(250);
                 if round.submitted > 0 {
                     site.changed(Part::Uploads);
@@ -225,7 +231,8 @@ impl Site {
                 () = self.stopped() => return,
             }
             let Some(network) = self.network_now() else { continue };
-            for owner in self.all_owners() {
+            // What is overdue needs keys that a locked keyring does not have; keys sealed ahead hold without them.
+            for owner in self.all_owners().into_iter().filter(|owner| !owner.is_locked()) {
                 if resting.get(&owner.address).is_some_and(|(until, _)| Instant::now() < *until) {
                     continue;
                 }

@@ -25,3 +25,6 @@ CREATE TABLE retained (
 CREATE INDEX retained_due ON retained (record) WHERE deleted_at IS NULL;
 -- What was given up of each topic so far.
 CREATE TABLE retained_topics (topic INTEGER PRIMARY KEY, records INTEGER NOT NULL, bytes INTEGER NOT NULL);
+
+-- The newest records of many topics at once, without a look at each topic.
+CREATE INDEX records_by_time ON records (captured_at);

@@ -14,7 +14,8 @@ use tokio::sync::{oneshot, watch};
 use tokio::task::block_in_place;
 
 use super::Site;
-use crate::crypto::Fingerprint;
+use super::operating::Serving;
+use crate::crypto::{Fingerprint, SmKeyPair};
 use crate::gateway::{Cabinet, Context, Limits, Schedule, Server};
 use crate::model::{AnchorMode, Domain, Timestamp};
 use crate::pipeline::Owner;
@@ -56,6 +57,8 @@ pub(super) struct GatewayDesk {
     site: Arc<Site>,
     /// Whose account anchors, and whose SM2 key is the gateway's identity.
     keeper: Arc<Owner>,
+    /// The keeper's d_E, under which transport keys lie at rest: robots connect also while the keyring is locked.
+    envelope: SmKeyPair,
     domain: Domain,
 }
 
@@ -91,7 +94,8 @@ impl Site {
         };
         self.record_audit(&keeper.profile, "gateway", &view.address, "serving").await?;
         self.hub.notice(NoticeLevel::Info, &format!("the gateway listens at {}", view.address));
-        *self.served_gateway.lock().unwrap_or_else(PoisonError::into_inner) = Some(view.clone());
+        *self.served_gateway.lock().unwrap_or_else(PoisonError::into_inner) =
+            Some(Serving { view: view.clone(), watch: server.watch() });
         self.changed(Part::Health);
         self.keep_gateway(keeper, network.domain, server, ended);
         Ok(view)
@@ -138,7 +142,12 @@ impl Site {
             let (directory, identity) = (self.home.gateway(), keeper.signing());
             Cabinet::open(&directory, provider, *domain, identity, Schedule::default(), Timestamp::now())
         })?;
-        let desk = Arc::new(GatewayDesk { site: Arc::clone(self), keeper: Arc::clone(keeper), domain: *domain });
+        let desk = Arc::new(GatewayDesk {
+            site: Arc::clone(self),
+            keeper: Arc::clone(keeper),
+            envelope: keeper.envelope(),
+            domain: *domain,
+        });
         let context = Context { provider, domain: *domain };
         Server::start(address, desk, context, cabinet, Limits::default())
             .await
