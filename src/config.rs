@@ -16,7 +16,7 @@ pub use self::console::ConsoleSettings;
 pub use self::definitions::{DEFINITIONS, Definition};
 pub use self::error::ConfigError;
 pub use self::read::without_password;
-use self::read::{Values, bytes, find, number, parsed, read_file, url, value, wrong};
+use self::read::{Values, bytes, find, number, parsed, read_file, switch, url, value, wrong};
 pub use self::source::{SettingView, Source};
 use crate::crypto::ProviderName;
 use crate::model::{Address, AnchorMode, Consensus, ListedPublishers, PinMode, SignerId, clean};
@@ -67,6 +67,8 @@ pub struct Config {
     pub vault_backlog: u64,
     /// Disk space that records leave free, bytes.
     pub disk_reserve: u64,
+    /// Whether messages are compressed before they are sealed.
+    pub compression: bool,
     /// Which SM implementation.
     pub provider: ProviderName,
     /// How digests go on the chain.
@@ -140,6 +142,7 @@ impl Config {
             vault_url: url(&values, "vault.url", VAULTS)?,
             vault_backlog: bytes(&values, "vault.backlog", 0)?,
             disk_reserve: bytes(&values, "disk.reserve", 0)?,
+            compression: switch(&values, "record.compression", ("auto", "off"))?,
             provider: parsed(&values, "crypto.provider")?.unwrap_or_default(),
             anchor_mode: parsed(&values, "anchor.mode")?.unwrap_or_default(),
             audit_every: Duration::from_secs(number(&values, "audit.anchor_every", 1, 86_400)?),

@@ -27,7 +27,9 @@ mod quarantine;
 mod serve;
 mod show;
 mod status;
+mod twins;
 mod verbs;
+mod viewing;
 
 use std::process::ExitCode;
 

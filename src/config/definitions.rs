@@ -101,6 +101,12 @@ pub const DEFINITIONS: &[Definition] = &[
         text: "disk space left free: below it no further record is acknowledged, so that those there are can go on",
     },
     Definition {
+        name: "record.compression",
+        variable: "AUTHROS_COMPRESSION",
+        default: "auto",
+        text: "auto = compress messages before they are sealed where it pays; off = seal them as they are",
+    },
+    Definition {
         name: "crypto.provider",
         variable: "AUTHROS_CRYPTO_PROVIDER",
         default: "rustcrypto",

@@ -19,6 +19,7 @@ pub mod mirror;
 pub mod notices;
 pub mod owner;
 pub mod pace;
+pub mod packing;
 pub mod pins;
 pub mod proof;
 pub mod quarantine;

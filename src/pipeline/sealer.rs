@@ -6,6 +6,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use crate::crypto::compression::{Packed, pack};
 use crate::crypto::{SealRequest, SealedRecord, fault, seal};
 use crate::model::head::Compression;
 use crate::model::{Address, Digest, Head, LossReason, RecordKind, RecordState, Timestamp, TopicId, clean};
@@ -14,6 +15,7 @@ use crate::store::{Hold, NewRecord, StoreError};
 
 use super::epoch::{EpochKeys, SIMULATED, TopicKeys};
 use super::losses::{GATHERED, Losses, Lost};
+use super::packing::Packing;
 use super::recorder::CapturedMessage;
 use super::ring::Rings;
 use super::session::Sessions;
@@ -53,6 +55,8 @@ pub struct Sealer {
     seqs: HashMap<(Address, TopicId), u64>,
     definitions: HashSet<String>,
     hashes: HashMap<Arc<str>, Digest>,
+    /// `None` = messages are sealed as they are.
+    packing: Option<Packing>,
 }
 
 /// Definitions whose hash is remembered at most.
@@ -72,7 +76,13 @@ impl Sealer {
             seqs: HashMap::new(),
             definitions: HashSet::new(),
             hashes: HashMap::new(),
+            packing: Some(Packing::default()),
         }
+    }
+
+    /// Seals messages as they are, without compression.
+    pub fn without_compression(self) -> Self {
+        Self { packing: None, ..self }
     }
 
     /// Works until the rings are closed and empty. `acknowledged` is called after each round.
@@ -189,8 +199,8 @@ impl Sealer {
                 continue;
             };
             self.seal_definition(item, &keys, &mut seqs, &mut ready)?;
-            let body = &item.message.body;
-            let one = self.seal_one(item, &keys, RecordKind::Data, body, &mut seqs)?;
+            let packed = self.packing.as_mut().and_then(|packing| packing.pack(&item.message));
+            let one = self.seal_one(item, &keys, RecordKind::Data, &item.message.body, packed, &mut seqs)?;
             ready.push(Ready { item: Some(index), definition: None, ..one });
         }
         self.spent(Stage::Seal, begun);
@@ -239,7 +249,7 @@ impl Sealer {
         }
         if self.plant.ledger.setting(&name)?.is_none() {
             let body = item.message.definition.as_bytes();
-            let one = self.seal_one(item, keys, RecordKind::Definition, body, seqs)?;
+            let one = self.seal_one(item, keys, RecordKind::Definition, body, pack(body, None), seqs)?;
             ready.push(Ready { item: None, definition: Some(name), ..one });
         } else {
             self.definitions.insert(name);
@@ -265,11 +275,13 @@ impl Sealer {
         keys: &EpochKeys,
         kind: RecordKind,
         body: &[u8],
+        packed: Option<Packed>,
         seqs: &mut HashMap<(Address, TopicId), u64>,
     ) -> Result<Ready, PipelineError> {
         let message = &*item.message;
         let topic = covered(keys, &message.topic)?;
         let tags = tags(item);
+        let compression = packed.as_ref().map_or(Compression::None, |packed| packed.compression);
         let owner = item.author.address;
         let seq = self.next_seq(owner, topic.id, seqs)?;
         let request = SealRequest {
@@ -284,8 +296,8 @@ impl Sealer {
             kind,
             filters: keys.filters(&message.type_name, &tags),
             captured_at: message.captured_at,
-            head: &self.head(item, body.len(), tags),
-            body,
+            head: &Head { compression, ..self.head(item, body.len(), tags) },
+            body: packed.as_ref().map_or(body, |packed| &packed.bytes),
         };
         let sealed = seal(self.plant.provider, &request)?;
         seqs.insert((owner, topic.id), seq);

@@ -34,11 +34,11 @@ pub fn verify_round(plant: &Plant, network: &Network) -> Result<usize, PipelineE
 fn verify_page(plant: &Plant, network: &Network, rows: &[RecordRow]) -> Result<usize, PipelineError> {
     let begun = Instant::now();
     let captured: HashMap<Digest, Timestamp> = rows.iter().map(|row| (row.digest, row.captured_at)).collect();
-    let (mut good, mut bad) = (Vec::new(), Vec::new());
-    let mut unreachable = None;
     if !rows.is_empty() {
         fault::point("read-back");
     }
+    let (mut good, mut bad) = (Vec::new(), Vec::new());
+    let mut unreachable = None;
     for row in rows.iter().filter(|row| plant.vault.answers(row.digest)) {
         match put_back(plant, row).and_then(|()| is_sound(plant, network, row)) {
             Ok(true) => good.push(row.digest),
@@ -92,8 +92,8 @@ fn settle(plant: &Plant, digests: &[Digest], state: RecordState) -> Result<(), P
     }
     plant.ledger.advance(digests, RecordState::Confirmed, state)?;
     if state == RecordState::Verified {
-        fault::point("verified");
         // Local copies beside a vault that is only a cache stay until retention says otherwise.
+        fault::point("verified");
         plant.observer.verified(digests);
     } else {
         plant.observer.tampered(digests);

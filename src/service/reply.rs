@@ -10,6 +10,7 @@ mod records;
 mod site;
 mod tasks;
 mod topics;
+mod viewing;
 
 use serde::{Deserialize, Serialize};
 
@@ -23,6 +24,7 @@ pub use self::records::{CheckView, ExportedFile, OpenedView, Provenance, RecordP
 pub use self::site::{HealthLevel, LifeLine, PartHealth, QueueView, SiteView};
 pub use self::tasks::{TaskState, TaskView};
 pub use self::topics::{CaptureSummary, TopicRow, TopicSummary};
+pub use self::viewing::PathView;
 use super::command::SecretBytes;
 use crate::model::ErrorKind;
 
@@ -81,6 +83,8 @@ pub enum Reply {
     Check(CheckView),
     /// To `OpenShared`.
     Opened(Box<OpenedView>),
+    /// To `Viewing::Path`.
+    Path(PathView),
     /// To commands about pins.
     Pins(PinsView),
     /// To `ListQuarantine`.

@@ -128,9 +128,6 @@ fn first_state(client: &Client, options: &ConsoleOptions, directory: &Path) -> S
         zone: Zone::new(jiff::tz::TimeZone::system()),
     });
     (state.now, state.mouse) = (Timestamp::now(), options.mouse);
-    if let Some(kept) = options.kept.as_deref().and_then(kept::read) {
-        crate::app::resume::recall(&mut state, &kept);
-    }
     state
 }
 

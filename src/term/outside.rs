@@ -21,6 +21,8 @@ pub enum Heard {
     Signal(i32),
     /// The terminal takes no more bytes.
     TerminalFailed,
+    /// A thread of the console panicked.
+    Broken(String),
     /// A line was typed (line mode).
     Line(Zeroizing<String>),
     /// No more lines come (line mode).

@@ -53,10 +53,16 @@ impl Session {
         let directory = super::directory(options)?;
         let mut state = super::first_state(&client, options, &directory);
         state.theme.clone_from(&theme.name);
+        if let Some(kept) = options.kept.as_deref().and_then(super::kept::read) {
+            crate::app::resume::recall(&mut state, &kept);
+        }
         state.size = crossterm::terminal::size()?;
         let (mouth, ears) = channel();
         let signals = Listener::start(sender(&mouth, Heard::Signal))?;
-        let guard = guard::Guard::enter(sender(&mouth, |fault| Heard::Act(Action::Fault(fault))))?;
+        let guard = guard::Guard::enter(
+            sender(&mouth, |fault| Heard::Act(Action::Fault(fault))),
+            sender(&mouth, Heard::Broken),
+        )?;
         let painter = Painter::new(depth, state.size);
         let stage = Arc::new(Stage::new(state, theme));
         let budget = Budget::new(bytes_per_second(options), Instant::now());
@@ -124,6 +130,7 @@ impl Session {
                 Some(Err(TermError::Fault("the terminal takes no more output".to_owned())))
             }
             Heard::TerminalFailed => Some(Ok(ExitReason::TerminalGone)),
+            Heard::Broken(what) => Some(Err(TermError::Fault(what))),
             Heard::Line(_) | Heard::NoMoreLines => None,
         }
     }

@@ -38,7 +38,6 @@ struct Received {
     emulator: Mutex<Parser>,
     bytes: AtomicU64,
     kept: Mutex<Vec<u8>>,
-    ended: AtomicBool,
 }
 
 /// A console at work; killed when dropped.
@@ -139,6 +138,11 @@ impl Console {
     /// Sends a signal by name.
     pub fn signal(&self, name: &str) {
         signal(name, &self.child.process_id().expect("a process").to_string());
+    }
+
+    /// Whether it has ended.
+    pub fn has_ended(&mut self) -> bool {
+        self.child.try_wait().is_ok_and(|ended| ended.is_some())
     }
 
     /// Waits for its end.

@@ -109,7 +109,7 @@ pub fn bytes_per_key(subject: &Subject, before: &[&str], keys: &[&str], presses:
         console.press(key);
         quiet(&console);
     }
-    let mut press = |console: &mut Console, count: u32| {
+    let press = |console: &mut Console, count: u32| {
         for key in keys.iter().cycle().take(count as usize) {
             console.press(key);
             quiet(console);

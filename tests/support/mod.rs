@@ -10,6 +10,7 @@ pub mod client_stream;
 pub mod conservation;
 pub mod console;
 pub mod figures;
+pub mod hostile;
 pub mod member;
 pub mod process;
 pub mod proxy;

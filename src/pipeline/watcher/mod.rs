@@ -66,10 +66,10 @@ pub async fn watch_round(plant: &Plant, network: &Network) -> Result<BlockRef, P
         let deep = (head.number + 1).saturating_sub(network.confirmations);
         let confirmed = block_in_place(|| plant.ledger.confirm(deep))?;
         if !confirmed.is_empty() {
-            fault::point("confirmed");
             if let Some(stages) = plant.observer.stages() {
                 stages.reached(Milestone::Confirmed, confirmed);
             }
+            fault::point("confirmed");
             plant.observer.records_changed();
         }
         return Ok(head);

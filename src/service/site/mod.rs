@@ -40,6 +40,7 @@ mod telling;
 mod topics;
 mod uploads;
 mod view;
+mod viewing;
 mod workers;
 
 use std::collections::{BTreeMap, HashSet};

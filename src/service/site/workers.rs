@@ -46,8 +46,10 @@ pub(super) fn start(site: &Arc<Site>, needs: Needs) -> Result<(), Failure> {
 fn start_sealer(site: &Arc<Site>) -> Result<(), Failure> {
     let (plant, hub, losses) = (site.plant.clone(), Arc::clone(&site.hub), Arc::clone(&site.losses));
     let (rings, backlog) = (Arc::clone(&site.rings), site.config.vault_backlog);
+    let compression = site.config.compression;
     let handle = site.supervise_thread("sealer", move || {
-        let mut sealer = Sealer::new(plant.clone(), Arc::clone(&hub.sessions), Arc::clone(&losses), backlog);
+        let sealer = Sealer::new(plant.clone(), Arc::clone(&hub.sessions), Arc::clone(&losses), backlog);
+        let mut sealer = if compression { sealer } else { sealer.without_compression() };
         sealer.run(&rings, &|| hub.stored.notify_waiters());
     })?;
     *site.sealer.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = Some(handle);

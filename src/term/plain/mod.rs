@@ -140,6 +140,7 @@ impl Plain {
             Heard::Signal(signal) if signals::suspends(signal) => self.suspend(),
             Heard::Signal(_) => None,
             Heard::TerminalFailed => Some(Ok(ExitReason::TerminalGone)),
+            Heard::Broken(what) => Some(Err(TermError::Fault(what))),
         }
     }
 
@@ -268,7 +269,7 @@ impl Plain {
     }
 
     fn speak_popup(&mut self) {
-        let now = self.state.popups.last().map(|popup| mark(popup, self.state.popups.len()));
+        let now = self.state.popups.last().map(|popup| self.mark(popup));
         if now == self.said.popup {
             return;
         }
@@ -305,15 +306,18 @@ impl Plain {
             drop(self.outside.mouth.send(Heard::TerminalFailed));
         }
     }
-}
 
-/// What makes a popup worth saying again: another one, another line of a form, an answer.
-fn mark(popup: &Popup, depth: usize) -> String {
-    match popup {
-        Popup::Form(purpose, form) => format!("{depth} {purpose:?} {} {:?}", form.focus, form.error),
-        Popup::Provenance(lookup) => format!("{depth} provenance {} {}", lookup.id, lookup.answer.is_some()),
-        Popup::Record(lookup) => format!("{depth} record {} {}", lookup.id, lookup.answer.is_some()),
-        Popup::Quit { waiting } => format!("{depth} quit {waiting}"),
-        other => format!("{depth} {:?}", std::mem::discriminant(other)),
+    /// What makes a popup worth saying again: another one, another line of a form, an answer. What lives on by
+    /// itself is said once.
+    fn mark(&self, popup: &Popup) -> String {
+        let depth = self.state.popups.len();
+        match popup {
+            Popup::Form(purpose, form) => format!("{depth} {purpose:?} {} {:?}", form.focus, form.error),
+            Popup::Provenance(lookup) => format!("{depth} provenance {} {}", lookup.id, lookup.answer.is_some()),
+            Popup::Record(lookup) => format!("{depth} record {} {}", lookup.id, lookup.answer.is_some()),
+            Popup::Quit { waiting } => format!("{depth} quit {waiting}"),
+            Popup::Tasks | Popup::Confirm(_) => format!("{depth} {:?}", std::mem::discriminant(popup)),
+            other => format!("{depth} {}", text::popup(&self.state, &self.theme, other).join(" ")),
+        }
     }
 }

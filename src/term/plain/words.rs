@@ -29,6 +29,7 @@ pub enum Meaning {
 pub fn meaning(state: &State, line: &str) -> Meaning {
     match state.popups.last() {
         Some(Popup::Form(_, form)) => Meaning::Actions(answer(form, line)),
+        Some(Popup::Confirm(confirm)) if confirm.typed.is_some() => Meaning::Actions(typed(line.trim())),
         Some(popup) => over(state, popup, line.trim()),
         None => command(state, line.trim()),
     }
@@ -75,6 +76,15 @@ fn answer(form: &Form, line: &str) -> Vec<Action> {
     actions
 }
 
+/// The word that a grave act asks for.
+fn typed(line: &str) -> Vec<Action> {
+    if matches!(line, "" | "no" | "esc") {
+        return keys(&[Key::Escape]);
+    }
+    let word = line.chars().map(Key::Char);
+    [Key::Control('u')].into_iter().chain(word).chain([Key::Enter]).map(Action::Key).collect()
+}
+
 /// A word for something over the screen: a key of its bar, or what that key does.
 fn over(state: &State, popup: &Popup, line: &str) -> Meaning {
     let hints = hints(popup);
@@ -83,6 +93,8 @@ fn over(state: &State, popup: &Popup, line: &str) -> Meaning {
     let key = match (hinted, said.as_str()) {
         (Some((key, _)), _) if Key::from_label(key).is_some() => Key::from_label(key),
         (_, "yes" | "y") => Some(Key::Char('y')),
+        (_, "up") => Some(Key::Up),
+        (_, "down") => Some(Key::Down),
         (Some(_), _) | (_, "" | "no" | "n" | "esc" | "close" | "q") => Some(Key::Escape),
         _ => None,
     };
