@@ -129,7 +129,10 @@ fn compare(plant: &Plant, digest: Digest, found: &mut PutBack) -> Result<(), Pip
         }
     };
     match plant.vault.put(&[(digest, &copy)]) {
-        Ok(()) => *counter += 1,
+        Ok(()) => {
+            fault::point("put-back");
+            *counter += 1;
+        }
         Err(_) => found.waiting += 1,
     }
     Ok(())
