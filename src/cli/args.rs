@@ -87,7 +87,7 @@ pub enum Verb {
     /// Settings and where they come from
     #[command(subcommand)]
     Config(ConfigVerb),
-    /// How the parts of the site are, and how far the records of this profile have come
+    /// Health of the site's parts, and where this profile's records stand
     Status,
     /// Run the site without a console
     Serve,

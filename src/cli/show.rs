@@ -51,14 +51,14 @@ pub fn show(reply: Reply, out: Option<&Path>, output: &Output) -> Result<u8, Fai
             return Ok(lists::verdict_code(view.verdict));
         }
         Reply::Opened(mut view) => {
-            let bytes = view.picture.take().or_else(|| view.body.clone());
-            view.body = None;
-            if let (Some(path), Some(bytes)) = (out, bytes) {
+            if let (Some(path), Some(bytes)) = (out, view.file.take()) {
                 write_new(path, &bytes)?;
             }
-            output.result(&view, || lists::opened(&view));
+            super::viewing::without_bytes(&mut view);
+            output.result(&view, || super::viewing::opened(&view));
             return Ok(lists::verdict_code(view.verdict));
         }
+        Reply::Path(view) => output.result(&view, || super::viewing::path(&view)),
         Reply::Files(files) => {
             let directory = out.unwrap_or(Path::new("."));
             std::fs::create_dir_all(directory).map_err(|error| not_written(directory, &error))?;

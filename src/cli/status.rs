@@ -1,35 +1,36 @@
-//! `status`: the Overview screen for people and scripts.
+//! `authros status`: health of the site's parts and where the profile's records stand.
 
-use super::output::table;
-use crate::service::reply::{HealthLevel, SiteView};
+use crate::service::reply::{HealthLevel, LifeLine, SiteView};
 
-/// The site as lines.
+/// The site at a glance.
 pub fn text(view: &SiteView) -> String {
-    let word = |level| match level {
-        HealthLevel::Ok => "ok",
-        HealthLevel::Waiting => "waiting",
-        HealthLevel::Failed => "failed",
-        HealthLevel::Absent => "absent",
-    };
-    let parts: Vec<Vec<String>> = view
+    let mut lines: Vec<String> = view
         .health
         .iter()
-        .map(|part| vec![part.part.clone(), word(part.level).to_owned(), part.text.clone()])
+        .map(|part| {
+            let word = match part.level {
+                HealthLevel::Ok => "ok",
+                HealthLevel::Waiting => "waiting",
+                HealthLevel::Failed => "failed",
+                HealthLevel::Absent => "absent",
+            };
+            format!("{:<9} {word:<8} {}", part.part, part.text)
+        })
         .collect();
-    let life = &view.life;
-    let stations = [
-        ("captured", life.captured),
-        ("sealed", life.sealed),
-        ("stored", life.stored),
-        ("anchored", life.anchored),
-        ("confirmed", life.confirmed),
-        ("verified", life.verified),
-        ("pending", life.pending),
-        ("quarantined", life.quarantined),
-        ("dropped", life.dropped),
-        ("tampered", life.tampered),
-        ("lost in transport", life.lost_in_transport),
-    ];
-    let counts: Vec<String> = stations.iter().map(|(name, count)| format!("{name} {count}")).collect();
-    format!("{}\n\n{}", table(&["PART", "STATE", "ABOUT"], &parts), counts.join(", "))
+    lines.extend(life(&view.life));
+    lines.join("\n")
+}
+
+fn life(life: &LifeLine) -> Vec<String> {
+    let LifeLine { captured, verified, pending, quarantined, dropped, tampered, .. } = *life;
+    let sum = format!(
+        "captured {captured} = verified {verified} + pending {pending} + quarantined {quarantined} + dropped {dropped} \
+         + tampered {tampered}"
+    );
+    let verdict = if life.conserved { "it adds up" } else { "IT DOES NOT ADD UP: run `authros audit verify`" };
+    let lost = format!(
+        "lost in transport {}, in the recorder {}, discarded {}; waiting in memory {}; deleted by retention {}",
+        life.lost_in_transport, life.lost_in_recorder, life.discarded, life.waiting, life.deleted
+    );
+    vec![format!("{sum}: {verdict}"), lost]
 }

@@ -7,10 +7,13 @@ pub mod address;
 pub mod adoption;
 pub mod anchor_mode;
 pub mod audit_head;
+pub mod base64_text;
+pub mod byte_size;
 pub mod bytes;
 pub mod consensus;
 pub mod display;
 pub mod error_kind;
+pub mod gap;
 pub mod grant;
 pub mod head;
 pub mod header;
@@ -27,12 +30,14 @@ pub mod wire;
 pub use address::{Address, redact_addresses};
 pub use anchor_mode::AnchorMode;
 pub use audit_head::AuditHead;
+pub use byte_size::ByteSize;
 pub use bytes::{
     Commit, Digest, Domain, FilterId, Hash, PublicKey, RecorderId, Salt, Signature, SignerId, Token, TopicId,
 };
 pub use consensus::Consensus;
 pub use display::{clean, clean_lines, is_shown};
 pub use error_kind::ErrorKind;
+pub use gap::{GapReport, LossReason};
 pub use grant::{GrantTerms, Scope};
 pub use head::Head;
 pub use header::{Header, RecordKind};

@@ -140,6 +140,11 @@ impl Console {
         signal(name, &self.child.process_id().expect("a process").to_string());
     }
 
+    /// Whether it has ended.
+    pub fn has_ended(&mut self) -> bool {
+        self.child.try_wait().is_ok_and(|ended| ended.is_some())
+    }
+
     /// Waits for its end.
     pub fn wait(&mut self, seconds: u64) -> ExitStatus {
         poll(seconds, || self.child.try_wait().expect("its state is known"))

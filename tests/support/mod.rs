@@ -7,6 +7,7 @@
 pub mod anvil;
 pub mod authros;
 pub mod client_stream;
+pub mod conservation;
 pub mod console;
 pub mod figures;
 pub mod hostile;
@@ -25,6 +26,7 @@ use std::time::{Duration, Instant};
 
 pub use anvil::Anvil;
 pub use authros::{Authros, Home};
+pub use conservation::Conservation;
 pub use console::{Console, Terminal};
 pub use process::{Outcome, Running};
 pub use proxy::{Proxy, Spoil};
