@@ -98,6 +98,8 @@ pub struct Site {
     audit: AuditLog,
     refusals: refusals::Refusals,
     reserve: Reserve,
+    /// Changes of the watch lists happen one at a time.
+    watching: Mutex<()>,
     /// Changes of the address book happen one at a time.
     contacts: tokio::sync::Mutex<()>,
     owners: RwLock<BTreeMap<ProfileName, Arc<Owner>>>,
@@ -157,6 +159,7 @@ impl Site {
             refusals: refusals::Refusals::default(),
             served_gateway: Mutex::default(),
             reserve,
+            watching: Mutex::default(),
             contacts: tokio::sync::Mutex::default(),
             home,
             config,

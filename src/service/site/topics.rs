@@ -1,7 +1,7 @@
 //! Topics of the graph: listed with their rates, watched and unwatched.
 
 use std::collections::{HashMap, HashSet};
-use std::sync::Arc;
+use std::sync::{Arc, PoisonError};
 
 use tokio::task::block_in_place;
 
@@ -117,9 +117,15 @@ impl Site {
         Ok(text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default())
     }
 
-    fn save_watches(&self, profile: &ProfileName, watches: &Watches) -> Result<(), Failure> {
-        let text = serde_json::to_string(watches).unwrap_or_default();
-        Ok(self.plant.ledger.put_setting(&key(profile), &text)?)
+    /// Reads, changes and keeps a watch list; of several changes at once none is lost.
+    fn change_watches(&self, profile: &ProfileName, change: impl FnOnce(&mut Watches)) -> Result<(), Failure> {
+        block_in_place(|| {
+            let _one_at_a_time = self.watching.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut watches = self.watches(profile)?;
+            change(&mut watches);
+            let text = serde_json::to_string(&watches).unwrap_or_default();
+            Ok(self.plant.ledger.put_setting(&key(profile), &text)?)
+        })
     }
 
     /// Captures a topic until it is unwatched, over restarts.
@@ -129,11 +135,9 @@ impl Site {
         topic: TopicName,
         type_name: Option<TypeName>,
     ) -> Result<Reply, Failure> {
-        block_in_place(|| {
-            let mut watches = self.watches(profile)?;
+        self.change_watches(profile, |watches| {
             watches.retain(|(watched, _)| *watched != topic);
             watches.push((topic.clone(), type_name.clone()));
-            self.save_watches(profile, &watches)
         })?;
         self.record_audit(profile, "watch", topic.as_str(), "done").await?;
         if let Some(owner) = self.owner(profile) {
@@ -152,11 +156,7 @@ impl Site {
         profile: &ProfileName,
         topic: &TopicName,
     ) -> Result<Reply, Failure> {
-        block_in_place(|| {
-            let mut watches = self.watches(profile)?;
-            watches.retain(|(watched, _)| watched != topic);
-            self.save_watches(profile, &watches)
-        })?;
+        self.change_watches(profile, |watches| watches.retain(|(watched, _)| watched != topic))?;
         self.record_audit(profile, "unwatch", topic.as_str(), "done").await?;
         if let Some(owner) = self.owner(profile) {
             self.recorder.unwatch(topic.as_str(), &owner.author);
