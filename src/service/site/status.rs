@@ -103,10 +103,11 @@ impl Site {
 
     fn life_line(&self, profile: &ProfileName) -> Result<LifeLine, Failure> {
         let losses = self.recorder.all_losses();
-        let Some(owner) = self.owner(profile) else {
+        // What was captured before is told also while the keyring is locked.
+        let Ok(owner) = self.address_of(profile) else {
             return Ok(LifeLine { lost_in_transport: losses.in_transport, ..LifeLine::default() });
         };
-        let counts = self.plant.ledger.counts(Some(owner.address))?;
+        let counts = self.plant.ledger.counts(Some(owner))?;
         let at_least = |least: RecordState| -> u64 {
             let states =
                 RecordState::ALL.into_iter().filter(|state| *state >= least && *state <= RecordState::Verified);

@@ -87,22 +87,22 @@ impl Site {
 
     /// Messages captured, and those of them in quarantine.
     fn captured_by_topic(&self, profile: &ProfileName) -> Result<HashMap<String, (u64, u64)>, Failure> {
-        let Some(owner) = self.owner(profile) else { return Ok(HashMap::new()) };
-        let counts = block_in_place(|| self.plant.ledger.counts(Some(owner.address)))?;
+        let Ok(owner) = self.address_of(profile) else { return Ok(HashMap::new()) };
+        let counts = block_in_place(|| self.plant.ledger.counts(Some(owner)))?;
         Ok(counts.topics.into_iter().map(|topic| (topic.topic, (topic.captured, topic.quarantined))).collect())
     }
 
     /// Topics with an open alarm about a publisher.
     fn alarmed_topics(&self, profile: &ProfileName) -> Result<HashSet<String>, Failure> {
-        let Some(owner) = self.owner(profile) else { return Ok(HashSet::new()) };
-        let alarms = block_in_place(|| self.plant.ledger.alarms(owner.address, None))?;
+        let Ok(owner) = self.address_of(profile) else { return Ok(HashSet::new()) };
+        let alarms = block_in_place(|| self.plant.ledger.alarms(owner, None))?;
         Ok(alarms.into_iter().filter(|alarm| alarm.open).map(|alarm| alarm.topic).collect())
     }
 
     /// Node names pinned to each topic, by the operator, by first sight or by the settings.
     fn pinned_names(&self, profile: &ProfileName) -> Result<HashMap<String, HashSet<String>>, Failure> {
-        let Some(owner) = self.owner(profile) else { return Ok(HashMap::new()) };
-        let kept = block_in_place(|| self.plant.ledger.pins(owner.address, None))?;
+        let Ok(owner) = self.address_of(profile) else { return Ok(HashMap::new()) };
+        let kept = block_in_place(|| self.plant.ledger.pins(owner, None))?;
         let kept = kept.into_iter().map(|row| (row.topic, row.publisher.caller_id));
         let listed = self.pins.all_listed().map(|(topic, publisher)| (topic.clone(), publisher.caller_id.clone()));
         let mut names: HashMap<String, HashSet<String>> = HashMap::new();
