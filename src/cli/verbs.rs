@@ -10,12 +10,8 @@ use super::output::Output;
 use super::plans::{audit, grant, keys};
 use super::quarantine::{self, QuarantineVerb};
 use super::{lists, parse, parties, passphrase, show};
-<<<<<<< HEAD
 use crate::service::command::Viewing;
-use crate::service::{Command, Failure, Needs};
-=======
 use crate::service::{Command, Failure, Needs, Operation};
->>>>>>> main
 
 /// The chain alone.
 pub const CHAIN: Needs = Needs { ros: false, chain: true };

@@ -40,7 +40,9 @@ impl Site {
         viewing: Viewing,
     ) -> Result<Reply, Failure> {
         match viewing {
-            Viewing::File { id, kind } => self.file_of(owner, &id, kind).await.map(|view| Reply::Opened(Box::new(view))),
+            Viewing::File { id, kind } => {
+                self.file_of(owner, &id, kind).await.map(|view| Reply::Opened(Box::new(view)))
+            }
             Viewing::Path { id, records } => self.path_to(owner, &id, records).await.map(Reply::Path),
         }
     }

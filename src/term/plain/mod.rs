@@ -312,7 +312,9 @@ fn mark(popup: &Popup, depth: usize) -> String {
     match popup {
         Popup::Form(purpose, form) => format!("{depth} {purpose:?} {} {:?}", form.focus, form.error),
         Popup::Provenance(lookup) => format!("{depth} provenance {} {}", lookup.id, lookup.answer.is_some()),
-        Popup::Record(lookup) => format!("{depth} record {} {}", lookup.id, lookup.answer.is_some()),
+        Popup::Record(opening) => {
+            format!("{depth} record {} {}", opening.lookup.id, opening.lookup.answer.is_some())
+        }
         Popup::Quit { waiting } => format!("{depth} quit {waiting}"),
         other => format!("{depth} {:?}", std::mem::discriminant(other)),
     }
