@@ -12,6 +12,7 @@ mod libgcrypt;
 mod machine;
 mod mined;
 mod network;
+mod pictures;
 mod pipeline;
 mod progress;
 mod report;
@@ -43,6 +44,7 @@ pub async fn run(global: &Global, arguments: BenchArguments, output: &Output) ->
             BenchVerb::Sm3(runs) => algorithms::run(Algorithm::Sm3, runs.runs, provider, csv, output).await,
             BenchVerb::Sm4(runs) => algorithms::run(Algorithm::Sm4, runs.runs, provider, csv, output).await,
             BenchVerb::Consensus(consensus) => consensus::run(consensus, provider, csv, output).await,
+            BenchVerb::Pictures => tokio::task::block_in_place(|| pictures::run(provider, csv, output)),
             BenchVerb::Gas => gas::run(provider, csv, output).await,
             BenchVerb::Pipeline(pipeline) => pipeline::run(global, pipeline, csv, output).await,
             BenchVerb::Gateway(gateway) => gateway::run(gateway, provider, csv, output).await,

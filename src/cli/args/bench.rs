@@ -30,6 +30,8 @@ pub enum BenchVerb {
     Pipeline(PipelineArguments),
     /// Records that a gateway accepts per second, beside SM2 and SM3 alone; memory of idle connections
     Gateway(GatewayArguments),
+    /// Raw pictures, clouds and small messages compressed, sealed and restored, per codec
+    Pictures,
 }
 
 /// `bench sm2 …`, `bench sm3 …`, `bench sm4 …`

@@ -320,7 +320,9 @@ impl Plain {
         match popup {
             Popup::Form(purpose, form) => format!("{depth} {purpose:?} {} {:?}", form.focus, form.error),
             Popup::Provenance(lookup) => format!("{depth} provenance {} {}", lookup.id, lookup.answer.is_some()),
-            Popup::Record(lookup) => format!("{depth} record {} {}", lookup.id, lookup.answer.is_some()),
+            Popup::Record(opening) => {
+                format!("{depth} record {} {}", opening.lookup.id, opening.lookup.answer.is_some())
+            }
             Popup::Quit { waiting } => format!("{depth} quit {waiting}"),
             Popup::Tasks | Popup::Confirm(_) => format!("{depth} {:?}", std::mem::discriminant(popup)),
             other => format!("{depth} {}", text::popup(&self.state, &self.theme, other).join(" ")),
