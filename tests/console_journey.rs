@@ -3,7 +3,7 @@
 
 mod support;
 
-use support::{Authros, Console, Home, heavy, text, wait_until};
+use support::{Authros, Console, Home, Terminal, heavy, text, wait_until};
 
 const ODOMETRY: &str = "/robot1/odom";
 const CAMERA: &str = "/robot1/camera/compressed";
@@ -87,7 +87,7 @@ fn alice_and_bob(home: &Home) -> (Authros, Authros, String) {
     let (alice, bob) = (one_robot(home.profile("alice")), one_robot(home.profile("bob")));
     alice.enrol();
     let address = bob.enrol();
-    alice.capture(&[ODOMETRY], 3);
+    alice.run(&["capture", "--count", "3", "--topic", ODOMETRY, "--tag", "mission=harbour"]).expect_code(0);
     (alice, bob, address)
 }
 
@@ -105,6 +105,8 @@ fn a_grant_reaches_a_second_console_that_opens_a_record_and_a_revoke_ends_it() {
 
     let mut bob = Operator::opens(&bob);
     bob.presses("4").sees(ODOMETRY).presses("b").sees("everything").presses("\u{1b}[B\r").sees("of 0x");
+    bob.presses("/").presses(" tag:mission=elsewhere\r").no_longer_sees(ODOMETRY);
+    bob.presses("\u{1b}").sees(ODOMETRY).presses("/tag:mission=harbour type:nav_msgs/Odometry\r").sees("tag mission");
     bob.presses("\r").sees("equal to the chain's digest").sees("pose").presses("q");
 
     alice.presses("x").sees("cannot be recalled").presses("x").no_longer_sees("cannot be recalled");

@@ -5,7 +5,7 @@
 use std::path::Path;
 use std::{fs, io};
 
-use authros_fuzz::{Sample, backup, export_folder, frame, key_allocation, proof, record};
+use authros_fuzz::{Sample, backup, decoder, export_folder, frame, key_allocation, picture, proof, record};
 
 /// Name, valid encodings, what is done with them.
 type Target = (&'static str, Vec<Sample>, fn(&[u8]) -> bool);
@@ -19,6 +19,8 @@ fn main() -> io::Result<()> {
         ("proof", proof::samples(), proof::run),
         ("export_folder", export_folder::samples(), export_folder::run),
         ("backup", backup::samples(), backup::run),
+        ("decoder", decoder::samples(), decoder::run),
+        ("picture", picture::samples(), picture::run),
     ];
     let corpus = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpus");
     for (target, samples, run) in targets {

@@ -2,9 +2,11 @@
 //! product breaks its word. `run` gives whether something valid went all the way through.
 
 pub mod backup;
+pub mod decoder;
 pub mod export_folder;
 pub mod frame;
 pub mod key_allocation;
+pub mod picture;
 pub mod proof;
 pub mod record;
 

@@ -166,6 +166,8 @@ pub enum Tag {
     Show(String),
     /// Opening of a record.
     Open(String),
+    /// The path over a record's topic.
+    Path(String),
     /// Check of a record.
     Check(String),
     /// Export of a record.
@@ -175,7 +177,8 @@ pub enum Tag {
 impl Tag {
     /// Whether the work behind it changes something, so that quitting should wait or ask.
     pub fn is_work(&self) -> bool {
-        let looks = matches!(self, Self::Show(_) | Self::Open(_) | Self::Check(_) | Self::Publishers(_));
+        let looks =
+            matches!(self, Self::Show(_) | Self::Open(_) | Self::Path(_) | Self::Check(_) | Self::Publishers(_));
         !looks && !matches!(self, Self::Feed(..) | Self::OpenConsole)
     }
 
@@ -204,6 +207,7 @@ impl Tag {
             Self::Publishers(topic) => format!("looking up publishers of {topic}"),
             Self::Show(id) => format!("looking up {id}"),
             Self::Open(id) => format!("opening {id}"),
+            Self::Path(id) => format!("reading the path to {id}"),
             Self::Check(id) => format!("checking {id}"),
             Self::Export(id) => format!("exporting {id}"),
         }

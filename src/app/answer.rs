@@ -5,7 +5,8 @@ use zeroize::Zeroizing;
 use super::action::{Contents, Effect, Tag};
 use super::feed::Feed;
 use super::identity_path;
-use super::popup::{Lookup, Popup};
+use super::opening;
+use super::popup::Popup;
 use super::state::State;
 use super::undo;
 use crate::model::{ErrorKind, Verdict};
@@ -33,8 +34,9 @@ pub fn answered(state: &mut State, tag: &Tag, result: Result<Reply, Failure>) ->
             locked(state, result);
             Vec::new()
         }
-        Tag::Open(id) => {
-            opened(state, id, result);
+        Tag::Open(id) => opening::opened(state, id, result),
+        Tag::Path(id) => {
+            opening::path_found(state, id, result);
             Vec::new()
         }
         _ => match result {
@@ -135,21 +137,6 @@ fn locked(state: &mut State, result: Result<Reply, Failure>) {
         }
         Ok(_) => {}
         Err(failure) => state.complain_of(&Tag::Lock, &failure),
-    }
-}
-
-fn opened(state: &mut State, id: &str, result: Result<Reply, Failure>) {
-    let answer = match result {
-        Ok(Reply::Opened(view)) => Ok(view),
-        Ok(_) => return,
-        Err(failure) => Err(failure),
-    };
-    let lookup = state.popups.iter_mut().find_map(|popup| match popup {
-        Popup::Record(lookup) if lookup.id == id => Some(lookup),
-        _ => None,
-    });
-    if let Some(Lookup { answer: place, .. }) = lookup {
-        *place = Some(answer);
     }
 }
 

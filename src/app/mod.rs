@@ -24,6 +24,7 @@ pub mod key;
 pub mod keymap;
 pub mod lock;
 pub mod mouse;
+pub mod opening;
 pub mod perform;
 pub mod popup;
 pub mod popup_keys;

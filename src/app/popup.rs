@@ -9,11 +9,12 @@ use super::field::Field;
 use super::form::Form;
 use super::fuzzy;
 use super::key::Key;
+use super::opening::Opening;
 use super::state::State;
 use super::themes::ThemeChoice;
 use super::verb::{Entry, VERBS};
 use crate::service::Failure;
-use crate::service::reply::{OpenedView, PinsView, Provenance};
+use crate::service::reply::{PinsView, Provenance};
 
 /// Something over the screen.
 #[derive(Debug)]
@@ -32,7 +33,7 @@ pub enum Popup {
     /// Where a record comes from and where it stands.
     Provenance(Lookup<Provenance>),
     /// An opened record.
-    Record(Lookup<OpenedView>),
+    Record(Opening),
     /// The first keys of a chord; what may follow is shown.
     Chord(Vec<Key>),
     /// Choosing of a theme.

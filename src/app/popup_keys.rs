@@ -1,8 +1,6 @@
 //! Keys while a popup lies over the screen.
 
-use zeroize::Zeroizing;
-
-use super::action::{Contents, Effect, Tag};
+use super::action::{Effect, Tag};
 use super::administration;
 use super::browse;
 use super::confirm;
@@ -11,12 +9,13 @@ use super::forms;
 use super::identity_path::{self, Need};
 use super::key::{Key, chord_label};
 use super::keymap::Meaning;
-use super::perform::{copy, perform};
+use super::opening;
+use super::perform::perform;
 use super::popup::{Confirm, Lookup, Palette, Popup, Purpose};
 use super::state::State;
 use super::themes;
 use super::verb::Verb;
-use crate::service::reply::{OpenedView, PinsView};
+use crate::service::reply::PinsView;
 
 /// A popup's keys, for the bottom bar: key and what it does.
 pub fn hints(popup: &Popup) -> Vec<(&'static str, &'static str)> {
@@ -31,10 +30,7 @@ pub fn hints(popup: &Popup) -> Vec<(&'static str, &'static str)> {
         Popup::Confirm(confirm) if confirm.typed.is_some() => vec![("enter", confirm.yes), ("esc", "no")],
         Popup::Confirm(confirm) => vec![("y", confirm.yes), ("any other key", "no")],
         Popup::Form(..) => vec![("enter", "next, then go on"), ("tab", "next field"), ("esc", "close")],
-        Popup::Record(lookup) => match lookup.found().and_then(writable) {
-            Some(_) => vec![("up down", "scroll"), ("W", "write to file"), ("y", "copy digest"), ("q", "close")],
-            None => vec![("up down", "scroll"), ("q", "close")],
-        },
+        Popup::Record(opening) => opening.hints(),
         Popup::Quit { waiting: false } => vec![("y", "quit now"), ("w", "when all is done"), ("any other key", "stay")],
         Popup::Quit { waiting: true } => vec![("y", "quit now"), ("any other key", "stay")],
     }
@@ -52,7 +48,7 @@ pub fn popup_key(state: &mut State, key: Key) -> Vec<Effect> {
         Popup::Quit { .. } => quit_key(state, key),
         Popup::Chord(begun) => chord_key(state, begun, key),
         Popup::Themes(choice) => themes::key(state, choice, key),
-        Popup::Record(lookup) => record_key(state, lookup, key),
+        Popup::Record(opening) => opening::key(state, opening, key),
         Popup::Browse(browse) => browse::key(state, browse, key),
         Popup::Publishers(lookup) => publishers_key(state, lookup, key),
         Popup::Tasks | Popup::Readers(_) => {
@@ -89,7 +85,7 @@ pub fn popup_paste(state: &mut State, text: &str) {
 }
 
 /// Where a key scrolls to; `None` = it closes.
-fn scrolled(scroll: usize, key: Key, page: usize) -> Option<usize> {
+pub(super) fn scrolled(scroll: usize, key: Key, page: usize) -> Option<usize> {
     Some(match key {
         Key::Escape | Key::Char('q' | '?') => return None,
         Key::Up | Key::Char('k') => scroll.saturating_sub(1),
@@ -245,45 +241,4 @@ fn submit(state: &mut State, purpose: Purpose, form: &Form) -> Result<Vec<Effect
         }
     };
     Ok(vec![state.send(errand)])
-}
-
-fn record_key(state: &mut State, mut lookup: Lookup<OpenedView>, key: Key) -> Vec<Effect> {
-    let mut effects = Vec::new();
-    match key {
-        Key::Char('W') => effects.extend(
-            lookup.found().and_then(writable).map(|file| Effect::WriteFiles { directory: None, files: vec![file] }),
-        ),
-        Key::Char('y') => {
-            let digest = lookup.found().map(|view| view.record.digest.to_hex());
-            effects.extend(digest.map(|digest| copy(state, digest)));
-        }
-        _ => match scrolled(lookup.scroll, key, state.page_rows()) {
-            Some(scroll) => lookup.scroll = scroll.min(lookup.found().map_or(0, |found| found.fields.len() + 8)),
-            None => return effects,
-        },
-    }
-    state.popups.push(Popup::Record(lookup));
-    effects
-}
-
-/// What `W` writes of an opened record: its picture, else its bytes, else its fields.
-fn writable(view: &OpenedView) -> Option<Contents> {
-    let stem: String = view.record.topic.trim_matches('/').chars().map(file_character).collect();
-    let named = |extension: &str, bytes: &[u8]| Contents {
-        name: format!("{stem}-{}.{extension}", view.record.seq),
-        bytes: Zeroizing::new(bytes.to_vec()),
-    };
-    if let Some(picture) = &view.picture {
-        let extension = if picture.starts_with(b"\x89PNG") { "png" } else { "jpg" };
-        return Some(named(extension, picture));
-    }
-    match &view.body {
-        Some(body) => Some(named("bin", body)),
-        None if view.message.is_null() => None,
-        None => Some(named("json", view.message.to_string().as_bytes())),
-    }
-}
-
-fn file_character(character: char) -> char {
-    if character.is_ascii_alphanumeric() { character } else { '_' }
 }

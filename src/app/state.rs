@@ -6,7 +6,8 @@ use super::action::{Effect, Errand, Tag};
 use super::feed::{Feed, Feeds};
 use super::identity_path::IdentityPath;
 use super::keymap::Keymap;
-use super::popup::{Lookup, Popup};
+use super::opening::Opening;
+use super::popup::Popup;
 use super::rates::Rates;
 use super::screen::Screen;
 use super::screens::gateway::Gateway;
@@ -213,7 +214,7 @@ impl State {
     /// Sends a command on its way; an opened record gets its popup at once.
     pub fn send(&mut self, errand: Errand) -> Effect {
         if let Tag::Open(id) = &errand.tag {
-            self.popups.push(Popup::Record(Lookup::new(id)));
+            self.popups.push(Popup::Record(Opening::new(id)));
         }
         self.work.push(errand.tag.clone());
         Effect::Send(errand.command, errand.tag)

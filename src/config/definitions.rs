@@ -113,6 +113,12 @@ pub const DEFINITIONS: &[Definition] = &[
         text: "rustcrypto or libsm",
     },
     Definition {
+        name: "crypto.sm4_kernel",
+        variable: "AUTHROS_SM4_KERNEL",
+        default: "",
+        text: "gfni-avx512, gfni-avx2, aesni-avx2 or portable; empty = the fastest that this processor can run",
+    },
+    Definition {
         name: "anchor.mode",
         variable: "AUTHROS_ANCHOR_MODE",
         default: "batch",

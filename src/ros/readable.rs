@@ -11,7 +11,7 @@ mod state;
 
 use serde::{Deserialize, Serialize};
 
-pub use picture::{Exported, PictureError, export, file_of};
+pub use picture::{DECODER_MEMORY, Exported, MOST_PIXELS, PictureError, decode, export, file_of};
 pub use raster::Raster;
 
 use super::message::{Definition, Limits, Value};

@@ -192,7 +192,7 @@ impl Session {
         // The names are those of the state, which come from here.
         let Ok(theme) = self.themes.named(name) else { return };
         self.stage.change(Wish::Now, |scene| {
-            scene.theme = theme.with_ascii(scene.theme.ascii);
+            scene.theme = theme.with_ascii(scene.theme.ascii).with_shades(scene.theme.shades);
             drop(update(&mut scene.state, Action::ThemeIs(name.to_owned())));
         });
     }
@@ -272,7 +272,7 @@ fn ended_by(signal: i32) -> ExitReason {
 fn theme(options: &ConsoleOptions, depth: Depth) -> Result<Theme, TermError> {
     let fitting = if depth == Depth::None { "mono" } else { "night" };
     let theme = options.themes.named(options.theme.as_deref().unwrap_or(fitting))?;
-    Ok(theme.with_ascii(options.ascii))
+    Ok(theme.with_ascii(options.ascii).with_shades(depth.shades()))
 }
 
 fn bytes_per_second(options: &ConsoleOptions) -> Option<u32> {

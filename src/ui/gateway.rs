@@ -51,7 +51,7 @@ fn draw_about(canvas: &mut Canvas, area: Rect, view: &GatewayStatusView) -> u16 
             Some(through) => (format!("This site joins another one: {through}"), "Its gateway is looked after there."),
             None => (
                 "Absent: this site has no gateway.".to_owned(),
-                "Records go from this machine straight to its own vault and chain. `authros gateway serve` starts one.",
+                "Records go straight to this site's vault and chain; `authros gateway serve` adds one.",
             ),
         };
         canvas.put(row(area, 1), &clean(&first, 300), Role::Body);

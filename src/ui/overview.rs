@@ -106,14 +106,18 @@ fn draw_law(canvas: &mut Canvas, area: Rect, life: &LifeLine) {
     ];
     let sum: u64 = parts.iter().map(|(count, ..)| count).sum();
     let (verdict, role) =
-        if sum == life.captured { (" ● holds", Role::Good) } else { (" ✖ does not add up", Role::Bad) };
-    let mut rest = canvas.puts(area, &[(&words::count(life.captured), Role::Accent), (" = ", Role::Dim)]);
-    for (place, (count, name, role)) in parts.into_iter().enumerate() {
-        let role = if count == 0 { Role::Dim } else { role };
+        if sum == life.captured { ("● holds: ", Role::Good) } else { ("✖ does not add up: ", Role::Bad) };
+    let mut rest =
+        canvas.puts(area, &[(verdict, role), (&words::count(life.captured), Role::Accent), (" = ", Role::Dim)]);
+    // What is out of the ordinary is named where there is any; figures grow, and the line is short.
+    let named = parts.into_iter().enumerate().filter(|(place, (count, ..))| *place < 2 || *count > 0);
+    for (place, (count, name, role)) in named {
         let plus = if place == 0 { "" } else { " + " };
         rest = canvas.puts(rest, &[(plus, Role::Dim), (&words::count(count), role), (" ", role), (name, Role::Dim)]);
     }
-    canvas.put(rest, verdict, role);
+    if life.quarantined + life.dropped + life.tampered == 0 {
+        canvas.put(rest, ", none quarantined, dropped, tampered", Role::Dim);
+    }
 }
 
 fn draw_alerts(canvas: &mut Canvas, area: Rect, state: &State, most: usize) -> Rect {

@@ -106,6 +106,18 @@ pub fn embedded_text(name: &str) -> Option<&'static str> {
     EMBEDDED.iter().find(|(known, _)| *known == name).map(|(_, text)| *text)
 }
 
+/// How many colours pictures may have.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Shades {
+    /// As many as wanted.
+    #[default]
+    All,
+    /// The sixteen.
+    Sixteen,
+    /// None: characters instead.
+    None,
+}
+
 /// How each role looks.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Theme {
@@ -113,6 +125,8 @@ pub struct Theme {
     pub name: String,
     /// Draw with ASCII characters only.
     pub ascii: bool,
+    /// How many colours pictures may have.
+    pub shades: Shades,
     /// The background the colours are made for.
     pub assumed: Option<(u8, u8, u8)>,
     styles: [Style; Role::ALL.len()],
@@ -131,6 +145,11 @@ impl Theme {
     /// The same theme, drawn with ASCII characters only or not.
     pub fn with_ascii(self, ascii: bool) -> Self {
         Self { ascii, ..self }
+    }
+
+    /// The same theme on a terminal of so many colours.
+    pub fn with_shades(self, shades: Shades) -> Self {
+        Self { shades, ..self }
     }
 
     /// How a role looks.

@@ -107,6 +107,8 @@ pub struct Site {
     reserve: Reserve,
     /// Space for the states of records on a full disk.
     states: Reserve,
+    /// Changes of the watch lists happen one at a time.
+    watching: Mutex<()>,
     /// Changes of the address book happen one at a time.
     contacts: tokio::sync::Mutex<()>,
     owners: RwLock<BTreeMap<ProfileName, Arc<Owner>>>,
@@ -173,6 +175,7 @@ impl Site {
             served_gateway: Mutex::default(),
             reserve,
             states,
+            watching: Mutex::default(),
             contacts: tokio::sync::Mutex::default(),
             home,
             config,

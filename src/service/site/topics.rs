@@ -1,7 +1,7 @@
 //! Topics of the graph: listed with their rates, watched and unwatched.
 
 use std::collections::{HashMap, HashSet};
-use std::sync::Arc;
+use std::sync::{Arc, PoisonError};
 
 use tokio::task::block_in_place;
 
@@ -97,15 +97,15 @@ impl Site {
 
     /// Topics with an open alarm about a publisher.
     fn alarmed_topics(&self, profile: &ProfileName) -> Result<HashSet<String>, Failure> {
-        let Some(owner) = self.owner(profile) else { return Ok(HashSet::new()) };
-        let alarms = block_in_place(|| self.plant.ledger.alarms(owner.address, None))?;
+        let Ok(owner) = self.address_of(profile) else { return Ok(HashSet::new()) };
+        let alarms = block_in_place(|| self.plant.ledger.alarms(owner, None))?;
         Ok(alarms.into_iter().filter(|alarm| alarm.open).map(|alarm| alarm.topic).collect())
     }
 
     /// Node names pinned to each topic, by the operator, by first sight or by the settings.
     fn pinned_names(&self, profile: &ProfileName) -> Result<HashMap<String, HashSet<String>>, Failure> {
-        let Some(owner) = self.owner(profile) else { return Ok(HashMap::new()) };
-        let kept = block_in_place(|| self.plant.ledger.pins(owner.address, None))?;
+        let Ok(owner) = self.address_of(profile) else { return Ok(HashMap::new()) };
+        let kept = block_in_place(|| self.plant.ledger.pins(owner, None))?;
         let kept = kept.into_iter().map(|row| (row.topic, row.publisher.caller_id));
         let listed = self.pins.all_listed().map(|(topic, publisher)| (topic.clone(), publisher.caller_id.clone()));
         let mut names: HashMap<String, HashSet<String>> = HashMap::new();
@@ -120,9 +120,15 @@ impl Site {
         Ok(text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default())
     }
 
-    fn save_watches(&self, profile: &ProfileName, watches: &Watches) -> Result<(), Failure> {
-        let text = serde_json::to_string(watches).unwrap_or_default();
-        Ok(self.plant.ledger.put_setting(&key(profile), &text)?)
+    /// Reads, changes and keeps a watch list; of several changes at once none is lost.
+    fn change_watches(&self, profile: &ProfileName, change: impl FnOnce(&mut Watches)) -> Result<(), Failure> {
+        block_in_place(|| {
+            let _one_at_a_time = self.watching.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut watches = self.watches(profile)?;
+            change(&mut watches);
+            let text = serde_json::to_string(&watches).unwrap_or_default();
+            Ok(self.plant.ledger.put_setting(&key(profile), &text)?)
+        })
     }
 
     /// Captures a topic until it is unwatched, over restarts.
@@ -132,11 +138,9 @@ impl Site {
         topic: TopicName,
         type_name: Option<TypeName>,
     ) -> Result<Reply, Failure> {
-        block_in_place(|| {
-            let mut watches = self.watches(profile)?;
+        self.change_watches(profile, |watches| {
             watches.retain(|(watched, _)| *watched != topic);
             watches.push((topic.clone(), type_name.clone()));
-            self.save_watches(profile, &watches)
         })?;
         self.record_audit(profile, "watch", topic.as_str(), "done").await?;
         if let Some(owner) = self.owner(profile) {
@@ -155,11 +159,7 @@ impl Site {
         profile: &ProfileName,
         topic: &TopicName,
     ) -> Result<Reply, Failure> {
-        block_in_place(|| {
-            let mut watches = self.watches(profile)?;
-            watches.retain(|(watched, _)| watched != topic);
-            self.save_watches(profile, &watches)
-        })?;
+        self.change_watches(profile, |watches| watches.retain(|(watched, _)| watched != topic))?;
         self.record_audit(profile, "unwatch", topic.as_str(), "done").await?;
         if let Some(owner) = self.owner(profile) {
             self.recorder.unwatch(topic.as_str(), &owner.author);

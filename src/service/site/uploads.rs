@@ -106,7 +106,7 @@ impl Site {
             step("signature", format!("SM2 by signer {}", row.signer)),
         ];
         if row.state >= RecordState::Stored {
-            steps.push(step("vault", format!("stored in the {}", self.plant.vault.name())));
+            steps.push(step("vault", format!("its ciphertext lies there ({})", self.plant.vault.name())));
         }
         let digest = row.digest;
         let place = self.blocking(move |site| Ok(site.plant.ledger.batch_place(digest)?)).await?;

@@ -6,6 +6,7 @@ mod form;
 mod help;
 mod lookup;
 mod palette;
+mod record;
 mod situation;
 mod themes;
 
@@ -26,7 +27,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, popup: &Popup) {
         Popup::Confirm(confirm) => draw_confirm(canvas, area, confirm),
         Popup::Form(_, form) => form::draw(canvas, area, form),
         Popup::Provenance(lookup) => lookup::draw_provenance(canvas, area, lookup),
-        Popup::Record(lookup) => lookup::draw_record(canvas, area, lookup),
+        Popup::Record(opening) => record::draw(canvas, area, opening),
         Popup::Chord(pressed) => chord::draw(canvas, area, state, pressed),
         Popup::Themes(choice) => themes::draw(canvas, area, state, choice),
         Popup::Publishers(lookup) => situation::draw_publishers(canvas, area, state, lookup),

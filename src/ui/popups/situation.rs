@@ -133,7 +133,7 @@ pub fn draw_tasks(canvas: &mut Canvas, area: Rect, state: &State) {
     }
     lines.extend(records_on_their_way(state));
     if let Some(chain) = &state.chain {
-        let pending = format!("transactions  {} of your account not in a block", chain.pending);
+        let pending = format!("{:<15} {} of your account not in a block", "transactions", chain.pending);
         lines.push((pending, if chain.pending > 0 { Role::Warning } else { Role::Body }));
         lines.extend(chain.lanes.iter().filter_map(paused));
     }
@@ -154,7 +154,8 @@ fn records_on_their_way(state: &State) -> Vec<Line> {
     let full = if queue.capacity == 0 { 0 } else { queue.bytes.saturating_mul(100) / queue.capacity };
     let mut lines = vec![(
         format!(
-            "to be sealed  {} messages, {} ({full} % of the ring)",
+            "{:<15} {} messages, {} ({full} % of the ring)",
+            "to be sealed",
             words::count(queue.messages),
             words::size(queue.bytes)
         ),

@@ -6,7 +6,7 @@ use ratatui::style::{Color, Modifier, Style};
 use serde::Deserialize;
 use toml::Spanned;
 
-use super::{Role, Theme, ThemeError};
+use super::{Role, Shades, Theme, ThemeError};
 use crate::model::clean;
 
 /// What an operator's theme begins from unless it says otherwise.
@@ -95,7 +95,8 @@ pub fn read(file: &str, text: &str, known: &[Theme]) -> Result<Theme, ThemeError
         return Err(source.wrong(0, format!("the theme names no look for the role {}", role.word())));
     }
     let assumed = parsed.assumed.as_ref().map(|assumed| source.rgb(assumed)).transpose()?;
-    Ok(Theme { name, ascii: false, assumed: assumed.or_else(|| base.and_then(|base| base.assumed)), styles })
+    let assumed = assumed.or_else(|| base.and_then(|base| base.assumed));
+    Ok(Theme { name, ascii: false, shades: Shades::All, assumed, styles })
 }
 
 fn base<'a>(
