@@ -68,6 +68,11 @@ impl Home {
         self.root.join("reserve")
     }
 
+    /// Space set aside for the states of records on a full disk.
+    pub fn working_reserve(&self) -> PathBuf {
+        self.root.join("reserve.states")
+    }
+
     /// Ciphertext of the embedded vault.
     pub fn vault(&self) -> PathBuf {
         self.root.join("vault")

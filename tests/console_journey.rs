@@ -20,7 +20,7 @@ struct Operator(Console);
 
 impl Operator {
     fn opens(authros: &Authros) -> Self {
-        Self(Console::open_sized(authros, 24, 80))
+        Self(Console::open_in(&Terminal::of(80, 24), authros, &[]))
     }
 
     fn presses(&mut self, keys: &str) -> &mut Self {

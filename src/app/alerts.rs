@@ -62,7 +62,7 @@ fn life(life: &LifeLine) -> Vec<(NoticeLevel, String)> {
         (
             life.dropped.saturating_sub(life.discarded),
             NoticeLevel::Warning,
-            "dropped by the recorder before they were sealed",
+            "dropped by the recorder before they were sealed; gap records tell of them",
         ),
         (life.lost_in_transport, NoticeLevel::Warning, "lost in transport, before they arrived here"),
     ];

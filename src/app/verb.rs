@@ -345,7 +345,7 @@ pub static VERBS: &[Entry] = &[
     entry(Verb::Mouse, "mouse", "", &[], "Mouse for the console, or for the terminal's own selection")
         .chord(&[Key::Char('z'), Key::Char('m')]),
     entry(Verb::Redraw, "redraw", "", &[Key::Control('l')], "Draw the screen anew"),
-    entry(Verb::Suspend, "suspend", "", &[Key::Control('z')], "Back to the shell; `fg` returns"),
+    entry(Verb::Suspend, "shell", "", &[Key::Control('z')], "Back to the shell; `fg` returns"),
 ];
 
 /// The entry of a verb, the one of this screen first.

@@ -11,7 +11,7 @@ mod records;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
 pub use self::agent::{AgentVerb, EnrolArguments, RunArguments};
-pub use self::bench::{BenchArguments, BenchVerb, ConsensusArguments, GatewayArguments};
+pub use self::bench::{BenchArguments, BenchVerb, ConsensusArguments, GatewayArguments, LoadChoice, PipelineArguments};
 pub use self::chain::{ChainVerb, GenesisArguments};
 pub use self::gateway::GatewayVerb;
 pub use self::global::Global;
@@ -87,6 +87,8 @@ pub enum Verb {
     /// Settings and where they come from
     #[command(subcommand)]
     Config(ConfigVerb),
+    /// Health of the site's parts, and where this profile's records stand
+    Status,
     /// Run the site without a console
     Serve,
     /// Serve robots and operators that run no chain client
@@ -185,6 +187,9 @@ pub struct ConsoleArguments {
     /// Plain ASCII glyphs
     #[arg(long)]
     pub ascii: bool,
+    /// Lines instead of a screen: words in, sentences out, for screen readers and pipes
+    #[arg(long)]
+    pub plain: bool,
     /// Look, do not touch
     #[arg(long)]
     pub read_only: bool,

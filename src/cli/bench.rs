@@ -10,6 +10,7 @@ mod lane;
 mod machine;
 mod mined;
 mod network;
+mod pipeline;
 mod progress;
 mod report;
 mod spread;
@@ -37,11 +38,12 @@ pub async fn run(global: &Global, arguments: BenchArguments, output: &Output) ->
         match arguments.verb {
             BenchVerb::Consensus(consensus) => consensus::run(consensus, provider, csv, output).await,
             BenchVerb::Gas => gas::run(provider, csv, output).await,
+            BenchVerb::Pipeline(pipeline) => pipeline::run(global, pipeline, csv, output).await,
             BenchVerb::Gateway(gateway) => gateway::run(gateway, provider, csv, output).await,
         }
     };
     tokio::select! {
         done = work => done,
-        () = serve::asked_to_end() => Err(Failure::new(ErrorKind::Incomplete, "the bench was ended before it was done; run it again for its figures")),
+        _ = serve::asked_to_end() => Err(Failure::new(ErrorKind::Incomplete, "the bench was ended before it was done; run it again for its figures")),
     }
 }

@@ -18,12 +18,13 @@ use crate::term::{self, ExitReason};
 /// # Errors
 /// Without a terminal, or where the profile's console is open already.
 pub fn run(runtime: &tokio::runtime::Runtime, context: Context, arguments: ConsoleArguments) -> Result<u8, Failure> {
-    if !term::is_interactive() {
+    if !arguments.plain && !term::is_interactive() {
         return Err(Failure::new(
             ErrorKind::Usage,
-            "the console needs a terminal, and this is none; without one use `authros demo`, `authros capture` or `authros serve`",
+            "the console needs a terminal, and this is none; without one use `authros console --plain`, `authros demo`, `authros capture` or `authros serve`",
         ));
     }
+    let plain = arguments.plain;
     let options = looks::options(&context, arguments)?;
     let (events, _) = broadcast::channel(1024);
     let (calls, waiting) = mpsc::unbounded_channel();
@@ -31,7 +32,8 @@ pub fn run(runtime: &tokio::runtime::Runtime, context: Context, arguments: Conso
     let site = Arc::new(OnceLock::new());
     // The first frame does not wait for the site: calls are answered as soon as it is there.
     runtime.spawn(serve(context, Arc::clone(&site), waiting, events));
-    let ended = term::run(client, runtime.handle(), &options);
+    let run = if plain { term::plain::run } else { term::run };
+    let ended = run(client, runtime.handle(), &options);
     if let Some(site) = site.get() {
         runtime.block_on(Arc::clone(site).stop());
     }

@@ -16,10 +16,12 @@ use crate::service::{Command, Failure, Needs, Reply};
 pub async fn serve(context: Context, listen: SocketAddr, output: &Output) -> Result<u8, Failure> {
     let connection = context.connect(Needs { ros: false, chain: true }).await?;
     let joined = connection.site.is_none();
+    let end = site::asked_to_end();
+    tokio::pin!(end);
     let begun = tokio::select! {
         begun = begin(&context, &connection, listen, output) => begun,
-        () = site::asked_to_end() => {
-            connection.close().await;
+        _ = &mut end => {
+            connection.end().await;
             return Ok(0);
         }
     };
@@ -37,10 +39,10 @@ pub async fn serve(context: Context, listen: SocketAddr, output: &Output) -> Res
         )
     });
     let ended = tokio::select! {
-        () = site::follow(&connection.client, output) => Ok(0),
+        () = site::follow(&connection.client, output, end) => Ok(0),
         failure = super::chain::lost(&connection.client) => Err(failure),
     };
-    connection.close().await;
+    connection.end().await;
     ended
 }
 

@@ -26,7 +26,10 @@ mod printed;
 mod quarantine;
 mod serve;
 mod show;
+mod status;
+mod twins;
 mod verbs;
+mod viewing;
 
 use std::process::ExitCode;
 
@@ -39,6 +42,7 @@ use crate::service::Failure;
 
 /// Runs the program; the exit code follows from the kind of error.
 pub fn main() -> ExitCode {
+    serve::note_hangup();
     let arguments = match Arguments::try_parse() {
         Ok(arguments) => arguments,
         Err(error) => {

@@ -5,6 +5,7 @@ use std::fmt::Write as _;
 use clap::CommandFactory;
 
 use super::args::{Arguments, PrintArguments, Verb};
+use super::twins::{TWINS, Twin};
 use crate::app::keymap;
 use crate::config::DEFINITIONS;
 use crate::model::{ErrorKind, clean};
@@ -85,6 +86,12 @@ fn manual() -> Result<String, Failure> {
     command.build();
     let mut text = String::from_utf8_lossy(&bytes).into_owned();
     commands(&mut text, &command, "authros");
+    text.push_str(".SH THE CONSOLE\'S COMMANDS WITHOUT IT\n");
+    for (name, twin) in TWINS {
+        if let Twin::Runs(line) = twin {
+            let _ = write!(text, ".TP\n\\fB{}\\fR\nauthros {}\n", roff(name), roff(line));
+        }
+    }
     Ok(text)
 }
 

@@ -10,6 +10,7 @@ use super::output::Output;
 use super::plans::{audit, grant, keys};
 use super::quarantine::{self, QuarantineVerb};
 use super::{lists, parse, parties, passphrase, show};
+use crate::service::command::Viewing;
 use crate::service::{Command, Failure, Needs, Operation};
 
 /// The chain alone.
@@ -83,6 +84,7 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
         }
         Verb::Identity(IdentityVerb::Lock) => Plan::new(NEITHER, NoProfile, Command::Operate(Operation::Lock)),
         Verb::Gateway(GatewayVerb::Status) => Plan::new(NEITHER, NoProfile, Command::Operate(Operation::GatewayStatus)),
+        Verb::Status => Plan::new(NEITHER, NoProfile, Command::SiteStatus),
         Verb::Contacts(verb) => Plan::new(CHAIN, NoProfile, parties::contacts(verb)?),
         Verb::Register => Plan::new(CHAIN, Made, Command::Register),
         Verb::Keys(verb) => keys(verb)?,
@@ -120,7 +122,11 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
         Verb::Shared(SharedVerb::List(list)) => Plan::new(CHAIN, Unlocked, Command::ListShared(parse::query(&list)?)),
         Verb::Shared(SharedVerb::Check { id }) => Plan::new(CHAIN, Unlocked, Command::CheckShared { id }),
         Verb::Shared(SharedVerb::Open { id, out }) => {
-            Plan { out, ..Plan::new(CHAIN, Unlocked, Command::OpenShared { id }) }
+            let command = super::viewing::open(id, out.as_deref());
+            Plan { out, ..Plan::new(CHAIN, Unlocked, command) }
+        }
+        Verb::Shared(SharedVerb::Path { id, records }) => {
+            Plan::new(CHAIN, Unlocked, Command::View(Viewing::Path { id, records }))
         }
         Verb::Chain(ChainVerb::Status) => Plan::new(CHAIN, NoProfile, Command::ChainStatus),
         Verb::Chain(ChainVerb::Adopt) => Plan::new(CHAIN, Unlocked, Command::AdoptChain),

@@ -76,10 +76,35 @@ pub const DEFINITIONS: &[Definition] = &[
         text: "embedded chain: poa[:SIGNERS:PERIOD_MS] or pow[:DIFFICULTY]; empty = as founded, new ones poa",
     },
     Definition {
+        name: "capture.memory",
+        variable: "AUTHROS_CAPTURE_MEMORY",
+        default: "256MiB",
+        text: "memory for captured messages that wait to be stored, all topics together; what does not fit is counted",
+    },
+    Definition {
         name: "vault.url",
         variable: "AUTHROS_VAULT",
         default: "",
-        text: "redis://host:port; empty = embedded vault",
+        text: "redis://host:port, redis+unix:///path, redis+cluster://host:port,host:port or \
+               redis+sentinel://host:port,host:port/master; empty = embedded vault",
+    },
+    Definition {
+        name: "vault.backlog",
+        variable: "AUTHROS_VAULT_BACKLOG",
+        default: "4GiB",
+        text: "disk space for records that wait for a Redis that does not take them",
+    },
+    Definition {
+        name: "disk.reserve",
+        variable: "AUTHROS_DISK_RESERVE",
+        default: "64MiB",
+        text: "disk space left free: below it no further record is acknowledged, so that those there are can go on",
+    },
+    Definition {
+        name: "record.compression",
+        variable: "AUTHROS_COMPRESSION",
+        default: "auto",
+        text: "auto = compress messages before they are sealed where it pays; off = seal them as they are",
     },
     Definition {
         name: "crypto.provider",

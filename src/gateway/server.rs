@@ -92,6 +92,12 @@ impl Server {
         Arc::clone(&self.shared)
     }
 
+    /// Waits until it takes no more connections by a fault of its own. Drop it then.
+    pub async fn broken(&mut self) {
+        // How it ended makes no difference.
+        drop((&mut self.task).await);
+    }
+
     /// Takes no more connections, lets requests under way finish, closes all; whatever lasts longer than
     /// `patience` is cut.
     pub async fn stop(mut self, patience: Duration) {

@@ -13,11 +13,13 @@ pub mod error;
 #[cfg(test)]
 mod fixture;
 pub mod forwarder;
+pub mod losses;
 pub mod meter;
 pub mod mirror;
 pub mod notices;
 pub mod owner;
 pub mod pace;
+pub mod packing;
 pub mod pins;
 pub mod proof;
 pub mod quarantine;
@@ -28,6 +30,7 @@ pub mod sealer;
 pub mod sender;
 pub mod session;
 pub mod signers;
+pub mod stages;
 pub mod statement;
 pub mod storer;
 #[cfg(test)]
@@ -40,6 +43,7 @@ pub use author::Author;
 pub use directory::Directory;
 pub use error::PipelineError;
 pub use forwarder::Forwarder;
+pub use losses::Losses;
 pub use owner::Owner;
 pub use pins::{PinRules, Pins};
 pub use recorder::Recorder;
@@ -64,6 +68,10 @@ pub trait Observer: Send + Sync {
     fn directory_changed(&self);
     /// A publisher of a watched topic is doubted.
     fn publishers_doubted(&self) {}
+    /// Where times are counted, if they are.
+    fn stages(&self) -> Option<&stages::Stages> {
+        None
+    }
     /// An operator should know; `urgent` stays on screen.
     fn alert(&self, urgent: bool, text: String);
 }

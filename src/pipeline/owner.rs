@@ -186,6 +186,13 @@ impl Owner {
         Ok(Arc::new(EpochKeys::new(domain, (epoch, token), self.signing(), key, self.index())))
     }
 
+    /// Whether the chain was seen to have an epoch of this owner.
+    pub fn has_registered_epoch(&self, domain: Domain) -> bool {
+        let keyring = self.keyring();
+        let network = keyring.keyring.networks.get(&domain);
+        network.is_some_and(|network| network.epochs.values().any(|secret| matches!(secret.state, EpochState::Active)))
+    }
+
     /// The chain has this epoch: noted in the keyring.
     ///
     /// # Errors

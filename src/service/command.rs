@@ -4,6 +4,7 @@ mod administration;
 mod choices;
 mod operate;
 mod secret;
+mod viewing;
 
 use serde::{Deserialize, Serialize};
 
@@ -11,6 +12,7 @@ pub use self::administration::Administration;
 pub use self::choices::{Epochs, Held, KeyKind, UploadQuery};
 pub use self::operate::Operation;
 pub use self::secret::{SecretBytes, SecretText};
+pub use self::viewing::{LONGEST_PATH, Viewing};
 use crate::model::{Address, ContactName, Party, ProfileName, Publisher, SignerId, Timestamp, TopicName, TypeName};
 pub use crate::store::AuditQuery;
 
@@ -162,6 +164,8 @@ pub enum Command {
         /// Its id.
         id: String,
     },
+    /// Look at opened records: as files, as a path.
+    View(Viewing),
     /// Let a device sign for the profile.
     LendDevice {
         /// SM3 of its public key.

@@ -8,7 +8,9 @@ mod operate;
 mod parties;
 mod records;
 mod site;
+mod tasks;
 mod topics;
+mod viewing;
 
 use serde::{Deserialize, Serialize};
 
@@ -20,7 +22,9 @@ pub use self::operate::{GatewayStatusView, RefusedView, SenderView, SystemKeyVie
 pub use self::parties::{AdministrationView, CompareView, ContactRow, DeviceRow, GrantRow, SuccessionView};
 pub use self::records::{CheckView, ExportedFile, OpenedView, Provenance, RecordPage, RecordView};
 pub use self::site::{HealthLevel, LifeLine, PartHealth, QueueView, SiteView};
+pub use self::tasks::{TaskState, TaskView};
 pub use self::topics::{CaptureSummary, TopicRow, TopicSummary};
+pub use self::viewing::PathView;
 use super::command::SecretBytes;
 use crate::model::ErrorKind;
 
@@ -79,6 +83,8 @@ pub enum Reply {
     Check(CheckView),
     /// To `OpenShared`.
     Opened(Box<OpenedView>),
+    /// To `Viewing::Path`.
+    Path(PathView),
     /// To commands about pins.
     Pins(PinsView),
     /// To `ListQuarantine`.

@@ -12,6 +12,8 @@ pub mod encode;
 pub mod files;
 pub mod guard;
 pub mod input;
+pub mod outside;
+pub mod plain;
 pub mod renderer;
 pub mod signals;
 pub mod stage;
@@ -20,12 +22,13 @@ mod kept;
 mod session;
 
 use std::io::{self, IsTerminal};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use tokio::runtime::Handle;
 
-use crate::app::Keymap;
-use crate::model::ErrorKind;
+use crate::app::zone::Zone;
+use crate::app::{Keymap, Settings, State};
+use crate::model::{ErrorKind, Timestamp};
 use crate::service::{Client, Failure};
 use crate::ui::{ThemeError, Themes};
 
@@ -105,6 +108,27 @@ impl TermError {
             Self::Terminal(_) | Self::Fault(_) => ErrorKind::Internal,
         }
     }
+}
+
+/// Where relative paths begin.
+fn directory(options: &ConsoleOptions) -> io::Result<PathBuf> {
+    options.directory.clone().map_or_else(std::env::current_dir, Ok)
+}
+
+/// The state before the first answer, at the present time.
+fn first_state(client: &Client, options: &ConsoleOptions, directory: &Path) -> State {
+    let mut state = State::new(Settings {
+        profile: client.profile().clone(),
+        read_only: options.read_only,
+        directory: directory.to_owned(),
+        home: std::env::var_os("HOME").map(PathBuf::from),
+        keymap: options.keymap.clone(),
+        themes: options.themes.names(),
+        lock_after: options.lock_after,
+        zone: Zone::new(jiff::tz::TimeZone::system()),
+    });
+    (state.now, state.mouse) = (Timestamp::now(), options.mouse);
+    state
 }
 
 /// Whether there is a terminal to read keys from and to draw on.

@@ -88,10 +88,12 @@ pub fn site() -> SiteView {
             anchored: 12_320,
             confirmed: 12_310,
             verified: 12_300,
+            conserved: true,
             ..LifeLine::default()
         },
         robots: 4,
         profiles: vec![ProfileName::default()],
+        tasks: Vec::new(),
         queue: QueueView { messages: 3, bytes: 2_184, capacity: 201_326_592 },
     }
 }
@@ -339,6 +341,11 @@ pub fn opened(number: u64, camera: bool) -> OpenedView {
         verdict: Verdict::Verified,
         caller_id: "/driver".to_owned(),
         tags: vec![("mission".to_owned(), "crime scene".to_owned()), ("simulated".to_owned(), "yes".to_owned())],
+        compression: "lz4".to_owned(),
+        stored: 312,
+        readable: None,
+        beginning: (0..=255).collect(),
+        file: None,
         fields,
         message: serde_json::json!({ "header": { "seq": 1042 } }),
         body: None,

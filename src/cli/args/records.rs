@@ -137,8 +137,17 @@ pub enum SharedVerb {
     Open {
         /// Record id
         id: String,
-        /// Also write the message's bytes (a picture's own bytes where it is one) to a file
+        /// Also write it to a file: .json, .bin, pictures also .png, .jpg, .npy; of another name = a picture's own
+        /// bytes where it is one, else the message's
         #[arg(long, value_name = "FILE")]
         out: Option<PathBuf>,
+    },
+    /// Where the robot was, over the records of a topic that lead to one
+    Path {
+        /// Record id
+        id: String,
+        /// Records at most
+        #[arg(long, value_name = "N", default_value_t = 200)]
+        records: usize,
     },
 }

@@ -128,7 +128,7 @@ impl Site {
             Command::ListDevices => self.device_rows(&owner).await.map(Reply::Devices),
             Command::Administer(act) => self.administer(&owner, &act).await.map(Reply::Transaction),
             Command::AdoptChain => self.adopt_chain(&owner).await.map(Reply::Transaction),
-            Command::ListShared(_) | Command::CheckShared { .. } | Command::OpenShared { .. } => {
+            Command::ListShared(_) | Command::CheckShared { .. } | Command::OpenShared { .. } | Command::View(_) => {
                 self.caught_up(profile).await?;
                 self.handle_shared(&owner, command).await
             }
@@ -141,6 +141,7 @@ impl Site {
         match command {
             Command::ListShared(query) => self.list_shared(owner, query).await.map(Reply::Records),
             Command::CheckShared { id } => self.check_record(owner, &id).await.map(Reply::Check),
+            Command::View(viewing) => self.handle_viewing(owner, viewing).await,
             Command::OpenShared { id } => self.open_record(owner, &id).await.map(|view| Reply::Opened(Box::new(view))),
             _ => Err(unknown()),
         }

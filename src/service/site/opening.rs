@@ -4,17 +4,16 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use super::Site;
-use super::view::{record_page, record_query, record_view};
+use super::view::{record_page, record_query};
 use crate::crypto::GrantedKeys;
-use crate::model::{Address, FilterId, Scope, Timestamp, TopicId, clean};
+use crate::model::{Address, FilterId, Scope, Timestamp, TopicId};
 use crate::pipeline::directory::Granted;
 use crate::pipeline::epoch::tag_filter;
 use crate::pipeline::reader::{Reader, is_held};
 use crate::pipeline::{Network, Owner};
-use crate::ros::Limits;
 use crate::service::command::UploadQuery;
 use crate::service::failure::input;
-use crate::service::reply::{CheckView, Failure, OpenedView, RecordPage};
+use crate::service::reply::{CheckView, Failure, RecordPage};
 use crate::store::RecordQuery;
 
 impl Site {
@@ -129,36 +128,5 @@ impl Site {
         self.audit_first(owner, "check", &row.id).await?;
         let (verdict, digest) = reader.check(&row).await?;
         Ok(CheckView { id: row.id, verdict, digest, transaction: row.transaction, block: row.block })
-    }
-
-    /// Checks, decrypts and decodes one record, shared or own.
-    pub(super) async fn open_record(self: &Arc<Self>, owner: &Arc<Owner>, id: &str) -> Result<OpenedView, Failure> {
-        let row = self.find_record(id).await?;
-        let network = self.network().await?;
-        let reader = Reader { plant: &self.plant, network: &network, reader: owner };
-        let allowed = reader.authorise(&row);
-        self.count_refusal(owner, &allowed);
-        allowed?;
-        self.audit_first(owner, "decrypt", &row.id).await?;
-        let opened = reader.open(&row).await?;
-        let definition = reader.definition(&row, &opened).await?;
-        let decoded =
-            definition.as_ref().and_then(|definition| definition.decode(&opened.body, Limits::default()).ok());
-        let picture = definition
-            .as_ref()
-            .and_then(|definition| definition.compressed_image(&opened.body))
-            .and_then(|picture| opened.body.get(picture.data).map(<[u8]>::to_vec))
-            .filter(|_| !crate::crypto::fault::is_off("restore"));
-        let fields = decoded.as_ref().map(|value| value.flatten()).unwrap_or_default();
-        Ok(OpenedView {
-            record: record_view(&row, row.owner != owner.address),
-            verdict: opened.verdict,
-            caller_id: clean(&opened.head.caller_id, 255),
-            tags: opened.head.tags.iter().map(|(key, value)| (clean(key, 64), clean(value, 200))).collect(),
-            fields: fields.into_iter().map(|(path, text)| (clean(&path, 200), clean(&text, 400))).collect(),
-            message: decoded.map_or(serde_json::Value::Null, |value| value.to_json()),
-            body: Some(opened.body),
-            picture,
-        })
     }
 }

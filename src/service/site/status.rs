@@ -4,7 +4,7 @@ use std::sync::{Arc, PoisonError};
 
 use tokio::task::block_in_place;
 
-use super::{NetworkState, RING_BYTES, RosState, Site};
+use super::{NetworkState, RosState, Site};
 use crate::config::without_password;
 use crate::model::{ProfileName, RecordState, clean};
 use crate::pipeline::sender::LaneState;
@@ -24,13 +24,13 @@ impl Site {
         let profiles = self.all_owners().iter().map(|owner| owner.profile.clone()).collect();
         let health = vec![self.ros_health(), self.chain_health(), self.vault_health(), self.gateway_health()];
         let life = block_in_place(|| self.life_line(profile))?;
-        Ok(SiteView { health, life, robots, profiles, queue: self.queue_view() })
+        Ok(SiteView { health, life, robots, profiles, queue: self.queue_view(), tasks: self.task_views() })
     }
 
     fn queue_view(&self) -> QueueView {
-        let (messages, bytes) = self.ring.depth();
+        let (messages, bytes) = self.rings.depth();
         let count = |number: usize| u64::try_from(number).unwrap_or(u64::MAX);
-        QueueView { messages: count(messages), bytes: count(bytes), capacity: count(RING_BYTES) }
+        QueueView { messages: count(messages), bytes: count(bytes), capacity: count(self.rings.capacity()) }
     }
 
     fn ros_health(&self) -> PartHealth {
@@ -71,7 +71,8 @@ impl Site {
 
     fn vault_health(&self) -> PartHealth {
         let name = self.config.vault_url.as_deref().map_or_else(|| "embedded vault".to_owned(), without_password);
-        part("vault", HealthLevel::Ok, &name)
+        let (level, text) = self.room_health().unwrap_or((HealthLevel::Ok, name));
+        part("vault", level, &text)
     }
 
     fn gateway_health(&self) -> PartHealth {
@@ -102,21 +103,20 @@ impl Site {
     }
 
     fn life_line(&self, profile: &ProfileName) -> Result<LifeLine, Failure> {
-        let losses = self.recorder.all_losses();
-        // What was captured before is told also while the keyring is locked.
         let Ok(owner) = self.address_of(profile) else {
-            return Ok(LifeLine { lost_in_transport: losses.in_transport, ..LifeLine::default() });
+            return Ok(LifeLine { conserved: true, ..LifeLine::default() });
         };
-        let counts = self.plant.ledger.counts(Some(owner))?;
+        let (waiting, _) = self.rings.depth();
+        let counts = self.losses.counts(&self.plant, owner)?;
         let at_least = |least: RecordState| -> u64 {
             let states =
                 RecordState::ALL.into_iter().filter(|state| *state >= least && *state <= RecordState::Verified);
             states.map(|state| counts.data_in(state)).sum()
         };
         let tampered = counts.data_in(RecordState::Tampered);
-        let discarded = counts.data_in(RecordState::Dropped);
+        let dropped = counts.data_in(RecordState::Dropped);
         Ok(LifeLine {
-            captured: counts.captured() + losses.in_recorder,
+            captured: counts.captured(),
             sealed: at_least(RecordState::Sealed) + tampered,
             stored: at_least(RecordState::Stored) + tampered,
             anchored: at_least(RecordState::Mined) + tampered,
@@ -124,10 +124,14 @@ impl Site {
             verified: counts.data_in(RecordState::Verified),
             pending: counts.pending(),
             quarantined: counts.data_in(RecordState::Quarantined),
-            dropped: losses.in_recorder + discarded,
-            discarded,
+            dropped,
+            lost_in_recorder: counts.lost_in_recorder,
+            discarded: dropped.saturating_sub(counts.lost_in_recorder),
             tampered,
-            lost_in_transport: losses.in_transport,
+            lost_in_transport: counts.lost_in_transport,
+            waiting: waiting as u64,
+            deleted: 0,
+            conserved: counts.is_conserved(),
         })
     }
 

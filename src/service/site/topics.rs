@@ -9,6 +9,7 @@ use super::{RosState, Site};
 use crate::model::{ProfileName, Timestamp, TopicName, TypeName, clean};
 use crate::pipeline::Owner;
 use crate::service::reply::{Failure, Reply, TopicRow};
+use crate::store::TopicCounts;
 
 type Watches = Vec<(TopicName, Option<TypeName>)>;
 
@@ -48,7 +49,10 @@ impl Site {
                 row.pins = pinned.len() as u64;
                 row.unpinned = row.publishers.iter().filter(|name| !pinned.contains(*name)).cloned().collect();
             }
-            (row.messages, row.quarantined) = captured.get(&row.topic).copied().unwrap_or_default();
+            if let Some(counts) = captured.get(&row.topic) {
+                (row.messages, row.quarantined) = (counts.captured, counts.quarantined);
+                (row.lost_in_transport, row.lost_in_recorder) = (counts.missed, counts.lost);
+            }
             row.alarm = alarms.contains(&row.topic);
             row.watched = watched.contains(row.topic.as_str());
         }
@@ -65,7 +69,6 @@ impl Site {
         now: Timestamp,
     ) -> TopicRow {
         let rate = self.recorder.meter().rate(topic, now);
-        let losses = self.recorder.losses(topic);
         TopicRow {
             topic: clean(topic, 255),
             type_name: type_name.map(|name| clean(name, 255)),
@@ -75,8 +78,8 @@ impl Site {
             hz: rate.map(|rate| rate.hz),
             bytes_per_second: rate.map(|rate| rate.bytes_per_second),
             messages: 0,
-            lost_in_transport: losses.in_transport,
-            lost_in_recorder: losses.in_recorder,
+            lost_in_transport: 0,
+            lost_in_recorder: 0,
             last_message: rate.and_then(|rate| rate.last),
             pins: 0,
             unpinned: Vec::new(),
@@ -85,11 +88,11 @@ impl Site {
         }
     }
 
-    /// Messages captured, and those of them in quarantine.
-    fn captured_by_topic(&self, profile: &ProfileName) -> Result<HashMap<String, (u64, u64)>, Failure> {
+    /// What became of the profile's messages, by topic.
+    fn captured_by_topic(&self, profile: &ProfileName) -> Result<HashMap<String, TopicCounts>, Failure> {
         let Ok(owner) = self.address_of(profile) else { return Ok(HashMap::new()) };
-        let counts = block_in_place(|| self.plant.ledger.counts(Some(owner)))?;
-        Ok(counts.topics.into_iter().map(|topic| (topic.topic, (topic.captured, topic.quarantined))).collect())
+        let counts = block_in_place(|| self.losses.counts(&self.plant, owner))?;
+        Ok(counts.topics.into_iter().map(|topic| (topic.topic.clone(), topic)).collect())
     }
 
     /// Topics with an open alarm about a publisher.
