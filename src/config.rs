@@ -18,7 +18,7 @@ pub use self::error::ConfigError;
 pub use self::read::without_password;
 use self::read::{Values, bytes, find, number, parsed, read_file, switch, url, value, wrong};
 pub use self::source::{SettingView, Source};
-use crate::crypto::ProviderName;
+use crate::crypto::{Kernel, ProviderName};
 use crate::model::{Address, AnchorMode, Consensus, ListedPublishers, PinMode, SignerId, clean};
 
 /// How the URL of a vault begins.
@@ -71,10 +71,14 @@ pub struct Config {
     pub compression: bool,
     /// Which SM implementation.
     pub provider: ProviderName,
+    /// Which SM4 kernel, where it is not to be the fastest.
+    pub sm4_kernel: Option<Kernel>,
     /// How digests go on the chain.
     pub anchor_mode: AnchorMode,
     /// How long a line of the audit log may wait until a head over it is anchored.
     pub audit_every: Duration,
+    /// Per cent of the stored records that a running site re-hashes an hour.
+    pub scrub_percent: u64,
     /// Blocks until confirmed.
     pub confirmations: u64,
     /// The gateway of the remote site that this one joins.
@@ -144,8 +148,10 @@ impl Config {
             disk_reserve: bytes(&values, "disk.reserve", 0)?,
             compression: switch(&values, "record.compression", ("auto", "off"))?,
             provider: parsed(&values, "crypto.provider")?.unwrap_or_default(),
+            sm4_kernel: parsed(&values, "crypto.sm4_kernel")?,
             anchor_mode: parsed(&values, "anchor.mode")?.unwrap_or_default(),
             audit_every: Duration::from_secs(number(&values, "audit.anchor_every", 1, 86_400)?),
+            scrub_percent: number(&values, "audit.scrub", 0, 1_000_000)?,
             confirmations: number(&values, "confirmations", 1, 1000)?,
             site: remote_site(&values)?,
             console: ConsoleSettings::read(&values)?,

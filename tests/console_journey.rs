@@ -3,7 +3,7 @@
 
 mod support;
 
-use support::{Authros, Console, Home, heavy, text, wait_until};
+use support::{Authros, Console, Home, Terminal, heavy, text, wait_until};
 
 const ODOMETRY: &str = "/robot1/odom";
 const CAMERA: &str = "/robot1/camera/compressed";

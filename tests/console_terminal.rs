@@ -146,14 +146,15 @@ fn it_works_in_screen() {
     std::fs::create_dir(&sockets).expect("a directory");
     std::fs::set_permissions(&sockets, std::os::unix::fs::PermissionsExt::from_mode(0o700)).expect("its mode");
     let sockets = sockets.to_str().expect("UTF-8").to_owned();
-    inside("screen", &["screen", "-U", "-c", "/dev/null"], &home, &[("SCREENDIR", sockets)]);
+    let settings = home.file("screenrc", "startup_message off\naltscreen on\n", 0o600);
+    inside("screen", &["screen", "-U", "-c", &settings], &home, &[("SCREENDIR", sockets)]);
 }
 
 #[test]
 fn the_smallest_terminal_shows_every_screen_and_a_smaller_one_says_so() {
     let home = Home::new();
     let mut console = Console::open_in(&Terminal::of(60, 18), &one_robot(&home), &[]);
-    console.wait_for(TOPIC, 30);
+    console.wait_for("Overview", 30);
     for screen in Screen::ALL {
         console.press(&(screen.index() + 1).to_string());
         console.wait_for(screen.title(), 30);
@@ -210,6 +211,7 @@ fn colours_are_those_that_the_terminal_has() {
 fn keys_and_theme_of_ones_own_and_errors_by_line() {
     let home = Home::new();
     std::fs::create_dir_all(home.path().join("themes")).expect("a home");
+    std::fs::set_permissions(home.path(), std::os::unix::fs::PermissionsExt::from_mode(0o700)).expect("its mode");
     let keymap = home.path().join("keymap.toml");
     std::fs::write(&keymap, "[everywhere]\nkeys = [\n  { on = [\"z\", \"x\"], run = \"quit\", desc = \"Away\" },\n]\n")
         .expect("written");

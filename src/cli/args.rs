@@ -8,6 +8,8 @@ mod global;
 mod keys;
 mod records;
 
+use std::path::PathBuf;
+
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
 pub use self::agent::{AgentVerb, EnrolArguments, RunArguments};
@@ -81,9 +83,25 @@ pub enum Verb {
     /// Address book: names for accounts, and the keys they are known by
     #[command(subcommand)]
     Contacts(super::parties::ContactsVerb),
-    /// Who did what: list, verify, export
-    #[command(subcommand)]
-    Audit(super::audit::AuditVerb),
+    /// All records against proofs and chain; who did what: list, verify, export
+    Audit(super::audit::AuditArguments),
+    /// Whether everything a home depends on is as it should be, and what to do
+    Doctor,
+    /// Check a folder of `uploads export` against the chain at --chain, without home or keys
+    Verify {
+        /// The folder
+        dir: PathBuf,
+    },
+    /// Write profiles, ledger, embedded vault and chain, settings and pins into one encrypted file
+    Backup {
+        /// The file; its passphrase is given by --passphrase-file or --passphrase-fd
+        file: PathBuf,
+    },
+    /// Make a home out of a back-up, where none is
+    Restore {
+        /// The file; its passphrase is given by --passphrase-file or --passphrase-fd
+        file: PathBuf,
+    },
     /// Settings and where they come from
     #[command(subcommand)]
     Config(ConfigVerb),

@@ -2,11 +2,13 @@
 //! lies in temporary directories that go with the command.
 
 mod account;
+mod algorithms;
 mod batcher;
 mod consensus;
 mod gas;
 mod gateway;
 mod lane;
+mod libgcrypt;
 mod machine;
 mod mined;
 mod network;
@@ -17,6 +19,7 @@ mod spread;
 mod storer;
 mod uploads;
 
+use self::algorithms::Algorithm;
 use super::args::{BenchArguments, BenchVerb, Global};
 use super::output::Output;
 use super::{parse, serve};
@@ -36,6 +39,9 @@ pub async fn run(global: &Global, arguments: BenchArguments, output: &Output) ->
     let (provider, csv, output) = (provider(name), arguments.csv, *output);
     let work = async {
         match arguments.verb {
+            BenchVerb::Sm2(runs) => algorithms::run(Algorithm::Sm2, runs.runs, provider, csv, output).await,
+            BenchVerb::Sm3(runs) => algorithms::run(Algorithm::Sm3, runs.runs, provider, csv, output).await,
+            BenchVerb::Sm4(runs) => algorithms::run(Algorithm::Sm4, runs.runs, provider, csv, output).await,
             BenchVerb::Consensus(consensus) => consensus::run(consensus, provider, csv, output).await,
             BenchVerb::Gas => gas::run(provider, csv, output).await,
             BenchVerb::Pipeline(pipeline) => pipeline::run(global, pipeline, csv, output).await,

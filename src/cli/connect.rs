@@ -59,9 +59,12 @@ impl Context {
     /// # Errors
     /// Where one of them is not usable.
     pub fn new(global: Global) -> Result<Self, Failure> {
-        let profile = super::parse::value(&global.profile)?;
+        let profile = super::parse::value(global.profile.as_deref().unwrap_or("default"))?;
         let home = global.home.clone().map_or_else(|| Home::standard(&environment), Home::new);
         let config = Self::read_config(&global, &home)?;
+        if let Some(kernel) = config.sm4_kernel {
+            kernel.force().map_err(|error| Failure::new(ErrorKind::Input, error.to_string()))?;
+        }
         Ok(Self { global, home, profile, config })
     }
 

@@ -10,6 +10,7 @@ mod audit;
 mod bench;
 mod capture;
 mod chain;
+mod check;
 mod connect;
 mod console;
 mod demo;
@@ -90,6 +91,9 @@ fn run(runtime: &tokio::runtime::Runtime, arguments: Arguments, output: &Output)
         Some(Verb::Bench(bench)) => return runtime.block_on(bench::run(&arguments.global, bench, output)),
         other => other,
     };
+    if let Some(Verb::Verify { dir }) = &verb {
+        return runtime.block_on(check::run_verify(&arguments.global, dir, output));
+    }
     let context = Context::new(arguments.global)?;
     match verb {
         None => console::run(runtime, context, args::ConsoleArguments::default()),
@@ -101,6 +105,9 @@ fn run(runtime: &tokio::runtime::Runtime, arguments: Arguments, output: &Output)
             runtime.block_on(gateway::serve(context, listen, output))
         }
         Some(Verb::Chain(ChainVerb::Serve { listen })) => runtime.block_on(chain::serve(context, listen, output)),
+        Some(Verb::Doctor) => runtime.block_on(check::run_doctor(context, output)),
+        Some(Verb::Backup { file }) => runtime.block_on(check::run_backup(context, &file, output)),
+        Some(Verb::Restore { file }) => check::run_restore(&context, &file, output),
         Some(Verb::Capture(capture)) => runtime.block_on(capture::run(context, capture, output)),
         Some(Verb::Uploads(UploadsVerb::List(list))) if list.follow => {
             runtime.block_on(follow::run(context, follow::Which::Uploads, parse::query(&list)?, output))

@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use super::args::{EpochsChoice, ExportKind, GrantArguments, KeysVerb};
-use super::audit::AuditVerb;
-use super::connect::ProfileNeed;
+use super::audit::{AuditArguments, AuditVerb};
+use super::connect::{Context, ProfileNeed};
 use super::verbs::{CHAIN, NEITHER, Plan};
 use super::{parse, passphrase};
 use crate::model::{ErrorKind, Timestamp};
@@ -14,7 +14,17 @@ use crate::service::{Command, Epochs, Failure, KeyKind, Operation, SecretText};
 ///
 /// # Errors
 /// A time that cannot be read.
-pub fn audit(verb: &AuditVerb) -> Result<Plan, Failure> {
+pub fn audit(context: &Context, arguments: &AuditArguments) -> Result<Plan, Failure> {
+    let Some(verb) = &arguments.verb else {
+        let command = super::check::audit_command(arguments.deep, arguments.since()?);
+        return Ok(Plan::new(super::check::audit_needs(context), ProfileNeed::None, command));
+    };
+    if arguments.deep || arguments.since.is_some() {
+        return Err(Failure::new(
+            ErrorKind::Usage,
+            "--deep and --since before a verb are of the audit of records; leave them out",
+        ));
+    }
     let command = super::audit::query(verb)?;
     Ok(match verb {
         AuditVerb::List { .. } | AuditVerb::Verify { without_heads: true } => {

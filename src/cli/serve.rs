@@ -68,6 +68,8 @@ pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
             format!("a site of {root} runs already; commands join it by themselves"),
         ));
     }
+    // One that worked here before needs no chain to begin.
+    let known = context.home.pin().exists() && context.home.keyring(&context.profile).exists();
     let prepared = async {
         context.prepare(&connection.client, ProfileNeed::Made, output).await?;
         connection.client.request(Command::Register).await
@@ -82,9 +84,15 @@ pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
             return Ok(0);
         }
     };
-    if let Err(failure) = ended {
-        connection.close().await;
-        return Err(failure);
+    match ended {
+        Ok(()) => {}
+        Err(failure) if known && failure.kind == ErrorKind::Unreachable => {
+            output.note(&format!("authros: {}; it is waited for, and what is captured meanwhile too", failure.message));
+        }
+        Err(failure) => {
+            connection.end().await;
+            return Err(failure);
+        }
     }
     let ready = serde_json::json!({ "serving": context.home.root().display().to_string(), "profile": context.profile });
     output.result(&ready, || {

@@ -42,6 +42,11 @@ pub fn show(reply: Reply, out: Option<&Path>, output: &Output) -> Result<u8, Fai
             output.result(&check, || super::audit::check(&check));
             return Ok(super::audit::code(&check));
         }
+        Reply::RecordsAudited(audit) => {
+            output.result(&audit, || super::check::audit(&audit));
+            return Ok(super::check::audit_code(&audit));
+        }
+        Reply::BackedUp(view) => output.result(&view, || super::check::backed_up(&view)),
         Reply::GatewayStatus(view) => output.result(&view, || super::gateway::status(&view)),
         Reply::Pins(view) => output.result(&view, || quarantine::pins(&view)),
         Reply::Quarantine(view) => output.result(&view, || quarantine::held(&view)),

@@ -9,7 +9,7 @@ use super::connect::{Context, ProfileNeed};
 use super::output::Output;
 use super::plans::{audit, grant, keys};
 use super::quarantine::{self, QuarantineVerb};
-use super::{lists, parse, parties, passphrase, show};
+use super::{check, lists, parse, parties, passphrase, show};
 use crate::service::command::Viewing;
 use crate::service::{Command, Failure, Needs, Operation};
 
@@ -110,7 +110,7 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
             Plan::new(needs, profile, quarantine::command(verb)?)
         }
         Verb::Uploads(UploadsVerb::List(list)) => {
-            Plan::new(NEITHER, NoProfile, Command::ListUploads(parse::query(&list)?))
+            Plan::new(NEITHER, NoProfile, check::list_uploads(context, parse::query(&list)?))
         }
         Verb::Uploads(UploadsVerb::Show { id }) => Plan::new(CHAIN, NoProfile, Command::ShowUpload { id }),
         Verb::Uploads(UploadsVerb::Export { id, dir, addresses }) => {
@@ -131,7 +131,7 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
         Verb::Chain(ChainVerb::Status) => Plan::new(CHAIN, NoProfile, Command::ChainStatus),
         Verb::Chain(ChainVerb::Adopt) => Plan::new(CHAIN, Unlocked, Command::AdoptChain),
         Verb::Devices(verb) => Plan::new(CHAIN, Unlocked, super::adopt::command(&verb)?),
-        Verb::Audit(verb) => audit(&verb)?,
+        Verb::Audit(arguments) => audit(context, &arguments)?,
         Verb::Chain(ChainVerb::Deploy) => Plan::new(CHAIN, Made, Command::DeployContract),
         Verb::Chain(verb) => {
             let command = parties::act(&verb)?.ok_or_else(super::connect::unexpected)?;
@@ -141,6 +141,10 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
         | Verb::Config(_)
         | Verb::Capture(_)
         | Verb::Serve
+        | Verb::Doctor
+        | Verb::Verify { .. }
+        | Verb::Backup { .. }
+        | Verb::Restore { .. }
         | Verb::Gateway(_)
         | Verb::Demo(_)
         | Verb::Bench(_)

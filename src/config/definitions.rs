@@ -113,6 +113,12 @@ pub const DEFINITIONS: &[Definition] = &[
         text: "rustcrypto or libsm",
     },
     Definition {
+        name: "crypto.sm4_kernel",
+        variable: "AUTHROS_SM4_KERNEL",
+        default: "",
+        text: "gfni-avx512, gfni-avx2, aesni-avx2 or portable; empty = the fastest that this processor can run",
+    },
+    Definition {
         name: "anchor.mode",
         variable: "AUTHROS_ANCHOR_MODE",
         default: "batch",
@@ -129,6 +135,12 @@ pub const DEFINITIONS: &[Definition] = &[
         variable: "AUTHROS_AUDIT_ANCHOR_EVERY",
         default: "60",
         text: "seconds after which a changed audit log's head is anchored, 1 to 86400",
+    },
+    Definition {
+        name: "audit.scrub",
+        variable: "AUTHROS_AUDIT_SCRUB",
+        default: "1",
+        text: "per cent of the stored records that a running site re-hashes an hour; 0 = none, above 100 = several times",
     },
     Definition {
         name: "confirmations",

@@ -128,7 +128,7 @@ pub(super) fn close_batch(
     owner: Address,
     leaves: &[Leaf],
 ) -> Result<Option<WaitingBatch>, PipelineError> {
-    let Some(tree) = Tree::new(leaves.iter().map(Leaf::hash).collect()) else { return Ok(None) };
+    let Some(tree) = Tree::new(Leaf::hashes(leaves)) else { return Ok(None) };
     let places = leaves.iter().enumerate();
     let leaves: Vec<_> = places.map(|(index, leaf)| (leaf.digest, tree.path(index))).collect();
     let batch = WaitingBatch { root: tree.root(), count: leaves.len() as u64 };

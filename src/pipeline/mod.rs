@@ -10,6 +10,7 @@ pub mod author;
 pub mod directory;
 pub mod epoch;
 pub mod error;
+pub mod export_folder;
 #[cfg(test)]
 mod fixture;
 pub mod forwarder;
@@ -24,6 +25,7 @@ pub mod pins;
 pub mod proof;
 pub mod quarantine;
 pub mod reader;
+pub mod record_audit;
 pub mod recorder;
 pub mod ring;
 pub mod sealer;

@@ -74,12 +74,12 @@ fn store_round(plant: &Plant, digests: &[Digest], pass: &mut Pass) -> Result<(),
     fault::point("store-put");
     plant.ledger.advance(&put.stored, RecordState::Sealed, RecordState::Stored)?;
     fault::point("store-advanced");
-    if let Some(stages) = plant.observer.stages() {
-        stages.spent(Stage::Store, begun.elapsed());
-    }
     pass.stored += put.stored.len();
     pass.waiting += entries.len() - put.stored.len();
     pass.failure = put.failure.or_else(|| pass.failure.take());
+    if let Some(stages) = plant.observer.stages().filter(|_| !put.stored.is_empty()) {
+        stages.spent(Stage::Store, begun.elapsed());
+    }
     Ok(())
 }
 
@@ -129,7 +129,10 @@ fn compare(plant: &Plant, digest: Digest, found: &mut PutBack) -> Result<(), Pip
         }
     };
     match plant.vault.put(&[(digest, &copy)]) {
-        Ok(()) => *counter += 1,
+        Ok(()) => {
+            fault::point("put-back");
+            *counter += 1;
+        }
         Err(_) => found.waiting += 1,
     }
     Ok(())

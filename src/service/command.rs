@@ -1,6 +1,7 @@
 //! What can be asked of a site.
 
 mod administration;
+mod check;
 mod choices;
 mod operate;
 mod secret;
@@ -9,6 +10,7 @@ mod viewing;
 use serde::{Deserialize, Serialize};
 
 pub use self::administration::Administration;
+pub use self::check::StoreCommand;
 pub use self::choices::{Epochs, Held, KeyKind, UploadQuery};
 pub use self::operate::Operation;
 pub use self::secret::{SecretBytes, SecretText};
@@ -245,6 +247,8 @@ pub enum Command {
         /// With addresses in full.
         addresses: bool,
     },
+    /// About the whole store.
+    OfStore(StoreCommand),
     /// What an operator asks of the site itself.
     Operate(Operation),
     /// Claims the profile for a console, until the connection ends; refused where one is open already.

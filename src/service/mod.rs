@@ -5,12 +5,15 @@
 
 pub mod client;
 pub mod command;
+pub mod doctor;
 pub mod event;
 pub mod failure;
 pub mod hub;
 pub mod reply;
+pub mod restoring;
 pub mod site;
 pub mod socket;
+pub mod verification;
 
 pub use client::{Call, Client};
 pub use command::{Command, Epochs, KeyKind, Operation, Request, SecretBytes, SecretText, UploadQuery};

@@ -2,6 +2,7 @@
 
 mod audit;
 mod chain;
+mod check;
 mod forging;
 mod identity;
 mod operate;
@@ -16,6 +17,7 @@ use serde::{Deserialize, Serialize};
 
 pub use self::audit::{AuditCheck, AuditView};
 pub use self::chain::{ChainView, DeployedView, GasView, GatewayView, ServedView};
+pub use self::check::{BackupView, CheckStatus, DoctorCheck, DoctorView, FindingKind, RecordAudit, RecordFinding};
 pub use self::forging::{AlarmView, DecidedView, HeldView, PinView, PinsView, QuarantineView};
 pub use self::identity::{EnrolledView, EpochView, IdentityView, KeysView, TransactionView};
 pub use self::operate::{GatewayStatusView, RefusedView, SenderView, SystemKeyView};
@@ -105,6 +107,10 @@ pub enum Reply {
     Site(SiteView),
     /// To `ListAudit`.
     Audit(Vec<AuditView>),
+    /// To `AuditRecords`.
+    RecordsAudited(Box<RecordAudit>),
+    /// To `BackUp`.
+    BackedUp(BackupView),
     /// To `VerifyAudit`.
     AuditChecked(AuditCheck),
 }

@@ -5,8 +5,8 @@
 #[path = "../support/mod.rs"]
 mod support;
 
+mod bad_weather;
 mod kill;
 mod script;
 mod storage;
 mod supervision;
-mod weather;

@@ -8,7 +8,7 @@ use serde_json::json;
 
 use crate::kill::{faulty, now};
 use crate::support::process::signal;
-use crate::support::{Anvil, Authros, Conservation, Home, Running, poll, skipped, wait_until};
+use crate::support::{Anvil, Authros, Conservation, Home, Running, long, poll, skipped, wait_until};
 
 const TOPICS: [&str; 2] = ["/robot1/odom", "/robot1/camera/compressed"];
 /// Every task of a site with one open profile and several lanes, but those that are threads.
@@ -89,7 +89,8 @@ fn every_task_that_panics_is_begun_again_and_nothing_is_lost() {
 fn a_panic_in_the_middle_of_a_records_life_is_one_more_try() {
     let Some(program) = faulty() else { skipped!("authros-faulty is not built; tests/run builds it") };
     let (home, authros, observer) = under_load();
-    for place in ["sealed:4", "vault-put:4", "batch-closed:2", "signed-kept:2", "mined:2", "checked:2", "block-due:3"] {
+    let all = ["sealed:4", "checked:2", "block-due:3", "vault-put:4", "batch-closed:2", "signed-kept:2", "mined:2"];
+    for place in if long() { &all[..] } else { &all[..3] } {
         let point = format!("panic:{place}");
         let failing = authros.with_program(&program).with_variable("AUTHROS_FAIL_POINT", &point);
         let mut site = failing.with_variable("RUST_BACKTRACE", "0").spawn(&["serve"]);

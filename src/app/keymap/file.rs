@@ -225,7 +225,7 @@ mod tests {
         assert!(line == 3 && what.contains("never be reached"), "{line} {what}");
         let (line, what) =
             refused("[everywhere]\nkeys = [{ on = \"q\", run = \"none\" },\n{ on = \"^c\", run = \"none\" }]\n");
-        assert!(line == 2 && what.contains("quit"), "{line} {what}");
+        assert!(line == 3 && what.contains("quit"), "{line} {what}");
         refused("[everywhere]\nkeys = [{ on = \":\", run = \"none\" }]\n");
     }
 }

@@ -55,6 +55,7 @@ const BURST: usize = 256;
 enum Request {
     Rpc { method: String, parameters: Value, reply: oneshot::Sender<Result<Value, Fault>> },
     Dump(oneshot::Sender<Result<Vec<Vec<u8>>, ChainError>>),
+    Copy(PathBuf, oneshot::Sender<Result<(), ChainError>>),
     Worked(u64),
     End,
 }
@@ -140,6 +141,16 @@ impl Embedded {
         answer.await.unwrap_or_else(|_| Err(gone()))
     }
 
+    /// Writes the chain as it is between two blocks to a new file.
+    ///
+    /// # Errors
+    /// [`ChainError::File`] where it cannot be written.
+    pub async fn copy_to(&self, path: PathBuf) -> Result<(), ChainError> {
+        let (reply, answer) = oneshot::channel();
+        self.line.inlet.0.send(Request::Copy(path, reply)).map_err(|_| gone())?;
+        answer.await.unwrap_or_else(|_| Err(gone()))
+    }
+
     /// How its blocks are sealed.
     pub fn consensus(&self) -> Consensus {
         self.line.facts.consensus
@@ -208,6 +219,7 @@ fn handle(node: &mut Node, request: Request) -> bool {
     match request {
         Request::Rpc { method, parameters, reply } => drop(reply.send(rpc::answer(node, &method, parameters))),
         Request::Dump(reply) => drop(reply.send(dump(node))),
+        Request::Copy(path, reply) => drop(reply.send(node.file.copy_to(&path))),
         Request::Worked(nonce) => node.worked(nonce),
         Request::End => return false,
     }

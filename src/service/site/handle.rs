@@ -8,7 +8,7 @@ use tokio::sync::oneshot;
 use super::Site;
 use crate::model::{ErrorKind, ProfileName};
 use crate::pipeline::Owner;
-use crate::service::command::{Command, Request};
+use crate::service::command::{Command, Request, StoreCommand};
 use crate::service::reply::{Failure, Reply};
 
 /// What a connection holds as long as it lasts.
@@ -68,6 +68,7 @@ impl Site {
                 let owner = if heads { Some(self.unlocked(&profile)?) } else { None };
                 self.verify_audit(owner).await.map(Reply::AuditChecked)
             }
+            Command::OfStore(command) => self.handle_store(&profile, command).await,
             Command::CompareFingerprint { fingerprint, account } => {
                 self.compare_fingerprint(&profile, &fingerprint, account).await.map(Reply::Compared)
             }
@@ -82,6 +83,18 @@ impl Site {
             Command::ListUploads(query) => self.list_uploads(&profile, query).await.map(Reply::Records),
             Command::ShowUpload { id } => self.provenance(&profile, &id).await.map(Reply::Provenance),
             other => self.handle_unlocked(&profile, other, claims).await,
+        }
+    }
+
+    async fn handle_store(self: &Arc<Self>, profile: &ProfileName, command: StoreCommand) -> Result<Reply, Failure> {
+        match command {
+            StoreCommand::AuditRecords { deep, since } => {
+                self.audit_records(deep, since).await.map(|audit| Reply::RecordsAudited(Box::new(audit)))
+            }
+            StoreCommand::ListUploads(query) => self.list_all_uploads(query).await.map(Reply::Records),
+            StoreCommand::BackUp { file, passphrase } => {
+                self.back_up(profile, file, passphrase).await.map(Reply::BackedUp)
+            }
         }
     }
 

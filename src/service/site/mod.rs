@@ -6,6 +6,7 @@
 mod adoption;
 mod agent;
 mod audit;
+mod backing_up;
 mod capture;
 mod chain_link;
 mod contacts;
@@ -27,6 +28,7 @@ mod overdue;
 mod owners;
 mod pins;
 mod quarantine;
+mod record_audit;
 mod refusals;
 mod remote;
 mod revoking;
@@ -103,10 +105,10 @@ pub struct Site {
     audit: AuditLog,
     refusals: refusals::Refusals,
     reserve: Reserve,
-    /// Changes of the watch lists happen one at a time.
-    watching: Mutex<()>,
     /// Space for the states of records on a full disk.
     states: Reserve,
+    /// Changes of the watch lists happen one at a time.
+    watching: Mutex<()>,
     /// Changes of the address book happen one at a time.
     contacts: tokio::sync::Mutex<()>,
     owners: RwLock<BTreeMap<ProfileName, Arc<Owner>>>,
@@ -172,8 +174,8 @@ impl Site {
             refusals: refusals::Refusals::default(),
             served_gateway: Mutex::default(),
             reserve,
-            watching: Mutex::default(),
             states,
+            watching: Mutex::default(),
             contacts: tokio::sync::Mutex::default(),
             home,
             config,

@@ -13,7 +13,7 @@ use crate::pipeline::{Owner, PipelineError};
 use crate::service::command::UploadQuery;
 use crate::service::failure::{input, internal, refused};
 use crate::service::reply::{ExportedFile, Failure, Provenance, RecordPage};
-use crate::store::{BatchPlace, RecordRow};
+use crate::store::{BatchPlace, RecordQuery, RecordRow};
 
 impl Site {
     pub(super) fn address_of(&self, profile: &ProfileName) -> Result<Address, Failure> {
@@ -43,9 +43,25 @@ impl Site {
             self.learn_names(&reader, owner).await?;
         }
         let filters = self.own_tag_filters(profile, &query.tags)?;
-        let query = crate::store::RecordQuery { owner: Some(owner), filters, ..record_query(query) };
+        let query = RecordQuery { owner: Some(owner), filters, ..record_query(query) };
         let page = self.blocking(move |site| Ok(site.plant.ledger.list(&query)?)).await?;
         Ok(record_page(page, false))
+    }
+
+    /// Records of all profiles of the home, each with its owner; needs no passphrase.
+    pub(super) async fn list_all_uploads(self: &Arc<Self>, query: UploadQuery) -> Result<RecordPage, Failure> {
+        let page = self
+            .blocking(move |site| {
+                let owners = Some(site.accounts());
+                Ok(site.plant.ledger.list(&RecordQuery { owners, owner: None, ..record_query(query) })?)
+            })
+            .await?;
+        let mut page = record_page(page, true);
+        let names = self.names();
+        for record in &mut page.records {
+            record.owner_name = record.owner.and_then(|owner| names.get(&owner).cloned());
+        }
+        Ok(page)
     }
 
     /// The ids by which a profile's own records are found by their tags; they follow from IK.

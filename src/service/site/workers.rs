@@ -39,6 +39,7 @@ pub(super) fn start(site: &Arc<Site>, needs: Needs) -> Result<(), Failure> {
         site.supervise("verifier", verify);
         site.supervise("expiry", Site::expire_grants);
         site.supervise("parties", Site::keep_parties_known);
+        site.supervise("scrubber", Site::keep_scrubbing);
     }
     Ok(())
 }

@@ -20,6 +20,7 @@ use super::guard::THREAD_PREFIX;
 use super::outside::{Heard, Outside, sender};
 use super::signals::{self, Listener};
 use super::{ConsoleOptions, ExitReason, TermError, clipboard};
+use crate::app::feed::Feed;
 use crate::app::popup::Popup;
 use crate::app::update::{start, under_way};
 use crate::app::{Action, Effect, State, update};
@@ -112,7 +113,7 @@ impl Plain {
                 Err(RecvTimeoutError::Timeout) => self.act(Action::Tick(Timestamp::now())),
                 Err(RecvTimeoutError::Disconnected) => Some(Ok(ExitReason::Quit)),
             };
-            ended = ended.or_else(|| self.next_line()).or_else(|| self.speak());
+            ended = ended.or_else(|| self.speak_and_listen());
         }
         self.echo.on();
         ended.unwrap_or(Ok(ExitReason::Quit))
@@ -179,26 +180,33 @@ impl Plain {
         None
     }
 
-    /// Typed lines are taken at once; those of a pipe wait until the one before is done.
-    fn next_line(&mut self) -> Ended {
-        while self.typed || self.is_idle() {
-            let Some(line) = self.lines.pop_front() else { break };
+    /// Typed lines are taken at once; those of a pipe wait until the one before is done and told.
+    fn speak_and_listen(&mut self) -> Ended {
+        loop {
+            self.speak();
+            let ready = self.typed || self.is_idle() && !(self.show && self.state.popups.is_empty());
+            let Some(line) = self.lines.pop_front_if(|_| ready) else {
+                return (self.over && ready).then_some(Ok(ExitReason::Quit));
+            };
             let before = self.state.screen;
             let ended = self.take(&line);
             self.show |= self.state.screen != before;
             if ended.is_some() {
+                self.speak();
                 return ended;
             }
         }
-        let done = self.over && self.lines.is_empty() && self.is_idle() && !self.show;
-        done.then_some(Ok(ExitReason::Quit))
     }
 
     fn is_idle(&self) -> bool {
         let feeds = self.state.screen.feeds().iter().all(|feed| !self.state.awaits(*feed));
-        let identity =
-            self.state.identity.is_some() || self.state.feeds.slot(crate::app::feed::Feed::Identity).failure.is_some();
+        let identity = self.is_answered(Feed::Identity);
         self.state.work.is_empty() && identity && (feeds || !self.exists())
+    }
+
+    /// Whether a first answer came, good or not.
+    fn is_answered(&self, feed: Feed) -> bool {
+        !self.state.awaits(feed)
     }
 
     fn exists(&self) -> bool {
@@ -206,7 +214,6 @@ impl Plain {
     }
 
     fn take(&mut self, line: &str) -> Ended {
-        self.echo.on();
         match words::meaning(&self.state, line) {
             Meaning::Actions(actions) => actions.into_iter().find_map(|action| self.act(action)),
             Meaning::Show => {
@@ -239,7 +246,8 @@ impl Plain {
     }
 
     /// Says what is new: messages, work, what lies over the screen, the screen where it was asked for.
-    fn speak(&mut self) -> Ended {
+    fn speak(&mut self) {
+        self.echo.set(!words::is_secret(&self.state));
         while let Some(toast) = self.state.toasts.shown().cloned() {
             let word = match toast.level {
                 NoticeLevel::Info => "Note",
@@ -258,14 +266,12 @@ impl Plain {
         }
         self.speak_popup();
         let arrived = self.is_idle() || self.state.screen.feeds().iter().all(|feed| !self.state.awaits(*feed));
-        if self.show && self.state.popups.is_empty() && arrived && self.state.site.is_some() {
+        if self.show && self.state.popups.is_empty() && arrived && self.is_answered(Feed::Site) {
             self.show = false;
             let status = text::status(&self.state);
             self.say(&status);
             text::screen(&self.state, &self.theme).iter().for_each(|line| self.say(line));
         }
-        self.echo.set(!words::is_secret(&self.state));
-        None
     }
 
     fn speak_popup(&mut self) {

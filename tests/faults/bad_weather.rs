@@ -106,7 +106,7 @@ fn redis_and_the_chain_come_back_and_nobody_needs_to_do_anything() {
     let state = ["--state", state.to_str().expect("UTF-8"), "--preserve-historical-states"];
     let Some(anvil) = Anvil::start(&state) else { skipped!("no anvil") };
     let authros = home.authros().with(&["--robots", "1", "--vault", &redis.url(), "--chain", &anvil.http()]);
-    let _site = authros.serve(&home);
+    let site = authros.serve(&home);
     let observer = Conservation::watch(&home.path(), "default");
     watch(&authros, 1);
     observer.wait_for_capture_after(0, 60).expect("it captures");
@@ -119,7 +119,14 @@ fn redis_and_the_chain_come_back_and_nobody_needs_to_do_anything() {
     more(80, "Redis");
     redis.revive();
     heals(&observer, "Redis");
-    let _anvil = anvil.end_and_start_again(&state, || more(160, "the chain"));
+    let mut again = None;
+    let _anvil = anvil.end_and_start_again(&state, || {
+        more(80, "the chain");
+        // A site that is started without its chain captures all the same.
+        site.stop("TERM", 30).expect_code(0);
+        again = Some(authros.serve(&home));
+        more(80, "the chain, in a new site");
+    });
     heals(&observer, "the chain");
     settle(&authros, 1, observer, 120);
 }
