@@ -119,7 +119,7 @@ fn draw_law(canvas: &mut Canvas, area: Rect, life: &LifeLine) {
         rest = canvas.puts(rest, &[(plus, Role::Dim), (&words::count(count), role), (" ", role), (name, Role::Dim)]);
     }
     if life.quarantined + life.dropped + life.tampered == 0 {
-        canvas.put(rest, ", none quarantined, dropped, tampered", Role::Dim);
+        canvas.put(rest, ", none held, dropped, tampered", Role::Dim);
     }
 }
 
