@@ -4,9 +4,10 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::path::Path;
 use std::str::FromStr;
+use std::time::Duration;
 
 use super::{ConfigError, DEFINITIONS, Definition, Source};
-use crate::model::{ByteSize, clean};
+use crate::model::{ByteSize, clean, time_span};
 
 /// A URL with any `user:password@` hidden.
 pub fn without_password(url: &str) -> String {
@@ -104,6 +105,17 @@ pub(super) fn number(values: &Values, name: &'static str, least: u64, most: u64)
 pub(super) fn bytes(values: &Values, name: &'static str, least: u64) -> Result<u64, ConfigError> {
     let size = parsed::<ByteSize>(values, name)?.filter(|size| size.0 >= least);
     size.map(|size| size.0).ok_or_else(|| wrong(values, name, &format!("write a size from {} on", ByteSize(least))))
+}
+
+/// A length of time, or `None` for the word that stands for no end.
+pub(super) fn span(values: &Values, name: &'static str, endless: &str) -> Result<Option<Duration>, ConfigError> {
+    match value(values, name) {
+        Some(text) if text == endless => Ok(None),
+        text => {
+            let wrong = || wrong(values, name, &format!("write {endless}, or a time as 0s, 12h, 30d"));
+            text.and_then(time_span).map(Some).ok_or_else(wrong)
+        }
+    }
 }
 
 pub(super) fn parsed<T: FromStr<Err: fmt::Display>>(

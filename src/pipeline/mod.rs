@@ -24,6 +24,7 @@ pub mod proof;
 pub mod quarantine;
 pub mod reader;
 pub mod recorder;
+pub mod retention;
 pub mod ring;
 pub mod sealer;
 pub mod sender;

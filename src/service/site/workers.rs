@@ -25,6 +25,8 @@ pub(super) fn start(site: &Arc<Site>, needs: Needs) -> Result<(), Failure> {
     tokio::spawn(Arc::clone(site).keep_audit());
     tokio::spawn(Arc::clone(site).keep_quarantine());
     tokio::spawn(Arc::clone(site).keep_room());
+    tokio::spawn(Arc::clone(site).check_after_crash());
+    tokio::spawn(Arc::clone(site).keep_retention());
     if needs.ros {
         start_sealer(site)?;
         let task = tokio::spawn(Arc::clone(site).keep_ros());
