@@ -157,7 +157,7 @@ impl Sealer {
             self.acknowledge(items, ready)?;
             self.spent(Stage::Commit, begun);
             if let Some(stages) = self.plant.observer.stages() {
-                stages.reached(Milestone::Durable, stored.into_iter());
+                stages.reached(Milestone::Durable, stored);
             }
         }
         self.seqs.extend(seqs);

@@ -97,7 +97,14 @@ impl Ledger {
         let writer = writer::Writer::start(connection, path)?;
         let readers = Mutex::default();
         Ok(Self {
-            shared: Arc::new(Shared { path: path.to_owned(), recorder, clean, writer, readers, held: AtomicUsize::new(0) }),
+            shared: Arc::new(Shared {
+                path: path.to_owned(),
+                recorder,
+                clean,
+                writer,
+                readers,
+                held: AtomicUsize::new(0),
+            }),
         })
     }
 
