@@ -16,10 +16,10 @@ pub use self::console::ConsoleSettings;
 pub use self::definitions::{DEFINITIONS, Definition};
 pub use self::error::ConfigError;
 pub use self::read::without_password;
-use self::read::{Values, bytes, find, number, parsed, read_file, switch, url, value, wrong};
+use self::read::{Values, bytes, find, number, parsed, read_file, span, switch, url, value, wrong};
 pub use self::source::{SettingView, Source};
 use crate::crypto::{Kernel, ProviderName};
-use crate::model::{Address, AnchorMode, Consensus, ListedPublishers, PinMode, SignerId, clean};
+use crate::model::{Address, AnchorMode, Consensus, ListedPublishers, PinMode, RetentionRules, SignerId, clean};
 
 /// How the URL of a vault begins.
 const VAULTS: &[&str] = &["redis://", "redis+unix://", "unix://", "redis+cluster://", "redis+sentinel://"];
@@ -65,6 +65,10 @@ pub struct Config {
     pub vault_url: Option<String>,
     /// Disk space for records that wait for the vault, bytes.
     pub vault_backlog: u64,
+    /// How long verified records stay on this disk beside a vault that is only a cache; `None` = always.
+    pub vault_local: Option<Duration>,
+    /// What ciphertext is kept.
+    pub retention: RetentionRules,
     /// Disk space that records leave free, bytes.
     pub disk_reserve: u64,
     /// Whether messages are compressed before they are sealed.
@@ -145,6 +149,8 @@ impl Config {
             capture_memory: bytes(&values, "capture.memory", 1 << 20)?,
             vault_url: url(&values, "vault.url", VAULTS)?,
             vault_backlog: bytes(&values, "vault.backlog", 0)?,
+            vault_local: span(&values, "vault.local", "always")?,
+            retention: parsed(&values, "retention")?.unwrap_or_default(),
             disk_reserve: bytes(&values, "disk.reserve", 0)?,
             compression: switch(&values, "record.compression", ("auto", "off"))?,
             provider: parsed(&values, "crypto.provider")?.unwrap_or_default(),

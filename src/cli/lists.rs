@@ -25,7 +25,7 @@ fn or_dash<T: ToString>(value: Option<T>) -> String {
 /// The exit code of a check.
 pub fn verdict_code(verdict: Verdict) -> u8 {
     match verdict {
-        Verdict::Verified | Verdict::Unanchored => 0,
+        Verdict::Verified | Verdict::Unanchored | Verdict::Deleted => 0,
         Verdict::Tampered | Verdict::Missing => crate::model::ErrorKind::Tampered.exit_code(),
         Verdict::NoKey => crate::model::ErrorKind::Refused.exit_code(),
     }

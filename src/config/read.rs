@@ -4,9 +4,10 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::path::Path;
 use std::str::FromStr;
+use std::time::Duration;
 
 use super::{ConfigError, DEFINITIONS, Definition, Source};
-use crate::model::{ByteSize, clean};
+use crate::model::{ByteSize, clean, time_span};
 
 /// A URL with any `user:password@` hidden.
 pub fn without_password(url: &str) -> String {
@@ -112,6 +113,17 @@ pub(super) fn switch(values: &Values, name: &'static str, words: (&str, &str)) -
         Some(word) if word == words.0 => Ok(true),
         Some(word) if word == words.1 => Ok(false),
         _ => Err(wrong(values, name, &format!("write {} or {}", words.0, words.1))),
+    }
+}
+
+/// A length of time, or `None` for the word that stands for no end.
+pub(super) fn span(values: &Values, name: &'static str, endless: &str) -> Result<Option<Duration>, ConfigError> {
+    match value(values, name) {
+        Some(text) if text == endless => Ok(None),
+        text => {
+            let wrong = || wrong(values, name, &format!("write {endless}, or a time as 0s, 12h, 30d"));
+            text.and_then(time_span).map(Some).ok_or_else(wrong)
+        }
     }
 }
 

@@ -27,6 +27,7 @@ pub mod quarantine;
 pub mod reader;
 pub mod record_audit;
 pub mod recorder;
+pub mod retention;
 pub mod ring;
 pub mod sealer;
 pub mod sender;
