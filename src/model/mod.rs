@@ -22,6 +22,7 @@ pub mod publisher;
 pub mod quarantine;
 pub mod state;
 pub mod topic;
+pub mod topic_rule;
 pub mod wire;
 
 pub use address::{Address, redact_addresses};
@@ -44,3 +45,4 @@ pub use publisher::{Doubt, ListedPublishers, PinMode, Publisher};
 pub use quarantine::QuarantineReport;
 pub use state::{RecordState, Verdict};
 pub use topic::{TopicName, TypeName};
+pub use topic_rule::{TopicPattern, TopicRule, TopicRules};
