@@ -183,3 +183,41 @@ fn a_signal_ends_a_bench_and_leaves_nothing() {
     assert!(outcome.stderr.contains("ended before it was done") && outcome.stdout.is_empty(), "{outcome}");
     expect_nothing_left(&home);
 }
+
+#[test]
+fn what_is_published_is_verified_and_counted() {
+    let _alone = heavy();
+    let home = Home::new();
+    let arguments = ["bench", "pipeline", "--for", "2s", "--rate", "100", "--publishers", "2"];
+    let report = bare(&home).json_within(LIMIT, &arguments);
+    expect_shape(&report, "pipeline", &home);
+    let rows = list(&report, "results");
+    let loads = list(&report, "loads");
+    assert_eq!(loads.iter().map(|load| text(load, "load")).collect::<Vec<_>>(), ["messages", "pictures"]);
+    for load in &loads {
+        let published = count(load, "published");
+        assert!(published >= 60, "{load}");
+        for field in ["captured", "verified"] {
+            assert_eq!(count(load, field), published, "{field}: {load}");
+        }
+        for field in ["lost_in_transport", "dropped", "tampered", "law_broken"] {
+            assert_eq!(count(load, field), 0, "{field}: {load}");
+        }
+        assert!(count(load, "law_asked") >= 2 && count(load, "memory_most") > 1 << 20, "{load}");
+        let of_load = || rows.iter().filter(|row| row["load"] == load["load"]);
+        assert_eq!(
+            of_load().map(|row| text(row, "milestone")).collect::<Vec<_>>(),
+            ["durable", "confirmed", "verified"]
+        );
+        for row in of_load() {
+            // Definitions are confirmed as well, one for each topic.
+            assert!((published..=published + 8).contains(&count(row, "runs")), "{row}");
+        }
+        let busy = list(load, "stages");
+        let seconds = |name: &str| {
+            let found = busy.iter().find(|stage| stage["stage"] == name).unwrap_or_else(|| panic!("no {name}"));
+            number(found, "seconds")
+        };
+        assert!(["seal", "commit", "anchor", "verify"].into_iter().all(|stage| seconds(stage) > 0.0), "{load}");
+    }
+}

@@ -10,6 +10,7 @@ mod lane;
 mod machine;
 mod mined;
 mod network;
+mod pipeline;
 mod progress;
 mod report;
 mod spread;
@@ -37,6 +38,7 @@ pub async fn run(global: &Global, arguments: BenchArguments, output: &Output) ->
         match arguments.verb {
             BenchVerb::Consensus(consensus) => consensus::run(consensus, provider, csv, output).await,
             BenchVerb::Gas => gas::run(provider, csv, output).await,
+            BenchVerb::Pipeline(pipeline) => pipeline::run(global, pipeline, csv, output).await,
             BenchVerb::Gateway(gateway) => gateway::run(gateway, provider, csv, output).await,
         }
     };

@@ -20,8 +20,10 @@ mod output;
 mod parse;
 mod parties;
 mod passphrase;
+mod plans;
 mod quarantine;
 mod serve;
+mod show;
 mod verbs;
 
 use std::process::ExitCode;

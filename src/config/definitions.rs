@@ -14,7 +14,7 @@ pub struct Definition {
 }
 
 /// Every setting, in the order shown.
-pub const DEFINITIONS: [Definition; 19] = [
+pub const DEFINITIONS: &[Definition] = &[
     Definition {
         name: "ros.master",
         variable: "ROS_MASTER_URI",

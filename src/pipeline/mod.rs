@@ -28,6 +28,7 @@ pub mod sealer;
 pub mod sender;
 pub mod session;
 pub mod signers;
+pub mod stages;
 pub mod statement;
 pub mod storer;
 #[cfg(test)]
@@ -64,6 +65,10 @@ pub trait Observer: Send + Sync {
     fn directory_changed(&self);
     /// A publisher of a watched topic is doubted.
     fn publishers_doubted(&self) {}
+    /// Where times are counted, if they are.
+    fn stages(&self) -> Option<&stages::Stages> {
+        None
+    }
     /// An operator should know; `urgent` stays on screen.
     fn alert(&self, urgent: bool, text: String);
 }

@@ -3,7 +3,7 @@
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use crate::crypto::{SealRequest, SealedRecord, seal};
 use crate::model::head::Compression;
@@ -15,6 +15,7 @@ use super::epoch::{EpochKeys, SIMULATED, TopicKeys};
 use super::recorder::CapturedMessage;
 use super::ring::Ring;
 use super::session::Sessions;
+use super::stages::{Milestone, Stage};
 use super::{PipelineError, Plant, quarantine};
 
 /// Messages sealed at most before they are acknowledged together.
@@ -76,6 +77,7 @@ impl Sealer {
     }
 
     fn round(&mut self, items: &[CapturedMessage]) -> Result<(), PipelineError> {
+        let begun = Instant::now();
         let mut seqs = HashMap::new();
         let mut ready = Vec::with_capacity(items.len());
         for (index, item) in items.iter().enumerate() {
@@ -90,9 +92,21 @@ impl Sealer {
             let one = self.seal_one(item, &keys, RecordKind::Data, body, &mut seqs)?;
             ready.push(Ready { item: Some(index), definition: None, ..one });
         }
+        self.spent(Stage::Seal, begun);
+        let begun = Instant::now();
         self.acknowledge(items, ready)?;
+        self.spent(Stage::Commit, begun);
+        if let Some(stages) = self.plant.observer.stages() {
+            stages.reached(Milestone::Durable, items.iter().map(|item| item.message.captured_at));
+        }
         self.seqs.extend(seqs);
         Ok(())
+    }
+
+    fn spent(&self, stage: Stage, begun: Instant) {
+        if let Some(stages) = self.plant.observer.stages() {
+            stages.spent(stage, begun.elapsed());
+        }
     }
 
     fn seal_definition(

@@ -1,9 +1,10 @@
 //! Brings sealed records from the ledger's local copies into a vault that is not itself durable.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use crate::model::RecordState;
 
+use super::stages::Stage;
 use super::{PipelineError, Plant};
 
 /// Records a round.
@@ -14,6 +15,7 @@ const ROUND: usize = 64;
 /// # Errors
 /// Of vault and ledger; nothing is lost, the local copies stay.
 pub fn store_round(plant: &Plant) -> Result<usize, PipelineError> {
+    let begun = Instant::now();
     let rows = plant.ledger.in_state(None, RecordState::Sealed, ROUND)?;
     let mut entries = Vec::with_capacity(rows.len());
     for row in &rows {
@@ -25,6 +27,9 @@ pub fn store_round(plant: &Plant) -> Result<usize, PipelineError> {
     plant.vault.put(&borrowed)?;
     let digests: Vec<_> = entries.iter().map(|(digest, _)| *digest).collect();
     plant.ledger.advance(&digests, RecordState::Sealed, RecordState::Stored)?;
+    if let Some(stages) = plant.observer.stages().filter(|_| !digests.is_empty()) {
+        stages.spent(Stage::Store, begun.elapsed());
+    }
     Ok(digests.len())
 }
 

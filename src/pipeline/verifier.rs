@@ -1,9 +1,12 @@
 //! The last step: re-reads confirmed records from the vault and checks digest and signature.
 
+use std::time::Instant;
+
 use crate::crypto::{Anchor, check};
 use crate::model::{Digest, RecordState};
 use crate::store::RecordRow;
 
+use super::stages::{Milestone, Stage};
 use super::{Network, PipelineError, Plant, proof, signers};
 
 /// Records a round.
@@ -14,6 +17,7 @@ const ROUND: usize = 128;
 /// # Errors
 /// Of vault and ledger; a vault that does not answer decides nothing.
 pub fn verify_round(plant: &Plant, network: &Network) -> Result<usize, PipelineError> {
+    let begun = Instant::now();
     let rows = plant.ledger.in_state(None, RecordState::Confirmed, ROUND)?;
     let (mut good, mut bad) = (Vec::new(), Vec::new());
     for row in &rows {
@@ -23,6 +27,10 @@ pub fn verify_round(plant: &Plant, network: &Network) -> Result<usize, PipelineE
     }
     settle(plant, &good, RecordState::Verified)?;
     settle(plant, &bad, RecordState::Tampered)?;
+    if let Some(stages) = plant.observer.stages().filter(|_| !rows.is_empty()) {
+        stages.spent(Stage::Verify, begun.elapsed());
+        stages.reached(Milestone::Verified, rows.iter().map(|row| row.captured_at));
+    }
     Ok(rows.len())
 }
 

@@ -6,6 +6,7 @@
 
 mod definitions;
 mod letters;
+mod load;
 mod messages;
 mod node;
 mod outlet;
@@ -25,6 +26,8 @@ use node::RobotNode;
 use outlet::Outlet;
 use picture::Camera;
 use track::Track;
+
+pub use load::Load;
 
 pub use definitions::{COMPRESSED_IMAGE, ODOMETRY, compressed_image_definition, odometry_definition};
 

@@ -1,162 +1,16 @@
 //! What can be asked of a site.
 
-use std::fmt;
+mod administration;
+mod choices;
+mod secret;
 
 use serde::{Deserialize, Serialize};
-use zeroize::{Zeroize, ZeroizeOnDrop};
 
-use crate::model::{
-    Address, ContactName, Party, ProfileName, Publisher, RecordKind, RecordState, SignerId, Timestamp, TopicName,
-    TypeName,
-};
-
+pub use self::administration::Administration;
+pub use self::choices::{Epochs, Held, KeyKind, UploadQuery};
+pub use self::secret::{SecretBytes, SecretText};
+use crate::model::{Address, ContactName, Party, ProfileName, Publisher, SignerId, Timestamp, TopicName, TypeName};
 pub use crate::store::AuditQuery;
-
-/// A secret text on its way to the site of the same user: a passphrase. Never in Debug.
-#[derive(Clone, Serialize, Deserialize, Zeroize, ZeroizeOnDrop)]
-#[serde(transparent)]
-pub struct SecretText(String);
-
-impl SecretText {
-    /// Takes the text over.
-    pub fn new(text: String) -> Self {
-        Self(text)
-    }
-
-    /// The text itself.
-    pub fn expose(&self) -> &str {
-        &self.0
-    }
-}
-
-impl fmt::Debug for SecretText {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.write_str("SecretText(…)")
-    }
-}
-
-/// Secret bytes on their way to or from the site of the same user: a key file. Never in Debug.
-#[derive(Clone, Serialize, Deserialize, Zeroize, ZeroizeOnDrop)]
-#[serde(transparent)]
-pub struct SecretBytes(Vec<u8>);
-
-impl SecretBytes {
-    /// Takes the bytes over.
-    pub fn new(bytes: Vec<u8>) -> Self {
-        Self(bytes)
-    }
-
-    /// The bytes themselves.
-    pub fn expose(&self) -> &[u8] {
-        &self.0
-    }
-}
-
-impl fmt::Debug for SecretBytes {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.write_str("SecretBytes(…)")
-    }
-}
-
-/// Which key a key file holds.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum KeyKind {
-    /// K_C: 16 bytes.
-    Sm4,
-    /// d_C: the SM2 signing key.
-    Sm2,
-    /// The secp256k1 key of the EOA.
-    Eoa,
-}
-
-/// Which epochs a grant opens.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Epochs {
-    /// From the current epoch on.
-    #[default]
-    Current,
-    /// Also every earlier one.
-    All,
-}
-
-/// Which records to list.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct UploadQuery {
-    /// Only of this owner (shared records).
-    pub owner: Option<Party>,
-    /// Only of this topic.
-    pub topic: Option<TopicName>,
-    /// Only of this kind; `None` = captured messages.
-    pub kind: Option<RecordKind>,
-    /// Only in this state.
-    pub state: Option<RecordState>,
-    /// Captured at or after.
-    pub since: Option<Timestamp>,
-    /// Captured before.
-    pub until: Option<Timestamp>,
-    /// Continue behind this cursor (`next` of the page before).
-    pub after: Option<String>,
-    /// At most so many, 1 to 1,000.
-    pub limit: usize,
-    /// Newest first (console) instead of oldest first.
-    pub newest_first: bool,
-}
-
-/// What the contract's administrator does.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case", tag = "act")]
-pub enum Administration {
-    /// Lets an account register while registration is closed.
-    Admit {
-        /// Who.
-        account: Party,
-    },
-    /// Stops an account's changes but those that take rights away.
-    Suspend {
-        /// Who.
-        account: Party,
-    },
-    /// Frees a suspended account.
-    Restore {
-        /// Who.
-        account: Party,
-    },
-    /// Opens registration to all, or closes it.
-    Open {
-        /// Whether anyone may register.
-        open: bool,
-    },
-    /// Stops all changes but those that take rights away, or lets them go on.
-    Pause {
-        /// Whether they are stopped.
-        paused: bool,
-    },
-    /// Names the account that continues for a lost one.
-    Succeed {
-        /// The account whose key is lost.
-        lost: Party,
-        /// Who continues.
-        successor: Party,
-    },
-    /// Names the next administrator.
-    HandOver {
-        /// Who.
-        account: Party,
-    },
-    /// Takes over, as the one that was named.
-    Accept,
-}
-
-/// Which quarantined messages: all of a topic, or these.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Held {
-    /// All of this topic.
-    pub topic: Option<TopicName>,
-    /// Ids; only where no topic is given.
-    pub ids: Vec<String>,
-}
 
 /// One thing asked of the site, for one profile.
 #[derive(Debug, Clone, Serialize, Deserialize)]

@@ -12,6 +12,7 @@ use super::event::{Event, NoticeLevel, Part};
 use crate::model::{Digest, Timestamp, clean};
 use crate::pipeline::Observer;
 use crate::pipeline::session::Sessions;
+use crate::pipeline::stages::Stages;
 
 /// Shortest time between two notes about the same part.
 const PACE: Duration = Duration::from_millis(250);
@@ -38,6 +39,8 @@ pub struct Hub {
     pub confirmed: Notify,
     /// Records as they are verified.
     pub settled: broadcast::Sender<Arc<[Digest]>>,
+    /// Times of the line.
+    pub stages: Stages,
     /// Counts changes of who may read what, those that are only announced included.
     pub authority: watch::Sender<u64>,
 }
@@ -54,6 +57,7 @@ impl Hub {
             stored: Notify::new(),
             confirmed: Notify::new(),
             settled: broadcast::channel(SETTLED_AHEAD).0,
+            stages: Stages::default(),
             authority: watch::channel(0).0,
         }
     }
@@ -124,6 +128,10 @@ impl Observer for Hub {
             self.changed(part);
         }
         self.stored.notify_waiters();
+    }
+
+    fn stages(&self) -> Option<&Stages> {
+        Some(&self.stages)
     }
 
     fn publishers_doubted(&self) {

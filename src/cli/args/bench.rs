@@ -1,6 +1,6 @@
 //! Arguments of `authros bench`.
 
-use clap::{Args, Subcommand};
+use clap::{Args, Subcommand, ValueEnum};
 
 /// `bench …`
 #[derive(Debug, Args)]
@@ -20,6 +20,8 @@ pub enum BenchVerb {
     Consensus(ConsensusArguments),
     /// Gas per record: one by one, in batches, and the prototype's way
     Gas,
+    /// Messages from publisher to verified at a held rate: losses, latency, memory, what each stage costs
+    Pipeline(PipelineArguments),
     /// Records that a gateway accepts per second, beside SM2 and SM3 alone; memory of idle connections
     Gateway(GatewayArguments),
 }
@@ -34,6 +36,37 @@ pub struct ConsensusArguments {
     /// Also on this node, which must give ether to test accounts or ask no fees
     #[arg(long, value_name = "URL")]
     pub node: Option<String>,
+}
+
+/// Which load the line gets.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum LoadChoice {
+    /// Small messages at `--rate`
+    Messages,
+    /// 58 KB pictures, 30 a second from each publisher
+    Pictures,
+    /// One after the other
+    Both,
+}
+
+/// `bench pipeline …`
+#[derive(Debug, Args)]
+pub struct PipelineArguments {
+    /// How long to publish, as 20s or 15m
+    #[arg(long = "for", value_name = "TIME", default_value = "20s")]
+    pub length: String,
+    /// Which load
+    #[arg(long, value_enum, default_value = "both")]
+    pub load: LoadChoice,
+    /// Small messages a second, of all publishers together
+    #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub rate: u32,
+    /// Bytes of a small message
+    #[arg(long, value_name = "N", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(64..=67_108_864))]
+    pub bytes: u32,
+    /// Publishers, each a ROS node with a topic of its own
+    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u16).range(1..=32))]
+    pub publishers: u16,
 }
 
 /// `bench gateway …`

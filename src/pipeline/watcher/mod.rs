@@ -13,6 +13,7 @@ use crate::chain::{BlockRef, Event, EventAt};
 use crate::model::Hash;
 use crate::store::{RootSighting, Sighting};
 
+use super::stages::Milestone;
 use super::{Network, PipelineError, Plant};
 
 /// Name of the scan position in the ledger.
@@ -62,7 +63,11 @@ pub async fn watch_round(plant: &Plant, network: &Network) -> Result<BlockRef, P
             continue;
         }
         let deep = (head.number + 1).saturating_sub(network.confirmations);
-        if block_in_place(|| plant.ledger.confirm(deep))? > 0 {
+        let confirmed = block_in_place(|| plant.ledger.confirm(deep))?;
+        if !confirmed.is_empty() {
+            if let Some(stages) = plant.observer.stages() {
+                stages.reached(Milestone::Confirmed, confirmed);
+            }
             plant.observer.records_changed();
         }
         return Ok(head);

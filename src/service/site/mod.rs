@@ -246,6 +246,11 @@ impl Site {
         drop(stopping.wait_for(|stopping| *stopping).await);
     }
 
+    /// Times of the line since the site began.
+    pub fn stages(&self) -> &crate::pipeline::stages::Stages {
+        &self.hub.stages
+    }
+
     /// Ends the site: no further capture, all captured messages acknowledged, files closed.
     pub async fn stop(self: Arc<Self>) {
         self.ros.send_replace(RosState::Off);

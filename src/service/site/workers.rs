@@ -10,6 +10,7 @@ use crate::model::{Address, Domain};
 use crate::pipeline::adoption::{self, Word};
 use crate::pipeline::anchorer::{Anchorer, Round};
 use crate::pipeline::sealer::Sealer;
+use crate::pipeline::stages::Stage;
 use crate::pipeline::{Network, Owner, PipelineError, storer, verifier, watcher};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::internal;
@@ -74,9 +75,11 @@ async fn watch(site: Arc<Site>) {
             }
             continue;
         };
+        let begun = Instant::now();
         let pause = match watcher::watch_round(&site.plant, &network).await {
             Ok(head) => {
                 site.scanned.send_replace(head.number);
+                site.hub.stages.spent(Stage::Watch, begun.elapsed());
                 site.chain_answers(true);
                 site.saw_head(head);
                 if head.number != seen {
@@ -160,8 +163,10 @@ pub(super) async fn anchor(site: Arc<Site>, owner: Arc<Owner>) {
             tokio::time::sleep(Duration::from_millis(200)).await;
             continue;
         };
+        let begun = Instant::now();
         match anchor_round(&site, &mut anchorer, &network, &owner, &mut spoken).await {
             Ok(round) => {
+                site.hub.stages.spent(Stage::Anchor, begun.elapsed());
                 pause = Duration::from_millis(250);
                 if round.submitted > 0 {
                     site.changed(Part::Uploads);

@@ -5,8 +5,9 @@ use serde::{Deserialize, Serialize};
 
 use super::append::count;
 use super::edges::{By, may};
+use super::rows::unsigned;
 use super::{Ledger, batches, database::whole, rows};
-use crate::model::{Address, Digest, Hash, RecordState};
+use crate::model::{Address, Digest, Hash, RecordState, Timestamp};
 use crate::store::StoreError;
 
 /// An anchor found in a block.
@@ -61,18 +62,20 @@ impl Ledger {
         })
     }
 
-    /// Mined records in blocks up to this one are confirmed; returns how many.
+    /// Mined records in blocks up to this one are confirmed; returns when each was captured, in no order.
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] and the like: then none is.
-    pub fn confirm(&self, up_to_block: u64) -> Result<u64, StoreError> {
+    pub fn confirm(&self, up_to_block: u64) -> Result<Vec<Timestamp>, StoreError> {
         let block = whole("block", up_to_block)?;
         self.write(move |session| {
             let (mined, confirmed) = (RecordState::Mined.code(), RecordState::Confirmed.code());
             let mut statement = session.connection.prepare_cached(
-                "UPDATE records INDEXED BY records_by_state SET state = ?3 WHERE state = ?2 AND block <= ?1",
+                "UPDATE records INDEXED BY records_by_state SET state = ?3 WHERE state = ?2 AND block <= ?1
+                 RETURNING captured_at",
             )?;
-            Ok(count(statement.execute(params![block, mined, confirmed])?))
+            let times = statement.query_map(params![block, mined, confirmed], |row| unsigned(row, 0).map(Timestamp))?;
+            Ok(times.collect::<Result<_, _>>()?)
         })
     }
 

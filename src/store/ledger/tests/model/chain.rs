@@ -53,7 +53,7 @@ impl Pair {
                     known.state = Confirmed;
                     confirmed += 1;
                 }
-                assert_eq!(self.ledger().confirm(block), Ok(confirmed));
+                assert_eq!(self.ledger().confirm(block).map(|times| times.len()), Ok(confirmed));
             }
             Step::Unmine(block) => {
                 let moved = self.model.take_back(block, &[Mined, Confirmed]);

@@ -1,0 +1,138 @@
+//! Arguments about topics, captures and records.
+
+use std::path::PathBuf;
+
+use clap::{Args, Subcommand};
+
+/// `topics …`
+#[derive(Debug, Subcommand)]
+pub enum TopicsVerb {
+    /// Every topic of the ROS graph
+    List,
+    /// Capture a topic as long as a site runs
+    Watch {
+        /// Topic, as /robot1/odom
+        topic: String,
+        /// Refuse messages of other types
+        #[arg(long = "type", value_name = "TYPE")]
+        type_name: Option<String>,
+    },
+    /// Stop capturing a topic
+    Unwatch {
+        /// Topic
+        topic: String,
+    },
+    /// Accept publishers of a topic; messages of others are quarantined
+    Pin(crate::cli::quarantine::PinArguments),
+    /// Accepted publishers, and alarms about others
+    Pins {
+        /// Only this topic
+        #[arg(long, value_name = "TOPIC")]
+        topic: Option<String>,
+    },
+    /// No longer accept a publisher of a topic
+    Unpin {
+        /// Topic
+        topic: String,
+        /// Node name, as /driver
+        caller_id: String,
+    },
+}
+
+/// `capture …`
+#[derive(Debug, Args)]
+pub struct CaptureArguments {
+    /// Topic to capture; may be repeated
+    #[arg(long = "topic", value_name = "TOPIC", required = true)]
+    pub topics: Vec<String>,
+    /// Refuse messages of other types
+    #[arg(long = "type", value_name = "TYPE")]
+    pub type_name: Option<String>,
+    /// End after so many messages of each topic
+    #[arg(long, value_name = "N", conflicts_with = "duration")]
+    pub count: Option<u64>,
+    /// End after this time, as 10s, 5m, 1h
+    #[arg(long = "for", value_name = "TIME", id = "duration")]
+    pub duration: Option<String>,
+    /// Tag for the sealed head, as mission=harbour; may be repeated
+    #[arg(long = "tag", value_name = "KEY=VALUE")]
+    pub tags: Vec<String>,
+}
+
+/// Filters of record lists.
+#[derive(Debug, Args)]
+pub struct ListArguments {
+    /// Only this topic
+    #[arg(long, value_name = "TOPIC")]
+    pub topic: Option<String>,
+    /// Only this state (uploads)
+    #[arg(long, value_name = "STATE")]
+    pub state: Option<String>,
+    /// Kind of record: data, definition, …
+    #[arg(long, value_name = "KIND")]
+    pub kind: Option<String>,
+    /// Only of this owner (shared), or of that name
+    #[arg(long, value_name = "ADDRESS_OR_NAME")]
+    pub owner: Option<String>,
+    /// Captured at or after, RFC 3339
+    #[arg(long, value_name = "TIME")]
+    pub since: Option<String>,
+    /// Captured before, RFC 3339
+    #[arg(long, value_name = "TIME")]
+    pub until: Option<String>,
+    /// Continue behind `next` of the page before
+    #[arg(long, value_name = "CURSOR")]
+    pub after: Option<String>,
+    /// Records a page, 1 to 1000
+    #[arg(long, value_name = "N", default_value_t = 100)]
+    pub limit: usize,
+    /// Newest first
+    #[arg(long)]
+    pub newest: bool,
+    /// Go on: one line for each record whenever its state changes
+    #[arg(long, conflicts_with_all = ["after", "newest"])]
+    pub follow: bool,
+}
+
+/// `uploads …`
+#[derive(Debug, Subcommand)]
+pub enum UploadsVerb {
+    /// List own records
+    List(ListArguments),
+    /// One record with its provenance
+    Show {
+        /// Record id
+        id: String,
+    },
+    /// Files for others to check with openssl
+    Export {
+        /// Record id
+        id: String,
+        /// Directory to write record.bin, signature.bin, signer.pem, proof.json to
+        #[arg(long, value_name = "DIR")]
+        dir: PathBuf,
+        /// Addresses in full in proof.json; the record itself holds its owner's in any case
+        #[arg(long)]
+        addresses: bool,
+    },
+}
+
+/// `shared …`
+#[derive(Debug, Subcommand)]
+pub enum SharedVerb {
+    /// Records shared with this profile
+    List(ListArguments),
+    /// Digest against the chain, signature (the paper's `Data_Check`)
+    Check {
+        /// Record id
+        id: String,
+    },
+    /// Check, decrypt, decode
+    Open {
+        /// Record id
+        id: String,
+        /// Also write the message's bytes (a picture's own bytes where it is one) to a file
+        #[arg(long, value_name = "FILE")]
+        out: Option<PathBuf>,
+    },
+}

@@ -1,0 +1,88 @@
+//! Verbs of keys, grants and the audit log as the site understands them.
+
+use std::path::{Path, PathBuf};
+
+use super::args::{EpochsChoice, ExportKind, GrantArguments, KeysVerb};
+use super::audit::AuditVerb;
+use super::connect::ProfileNeed;
+use super::verbs::{CHAIN, NEITHER, Plan};
+use super::{parse, passphrase};
+use crate::model::{ErrorKind, Timestamp};
+use crate::service::{Command, Epochs, Failure, KeyKind, SecretText};
+
+/// `audit …`
+///
+/// # Errors
+/// A time that cannot be read.
+pub fn audit(verb: &AuditVerb) -> Result<Plan, Failure> {
+    let command = super::audit::query(verb)?;
+    Ok(match verb {
+        AuditVerb::List { .. } | AuditVerb::Verify { without_heads: true } => {
+            Plan::new(NEITHER, ProfileNeed::None, command)
+        }
+        AuditVerb::Verify { .. } => Plan::new(CHAIN, ProfileNeed::Unlocked, command),
+        AuditVerb::Export { dir, .. } => {
+            Plan { out: Some(dir.clone()), ..Plan::new(NEITHER, ProfileNeed::Unlocked, command) }
+        }
+    })
+}
+
+fn absolute(path: &Path) -> Result<PathBuf, Failure> {
+    std::path::absolute(path).map_err(|error| Failure::new(ErrorKind::Input, format!("{}: {error}", path.display())))
+}
+
+/// `keys …`
+///
+/// # Errors
+/// A file that cannot be read, a key that is not named.
+pub fn keys(verb: KeysVerb) -> Result<Plan, Failure> {
+    let secret = |file: Option<PathBuf>| file.as_deref().map(passphrase::from_file).transpose();
+    Ok(match verb {
+        KeysVerb::List => Plan::new(CHAIN, ProfileNeed::Unlocked, Command::ListKeys),
+        KeysVerb::Rotate => Plan::new(CHAIN, ProfileNeed::Unlocked, Command::RotateKeys),
+        KeysVerb::Load { sm4, sm2, eoa, keystore_passphrase_file } => {
+            let choices = [(KeyKind::Sm4, sm4), (KeyKind::Sm2, sm2), (KeyKind::Eoa, eoa)];
+            let chosen = choices.into_iter().find_map(|(kind, path)| path.map(|path| (kind, path)));
+            let (kind, path) =
+                chosen.ok_or_else(|| Failure::new(ErrorKind::Usage, "name the key with --sm4, --sm2 or --eoa"))?;
+            let command =
+                Command::LoadKey { kind, path: absolute(&path)?, passphrase: secret(keystore_passphrase_file)? };
+            Plan::new(CHAIN, ProfileNeed::Made, command)
+        }
+        KeysVerb::Export { kind, out, keystore_passphrase_file } => {
+            let kind = match kind {
+                ExportKind::Sm4 => KeyKind::Sm4,
+                ExportKind::Sm2 => KeyKind::Sm2,
+                ExportKind::Eoa => KeyKind::Eoa,
+            };
+            let passphrase: Option<SecretText> = secret(keystore_passphrase_file)?;
+            Plan {
+                out: Some(out),
+                ..Plan::new(NEITHER, ProfileNeed::Unlocked, Command::ExportKey { kind, passphrase })
+            }
+        }
+    })
+}
+
+/// `grant …`
+///
+/// # Errors
+/// A party, topic or time that cannot be read.
+pub fn grant(arguments: &GrantArguments) -> Result<Command, Failure> {
+    let expires = match &arguments.expires {
+        Some(text) => {
+            let length = parse::duration(text)?;
+            Some(Timestamp::from_seconds(Timestamp::now().seconds() + length.as_secs().max(1)))
+        }
+        None => None,
+    };
+    Ok(Command::Grant {
+        grantee: parse::value(arguments.address.as_deref().or(arguments.to.as_deref()).unwrap_or_default())?,
+        topics: parse::values(&arguments.topics)?,
+        epochs: match arguments.epochs {
+            EpochsChoice::Current => Epochs::Current,
+            EpochsChoice::All => Epochs::All,
+        },
+        expires,
+    })
+}

@@ -1,0 +1,45 @@
+//! Why settings cannot be used.
+
+use crate::model::ErrorKind;
+
+/// Why the settings cannot be used.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum ConfigError {
+    /// The file is not TOML.
+    #[error("{file} is not valid TOML: {what}; correct it, or move it away to use the defaults")]
+    Syntax {
+        /// The file.
+        file: String,
+        /// The parser's words, with the line.
+        what: String,
+    },
+    /// A key that no setting has.
+    #[error("{file} line {line} sets '{name}', which is no setting; `authros config show` lists them")]
+    Unknown {
+        /// The file.
+        file: String,
+        /// Line, from 1.
+        line: usize,
+        /// The key.
+        name: String,
+    },
+    /// A value that its setting does not take.
+    #[error("{name} = '{value}' (from {source_name}) is not usable: {what}")]
+    Value {
+        /// The setting.
+        name: &'static str,
+        /// What was given.
+        value: String,
+        /// Where it was given.
+        source_name: String,
+        /// What it should be.
+        what: String,
+    },
+}
+
+impl ConfigError {
+    /// Decides the exit code.
+    pub fn kind(&self) -> ErrorKind {
+        ErrorKind::Input
+    }
+}

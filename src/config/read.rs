@@ -1,0 +1,121 @@
+//! Values as text: found in flags, environment, file or defaults, and turned into what they mean.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::path::Path;
+use std::str::FromStr;
+
+use super::{ConfigError, DEFINITIONS, Definition, Source};
+use crate::model::clean;
+
+/// A URL with any `user:password@` hidden.
+pub fn without_password(url: &str) -> String {
+    match (url.split_once("://"), url.rsplit_once('@')) {
+        (Some((scheme, _)), Some((_, rest))) => format!("{scheme}://…@{rest}"),
+        _ => url.to_owned(),
+    }
+}
+
+pub(super) type FileValues = BTreeMap<String, (String, usize)>;
+
+pub(super) fn find(
+    definition: &Definition,
+    flags: &dyn Fn(&str) -> Option<String>,
+    environment: &dyn Fn(&str) -> Option<String>,
+    file: &FileValues,
+) -> (String, Source) {
+    if let Some(value) = flags(definition.name) {
+        return (value, Source::Flag);
+    }
+    let variables: &[&'static str] =
+        if definition.name == "ros.host" { &["ROS_HOSTNAME", "ROS_IP"] } else { &[definition.variable] };
+    for variable in variables {
+        if let Some(value) = environment(variable).filter(|value| !value.is_empty()) {
+            return (value, Source::Environment(variable));
+        }
+    }
+    file.get(definition.name).map_or_else(
+        || (definition.default.to_owned(), Source::Default),
+        |(value, line)| (value.clone(), Source::File(*line)),
+    )
+}
+
+pub(super) fn read_file(path: &Path, text: &str) -> Result<FileValues, ConfigError> {
+    let file = clean(&path.display().to_string(), 200);
+    let document: toml::Table = text.parse().map_err(|error: toml::de::Error| ConfigError::Syntax {
+        file: file.clone(),
+        what: clean(&error.to_string().replace('\n', " "), 300),
+    })?;
+    let mut values = FileValues::new();
+    flatten("", &toml::Value::Table(document), &mut |name, value| {
+        let line = line_of(text, name);
+        if !DEFINITIONS.iter().any(|definition| definition.name == name) {
+            return Err(ConfigError::Unknown { file: file.clone(), line, name: clean(name, 60) });
+        }
+        let value = value.as_str().map_or_else(|| value.to_string(), str::to_owned);
+        values.insert(name.to_owned(), (value, line));
+        Ok(())
+    })?;
+    Ok(values)
+}
+
+pub(super) fn flatten(
+    prefix: &str,
+    value: &toml::Value,
+    each: &mut dyn FnMut(&str, &toml::Value) -> Result<(), ConfigError>,
+) -> Result<(), ConfigError> {
+    let toml::Value::Table(table) = value else { return each(prefix, value) };
+    for (key, inner) in table {
+        let name = if prefix.is_empty() { key.clone() } else { format!("{prefix}.{key}") };
+        flatten(&name, inner, each)?;
+    }
+    Ok(())
+}
+
+pub(super) fn line_of(text: &str, name: &str) -> usize {
+    let key = name.rsplit('.').next().unwrap_or(name);
+    let found =
+        text.lines().position(|line| line.trim_start().trim_start_matches('"').starts_with(key) || line.contains(name));
+    found.map_or(1, |index| index + 1)
+}
+
+pub(super) type Values = BTreeMap<&'static str, (String, Source)>;
+
+pub(super) fn wrong(values: &Values, name: &'static str, what: &str) -> ConfigError {
+    let (value, source) = values.get(name).cloned().unwrap_or((String::new(), Source::Default));
+    ConfigError::Value {
+        name,
+        value: clean(&without_password(&value), 100),
+        source_name: source.to_string(),
+        what: what.to_owned(),
+    }
+}
+
+pub(super) fn value<'a>(values: &'a Values, name: &str) -> Option<&'a str> {
+    values.get(name).map(|(value, _)| value.as_str()).filter(|value| !value.is_empty())
+}
+
+pub(super) fn number(values: &Values, name: &'static str, least: u64, most: u64) -> Result<u64, ConfigError> {
+    let parsed =
+        value(values, name).and_then(|text| text.parse().ok()).filter(|number| (least..=most).contains(number));
+    parsed.ok_or_else(|| wrong(values, name, &format!("write a whole number from {least} to {most}")))
+}
+
+pub(super) fn parsed<T: FromStr<Err: fmt::Display>>(
+    values: &Values,
+    name: &'static str,
+) -> Result<Option<T>, ConfigError> {
+    let text = value(values, name);
+    text.map(str::parse).transpose().map_err(|error: T::Err| wrong(values, name, &error.to_string()))
+}
+
+pub(super) fn url(values: &Values, name: &'static str, schemes: &[&str]) -> Result<Option<String>, ConfigError> {
+    let Some(text) = value(values, name) else { return Ok(None) };
+    let usable = text.len() <= 500
+        && !text.chars().any(char::is_control)
+        && schemes.iter().any(|scheme| text.starts_with(scheme));
+    if usable || Path::new(text).extension().is_some_and(|end| end == "ipc") && schemes.contains(&"ipc://") {
+        return Ok(Some(text.to_owned()));
+    }
+    Err(wrong(values, name, &format!("it begins with {}", schemes.join(", "))))
+}

@@ -1,0 +1,77 @@
+//! Settings: which source wins, and what a wrong one is told.
+
+use std::path::Path;
+
+use super::*;
+use crate::model::SignerId;
+
+fn none(_: &str) -> Option<String> {
+    None
+}
+
+fn with_file(text: &str) -> Result<Config, ConfigError> {
+    Config::resolve(&none, &none, Some((Path::new("config.toml"), text)))
+}
+
+#[test]
+fn nothing_set_is_all_embedded() {
+    let config = Config::resolve(&none, &none, None).expect("defaults");
+    assert_eq!((config.ros_master, config.chain_url, config.vault_url), (None, None, None));
+    assert_eq!((config.robots, config.confirmations, config.meter), (4, 1, MeterMode::All));
+}
+
+#[test]
+fn flag_beats_environment_beats_file() {
+    let file = "robots = 1\n[chain]\nurl = \"http://file\"\n";
+    let environment = |name: &str| {
+        (name == "AUTHROS_ROBOTS" || name == "AUTHROS_CHAIN")
+            .then(|| if name == "AUTHROS_ROBOTS" { "2".to_owned() } else { "http://env".to_owned() })
+    };
+    let flags = |name: &str| (name == "robots").then(|| "3".to_owned());
+    let config = Config::resolve(&flags, &environment, Some((Path::new("c"), file))).expect("resolves");
+    assert_eq!((config.robots, config.chain_url.as_deref()), (3, Some("http://env")));
+    assert_eq!(config.source("robots"), Source::Flag);
+    assert_eq!(with_file(file).expect("file").source("chain.url"), Source::File(3));
+}
+
+#[test]
+fn a_real_master_means_no_robots() {
+    let config = with_file("[ros]\nmaster = \"http://127.0.0.1:11311\"\n").expect("file");
+    assert_eq!((config.robots, config.meter), (0, MeterMode::Watched));
+}
+
+#[test]
+fn unknown_keys_and_bad_values_name_the_place() {
+    let error = with_file("robots = 1\n[ros]\nmastr = \"x\"\n").expect_err("unknown");
+    assert_eq!(error, ConfigError::Unknown { file: "config.toml".into(), line: 3, name: "ros.mastr".into() });
+    assert!(with_file("robots = 99").expect_err("range").to_string().contains("config.toml line 1"));
+    assert!(matches!(with_file("robots = "), Err(ConfigError::Syntax { .. })));
+    assert!(with_file("[vault]\nurl = \"ftp://x\"").is_err());
+    assert!(with_file("[chain]\ncontract = \"0x12\"").is_err());
+}
+
+#[test]
+fn a_remote_site_is_an_address_and_whom_to_trust() {
+    let site = |text: &str| with_file(text).map(|config| config.site);
+    assert_eq!(site(""), Ok(None));
+    let key = "ab".repeat(32);
+    let text = format!("[site]\naddress = \"gate.example:4222\"\ngateway_key = \"{key}\"\n");
+    let named = site(&text).expect("file").expect("a site");
+    assert_eq!((named.address.as_str(), named.trust_first), ("gate.example:4222", false));
+    assert_eq!(named.gateway_key, Some(SignerId([0xab; 32])));
+    assert!(site("[site]\naddress = \"[::1]:4222\"\ntrust_first = \"yes\"").expect("file").is_some());
+    for bad in ["host", ":1", "host:", "host:70000", "ho st:1", "http://host:1"] {
+        assert!(site(&format!("[site]\naddress = \"{bad}\"")).is_err(), "{bad}");
+    }
+    assert!(site("[site]\naddress = \"h:1\"\ngateway_key = \"ab\"").is_err());
+    assert!(site("[site]\naddress = \"h:1\"\ntrust_first = \"maybe\"").is_err());
+    let error = site("[chain]\nurl = \"http://node\"\n[site]\naddress = \"h:1\"").expect_err("both");
+    assert!(error.to_string().contains("chain.url"), "{error}");
+}
+
+#[test]
+fn passwords_are_hidden() {
+    let config = with_file("[vault]\nurl = \"redis://u:secret@127.0.0.1:1\"").expect("file");
+    let shown = serde_json::to_string(&config.show()).expect("json");
+    assert!(!shown.contains("secret") && shown.contains("127.0.0.1:1"));
+}

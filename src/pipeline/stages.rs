@@ -1,0 +1,199 @@
+//! How long a message takes from capture to each milestone, and how busy each stage of the line is. Counters only:
+//! what they cost is a few atomic additions a round.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+use crate::model::Timestamp;
+
+/// Buckets of one doubling of time: a percentile is at most 1/16 too high.
+const PER_DOUBLING: u64 = 16;
+/// Microseconds up to which every value has a bucket of its own.
+const EXACT: u64 = PER_DOUBLING;
+/// Buckets in all, up to 2^40 microseconds (twelve days).
+const BUCKETS: usize = 16 * 37;
+
+/// What a message has reached.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Milestone {
+    /// On disk: acknowledged.
+    Durable,
+    /// Its anchor is deep enough in the chain.
+    Confirmed,
+    /// Re-read and checked.
+    Verified,
+}
+
+impl Milestone {
+    /// All, in order.
+    pub const ALL: [Self; 3] = [Self::Durable, Self::Confirmed, Self::Verified];
+
+    /// In one word.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Durable => "durable",
+            Self::Confirmed => "confirmed",
+            Self::Verified => "verified",
+        }
+    }
+}
+
+/// A part of the line's work.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stage {
+    /// Key derivation, SM4, SM3, SM2 signature.
+    Seal,
+    /// Vault and ledger, fsync included.
+    Commit,
+    /// From local copies into a vault that is only a cache.
+    Store,
+    /// Closing batches, signing and sending transactions.
+    Anchor,
+    /// Reading the chain.
+    Watch,
+    /// Re-reading the vault: SM3, SM2 verification, proof.
+    Verify,
+}
+
+impl Stage {
+    /// All, in the order of the line.
+    pub const ALL: [Self; 6] = [Self::Seal, Self::Commit, Self::Store, Self::Anchor, Self::Watch, Self::Verify];
+
+    /// In one word.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Seal => "seal",
+            Self::Commit => "commit",
+            Self::Store => "store",
+            Self::Anchor => "anchor",
+            Self::Watch => "watch",
+            Self::Verify => "verify",
+        }
+    }
+}
+
+/// Times of one milestone.
+#[derive(Debug)]
+struct Times {
+    buckets: [AtomicU64; BUCKETS],
+}
+
+/// The counters of a site.
+#[derive(Debug, Default)]
+pub struct Stages {
+    reached: [Times; Milestone::ALL.len()],
+    busy: [AtomicU64; Stage::ALL.len()],
+}
+
+impl Default for Times {
+    fn default() -> Self {
+        Self { buckets: std::array::from_fn(|_| AtomicU64::new(0)) }
+    }
+}
+
+impl Stages {
+    /// Messages that were captured at these times have reached a milestone now.
+    pub fn reached(&self, milestone: Milestone, captured: impl IntoIterator<Item = Timestamp>) {
+        let now = Timestamp::now();
+        for captured in captured {
+            let microseconds = now.0.saturating_sub(captured.0) / 1_000;
+            let times = &self.reached[milestone as usize];
+            times.buckets[bucket(microseconds)].fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    /// Does `work`, and counts the time it takes.
+    pub fn count<T>(&self, stage: Stage, work: impl FnOnce() -> T) -> T {
+        let begun = Instant::now();
+        let done = work();
+        self.spent(stage, begun.elapsed());
+        done
+    }
+
+    /// A stage was busy for so long.
+    pub fn spent(&self, stage: Stage, time: Duration) {
+        let nanoseconds = u64::try_from(time.as_nanos()).unwrap_or(u64::MAX);
+        self.busy[stage as usize].fetch_add(nanoseconds, Ordering::Relaxed);
+    }
+
+    /// How long a stage was busy since the site began.
+    pub fn busy(&self, stage: Stage) -> Duration {
+        Duration::from_nanos(self.busy[stage as usize].load(Ordering::Relaxed))
+    }
+
+    /// How many messages have reached a milestone.
+    pub fn count_of(&self, milestone: Milestone) -> u64 {
+        self.reached[milestone as usize].buckets.iter().map(|bucket| bucket.load(Ordering::Relaxed)).sum()
+    }
+
+    /// The time within which `percent` of a hundred messages reached a milestone; `None` where none did.
+    pub fn within(&self, milestone: Milestone, percent: u64) -> Option<Duration> {
+        let all = self.count_of(milestone);
+        let rank = (all * percent).div_ceil(100).max(1);
+        let mut seen = 0;
+        let buckets = &self.reached[milestone as usize].buckets;
+        let found = buckets.iter().position(|bucket| {
+            seen += bucket.load(Ordering::Relaxed);
+            seen >= rank
+        });
+        found.filter(|_| all > 0).map(|index| Duration::from_micros(end_of(index)))
+    }
+}
+
+/// Where a time is counted: exact below 16 us, then sixteen buckets for each doubling.
+fn bucket(microseconds: u64) -> usize {
+    let index = if microseconds < EXACT {
+        microseconds
+    } else {
+        let doubling = u64::from(microseconds.ilog2());
+        (doubling - 3) * PER_DOUBLING + (microseconds >> (doubling - 4)) % PER_DOUBLING
+    };
+    usize::try_from(index).unwrap_or(BUCKETS).min(BUCKETS - 1)
+}
+
+/// The longest time of a bucket, microseconds.
+fn end_of(index: usize) -> u64 {
+    let index = index as u64;
+    if index < EXACT {
+        return index;
+    }
+    let (doubling, part) = (index / PER_DOUBLING + 3, index % PER_DOUBLING);
+    ((PER_DOUBLING + part + 1) << (doubling - 4)) - 1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_time_lies_in_its_bucket_and_at_most_a_sixteenth_below_its_end() {
+        for microseconds in (0..2_000).chain([65_535, 65_536, 1_000_000, 30_000_000, 86_400_000_000]) {
+            let end = end_of(bucket(microseconds));
+            assert!(end >= microseconds && end - microseconds <= microseconds / 16, "{microseconds}: {end}");
+            assert!(bucket(microseconds) == 0 || end_of(bucket(microseconds) - 1) < microseconds, "{microseconds}");
+        }
+        assert_eq!(bucket(u64::MAX), BUCKETS - 1);
+    }
+
+    #[test]
+    fn percentiles_are_of_what_was_reached() {
+        let stages = Stages::default();
+        assert_eq!(stages.within(Milestone::Durable, 50), None);
+        let now = Timestamp::now();
+        let ago = |milliseconds: u64| Timestamp(now.0 - milliseconds * 1_000_000);
+        stages.reached(Milestone::Durable, (1..=100).map(|number| ago(number * 100)));
+        assert_eq!(stages.count_of(Milestone::Durable), 100);
+        let median = stages.within(Milestone::Durable, 50).expect("a median").as_millis();
+        assert!((5_000..5_900).contains(&median), "{median}");
+        assert_eq!(stages.count_of(Milestone::Verified), 0);
+    }
+
+    #[test]
+    fn busy_time_adds_up() {
+        let stages = Stages::default();
+        stages.spent(Stage::Seal, Duration::from_millis(3));
+        assert_eq!(stages.count(Stage::Verify, || 7), 7);
+        stages.spent(Stage::Seal, Duration::from_millis(4));
+        assert_eq!(stages.busy(Stage::Seal), Duration::from_millis(7));
+    }
+}

@@ -1,0 +1,122 @@
+//! Publishers for measurements: `/loadN/data` (`sensor_msgs/CompressedImage`), each a ROS node of its own, at a rate
+//! that is held: what a pause of the machine delayed is sent behind it.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use super::definitions::{COMPRESSED_IMAGE, compressed_image_definition};
+use super::node::RobotNode;
+use super::outlet::Outlet;
+use super::{MOST_ROBOTS, PATIENCE, messages, wait_until};
+use crate::model::Timestamp;
+use crate::ros::RosError;
+use crate::ros::address::{Endpoint, own_host};
+
+/// Length of the fields around a message's data: header, format and lengths, with a one-digit publisher.
+const AROUND: usize = 4 + 8 + 4 + 13 + 4 + 4 + 4;
+/// Messages that are made beforehand, so that their making costs nothing.
+const VARIANTS: usize = 16;
+
+/// Running publishers; they end when dropped, what is queued for subscribers is sent first.
+pub struct Load {
+    nodes: Vec<RobotNode>,
+    outlets: Vec<Arc<Outlet>>,
+    stopping: Arc<AtomicBool>,
+    threads: Vec<JoinHandle<()>>,
+}
+
+impl Load {
+    /// Registers `publishers` publishers at the master; nothing is sent before [`Load::begin`].
+    ///
+    /// # Errors
+    /// [`RosError::Robots`] beyond [`MOST_ROBOTS`], and what goes wrong with master and sockets.
+    pub fn start(master_uri: &str, publishers: u16) -> Result<Self, RosError> {
+        if publishers > MOST_ROBOTS {
+            return Err(RosError::Robots(publishers));
+        }
+        let master = Endpoint::parse(master_uri).ok_or_else(|| RosError::address(master_uri))?;
+        let host = own_host(None, &master, Instant::now() + PATIENCE)?;
+        let (mut nodes, mut outlets) = (Vec::new(), Vec::new());
+        for number in 1..=publishers {
+            let topic = format!("/load{number}/data");
+            let outlet = Arc::new(Outlet::new(topic, COMPRESSED_IMAGE, compressed_image_definition()));
+            outlets.push(Arc::clone(&outlet));
+            nodes.push(RobotNode::start(master.clone(), &host, format!("/load{number}"), vec![outlet])?);
+        }
+        Ok(Self { nodes, outlets, stopping: Arc::default(), threads: Vec::new() })
+    }
+
+    /// The topics.
+    pub fn topics(&self) -> Vec<String> {
+        self.outlets.iter().map(|outlet| outlet.topic().to_owned()).collect()
+    }
+
+    /// Whether every topic has a subscriber.
+    pub fn is_heard(&self) -> bool {
+        self.outlets.iter().all(|outlet| !outlet.links().is_empty())
+    }
+
+    /// Publishes messages of `bytes` each, `period` apart on every topic, with data that no compression shortens.
+    ///
+    /// # Errors
+    /// Where a thread cannot be started, or there is no randomness.
+    pub fn begin(&mut self, bytes: usize, period: Duration) -> Result<(), RosError> {
+        let data = self.data(bytes)?;
+        for (index, outlet) in self.outlets.iter().enumerate() {
+            let (stopping, outlet, data) = (Arc::clone(&self.stopping), Arc::clone(outlet), Arc::clone(&data));
+            let number = u16::try_from(index + 1).unwrap_or(u16::MAX);
+            // Spread over the period, as independent robots are.
+            let first = Instant::now() + period * u32::from(number) / u32::try_from(self.outlets.len()).unwrap_or(1);
+            let work = move || publish(&outlet, &data, number, first, period, &stopping);
+            let thread = std::thread::Builder::new().name("load".into()).spawn(work);
+            self.threads.push(thread.map_err(|error| RosError::system("start a thread", &error))?);
+        }
+        Ok(())
+    }
+
+    fn data(&self, bytes: usize) -> Result<Arc<Vec<Vec<u8>>>, RosError> {
+        let mut variants = vec![vec![0; bytes.saturating_sub(AROUND)]; VARIANTS];
+        for variant in &mut variants {
+            getrandom::fill(variant)
+                .map_err(|error| RosError::system("draw random bytes", &std::io::Error::other(error.to_string())))?;
+        }
+        Ok(Arc::new(variants))
+    }
+
+    /// Messages published so far, and how many of them a subscriber's full queue did not take.
+    pub fn published(&self) -> (u64, u64) {
+        let sum = |count: fn(&Outlet) -> u64| self.outlets.iter().map(|outlet| count(outlet)).sum();
+        (sum(Outlet::published), sum(Outlet::overflowed))
+    }
+
+    /// Ends publishing; the nodes stay.
+    pub fn end(&mut self) {
+        self.stopping.store(true, Ordering::SeqCst);
+        for thread in self.threads.drain(..) {
+            thread.thread().unpark();
+            // A thread that panicked has published what it has.
+            drop(thread.join());
+        }
+    }
+}
+
+impl Drop for Load {
+    fn drop(&mut self) {
+        self.end();
+        for node in &self.nodes {
+            node.close();
+        }
+    }
+}
+
+fn publish(outlet: &Outlet, data: &[Vec<u8>], number: u16, mut due: Instant, period: Duration, stopping: &AtomicBool) {
+    let mut seq = 0u32;
+    while wait_until(due, stopping) {
+        let variant = &data[seq as usize % VARIANTS];
+        outlet.publish(&messages::compressed_image(seq, Timestamp::now(), number, variant));
+        seq = seq.wrapping_add(1);
+        due += period;
+    }
+}

@@ -1,0 +1,85 @@
+//! Profiles, their keys, and what their transactions did.
+
+use serde::{Deserialize, Serialize};
+
+use crate::model::{Address, Hash, ProfileName, PublicKey, SignerId, Token};
+use crate::service::command::SecretBytes;
+
+/// The public side of a profile.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct IdentityView {
+    /// Its name on this machine.
+    pub profile: ProfileName,
+    /// Whether it has keys yet.
+    pub exists: bool,
+    /// Whether its keyring is open in this site.
+    pub unlocked: bool,
+    /// Whether it is registered on the chain in use.
+    pub registered: bool,
+    /// Its EOA.
+    pub address: Option<Address>,
+    /// Current epoch on the chain.
+    pub epoch: Option<u64>,
+    /// P_C.
+    pub signing_key: Option<PublicKey>,
+    /// P_C for the eye.
+    pub fingerprint: Option<String>,
+    /// P_E.
+    pub envelope_key: Option<PublicKey>,
+}
+
+/// One epoch of a profile's keys.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct EpochView {
+    /// Its number.
+    pub epoch: u64,
+    /// Its token on the chain.
+    pub token: Token,
+    /// Whether new records are sealed under it.
+    pub current: bool,
+}
+
+/// A profile's keys, without any secret.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct KeysView {
+    /// EOA.
+    pub address: Address,
+    /// P_C.
+    pub signing_key: PublicKey,
+    /// P_C for the eye.
+    pub signing_fingerprint: String,
+    /// P_E.
+    pub envelope_key: PublicKey,
+    /// P_E for the eye.
+    pub envelope_fingerprint: String,
+    /// Epochs on the chain in use.
+    pub epochs: Vec<EpochView>,
+}
+
+/// A robot that was enrolled.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct EnrolledView {
+    /// N.
+    pub name: ProfileName,
+    /// SM3 of its public key.
+    pub device: SignerId,
+    /// The gateway.
+    pub gateway: String,
+    /// SM3 of the gateway's identity key.
+    pub gateway_key: SignerId,
+    /// The enrolment file, sealed.
+    pub file: SecretBytes,
+}
+
+/// What a transaction of the profile did (register, grant, revoke, rotate).
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TransactionView {
+    /// Its hash; `None` = nothing had to be sent.
+    pub transaction: Option<Hash>,
+    /// Its block.
+    pub block: Option<u64>,
+    /// The profile's epoch after it.
+    pub epoch: u64,
+    /// What was done, in words.
+    pub text: String,
+}

@@ -1,0 +1,110 @@
+//! Records: lists, provenance, checks, openings.
+
+use serde::{Deserialize, Serialize};
+
+use crate::model::{Address, Digest, Hash, Timestamp, Verdict};
+
+/// One record in a list.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RecordView {
+    /// Short stable id (beginning of the digest).
+    pub id: String,
+    /// Whose it is (shared lists).
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub owner: Option<Address>,
+    /// The owner's name in the address book.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub owner_name: Option<String>,
+    /// Per recorder and topic, from 1.
+    pub seq: u64,
+    /// Topic name, cleaned.
+    pub topic: String,
+    /// Message type, cleaned.
+    #[serde(rename = "type")]
+    pub type_name: String,
+    /// Kind of record in one word.
+    pub kind: String,
+    /// State in one word.
+    pub state: String,
+    /// SM3 of the stored bytes.
+    pub digest: Digest,
+    /// Length of the message, bytes.
+    pub bytes: u64,
+    /// When it was captured.
+    pub captured_at: Timestamp,
+    /// The epoch that seals it.
+    pub epoch: u64,
+    /// Sent by a simulated robot.
+    pub simulated: bool,
+    /// The anchoring transaction.
+    pub transaction: Option<Hash>,
+    /// Its block.
+    pub block: Option<u64>,
+}
+
+/// A page of records.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RecordPage {
+    /// The records.
+    pub records: Vec<RecordView>,
+    /// Cursor of the next page.
+    pub next: Option<String>,
+}
+
+/// One record with where it came from and where it stands.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Provenance {
+    /// The record.
+    #[serde(flatten)]
+    pub record: RecordView,
+    /// Steps from message to verified, each with a word and its evidence.
+    pub steps: Vec<(String, String)>,
+}
+
+/// A file to be written by the caller.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ExportedFile {
+    /// Its name, no path.
+    pub name: String,
+    /// Its bytes.
+    pub bytes: Vec<u8>,
+}
+
+/// What the opening of a record showed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct OpenedView {
+    /// The record.
+    #[serde(flatten)]
+    pub record: RecordView,
+    /// What the checks found; nothing below is filled unless it is `verified` or `unanchored`.
+    pub verdict: Verdict,
+    /// The publisher's node name, cleaned.
+    pub caller_id: String,
+    /// Tags, cleaned.
+    pub tags: Vec<(String, String)>,
+    /// Field paths and values in order, cleaned, for screens.
+    pub fields: Vec<(String, String)>,
+    /// The message as JSON; long arrays summarised.
+    pub message: serde_json::Value,
+    /// The message's bytes as captured.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub body: Option<Vec<u8>>,
+    /// A picture's own bytes (JPEG, PNG) where the message is one.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub picture: Option<Vec<u8>>,
+}
+
+/// What a check of one record found.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct CheckView {
+    /// The record's id.
+    pub id: String,
+    /// What was found.
+    pub verdict: Verdict,
+    /// SM3 of the vault's bytes.
+    pub digest: Digest,
+    /// The anchoring transaction.
+    pub transaction: Option<Hash>,
+    /// Its block.
+    pub block: Option<u64>,
+}

@@ -1,0 +1,76 @@
+//! Topics of the graph, and what captures of them did.
+
+use serde::{Deserialize, Serialize};
+
+use crate::model::Timestamp;
+
+/// One topic of the graph.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct TopicRow {
+    /// Its name, cleaned.
+    pub topic: String,
+    /// Its type, cleaned, where known.
+    #[serde(rename = "type")]
+    pub type_name: Option<String>,
+    /// Node names, cleaned.
+    pub publishers: Vec<String>,
+    /// Whether this profile watches it.
+    pub watched: bool,
+    /// Whether a simulated robot of this site publishes it.
+    pub simulated: bool,
+    /// Messages a second over the last 5 s; `None` = not measured.
+    pub hz: Option<f64>,
+    /// Bytes a second over the last 5 s; `None` = not measured.
+    pub bytes_per_second: Option<f64>,
+    /// Messages of it that this profile has captured.
+    pub messages: u64,
+    /// Lost before capture (header.seq gaps).
+    pub lost_in_transport: u64,
+    /// Dropped by the recorder.
+    pub lost_in_recorder: u64,
+    /// Arrival of the last message.
+    pub last_message: Option<Timestamp>,
+    /// Messages of it that this profile holds in quarantine.
+    #[serde(default)]
+    pub quarantined: u64,
+    /// Whether an alarm about a publisher of it is open.
+    #[serde(default)]
+    pub alarm: bool,
+}
+
+/// Figures of one topic in a capture's summary.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct TopicSummary {
+    /// Topic.
+    pub topic: String,
+    /// Type, where a message was seen.
+    #[serde(rename = "type")]
+    pub type_name: Option<String>,
+    /// Messages captured.
+    pub captured: u64,
+    /// Of these verified.
+    pub verified: u64,
+    /// Of these held back: their publisher is not a pinned one.
+    #[serde(default)]
+    pub quarantined: u64,
+    /// Lost in transport or in the recorder.
+    pub lost: u64,
+}
+
+/// What a capture did.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct CaptureSummary {
+    /// Messages captured.
+    pub captured: u64,
+    /// Of these verified: re-read from the vault, digest equal to the chain, signature valid.
+    pub verified: u64,
+    /// Of these held back: their publisher is not a pinned one.
+    #[serde(default)]
+    pub quarantined: u64,
+    /// Lost in transport or in the recorder.
+    pub lost: u64,
+    /// Left out on purpose (bag import).
+    pub skipped: u64,
+    /// Per topic.
+    pub topics: Vec<TopicSummary>,
+}
