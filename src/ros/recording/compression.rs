@@ -96,7 +96,7 @@ pub(in crate::ros) fn pack(compression: ChunkCompression, bytes: &[u8]) -> Resul
             // ROS's own reader knows independent blocks only, and wants the checksum of the whole.
             let frame = lz4_flex::frame::FrameInfo::new()
                 .block_mode(lz4_flex::frame::BlockMode::Independent)
-                .block_size(lz4_flex::frame::BlockSize::Max4MB)
+                .block_size(lz4_flex::frame::BlockSize::Max1MB)
                 .content_checksum(true);
             let mut encoder = lz4_flex::frame::FrameEncoder::with_frame_info(frame, Vec::new());
             encoder.write_all(bytes).map_err(|error| error.to_string())?;

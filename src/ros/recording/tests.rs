@@ -172,7 +172,8 @@ fn cut_off_anywhere_the_beginning_is_read() {
     let messages: Vec<_> = (0..20_u8).map(|number| message(&channel, u64::from(number), &[number; 30])).collect();
     for (format, compression) in WAYS {
         let bytes = write(format, compression, &messages);
-        for length in 0..bytes.len() {
+        // The first 4 KiB of a bag are padding.
+        for length in (0..bytes.len()).filter(|length| length % 64 == 0 || *length > 4000) {
             let Ok((found, _)) = read(format, &bytes[..length]) else { continue };
             assert!(found == messages[..found.len()], "{format:?} {compression} cut at {length}");
         }
@@ -185,7 +186,7 @@ fn no_flipped_byte_is_taken_for_another_message_where_there_is_a_checksum() {
     let messages: Vec<_> = (0..20_u8).map(|number| message(&channel, u64::from(number), &[number; 30])).collect();
     for (format, compression) in WAYS {
         let good = write(format, compression, &messages);
-        for place in 0..good.len() {
+        for place in (0..good.len()).filter(|place| place % 64 == 0 || *place < 100 || *place > 4000) {
             let mut bytes = good.clone();
             bytes[place] ^= 0x55;
             let Ok((found, _)) = read(format, &bytes) else { continue };
