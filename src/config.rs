@@ -6,6 +6,7 @@ mod read;
 mod source;
 #[cfg(test)]
 mod tests;
+mod topic_rules;
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -17,7 +18,7 @@ pub use self::read::without_password;
 use self::read::{Values, find, number, parsed, read_file, url, value, wrong};
 pub use self::source::{SettingView, Source};
 use crate::crypto::ProviderName;
-use crate::model::{Address, AnchorMode, Consensus, ListedPublishers, PinMode, SignerId, clean};
+use crate::model::{Address, AnchorMode, Consensus, ListedPublishers, PinMode, SignerId, TopicRules, clean};
 
 /// Which topics' rates are measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -66,6 +67,8 @@ pub struct Config {
     pub confirmations: u64,
     /// The gateway of the remote site that this one joins.
     pub site: Option<RemoteSite>,
+    /// Rules for topics (`[[topic]]` tables of the file).
+    pub topic_rules: TopicRules,
 }
 
 /// A remote site as the settings name it.
@@ -90,12 +93,12 @@ impl Config {
         environment: &dyn Fn(&str) -> Option<String>,
         file: Option<(&Path, &str)>,
     ) -> Result<Self, ConfigError> {
-        let from_file = file.map(|(path, text)| read_file(path, text)).transpose()?.unwrap_or_default();
+        let (from_file, topic_rules) = file.map(|(path, text)| read_file(path, text)).transpose()?.unwrap_or_default();
         let mut values = BTreeMap::new();
         for definition in DEFINITIONS {
             values.insert(definition.name, find(definition, flags, environment, &from_file));
         }
-        Self::typed(values)
+        Ok(Self { topic_rules, ..Self::typed(values)? })
     }
 
     fn typed(values: BTreeMap<&'static str, (String, Source)>) -> Result<Self, ConfigError> {
@@ -129,6 +132,7 @@ impl Config {
             audit_every: Duration::from_secs(number(&values, "audit.anchor_every", 1, 86_400)?),
             confirmations: number(&values, "confirmations", 1, 1000)?,
             site: remote_site(&values)?,
+            topic_rules: TopicRules::default(),
             values,
         })
     }

@@ -72,9 +72,12 @@ fn rule(table: &toml::Table, line: usize) -> Result<TopicRule, Wrong<'_>> {
         return Err((key, format!("a rule has no '{key}'; it has {}", known.join(", "))));
     }
     let pattern = table.get("match").and_then(toml::Value::as_str);
-    let pattern = pattern.ok_or(("match", "a rule says which topics it is for: match = \"/robot*/odom\"".to_owned()))?;
+    let pattern =
+        pattern.ok_or(("match", "a rule says which topics it is for: match = \"/robot*/odom\"".to_owned()))?;
     Ok(TopicRule {
-        pattern: pattern.parse().map_err(|error: crate::model::topic_rule::PatternError| ("match", error.to_string()))?,
+        pattern: pattern
+            .parse()
+            .map_err(|error: crate::model::topic_rule::PatternError| ("match", error.to_string()))?,
         line,
         type_name: table.get("type").map(type_name).transpose()?,
         rate: table.get("rate").map(rate).transpose()?,
@@ -91,7 +94,8 @@ fn type_name(value: &toml::Value) -> Result<TypeName, Wrong<'static>> {
 }
 
 fn rate(value: &toml::Value) -> Result<u64, Wrong<'static>> {
-    let rate = value.as_float().or_else(|| value.as_integer().and_then(|whole| i32::try_from(whole).ok()).map(f64::from));
+    let rate =
+        value.as_float().or_else(|| value.as_integer().and_then(|whole| i32::try_from(whole).ok()).map(f64::from));
     let usable = rate.filter(|rate| (0.001..=FASTEST).contains(rate));
     let rate = usable.ok_or(("rate", format!("write rate as messages a second, 0.001 to {FASTEST}")))?;
     let in_thousand_seconds = (rate * 1000.0).round();
@@ -100,7 +104,8 @@ fn rate(value: &toml::Value) -> Result<u64, Wrong<'static>> {
 }
 
 fn every(value: &toml::Value) -> Result<u64, Wrong<'static>> {
-    let every = value.as_integer().and_then(|every| u64::try_from(every).ok()).filter(|every| (1..=1 << 32).contains(every));
+    let every =
+        value.as_integer().and_then(|every| u64::try_from(every).ok()).filter(|every| (1..=1 << 32).contains(every));
     every.ok_or(("every", "write every as a whole number: 10 keeps one message of ten".to_owned()))
 }
 
@@ -128,7 +133,10 @@ fn retention(value: &toml::Value) -> Result<u64, Wrong<'static>> {
         _ => return Err(wrong()),
     };
     let count = text.get(..text.len() - 1).and_then(|digits| digits.parse::<u64>().ok());
-    count.and_then(|count| count.checked_mul(factor)).filter(|seconds| (60..=LONGEST).contains(seconds)).ok_or_else(wrong)
+    count
+        .and_then(|count| count.checked_mul(factor))
+        .filter(|seconds| (60..=LONGEST).contains(seconds))
+        .ok_or_else(wrong)
 }
 
 #[cfg(test)]
@@ -147,7 +155,10 @@ mod tests {
                     [[topic]]\nmatch = \"**\"\nrate = 10\n";
         let rules = rules(text).expect("rules");
         let camera = rules.of("/robot1/camera/image").expect("a rule");
-        assert_eq!((camera.line, camera.rate, camera.every, camera.retention), (2, Some(2500), Some(3), Some(2_592_000)));
+        assert_eq!(
+            (camera.line, camera.rate, camera.every, camera.retention),
+            (2, Some(2500), Some(3), Some(2_592_000))
+        );
         assert_eq!(camera.tags["mission"], "harbour");
         assert_eq!(rules.of("/odom").map(|rule| (rule.line, rule.rate)), Some((10, Some(10_000))));
     }

@@ -122,6 +122,17 @@ pub struct TopicRule {
     pub retention: Option<u64>,
 }
 
+/// The tag by which a rule says how long a record is kept.
+pub const RETENTION_TAG: &str = "retention";
+
+impl TopicRule {
+    /// Its tags, and its retention as one, in seconds: `retention=2592000s`.
+    pub fn all_tags(&self) -> impl Iterator<Item = (String, String)> {
+        let retention = self.retention.map(|seconds| (RETENTION_TAG.to_owned(), format!("{seconds}s")));
+        self.tags.clone().into_iter().chain(retention)
+    }
+}
+
 /// All rules, in their order: of several that fit a topic the first counts.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct TopicRules(pub Vec<Arc<TopicRule>>);

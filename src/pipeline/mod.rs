@@ -13,6 +13,7 @@ pub mod error;
 #[cfg(test)]
 mod fixture;
 pub mod forwarder;
+pub mod importer;
 pub mod meter;
 pub mod mirror;
 pub mod notices;
@@ -24,6 +25,7 @@ pub mod quarantine;
 pub mod reader;
 pub mod recorder;
 pub mod ring;
+mod sampler;
 pub mod sealer;
 pub mod sender;
 pub mod session;

@@ -5,11 +5,12 @@ use std::collections::{BTreeMap, HashMap};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 
-use crate::model::{Doubt, Timestamp, TypeName, clean};
+use crate::model::{Doubt, Timestamp, TopicRule, TopicRules, TypeName, clean};
 use crate::ros::{CaptureNotice, Message, MessageSink, Origin};
 
 use super::meter::Meter;
 use super::ring::{Ring, Weighted};
+use super::sampler::Sampler;
 use super::{Author, CaptureSession, Observer, Pins};
 
 /// One message for one author, on its way to the sealer.
@@ -24,6 +25,8 @@ pub struct CapturedMessage {
     pub sessions: Vec<Arc<CaptureSession>>,
     /// Why it must be held back.
     pub doubt: Option<Doubt>,
+    /// The rule of its topic, whose tags it gets.
+    pub rule: Option<Arc<TopicRule>>,
 }
 
 impl Weighted for CapturedMessage {
@@ -37,11 +40,20 @@ struct Interest {
     watched: bool,
     type_name: Option<TypeName>,
     sessions: Vec<Arc<CaptureSession>>,
+    rule: Option<Arc<TopicRule>>,
+    sampler: Mutex<Sampler>,
 }
 
 impl Interest {
     fn wants(&self, type_name: &str) -> bool {
-        self.type_name.as_ref().is_none_or(|wanted| wanted.as_str() == type_name)
+        let by_rule = self.rule.as_ref().and_then(|rule| rule.type_name.as_ref());
+        self.type_name.as_ref().or(by_rule).is_none_or(|wanted| wanted.as_str() == type_name)
+    }
+
+    /// Whether the topic's rule lets this message of an undoubted publisher through.
+    fn takes(&self, at: Timestamp) -> bool {
+        let Some(rule) = &self.rule else { return true };
+        self.sampler.lock().unwrap_or_else(PoisonError::into_inner).takes(rule, at)
     }
 }
 
@@ -52,6 +64,8 @@ pub struct Losses {
     pub in_transport: u64,
     /// Dropped at a full ring.
     pub in_recorder: u64,
+    /// Not lost: left out by the rate or sampling of the topic's rule.
+    pub left_out: u64,
 }
 
 /// Decides what becomes of each captured message.
@@ -64,6 +78,7 @@ pub struct Recorder {
     simulated: RwLock<Vec<String>>,
     observer: Arc<dyn Observer>,
     pins: Option<Arc<Pins>>,
+    rules: TopicRules,
 }
 
 impl Recorder {
@@ -78,7 +93,13 @@ impl Recorder {
             simulated: RwLock::default(),
             observer,
             pins: None,
+            rules: TopicRules::default(),
         }
+    }
+
+    /// Messages are taken as the rules of their topics say.
+    pub fn with_rules(self, rules: TopicRules) -> Self {
+        Self { rules, ..self }
     }
 
     /// Messages of publishers that are not pinned are held back.
@@ -110,7 +131,9 @@ impl Recorder {
         let mut interests = self.interests.write().unwrap_or_else(PoisonError::into_inner);
         let list = interests.entry(topic.to_owned()).or_default();
         if !list.iter().any(|interest| interest.author.address == author.address) {
-            list.push(Interest { author: Arc::clone(author), watched: false, type_name: None, sessions: Vec::new() });
+            let rule = self.rules.of(topic).cloned();
+            let (author, sampler) = (Arc::clone(author), Mutex::default());
+            list.push(Interest { author, watched: false, type_name: None, sessions: Vec::new(), rule, sampler });
         }
         if let Some(interest) = list.iter_mut().find(|interest| interest.author.address == author.address) {
             change(interest);
@@ -172,6 +195,7 @@ impl Recorder {
         losses.values().fold(Losses::default(), |sum, topic| Losses {
             in_transport: sum.in_transport + topic.in_transport,
             in_recorder: sum.in_recorder + topic.in_recorder,
+            left_out: sum.left_out + topic.left_out,
         })
     }
 
@@ -185,6 +209,11 @@ impl Recorder {
             return;
         }
         let doubt = self.doubt(interest, &message.topic, &message.origin);
+        // A doubted publisher neither uses up what the rule leaves to the others, nor is anything of it left out.
+        if doubt.is_none() && !interest.takes(message.captured_at) {
+            self.lose(&message.topic, |losses| losses.left_out += 1);
+            return;
+        }
         let takes = |session: &&Arc<CaptureSession>| match doubt {
             None => session.take(&message.topic, &message.type_name),
             Some(_) => session.hold(&message.topic),
@@ -194,7 +223,8 @@ impl Recorder {
             return;
         }
         let author = Arc::clone(&interest.author);
-        let item = CapturedMessage { author, message: Arc::clone(message), simulated, sessions, doubt };
+        let rule = interest.rule.clone();
+        let item = CapturedMessage { author, message: Arc::clone(message), simulated, sessions, doubt, rule };
         if let Err(refused) = self.ring.push(item) {
             self.lose(&message.topic, |losses| losses.in_recorder += 1);
             refused.sessions.iter().for_each(|session| session.dropped(&message.topic, refused.doubt.is_some()));

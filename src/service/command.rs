@@ -2,12 +2,14 @@
 
 mod administration;
 mod choices;
+mod recordings;
 mod secret;
 
 use serde::{Deserialize, Serialize};
 
 pub use self::administration::Administration;
 pub use self::choices::{Epochs, Held, KeyKind, UploadQuery};
+pub use self::recordings::{ExportWishes, ImportWishes, PolicyCommand, RecordingCommand};
 pub use self::secret::{SecretBytes, SecretText};
 use crate::model::{Address, ContactName, Party, ProfileName, Publisher, SignerId, Timestamp, TopicName, TypeName};
 pub use crate::store::AuditQuery;
@@ -113,8 +115,18 @@ pub enum Command {
         /// Tags for the sealed head.
         tags: Vec<(String, String)>,
     },
-    /// End the running captures of this profile now (their answers follow).
+    /// End the running captures and imports of this profile now (their answers follow).
     StopCapture,
+    /// Recordings: bags and MCAP.
+    Recording {
+        /// What with them.
+        with: RecordingCommand,
+    },
+    /// Rules for topics.
+    Policy {
+        /// What with them.
+        with: PolicyCommand,
+    },
     /// Own records.
     ListUploads(UploadQuery),
     /// One own record with its provenance.

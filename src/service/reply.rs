@@ -5,6 +5,7 @@ mod chain;
 mod forging;
 mod identity;
 mod parties;
+mod recordings;
 mod records;
 mod site;
 mod topics;
@@ -16,6 +17,9 @@ pub use self::chain::{ChainView, DeployedView, GatewayView, ServedView};
 pub use self::forging::{AlarmView, DecidedView, HeldView, PinView, PinsView, QuarantineView};
 pub use self::identity::{EnrolledView, EpochView, IdentityView, KeysView, TransactionView};
 pub use self::parties::{AdministrationView, CompareView, ContactRow, DeviceRow, GrantRow, SuccessionView};
+pub use self::recordings::{
+    ExportView, ExportedTopic, ImportView, ImportedTopic, PolicyRow, PolicyView, ProgressView, RecordingReply, Refused,
+};
 pub use self::records::{CheckView, ExportedFile, OpenedView, Provenance, RecordPage, RecordView};
 pub use self::site::{HealthLevel, LifeLine, PartHealth, SiteView};
 pub use self::topics::{CaptureSummary, TopicRow, TopicSummary};
@@ -55,6 +59,10 @@ pub enum Reply {
     Topics(Vec<TopicRow>),
     /// To `Capture`.
     Captured(CaptureSummary),
+    /// To `Recording`.
+    Recording(RecordingReply),
+    /// To `Policy`.
+    Policy(PolicyView),
     /// To lists of records.
     Records(RecordPage),
     /// To `ShowUpload`.

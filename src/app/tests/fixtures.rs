@@ -102,6 +102,7 @@ pub fn topic(name: &str, hz: f64) -> TopicRow {
         messages: 0,
         lost_in_transport: 0,
         lost_in_recorder: 0,
+        left_out: 0,
         last_message: Some(NOW),
         quarantined: 0,
         alarm: false,

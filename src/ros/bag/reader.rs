@@ -28,7 +28,11 @@ struct Chunk {
 /// What stands at a position of the file.
 enum Found {
     /// A record: the end of its header, and the length of its data.
-    Record { header: Vec<u8>, data: u64, length: u64 },
+    Record {
+        header: Vec<u8>,
+        data: u64,
+        length: u64,
+    },
     End,
     Damage(&'static str),
 }
@@ -117,7 +121,9 @@ impl<R: BufRead + Seek> BagReader<R> {
             return Ok(());
         };
         while let Found::Record { header, data, length } = self.look(at).map_err(unreadable)? {
-            let Some(fields) = Fields::parse(&header).filter(|fields| fields.op() == Some(Op::Connection)) else { break };
+            let Some(fields) = Fields::parse(&header).filter(|fields| fields.op() == Some(Op::Connection)) else {
+                break;
+            };
             let bytes = self.read_at(data, length.min(LONGEST_CONNECTION as u64 + 1)).map_err(unreadable)?;
             self.learn(&fields, &bytes);
             at = data + length;

@@ -67,7 +67,8 @@ impl<'a> Fields<'a> {
     /// Seconds and nanoseconds, as one number.
     pub fn time(&self, name: &str) -> Option<Timestamp> {
         let bytes: [u8; 8] = self.bytes(name)?.try_into().ok()?;
-        let [seconds, nanoseconds] = [bytes.first_chunk::<4>()?, bytes.last_chunk::<4>()?].map(|b| u32::from_le_bytes(*b));
+        let [seconds, nanoseconds] =
+            [bytes.first_chunk::<4>()?, bytes.last_chunk::<4>()?].map(|b| u32::from_le_bytes(*b));
         Some(Timestamp(u64::from(seconds) * 1_000_000_000 + u64::from(nanoseconds)))
     }
 

@@ -59,7 +59,8 @@ fn start_of_chunk(file: &mut (impl Read + Seek), from: u64, mark: u64) -> io::Re
     let lead = usize::try_from(mark - first).unwrap_or(0);
     // The nearest beginning that makes a header is it.
     let starts = (0..=lead.saturating_sub(4)).rev().filter(|start| start + 4 <= lead);
-    let is_chunk = |start: &usize| bytes.get(*start..).and_then(sized).is_some_and(|(header, _)| is_chunk_header(header));
+    let is_chunk =
+        |start: &usize| bytes.get(*start..).and_then(sized).is_some_and(|(header, _)| is_chunk_header(header));
     Ok(starts.into_iter().find(is_chunk).map(|start| first + start as u64))
 }
 

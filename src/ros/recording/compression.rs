@@ -44,7 +44,9 @@ impl FromStr for ChunkCompression {
         [Self::None, Self::Bz2, Self::Lz4, Self::Zstd]
             .into_iter()
             .find(|compression| compression.word() == text)
-            .ok_or_else(|| format!("'{}' is no compression; write none, bz2, lz4 or zstd", crate::model::clean(text, 40)))
+            .ok_or_else(|| {
+                format!("'{}' is no compression; write none, bz2, lz4 or zstd", crate::model::clean(text, 40))
+            })
     }
 }
 

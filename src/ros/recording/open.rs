@@ -74,7 +74,8 @@ impl Recording {
         if magic.starts_with(bag::MAGIC) {
             return BagReader::open(file).map(Self::Bag);
         }
-        let what = if magic.starts_with(b"#ROSBAG V") { "a bag of another version than 2.0" } else { "no bag and no MCAP" };
+        let what =
+            if magic.starts_with(b"#ROSBAG V") { "a bag of another version than 2.0" } else { "no bag and no MCAP" };
         Err(RosError::recording(&format!("{} is {what}", path.display())))
     }
 

@@ -158,7 +158,9 @@ fn the_recording_of_a_killed_recorder_is_read_to_its_end() {
         let mut bytes = write(RecordingFormat::Bag, compression, &messages[..4]);
         let size = bytes.windows(5).position(|at| at == b"size=").expect("a chunk") + 5;
         // Neither length of the only chunk was written yet, and no index.
-        let end = size + 8 + usize::try_from(u32::from_le_bytes(bytes[size + 4..size + 8].try_into().expect("4"))).expect("usize");
+        let end = size
+            + 8
+            + usize::try_from(u32::from_le_bytes(bytes[size + 4..size + 8].try_into().expect("4"))).expect("usize");
         bytes.truncate(end);
         bytes[size..size + 8].fill(0);
         let (found, _) = read(RecordingFormat::Bag, &bytes).expect("read");
@@ -229,7 +231,8 @@ fn any_messages() -> impl Strategy<Value = Vec<RecordedMessage>> {
     let any_channel = ("/[a-z]{1,6}", "(/[a-z]{1,6})?").prop_map(|(topic, caller)| channel(&topic, &caller));
     let channels = prop::collection::vec(any_channel, 1..4);
     let times = 0..u64::from(u32::MAX) * 1_000_000_000;
-    let rest = prop::collection::vec((any::<prop::sample::Index>(), times, prop::collection::vec(any::<u8>(), 0..300)), 0..40);
+    let rest =
+        prop::collection::vec((any::<prop::sample::Index>(), times, prop::collection::vec(any::<u8>(), 0..300)), 0..40);
     (channels, rest).prop_map(|(channels, rest)| {
         rest.into_iter().map(|(index, time, body)| message(index.get(&channels), time, &body)).collect()
     })

@@ -70,6 +70,7 @@ impl Site {
             messages: 0,
             lost_in_transport: losses.in_transport,
             lost_in_recorder: losses.in_recorder,
+            left_out: losses.left_out,
             last_message: rate.and_then(|rate| rate.last),
             quarantined: 0,
             alarm: false,
