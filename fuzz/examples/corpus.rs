@@ -5,18 +5,20 @@
 use std::path::Path;
 use std::{fs, io};
 
-use authros_fuzz::{Sample, frame, key_allocation, proof, record};
+use authros_fuzz::{Sample, frame, key_allocation, proof, record, recording};
 
 /// Name, valid encodings, what is done with them.
 type Target = (&'static str, Vec<Sample>, fn(&[u8]) -> bool);
 
 fn main() -> io::Result<()> {
     let write = std::env::args().nth(1).is_some_and(|word| word == "write");
-    let targets: [Target; 4] = [
+    let targets: [Target; 6] = [
         ("frame", frame::samples(), frame::run),
         ("key_allocation", key_allocation::samples(), key_allocation::run),
         ("record", record::samples(), record::run),
         ("proof", proof::samples(), proof::run),
+        ("bag", recording::bags(), recording::bag),
+        ("mcap", recording::mcaps(), recording::mcap),
     ];
     let corpus = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpus");
     for (target, samples, run) in targets {

@@ -5,6 +5,7 @@ pub mod frame;
 pub mod key_allocation;
 pub mod proof;
 pub mod record;
+pub mod recording;
 
 mod cast;
 mod messages;

@@ -142,7 +142,7 @@ impl ChannelRecord {
             Encoding::Cdr { .. } => None,
         };
         Some(Channel {
-            md5sum: about("md5sum").or_else(computed).unwrap_or_else(|| "*".into()),
+            md5sum: about("md5sum").filter(|sum| &**sum != "*").or_else(computed).unwrap_or_else(|| "*".into()),
             caller_id: about("callerid").unwrap_or_default(),
             latching: about("latching").is_some_and(|value| matches!(&*value, "1" | "true")),
             topic: self.topic,
