@@ -1,5 +1,6 @@
 //! Settings: flag over environment over `config.toml` over default, each with where it came from.
 
+mod console;
 mod definitions;
 mod error;
 mod read;
@@ -12,13 +13,17 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::Duration;
 
+pub use self::console::ConsoleSettings;
 pub use self::definitions::{DEFINITIONS, Definition};
 pub use self::error::ConfigError;
 pub use self::read::without_password;
-use self::read::{Values, find, number, parsed, read_file, url, value, wrong};
+use self::read::{Values, bytes, find, number, parsed, read_file, switch, url, value, wrong};
 pub use self::source::{SettingView, Source};
 use crate::crypto::ProviderName;
 use crate::model::{Address, AnchorMode, Consensus, ListedPublishers, PinMode, SignerId, TopicRules, clean};
+
+/// How the URL of a vault begins.
+const VAULTS: &[&str] = &["redis://", "redis+unix://", "unix://", "redis+cluster://", "redis+sentinel://"];
 
 /// Which topics' rates are measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -55,8 +60,16 @@ pub struct Config {
     pub lanes: u8,
     /// What the embedded chain's consensus must be; a new one is founded with it.
     pub consensus: Option<Consensus>,
+    /// Memory for captured messages that wait to be stored, bytes.
+    pub capture_memory: u64,
     /// A real Redis.
     pub vault_url: Option<String>,
+    /// Disk space for records that wait for the vault, bytes.
+    pub vault_backlog: u64,
+    /// Disk space that records leave free, bytes.
+    pub disk_reserve: u64,
+    /// Whether messages are compressed before they are sealed.
+    pub compression: bool,
     /// Which SM implementation.
     pub provider: ProviderName,
     /// How digests go on the chain.
@@ -69,6 +82,8 @@ pub struct Config {
     pub site: Option<RemoteSite>,
     /// Rules for topics (`[[topic]]` tables of the file).
     pub topic_rules: TopicRules,
+    /// How the console looks.
+    pub console: ConsoleSettings,
 }
 
 /// A remote site as the settings name it.
@@ -126,13 +141,18 @@ impl Config {
             },
             lanes: u8::try_from(number(&values, "anchor.lanes", 1, 8)?).unwrap_or(1),
             consensus: parsed(&values, "chain.consensus")?,
-            vault_url: url(&values, "vault.url", &["redis://", "redis+unix://", "unix://"])?,
+            capture_memory: bytes(&values, "capture.memory", 1 << 20)?,
+            vault_url: url(&values, "vault.url", VAULTS)?,
+            vault_backlog: bytes(&values, "vault.backlog", 0)?,
+            disk_reserve: bytes(&values, "disk.reserve", 0)?,
+            compression: switch(&values, "record.compression", ("auto", "off"))?,
             provider: parsed(&values, "crypto.provider")?.unwrap_or_default(),
             anchor_mode: parsed(&values, "anchor.mode")?.unwrap_or_default(),
             audit_every: Duration::from_secs(number(&values, "audit.anchor_every", 1, 86_400)?),
             confirmations: number(&values, "confirmations", 1, 1000)?,
             site: remote_site(&values)?,
             topic_rules: TopicRules::default(),
+            console: ConsoleSettings::read(&values)?,
             values,
         })
     }

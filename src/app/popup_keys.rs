@@ -2,22 +2,33 @@
 
 use zeroize::Zeroizing;
 
-use super::action::{Contents, Effect};
+use super::action::{Contents, Effect, Tag};
+use super::administration;
+use super::browse;
 use super::confirm;
 use super::form::{Form, FormStep};
 use super::forms;
 use super::identity_path::{self, Need};
-use super::key::Key;
+use super::key::{Key, chord_label};
+use super::keymap::Meaning;
 use super::perform::{copy, perform};
 use super::popup::{Confirm, Lookup, Palette, Popup, Purpose};
 use super::state::State;
-use crate::service::reply::OpenedView;
+use super::themes;
+use super::verb::Verb;
+use crate::service::reply::{OpenedView, PinsView};
 
 /// A popup's keys, for the bottom bar: key and what it does.
 pub fn hints(popup: &Popup) -> Vec<(&'static str, &'static str)> {
     match popup {
         Popup::Palette(_) => vec![("enter", "do"), ("up down", "choose"), ("esc", "close")],
+        Popup::Browse(_) => vec![("enter", "show these"), ("up down", "choose"), ("q", "close")],
+        Popup::Publishers(_) => vec![("up down", "scroll"), ("p", "pin"), ("P", "unpin"), ("q", "close")],
+        Popup::Tasks | Popup::Readers(_) => vec![("q", "close")],
         Popup::Help { .. } | Popup::Provenance(_) => vec![("up down", "scroll"), ("q", "close")],
+        Popup::Chord(_) => vec![("esc", "close")],
+        Popup::Themes(_) => vec![("up down", "see it"), ("enter", "keep it"), ("esc", "as before")],
+        Popup::Confirm(confirm) if confirm.typed.is_some() => vec![("enter", confirm.yes), ("esc", "no")],
         Popup::Confirm(confirm) => vec![("y", confirm.yes), ("any other key", "no")],
         Popup::Form(..) => vec![("enter", "next, then go on"), ("tab", "next field"), ("esc", "close")],
         Popup::Record(lookup) => match lookup.found().and_then(writable) {
@@ -39,7 +50,17 @@ pub fn popup_key(state: &mut State, key: Key) -> Vec<Effect> {
         Popup::Form(purpose, form) => form_key(state, purpose, form, key),
         Popup::Confirm(confirm) => confirm_key(state, confirm, key),
         Popup::Quit { .. } => quit_key(state, key),
+        Popup::Chord(begun) => chord_key(state, begun, key),
+        Popup::Themes(choice) => themes::key(state, choice, key),
         Popup::Record(lookup) => record_key(state, lookup, key),
+        Popup::Browse(browse) => browse::key(state, browse, key),
+        Popup::Publishers(lookup) => publishers_key(state, lookup, key),
+        Popup::Tasks | Popup::Readers(_) => {
+            if !matches!(key, Key::Escape | Key::Enter | Key::Char('q' | 't' | 'i')) {
+                state.popups.push(popup);
+            }
+            Vec::new()
+        }
         Popup::Provenance(mut lookup) => {
             if let Some(scroll) = scrolled(lookup.scroll, key, state.page_rows()) {
                 let lines = lookup.found().map_or(0, |found| found.steps.len() * 3 + 8);
@@ -62,6 +83,7 @@ pub fn popup_paste(state: &mut State, text: &str) {
     match state.popups.last_mut() {
         Some(Popup::Form(_, form)) => form.paste(text),
         Some(Popup::Palette(palette)) => palette.field.insert(text),
+        Some(Popup::Confirm(Confirm { typed: Some(typed), .. })) => typed.field.insert(text),
         _ => {}
     }
 }
@@ -99,19 +121,67 @@ fn palette_key(state: &mut State, mut palette: Palette, key: Key) -> Vec<Effect>
     Vec::new()
 }
 
-fn confirm_key(state: &mut State, confirm: Confirm, key: Key) -> Vec<Effect> {
-    if key != Key::Char('y') {
+/// The next key of a chord.
+fn chord_key(state: &mut State, mut pressed: Vec<Key>, key: Key) -> Vec<Effect> {
+    if key == Key::Escape {
+        return Vec::new();
+    }
+    pressed.push(key);
+    let meaning = state.settings.keymap.meaning(&pressed, state.screen);
+    match meaning {
+        Meaning::Does(verb) => return perform(state, verb),
+        Meaning::Begins(_) => state.popups.push(Popup::Chord(pressed)),
+        Meaning::Nothing => state.inform(format!("'{}' does nothing here", chord_label(&pressed))),
+    }
+    Vec::new()
+}
+
+fn publishers_key(state: &mut State, mut lookup: Lookup<PinsView>, key: Key) -> Vec<Effect> {
+    match key {
+        Key::Char('p') => return perform(state, Verb::Pin),
+        Key::Char('P') => return perform(state, Verb::Unpin),
+        _ => {}
+    }
+    if let Some(scroll) = scrolled(lookup.scroll, key, state.page_rows()) {
+        let lines = lookup.found().map_or(0, |found| found.pins.len() * 3 + found.alarms.len() * 3 + 4);
+        lookup.scroll = scroll.min(lines);
+        state.popups.push(Popup::Publishers(lookup));
+    }
+    Vec::new()
+}
+
+fn confirm_key(state: &mut State, mut confirm: Confirm, key: Key) -> Vec<Effect> {
+    let said = match &mut confirm.typed {
+        Some(_) if key == Key::Escape => return Vec::new(),
+        Some(typed) if key == Key::Enter => typed.is_done(),
+        Some(typed) => {
+            typed.field.key(key);
+            false
+        }
+        None if key != Key::Char('y') => return Vec::new(),
+        None => true,
+    };
+    if !said {
+        state.popups.push(Popup::Confirm(confirm));
         return Vec::new();
     }
     // The form that led here has done its work.
-    state.popups.retain(|popup| !matches!(popup, Popup::Form(Purpose::Grant | Purpose::LoadKey, _)));
-    identity_path::run(state, need_of(&confirm), vec![confirm.errand])
+    let led_here = |purpose: &Purpose| matches!(purpose, Purpose::Grant | Purpose::LoadKey | Purpose::Administer(_));
+    state.popups.retain(|popup| !matches!(popup, Popup::Form(purpose, _) if led_here(purpose)));
+    match need_of(&confirm) {
+        Some(need) => identity_path::run(state, need, vec![confirm.errand]),
+        None => vec![state.send(confirm.errand)],
+    }
 }
 
-fn need_of(confirm: &Confirm) -> Need {
+/// How much of an identity the act needs; pins need none that is open.
+fn need_of(confirm: &Confirm) -> Option<Need> {
     match confirm.errand.tag {
-        super::action::Tag::LoadKey(_) => Need::Unlocked,
-        _ => Need::Registered,
+        Tag::Pin(_) => None,
+        Tag::LoadKey(_) | Tag::Release(_) | Tag::Discard(_) | Tag::Administer("deploy" | "adopt") => {
+            Some(Need::Unlocked)
+        }
+        _ => Some(Need::Registered),
     }
 }
 
@@ -160,6 +230,12 @@ fn submit(state: &mut State, purpose: Purpose, form: &Form) -> Result<Vec<Effect
         Purpose::Grant => {
             let wish = forms::read_grant(form, state.address(), state.now)?;
             state.popups.push(Popup::Confirm(confirm::grant(state, wish)));
+            return Ok(Vec::new());
+        }
+        Purpose::Unpin => forms::read_unpin(form)?,
+        Purpose::Administer(act) => {
+            let question = administration::read(act, form)?;
+            state.popups.push(Popup::Confirm(question));
             return Ok(Vec::new());
         }
         Purpose::LoadKey => {

@@ -44,6 +44,6 @@ pub async fn run(global: &Global, arguments: BenchArguments, output: &Output) ->
     };
     tokio::select! {
         done = work => done,
-        () = serve::asked_to_end() => Err(Failure::new(ErrorKind::Incomplete, "the bench was ended before it was done; run it again for its figures")),
+        _ = serve::asked_to_end() => Err(Failure::new(ErrorKind::Incomplete, "the bench was ended before it was done; run it again for its figures")),
     }
 }

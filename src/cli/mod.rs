@@ -16,17 +16,22 @@ mod demo;
 mod follow;
 mod gateway;
 mod lists;
+mod looks;
 mod output;
 mod parse;
 mod parties;
 mod passphrase;
 mod plans;
 mod policy;
+mod printed;
 mod quarantine;
 mod recordings;
 mod serve;
 mod show;
+mod status;
+mod twins;
 mod verbs;
+mod viewing;
 
 use std::process::ExitCode;
 
@@ -39,6 +44,7 @@ use crate::service::Failure;
 
 /// Runs the program; the exit code follows from the kind of error.
 pub fn main() -> ExitCode {
+    serve::note_hangup();
     let arguments = match Arguments::try_parse() {
         Ok(arguments) => arguments,
         Err(error) => {
@@ -72,6 +78,10 @@ fn run(runtime: &tokio::runtime::Runtime, arguments: Arguments, output: &Output)
     // It needs no home, and its --consensus is no setting.
     if let Some(Verb::Chain(ChainVerb::Genesis(genesis))) = &arguments.verb {
         return chain::genesis(genesis, output);
+    }
+    if let Some(text) = printed::text(&arguments)? {
+        output.raw(&text);
+        return Ok(0);
     }
     let verb = match arguments.verb {
         // Needs no home, so it does not look at one.

@@ -8,7 +8,7 @@ use super::connect::ProfileNeed;
 use super::verbs::{CHAIN, NEITHER, Plan};
 use super::{parse, passphrase};
 use crate::model::{ErrorKind, Timestamp};
-use crate::service::{Command, Epochs, Failure, KeyKind, SecretText};
+use crate::service::{Command, Epochs, Failure, KeyKind, Operation, SecretText};
 
 /// `audit …`
 ///
@@ -40,6 +40,10 @@ pub fn keys(verb: KeysVerb) -> Result<Plan, Failure> {
     Ok(match verb {
         KeysVerb::List => Plan::new(CHAIN, ProfileNeed::Unlocked, Command::ListKeys),
         KeysVerb::Rotate => Plan::new(CHAIN, ProfileNeed::Unlocked, Command::RotateKeys),
+        KeysVerb::Backup { out } => {
+            let command = Command::Operate(Operation::BackUpKeys);
+            Plan { out: Some(out), ..Plan::new(NEITHER, ProfileNeed::None, command) }
+        }
         KeysVerb::Load { sm4, sm2, eoa, keystore_passphrase_file } => {
             let choices = [(KeyKind::Sm4, sm4), (KeyKind::Sm2, sm2), (KeyKind::Eoa, eoa)];
             let chosen = choices.into_iter().find_map(|(kind, path)| path.map(|path| (kind, path)));

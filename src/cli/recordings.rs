@@ -165,7 +165,7 @@ async fn until_done(client: &Client, command: Command, output: &Output) -> Resul
                 };
             }
             () = tokio::time::sleep(LOOK) => tell_progress(client, &mut told, output).await,
-            () = crate::cli::serve::asked_to_end() => {
+            _ = crate::cli::serve::asked_to_end() => {
                 if asked {
                     return Err(Failure::new(ErrorKind::Incomplete, "left before all was done; what is sealed is stored, repeat the command to go on"));
                 }

@@ -2,13 +2,16 @@
 
 use std::path::PathBuf;
 
-use super::args::{ChainVerb, ConfigVerb, GrantsVerb, IdentityVerb, SharedVerb, TopicsVerb, UploadsVerb, Verb};
+use super::args::{
+    ChainVerb, ConfigVerb, GatewayVerb, GrantsVerb, IdentityVerb, SharedVerb, TopicsVerb, UploadsVerb, Verb,
+};
 use super::connect::{Context, ProfileNeed};
 use super::output::Output;
 use super::plans::{audit, grant, keys};
 use super::quarantine::{self, QuarantineVerb};
 use super::{lists, parse, parties, passphrase, show};
-use crate::service::{Command, Failure, Needs};
+use crate::service::command::Viewing;
+use crate::service::{Command, Failure, Needs, Operation};
 
 /// The chain alone.
 pub const CHAIN: Needs = Needs { ros: false, chain: true };
@@ -79,6 +82,9 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
             let account = account.as_deref().map(parse::value).transpose()?;
             Plan::new(needs, NoProfile, Command::CompareFingerprint { fingerprint, account })
         }
+        Verb::Identity(IdentityVerb::Lock) => Plan::new(NEITHER, NoProfile, Command::Operate(Operation::Lock)),
+        Verb::Gateway(GatewayVerb::Status) => Plan::new(NEITHER, NoProfile, Command::Operate(Operation::GatewayStatus)),
+        Verb::Status => Plan::new(NEITHER, NoProfile, Command::SiteStatus),
         Verb::Contacts(verb) => Plan::new(CHAIN, NoProfile, parties::contacts(verb)?),
         Verb::Register => Plan::new(CHAIN, Made, Command::Register),
         Verb::Keys(verb) => keys(verb)?,
@@ -117,7 +123,11 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
         Verb::Shared(SharedVerb::List(list)) => Plan::new(CHAIN, Unlocked, Command::ListShared(parse::query(&list)?)),
         Verb::Shared(SharedVerb::Check { id }) => Plan::new(CHAIN, Unlocked, Command::CheckShared { id }),
         Verb::Shared(SharedVerb::Open { id, out }) => {
-            Plan { out, ..Plan::new(CHAIN, Unlocked, Command::OpenShared { id }) }
+            let command = super::viewing::open(id, out.as_deref());
+            Plan { out, ..Plan::new(CHAIN, Unlocked, command) }
+        }
+        Verb::Shared(SharedVerb::Path { id, records }) => {
+            Plan::new(CHAIN, Unlocked, Command::View(Viewing::Path { id, records }))
         }
         Verb::Chain(ChainVerb::Status) => Plan::new(CHAIN, NoProfile, Command::ChainStatus),
         Verb::Chain(ChainVerb::Adopt) => Plan::new(CHAIN, Unlocked, Command::AdoptChain),
@@ -137,7 +147,9 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
         | Verb::Gateway(_)
         | Verb::Demo(_)
         | Verb::Bench(_)
-        | Verb::Console(_) => {
+        | Verb::Console(_)
+        | Verb::Completions { .. }
+        | Verb::Man => {
             return Err(super::connect::unexpected());
         }
     })

@@ -76,10 +76,35 @@ pub const DEFINITIONS: &[Definition] = &[
         text: "embedded chain: poa[:SIGNERS:PERIOD_MS] or pow[:DIFFICULTY]; empty = as founded, new ones poa",
     },
     Definition {
+        name: "capture.memory",
+        variable: "AUTHROS_CAPTURE_MEMORY",
+        default: "256MiB",
+        text: "memory for captured messages that wait to be stored, all topics together; what does not fit is counted",
+    },
+    Definition {
         name: "vault.url",
         variable: "AUTHROS_VAULT",
         default: "",
-        text: "redis://host:port; empty = embedded vault",
+        text: "redis://host:port, redis+unix:///path, redis+cluster://host:port,host:port or \
+               redis+sentinel://host:port,host:port/master; empty = embedded vault",
+    },
+    Definition {
+        name: "vault.backlog",
+        variable: "AUTHROS_VAULT_BACKLOG",
+        default: "4GiB",
+        text: "disk space for records that wait for a Redis that does not take them",
+    },
+    Definition {
+        name: "disk.reserve",
+        variable: "AUTHROS_DISK_RESERVE",
+        default: "64MiB",
+        text: "disk space left free: below it no further record is acknowledged, so that those there are can go on",
+    },
+    Definition {
+        name: "record.compression",
+        variable: "AUTHROS_COMPRESSION",
+        default: "auto",
+        text: "auto = compress messages before they are sealed where it pays; off = seal them as they are",
     },
     Definition {
         name: "crypto.provider",
@@ -128,5 +153,35 @@ pub const DEFINITIONS: &[Definition] = &[
         variable: "AUTHROS_TRUST_FIRST",
         default: "no",
         text: "yes = pin whatever gateway answers the first time",
+    },
+    Definition {
+        name: "console.theme",
+        variable: "AUTHROS_THEME",
+        default: "",
+        text: "theme of the console: night, day, contrast, mono or one of your own; empty = by the terminal's colours",
+    },
+    Definition {
+        name: "console.ascii",
+        variable: "AUTHROS_ASCII",
+        default: "auto",
+        text: "ASCII characters only: yes, no, or auto (where the locale has no UTF-8)",
+    },
+    Definition {
+        name: "console.mouse",
+        variable: "AUTHROS_MOUSE",
+        default: "no",
+        text: "whether the console takes the mouse; no leaves selecting text to the terminal",
+    },
+    Definition {
+        name: "console.bytes_per_second",
+        variable: "AUTHROS_BYTES_PER_SECOND",
+        default: "",
+        text: "most bytes a second drawn because data changed, keys apart; empty = 4000 over SSH, else no limit",
+    },
+    Definition {
+        name: "console.lock_after",
+        variable: "AUTHROS_LOCK_AFTER",
+        default: "15",
+        text: "minutes without a key after which the console locks the keyring while capture goes on; 0 = never",
     },
 ];

@@ -6,7 +6,7 @@ use std::path::Path;
 use std::str::FromStr;
 
 use super::{ConfigError, DEFINITIONS, Definition, Source, topic_rules};
-use crate::model::{TopicRules, clean};
+use crate::model::{ByteSize, TopicRules, clean};
 
 /// A URL with any `user:password@` hidden.
 pub fn without_password(url: &str) -> String {
@@ -101,6 +101,20 @@ pub(super) fn number(values: &Values, name: &'static str, least: u64, most: u64)
     let parsed =
         value(values, name).and_then(|text| text.parse().ok()).filter(|number| (least..=most).contains(number));
     parsed.ok_or_else(|| wrong(values, name, &format!("write a whole number from {least} to {most}")))
+}
+
+pub(super) fn bytes(values: &Values, name: &'static str, least: u64) -> Result<u64, ConfigError> {
+    let size = parsed::<ByteSize>(values, name)?.filter(|size| size.0 >= least);
+    size.map(|size| size.0).ok_or_else(|| wrong(values, name, &format!("write a size from {} on", ByteSize(least))))
+}
+
+/// One of two words; the first means yes.
+pub(super) fn switch(values: &Values, name: &'static str, words: (&str, &str)) -> Result<bool, ConfigError> {
+    match value(values, name) {
+        Some(word) if word == words.0 => Ok(true),
+        Some(word) if word == words.1 => Ok(false),
+        _ => Err(wrong(values, name, &format!("write {} or {}", words.0, words.1))),
+    }
 }
 
 pub(super) fn parsed<T: FromStr<Err: fmt::Display>>(

@@ -4,6 +4,7 @@
 
 pub mod account;
 pub mod agreement;
+pub mod compression;
 pub mod der;
 pub mod derive;
 pub mod enrolment;

@@ -43,9 +43,9 @@ pub struct SealRequest<'a> {
     pub filters: Vec<FilterId>,
     /// When the message was captured.
     pub captured_at: Timestamp,
-    /// What only readers may know; its plain length is that of `body`.
+    /// What only readers may know; its plain length is that of the message.
     pub head: &'a Head,
-    /// The message.
+    /// The message, compressed as the head says.
     pub body: &'a [u8],
 }
 
@@ -75,6 +75,7 @@ pub fn seal(provider: &dyn Provider, request: &SealRequest<'_>) -> Result<Sealed
     body.extend_from_slice(request.body);
     provider.gcm_seal(&keys.body_key, &keys.body_nonce, &prefix, &mut body)?;
     let blob = [&prefix[..], &head, &body].concat();
+    drop(body);
     let digest = Digest(provider.sm3(&[&blob]));
     let signature = provider.sign(&request.signer.secret, &signed_bytes(&request.domain, &digest))?;
     Ok(SealedRecord { blob, digest, signature })
@@ -122,9 +123,14 @@ fn check_request(request: &SealRequest<'_>, head: usize) -> Result<(), CryptoErr
     if is_length(request.head, request.body) { Ok(()) } else { Err(CryptoError::Inconsistent("plain length")) }
 }
 
+/// Whether a body of that many bytes can be what the head says; a message is never longer than a record may be.
 fn is_length(head: &Head, body: &[u8]) -> bool {
+    let length = u64::try_from(body.len()).unwrap_or(u64::MAX);
     match head.compression {
-        Compression::None => u64::try_from(body.len()) == Ok(head.plain_length),
+        Compression::None => length == head.plain_length,
+        Compression::Lz4 | Compression::Matrix => {
+            length < head.plain_length && head.plain_length <= LARGEST_BODY - TAG_LENGTH as u64
+        }
     }
 }
 

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::recorder::CapturedMessage;
-use super::ring::Ring;
+use super::ring::Rings;
 use super::session::TopicFigures;
 use super::{Author, CaptureSession};
 use crate::model::topic::LONGEST_NAME;
@@ -56,7 +56,7 @@ pub fn encoding(tags: &std::collections::BTreeMap<String, String>) -> Encoding {
 
 /// Takes in one recording for one author.
 pub struct Importer<'a> {
-    ring: &'a Ring<CapturedMessage>,
+    rings: &'a Rings<CapturedMessage>,
     author: Arc<Author>,
     rules: &'a TopicRules,
     tags: Vec<(String, String)>,
@@ -73,12 +73,12 @@ struct Stream {
 impl<'a> Importer<'a> {
     /// Takes in for `author`; every message gets the tags.
     pub fn new(
-        ring: &'a Ring<CapturedMessage>,
+        rings: &'a Rings<CapturedMessage>,
         author: Arc<Author>,
         rules: &'a TopicRules,
         tags: Vec<(String, String)>,
     ) -> Self {
-        Self { ring, author, rules, tags, sessions: HashMap::new(), offered: 0 }
+        Self { rings, author, rules, tags, sessions: HashMap::new(), offered: 0 }
     }
 
     fn stream(&mut self, channel: &Arc<Channel>) -> &Stream {
@@ -135,10 +135,11 @@ impl<'a> Importer<'a> {
         let message = Arc::new(message);
         let mut item =
             CapturedMessage { author, message, simulated: false, sessions: vec![session], doubt: None, rule };
+        let share = SHARE.min(self.rings.capacity() / 4);
         loop {
-            match self.ring.push_within(item, SHARE, TICK) {
+            match self.rings.push_within(&channel.topic, item, share, TICK) {
                 Ok(()) => break,
-                Err(refused) if !self.ring.is_closed() && goes_on() => item = refused,
+                Err(refused) if !self.rings.is_closed() && goes_on() => item = refused,
                 Err(refused) => {
                     refused.sessions.iter().for_each(|session| session.dropped(&channel.topic, false));
                     return false;

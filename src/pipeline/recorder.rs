@@ -1,15 +1,16 @@
 //! Takes messages off the capture threads: measures them, asks who wants them, and puts one
-//! item per interested author into the ring. Never seals, never waits.
+//! item per interested author into the rings. Never seals, never waits.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 
-use crate::model::{Doubt, Timestamp, TopicRule, TopicRules, TypeName, clean};
+use crate::model::{Doubt, LossReason, Timestamp, TopicRule, TopicRules, TypeName, clean};
 use crate::ros::{CaptureNotice, Message, MessageSink, Origin};
 
+use super::losses::{Losses, Lost};
 use super::meter::Meter;
-use super::ring::{Ring, Weighted};
+use super::ring::{Rings, Weighted};
 use super::sampler::Sampler;
 use super::{Author, CaptureSession, Observer, Pins};
 
@@ -57,43 +58,35 @@ impl Interest {
     }
 }
 
-/// Messages that did not become records.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Losses {
-    /// Never arrived.
-    pub in_transport: u64,
-    /// Dropped at a full ring.
-    pub in_recorder: u64,
-    /// Not lost: left out by the rate or sampling of the topic's rule.
-    pub left_out: u64,
-}
-
 /// Decides what becomes of each captured message.
 pub struct Recorder {
-    ring: Arc<Ring<CapturedMessage>>,
+    rings: Arc<Rings<CapturedMessage>>,
+    losses: Arc<Losses>,
     interests: RwLock<HashMap<String, Vec<Interest>>>,
-    losses: Mutex<BTreeMap<String, Losses>>,
     meter: Meter,
     moved: AtomicBool,
     simulated: RwLock<Vec<String>>,
     observer: Arc<dyn Observer>,
     pins: Option<Arc<Pins>>,
     rules: TopicRules,
+    /// Messages left out by the topics' rules.
+    left_out: Mutex<HashMap<String, u64>>,
 }
 
 impl Recorder {
-    /// A recorder that fills `ring`.
-    pub fn new(ring: Arc<Ring<CapturedMessage>>, observer: Arc<dyn Observer>) -> Self {
+    /// A recorder that fills `rings`, and notes in `losses` what does not fit.
+    pub fn new(rings: Arc<Rings<CapturedMessage>>, losses: Arc<Losses>, observer: Arc<dyn Observer>) -> Self {
         Self {
-            ring,
+            rings,
+            losses,
             interests: RwLock::default(),
-            losses: Mutex::default(),
             meter: Meter::default(),
             moved: AtomicBool::new(false),
             simulated: RwLock::default(),
             observer,
             pins: None,
             rules: TopicRules::default(),
+            left_out: Mutex::default(),
         }
     }
 
@@ -128,6 +121,7 @@ impl Recorder {
     }
 
     fn change(&self, topic: &str, author: &Arc<Author>, change: impl FnOnce(&mut Interest)) {
+        self.losses.know(author);
         let mut interests = self.interests.write().unwrap_or_else(PoisonError::into_inner);
         let list = interests.entry(topic.to_owned()).or_default();
         if !list.iter().any(|interest| interest.author.address == author.address) {
@@ -184,24 +178,9 @@ impl Recorder {
         interests.iter().filter(|(_, list)| wants(list)).map(|(topic, _)| topic.clone()).collect()
     }
 
-    /// Losses of a topic since the site began.
-    pub fn losses(&self, topic: &str) -> Losses {
-        self.losses.lock().unwrap_or_else(PoisonError::into_inner).get(topic).copied().unwrap_or_default()
-    }
-
-    /// Losses of all topics together.
-    pub fn all_losses(&self) -> Losses {
-        let losses = self.losses.lock().unwrap_or_else(PoisonError::into_inner);
-        losses.values().fold(Losses::default(), |sum, topic| Losses {
-            in_transport: sum.in_transport + topic.in_transport,
-            in_recorder: sum.in_recorder + topic.in_recorder,
-            left_out: sum.left_out + topic.left_out,
-        })
-    }
-
-    fn lose(&self, topic: &str, change: impl FnOnce(&mut Losses)) {
-        let mut losses = self.losses.lock().unwrap_or_else(PoisonError::into_inner);
-        change(losses.entry(topic.to_owned()).or_default());
+    /// Messages of a topic that its rule left out since the site began; they are not lost.
+    pub fn left_out(&self, topic: &str) -> u64 {
+        self.left_out.lock().unwrap_or_else(PoisonError::into_inner).get(topic).copied().unwrap_or_default()
     }
 
     fn offer(&self, interest: &Interest, message: &Arc<Message>, simulated: bool) {
@@ -211,7 +190,8 @@ impl Recorder {
         let doubt = self.doubt(interest, &message.topic, &message.origin);
         // A doubted publisher neither uses up what the rule leaves to the others, nor is anything of it left out.
         if doubt.is_none() && !interest.takes(message.captured_at) {
-            self.lose(&message.topic, |losses| losses.left_out += 1);
+            let mut left_out = self.left_out.lock().unwrap_or_else(PoisonError::into_inner);
+            *left_out.entry(message.topic.to_string()).or_default() += 1;
             return;
         }
         let takes = |session: &&Arc<CaptureSession>| match doubt {
@@ -225,8 +205,8 @@ impl Recorder {
         let author = Arc::clone(&interest.author);
         let rule = interest.rule.clone();
         let item = CapturedMessage { author, message: Arc::clone(message), simulated, sessions, doubt, rule };
-        if let Err(refused) = self.ring.push(item) {
-            self.lose(&message.topic, |losses| losses.in_recorder += 1);
+        if let Err(refused) = self.rings.push(&message.topic, item) {
+            self.losses.note(&refused.author, Lost::message(message), self.losses.cause());
             refused.sessions.iter().for_each(|session| session.dropped(&message.topic, refused.doubt.is_some()));
         }
     }
@@ -272,11 +252,12 @@ impl MessageSink for Recorder {
 
     fn notice(&self, notice: CaptureNotice) {
         self.look_at_publishers(&notice);
-        if let CaptureNotice::LostInTransport { topic, count, .. } = &notice {
-            self.lose(topic, |losses| losses.in_transport += count);
+        if let CaptureNotice::LostInTransport { topic, caller_id, count, numbers } = &notice {
+            let lost = Lost { topic, publisher: caller_id, count: *count, numbers: Some(*numbers) };
             let interests = self.interests.read().unwrap_or_else(PoisonError::into_inner);
-            for session in interests.get(&**topic).into_iter().flatten().flat_map(|interest| &interest.sessions) {
-                session.lost_in_transport(topic, *count);
+            for interest in interests.get(&**topic).into_iter().flatten() {
+                self.losses.note(&interest.author, lost, LossReason::Transport);
+                interest.sessions.iter().for_each(|session| session.lost_in_transport(topic, *count));
             }
         }
         if let Some((urgent, text)) = words(&notice) {
@@ -301,7 +282,7 @@ fn words(notice: &CaptureNotice) -> Option<(bool, String)> {
         CaptureNotice::TypeMismatch { topic, caller_id, wanted, found } => {
             (true, format!("{caller_id} sends {found} on {topic}, not {wanted}: not captured"))
         }
-        CaptureNotice::LostInTransport { topic, caller_id, count } => {
+        CaptureNotice::LostInTransport { topic, caller_id, count, .. } => {
             (true, format!("{count} messages of {caller_id} on {topic} never arrived: counted as lost in transport"))
         }
         CaptureNotice::Refused { topic, publisher, reason } => {

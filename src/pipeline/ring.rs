@@ -1,8 +1,10 @@
-//! The bounded ring between capture and sealer: memory has a cap, and a full ring drops the
-//! newest message and says so to the caller, who counts it.
+//! The rings between capture and sealer, one per topic: together they hold no more bytes than one budget, and what
+//! does not fit is the newest message, given back to the caller, who counts it. A message holds its bytes until it is
+//! acknowledged, and a topic may hold as much as is left for all the others, so that none can starve them.
 
-use std::collections::VecDeque;
-use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::collections::{HashMap, VecDeque};
+use std::ops::Deref;
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 /// Something with a size in memory.
@@ -12,114 +14,194 @@ pub trait Weighted {
 }
 
 #[derive(Debug)]
-struct Inner<T> {
+struct Ring<T> {
     items: VecDeque<T>,
-    weight: usize,
+    /// Bytes of its items, those in the taker's hand included.
+    held: usize,
+}
+
+#[derive(Debug)]
+struct Inner<T> {
+    rings: HashMap<Arc<str>, Ring<T>>,
+    /// Topics with waiting items, in the order of their turns.
+    turns: VecDeque<Arc<str>>,
+    waiting: usize,
+    held: usize,
+    /// Items taken and not given back yet.
+    in_hand: usize,
     closed: bool,
 }
 
-/// A queue bounded by the bytes it holds.
+impl<T> Default for Inner<T> {
+    fn default() -> Self {
+        let (rings, turns) = (HashMap::new(), VecDeque::new());
+        Self { rings, turns, waiting: 0, held: 0, in_hand: 0, closed: false }
+    }
+}
+
+impl<T> Inner<T> {
+    fn append(&mut self, topic: &Arc<str>, item: T, weight: usize) {
+        let new = || Ring { items: VecDeque::new(), held: 0 };
+        let ring = self.rings.entry(Arc::clone(topic)).or_insert_with(new);
+        if ring.items.is_empty() {
+            self.turns.push_back(Arc::clone(topic));
+        }
+        ring.items.push_back(item);
+        ring.held += weight;
+        self.held += weight;
+        self.waiting += 1;
+    }
+}
+
+/// Queues of all topics under one budget of bytes.
 #[derive(Debug)]
-pub struct Ring<T> {
+pub struct Rings<T> {
     inner: Mutex<Inner<T>>,
     filled: Condvar,
     emptied: Condvar,
     capacity: usize,
 }
 
-impl<T: Weighted> Ring<T> {
-    /// An empty ring for at most `capacity` bytes.
+/// Items in the taker's hand; their bytes are free again when this is dropped.
+#[derive(Debug)]
+pub struct Taken<'a, T> {
+    rings: &'a Rings<T>,
+    items: Vec<T>,
+    weights: Vec<(Arc<str>, usize)>,
+}
+
+impl<T> Deref for Taken<'_, T> {
+    type Target = [T];
+
+    fn deref(&self) -> &[T] {
+        &self.items
+    }
+}
+
+impl<T> Drop for Taken<'_, T> {
+    fn drop(&mut self) {
+        let mut inner = self.rings.inner.lock().unwrap_or_else(PoisonError::into_inner);
+        inner.in_hand = inner.in_hand.saturating_sub(self.items.len());
+        for (topic, weight) in &self.weights {
+            inner.held = inner.held.saturating_sub(*weight);
+            let Some(ring) = inner.rings.get_mut(topic) else { continue };
+            ring.held = ring.held.saturating_sub(*weight);
+            if ring.held == 0 && ring.items.is_empty() {
+                inner.rings.remove(topic);
+            }
+        }
+        drop(inner);
+        self.rings.emptied.notify_all();
+    }
+}
+
+impl<T: Weighted> Rings<T> {
+    /// Empty rings for at most `capacity` bytes together.
     pub fn new(capacity: usize) -> Self {
-        let inner = Inner { items: VecDeque::new(), weight: 0, closed: false };
-        Self { inner: Mutex::new(inner), filled: Condvar::new(), emptied: Condvar::new(), capacity }
+        Self { inner: Mutex::default(), filled: Condvar::new(), emptied: Condvar::new(), capacity }
     }
 
     fn lock(&self) -> MutexGuard<'_, Inner<T>> {
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Appends `item`, or gives it back where the ring is full or closed.
+    /// Appends `item` to its topic's ring, or gives it back where there is no room for it, or all is closed.
     ///
     /// # Errors
     /// The item itself.
-    pub fn push(&self, item: T) -> Result<(), T> {
-        let mut inner = self.lock();
+    pub fn push(&self, topic: &Arc<str>, item: T) -> Result<(), T> {
+        let mut guard = self.lock();
+        let inner = &mut *guard;
         let weight = item.weight();
-        if inner.closed || inner.weight + weight > self.capacity {
+        let free = self.capacity.saturating_sub(inner.held);
+        let own = inner.rings.get(topic).map_or(0, |ring| ring.held);
+        // Half of the budget for one topic alone, a third each for two, and always room for a first message.
+        if inner.closed || weight > free || own > 0 && own + weight > free {
             return Err(item);
         }
-        inner.weight += weight;
-        inner.items.push_back(item);
-        drop(inner);
+        inner.append(topic, item, weight);
+        drop(guard);
         self.filled.notify_one();
         Ok(())
     }
 
-    /// Appends `item` once what lies in the ring leaves room for it below `limit` bytes, or nothing lies in it; waits
-    /// up to `patience` for that. So what can wait leaves the rest of the ring to what cannot.
+    /// Appends `item` once all rings together hold at most `limit` bytes with it, or nothing; waits up to `patience`
+    /// for that. So what can wait leaves the rest of the budget to what cannot.
     ///
     /// # Errors
-    /// The item itself, where there was no room or the ring is closed.
-    pub fn push_within(&self, item: T, limit: usize, patience: Duration) -> Result<(), T> {
+    /// The item itself, where there was no room or all is closed.
+    pub fn push_within(&self, topic: &Arc<str>, item: T, limit: usize, patience: Duration) -> Result<(), T> {
         let (inner, weight) = (self.lock(), item.weight());
-        let full = |inner: &mut Inner<T>| !inner.closed && inner.weight > 0 && inner.weight + weight > limit;
+        let full = |inner: &mut Inner<T>| !inner.closed && inner.held > 0 && inner.held + weight > limit;
         let waited = self.emptied.wait_timeout_while(inner, patience, full);
-        let (mut inner, _) = waited.unwrap_or_else(PoisonError::into_inner);
+        let mut inner = waited.unwrap_or_else(PoisonError::into_inner).0;
         if inner.closed || full(&mut inner) {
             return Err(item);
         }
-        inner.weight += weight;
-        inner.items.push_back(item);
+        inner.append(topic, item, weight);
         drop(inner);
         self.filled.notify_one();
         Ok(())
     }
 
-    /// Whether it takes no further items.
-    pub fn is_closed(&self) -> bool {
-        self.lock().closed
-    }
-
-    /// Takes up to `most` items of together about `weight` bytes, waiting up to `patience` for the
-    /// first. An empty answer means that nothing came; `None` that the ring is closed and empty.
-    pub fn take(&self, most: usize, weight: usize, patience: Duration) -> Option<Vec<T>> {
+    /// Takes up to `most` items of together about `weight` bytes, one of each topic in turn, waiting up to
+    /// `patience` for the first. Nothing in it means that nothing came; `None` that the rings are closed and empty.
+    pub fn take(&self, most: usize, weight: usize, patience: Duration) -> Option<Taken<'_, T>> {
         let mut inner = self.lock();
-        if inner.items.is_empty() && !inner.closed {
+        if inner.waiting == 0 && !inner.closed {
             inner = self.filled.wait_timeout(inner, patience).unwrap_or_else(PoisonError::into_inner).0;
         }
-        if inner.items.is_empty() && inner.closed {
+        if inner.waiting == 0 && inner.closed {
             return None;
         }
-        let mut taken = Vec::new();
+        let mut taken = Taken { rings: self, items: Vec::new(), weights: Vec::new() };
         let mut total = 0;
-        while taken.len() < most && total < weight {
-            let Some(item) = inner.items.pop_front() else { break };
+        while taken.items.len() < most && total < weight {
+            let Some(topic) = inner.turns.pop_front() else { break };
+            let Some(ring) = inner.rings.get_mut(&topic) else { continue };
+            let Some(item) = ring.items.pop_front() else { continue };
+            let more = !ring.items.is_empty();
             total += item.weight();
-            inner.weight = inner.weight.saturating_sub(item.weight());
-            taken.push(item);
+            taken.weights.push((Arc::clone(&topic), item.weight()));
+            taken.items.push(item);
+            if more {
+                inner.turns.push_back(topic);
+            }
         }
+        inner.waiting -= taken.items.len();
+        inner.in_hand += taken.items.len();
         drop(inner);
-        self.emptied.notify_all();
         Some(taken)
     }
 
-    /// Refuses further items; what lies in the ring can still be taken.
+    /// Refuses further items; what lies in the rings can still be taken.
     pub fn close(&self) {
         self.lock().closed = true;
         self.filled.notify_all();
         self.emptied.notify_all();
     }
 
-    /// Items and bytes waiting.
+    /// Whether further items are refused for good.
+    pub fn is_closed(&self) -> bool {
+        self.lock().closed
+    }
+
+    /// Items that are not acknowledged yet, and the bytes that they hold.
     pub fn depth(&self) -> (usize, usize) {
         let inner = self.lock();
-        (inner.items.len(), inner.weight)
+        (inner.waiting + inner.in_hand, inner.held)
+    }
+
+    /// How many bytes they may hold.
+    pub fn capacity(&self) -> usize {
+        self.capacity
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
 
     impl Weighted for usize {
         fn weight(&self) -> usize {
@@ -127,39 +209,93 @@ mod tests {
         }
     }
 
+    fn topic(name: &str) -> Arc<str> {
+        name.into()
+    }
+
+    fn taken(rings: &Rings<usize>, most: usize) -> Vec<usize> {
+        rings.take(most, usize::MAX, Duration::ZERO).map(|taken| taken.to_vec()).unwrap_or_default()
+    }
+
     #[test]
-    fn full_ring_gives_the_newest_back_and_recovers() {
-        let ring = Ring::new(10);
-        assert_eq!(ring.push(6), Ok(()));
-        assert_eq!(ring.push(5), Err(5));
-        assert_eq!(ring.push(4), Ok(()));
-        assert_eq!(ring.take(10, 100, Duration::ZERO), Some(vec![6, 4]));
-        assert_eq!(ring.depth(), (0, 0));
-        assert_eq!(ring.push(10), Ok(()));
+    fn a_full_ring_gives_the_newest_back_and_recovers() {
+        let (rings, a) = (Rings::new(20), topic("a"));
+        assert_eq!((rings.push(&a, 6), rings.push(&a, 5), rings.push(&a, 4)), (Ok(()), Err(5), Ok(())));
+        assert_eq!(rings.depth(), (2, 10));
+        let hand = rings.take(10, 100, Duration::ZERO).expect("open");
+        assert_eq!((&*hand, rings.depth()), (&[6, 4][..], (2, 10)));
+        assert_eq!(rings.push(&a, 11), Err(11), "what is in hand still holds its bytes");
+        drop(hand);
+        assert_eq!(rings.depth(), (0, 0));
+        assert_eq!((rings.push(&a, 21), rings.push(&a, 20)), (Err(21), Ok(())), "one alone may fill all");
+    }
+
+    #[test]
+    fn a_flooding_topic_leaves_room_and_turns_to_the_others() {
+        let (rings, flood, calm) = (Rings::new(1000), topic("flood"), topic("calm"));
+        let kept = (0..500).filter(|_| rings.push(&flood, 10).is_ok()).count();
+        assert_eq!(kept, 50);
+        assert!((0..20).all(|_| rings.push(&calm, 10).is_ok()));
+        assert!(rings.push(&flood, 10).is_err());
+        let hand = rings.take(8, 1000, Duration::ZERO).expect("open");
+        let of_calm = hand.weights.iter().filter(|(topic, _)| **topic == *calm).count();
+        assert_eq!((hand.len(), of_calm), (8, 4));
     }
 
     #[test]
     fn what_can_wait_leaves_room_and_is_never_dropped() {
-        let ring = Ring::new(10);
-        assert_eq!(ring.push_within(7, 5, Duration::ZERO), Ok(()), "alone");
-        assert_eq!(ring.push_within(1, 5, Duration::ZERO), Err(1));
-        assert_eq!(ring.push(3), Ok(()), "what cannot wait has the rest");
+        let (rings, a) = (Rings::new(100), topic("a"));
+        assert_eq!(rings.push_within(&a, 30, 20, Duration::ZERO), Ok(()), "alone");
+        assert_eq!(rings.push_within(&a, 1, 20, Duration::ZERO), Err(1));
+        assert_eq!(rings.push(&topic("live"), 60), Ok(()), "what cannot wait has the rest");
         std::thread::scope(|scope| {
-            let waiting = scope.spawn(|| ring.push_within(2, 5, Duration::from_secs(60)));
-            assert_eq!(ring.take(2, 100, Duration::ZERO), Some(vec![7, 3]));
+            let waiting = scope.spawn(|| rings.push_within(&a, 2, 20, Duration::from_secs(60)));
+            assert_eq!(taken(&rings, 2), [30, 60]);
             assert_eq!(waiting.join().expect("joined"), Ok(()));
         });
-        ring.close();
-        assert!(ring.is_closed() && ring.push_within(1, 5, Duration::ZERO) == Err(1));
+        rings.close();
+        assert_eq!(rings.push_within(&a, 1, 20, Duration::ZERO), Err(1));
     }
 
     #[test]
-    fn closed_ring_hands_out_the_rest_and_then_ends() {
-        let ring = Ring::new(10);
-        assert_eq!(ring.push(3), Ok(()));
-        ring.close();
-        assert_eq!(ring.push(1), Err(1));
-        assert_eq!(ring.take(1, 1, Duration::ZERO), Some(vec![3]));
-        assert_eq!(ring.take(1, 1, Duration::ZERO), None);
+    fn closed_rings_hand_out_the_rest_and_then_end() {
+        let (rings, a) = (Rings::new(10), topic("a"));
+        assert_eq!(rings.push(&a, 3), Ok(()));
+        rings.close();
+        assert_eq!((rings.push(&a, 1), rings.is_closed()), (Err(1), true));
+        assert_eq!(taken(&rings, 1), [3]);
+        assert!(rings.take(1, 1, Duration::ZERO).is_none());
+    }
+
+    proptest! {
+        #[test]
+        fn order_per_topic_is_kept_and_the_budget_never_exceeded(
+            steps in prop::collection::vec((0usize..4, 1usize..40, any::<bool>()), 1..300),
+        ) {
+            let rings = Rings::new(200);
+            let topics: Vec<_> = ["a", "b", "c", "d"].map(topic).into();
+            let (mut sent, mut got) = (vec![Vec::new(); 4], vec![Vec::new(); 4]);
+            let mut note = |hand: Taken<'_, usize>| {
+                for (item, (topic, _)) in hand.iter().zip(&hand.weights) {
+                    let index = topics.iter().position(|other| other == topic).unwrap_or(0);
+                    got[index].push(*item);
+                }
+            };
+            for (index, weight, take) in steps {
+                if rings.push(&topics[index], weight).is_ok() {
+                    sent[index].push(weight);
+                }
+                prop_assert!(rings.depth().1 <= 200);
+                if take {
+                    note(rings.take(3, 50, Duration::ZERO).expect("open"));
+                }
+            }
+            rings.close();
+            while let Some(hand) = rings.take(7, 70, Duration::ZERO) {
+                note(hand);
+            }
+            prop_assert_eq!(sent, got);
+            prop_assert_eq!(rings.depth(), (0, 0));
+        }
     }
 }

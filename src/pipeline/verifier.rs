@@ -1,10 +1,11 @@
 //! The last step: re-reads confirmed records from the vault and checks digest and signature.
 
+use std::collections::HashMap;
 use std::time::Instant;
 
-use crate::crypto::{Anchor, check};
-use crate::model::{Digest, RecordState};
-use crate::store::RecordRow;
+use crate::crypto::{Anchor, check, fault};
+use crate::model::{Digest, RecordState, Timestamp};
+use crate::store::{RecordQuery, RecordRow, StoreError};
 
 use super::stages::{Milestone, Stage};
 use super::{Network, PipelineError, Plant, proof, signers};
@@ -17,21 +18,48 @@ const ROUND: usize = 128;
 /// # Errors
 /// Of vault and ledger; a vault that does not answer decides nothing.
 pub fn verify_round(plant: &Plant, network: &Network) -> Result<usize, PipelineError> {
-    let begun = Instant::now();
-    let rows = plant.ledger.in_state(None, RecordState::Confirmed, ROUND)?;
-    let (mut good, mut bad) = (Vec::new(), Vec::new());
-    for row in &rows {
-        put_back(plant, row)?;
-        let verified = is_sound(plant, network, row)?;
-        if verified { &mut good } else { &mut bad }.push(row.digest);
+    let mut after = None;
+    loop {
+        let state = Some(RecordState::Confirmed);
+        let page = plant.ledger.list(&RecordQuery { state, limit: ROUND, after, ..RecordQuery::default() })?;
+        let decided = verify_page(plant, network, &page.rows)?;
+        // Where a part of the vault is gone, the records behind it are not kept waiting.
+        match page.next {
+            Some(next) if decided == 0 => after = Some(next),
+            _ => return Ok(decided),
+        }
     }
+}
+
+fn verify_page(plant: &Plant, network: &Network, rows: &[RecordRow]) -> Result<usize, PipelineError> {
+    let begun = Instant::now();
+    let captured: HashMap<Digest, Timestamp> = rows.iter().map(|row| (row.digest, row.captured_at)).collect();
+    if !rows.is_empty() {
+        fault::point("read-back");
+    }
+    let (mut good, mut bad) = (Vec::new(), Vec::new());
+    let mut unreachable = None;
+    for row in rows.iter().filter(|row| plant.vault.answers(row.digest)) {
+        match put_back(plant, row).and_then(|()| is_sound(plant, network, row)) {
+            Ok(true) => good.push(row.digest),
+            Ok(false) => bad.push(row.digest),
+            Err(PipelineError::Store(error @ StoreError::Unreachable { .. })) if !plant.vault.is_one() => {
+                unreachable = Some(error);
+            }
+            Err(error) => return Err(error),
+        }
+    }
+    fault::point("checked");
     settle(plant, &good, RecordState::Verified)?;
     settle(plant, &bad, RecordState::Tampered)?;
-    if let Some(stages) = plant.observer.stages().filter(|_| !rows.is_empty()) {
+    if let Some(stages) = plant.observer.stages().filter(|_| !good.is_empty()) {
         stages.spent(Stage::Verify, begun.elapsed());
-        stages.reached(Milestone::Verified, rows.iter().map(|row| row.captured_at));
+        stages.reached(Milestone::Verified, good.iter().filter_map(|digest| captured.get(digest).copied()));
     }
-    Ok(rows.len())
+    if let Some(error) = unreachable {
+        plant.observer.alert(true, format!("some records cannot be verified now, they wait: {error}"));
+    }
+    Ok(good.len() + bad.len())
 }
 
 /// A vault that is only a cache may have forgotten the record; the ledger still has its copy.
@@ -41,6 +69,7 @@ fn put_back(plant: &Plant, row: &RecordRow) -> Result<(), PipelineError> {
     }
     if let Some(copy) = plant.ledger.local_copy(row.digest)? {
         plant.vault.put(&[(row.digest, &copy)])?;
+        fault::point("put-back");
     }
     Ok(())
 }
@@ -61,9 +90,8 @@ fn settle(plant: &Plant, digests: &[Digest], state: RecordState) -> Result<(), P
     }
     plant.ledger.advance(digests, RecordState::Confirmed, state)?;
     if state == RecordState::Verified {
-        if !plant.vault.durable() {
-            plant.ledger.drop_local_copies(digests)?;
-        }
+        // Local copies beside a vault that is only a cache stay until retention says otherwise.
+        fault::point("verified");
         plant.observer.verified(digests);
     } else {
         plant.observer.tampered(digests);

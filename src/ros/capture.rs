@@ -119,6 +119,8 @@ pub enum CaptureNotice {
         caller_id: String,
         /// How many.
         count: u64,
+        /// The first and the last of the missing numbers.
+        numbers: (u32, u32),
     },
     /// A publisher or an answer was refused, for example a message beyond the length cap.
     Refused {

@@ -11,6 +11,7 @@ pub mod graph;
 pub mod master;
 pub mod mcap;
 pub mod message;
+pub mod readable;
 pub mod recording;
 pub mod robot;
 mod slave;

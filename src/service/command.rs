@@ -2,15 +2,19 @@
 
 mod administration;
 mod choices;
+mod operate;
 mod recordings;
 mod secret;
+mod viewing;
 
 use serde::{Deserialize, Serialize};
 
 pub use self::administration::Administration;
 pub use self::choices::{Epochs, Held, KeyKind, UploadQuery};
+pub use self::operate::Operation;
 pub use self::recordings::{ExportWishes, ImportWishes, PolicyCommand, RecordingCommand};
 pub use self::secret::{SecretBytes, SecretText};
+pub use self::viewing::{LONGEST_PATH, Viewing};
 use crate::model::{Address, ContactName, Party, ProfileName, Publisher, SignerId, Timestamp, TopicName, TypeName};
 pub use crate::store::AuditQuery;
 
@@ -172,6 +176,8 @@ pub enum Command {
         /// Its id.
         id: String,
     },
+    /// Look at opened records: as files, as a path.
+    View(Viewing),
     /// Let a device sign for the profile.
     LendDevice {
         /// SM3 of its public key.
@@ -251,6 +257,8 @@ pub enum Command {
         /// With addresses in full.
         addresses: bool,
     },
+    /// What an operator asks of the site itself.
+    Operate(Operation),
     /// Claims the profile for a console, until the connection ends; refused where one is open already.
     OpenConsole,
 }

@@ -13,7 +13,7 @@ pub mod site;
 pub mod socket;
 
 pub use client::{Call, Client};
-pub use command::{Command, Epochs, KeyKind, Request, SecretBytes, SecretText, UploadQuery};
+pub use command::{Command, Epochs, KeyKind, Operation, Request, SecretBytes, SecretText, UploadQuery};
 pub use event::{Event, NoticeLevel, Part};
 pub use reply::{Failure, Reply};
 pub use site::{Agent, AgentEnd, AgentFigures, AgentWishes, EnrolWishes, Needs, Site};

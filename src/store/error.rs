@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::model::{Digest, ErrorKind, RecordState, clean};
+use crate::model::{ByteSize, Digest, ErrorKind, RecordState, clean};
 
 /// Why the ledger, the vault, the audit log or a file could not do what was asked.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -32,6 +32,17 @@ pub enum StoreError {
     DiskFull {
         /// The database file.
         file: PathBuf,
+    },
+    /// The vault takes no records, and those that wait for it have used up their space.
+    #[error(
+        "{} of records wait on disk for the vault, more than vault.backlog ({}) allows; bring the vault back, \
+         then the work goes on by itself", ByteSize(*waiting), ByteSize(*limit)
+    )]
+    Backlog {
+        /// Bytes waiting.
+        waiting: u64,
+        /// Bytes allowed.
+        limit: u64,
     },
     /// A database file is damaged or is none at all.
     #[error("{} is damaged ({detail}); keep a copy of it and restore the last back-up", file.display())]
@@ -112,7 +123,10 @@ pub enum StoreError {
     #[error("'{0}' is not a cursor; use the `next` of the page before")]
     Cursor(String),
     /// The vault's URL cannot be used.
-    #[error("vault.url {url} cannot be used: {detail}; write redis://HOST:PORT/DB or redis+unix:///PATH")]
+    #[error(
+        "vault.url {url} cannot be used: {detail}; write redis://HOST:PORT/DB, redis+unix:///PATH, \
+             redis+cluster://HOST:PORT,HOST:PORT or redis+sentinel://HOST:PORT,HOST:PORT/MASTER"
+    )]
     VaultUrl {
         /// The URL, secrets taken out.
         url: String,
@@ -128,15 +142,14 @@ pub enum StoreError {
         detail: String,
     },
     /// Redis would throw records away when its memory is full.
-    #[error(
-        "Redis at {url} has maxmemory-policy {policy} and would throw records away; \
-         run `CONFIG SET maxmemory-policy noeviction` and put it into redis.conf"
-    )]
+    #[error("Redis at {url} {detail}; {advice}")]
     Policy {
         /// The URL, secrets taken out.
         url: String,
-        /// The policy found.
-        policy: String,
+        /// What was found.
+        detail: String,
+        /// What to do about it.
+        advice: String,
     },
     /// Redis has no memory left. Nothing is lost: try again later.
     #[error("Redis at {url} is out of memory; nothing is lost: raise its maxmemory, and the records follow")]
@@ -168,7 +181,7 @@ impl StoreError {
             Self::Corrupt { .. } => ErrorKind::Tampered,
             Self::Unreachable { .. } => ErrorKind::Unreachable,
             Self::Policy { .. } | Self::VaultRefused { .. } => ErrorKind::Refused,
-            Self::VaultFull { .. } => ErrorKind::Incomplete,
+            Self::VaultFull { .. } | Self::Backlog { .. } => ErrorKind::Incomplete,
             Self::Database { .. }
             | Self::Closed
             | Self::TooBig { .. }
@@ -181,7 +194,7 @@ impl StoreError {
 
     /// Whether the same call can succeed later without anybody changing what was asked.
     pub fn is_passing(&self) -> bool {
-        matches!(self, Self::DiskFull { .. } | Self::Unreachable { .. } | Self::VaultFull { .. })
+        matches!(self, Self::DiskFull { .. } | Self::Backlog { .. } | Self::Unreachable { .. } | Self::VaultFull { .. })
     }
 
     /// A failure of the file system at `path`.

@@ -13,6 +13,15 @@ const PRIVATE_DIRECTORY: u32 = 0o700;
 const PRIVATE_FILE: u32 = 0o600;
 const OTHERS: u32 = 0o077;
 
+/// Bytes that this user may still write to the file system of `path`.
+///
+/// # Errors
+/// [`StoreError::Home`] where it cannot be asked.
+pub fn free_bytes(path: &Path) -> Result<u64, StoreError> {
+    let about = rustix::fs::statvfs(path).map_err(|error| StoreError::home(path, &error.into()))?;
+    Ok(about.f_bavail.saturating_mul(about.f_frsize))
+}
+
 /// Makes a directory with all its parents (mode 0700) where it is missing, and tries a write in it.
 ///
 /// One that exists keeps its mode; ask [`mode_advice`] about it.

@@ -10,11 +10,13 @@ mod counts;
 mod earlier;
 mod edges;
 mod forwarding;
+mod gaps;
 mod kept;
 mod lanes;
 mod pins;
 mod quarantine;
 mod query;
+mod recent;
 mod rows;
 mod settings;
 mod sightings;
@@ -35,10 +37,11 @@ use super::database::{self, Schema};
 use crate::model::RecorderId;
 
 pub use batches::{Anchors, BatchPlace, NewBatch, RootSighting, WaitingBatch};
-pub use counts::{LOST_IN_TRANSPORT, StateCounts, TopicCounts};
+pub use counts::{StateCounts, TopicCounts};
 pub use earlier::{EarlierAnchor, Left};
 pub use edges::is_legal;
 pub use forwarding::KeptReceipt;
+pub use gaps::{GapRow, Loss};
 pub use kept::KeptBinding;
 pub use lanes::{LaneCount, OpenTransaction, Reissue};
 pub use pins::{AlarmRow, PinRow};
@@ -58,6 +61,7 @@ const SCHEMA: Schema = Schema {
         include_str!("ledger/schema_4.sql"),
         include_str!("ledger/schema_5.sql"),
         include_str!("ledger/schema_6.sql"),
+        include_str!("ledger/schema_7.sql"),
     ],
 };
 const READERS_KEPT: usize = 4;

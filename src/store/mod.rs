@@ -15,10 +15,10 @@ pub use audit::{AuditEntry, AuditFault, AuditLine, AuditLog, AuditQuery};
 pub use error::StoreError;
 pub use files::{ConsoleLock, SiteLock, atomic_write};
 pub use ledger::{
-    AlarmRow, Anchors, BatchPlace, EarlierAnchor, Foreign, HeldMinute, HeldQuery, HeldRow, Hold, KeptBinding,
-    KeptEvent, KeptReceipt, LOST_IN_TRANSPORT, LaneCount, Ledger, Left, NewBatch, NewRecord, NewTransaction,
-    OpenTransaction, PinRow, RecordPage, RecordQuery, RecordRow, RecordsHeld, Reissue, RootSighting, Sighting,
-    StateCounts, TopicCounts, TransactionOutcome, TransactionRow, TransactionState, WaitingBatch,
+    AlarmRow, Anchors, BatchPlace, EarlierAnchor, Foreign, GapRow, HeldMinute, HeldQuery, HeldRow, Hold, KeptBinding,
+    KeptEvent, KeptReceipt, LaneCount, Ledger, Left, Loss, NewBatch, NewRecord, NewTransaction, OpenTransaction,
+    PinRow, RecordPage, RecordQuery, RecordRow, RecordsHeld, Reissue, RootSighting, Sighting, StateCounts, TopicCounts,
+    TransactionOutcome, TransactionRow, TransactionState, WaitingBatch,
 };
 pub use reserve::{RESERVE_BYTES, Reserve};
-pub use vault::{Usage, Vault, open_vault};
+pub use vault::{Stored, Usage, Vault, open_vault};

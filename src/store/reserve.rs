@@ -9,7 +9,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use super::{StoreError, files};
 
-/// Bytes set aside: enough for a revoke with its audit line, its transaction, the keyring and a block.
+/// Bytes set aside for a revoke: enough for it with its audit line, its transaction, the keyring and a block.
 pub const RESERVE_BYTES: u64 = 4 * 1024 * 1024;
 /// Random bytes drawn at a time.
 const PIECE: usize = 64 * 1024;
@@ -18,18 +18,19 @@ const PIECE: usize = 64 * 1024;
 #[derive(Debug)]
 pub struct Reserve {
     path: PathBuf,
+    bytes: u64,
     /// Whether the space is set aside.
     held: Mutex<bool>,
 }
 
 impl Reserve {
-    /// The reserve at `path`; it is [`Self::refill`]ed where it is missing or was cut short.
+    /// The reserve of so many bytes at `path`; it is [`Self::refill`]ed where it is missing or was cut short.
     ///
     /// # Errors
     /// [`StoreError::DiskFull`], [`StoreError::Home`]: there is no reserve then; the handle can be used all the same.
-    pub fn open(path: &Path) -> (Self, Result<(), StoreError>) {
-        let whole = fs::metadata(path).is_ok_and(|about| about.len() == RESERVE_BYTES);
-        let reserve = Self { path: path.to_owned(), held: Mutex::new(whole) };
+    pub fn open(path: &Path, bytes: u64) -> (Self, Result<(), StoreError>) {
+        let whole = fs::metadata(path).is_ok_and(|about| about.len() == bytes);
+        let reserve = Self { path: path.to_owned(), bytes, held: Mutex::new(whole) };
         let filled = reserve.refill();
         (reserve, filled)
     }
@@ -67,7 +68,7 @@ impl Reserve {
             return Ok(());
         }
         let filled = files::open_private(&self.path).and_then(|file| {
-            fill(file).map_err(|error| StoreError::home(&self.path, &error))?;
+            fill(file, self.bytes).map_err(|error| StoreError::home(&self.path, &error))?;
             Ok(())
         });
         if let Err(error) = filled {
@@ -80,10 +81,10 @@ impl Reserve {
     }
 }
 
-fn fill(mut file: File) -> std::io::Result<()> {
+fn fill(mut file: File, bytes: u64) -> std::io::Result<()> {
     file.set_len(0)?;
     let mut piece = vec![0; PIECE];
-    let mut left = RESERVE_BYTES;
+    let mut left = bytes;
     while left > 0 {
         let length = usize::try_from(left).unwrap_or(PIECE).min(PIECE);
         let Some(part) = piece.get_mut(..length) else { break };
@@ -103,15 +104,15 @@ mod tests {
         let home = tempfile::tempdir().expect("folder");
         let path = home.path().join("reserve");
         let size = || fs::metadata(&path).map(|about| about.len()).ok();
-        let (reserve, opened) = Reserve::open(&path);
+        let (reserve, opened) = Reserve::open(&path, RESERVE_BYTES);
         assert_eq!((opened, reserve.is_held(), size()), (Ok(()), true, Some(RESERVE_BYTES)));
         assert_eq!((reserve.release(), reserve.release(), size()), (Ok(true), Ok(false), None));
         reserve.refill().expect("there is room");
         assert_eq!(size(), Some(RESERVE_BYTES));
         fs::write(&path, b"cut short").expect("written");
-        let (again, opened) = Reserve::open(&path);
+        let (again, opened) = Reserve::open(&path, RESERVE_BYTES);
         assert_eq!((opened, again.is_held(), size()), (Ok(()), true, Some(RESERVE_BYTES)));
-        let (none, opened) = Reserve::open(&home.path().join("no/such/folder"));
+        let (none, opened) = Reserve::open(&home.path().join("no/such/folder"), RESERVE_BYTES);
         assert!(opened.is_err() && !none.is_held() && none.release() == Ok(false));
     }
 }

@@ -4,6 +4,7 @@
 //! compares SM3 of the bytes with the chain.
 
 mod embedded;
+pub mod policy;
 mod redis;
 #[cfg(test)]
 mod tests;
@@ -28,6 +29,15 @@ pub struct Usage {
     pub bytes: u64,
 }
 
+/// What of some records a vault took.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Stored {
+    /// Those that are in.
+    pub stored: Vec<Digest>,
+    /// Why others are not.
+    pub failure: Option<StoreError>,
+}
+
 /// A place for sealed records. All calls are idempotent and may come from many threads at once.
 pub trait Vault: Send + Sync {
     /// What to call it on screen; no secrets in it.
@@ -42,6 +52,19 @@ pub trait Vault: Send + Sync {
     /// [`StoreError::DiskFull`], [`StoreError::VaultFull`], [`StoreError::Unreachable`] and the like:
     /// then some may be in and some not; put all of them again.
     fn put(&self, entries: &[(Digest, &[u8])]) -> Result<(), StoreError>;
+
+    /// Puts in what can be put in now, where parts of the vault may be gone and others not.
+    fn put_each(&self, entries: &[(Digest, &[u8])]) -> Stored {
+        match self.put(entries) {
+            Ok(()) => Stored { stored: entries.iter().map(|(digest, _)| *digest).collect(), failure: None },
+            Err(error) => Stored { stored: Vec::new(), failure: Some(error) },
+        }
+    }
+
+    /// Whether the part of the vault where a record lies answered when it was last asked; asks nobody.
+    fn answers(&self, _digest: Digest) -> bool {
+        true
+    }
 
     /// The bytes under a digest. They are what was put in or what somebody made of it: check them.
     ///
@@ -91,13 +114,18 @@ pub trait Vault: Send + Sync {
     /// [`StoreError::Unreachable`] and the like.
     fn replace(&self, digest: Digest, bytes: &[u8]) -> Result<bool, StoreError>;
 
-    /// Whether the vault was restarted since this was last asked (or since it was opened), so that what is
-    /// not yet verified has to be put back.
+    /// Names the present runs of its servers: where it names others than before, what was held may be lost. Always the
+    /// same for a vault that is durable by itself.
     ///
     /// # Errors
     /// [`StoreError::Unreachable`] and the like.
-    fn restarted(&self) -> Result<bool, StoreError> {
-        Ok(false)
+    fn runs(&self) -> Result<String, StoreError> {
+        Ok(String::new())
+    }
+
+    /// Whether it answers as a whole or not at all.
+    fn is_one(&self) -> bool {
+        true
     }
 }
 

@@ -10,29 +10,55 @@ use super::{free_port, system_program};
 /// A server that keeps nothing unless a test asks for it.
 #[derive(Debug)]
 pub struct Redis {
-    server: Running,
+    server: Option<Running>,
     port: u16,
     directory: TempDir,
+    arguments: Vec<String>,
 }
 
 impl Redis {
     /// Starts one with more arguments of `redis-server`; `None` where it is not installed.
     pub fn start(arguments: &[&str]) -> Option<Self> {
-        let program = system_program("redis-server")?;
+        system_program("redis-server")?;
         system_program("redis-cli")?;
         let directory = tempfile::Builder::new().prefix("redis").tempdir().expect("a temporary directory");
-        let port = free_port();
-        let mut command = Command::new(program);
-        command.args(["--bind", "127.0.0.1", "--port", &port.to_string(), "--save", "", "--rdbcompression", "no"]);
-        command.arg("--dir").arg(directory.path()).args(arguments);
+        let arguments = arguments.iter().map(|&argument| argument.to_owned()).collect();
+        let mut redis = Self { server: None, port: free_port(), directory, arguments };
+        redis.revive();
+        Some(redis)
+    }
+
+    /// Starts it (again) on the same port, over what it kept.
+    pub fn revive(&mut self) {
+        let port = self.port.to_string();
+        let mut command = Command::new("redis-server");
+        command.args(["--bind", "127.0.0.1", "--port", &port, "--save", "", "--rdbcompression", "no"]);
+        command.arg("--dir").arg(self.directory.path()).args(&self.arguments);
         let mut server = Running::start(command);
         server.wait_for_text("Ready to accept connections", 30);
-        Some(Self { server, port, directory })
+        self.server = Some(server);
+    }
+
+    /// Ends it as a crash does.
+    pub fn kill(&mut self) {
+        if let Some(server) = self.server.take() {
+            server.stop("KILL", 20);
+        }
+    }
+
+    /// Its port on 127.0.0.1.
+    pub fn port(&self) -> u16 {
+        self.port
     }
 
     /// Its URL for `--vault`.
     pub fn url(&self) -> String {
         format!("redis://127.0.0.1:{}", self.port)
+    }
+
+    /// How many keys it holds.
+    pub fn keys(&self) -> u64 {
+        self.cli(&["DBSIZE"]).trim().parse().expect("a number of keys")
     }
 
     /// One command through Redis's own client.

@@ -7,6 +7,7 @@ mod freezing;
 mod granting;
 mod keys;
 mod leaving;
+mod operating;
 mod palette;
 mod pulling;
 mod records;

@@ -243,12 +243,14 @@ impl Reader {
         let captured_at = Timestamp::now();
         let header_seq = from.has_header.then(|| header_seq(&body)).flatten();
         let missing = header_seq.map_or(0, |next| self.sequence.follow(next));
-        if missing > 0 {
+        if let (1.., Some(next)) = (missing, header_seq) {
+            let first = next.wrapping_sub(u32::try_from(missing).unwrap_or(u32::MAX));
             self.topic.count_lost(missing);
             self.shared.notice(CaptureNotice::LostInTransport {
                 topic: Arc::clone(&self.topic.label),
                 caller_id: clean(&from.caller_id, 120),
                 count: missing,
+                numbers: (first, next.wrapping_sub(1)),
             });
         }
         let bytes = body.len();

@@ -29,7 +29,8 @@ pub struct PartHealth {
     pub text: String,
 }
 
-/// How many records passed each station of the life line (data records of one profile).
+/// How many records passed each station of the life line (data records of one profile). At every moment
+/// captured = verified + pending + quarantined + dropped + tampered, where captured is counted by itself.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct LifeLine {
     /// Taken from the topic.
@@ -50,13 +51,25 @@ pub struct LifeLine {
     pub quarantined: u64,
     /// Dropped before acknowledgement, counted, or discarded out of quarantine.
     pub dropped: u64,
+    /// Of these never acknowledged: they came while memory or disk was full, or without a key.
+    #[serde(default)]
+    pub lost_in_recorder: u64,
     /// Of these discarded by the operator out of quarantine.
     #[serde(default)]
     pub discarded: u64,
     /// Differ from the chain.
     pub tampered: u64,
-    /// Never arrived here (header.seq gaps).
+    /// Never arrived here (header.seq gaps); no part of captured.
     pub lost_in_transport: u64,
+    /// Messages of all profiles in memory that are not acknowledged yet; no part of captured.
+    #[serde(default)]
+    pub waiting: u64,
+    /// Of the verified ones those whose ciphertext retention has deleted; header, signature and proof are there.
+    #[serde(default)]
+    pub deleted: u64,
+    /// Whether the counts add up, in all and for each topic.
+    #[serde(default)]
+    pub conserved: bool,
 }
 
 /// The whole site at a glance.
@@ -70,4 +83,21 @@ pub struct SiteView {
     pub robots: u16,
     /// Profiles open in this site.
     pub profiles: Vec<ProfileName>,
+    /// Background tasks and how they are.
+    #[serde(default)]
+    pub tasks: Vec<super::TaskView>,
+    /// What waits to be sealed.
+    #[serde(default)]
+    pub queue: QueueView,
+}
+
+/// The ring between capture and sealer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct QueueView {
+    /// Messages in it.
+    pub messages: u64,
+    /// Their bytes.
+    pub bytes: u64,
+    /// The most bytes it takes; beyond, the newest message is dropped and counted.
+    pub capacity: u64,
 }

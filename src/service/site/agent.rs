@@ -105,14 +105,15 @@ impl Agent {
         let (provider, observer) = (site.plant.provider, Arc::clone(&site.plant.observer));
         let notices = Notices::new(provider, observer, Arc::clone(&author), sealed, kept);
         let forwarder = forwarder.with_errand(Box::new(notices));
-        let before = block_in_place(|| site.plant.ledger.counts(None))?.captured();
+        let before = block_in_place(|| site.plant.ledger.counts(None))?.acknowledged;
         let session = Arc::new(CaptureSession::unfollowed(&topics, wishes.count, wishes.tags));
         for topic in &topics {
             site.recorder.join(topic, &author, None, &session);
         }
         site.wishes_changed();
         let (link, refused) = (forwarder.link(), forwarder.refused());
-        let forwarder = tokio::spawn(forward(Arc::clone(site), forwarder));
+        let forwarder = Arc::new(tokio::sync::Mutex::new(forwarder));
+        let forwarder = site.supervise("forwarder", move |site| forward(site, Arc::clone(&forwarder)));
         let (site, length) = (Arc::clone(site), wishes.length);
         Ok(Self { site, name, author, session, topics, length, link, refused, before, forwarder })
     }
@@ -124,7 +125,7 @@ impl Agent {
     /// Of the outbox.
     pub async fn run(
         &mut self,
-        told: impl Future<Output = ()>,
+        told: impl Future,
         mut progress: impl FnMut(&AgentFigures),
     ) -> Result<AgentEnd, Failure> {
         let length = self.length;
@@ -138,7 +139,7 @@ impl Agent {
         let (mut up, mut looks, mut shown) = (false, 0u32, None);
         loop {
             tokio::select! {
-                () = &mut told => return Ok(AgentEnd::Told),
+                _ = &mut told => return Ok(AgentEnd::Told),
                 () = &mut time_is_up, if !up => {
                     up = true;
                     self.session.close();
@@ -169,7 +170,7 @@ impl Agent {
 
     fn end(&self, counts: &StateCounts) -> Option<AgentEnd> {
         let taken: u64 = self.session.figures().iter().map(|topic| topic.captured).sum();
-        if !self.session.is_closed() || counts.captured() < self.before + taken {
+        if !self.session.is_closed() || counts.acknowledged < self.before + taken {
             return None;
         }
         let aside = self.refused.lock().unwrap_or_else(PoisonError::into_inner).len();
@@ -192,7 +193,7 @@ impl Agent {
         let verified = counts.data_in(RecordState::Verified);
         AgentFigures {
             name: self.name.clone(),
-            captured: counts.captured(),
+            captured: counts.acknowledged,
             accepted: verified + counts.data_in(RecordState::Submitted),
             verified,
             lost,
@@ -225,8 +226,8 @@ impl Agent {
     }
 }
 
-async fn forward(site: Arc<Site>, mut forwarder: Forwarder) {
-    forwarder.run(&site.hub.stored).await;
+async fn forward(site: Arc<Site>, forwarder: Arc<tokio::sync::Mutex<Forwarder>>) {
+    forwarder.lock().await.run(&site.hub.stored).await;
 }
 
 fn forwarder(site: &Site, enrolment: &Enrolment) -> Result<Forwarder, Failure> {

@@ -61,6 +61,7 @@ impl Site {
                 claims.lock().unwrap_or_else(PoisonError::into_inner).servers.push(end);
                 Ok(Reply::Served(served))
             }
+            Command::Operate(operation) => self.operate(&profile, operation).await,
             Command::ChainStatus => self.chain_view(&profile).await.map(Reply::Chain),
             Command::SiteStatus => self.site_view(&profile).await.map(Reply::Site),
             Command::ListAudit(query) => self.audit_lines(query).await.map(Reply::Audit),
@@ -129,7 +130,7 @@ impl Site {
             Command::ListDevices => self.device_rows(&owner).await.map(Reply::Devices),
             Command::Administer(act) => self.administer(&owner, &act).await.map(Reply::Transaction),
             Command::AdoptChain => self.adopt_chain(&owner).await.map(Reply::Transaction),
-            Command::ListShared(_) | Command::CheckShared { .. } | Command::OpenShared { .. } => {
+            Command::ListShared(_) | Command::CheckShared { .. } | Command::OpenShared { .. } | Command::View(_) => {
                 self.caught_up(profile).await?;
                 self.handle_shared(&owner, command).await
             }
@@ -142,6 +143,7 @@ impl Site {
         match command {
             Command::ListShared(query) => self.list_shared(owner, query).await.map(Reply::Records),
             Command::CheckShared { id } => self.check_record(owner, &id).await.map(Reply::Check),
+            Command::View(viewing) => self.handle_viewing(owner, viewing).await,
             Command::OpenShared { id } => self.open_record(owner, &id).await.map(|view| Reply::Opened(Box::new(view))),
             _ => Err(unknown()),
         }

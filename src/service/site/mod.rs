@@ -10,6 +10,7 @@ mod capture;
 mod chain_link;
 mod contacts;
 mod devices;
+mod disk;
 mod enrolling;
 mod epochs;
 mod exposure;
@@ -21,6 +22,7 @@ mod lanes;
 mod mirror;
 mod naming;
 mod opening;
+mod operating;
 mod overdue;
 mod owners;
 mod pins;
@@ -32,17 +34,21 @@ mod remote;
 mod revoking;
 mod robots;
 mod sharing;
+mod statements;
 mod status;
 mod succession;
+mod supervision;
 mod telling;
 mod topics;
 mod uploads;
 mod view;
+mod viewing;
 mod workers;
 
 use std::collections::{BTreeMap, HashSet};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, RwLock};
+use std::time::{Duration, Instant};
 
 use tokio::sync::{broadcast, mpsc, watch};
 
@@ -55,23 +61,22 @@ use super::client::{Call, Client};
 use super::event::{Event, Part};
 use super::failure::internal;
 use super::hub::Hub;
-use super::reply::{Failure, GatewayView};
+use super::reply::Failure;
 use crate::chain::BlockRef;
 use crate::config::Config;
 use crate::crypto::provider;
 use crate::model::ProfileName;
 use crate::paths::Home;
 use crate::pipeline::recorder::CapturedMessage;
-use crate::pipeline::ring::Ring;
+use crate::pipeline::ring::Rings;
 use crate::pipeline::sender::Policy;
-use crate::pipeline::{CaptureSession, Owner, PinRules, Pins, Plant, Recorder, Sender};
-use crate::store::{AuditLog, Ledger, Reserve, SiteLock, open_vault};
-
-/// Memory for captured messages that wait to be sealed, bytes.
-const RING_BYTES: usize = 192 * 1024 * 1024;
+use crate::pipeline::{CaptureSession, Losses, Owner, PinRules, Pins, Plant, Recorder, Sender};
+use crate::store::{AuditLog, RESERVE_BYTES, Reserve, SiteLock, open_vault};
 
 /// How long the nodes may take to leave the ROS graph.
-const LEAVING: std::time::Duration = std::time::Duration::from_secs(3);
+const LEAVING: Duration = Duration::from_secs(2);
+/// How long captured messages may take to be stored at the end, counted from its beginning.
+const FLUSHING: Duration = Duration::from_secs(4);
 
 /// Which parts this run needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -91,14 +96,17 @@ pub struct Site {
     pub(crate) sender: Arc<Sender>,
     recorder: Arc<Recorder>,
     /// The gateway that this site serves, if it does.
-    served_gateway: Mutex<Option<GatewayView>>,
+    served_gateway: Mutex<Option<operating::Serving>>,
     pins: Arc<Pins>,
     /// Quarantine records are sealed one at a time.
     reporting: tokio::sync::Mutex<()>,
-    ring: Arc<Ring<CapturedMessage>>,
+    rings: Arc<Rings<CapturedMessage>>,
+    losses: Arc<Losses>,
     audit: AuditLog,
     refusals: refusals::Refusals,
     reserve: Reserve,
+    /// Space for the states of records on a full disk.
+    states: Reserve,
     /// Changes of the address book happen one at a time.
     contacts: tokio::sync::Mutex<()>,
     owners: RwLock<BTreeMap<ProfileName, Arc<Owner>>>,
@@ -111,9 +119,12 @@ pub struct Site {
     scanned: watch::Sender<u64>,
     ros: watch::Sender<RosState>,
     stopping: watch::Sender<bool>,
+    /// Set as soon as the site was told to end; background tasks are not begun again from then on.
+    ending: AtomicBool,
+    tasks: supervision::Tasks,
     chain_silent: AtomicBool,
     /// The newest head, and when the chain told it.
-    head_seen: Mutex<Option<(std::time::Instant, BlockRef)>>,
+    head_seen: Mutex<Option<(Instant, BlockRef)>>,
     /// The gateway through which this site joins another one.
     remote: Option<remote::Remote>,
     guests: AtomicUsize,
@@ -145,15 +156,17 @@ impl Site {
         let remote = config.site.as_ref().map(|site| remote::Remote::new(site, &home, provider)).transpose()?;
         let (events, _) = broadcast::channel(1024);
         let hub = Arc::new(Hub::new(events));
-        let ledger = Ledger::open(&home.ledger())?;
+        let ledger = disk::open_ledger(&home)?;
         let vault = open_vault(config.vault_url.as_deref(), &home.vault())?;
         let plant = Plant { ledger: ledger.clone(), vault, provider, observer: hub.clone() };
-        let ring = Arc::new(Ring::new(RING_BYTES));
-        let (reserve, reserved) = Reserve::open(&home.reserve());
+        let rings = Arc::new(Rings::new(usize::try_from(config.capture_memory).unwrap_or(usize::MAX)));
+        let losses = Arc::new(Losses::default());
+        let recorder = Recorder::new(Arc::clone(&rings), Arc::clone(&losses), hub.clone());
+        let (reserve, reserved) = Reserve::open(&home.reserve(), RESERVE_BYTES);
+        let states = disk::working_reserve(&home, config.disk_reserve);
         let rules = PinRules { mode: config.pin_mode, listed: config.publishers.clone() };
         let pins = Arc::new(Pins::new(ledger.clone(), hub.clone(), rules));
-        let recorder = Recorder::new(Arc::clone(&ring), hub.clone()).with_pins(Arc::clone(&pins));
-        let recorder = recorder.with_rules(config.topic_rules.clone());
+        let recorder = recorder.with_pins(Arc::clone(&pins)).with_rules(config.topic_rules.clone());
         let site = Arc::new(Self {
             recorder: Arc::new(recorder),
             pins,
@@ -163,12 +176,14 @@ impl Site {
             refusals: refusals::Refusals::default(),
             served_gateway: Mutex::default(),
             reserve,
+            states,
             contacts: tokio::sync::Mutex::default(),
             home,
             config,
             plant,
             hub,
-            ring,
+            rings,
+            losses,
             owners: RwLock::default(),
             consoles: Mutex::default(),
             captures: Mutex::default(),
@@ -178,6 +193,8 @@ impl Site {
             scanned: watch::channel(0).0,
             ros: watch::channel(if needs.ros { RosState::Starting } else { RosState::Off }).0,
             stopping: watch::channel(false).0,
+            ending: AtomicBool::new(false),
+            tasks: supervision::Tasks::default(),
             chain_silent: AtomicBool::new(false),
             head_seen: Mutex::default(),
             remote,
@@ -248,6 +265,11 @@ impl Site {
         *self.stopping.borrow()
     }
 
+    /// Whether the site was told to end; it may still be storing what was captured.
+    pub(super) fn is_ending(&self) -> bool {
+        self.ending.load(Ordering::Acquire)
+    }
+
     /// Waits until the site is ending.
     pub async fn stopped(&self) {
         let mut stopping = self.stopping.subscribe();
@@ -260,23 +282,38 @@ impl Site {
         &self.hub.stages
     }
 
-    /// Ends the site: no further capture, all captured messages acknowledged, files closed.
+    /// Ends the site within five seconds: no further capture, all captured messages acknowledged, files closed.
     pub async fn stop(self: Arc<Self>) {
+        let begun = Instant::now();
+        self.ending.store(true, Ordering::Release);
         self.ros.send_replace(RosState::Off);
         let ros = self.ros_task.lock().unwrap_or_else(std::sync::PoisonError::into_inner).take();
         if let Some(task) = ros {
             drop(tokio::time::timeout(LEAVING, task).await);
         }
-        self.ring.close();
+        self.rings.close();
         let sealer = self.sealer.lock().unwrap_or_else(std::sync::PoisonError::into_inner).take();
         if let Some(thread) = sealer {
-            drop(tokio::task::spawn_blocking(move || thread.join()).await);
+            let joined = tokio::task::spawn_blocking(move || thread.join());
+            if tokio::time::timeout(FLUSHING.saturating_sub(begun.elapsed()), joined).await.is_err() {
+                self.tell_unstored();
+            }
         }
         self.stopping.send_replace(true);
         self.network.send_replace(NetworkState::Off);
         self.write_counted(None).await;
         let ledger = self.plant.ledger.clone();
         drop(tokio::task::spawn_blocking(move || ledger.close()).await);
+    }
+
+    /// Ledger or vault take nothing, and the process must end all the same.
+    fn tell_unstored(&self) {
+        let (messages, _) = self.rings.depth();
+        let text = format!(
+            "{messages} or more captured messages could not be stored before the end, they were never acknowledged; \
+             see to disk and vault before the next start"
+        );
+        self.hub.notice(super::event::NoticeLevel::Error, &text);
     }
 
     pub(crate) fn owner(&self, profile: &ProfileName) -> Option<Arc<Owner>> {
@@ -288,7 +325,7 @@ impl Site {
     }
 
     pub(crate) fn unlocked(&self, profile: &ProfileName) -> Result<Arc<Owner>, Failure> {
-        self.owner(profile).ok_or_else(|| match self.home.keyring(profile).exists() {
+        self.owner(profile).filter(|owner| !owner.is_locked()).ok_or_else(|| match self.home.keyring(profile).exists() {
             true => super::failure::refused(format!(
                 "the keyring of profile '{profile}' is locked; unlock it with --passphrase-file or --passphrase-fd"
             )),

@@ -7,8 +7,12 @@ use tokio::task::block_in_place;
 use super::{NetworkState, RosState, Site};
 use crate::config::without_password;
 use crate::model::{ProfileName, RecordState, clean};
+use crate::pipeline::sender::LaneState;
 use crate::service::event::Part;
-use crate::service::reply::{ChainView, Failure, HealthLevel, LifeLine, PartHealth, SiteView};
+use crate::service::reply::{ChainView, Failure, GasView, HealthLevel, LifeLine, PartHealth, QueueView, SiteView};
+
+/// The most transactions that the gas per record is taken over.
+const GAS_OVER: u64 = 100;
 
 impl Site {
     /// Health, counts, robots and open profiles.
@@ -19,7 +23,14 @@ impl Site {
         };
         let profiles = self.all_owners().iter().map(|owner| owner.profile.clone()).collect();
         let health = vec![self.ros_health(), self.chain_health(), self.vault_health(), self.gateway_health()];
-        Ok(SiteView { health, life: block_in_place(|| self.life_line(profile))?, robots, profiles })
+        let life = block_in_place(|| self.life_line(profile))?;
+        Ok(SiteView { health, life, robots, profiles, queue: self.queue_view(), tasks: self.task_views() })
+    }
+
+    fn queue_view(&self) -> QueueView {
+        let (messages, bytes) = self.rings.depth();
+        let count = |number: usize| u64::try_from(number).unwrap_or(u64::MAX);
+        QueueView { messages: count(messages), bytes: count(bytes), capacity: count(self.rings.capacity()) }
     }
 
     fn ros_health(&self) -> PartHealth {
@@ -60,16 +71,20 @@ impl Site {
 
     fn vault_health(&self) -> PartHealth {
         let name = self.config.vault_url.as_deref().map_or_else(|| "embedded vault".to_owned(), without_password);
-        part("vault", HealthLevel::Ok, &name)
+        let (level, text) = self.room_health().unwrap_or((HealthLevel::Ok, name));
+        part("vault", level, &text)
     }
 
     fn gateway_health(&self) -> PartHealth {
         let served = self.served_gateway.lock().unwrap_or_else(PoisonError::into_inner);
         match &*served {
-            Some(view) => part(
+            Some(serving) => part(
                 "gateway",
                 HealthLevel::Ok,
-                &format!("{}, fingerprint {}, anchors as {}", view.address, view.fingerprint, view.account),
+                &format!(
+                    "{}, fingerprint {}, anchors as {}",
+                    serving.view.address, serving.view.fingerprint, serving.view.account
+                ),
             ),
             None => part("gateway", HealthLevel::Absent, "none here; authros gateway serve"),
         }
@@ -88,20 +103,20 @@ impl Site {
     }
 
     fn life_line(&self, profile: &ProfileName) -> Result<LifeLine, Failure> {
-        let losses = self.recorder.all_losses();
-        let Some(owner) = self.owner(profile) else {
-            return Ok(LifeLine { lost_in_transport: losses.in_transport, ..LifeLine::default() });
+        let Ok(owner) = self.address_of(profile) else {
+            return Ok(LifeLine { conserved: true, ..LifeLine::default() });
         };
-        let counts = self.plant.ledger.counts(Some(owner.address))?;
+        let (waiting, _) = self.rings.depth();
+        let counts = self.losses.counts(&self.plant, owner)?;
         let at_least = |least: RecordState| -> u64 {
             let states =
                 RecordState::ALL.into_iter().filter(|state| *state >= least && *state <= RecordState::Verified);
             states.map(|state| counts.data_in(state)).sum()
         };
         let tampered = counts.data_in(RecordState::Tampered);
-        let discarded = counts.data_in(RecordState::Dropped);
+        let dropped = counts.data_in(RecordState::Dropped);
         Ok(LifeLine {
-            captured: counts.captured() + losses.in_recorder,
+            captured: counts.captured(),
             sealed: at_least(RecordState::Sealed) + tampered,
             stored: at_least(RecordState::Stored) + tampered,
             anchored: at_least(RecordState::Mined) + tampered,
@@ -109,10 +124,14 @@ impl Site {
             verified: counts.data_in(RecordState::Verified),
             pending: counts.pending(),
             quarantined: counts.data_in(RecordState::Quarantined),
-            dropped: losses.in_recorder + discarded,
-            discarded,
+            dropped,
+            lost_in_recorder: counts.lost_in_recorder,
+            discarded: dropped.saturating_sub(counts.lost_in_recorder),
             tampered,
-            lost_in_transport: losses.in_transport,
+            lost_in_transport: counts.lost_in_transport,
+            waiting: waiting as u64,
+            deleted: 0,
+            conserved: counts.is_conserved(),
         })
     }
 
@@ -145,12 +164,28 @@ impl Site {
             balance: status.balance.unwrap_or_else(|| "0".to_owned()),
             nonce: status.nonce.unwrap_or(0),
             pending,
+            gas: block_in_place(|| self.gas_of(&lanes))?,
             lanes,
             client: clean(&status.client, 100),
             through: self.remote.as_ref().map(|remote| clean(&remote.chain_text(), 300)),
             administration: self.network_now().map(|network| self.administration_view(&network)).unwrap_or_default(),
             sealing: chain.sealing().await?,
         })
+    }
+}
+
+impl Site {
+    /// What anchoring costs, over the newest transactions of these lanes.
+    fn gas_of(&self, lanes: &[LaneState]) -> Result<GasView, Failure> {
+        let mut view = GasView::default();
+        for lane in lanes {
+            let left = GAS_OVER.saturating_sub(view.transactions);
+            let (transactions, gas, records) = self.plant.ledger.anchoring_gas(lane.account, left)?;
+            view.transactions += transactions;
+            view.gas += gas;
+            view.records += records;
+        }
+        Ok(view)
     }
 }
 

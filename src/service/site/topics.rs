@@ -9,6 +9,7 @@ use super::{RosState, Site};
 use crate::model::{ProfileName, Timestamp, TopicName, TypeName, clean};
 use crate::pipeline::Owner;
 use crate::service::reply::{Failure, Reply, TopicRow};
+use crate::store::TopicCounts;
 
 type Watches = Vec<(TopicName, Option<TypeName>)>;
 
@@ -27,8 +28,9 @@ impl Site {
                 self.topic_row(&info.name, info.type_name.as_deref(), publishers, simulated, now)
             })
             .collect();
+        let published: HashSet<String> = rows.iter().map(|row| row.topic.clone()).collect();
         for (topic, type_name) in &watches {
-            if !rows.iter().any(|row| row.topic == topic.as_str()) {
+            if !published.contains(topic.as_str()) {
                 rows.push(self.topic_row(
                     topic.as_str(),
                     type_name.as_ref().map(TypeName::as_str),
@@ -40,10 +42,19 @@ impl Site {
         }
         let captured = self.captured_by_topic(profile)?;
         let alarms = self.alarmed_topics(profile)?;
+        let pins = self.pinned_names(profile)?;
+        let watched: HashSet<&str> = watches.iter().map(|(topic, _)| topic.as_str()).collect();
         for row in &mut rows {
-            (row.messages, row.quarantined) = captured.get(&row.topic).copied().unwrap_or_default();
+            if let Some(pinned) = pins.get(&row.topic) {
+                row.pins = pinned.len() as u64;
+                row.unpinned = row.publishers.iter().filter(|name| !pinned.contains(*name)).cloned().collect();
+            }
+            if let Some(counts) = captured.get(&row.topic) {
+                (row.messages, row.quarantined) = (counts.captured, counts.quarantined);
+                (row.lost_in_transport, row.lost_in_recorder) = (counts.missed, counts.lost);
+            }
             row.alarm = alarms.contains(&row.topic);
-            row.watched = watches.iter().any(|(topic, _)| topic.as_str() == row.topic);
+            row.watched = watched.contains(row.topic.as_str());
         }
         rows.sort_by(|one, other| one.topic.cmp(&other.topic));
         Ok(rows)
@@ -58,7 +69,6 @@ impl Site {
         now: Timestamp,
     ) -> TopicRow {
         let rate = self.recorder.meter().rate(topic, now);
-        let losses = self.recorder.losses(topic);
         TopicRow {
             topic: clean(topic, 255),
             type_name: type_name.map(|name| clean(name, 255)),
@@ -68,20 +78,22 @@ impl Site {
             hz: rate.map(|rate| rate.hz),
             bytes_per_second: rate.map(|rate| rate.bytes_per_second),
             messages: 0,
-            lost_in_transport: losses.in_transport,
-            lost_in_recorder: losses.in_recorder,
-            left_out: losses.left_out,
+            lost_in_transport: 0,
+            lost_in_recorder: 0,
+            left_out: self.recorder.left_out(topic),
             last_message: rate.and_then(|rate| rate.last),
+            pins: 0,
+            unpinned: Vec::new(),
             quarantined: 0,
             alarm: false,
         }
     }
 
-    /// Messages captured, and those of them in quarantine.
-    fn captured_by_topic(&self, profile: &ProfileName) -> Result<HashMap<String, (u64, u64)>, Failure> {
-        let Some(owner) = self.owner(profile) else { return Ok(HashMap::new()) };
-        let counts = block_in_place(|| self.plant.ledger.counts(Some(owner.address)))?;
-        Ok(counts.topics.into_iter().map(|topic| (topic.topic, (topic.captured, topic.quarantined))).collect())
+    /// What became of the profile's messages, by topic.
+    fn captured_by_topic(&self, profile: &ProfileName) -> Result<HashMap<String, TopicCounts>, Failure> {
+        let Ok(owner) = self.address_of(profile) else { return Ok(HashMap::new()) };
+        let counts = block_in_place(|| self.losses.counts(&self.plant, owner))?;
+        Ok(counts.topics.into_iter().map(|topic| (topic.topic.clone(), topic)).collect())
     }
 
     /// Topics with an open alarm about a publisher.
@@ -89,6 +101,19 @@ impl Site {
         let Some(owner) = self.owner(profile) else { return Ok(HashSet::new()) };
         let alarms = block_in_place(|| self.plant.ledger.alarms(owner.address, None))?;
         Ok(alarms.into_iter().filter(|alarm| alarm.open).map(|alarm| alarm.topic).collect())
+    }
+
+    /// Node names pinned to each topic, by the operator, by first sight or by the settings.
+    fn pinned_names(&self, profile: &ProfileName) -> Result<HashMap<String, HashSet<String>>, Failure> {
+        let Some(owner) = self.owner(profile) else { return Ok(HashMap::new()) };
+        let kept = block_in_place(|| self.plant.ledger.pins(owner.address, None))?;
+        let kept = kept.into_iter().map(|row| (row.topic, row.publisher.caller_id));
+        let listed = self.pins.all_listed().map(|(topic, publisher)| (topic.clone(), publisher.caller_id.clone()));
+        let mut names: HashMap<String, HashSet<String>> = HashMap::new();
+        for (topic, caller_id) in kept.chain(listed) {
+            names.entry(clean(&topic, 255)).or_default().insert(clean(&caller_id, 255));
+        }
+        Ok(names)
     }
 
     fn watches(&self, profile: &ProfileName) -> Result<Watches, Failure> {

@@ -2,17 +2,16 @@
 
 use std::collections::{BTreeMap, HashMap};
 
-use rusqlite::{Connection, params};
+use rusqlite::Connection;
 use serde::{Deserialize, Serialize};
 
+use super::Ledger;
 use super::rows::{self, Stream};
-use super::{Ledger, database::whole};
-use crate::model::{Address, RecordKind, RecordState, TopicId};
+use crate::model::{Address, LossReason, RecordKind, RecordState, TopicId};
 use crate::store::StoreError;
 
-/// The reason of [`Ledger::count_drop`] for messages that never reached this program (holes in
-/// `header.seq`). They were not captured, so they are counted apart from what was dropped.
-pub const LOST_IN_TRANSPORT: &str = "transport";
+/// Bytes that header, head and tags add to a message.
+const AROUND: i64 = 600;
 
 /// How the records of one topic stand. `captured = verified + pending + quarantined + dropped + tampered`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -26,7 +25,7 @@ pub struct TopicCounts {
     /// The message type last seen; empty where all was dropped.
     #[serde(rename = "type")]
     pub type_name: String,
-    /// Messages taken in, the dropped ones included.
+    /// Messages taken in, the dropped ones included; counted by itself, not summed up.
     pub captured: u64,
     /// Verified records.
     pub verified: u64,
@@ -36,9 +35,12 @@ pub struct TopicCounts {
     pub quarantined: u64,
     /// Records whose stored bytes are wrong.
     pub tampered: u64,
-    /// Messages that were captured and never acknowledged.
+    /// Messages that were captured and never acknowledged, or discarded out of quarantine.
     pub dropped: u64,
-    /// Messages that never arrived ([`LOST_IN_TRANSPORT`]); no part of `captured`.
+    /// Of these never acknowledged.
+    #[serde(default)]
+    pub lost: u64,
+    /// Messages that never arrived ([`LossReason::Transport`]); no part of `captured`.
     pub missed: u64,
     /// Plaintext bytes of all acknowledged data records.
     pub bytes: u64,
@@ -47,12 +49,25 @@ pub struct TopicCounts {
 /// How the records of an owner, or of all, stand.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct StateCounts {
-    /// Data records per state; `dropped` holds the messages counted by [`Ledger::count_drop`].
+    /// Data records per state; `dropped` holds also the messages counted by [`Ledger::count_losses`].
     pub data: BTreeMap<RecordState, u64>,
+    /// Data records ever acknowledged: counted by itself, not summed up.
+    pub acknowledged: u64,
+    /// Messages that were captured and never acknowledged.
+    pub lost_in_recorder: u64,
+    /// Messages that never arrived; no part of what was captured.
+    pub lost_in_transport: u64,
     /// Records of all other kinds, per state.
     pub others: BTreeMap<RecordState, u64>,
     /// Data records per topic, in the order of (topic, owner).
     pub topics: Vec<TopicCounts>,
+}
+
+impl TopicCounts {
+    /// Whether captured = verified + pending + quarantined + dropped + tampered.
+    pub fn is_conserved(&self) -> bool {
+        self.captured == self.verified + self.pending + self.quarantined + self.dropped + self.tampered
+    }
 }
 
 impl StateCounts {
@@ -63,7 +78,12 @@ impl StateCounts {
 
     /// Messages taken in, the dropped ones included.
     pub fn captured(&self) -> u64 {
-        self.data.values().sum()
+        self.acknowledged + self.lost_in_recorder
+    }
+
+    /// Whether captured = verified + pending + quarantined + dropped + tampered, in all and for each topic.
+    pub fn is_conserved(&self) -> bool {
+        self.captured() == self.data.values().sum::<u64>() && self.topics.iter().all(TopicCounts::is_conserved)
     }
 
     /// Data records on their way to verified.
@@ -87,39 +107,21 @@ impl Ledger {
             let streams = rows::streams(connection)?.into_iter().map(|stream| (stream.key, stream)).collect();
             let mut tally = Tally::default();
             tally.add_records(connection, owner, &streams)?;
+            tally.add_intake(connection, owner, &streams)?;
             tally.add_drops(connection, owner)?;
             Ok(tally.finish())
         })
     }
 
-    /// Counts messages that were never acknowledged, durably, by topic and reason
-    /// ([`LOST_IN_TRANSPORT`] or one of the recorder's own).
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like: then they are not counted yet.
-    pub fn count_drop(&self, owner: Address, topic: &str, reason: &str, count: u64) -> Result<(), StoreError> {
-        let (topic, reason, count) = (topic.to_owned(), reason.to_owned(), whole("count", count)?);
-        self.write(move |session| {
-            session
-                .connection
-                .prepare_cached(
-                    "INSERT INTO drops VALUES (?1, ?2, ?3, ?4)
-                     ON CONFLICT DO UPDATE SET count = count + excluded.count",
-                )?
-                .execute(params![owner.0, topic, reason, count])?;
-            Ok(())
-        })
-    }
-
-    /// The counts of [`Ledger::count_drop`]: topic, reason, count.
+    /// Bytes of sealed records that wait here for the vault, each with what a record is larger than its message.
     ///
     /// # Errors
     /// [`StoreError::Database`] and its kin.
-    pub fn drops(&self, owner: Address) -> Result<Vec<(String, String, u64)>, StoreError> {
+    pub fn backlog(&self) -> Result<u64, StoreError> {
         self.read(|connection| {
-            let mut statement = connection.prepare_cached("SELECT topic, reason, count FROM drops WHERE owner = ?1")?;
-            let rows = statement.query_map([owner.0], |row| Ok((row.get(0)?, row.get(1)?, rows::unsigned(row, 2)?)))?;
-            Ok(rows.collect::<Result<_, _>>()?)
+            let sql = "SELECT coalesce(sum(bytes + records * ?2), 0) FROM counters WHERE state = ?1";
+            let values = [i64::from(RecordState::Sealed.code()), AROUND];
+            Ok(connection.prepare_cached(sql)?.query_row(values, |row| rows::unsigned(row, 0))?)
         })
     }
 }
@@ -150,6 +152,25 @@ impl Tally {
         Ok(())
     }
 
+    fn add_intake(
+        &mut self,
+        connection: &Connection,
+        owner: Option<Address>,
+        streams: &HashMap<i64, Stream>,
+    ) -> Result<(), StoreError> {
+        let mut statement = connection.prepare_cached("SELECT stream, records FROM intake")?;
+        let mut rows = statement.query([])?;
+        while let Some(row) = rows.next()? {
+            let stream = streams.get(&row.get(0)?).ok_or_else(|| rows::out_of_range(0))?;
+            if stream.kind == RecordKind::Data && owner.is_none_or(|owner| owner == stream.owner) {
+                let records = rows::unsigned(row, 1)?;
+                self.counts.acknowledged += records;
+                self.topic(stream.owner, &stream.topic).captured += records;
+            }
+        }
+        Ok(())
+    }
+
     fn add(&mut self, stream: &Stream, state: RecordState, records: u64, bytes: u64) {
         if stream.kind != RecordKind::Data {
             *self.counts.others.entry(state).or_default() += records;
@@ -159,7 +180,6 @@ impl Tally {
         let topic = self.topic(stream.owner, &stream.topic);
         topic.topic_id = Some(stream.topic_id);
         topic.type_name.clone_from(&stream.type_name);
-        topic.captured += records;
         topic.bytes += bytes;
         *match state {
             RecordState::Verified => &mut topic.verified,
@@ -177,11 +197,14 @@ impl Tally {
         while let Some(row) = rows.next()? {
             let (topic, reason, count) = (row.get::<_, String>(1)?, row.get::<_, String>(2)?, rows::unsigned(row, 3)?);
             let topic = self.topic(Address(row.get(0)?), &topic);
-            if reason == LOST_IN_TRANSPORT {
+            if reason == LossReason::Transport.word() {
                 topic.missed += count;
+                self.counts.lost_in_transport += count;
             } else {
                 topic.dropped += count;
+                topic.lost += count;
                 topic.captured += count;
+                self.counts.lost_in_recorder += count;
                 *self.counts.data.entry(RecordState::Dropped).or_default() += count;
             }
         }
@@ -200,6 +223,7 @@ impl Tally {
             quarantined: 0,
             tampered: 0,
             dropped: 0,
+            lost: 0,
             missed: 0,
             bytes: 0,
         })

@@ -1,6 +1,7 @@
 //! The ledger's tests: single behaviours here, random operations in `model`, random queries in `pages`.
 
 mod adoption;
+mod gaps;
 mod model;
 mod pages;
 mod quarantine;
@@ -15,7 +16,7 @@ use sm3::{Digest as _, Sm3};
 use super::*;
 use crate::model::RecordState::{Confirmed, Stored, Submitted, Verified};
 use crate::model::{
-    Address, Digest, ErrorKind, Hash, RecordKind, RecordState, Signature, SignerId, Timestamp, TopicId,
+    Address, Digest, ErrorKind, Hash, LossReason, RecordKind, RecordState, Signature, SignerId, Timestamp, TopicId,
 };
 
 /// A record of owner `owner` on topic `topic`; its digest is spread like a real one.
@@ -39,6 +40,20 @@ fn record(owner: u8, topic: u8, seq: u64) -> NewRecord {
         simulated: topic.is_multiple_of(2),
         state: RecordState::Stored,
         local_copy: None,
+    }
+}
+
+/// Lost messages of owner 1 on `/odom`.
+fn loss(reason: LossReason, count: u64) -> Loss {
+    Loss {
+        owner: Address([1; 20]),
+        topic: "/odom".to_owned(),
+        publisher: "/robot".to_owned(),
+        reason,
+        count,
+        numbers: Some((1, 9)),
+        first_at: Timestamp(5),
+        last_at: Timestamp(6),
     }
 }
 
@@ -339,8 +354,7 @@ fn small_state_is_kept() {
     ledger.put_setting("watched/a", "[1]").expect("kept");
     ledger.put_setting("watched/a", "[2]").expect("kept");
     ledger.set_cursor("watcher", 7, Hash([7; 32])).expect("kept");
-    ledger.count_drop(Address([1; 20]), "/odom", "ring full", 3).expect("kept");
-    ledger.count_drop(Address([1; 20]), "/odom", LOST_IN_TRANSPORT, 2).expect("kept");
+    ledger.count_losses(vec![loss(LossReason::Memory, 3), loss(LossReason::Transport, 2)]).expect("kept");
     ledger.close().expect("closed");
     let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opens");
     assert_eq!(ledger.setting("watched/a"), Ok(Some("[2]".to_owned())));
@@ -350,7 +364,7 @@ fn small_state_is_kept() {
     let counts = ledger.counts(None).expect("counts");
     assert_eq!((counts.captured(), counts.data_in(RecordState::Dropped), counts.pending()), (3, 3, 0));
     assert_eq!((counts.topics[0].dropped, counts.topics[0].missed, counts.topics[0].captured), (3, 2, 3));
-    assert_eq!(ledger.drops(Address([1; 20])).expect("drops").len(), 2);
+    assert_eq!(ledger.gaps(Address([1; 20]), 9).expect("gaps").len(), 2);
     assert_eq!(ledger.counts(Some(Address([2; 20]))), Ok(StateCounts::default()));
 }
 

@@ -1,190 +1,123 @@
-//! The vault on Redis: a cache and sharing point, never the truth.
-//!
-//! One connection, made anew on the next call after a failure. Every new connection first looks at the
-//! server's eviction policy, because a restart may have brought another configuration.
+//! The vault on Redis: a cache and sharing point, never the truth. One server, the master that sentinels name, or a
+//! cluster. Keys are digests, so that the nodes of a cluster share the records evenly.
 
-use std::sync::{Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
+mod address;
+mod cluster;
+mod node;
+mod slots;
 
-use redis::{Client, Connection, ErrorKind, RedisError, RedisResult, Value, cmd, pipe};
+use std::collections::BTreeMap;
+use std::sync::Arc;
 
-use super::{Usage, Vault};
-use crate::model::{Digest, clean};
+use redis::{Connection, RedisResult, Value, cmd, pipe};
+
+use self::address::{Address, Place};
+use self::cluster::{Cluster, Member};
+use self::node::{Failure, Node};
+use super::policy::Finding;
+use super::{Stored, Usage, Vault};
+use crate::model::Digest;
 use crate::store::StoreError;
 
-const TIMEOUT: Duration = Duration::from_secs(3);
 /// The most bytes sent in one pipeline; a larger record goes alone.
 const LARGEST_PIPELINE: usize = 8 << 20;
 const PREFIX: &str = "authros:";
 const KEYS_PER_SCAN: usize = 500;
 
-/// A vault on a Redis server, reached by TCP or by a Unix socket.
+/// A vault on Redis.
 pub struct RedisVault {
-    client: Client,
     /// The URL without secrets.
-    url: String,
-    link: Mutex<Link>,
-    /// Apart from the link, so that asking for them never waits for the network.
-    warnings: Mutex<Vec<String>>,
+    shown: String,
+    servers: Servers,
 }
 
-/// What is known about the server.
-#[derive(Default)]
-struct Link {
-    connection: Option<Connection>,
-    run_id: Option<String>,
-    restarted: bool,
+enum Servers {
+    One(Box<Node>),
+    Many(Cluster),
+}
+
+/// One server, for what is done on each.
+enum Server {
+    One,
+    Of(Arc<Member>),
 }
 
 impl RedisVault {
-    /// Connects to `redis://[USER:PASSWORD@]HOST:PORT/DB` or `redis+unix:///PATH[?db=N]` and checks the policy.
+    /// Connects to a URL and checks the policy. One server: `redis://[USER:PASSWORD@]HOST:PORT/DB` or
+    /// `redis+unix:///PATH[?db=N]`; a master known to sentinels:
+    /// `redis+sentinel://[USER:PASSWORD@]HOST:PORT,HOST:PORT/MASTER[/DB]`; a cluster:
+    /// `redis+cluster://[USER:PASSWORD@]HOST:PORT,HOST:PORT`.
     ///
     /// # Errors
     /// [`StoreError::VaultUrl`], [`StoreError::Unreachable`], [`StoreError::VaultRefused`], and
-    /// [`StoreError::Policy`] where the server may throw keys away.
+    /// [`StoreError::Policy`] where a server may throw keys away.
     pub fn open(url: &str) -> Result<Self, StoreError> {
-        let shown = redact(url);
-        let client = Client::open(url).map_err(|error| {
-            let detail = clean(error.detail().unwrap_or(error.category()), 120);
-            StoreError::VaultUrl { url: shown.clone(), detail }
-        })?;
-        let vault = Self { client, url: shown, link: Mutex::default(), warnings: Mutex::default() };
-        vault.connect(&mut vault.link())?;
-        Ok(vault)
-    }
-
-    fn link(&self) -> MutexGuard<'_, Link> {
-        self.link.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn connect(&self, link: &mut Link) -> Result<(), StoreError> {
-        let mut connection = self.client.get_connection_with_timeout(TIMEOUT).map_err(|e| self.error(&e))?;
-        let limits = connection.set_read_timeout(Some(TIMEOUT)).and(connection.set_write_timeout(Some(TIMEOUT)));
-        limits.map_err(|e| self.error(&e))?;
-        cmd("PING").exec(&mut connection).map_err(|e| self.error(&e))?;
-        *self.warnings.lock().unwrap_or_else(PoisonError::into_inner) = self.check_policy(&mut connection)?;
-        let run_id = run_id(&mut connection).map_err(|e| self.error(&e))?;
-        link.restarted |= link.run_id.as_ref().is_some_and(|known| Some(known) != run_id.as_ref());
-        link.run_id = run_id.or(link.run_id.take());
-        link.connection = Some(connection);
-        Ok(())
-    }
-
-    fn check_policy(&self, connection: &mut Connection) -> Result<Vec<String>, StoreError> {
-        let mut warnings = Vec::new();
-        match configuration(connection, "maxmemory-policy") {
-            Ok(Some(policy)) if policy != "noeviction" => {
-                return Err(StoreError::Policy { url: self.url.clone(), policy: clean(&policy, 40) });
+        let address = Address::parse(url)?;
+        let shown = address.shown.clone();
+        let servers = match address.place {
+            Place::Cluster(_) => Servers::Many(Cluster::open(address)?),
+            _ => {
+                let node = Node::new(&address)?;
+                node.reach()?;
+                Servers::One(Box::new(node))
             }
-            Ok(Some(_)) => {}
-            Ok(None) => warnings.push(self.unseen()),
-            Err(error) if is_lost(&error) => return Err(self.error(&error)),
-            Err(_) => warnings.push(self.unseen()),
-        }
-        if configuration(connection, "appendonly").is_ok_and(|value| value.as_deref() == Some("no")) {
-            warnings.push(format!(
-                "Redis at {} keeps no append-only file and forgets what it took in when it is killed; \
-                 run `CONFIG SET appendonly yes` and put it into redis.conf",
-                self.url
-            ));
-        }
-        Ok(warnings)
+        };
+        Ok(Self { shown, servers })
     }
 
-    fn unseen(&self) -> String {
-        format!(
-            "Redis at {} does not show its configuration; make sure that maxmemory-policy is noeviction \
-             and appendonly is yes",
-            self.url
-        )
-    }
-
-    /// Does idempotent `work`; where an old connection turns out to be dead, once more on a new one.
-    fn with<T>(&self, work: impl Fn(&mut Connection) -> RedisResult<T>) -> Result<T, StoreError> {
-        let mut link = self.link();
-        if let Some(connection) = link.connection.as_mut() {
-            match work(connection) {
-                Err(error) if is_lost(&error) => {
-                    link.connection = None;
-                    if error.is_timeout() {
-                        return Err(self.error(&error));
-                    }
-                }
-                other => return other.map_err(|error| self.error(&error)),
+    /// What is wrong with how the servers at a URL are set up.
+    ///
+    /// # Errors
+    /// As [`Self::open`], but for [`StoreError::Policy`], which is among the findings.
+    pub(super) fn examine(url: &str) -> Result<Vec<Finding>, StoreError> {
+        match Self::open(url) {
+            Ok(vault) => Ok(vault.findings()),
+            Err(StoreError::Policy { url: server, detail: text, advice }) => {
+                Ok(vec![Finding { gravity: super::policy::Gravity::Refused, server, text, advice }])
             }
-        }
-        self.connect(&mut link)?;
-        let Some(connection) = link.connection.as_mut() else { return Err(self.gone()) };
-        work(connection).map_err(|error| {
-            if is_lost(&error) {
-                link.connection = None;
-            }
-            self.error(&error)
-        })
-    }
-
-    fn gone(&self) -> StoreError {
-        StoreError::Unreachable { url: self.url.clone(), detail: "the connection was closed".to_owned() }
-    }
-
-    fn error(&self, error: &RedisError) -> StoreError {
-        let url = self.url.clone();
-        let detail = clean(&error.to_string(), 160);
-        match code(error).as_deref() {
-            Some("OOM") => StoreError::VaultFull { url },
-            Some("LOADING" | "MASTERDOWN" | "CLUSTERDOWN" | "TRYAGAIN" | "BUSY") => {
-                StoreError::Unreachable { url, detail }
-            }
-            _ if error.kind() == ErrorKind::AuthenticationFailed => StoreError::VaultRefused { url, detail },
-            _ if is_lost(error) => StoreError::Unreachable { url, detail },
-            _ => StoreError::VaultRefused { url, detail },
+            Err(error) => Err(error),
         }
     }
 
-    /// Walks all records; `each` gets keys a few hundred at a time.
-    fn scan(&self, mut each: impl FnMut(Vec<String>) -> Result<(), StoreError>) -> Result<(), StoreError> {
-        let mut cursor = 0;
-        loop {
-            let (next, keys) = self.with(|connection| {
-                let mut scan = cmd("SCAN");
-                scan.arg(cursor).arg("MATCH").arg(format!("{PREFIX}*")).arg("COUNT").arg(KEYS_PER_SCAN);
-                scan.query::<(u64, Vec<String>)>(connection)
-            })?;
-            if !keys.is_empty() {
-                each(keys)?;
-            }
-            if next == 0 {
-                return Ok(());
-            }
-            cursor = next;
+    fn findings(&self) -> Vec<Finding> {
+        match &self.servers {
+            Servers::One(node) => node.findings(),
+            Servers::Many(cluster) => cluster.members().iter().flat_map(|member| member.node.findings()).collect(),
         }
     }
 
-    fn lengths(&self, keys: &[String]) -> Result<Vec<u64>, StoreError> {
-        self.with(|connection| {
-            let mut pipeline = pipe();
-            for key in keys {
-                pipeline.cmd("STRLEN").arg(key);
+    /// Does idempotent `work` where a record lies.
+    fn with<T>(&self, digest: Digest, work: impl Fn(&mut Connection) -> RedisResult<T>) -> Result<T, StoreError> {
+        match &self.servers {
+            Servers::One(node) => node.with(work).map_err(|failure| failure.error),
+            Servers::Many(cluster) => cluster.with(slots::slot(&key(digest)), work),
+        }
+    }
+
+    fn servers(&self) -> Vec<Server> {
+        match &self.servers {
+            Servers::One(_) => vec![Server::One],
+            Servers::Many(cluster) => cluster.members().into_iter().map(Server::Of).collect(),
+        }
+    }
+
+    fn on<T>(&self, server: &Server, work: impl Fn(&mut Connection) -> RedisResult<T>) -> Result<T, Failure> {
+        match (server, &self.servers) {
+            (Server::Of(member), _) => member.with(work),
+            (Server::One, Servers::One(node)) => node.with(work),
+            (Server::One, Servers::Many(_)) => {
+                let detail = "it is a cluster".to_owned();
+                Err(StoreError::Unreachable { url: self.shown.clone(), detail }.into())
             }
-            pipeline.query(connection)
-        })
-    }
-}
-
-impl Vault for RedisVault {
-    fn name(&self) -> &str {
-        &self.url
+        }
     }
 
-    fn durable(&self) -> bool {
-        false
-    }
-
-    fn put(&self, entries: &[(Digest, &[u8])]) -> Result<(), StoreError> {
+    /// Puts entries in that lie on one server; in how many pieces, their sizes tell.
+    fn put_there(&self, server: &Server, entries: &[(Digest, &[u8])]) -> Result<(), Failure> {
         let mut rest = entries;
         while !rest.is_empty() {
             let (now, later) = rest.split_at(pipeline_length(rest));
-            self.with(|connection| {
+            self.on(server, |connection| {
                 let mut pipeline = pipe();
                 for (digest, bytes) in now {
                     pipeline.cmd("SET").arg(key(*digest)).arg(*bytes).ignore();
@@ -196,22 +129,129 @@ impl Vault for RedisVault {
         Ok(())
     }
 
+    /// Each node takes its own; what slots have moved to is put there one by one.
+    fn put_apart(&self, cluster: &Cluster, entries: &[(Digest, &[u8])]) -> Stored {
+        let mut stored = Stored::default();
+        let mut groups: BTreeMap<usize, (Arc<Member>, Vec<(Digest, &[u8])>)> = BTreeMap::new();
+        for entry in entries {
+            match cluster.of(slots::slot(&key(entry.0))) {
+                Ok(member) => {
+                    let place = Arc::as_ptr(&member) as usize;
+                    groups.entry(place).or_insert_with(|| (member, Vec::new())).1.push(*entry);
+                }
+                Err(error) => stored.failure = Some(error),
+            }
+        }
+        for (member, group) in groups.into_values() {
+            match self.put_there(&Server::Of(member), &group) {
+                Ok(()) => stored.stored.extend(group.iter().map(|(digest, _)| *digest)),
+                Err(Failure { error, redirect: None }) if !matches!(error, StoreError::Unreachable { .. }) => {
+                    stored.failure = Some(error);
+                }
+                Err(_) => self.put_singly(&group, &mut stored),
+            }
+        }
+        stored
+    }
+
+    fn put_singly(&self, entries: &[(Digest, &[u8])], stored: &mut Stored) {
+        for (digest, bytes) in entries {
+            match self.with(*digest, |connection| cmd("SET").arg(key(*digest)).arg(*bytes).exec(connection)) {
+                Ok(()) => stored.stored.push(*digest),
+                Err(error) => {
+                    let gone = matches!(error, StoreError::Unreachable { .. });
+                    stored.failure = Some(error);
+                    if gone && !self.answers(*digest) {
+                        return;
+                    }
+                }
+            }
+        }
+    }
+
+    /// Walks all records; `each` gets keys a few hundred at a time.
+    fn scan(&self, mut each: impl FnMut(&Server, Vec<String>) -> Result<(), StoreError>) -> Result<(), StoreError> {
+        for server in self.servers() {
+            let mut cursor = 0;
+            loop {
+                let found = self.on(&server, |connection| {
+                    let mut scan = cmd("SCAN");
+                    scan.arg(cursor).arg("MATCH").arg(format!("{PREFIX}*")).arg("COUNT").arg(KEYS_PER_SCAN);
+                    scan.query::<(u64, Vec<String>)>(connection)
+                });
+                let (next, keys) = found.map_err(|failure| failure.error)?;
+                if !keys.is_empty() {
+                    each(&server, keys)?;
+                }
+                if next == 0 {
+                    break;
+                }
+                cursor = next;
+            }
+        }
+        Ok(())
+    }
+
+    fn lengths(&self, server: &Server, keys: &[String]) -> Result<Vec<u64>, StoreError> {
+        let lengths = self.on(server, |connection| {
+            let mut pipeline = pipe();
+            for key in keys {
+                pipeline.cmd("STRLEN").arg(key);
+            }
+            pipeline.query(connection)
+        });
+        lengths.map_err(|failure| failure.error)
+    }
+}
+
+impl Vault for RedisVault {
+    fn name(&self) -> &str {
+        &self.shown
+    }
+
+    fn durable(&self) -> bool {
+        false
+    }
+
+    fn put(&self, entries: &[(Digest, &[u8])]) -> Result<(), StoreError> {
+        self.put_each(entries).failure.map_or(Ok(()), Err)
+    }
+
+    fn put_each(&self, entries: &[(Digest, &[u8])]) -> Stored {
+        match &self.servers {
+            Servers::Many(cluster) => self.put_apart(cluster, entries),
+            Servers::One(_) => match self.put_there(&Server::One, entries) {
+                Ok(()) => Stored { stored: entries.iter().map(|(digest, _)| *digest).collect(), failure: None },
+                Err(failure) => Stored { stored: Vec::new(), failure: Some(failure.error) },
+            },
+        }
+    }
+
+    fn answers(&self, digest: Digest) -> bool {
+        match &self.servers {
+            Servers::One(_) => true,
+            Servers::Many(cluster) => {
+                cluster.of(slots::slot(&key(digest))).is_ok_and(|member| member.rests().is_none())
+            }
+        }
+    }
+
     fn get(&self, digest: Digest) -> Result<Option<Vec<u8>>, StoreError> {
-        self.with(|connection| cmd("GET").arg(key(digest)).query(connection))
+        self.with(digest, |connection| cmd("GET").arg(key(digest)).query(connection))
     }
 
     fn delete(&self, digest: Digest) -> Result<bool, StoreError> {
-        self.with(|connection| cmd("DEL").arg(key(digest)).query(connection))
+        self.with(digest, |connection| cmd("DEL").arg(key(digest)).query(connection))
     }
 
     fn contains(&self, digest: Digest) -> Result<bool, StoreError> {
-        self.with(|connection| cmd("EXISTS").arg(key(digest)).query(connection))
+        self.with(digest, |connection| cmd("EXISTS").arg(key(digest)).query(connection))
     }
 
     fn usage(&self) -> Result<Usage, StoreError> {
         let mut usage = Usage::default();
-        self.scan(|keys| {
-            let lengths = self.lengths(&keys)?;
+        self.scan(|server, keys| {
+            let lengths = self.lengths(server, &keys)?;
             usage.entries += u64::try_from(lengths.len()).unwrap_or(u64::MAX);
             usage.bytes += lengths.iter().sum::<u64>();
             Ok(())
@@ -220,11 +260,11 @@ impl Vault for RedisVault {
     }
 
     fn policy_warnings(&self) -> Vec<String> {
-        self.warnings.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        self.findings().iter().map(Finding::line).collect()
     }
 
     fn dump(&self, each: &mut dyn FnMut(Digest, &[u8])) -> Result<(), StoreError> {
-        self.scan(|keys| {
+        self.scan(|_, keys| {
             for digest in keys.iter().filter_map(|key| key.strip_prefix(PREFIX)?.parse().ok()) {
                 if let Some(bytes) = self.get(digest)? {
                     each(digest, &bytes);
@@ -235,18 +275,30 @@ impl Vault for RedisVault {
     }
 
     fn replace(&self, digest: Digest, bytes: &[u8]) -> Result<bool, StoreError> {
-        self.with(|connection| {
+        self.with(digest, |connection| {
             let answer: Value = cmd("SET").arg(key(digest)).arg(bytes).arg("XX").query(connection)?;
             Ok(answer != Value::Nil)
         })
     }
 
-    fn restarted(&self) -> Result<bool, StoreError> {
-        let found = self.with(run_id)?;
-        let mut link = self.link();
-        let changed = found.is_some() && link.run_id.is_some() && found != link.run_id;
-        link.run_id = found.or(link.run_id.take());
-        Ok(std::mem::take(&mut link.restarted) || changed)
+    fn runs(&self) -> Result<String, StoreError> {
+        match &self.servers {
+            Servers::One(node) => node.run(),
+            Servers::Many(cluster) => {
+                // One that does not answer now counts as it was, until it does.
+                let run = |member: &Arc<Member>| {
+                    let run = if member.rests().is_none() { member.node.run().ok() } else { None };
+                    format!("{}={}", member.host, run.or_else(|| member.node.known_run()).unwrap_or_default())
+                };
+                let mut runs: Vec<String> = cluster.members().iter().map(run).collect();
+                runs.sort();
+                Ok(runs.join(" "))
+            }
+        }
+    }
+
+    fn is_one(&self) -> bool {
+        matches!(self.servers, Servers::One(_))
     }
 }
 
@@ -262,38 +314,4 @@ fn pipeline_length(entries: &[(Digest, &[u8])]) -> usize {
         bytes <= LARGEST_PIPELINE
     });
     fitting.count().max(1)
-}
-
-/// The server's error code; of a pipeline, that of its first failed command.
-fn code(error: &RedisError) -> Option<String> {
-    let first = || error.clone().into_server_errors()?.first().map(|(_, error)| error.code().to_owned());
-    error.code().map(str::to_owned).or_else(first)
-}
-
-/// Whether the connection is of no more use.
-fn is_lost(error: &RedisError) -> bool {
-    error.is_io_error() || error.is_unrecoverable_error()
-}
-
-fn configuration(connection: &mut Connection, name: &str) -> RedisResult<Option<String>> {
-    let found: Vec<String> = cmd("CONFIG").arg("GET").arg(name).query(connection)?;
-    Ok(found.into_iter().nth(1))
-}
-
-/// The server's id of this run; nothing where it does not say.
-fn run_id(connection: &mut Connection) -> RedisResult<Option<String>> {
-    match cmd("INFO").arg("server").query::<String>(connection) {
-        Ok(text) => Ok(text.lines().find_map(|line| line.strip_prefix("run_id:")).map(|id| id.trim().to_owned())),
-        Err(error) if is_lost(&error) => Err(error),
-        Err(_) => Ok(None),
-    }
-}
-
-/// The URL without user, password and query, safe to show.
-fn redact(url: &str) -> String {
-    let plain = url.split_once(['?', '#']).map_or(url, |(before, _)| before);
-    let Some((scheme, rest)) = plain.split_once("://") else { return clean(plain, 80) };
-    let host = rest.rsplit_once('@').map_or(rest, |(_, host)| host);
-    let hidden = if host.len() == rest.len() { "" } else { "***@" };
-    clean(&format!("{scheme}://{hidden}{host}"), 120)
 }

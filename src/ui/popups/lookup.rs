@@ -24,7 +24,7 @@ pub fn draw_provenance(canvas: &mut Canvas, area: Rect, lookup: &Lookup<Provenan
         let mut lines = record_lines(&view.record);
         lines.push(Vec::new());
         for (word, evidence) in &view.steps {
-            let role = state_role(word);
+            let role = step_role(word);
             let pieces = wrap(&clean(evidence, 500), width.saturating_sub(STEP));
             for (index, piece) in pieces.into_iter().enumerate() {
                 let label = if index == 0 { clean(word, 13) } else { String::new() };
@@ -33,6 +33,25 @@ pub fn draw_provenance(canvas: &mut Canvas, area: Rect, lookup: &Lookup<Provenan
         }
         lines
     });
+}
+
+/// A step that is done, or the state that a record is in.
+fn step_role(word: &str) -> Role {
+    const DONE: [&str; 12] = [
+        "message",
+        "record",
+        "digest",
+        "signature",
+        "vault",
+        "batch",
+        "proof",
+        "witness",
+        "transaction",
+        "block",
+        "confirmations",
+        "earlier chain",
+    ];
+    if DONE.contains(&word) { Role::Accent } else { state_role(word) }
 }
 
 /// Draws an opened record: verdict, tags, fields.

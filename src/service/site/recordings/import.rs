@@ -144,7 +144,7 @@ impl Site {
         let mut tags = wishes.tags.clone();
         tags.push((RECORDING.to_owned(), digest.to_hex().chars().take(16).collect()));
         run.step("importing");
-        let mut importer = Importer::new(&self.ring, Arc::clone(&owner.author), &self.config.topic_rules, tags);
+        let mut importer = Importer::new(&self.rings, Arc::clone(&owner.author), &self.config.topic_rules, tags);
         let (mut view, mut already, mut met) = (ImportView::default(), BTreeMap::<String, u64>::new(), Met::new());
         while let Some(message) = recording.next_message()? {
             let topic = &message.channel.topic;

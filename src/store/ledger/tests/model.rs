@@ -277,7 +277,8 @@ impl Pair {
             Step::Drop { topic, count } => {
                 *self.model.dropped.entry(topic).or_default() += count;
                 let name = record(1, topic, 1).topic;
-                assert_eq!(self.ledger().count_drop(Address([1; 20]), &name, "ring full", count), Ok(()));
+                let lost = Loss { topic: name, ..super::loss(LossReason::Memory, count) };
+                assert_eq!(self.ledger().count_losses(vec![lost]), Ok(()));
             }
             Step::Reopen { clean } => self.reopen(clean),
             other => self.take_chain(other),

@@ -1,0 +1,178 @@
+//! The body of a gap record: which messages of a topic became no records, and why, so that loss itself is evidence.
+
+use super::wire::{Reader, WireError, put_text};
+use super::{Timestamp, TopicId};
+
+/// First bytes of the body.
+const LABEL: [u8; 13] = *b"AuthROS/gap/1";
+
+/// Why messages became no records.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum LossReason {
+    /// They never arrived here: numbers are missing in `header.seq`.
+    Transport,
+    /// The memory for waiting messages was full.
+    Memory,
+    /// The disk was full, and then the memory for waiting messages.
+    Disk,
+    /// The vault did not take records, and the disk space for waiting ones was used up.
+    Backlog,
+    /// There was no key to seal them with.
+    Key,
+    /// The program had to end before they could be stored.
+    End,
+    /// Sealing them failed by a fault of the program.
+    Fault,
+}
+
+impl LossReason {
+    /// All reasons, in the order of their codes.
+    pub const ALL: [Self; 7] =
+        [Self::Transport, Self::Memory, Self::Disk, Self::Backlog, Self::Key, Self::End, Self::Fault];
+
+    /// The byte in a gap record.
+    pub fn code(self) -> u8 {
+        self as u8 + 1
+    }
+
+    /// From the byte in a gap record.
+    pub fn from_code(code: u8) -> Option<Self> {
+        Self::ALL.into_iter().find(|reason| reason.code() == code)
+    }
+
+    /// The word in ledger and JSON.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Transport => "transport",
+            Self::Memory => "memory full",
+            Self::Disk => "disk full",
+            Self::Backlog => "vault behind",
+            Self::Key => "no key",
+            Self::End => "end",
+            Self::Fault => "fault",
+        }
+    }
+
+    /// From the word in the ledger.
+    pub fn from_word(word: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|reason| reason.word() == word)
+    }
+
+    /// As a sentence goes on: "3 messages …".
+    pub fn text(self) -> &'static str {
+        match self {
+            Self::Transport => "never arrived (numbers are missing in header.seq)",
+            Self::Memory => "came while the memory for waiting messages was full",
+            Self::Disk => "came while the disk was full",
+            Self::Backlog => "came while the vault took no records and the space for waiting ones was used up",
+            Self::Key => "came while there was no key to seal them with",
+            Self::End => "could not be stored before the program had to end",
+            Self::Fault => "could not be sealed by a fault of the program",
+        }
+    }
+}
+
+/// `label (13) || topic id (16) || topic (2 + n) || publisher (2 + n) || reason (1) || count (8) || has numbers (1) ||
+/// first header.seq (4) || last header.seq (4) || first time (8) || last time (8)`, big endian.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct GapReport {
+    /// The topic's pseudonym in its records.
+    pub topic_id: TopicId,
+    /// Its name.
+    pub topic: String,
+    /// The node that sent them; empty where there were too many to tell apart.
+    pub publisher: String,
+    /// Why.
+    pub reason: LossReason,
+    /// How many messages.
+    pub count: u64,
+    /// `header.seq` of the first and of the last of them, where their type has a header. Others in between may have
+    /// become records.
+    pub numbers: Option<(u32, u32)>,
+    /// When the first was noticed to be lost.
+    pub first_at: Timestamp,
+    /// When the last was.
+    pub last_at: Timestamp,
+}
+
+impl GapReport {
+    /// The bytes that are sealed.
+    pub fn encode(&self) -> Vec<u8> {
+        let mut out = [&LABEL[..], &self.topic_id.0].concat();
+        put_text(&mut out, &self.topic);
+        put_text(&mut out, &self.publisher);
+        out.push(self.reason.code());
+        out.extend_from_slice(&self.count.to_be_bytes());
+        let (first, last) = self.numbers.unwrap_or_default();
+        out.push(u8::from(self.numbers.is_some()));
+        out.extend_from_slice(&first.to_be_bytes());
+        out.extend_from_slice(&last.to_be_bytes());
+        out.extend_from_slice(&self.first_at.0.to_be_bytes());
+        out.extend_from_slice(&self.last_at.0.to_be_bytes());
+        out
+    }
+
+    /// Reads a whole body.
+    ///
+    /// # Errors
+    /// [`WireError`] where the bytes are not exactly one report.
+    pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
+        let mut reader = Reader::new(bytes);
+        if reader.array::<13>("label")? != LABEL {
+            return Err(WireError::Value("label"));
+        }
+        let topic_id = TopicId(reader.array("topic id")?);
+        let (topic, publisher) = (reader.text("topic")?, reader.text("publisher")?);
+        let reason = LossReason::from_code(reader.u8("reason")?).ok_or(WireError::Value("reason"))?;
+        let count = reader.u64("count")?;
+        let numbered = reader.u8("has numbers")?;
+        let pair = (reader.u32("first number")?, reader.u32("last number")?);
+        let numbers = match (numbered, pair) {
+            (1, pair) => Some(pair),
+            (0, (0, 0)) => None,
+            _ => return Err(WireError::Value("has numbers")),
+        };
+        let (first_at, last_at) = (Timestamp(reader.u64("first time")?), Timestamp(reader.u64("last time")?));
+        reader.end()?;
+        Ok(Self { topic_id, topic, publisher, reason, count, numbers, first_at, last_at })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn reasons_have_distinct_codes_and_words() {
+        for reason in LossReason::ALL {
+            assert_eq!(LossReason::from_code(reason.code()), Some(reason));
+            assert_eq!(LossReason::from_word(reason.word()), Some(reason));
+        }
+        assert_eq!((LossReason::from_code(0), LossReason::from_code(7)), (None, None));
+    }
+
+    proptest! {
+        #[test]
+        fn round_trip_and_every_cut_is_refused(
+            topic in "/[a-z]{0,20}", publisher in "[ -~]{0,20}", reason in 1u8..7, count: u64,
+            numbers: Option<(u32, u32)>, times: (u64, u64), noise: Vec<u8>,
+        ) {
+            let report = GapReport {
+                topic_id: TopicId([3; 16]),
+                topic,
+                publisher,
+                reason: LossReason::from_code(reason).expect("a reason"),
+                count,
+                numbers,
+                first_at: Timestamp(times.0),
+                last_at: Timestamp(times.1),
+            };
+            let bytes = report.encode();
+            prop_assert_eq!(GapReport::parse(&bytes), Ok(report));
+            prop_assert!((0..bytes.len()).all(|cut| GapReport::parse(&bytes[..cut]).is_err()));
+            prop_assert!(GapReport::parse(&[bytes, vec![0]].concat()).is_err());
+            let _ = GapReport::parse(&[&LABEL[..], &noise].concat());
+        }
+    }
+}

@@ -1,0 +1,227 @@
+//! Messages that become no records: noted in memory where they are lost, written into the ledger every second, and
+//! told in gap records, sealed in the sequence of their own topic, so that whoever may read the topic reads of them.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicU8, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use crate::model::{Address, GapReport, LossReason, RecordKind, RecordState, Timestamp, TopicId};
+use crate::ros::Message;
+use crate::store::{GapRow, Loss, StateCounts, StoreError};
+
+use super::statement::{self, Speaker, Statement};
+use super::{Author, PipelineError, Plant};
+
+/// How long losses are gathered before a gap record tells of them.
+pub const GATHERED: Duration = Duration::from_secs(3);
+/// What stands in place of a message type.
+pub const TYPE: &str = "authros/Gap";
+/// Topics, publishers and reasons told apart in memory, at most.
+const MOST: usize = 4096;
+/// Gap records sealed in one go, at most.
+const ROUND: usize = 256;
+
+/// What was lost at one place.
+#[derive(Debug, Clone, Copy)]
+pub struct Lost<'a> {
+    /// Topic name.
+    pub topic: &'a str,
+    /// Node that sent it.
+    pub publisher: &'a str,
+    /// How many messages.
+    pub count: u64,
+    /// `header.seq` of the first and the last.
+    pub numbers: Option<(u32, u32)>,
+}
+
+impl<'a> Lost<'a> {
+    /// One message.
+    pub fn message(message: &'a Message) -> Self {
+        let numbers = message.header_seq.map(|number| (number, number));
+        Self { topic: &message.topic, publisher: &message.caller_id, count: 1, numbers }
+    }
+}
+
+/// Messages not acknowledged that the ledger has not counted yet.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Unwritten {
+    /// Never arrived.
+    pub in_transport: u64,
+    /// Dropped here.
+    pub in_recorder: u64,
+}
+
+type Key = (Address, String, LossReason, String);
+
+/// Losses of all topics, with those who can seal gap records of them.
+#[derive(Default)]
+pub struct Losses {
+    noted: Mutex<BTreeMap<Key, Loss>>,
+    /// Held while losses move from memory into the ledger, so that nobody counts them twice or not at all.
+    moving: Mutex<()>,
+    authors: Mutex<BTreeMap<Address, Arc<Author>>>,
+    /// Code of the reason why messages do not fit at present.
+    cause: AtomicU8,
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Losses {
+    /// Records of this author may have to tell of losses.
+    pub fn know(&self, author: &Arc<Author>) {
+        lock(&self.authors).insert(author.address, Arc::clone(author));
+    }
+
+    /// Why messages that do not fit into memory do not.
+    pub fn cause(&self) -> LossReason {
+        LossReason::from_code(self.cause.load(Ordering::Acquire)).unwrap_or(LossReason::Memory)
+    }
+
+    /// From now on that is why.
+    pub fn blame(&self, reason: LossReason) {
+        self.cause.store(reason.code(), Ordering::Release);
+    }
+
+    /// Notes a loss; quick, and never fails.
+    pub fn note(&self, author: &Arc<Author>, lost: Lost<'_>, reason: LossReason) {
+        let now = Timestamp::now();
+        let mut noted = lock(&self.noted);
+        // A peer can make up names without end; then they are no longer told apart.
+        let publisher = if noted.len() < MOST { lost.publisher } else { "" };
+        let key = (author.address, lost.topic.to_owned(), reason, publisher.to_owned());
+        let loss = Loss {
+            owner: author.address,
+            topic: lost.topic.to_owned(),
+            publisher: publisher.to_owned(),
+            reason,
+            count: lost.count,
+            numbers: lost.numbers,
+            first_at: now,
+            last_at: now,
+        };
+        merge(&mut noted, key, loss);
+    }
+
+    /// What the ledger has not counted yet of an owner's losses, on one topic or on all.
+    fn unwritten(&self, owner: Address, topic: Option<&str>) -> Unwritten {
+        let mut sum = Unwritten::default();
+        let noted = lock(&self.noted);
+        for loss in noted.values() {
+            if loss.owner == owner && topic.is_none_or(|topic| topic == loss.topic) {
+                let counter =
+                    if loss.reason == LossReason::Transport { &mut sum.in_transport } else { &mut sum.in_recorder };
+                *counter += loss.count;
+            }
+        }
+        sum
+    }
+
+    /// Counts of ledger and memory together: of one moment, each loss once.
+    ///
+    /// # Errors
+    /// Of the ledger.
+    pub fn counts(&self, plant: &Plant, owner: Address) -> Result<StateCounts, StoreError> {
+        let _still = lock(&self.moving);
+        let mut counts = plant.ledger.counts(Some(owner))?;
+        let all = self.unwritten(owner, None);
+        counts.lost_in_transport += all.in_transport;
+        counts.lost_in_recorder += all.in_recorder;
+        *counts.data.entry(RecordState::Dropped).or_default() += all.in_recorder;
+        for topic in &mut counts.topics {
+            let of_topic = self.unwritten(owner, Some(&topic.topic));
+            topic.missed += of_topic.in_transport;
+            topic.dropped += of_topic.in_recorder;
+            topic.lost += of_topic.in_recorder;
+            topic.captured += of_topic.in_recorder;
+        }
+        Ok(counts)
+    }
+
+    /// Counts in the ledger what is noted; where that fails it stays noted.
+    ///
+    /// # Errors
+    /// Of the ledger.
+    pub fn write(&self, plant: &Plant) -> Result<(), StoreError> {
+        let _moving = lock(&self.moving);
+        let taken = std::mem::take(&mut *lock(&self.noted));
+        if taken.is_empty() {
+            return Ok(());
+        }
+        let written = plant.ledger.count_losses(taken.values().cloned().collect());
+        if written.is_err() {
+            let mut noted = lock(&self.noted);
+            let newer = std::mem::replace(&mut *noted, taken);
+            newer.into_iter().for_each(|(key, loss)| merge(&mut noted, key, loss));
+        }
+        written
+    }
+
+    /// Seals a gap record for everything that was lost by `by` and is not told of; returns how many, with the streams
+    /// whose numbers went on. For the one thread that seals captured messages.
+    ///
+    /// # Errors
+    /// Of sealing, vault and ledger; what is sealed so far stays.
+    pub fn tell(&self, plant: &Plant, by: Timestamp) -> Result<Vec<(Address, TopicId, u64)>, PipelineError> {
+        if plant.ledger.takes_records().is_err() {
+            return Ok(Vec::new());
+        }
+        let authors: Vec<_> = lock(&self.authors).values().cloned().collect();
+        let mut told = Vec::new();
+        for author in authors {
+            for gap in plant.ledger.open_gaps(author.address, by, ROUND)? {
+                told.extend(tell_one(plant, &author, &gap)?);
+            }
+        }
+        if !told.is_empty() {
+            plant.observer.records_changed();
+        }
+        Ok(told)
+    }
+}
+
+fn merge(noted: &mut BTreeMap<Key, Loss>, key: Key, loss: Loss) {
+    let Some(known) = noted.get_mut(&key) else {
+        noted.insert(key, loss);
+        return;
+    };
+    known.count += loss.count;
+    known.last_at = loss.last_at;
+    known.numbers = match (known.numbers, loss.numbers) {
+        (Some((first, _)), Some((_, last))) => Some((first, last)),
+        (one, other) => one.or(other),
+    };
+}
+
+/// `None` where there is no key to seal with now; it is told of later.
+fn tell_one(plant: &Plant, author: &Author, gap: &GapRow) -> Result<Option<(Address, TopicId, u64)>, PipelineError> {
+    let Some(keys) = author.sealing() else { return Ok(None) };
+    let Some(topic) = keys.topic(&gap.topic) else { return Ok(None) };
+    let Some(reason) = LossReason::from_word(&gap.reason) else { return Ok(None) };
+    let body = GapReport {
+        topic_id: topic.id,
+        topic: gap.topic.clone(),
+        publisher: gap.publisher.clone(),
+        reason,
+        count: gap.count,
+        numbers: gap.numbers,
+        first_at: gap.first_at,
+        last_at: gap.last_at,
+    }
+    .encode();
+    let speaker = Speaker {
+        domain: keys.domain,
+        owner: author.address,
+        signing: &keys.signing,
+        epoch: keys.epoch,
+        topic_id: topic.id,
+        topic_key: &topic.key,
+    };
+    let statement = Statement { kind: RecordKind::Gap, topic: &gap.topic, type_name: TYPE, body: &body };
+    let row = statement::put(plant, &speaker, statement)?;
+    let seq = row.seq;
+    plant.ledger.close_gap(gap, row)?;
+    Ok(Some((author.address, topic.id, seq)))
+}

@@ -1,0 +1,130 @@
+//! How a vault is set up, and what of it would lose records: told at the start, and by whoever examines a home.
+
+use super::redis::RedisVault;
+use crate::model::clean;
+use crate::store::StoreError;
+
+/// How bad a finding is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Gravity {
+    /// The vault is used; records can be lost from it, and are put back from their local copies.
+    Warning,
+    /// The vault is refused: it would throw records away while it runs.
+    Refused,
+}
+
+/// One thing that is not as it should be.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Finding {
+    /// How bad it is.
+    pub gravity: Gravity,
+    /// The server, secrets taken out.
+    pub server: String,
+    /// What was found, as a sentence without the server's name in front: "keeps no append-only file …".
+    pub text: String,
+    /// What to do about it.
+    pub advice: String,
+}
+
+impl Finding {
+    /// Finding and advice in one line.
+    pub fn line(&self) -> String {
+        format!("Redis at {} {}; {}", self.server, self.text, self.advice)
+    }
+}
+
+/// Looks at the vault at `url` as it is set up now; the embedded one has nothing to find.
+///
+/// # Errors
+/// [`StoreError::VaultUrl`], [`StoreError::Unreachable`], [`StoreError::VaultRefused`].
+pub fn examine(url: Option<&str>) -> Result<Vec<Finding>, StoreError> {
+    url.map_or_else(|| Ok(Vec::new()), RedisVault::examine)
+}
+
+/// What one server says of itself; `None` where it does not say.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub(super) struct Setup {
+    /// `maxmemory-policy`.
+    pub eviction: Option<String>,
+    /// `appendonly`.
+    pub appends: Option<String>,
+    /// `appendfsync`.
+    pub syncs: Option<String>,
+    /// `cluster-require-full-coverage`, in a cluster alone.
+    pub coverage: Option<String>,
+}
+
+impl Setup {
+    /// What is wrong with it.
+    pub(super) fn findings(&self, server: &str) -> Vec<Finding> {
+        let found = |gravity, text: &str, advice: &str| Finding {
+            gravity,
+            server: server.to_owned(),
+            text: text.to_owned(),
+            advice: advice.to_owned(),
+        };
+        let mut findings = Vec::new();
+        match self.eviction.as_deref() {
+            Some("noeviction") => {}
+            Some(policy) => findings.push(found(
+                Gravity::Refused,
+                &format!("has maxmemory-policy {} and would throw records away", clean(policy, 40)),
+                "run `CONFIG SET maxmemory-policy noeviction` and put it into redis.conf",
+            )),
+            None => findings.push(found(
+                Gravity::Warning,
+                "does not show its configuration",
+                "make sure that maxmemory-policy is noeviction and appendonly is yes",
+            )),
+        }
+        if self.appends.as_deref() == Some("no") {
+            findings.push(found(
+                Gravity::Warning,
+                "keeps no append-only file and forgets what it took in when it is killed",
+                "run `CONFIG SET appendonly yes` and put it into redis.conf",
+            ));
+        } else if self.syncs.as_deref() == Some("no") {
+            findings.push(found(
+                Gravity::Warning,
+                "leaves it to the system when its append-only file reaches the disk",
+                "run `CONFIG SET appendfsync everysec` and put it into redis.conf",
+            ));
+        }
+        if self.coverage.as_deref() == Some("yes") {
+            findings.push(found(
+                Gravity::Warning,
+                "stops the whole cluster when one node is gone",
+                "run `CONFIG SET cluster-require-full-coverage no` on every node and put it into redis.conf",
+            ));
+        }
+        findings
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_policy_but_noeviction_is_refused_and_all_is_said_with_a_way_out() {
+        let setup = |eviction: Option<&str>, appends: &str, syncs: &str| Setup {
+            eviction: eviction.map(str::to_owned),
+            appends: Some(appends.to_owned()),
+            syncs: Some(syncs.to_owned()),
+            coverage: None,
+        };
+        assert_eq!(setup(Some("noeviction"), "yes", "everysec").findings("r"), Vec::new());
+        for policy in ["allkeys-lru", "allkeys-lfu", "allkeys-random", "volatile-lru", "volatile-ttl", "\u{1b}[2J"] {
+            let findings = setup(Some(policy), "yes", "always").findings("r");
+            assert_eq!(findings.iter().map(|one| one.gravity).collect::<Vec<_>>(), [Gravity::Refused], "{policy}");
+            assert!(findings[0].line().contains("CONFIG SET maxmemory-policy noeviction"));
+            assert!(!findings[0].line().contains('\u{1b}'));
+        }
+        let warned = |setup: Setup| setup.findings("r").iter().map(Finding::line).collect::<String>();
+        assert!(warned(setup(Some("noeviction"), "no", "everysec")).contains("CONFIG SET appendonly yes"));
+        assert!(warned(setup(Some("noeviction"), "yes", "no")).contains("appendfsync everysec"));
+        assert!(warned(Setup::default()).contains("does not show"));
+        let covered = Setup { coverage: Some("yes".to_owned()), ..setup(Some("noeviction"), "yes", "always") };
+        assert!(warned(covered).contains("cluster-require-full-coverage no"));
+    }
+}

@@ -1,0 +1,286 @@
+//! One Redis server and the connection to it, made anew on the next call after a failure.
+//!
+//! Every new connection first looks at how the server is set up, because a restart may have brought another
+//! configuration.
+
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use redis::{Client, Connection, ErrorKind, RedisError, RedisResult, ServerErrorKind, cmd};
+
+use super::address::{Address, Place};
+use crate::model::clean;
+use crate::store::StoreError;
+use crate::store::vault::policy::{Finding, Gravity, Setup};
+
+const TIMEOUT: Duration = Duration::from_secs(3);
+
+/// Why a node did not do what was asked.
+#[derive(Debug)]
+pub(super) struct Failure {
+    /// What to tell.
+    pub error: StoreError,
+    /// Another node of the cluster has the slot, for good (`true`) or while it moves.
+    pub redirect: Option<(String, bool)>,
+}
+
+impl From<StoreError> for Failure {
+    fn from(error: StoreError) -> Self {
+        Self { error, redirect: None }
+    }
+}
+
+/// Where a node is found.
+enum Source {
+    Fixed(Client),
+    /// The sentinels, the name they know the master by, its database.
+    Sentinels(Vec<Client>, String, String),
+}
+
+/// One server.
+pub(super) struct Node {
+    address: Address,
+    source: Source,
+    /// The server without secrets.
+    shown: String,
+    link: Mutex<Link>,
+    /// Apart from the link, so that asking for them never waits for the network.
+    findings: Mutex<Vec<Finding>>,
+}
+
+/// What is known about the server.
+#[derive(Default)]
+struct Link {
+    connection: Option<Connection>,
+    run_id: Option<String>,
+}
+
+impl Node {
+    /// The server of an address, or the master that its sentinels name; not connected yet.
+    ///
+    /// # Errors
+    /// [`StoreError::VaultUrl`].
+    pub(super) fn new(address: &Address) -> Result<Self, StoreError> {
+        let source = match &address.place {
+            Place::Server(url) => Source::Fixed(client(url, &address.shown)?),
+            Place::Sentinels(hosts, master, database) => {
+                let sentinels = hosts.iter().map(|host| client(&format!("redis://{host}/"), &address.shown));
+                Source::Sentinels(sentinels.collect::<Result<_, _>>()?, master.clone(), database.clone())
+            }
+            Place::Cluster(_) => {
+                let detail = "a cluster is no server".to_owned();
+                return Err(StoreError::VaultUrl { url: address.shown.clone(), detail });
+            }
+        };
+        Ok(Self::at(address, source, address.shown.clone()))
+    }
+
+    /// One node of a cluster; not connected yet.
+    ///
+    /// # Errors
+    /// [`StoreError::VaultUrl`].
+    pub(super) fn member(address: &Address, host: &str) -> Result<Self, StoreError> {
+        let shown = clean(&format!("redis://{host}"), 120);
+        let source = Source::Fixed(client(&address.server(host, "0"), &shown)?);
+        Ok(Self::at(address, source, shown))
+    }
+
+    fn at(address: &Address, source: Source, shown: String) -> Self {
+        let address = address.clone();
+        Self { address, source, shown, link: Mutex::default(), findings: Mutex::default() }
+    }
+
+    fn link(&self) -> MutexGuard<'_, Link> {
+        self.link.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Connects where there is no connection.
+    ///
+    /// # Errors
+    /// [`StoreError::Unreachable`], [`StoreError::VaultRefused`], [`StoreError::Policy`].
+    pub(super) fn reach(&self) -> Result<(), StoreError> {
+        let mut link = self.link();
+        if link.connection.is_some() { Ok(()) } else { self.connect(&mut link) }
+    }
+
+    fn connect(&self, link: &mut Link) -> Result<(), StoreError> {
+        let mut connection = self.dial()?;
+        cmd("PING").exec(&mut connection).map_err(|e| self.error(&e))?;
+        let findings = self.look(&mut connection)?;
+        let refused = findings.iter().find(|finding| finding.gravity == Gravity::Refused).cloned();
+        *self.findings.lock().unwrap_or_else(PoisonError::into_inner) = findings;
+        if let Some(Finding { server, text, advice, .. }) = refused {
+            return Err(StoreError::Policy { url: server, detail: text, advice });
+        }
+        link.connection = Some(connection);
+        Ok(())
+    }
+
+    fn dial(&self) -> Result<Connection, StoreError> {
+        match &self.source {
+            Source::Fixed(client) => open(client).map_err(|e| self.error(&e)),
+            Source::Sentinels(sentinels, master, database) => {
+                let host = self.master(sentinels, master)?;
+                let client = client(&self.address.server(&host, database), &self.shown)?;
+                let mut connection = open(&client).map_err(|e| self.error(&e))?;
+                let role: Vec<redis::Value> = cmd("ROLE").query(&mut connection).map_err(|e| self.error(&e))?;
+                let role = role.into_iter().next().map(redis::from_redis_value::<String>);
+                if !matches!(role, Some(Ok(role)) if role == "master") {
+                    return Err(self.gone(&format!("{} is not the master yet", clean(&host, 80))));
+                }
+                Ok(connection)
+            }
+        }
+    }
+
+    /// HOST:PORT of the master that the first sentinel that answers names.
+    fn master(&self, sentinels: &[Client], name: &str) -> Result<String, StoreError> {
+        let mut failure = self.gone("there are no sentinels");
+        for sentinel in sentinels {
+            let asked = open(sentinel).and_then(|mut connection| {
+                let mut question = cmd("SENTINEL");
+                question.arg("GET-MASTER-ADDR-BY-NAME").arg(name);
+                question.query::<Option<(String, u16)>>(&mut connection)
+            });
+            match asked {
+                Ok(Some((host, port))) if host.contains(':') => return Ok(format!("[{host}]:{port}")),
+                Ok(Some((host, port))) => return Ok(format!("{host}:{port}")),
+                Ok(None) => failure = self.gone(&format!("its sentinels know no master '{}'", clean(name, 60))),
+                Err(error) => failure = self.error(&error),
+            }
+        }
+        Err(failure)
+    }
+
+    /// How the server is set up.
+    fn look(&self, connection: &mut Connection) -> Result<Vec<Finding>, StoreError> {
+        let mut ask = |name: &str| match configuration(connection, name) {
+            Err(error) if is_lost(&error) => Err(self.error(&error)),
+            found => Ok(found.ok().flatten()),
+        };
+        let mut setup = Setup {
+            eviction: ask("maxmemory-policy")?,
+            appends: ask("appendonly")?,
+            syncs: ask("appendfsync")?,
+            coverage: None,
+        };
+        if matches!(self.address.place, Place::Cluster(_)) {
+            setup.coverage = ask("cluster-require-full-coverage")?;
+        }
+        Ok(setup.findings(&self.shown))
+    }
+
+    /// What is wrong with its set-up, as it was when it was last connected to.
+    pub(super) fn findings(&self) -> Vec<Finding> {
+        self.findings.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Does idempotent `work`; where an old connection turns out to be dead, once more on a new one.
+    pub(super) fn with<T>(&self, work: impl Fn(&mut Connection) -> RedisResult<T>) -> Result<T, Failure> {
+        let mut link = self.link();
+        if let Some(connection) = link.connection.as_mut() {
+            match work(connection) {
+                Err(error) if is_lost(&error) => {
+                    link.connection = None;
+                    if error.is_timeout() {
+                        return Err(self.error(&error).into());
+                    }
+                }
+                other => return other.map_err(|error| self.failure(&error)),
+            }
+        }
+        self.connect(&mut link)?;
+        let Some(connection) = link.connection.as_mut() else { return Err(self.gone("it closed").into()) };
+        work(connection).map_err(|error| {
+            if is_lost(&error) {
+                link.connection = None;
+            }
+            self.failure(&error)
+        })
+    }
+
+    /// The id of its present run; empty where it does not say.
+    ///
+    /// # Errors
+    /// [`StoreError::Unreachable`] and the like.
+    pub(super) fn run(&self) -> Result<String, StoreError> {
+        let found = self.with(run_id).map_err(|failure| failure.error)?;
+        self.link().run_id.clone_from(&found);
+        Ok(found.unwrap_or_default())
+    }
+
+    /// The id of the last run that it told of.
+    pub(super) fn known_run(&self) -> Option<String> {
+        self.link().run_id.clone()
+    }
+
+    fn gone(&self, detail: &str) -> StoreError {
+        StoreError::Unreachable { url: self.shown.clone(), detail: detail.to_owned() }
+    }
+
+    fn failure(&self, error: &RedisError) -> Failure {
+        let first = first_error(error);
+        let redirect = first.as_ref().and_then(|(code, detail)| {
+            let host = detail.as_deref()?.split_ascii_whitespace().nth(1)?.to_owned();
+            matches!(code.as_str(), "MOVED" | "ASK").then(|| (host, code == "MOVED"))
+        });
+        Failure { error: self.error(error), redirect }
+    }
+
+    fn error(&self, error: &RedisError) -> StoreError {
+        let url = self.shown.clone();
+        let detail = clean(&error.to_string(), 160);
+        match first_error(error).map(|(code, _)| code).as_deref() {
+            Some("OOM") => StoreError::VaultFull { url },
+            Some("LOADING" | "MASTERDOWN" | "CLUSTERDOWN" | "TRYAGAIN" | "BUSY" | "READONLY" | "MOVED" | "ASK") => {
+                StoreError::Unreachable { url, detail }
+            }
+            _ if error.kind() == ErrorKind::AuthenticationFailed => StoreError::VaultRefused { url, detail },
+            _ if is_lost(error) => StoreError::Unreachable { url, detail },
+            _ => StoreError::VaultRefused { url, detail },
+        }
+    }
+}
+
+fn client(url: &str, shown: &str) -> Result<Client, StoreError> {
+    Client::open(url).map_err(|error| {
+        let detail = clean(error.detail().unwrap_or(error.category()), 120);
+        StoreError::VaultUrl { url: shown.to_owned(), detail }
+    })
+}
+
+fn open(client: &Client) -> RedisResult<Connection> {
+    let connection = client.get_connection_with_timeout(TIMEOUT)?;
+    connection.set_read_timeout(Some(TIMEOUT))?;
+    connection.set_write_timeout(Some(TIMEOUT))?;
+    Ok(connection)
+}
+
+/// The server's error code with its words; of a pipeline, that of its first failed command.
+fn first_error(error: &RedisError) -> Option<(String, Option<String>)> {
+    if let Some(code) = error.code() {
+        return Some((code.to_owned(), error.detail().map(str::to_owned)));
+    }
+    let all = error.clone().into_server_errors()?;
+    all.first().map(|(_, error)| (error.code().to_owned(), error.details().map(str::to_owned)))
+}
+
+/// Whether the connection is of no more use. A master that became a replica takes no more writes.
+fn is_lost(error: &RedisError) -> bool {
+    let demoted = error.kind() == ErrorKind::Server(ServerErrorKind::ReadOnly);
+    demoted || error.is_io_error() || error.is_unrecoverable_error()
+}
+
+fn configuration(connection: &mut Connection, name: &str) -> RedisResult<Option<String>> {
+    let found: Vec<String> = cmd("CONFIG").arg("GET").arg(name).query(connection)?;
+    Ok(found.into_iter().nth(1))
+}
+
+/// The server's id of this run; nothing where it does not say.
+fn run_id(connection: &mut Connection) -> RedisResult<Option<String>> {
+    match cmd("INFO").arg("server").query::<String>(connection) {
+        Ok(text) => Ok(text.lines().find_map(|line| line.strip_prefix("run_id:")).map(|id| id.trim().to_owned())),
+        Err(error) if is_lost(&error) => Err(error),
+        Err(_) => Ok(None),
+    }
+}

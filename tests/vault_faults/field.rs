@@ -1,0 +1,85 @@
+//! A site under load, and the law that its counts must obey at every look.
+
+use serde_json::Value;
+
+use crate::support::{Authros, Home, Running, count, wait_until};
+
+/// A small topic at 20 Hz.
+pub const ODOM: &str = "/robot1/odom";
+/// Pictures.
+pub const CAMERA: &str = "/robot1/camera/compressed";
+/// The reason to skip without Redis.
+pub const NO_REDIS: &str = "no redis-server and redis-cli";
+
+/// A site that captures topics without end.
+pub struct Load {
+    pub home: Home,
+    pub authros: Authros,
+    site: Running,
+}
+
+impl Load {
+    /// Captures these topics into the vault that `options` name.
+    pub fn start(options: &[&str], variables: &[(&str, &str)], topics: &[&str]) -> Self {
+        let home = Home::new();
+        let mut authros = home.authros().with(&["--robots", "1"]).with(options);
+        for (name, value) in variables {
+            authros = authros.with_variable(name, value);
+        }
+        let site = authros.serve(&home);
+        authros.enrol();
+        for topic in topics {
+            authros.json(&["topics", "watch", topic]);
+        }
+        Self { home, authros, site }
+    }
+
+    /// The life line now; fails the test where the counts do not add up.
+    pub fn life(&self) -> Value {
+        let life = self.authros.json(&["status"])["life"].clone();
+        let sum: u64 =
+            ["verified", "pending", "quarantined", "dropped", "tampered"].map(|part| count(&life, part)).iter().sum();
+        assert_eq!(count(&life, "captured"), sum, "the conservation law: {life}");
+        assert_eq!((&life["conserved"], count(&life, "tampered")), (&Value::Bool(true), 0), "{life}");
+        life
+    }
+
+    /// Looks at the life line until it is as wanted.
+    pub fn until(&self, what: &str, seconds: u64, wanted: impl Fn(&Value) -> bool) -> Value {
+        let life = || Some(self.life()).filter(|life| wanted(life));
+        wait_until(seconds, what, life)
+    }
+
+    /// No more is captured; waits until all that was captured is verified.
+    pub fn settle(&self, topics: &[&str]) -> Value {
+        for topic in topics {
+            self.authros.json(&["topics", "unwatch", topic]);
+        }
+        self.until("all is verified", 90, |life| count(life, "pending") == 0 && count(life, "waiting") == 0)
+    }
+
+    /// Every record of the profile, of all kinds that a vault holds.
+    pub fn records(&self) -> Vec<Value> {
+        let kinds = ["data", "definition", "gap", "audit", "retention"];
+        kinds.iter().flat_map(|kind| self.authros.records(&["uploads", "list", "--kind", kind])).collect()
+    }
+
+    /// Every one of some records is whole where it lies.
+    pub fn check(&self, records: &[Value]) {
+        for record in records {
+            let id = record["id"].as_str().expect("an id");
+            assert_eq!(self.authros.json(&["shared", "check", id])["verdict"], "verified", "{record}");
+        }
+    }
+
+    /// Ends the site as a signal does.
+    pub fn end(self) {
+        self.site.stop("TERM", 30).expect_code(0);
+    }
+}
+
+/// First, middle and last of some records.
+pub fn sample(records: &[Value]) -> Vec<Value> {
+    let last = records.len().saturating_sub(1);
+    [0, last / 2, last].iter().filter_map(|index| records.get(*index).cloned()).collect()
+}
