@@ -101,6 +101,7 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
             let topic = topic.as_deref().map(parse::value).transpose()?;
             Plan::new(NEITHER, NoProfile, Command::ListPins { topic })
         }
+        Verb::Topics(TopicsVerb::Policy(policy)) => Plan::new(ROS, NoProfile, policy.command()?),
         Verb::Topics(TopicsVerb::Unpin { topic, caller_id }) => {
             Plan::new(NEITHER, NoProfile, Command::UnpinTopic { topic: parse::value(&topic)?, caller_id })
         }
@@ -138,6 +139,8 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
             Plan::new(CHAIN, Unlocked, command)
         }
         Verb::Agent(_)
+        | Verb::Bag(_)
+        | Verb::Shared(SharedVerb::Export(_))
         | Verb::Config(_)
         | Verb::Capture(_)
         | Verb::Serve

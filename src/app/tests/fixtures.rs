@@ -112,6 +112,7 @@ pub fn topic(name: &str, hz: f64) -> TopicRow {
         messages: 0,
         lost_in_transport: 0,
         lost_in_recorder: 0,
+        left_out: 0,
         last_message: Some(NOW),
         pins: u64::from(!camera),
         unpinned: Vec::new(),

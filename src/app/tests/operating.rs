@@ -170,6 +170,22 @@ fn a_new_console_begins_where_the_last_was_left() {
 }
 
 #[test]
+fn an_age_goes_on_where_nothing_arrives_any_more() {
+    let mut robot = Robot::at_work(true);
+    robot.types("2");
+    robot.site_answers(true);
+    robot.waits(5);
+    let second = 1_000_000_000;
+    assert!(robot.state.deadline().is_some_and(|at| at.0 <= robot.state.now.0 + second), "each second at first");
+    robot.waits(600);
+    assert!(robot.state.deadline().is_some_and(|at| at.0 > robot.state.now.0), "then each minute");
+    robot.types("7");
+    robot.site_answers(true);
+    robot.waits(10);
+    assert_eq!(robot.state.deadline(), None, "and on other screens never");
+}
+
+#[test]
 fn read_only_hides_and_refuses_what_changes() {
     let mut robot = Robot::opens(Settings { read_only: true, ..Settings::default() });
     robot.site_answers(true);

@@ -36,6 +36,9 @@ enum Servers {
     Many(Cluster),
 }
 
+/// Entries for one node of a cluster.
+type Group<'a> = (Arc<Member>, Vec<(Digest, &'a [u8])>);
+
 /// One server, for what is done on each.
 enum Server {
     One,
@@ -132,7 +135,7 @@ impl RedisVault {
     /// Each node takes its own; what slots have moved to is put there one by one.
     fn put_apart(&self, cluster: &Cluster, entries: &[(Digest, &[u8])]) -> Stored {
         let mut stored = Stored::default();
-        let mut groups: BTreeMap<usize, (Arc<Member>, Vec<(Digest, &[u8])>)> = BTreeMap::new();
+        let mut groups: BTreeMap<usize, Group<'_>> = BTreeMap::new();
         for entry in entries {
             match cluster.of(slots::slot(&key(entry.0))) {
                 Ok(member) => {
@@ -238,6 +241,20 @@ impl Vault for RedisVault {
 
     fn get(&self, digest: Digest) -> Result<Option<Vec<u8>>, StoreError> {
         self.with(digest, |connection| cmd("GET").arg(key(digest)).query(connection))
+    }
+
+    fn get_many(&self, digests: &[Digest]) -> Result<Vec<Option<Vec<u8>>>, StoreError> {
+        if digests.len() < 2 || !self.is_one() {
+            return digests.iter().map(|digest| self.get(*digest)).collect();
+        }
+        let found = self.on(&Server::One, |connection| {
+            let mut pipeline = pipe();
+            for digest in digests {
+                pipeline.cmd("GET").arg(key(*digest));
+            }
+            pipeline.query(connection)
+        });
+        found.map_err(|failure| failure.error)
     }
 
     fn delete(&self, digest: Digest) -> Result<bool, StoreError> {
