@@ -129,7 +129,6 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
         }
         Verb::Agent(_)
         | Verb::Bag(_)
-        | Verb::Shared(SharedVerb::Export(_))
         | Verb::Config(_)
         | Verb::Capture(_)
         | Verb::Serve

@@ -21,6 +21,7 @@ pub fn plan(verb: SharedVerb) -> Result<Plan, Failure> {
     Ok(match verb {
         SharedVerb::List(list) => plan(Command::ListShared(parse::query(&list)?)),
         SharedVerb::Check { id } => plan(Command::CheckShared { id }),
+        SharedVerb::Export(_) => return Err(super::connect::unexpected()),
         SharedVerb::Open { id, out } => {
             let command = open(id, out.as_deref());
             Plan { out, ..plan(command) }
