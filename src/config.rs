@@ -7,6 +7,7 @@ mod read;
 mod source;
 #[cfg(test)]
 mod tests;
+mod topic_rules;
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -16,10 +17,12 @@ pub use self::console::ConsoleSettings;
 pub use self::definitions::{DEFINITIONS, Definition};
 pub use self::error::ConfigError;
 pub use self::read::without_password;
-use self::read::{Values, bytes, find, number, parsed, read_file, switch, url, value, wrong};
+use self::read::{Values, bytes, find, number, parsed, read_file, span, switch, url, value, wrong};
 pub use self::source::{SettingView, Source};
 use crate::crypto::{Kernel, ProviderName};
-use crate::model::{Address, AnchorMode, Consensus, ListedPublishers, PinMode, SignerId, clean};
+use crate::model::{
+    Address, AnchorMode, Consensus, ListedPublishers, PinMode, RetentionRules, SignerId, TopicRules, clean,
+};
 
 /// How the URL of a vault begins.
 const VAULTS: &[&str] = &["redis://", "redis+unix://", "unix://", "redis+cluster://", "redis+sentinel://"];
@@ -65,6 +68,10 @@ pub struct Config {
     pub vault_url: Option<String>,
     /// Disk space for records that wait for the vault, bytes.
     pub vault_backlog: u64,
+    /// How long verified records stay on this disk beside a vault that is only a cache; `None` = always.
+    pub vault_local: Option<Duration>,
+    /// What ciphertext is kept.
+    pub retention: RetentionRules,
     /// Disk space that records leave free, bytes.
     pub disk_reserve: u64,
     /// Whether messages are compressed before they are sealed.
@@ -83,6 +90,8 @@ pub struct Config {
     pub confirmations: u64,
     /// The gateway of the remote site that this one joins.
     pub site: Option<RemoteSite>,
+    /// Rules for topics (`[[topic]]` tables of the file).
+    pub topic_rules: TopicRules,
     /// How the console looks.
     pub console: ConsoleSettings,
 }
@@ -109,12 +118,12 @@ impl Config {
         environment: &dyn Fn(&str) -> Option<String>,
         file: Option<(&Path, &str)>,
     ) -> Result<Self, ConfigError> {
-        let from_file = file.map(|(path, text)| read_file(path, text)).transpose()?.unwrap_or_default();
+        let (from_file, topic_rules) = file.map(|(path, text)| read_file(path, text)).transpose()?.unwrap_or_default();
         let mut values = BTreeMap::new();
         for definition in DEFINITIONS {
             values.insert(definition.name, find(definition, flags, environment, &from_file));
         }
-        Self::typed(values)
+        Ok(Self { topic_rules, ..Self::typed(values)? })
     }
 
     fn typed(values: BTreeMap<&'static str, (String, Source)>) -> Result<Self, ConfigError> {
@@ -145,6 +154,8 @@ impl Config {
             capture_memory: bytes(&values, "capture.memory", 1 << 20)?,
             vault_url: url(&values, "vault.url", VAULTS)?,
             vault_backlog: bytes(&values, "vault.backlog", 0)?,
+            vault_local: span(&values, "vault.local", "always")?,
+            retention: parsed(&values, "retention")?.unwrap_or_default(),
             disk_reserve: bytes(&values, "disk.reserve", 0)?,
             compression: switch(&values, "record.compression", ("auto", "off"))?,
             provider: parsed(&values, "crypto.provider")?.unwrap_or_default(),
@@ -154,6 +165,7 @@ impl Config {
             scrub_percent: number(&values, "audit.scrub", 0, 1_000_000)?,
             confirmations: number(&values, "confirmations", 1, 1000)?,
             site: remote_site(&values)?,
+            topic_rules: TopicRules::default(),
             console: ConsoleSettings::read(&values)?,
             values,
         })

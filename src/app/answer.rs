@@ -209,6 +209,7 @@ fn checked(state: &mut State, check: &CheckView) {
         }
         Verdict::Unanchored => state.inform(format!("{text}: not on the chain yet, other checks pass")),
         Verdict::Tampered => state.complain(format!("{text}: the stored bytes are not the ones anchored")),
+        Verdict::Deleted => state.inform(format!("{text}: header, signature and proof stay")),
         Verdict::Missing => state.complain(format!("{text}: the stored bytes are gone")),
         Verdict::NoKey => state.complain(format!("{text}: no key of this profile opens it")),
     }

@@ -25,7 +25,7 @@ fn or_dash<T: ToString>(value: Option<T>) -> String {
 /// The exit code of a check.
 pub fn verdict_code(verdict: Verdict) -> u8 {
     match verdict {
-        Verdict::Verified | Verdict::Unanchored => 0,
+        Verdict::Verified | Verdict::Unanchored | Verdict::Deleted => 0,
         Verdict::Tampered | Verdict::Missing => crate::model::ErrorKind::Tampered.exit_code(),
         Verdict::NoKey => crate::model::ErrorKind::Refused.exit_code(),
     }
@@ -85,13 +85,14 @@ pub fn topics(rows: &[TopicRow]) -> String {
             row.type_name.clone().unwrap_or_else(|| "-".to_owned()),
             row.publishers.join(" "),
             row.hz.map_or_else(|| "-".to_owned(), |hz| format!("{hz:.1}")),
+            if row.left_out > 0 { format!("{} left out", row.left_out) } else { String::new() },
             if row.watched { "watched" } else { "" }.to_owned(),
             if row.alarm { "ALARM" } else { "" }.to_owned(),
             if row.simulated { "SIMULATED" } else { "" }.to_owned(),
         ]
     };
     let rows: Vec<Vec<String>> = rows.iter().map(row).collect();
-    table(&["topic", "type", "publishers", "Hz", "", "", ""], &rows)
+    table(&["topic", "type", "publishers", "Hz", "", "", "", ""], &rows)
 }
 
 /// A page of records.

@@ -95,6 +95,19 @@ pub const DEFINITIONS: &[Definition] = &[
         text: "disk space for records that wait for a Redis that does not take them",
     },
     Definition {
+        name: "vault.local",
+        variable: "AUTHROS_VAULT_LOCAL",
+        default: "always",
+        text: "how long a verified record also stays on this disk beside Redis: always, or a time as 0s, 12h, 30d",
+    },
+    Definition {
+        name: "retention",
+        variable: "AUTHROS_RETENTION",
+        default: "",
+        text: "what ciphertext is kept of topics: PATTERN=TIME, =SIZE, =TIME+SIZE or =ever, separated by commas; the \
+               first fitting counts; * is any but /, ** any; empty = everything; digest and proof stay for ever",
+    },
+    Definition {
         name: "disk.reserve",
         variable: "AUTHROS_DISK_RESERVE",
         default: "64MiB",

@@ -58,7 +58,7 @@ pub use keyring::{EpochSecret, EpochState, Keyring, NetworkKeys, PublicIdentity,
 pub use passphrase::Passphrase;
 pub use provider::{Provider, ProviderName, provider};
 pub use random::random_bytes;
-pub use record::{Anchor, Expected, OpenedRecord, SealRequest, SealedRecord, check, open, seal};
+pub use record::{Anchor, Expected, OpenedRecord, SealRequest, SealedRecord, check, check_deleted, open, seal};
 pub use rustcrypto::seal_by_crates;
 pub use secret::{
     EoaSecret, EpochKey, EpochSalt, Fingerprint, FingerprintError, IndexKey, Sm4Key, SmKeyPair, SmSecret, TopicKey,

@@ -16,7 +16,7 @@ use super::{CryptoError, Provider, SmKeyPair, TopicKey, random_bytes, signer_id}
 
 mod opening;
 
-pub use opening::{Anchor, Expected, OpenedRecord, check, open};
+pub use opening::{Anchor, Expected, OpenedRecord, check, check_deleted, open};
 
 /// All that is sealed into one record.
 #[derive(Debug)]

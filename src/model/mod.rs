@@ -23,8 +23,10 @@ pub mod party;
 pub mod profile;
 pub mod publisher;
 pub mod quarantine;
+pub mod retention;
 pub mod state;
 pub mod topic;
+pub mod topic_rule;
 pub mod wire;
 
 pub use address::{Address, redact_addresses};
@@ -47,5 +49,7 @@ pub use party::{ContactName, Party};
 pub use profile::ProfileName;
 pub use publisher::{Doubt, ListedPublishers, PinMode, Publisher};
 pub use quarantine::QuarantineReport;
+pub use retention::{RetentionReport, RetentionRule, RetentionRules, time_span};
 pub use state::{RecordState, Verdict};
 pub use topic::{TopicName, TypeName};
+pub use topic_rule::{TopicPattern, TopicRule, TopicRules};

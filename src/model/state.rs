@@ -91,6 +91,8 @@ pub enum Verdict {
     Tampered,
     /// The stored bytes are gone.
     Missing,
+    /// Retention has deleted the stored bytes, as a record on the chain says; signature and anchor are valid.
+    Deleted,
     /// No key of this profile opens it.
     NoKey,
 }
@@ -103,6 +105,7 @@ impl Verdict {
             Self::Unanchored => "unanchored",
             Self::Tampered => "tampered",
             Self::Missing => "missing",
+            Self::Deleted => "deleted by retention",
             Self::NoKey => "no key",
         }
     }

@@ -47,6 +47,12 @@ pub enum PipelineError {
         "the ciphertext of record {0} is missing from the vault; restore it from a backup, its digest stays on the chain"
     )]
     Missing(String),
+    /// Retention has deleted a record's ciphertext.
+    #[error(
+        "the ciphertext of record {0} was deleted by retention, as retention record {1} on the chain says; its \
+         header, signature and proof are there, its message is not"
+    )]
+    Deleted(String, Digest),
     /// The keyring has no key of an epoch.
     #[error("the keyring has no key of epoch {0}; restore the newest keyring of this profile")]
     UnknownEpoch(u64),
@@ -99,6 +105,7 @@ impl PipelineError {
             Self::Reverted { .. } | Self::Refused(_) => ErrorKind::Refused,
             Self::NoRecord(_) => ErrorKind::Input,
             Self::Missing(_) | Self::NotTakenIn { .. } => ErrorKind::Tampered,
+            Self::Deleted(..) => ErrorKind::Refused,
             Self::UnknownEpoch(_) | Self::Uncovered(_) => ErrorKind::Refused,
             Self::NotMined(_) | Self::Unsteady => ErrorKind::Incomplete,
         }

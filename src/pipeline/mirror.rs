@@ -280,5 +280,6 @@ fn row_of_entry(entry: &Entry) -> RecordRow {
         transaction: None,
         block: None,
         block_hash: None,
+        deleted_at: None,
     }
 }

@@ -14,6 +14,7 @@ pub mod export_folder;
 #[cfg(test)]
 mod fixture;
 pub mod forwarder;
+pub mod importer;
 pub mod losses;
 pub mod meter;
 pub mod mirror;
@@ -27,7 +28,9 @@ pub mod quarantine;
 pub mod reader;
 pub mod record_audit;
 pub mod recorder;
+pub mod retention;
 pub mod ring;
+mod sampler;
 pub mod sealer;
 pub mod sender;
 pub mod session;

@@ -6,12 +6,12 @@ use std::sync::{Arc, PoisonError};
 use tokio::task::block_in_place;
 
 use crate::crypto::{
-    Anchor, CryptoError, EpochKey, Expected, GrantedKeys, OpenedRecord, TopicKey, WrappedKeys, check, open, topic_key,
-    topic_key_by_name, unwrap,
+    Anchor, CryptoError, EpochKey, Expected, GrantedKeys, OpenedRecord, TopicKey, WrappedKeys, check, check_deleted,
+    open, topic_key, topic_key_by_name, unwrap,
 };
 use crate::model::{Address, Digest, Domain, GrantTerms, Header, RecordKind, RecordState, Timestamp, Verdict};
 use crate::ros::Definition;
-use crate::store::{RecordQuery, RecordRow};
+use crate::store::{RecordQuery, RecordRow, Retained};
 
 use super::directory::Granted;
 use super::{Network, Owner, PipelineError, Plant, proof, signers};
@@ -64,7 +64,7 @@ impl Reader<'_> {
     /// Of chain, vault and ledger; what is wrong with the record itself is the verdict.
     pub async fn check(&self, row: &RecordRow) -> Result<(Verdict, Digest), PipelineError> {
         let Some(blob) = self.blob(row)? else {
-            return Ok((Verdict::Missing, row.digest));
+            return Ok((self.check_gone(row).await?, row.digest));
         };
         let digest = Digest(self.plant.provider.sm3(&[&blob]));
         let anchored = self.is_anchored(row).await?;
@@ -72,6 +72,25 @@ impl Reader<'_> {
         let signer = block_in_place(|| signers::key_of(self.plant, self.network, row))?;
         let verdict = signer.and_then(|signer| check(self.plant.provider, &blob, &row.signature, &signer, anchor).ok());
         Ok((verdict.map_or(Verdict::Tampered, |(_, _, verdict)| verdict), digest))
+    }
+
+    /// What to say of a record whose bytes are gone: an alarm, unless a retention record on the chain names it.
+    async fn check_gone(&self, row: &RecordRow) -> Result<Verdict, PipelineError> {
+        let Some(retained) = self.given_up(row)? else {
+            let text = format!("the ciphertext of record {} is missing, and no retention record names it", row.id);
+            self.plant.observer.alert(true, text);
+            return Ok(Verdict::Missing);
+        };
+        let signer = block_in_place(|| signers::key_of(self.plant, self.network, row))?;
+        let signed = signer.is_some_and(|signer| {
+            check_deleted(self.plant.provider, &retained.header, row.digest, &row.signature, &signer).is_ok()
+        });
+        let sound = signed && self.is_anchored(row).await?;
+        Ok(if sound { Verdict::Deleted } else { Verdict::Tampered })
+    }
+
+    fn given_up(&self, row: &RecordRow) -> Result<Option<Retained>, PipelineError> {
+        Ok(block_in_place(|| self.plant.ledger.retained(row.digest))?.filter(|retained| retained.anchored))
     }
 
     /// The stored bytes; of a quarantined record they may not be in the vault yet.
@@ -97,7 +116,11 @@ impl Reader<'_> {
     /// of this reader opens it; a missing blob is tampering too.
     pub async fn open(&self, row: &RecordRow) -> Result<OpenedRecord, PipelineError> {
         self.authorise(row)?;
-        let blob = self.blob(row)?.ok_or_else(|| PipelineError::Missing(row.id.clone()))?;
+        let Some(blob) = self.blob(row)? else {
+            let given_up = self.given_up(row)?;
+            let why = given_up.map(|retained| PipelineError::Deleted(row.id.clone(), retained.report));
+            return Err(why.unwrap_or_else(|| PipelineError::Missing(row.id.clone())));
+        };
         let anchor = if self.is_anchored(row).await? { Anchor::Chain(row.digest) } else { Anchor::Unanchored };
         let unknown_signer = || CryptoError::Tampered("the signer was not the owner's at the anchoring block");
         let signer = block_in_place(|| signers::key_of(self.plant, self.network, row))?.ok_or_else(unknown_signer)?;
@@ -184,6 +207,19 @@ impl Reader<'_> {
         row: &RecordRow,
         opened: &OpenedRecord,
     ) -> Result<Option<Definition>, PipelineError> {
+        let text = self.definition_text(row, opened).await?;
+        Ok(text.and_then(|text| Definition::parse(&opened.head.type_name, &text).ok()))
+    }
+
+    /// The text of that definition, as its publisher gave it.
+    ///
+    /// # Errors
+    /// Of the ledger. `None` where no readable record holds it.
+    pub async fn definition_text(
+        &self,
+        row: &RecordRow,
+        opened: &OpenedRecord,
+    ) -> Result<Option<String>, PipelineError> {
         let query = RecordQuery {
             owner: Some(row.owner),
             topic_ids: Some(vec![row.topic_id]),
@@ -196,8 +232,7 @@ impl Reader<'_> {
         for candidate in page.rows.iter().filter(|candidate| candidate.epoch == row.epoch) {
             let Ok(found) = self.open(candidate).await else { continue };
             if Digest(self.plant.provider.sm3(&[&found.body])) == opened.head.definition {
-                let text = String::from_utf8_lossy(&found.body);
-                return Ok(Definition::parse(&opened.head.type_name, &text).ok());
+                return Ok(Some(String::from_utf8_lossy(&found.body).into_owned()));
             }
         }
         Ok(None)

@@ -3,8 +3,8 @@
 use std::collections::HashMap;
 use std::time::Instant;
 
-use crate::crypto::{Anchor, check, fault};
-use crate::model::{Digest, RecordState, Timestamp};
+use crate::crypto::{Anchor, check, check_deleted, fault};
+use crate::model::{Digest, PublicKey, RecordState, Timestamp};
 use crate::store::{RecordQuery, RecordRow, StoreError};
 
 use super::stages::{Milestone, Stage};
@@ -77,12 +77,27 @@ fn put_back(plant: &Plant, row: &RecordRow) -> Result<(), PipelineError> {
 }
 
 fn is_sound(plant: &Plant, network: &Network, row: &RecordRow) -> Result<bool, PipelineError> {
-    let Some(blob) = plant.vault.get(row.digest)? else { return Ok(false) };
     let Some(signer) = signers::key_of(plant, network, row)? else { return Ok(false) };
+    let Some(blob) = plant.vault.get(row.digest)? else { return is_sound_without(plant, network, row, &signer) };
     let checked = check(plant.provider, &blob, &row.signature, &signer, Anchor::Chain(row.digest));
     let same = checked.is_ok_and(|(header, digest, _)| {
         digest == row.digest && header.owner == row.owner && header.seq == row.seq && network.accepts(&header.domain)
     });
+    Ok(same && proof::was_sighted(plant, row)?)
+}
+
+/// After a reorganisation a record is verified again that retention has given up meanwhile.
+fn is_sound_without(
+    plant: &Plant,
+    network: &Network,
+    row: &RecordRow,
+    signer: &PublicKey,
+) -> Result<bool, PipelineError> {
+    let Some(retained) = plant.ledger.retained(row.digest)?.filter(|retained| retained.deleted_at.is_some()) else {
+        return Ok(false);
+    };
+    let header = check_deleted(plant.provider, &retained.header, row.digest, &row.signature, signer);
+    let same = header.is_ok_and(|header| header.owner == row.owner && network.accepts(&header.domain));
     Ok(same && proof::was_sighted(plant, row)?)
 }
 

@@ -12,12 +12,14 @@ mod edges;
 mod forwarding;
 mod gaps;
 mod inspect;
+mod integrity;
 mod kept;
 mod lanes;
 mod pins;
 mod quarantine;
 mod query;
 mod recent;
+mod retention;
 mod rows;
 mod settings;
 mod sightings;
@@ -49,6 +51,7 @@ pub use lanes::{LaneCount, OpenTransaction, Reissue};
 pub use pins::{AlarmRow, PinRow};
 pub use quarantine::{HeldMinute, HeldQuery, HeldRow, Hold};
 pub use query::{RecordPage, RecordQuery};
+pub use retention::{KeptTopic, OldRecord, Retained};
 pub use rows::{Foreign, NewRecord, RecordRow};
 pub use sightings::{KeptEvent, Sighting};
 pub use transactions::{NewTransaction, TransactionOutcome, TransactionRow, TransactionState};
@@ -77,6 +80,8 @@ pub struct Ledger {
 struct Shared {
     path: PathBuf,
     recorder: RecorderId,
+    /// Whether the process before closed the file.
+    clean: bool,
     writer: writer::Writer,
     readers: Mutex<Vec<Connection>>,
     /// How many are holding records back.
@@ -91,11 +96,18 @@ impl Ledger {
     /// [`StoreError::Home`], [`StoreError::Mode`], [`StoreError::Corrupt`], [`StoreError::Newer`].
     pub fn open(path: &Path) -> Result<Self, StoreError> {
         let connection = database::open_writer(path, &SCHEMA)?;
-        let recorder = begin(&connection, path).map_err(|error| error.in_file(path))?;
+        let (recorder, clean) = begin(&connection, path).map_err(|error| error.in_file(path))?;
         let writer = writer::Writer::start(connection, path)?;
         let readers = Mutex::default();
         Ok(Self {
-            shared: Arc::new(Shared { path: path.to_owned(), recorder, writer, readers, held: AtomicUsize::new(0) }),
+            shared: Arc::new(Shared {
+                path: path.to_owned(),
+                recorder,
+                clean,
+                writer,
+                readers,
+                held: AtomicUsize::new(0),
+            }),
         })
     }
 
@@ -180,7 +192,7 @@ impl std::fmt::Debug for Ledger {
     }
 }
 
-fn begin(connection: &Connection, path: &Path) -> Result<RecorderId, StoreError> {
+fn begin(connection: &Connection, path: &Path) -> Result<(RecorderId, bool), StoreError> {
     let about = connection
         .query_row("SELECT id, clean FROM about JOIN recorders ON recorders.key = about.recorder", [], |row| {
             Ok((RecorderId(row.get(0)?), row.get::<_, bool>(1)?))
@@ -192,9 +204,9 @@ fn begin(connection: &Connection, path: &Path) -> Result<RecorderId, StoreError>
                 database::quick_check(connection, path)?;
             }
             connection.execute("UPDATE about SET clean = 0", [])?;
-            Ok(recorder)
+            Ok((recorder, clean))
         }
-        None => name_recorder(connection, path),
+        None => Ok((name_recorder(connection, path)?, true)),
     }
 }
 

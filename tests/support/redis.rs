@@ -12,6 +12,8 @@ use super::{free_port, system_program};
 pub struct Redis {
     server: Option<Running>,
     port: u16,
+    /// Where the nodes of a cluster talk to each other.
+    bus: u16,
     directory: TempDir,
     arguments: Vec<String>,
 }
@@ -22,21 +24,38 @@ impl Redis {
         system_program("redis-server")?;
         system_program("redis-cli")?;
         let directory = tempfile::Builder::new().prefix("redis").tempdir().expect("a temporary directory");
-        let arguments = arguments.iter().map(|&argument| argument.to_owned()).collect();
-        let mut redis = Self { server: None, port: free_port(), directory, arguments };
-        redis.revive();
-        Some(redis)
+        let arguments: Vec<String> = arguments.iter().map(|&argument| argument.to_owned()).collect();
+        let mut redis = Self { server: None, port: 0, bus: 0, directory, arguments };
+        // Somebody else may take a free port first: then others are tried.
+        for _ in 0..5 {
+            (redis.port, redis.bus) = (free_port(), free_port());
+            if redis.spawn() {
+                return Some(redis);
+            }
+        }
+        panic!("redis-server finds no port to listen on");
     }
 
-    /// Starts it (again) on the same port, over what it kept.
-    pub fn revive(&mut self) {
+    fn spawn(&mut self) -> bool {
         let port = self.port.to_string();
         let mut command = Command::new("redis-server");
         command.args(["--bind", "127.0.0.1", "--port", &port, "--save", "", "--rdbcompression", "no"]);
+        if self.arguments.iter().any(|argument| argument == "--cluster-enabled") {
+            command.args(["--cluster-port", &self.bus.to_string()]);
+        }
         command.arg("--dir").arg(self.directory.path()).args(&self.arguments);
         let mut server = Running::start(command);
-        server.wait_for_text("Ready to accept connections", 30);
-        self.server = Some(server);
+        let ready = super::wait_until(30, "redis-server is up or has ended", || {
+            let ready = server.stdout().contains("Ready to accept connections");
+            (ready || !server.is_running()).then_some(ready)
+        });
+        self.server = ready.then_some(server);
+        ready
+    }
+
+    /// Starts it again on the same ports, over what it kept.
+    pub fn revive(&mut self) {
+        super::wait_until(30, "redis-server is up again", || self.spawn().then_some(()));
     }
 
     /// Ends it as a crash does.
@@ -49,6 +68,11 @@ impl Redis {
     /// Its port on 127.0.0.1.
     pub fn port(&self) -> u16 {
         self.port
+    }
+
+    /// The port of its cluster bus.
+    pub fn bus(&self) -> u16 {
+        self.bus
     }
 
     /// Its URL for `--vault`.

@@ -1,31 +1,27 @@
 //! A Redis cluster of three, one of which stops: its records wait, all others go on, and it gets all on its return.
 
 use crate::field::{Load, NO_REDIS, ODOM, sample};
-use crate::support::{Redis, count, free_port, skipped, wait_until};
+use crate::support::{Redis, count, skipped, wait_until};
 
 const SLOTS: [(&str, &str); 3] = [("0", "5460"), ("5461", "10922"), ("10923", "16383")];
 
 fn cluster() -> Option<Vec<Redis>> {
-    let node = |_: &_| {
-        let bus = free_port().to_string();
-        let arguments = ["--cluster-enabled", "yes", "--cluster-node-timeout", "1500", "--cluster-port", &bus];
-        let redis = Redis::start(&[&arguments[..], &["--cluster-require-full-coverage", "no"]].concat())?;
-        Some((redis, bus))
-    };
-    let nodes = SLOTS.iter().map(node).collect::<Option<Vec<_>>>()?;
-    for ((redis, _), (first, last)) in nodes.iter().zip(SLOTS) {
+    let arguments =
+        ["--cluster-enabled", "yes", "--cluster-node-timeout", "1500", "--cluster-require-full-coverage", "no"];
+    let nodes = SLOTS.iter().map(|_| Redis::start(&arguments)).collect::<Option<Vec<_>>>()?;
+    for (redis, (first, last)) in nodes.iter().zip(SLOTS) {
         redis.cli(&["CLUSTER", "ADDSLOTSRANGE", first, last]);
-        for (other, bus) in &nodes {
-            redis.cli(&["CLUSTER", "MEET", "127.0.0.1", &other.port().to_string(), bus]);
+        for other in &nodes {
+            redis.cli(&["CLUSTER", "MEET", "127.0.0.1", &other.port().to_string(), &other.bus().to_string()]);
         }
     }
-    for (redis, _) in &nodes {
+    for redis in &nodes {
         wait_until(60, "the cluster is one", || {
             let about = redis.cli(&["CLUSTER", "INFO"]);
             (about.contains("cluster_state:ok") && about.contains("cluster_slots_ok:16384")).then_some(())
         });
     }
-    Some(nodes.into_iter().map(|(redis, _)| redis).collect())
+    Some(nodes)
 }
 
 #[test]

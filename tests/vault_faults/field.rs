@@ -72,6 +72,11 @@ impl Load {
         }
     }
 
+    /// What the site has told its operator.
+    pub fn told(&self) -> String {
+        self.site.stderr()
+    }
+
     /// Ends the site as a signal does.
     pub fn end(self) {
         self.site.stop("TERM", 30).expect_code(0);

@@ -7,5 +7,6 @@ mod cluster;
 mod disk;
 mod field;
 mod killed;
+mod retention;
 #[path = "../support/mod.rs"]
 mod support;

@@ -100,6 +100,24 @@ pub fn check(
     Ok((parts.header, digest, verdict))
 }
 
+/// The check of a record whose stored bytes retention has deleted: its public header is the signer's, and the
+/// signature fits the digest that is left of it.
+///
+/// # Errors
+/// [`CryptoError::DamagedRecord`] or [`CryptoError::Tampered`].
+pub fn check_deleted(
+    provider: &dyn Provider,
+    header: &[u8],
+    digest: Digest,
+    signature: &Signature,
+    signer: &PublicKey,
+) -> Result<Header, CryptoError> {
+    let (header, _) = Header::parse(header).map_err(CryptoError::DamagedRecord)?;
+    let signed = header.signer == signer_id(signer)
+        && provider.verify(signer, &signed_bytes(&header.domain, &digest), signature).is_ok();
+    if signed { Ok(header) } else { Err(CryptoError::Tampered("signature")) }
+}
+
 fn checked<'a>(
     provider: &dyn Provider,
     blob: &'a [u8],

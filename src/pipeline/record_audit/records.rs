@@ -278,8 +278,8 @@ fn gone(bench: Bench<'_>, record: &AuditedRecord, tally: &mut Tally) -> Result<(
     let handed_over = now.state == RecordState::Verified && bench.network.is_none() && !bench.blind;
     if now.state == RecordState::Dropped || handed_over {
         tally.given_up += 1;
-    } else if let Some((report, header)) = bench.plant.ledger.retained(now.digest)? {
-        match retention_fault(bench, &now, report, &header)? {
+    } else if let Some(retained) = bench.plant.ledger.retained(now.digest)? {
+        match retention_fault(bench, &now, retained.report, &retained.header)? {
             None => tally.given_up += 1,
             Some(text) => tally.find(FindingKind::Tampered, &subject(record), &text),
         }

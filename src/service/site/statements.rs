@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 
-use crate::model::{GapReport, RecordKind, clean};
+use crate::model::{GapReport, RecordKind, RetentionReport, clean};
 
 /// Widest text out of a body, characters.
 const WIDEST: usize = 255;
@@ -16,6 +16,14 @@ pub(super) fn view(kind: RecordKind, body: &[u8]) -> Option<Value> {
                 "reason": gap.reason.word(), "text": format!("{} messages {}", gap.count, gap.reason.text()),
                 "first_number": gap.numbers.map(|(first, _)| first), "last_number": gap.numbers.map(|(_, last)| last),
                 "first_at": gap.first_at, "last_at": gap.last_at,
+            })
+        }),
+        RecordKind::Retention => RetentionReport::parse(body).ok().map(|report| {
+            json!({
+                "topic": clean(&report.topic, WIDEST), "rule": clean(&report.rule, WIDEST), "records": report.count,
+                "bytes": report.bytes, "first_seq": report.first_seq, "last_seq": report.last_seq,
+                "rolling": report.rolling,
+                "text": format!("the ciphertext of {} records was deleted", report.count),
             })
         }),
         _ => None,

@@ -130,7 +130,7 @@ impl Site {
             tampered,
             lost_in_transport: counts.lost_in_transport,
             waiting: waiting as u64,
-            deleted: 0,
+            deleted: self.plant.ledger.given_up(owner)?,
             conserved: counts.is_conserved(),
         })
     }

@@ -133,6 +133,10 @@ impl Site {
             let (block, domain) = (earlier.block, earlier.domain);
             steps.push(step("earlier chain", format!("anchored in block {block} of domain {domain}, which was left")));
         }
+        if let Some(retained) = self.blocking(move |site| Ok(site.plant.ledger.retained(digest)?)).await? {
+            let done = retained.deleted_at.map_or("to be deleted".to_owned(), |at| format!("ciphertext deleted {at}"));
+            steps.push(step("retention", format!("{done}; named in retention record {}", retained.report)));
+        }
         steps.push(step(row.state.word(), standing(row.state).to_owned()));
         Ok(Provenance { record: record_view(&row, false), steps })
     }
@@ -151,7 +155,12 @@ impl Site {
         let digest = row.digest;
         let stored = move |site: &Self| Ok((site.plant.vault.get(digest)?, site.plant.ledger.batch_place(digest)?));
         let (blob, place) = self.blocking(stored).await?;
-        let blob = blob.ok_or_else(|| PipelineError::Missing(row.id.clone()))?;
+        let gone = self.blocking(move |site| Ok(site.plant.ledger.retained(digest)?)).await?;
+        let gone = gone.filter(|retained| retained.anchored);
+        let blob = blob.ok_or_else(|| match gone {
+            Some(retained) => PipelineError::Deleted(row.id.clone(), retained.report),
+            None => PipelineError::Missing(row.id.clone()),
+        })?;
         // A record of a chain that was left is bound to that one's domain.
         let bound = crate::model::Header::parse(&blob).map_or(network.domain, |(header, _)| header.domain);
         let signer = network.directory.signing_key(row.owner, row.signer, row.block);

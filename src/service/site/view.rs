@@ -18,7 +18,7 @@ pub(super) fn record_view(row: &RecordRow, with_owner: bool) -> RecordView {
         topic: clean(&row.topic, WIDEST),
         type_name: clean(&row.type_name, WIDEST),
         kind: row.kind.word().to_owned(),
-        state: row.state.word().to_owned(),
+        state: if row.deleted_at.is_some() { "deleted" } else { row.state.word() }.to_owned(),
         digest: row.digest,
         bytes: row.bytes,
         captured_at: row.captured_at,

@@ -24,6 +24,8 @@ pub(super) fn start(site: &Arc<Site>, needs: Needs) -> Result<(), Failure> {
     site.supervise("audit", Site::keep_audit);
     site.supervise("quarantine", Site::keep_quarantine);
     site.supervise("room", Site::keep_room);
+    tokio::spawn(Arc::clone(site).check_after_crash());
+    site.supervise("retention", Site::keep_retention);
     if needs.ros {
         start_sealer(site)?;
         let here = |site: &Arc<Site>| !matches!(*site.ros.borrow(), RosState::Off);

@@ -3,7 +3,7 @@
 
 use std::collections::HashMap;
 
-use rusqlite::{Connection, OptionalExtension as _, Row, params};
+use rusqlite::{Connection, Row, params};
 
 use super::rows::{self, RecordRow, Stream, unsigned};
 use super::{Ledger, database::whole};
@@ -143,20 +143,6 @@ impl Ledger {
             let mut statement = connection.prepare_cached(sql)?;
             let rows = statement.query_map(params![after, limit], batch)?;
             Ok(rows.collect::<Result<_, _>>()?)
-        })
-    }
-
-    /// The retention record that tells of a record's deletion, and the header that was kept of it; `None` where its
-    /// ciphertext was never given up.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and its kin.
-    pub fn retained(&self, digest: Digest) -> Result<Option<(Digest, Vec<u8>)>, StoreError> {
-        self.read(|connection| {
-            let sql = "SELECT report, header FROM retained JOIN records ON n = record WHERE digest = ?1";
-            let mut statement = connection.prepare_cached(sql)?;
-            let found = statement.query_row([digest.0], |row| Ok((Digest(row.get(0)?), row.get(1)?)));
-            Ok(found.optional()?)
         })
     }
 

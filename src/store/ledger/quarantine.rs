@@ -100,10 +100,10 @@ impl Ledger {
             let found = statement.query_map(values, |row| {
                 Ok(HeldRow {
                     record: rows::record(row, &streams)?,
-                    reason: row.get(13)?,
-                    publisher: row.get(14)?,
-                    report: row.get::<_, Option<_>>(15)?.map(Digest),
-                    decision: row.get(16)?,
+                    reason: row.get(14)?,
+                    publisher: row.get(15)?,
+                    report: row.get::<_, Option<_>>(16)?.map(Digest),
+                    decision: row.get(17)?,
                 })
             })?;
             Ok(found.collect::<Result<_, _>>()?)

@@ -106,6 +106,9 @@ pub struct RecordRow {
     pub block: Option<u64>,
     /// That block's hash.
     pub block_hash: Option<Hash>,
+    /// When retention deleted its ciphertext.
+    #[serde(default)]
+    pub deleted_at: Option<Timestamp>,
 }
 
 /// What all records of one stream share: owner, topic, kind, type, signer.
@@ -169,7 +172,7 @@ impl RecordRow {
 
 /// Columns of [`record`], in order.
 pub(super) const COLUMNS: &str = "stream, digest, seq, epoch, signature, bytes, captured_at, acknowledged_at,
-    simulated, state, tx, block, block_hash";
+    simulated, state, tx, block, block_hash, (SELECT deleted_at FROM retained WHERE record = n)";
 
 /// The record of a row with [`COLUMNS`].
 pub(super) fn record(row: &Row<'_>, streams: &HashMap<i64, Stream>) -> rusqlite::Result<RecordRow> {
@@ -196,6 +199,7 @@ pub(super) fn record(row: &Row<'_>, streams: &HashMap<i64, Stream>) -> rusqlite:
         transaction: row.get::<_, Option<_>>(10)?.map(Hash),
         block: row.get::<_, Option<i64>>(11)?.map(i64::cast_unsigned),
         block_hash: row.get::<_, Option<_>>(12)?.map(Hash),
+        deleted_at: row.get::<_, Option<i64>>(13)?.map(|at| Timestamp(at.cast_unsigned())),
     })
 }
 

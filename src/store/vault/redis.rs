@@ -36,6 +36,9 @@ enum Servers {
     Many(Cluster),
 }
 
+/// Entries for one node of a cluster.
+type Group<'a> = (Arc<Member>, Vec<(Digest, &'a [u8])>);
+
 /// One server, for what is done on each.
 enum Server {
     One,
@@ -132,7 +135,7 @@ impl RedisVault {
     /// Each node takes its own; what slots have moved to is put there one by one.
     fn put_apart(&self, cluster: &Cluster, entries: &[(Digest, &[u8])]) -> Stored {
         let mut stored = Stored::default();
-        let mut groups: BTreeMap<usize, (Arc<Member>, Vec<(Digest, &[u8])>)> = BTreeMap::new();
+        let mut groups: BTreeMap<usize, Group<'_>> = BTreeMap::new();
         for entry in entries {
             match cluster.of(slots::slot(&key(entry.0))) {
                 Ok(member) => {

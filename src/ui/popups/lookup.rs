@@ -103,6 +103,7 @@ pub(super) fn verdict_line(verdict: Verdict) -> Vec<Piece> {
         Verdict::Verified => ("verified: equal to the chain's digest, signature valid", Role::Good),
         Verdict::Unanchored => ("unanchored: signature valid, but the digest is not on the chain yet", Role::Warning),
         Verdict::Tampered => ("tampered: the stored bytes are not the ones anchored or signed", Role::Bad),
+        Verdict::Deleted => ("deleted by retention: header, signature and proof stay", Role::Warning),
         Verdict::Missing => ("missing: the stored bytes are gone", Role::Bad),
         Verdict::NoKey => ("no key: no key of this profile opens it", Role::Warning),
     };

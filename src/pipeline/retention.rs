@@ -1,0 +1,194 @@
+//! Retention: ciphertext that a rule no longer keeps is named in a signed record, and deleted when that record stands
+//! confirmed on the chain. A function of the ledger: called again, it does what is left.
+
+use std::collections::HashMap;
+
+use crate::model::{
+    Address, Digest, Domain, Header, RecordKind, RetentionReport, RetentionRule, RetentionRules, Timestamp, TopicId,
+};
+use crate::store::{KeptTopic, OldRecord};
+
+use super::statement::{self, Speaker, Statement};
+use super::{Owner, PipelineError, Plant};
+
+/// The name that retention records are filed under; no ROS name begins like this.
+pub const TOPIC: &str = "authros/retention";
+/// What stands in place of a message type.
+pub const TYPE: &str = "authros/Retention";
+/// Records named in one retention record, at most.
+const ROUND: usize = 1024;
+/// Rounds after which records that were overtaken (still pending then) are looked for.
+const ANEW: u32 = 600;
+
+/// The rules at work for the owners of a site.
+pub struct Retention {
+    rules: RetentionRules,
+    /// Where the oldest record of each topic is looked for.
+    since: HashMap<(Address, i64), Timestamp>,
+    rounds: u32,
+}
+
+/// What a round did.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Round {
+    /// Topics and how many of their records were named.
+    pub named: Vec<(String, u64)>,
+    /// Records whose ciphertext was deleted.
+    pub deleted: u64,
+}
+
+impl Retention {
+    /// Rules that nothing was done by yet.
+    pub fn new(rules: RetentionRules) -> Self {
+        Self { rules, since: HashMap::new(), rounds: 0 }
+    }
+
+    /// Names what is no longer kept of an owner's records, and deletes what was named and is anchored. One caller at a
+    /// time.
+    ///
+    /// # Errors
+    /// Of sealing, vault and ledger; what is done so far stays.
+    pub fn round(&mut self, plant: &Plant, owner: &Owner) -> Result<Round, PipelineError> {
+        self.rounds += 1;
+        if self.rounds.is_multiple_of(ANEW) {
+            self.since.clear();
+        }
+        let mut done = Round { named: Vec::new(), deleted: delete(plant, owner)? };
+        for topic in plant.ledger.kept_topics(owner.address)? {
+            let Some(rule) = self.rules.of(&topic.name).cloned() else { continue };
+            let named = self.name(plant, owner, &topic, &rule)?;
+            done.named.extend((named > 0).then_some((topic.name, named)));
+        }
+        Ok(done)
+    }
+
+    fn name(
+        &mut self,
+        plant: &Plant,
+        owner: &Owner,
+        topic: &KeptTopic,
+        rule: &RetentionRule,
+    ) -> Result<u64, PipelineError> {
+        let place = (owner.address, topic.key);
+        let since = self.since.get(&place).copied().unwrap_or_default();
+        let due = due(plant, topic, rule, since)?;
+        let Some(last) = due.last().map(|record| record.captured_at) else { return Ok(0) };
+        let mut whole = Vec::with_capacity(due.len());
+        for record in due {
+            match header_of(plant, record.digest)? {
+                Some(header) => whole.push((record, header)),
+                None => missing(plant, record.digest),
+            }
+        }
+        let count = whole.len() as u64;
+        if count > 0 && !report(plant, owner, topic, rule, whole)? {
+            return Ok(0);
+        }
+        self.since.insert(place, last);
+        Ok(count)
+    }
+}
+
+/// The oldest records that the rule no longer keeps: too old, or more than the budget.
+fn due(
+    plant: &Plant,
+    topic: &KeptTopic,
+    rule: &RetentionRule,
+    since: Timestamp,
+) -> Result<Vec<OldRecord>, PipelineError> {
+    let now = Timestamp::now();
+    let excess = rule.bytes.map_or(0, |budget| topic.bytes.saturating_sub(budget));
+    let age = rule.age.map(|age| u64::try_from(age.as_nanos()).unwrap_or(u64::MAX));
+    let oldest_kept = age.map_or(Timestamp(0), |age| Timestamp(now.0.saturating_sub(age)));
+    let until = if excess > 0 { now } else { oldest_kept };
+    let mut rest = excess;
+    let mut due = plant.ledger.oldest(topic, (since, until), ROUND)?;
+    let kept = due.iter().position(|record| {
+        let stays = record.captured_at >= oldest_kept && rest == 0;
+        rest = rest.saturating_sub(record.bytes);
+        stays
+    });
+    due.truncate(kept.unwrap_or(due.len()));
+    Ok(due)
+}
+
+/// The public header of the stored bytes, where these are still what was anchored.
+fn header_of(plant: &Plant, digest: Digest) -> Result<Option<Vec<u8>>, PipelineError> {
+    let Some(blob) = plant.vault.get(digest)? else { return Ok(None) };
+    let right = Digest(plant.provider.sm3(&[&blob])) == digest;
+    let length = Header::parse(&blob).ok().map(|(_, length)| length).filter(|_| right);
+    Ok(length.and_then(|length| blob.get(..length)).map(<[u8]>::to_vec))
+}
+
+fn missing(plant: &Plant, digest: Digest) {
+    let text = format!(
+        "record {digest} is not given up by retention: its ciphertext is gone or altered, and no retention record \
+         names it; look at it with `authros shared check`"
+    );
+    plant.observer.alert(true, text);
+}
+
+/// The rolling hash over digests; see [`RetentionReport`].
+pub fn rolling(
+    plant: &Plant,
+    domain: &Domain,
+    owner: Address,
+    topic: TopicId,
+    digests: impl IntoIterator<Item = Digest>,
+) -> Digest {
+    let start = plant.provider.sm3(&[b"AuthROS/retained/1", &domain.0, &owner.0, &topic.0]);
+    Digest(digests.into_iter().fold(start, |rolling, digest| plant.provider.sm3(&[&rolling, &digest.0])))
+}
+
+/// `false`: there are no keys to seal with now.
+fn report(
+    plant: &Plant,
+    owner: &Owner,
+    topic: &KeptTopic,
+    rule: &RetentionRule,
+    records: Vec<(OldRecord, Vec<u8>)>,
+) -> Result<bool, PipelineError> {
+    plant.ledger.takes_records()?;
+    let Some(keys) = owner.sealing() else { return Ok(false) };
+    let place = keys.topic(TOPIC).ok_or_else(|| PipelineError::Uncovered(TOPIC.to_owned()))?;
+    let seqs = || records.iter().map(|(record, _)| record.seq);
+    let digests = records.iter().map(|(record, _)| record.digest);
+    let body = RetentionReport {
+        topic_id: topic.topic_id,
+        topic: topic.name.clone(),
+        rule: rule.to_string(),
+        first_seq: seqs().min().unwrap_or(0),
+        last_seq: seqs().max().unwrap_or(0),
+        count: records.len() as u64,
+        bytes: records.iter().map(|(record, _)| record.bytes).sum(),
+        rolling: rolling(plant, &keys.domain, owner.address, topic.topic_id, digests),
+    }
+    .encode();
+    let speaker = Speaker {
+        domain: keys.domain,
+        owner: owner.address,
+        signing: &keys.signing,
+        epoch: keys.epoch,
+        topic_id: place.id,
+        topic_key: &place.key,
+    };
+    let statement = Statement { kind: RecordKind::Retention, topic: TOPIC, type_name: TYPE, body: &body };
+    let row = statement::put(plant, &speaker, statement)?;
+    plant.ledger.give_up(topic, row, records)?;
+    plant.observer.records_changed();
+    Ok(true)
+}
+
+/// Deletes what was named in retention records that are anchored.
+fn delete(plant: &Plant, owner: &Owner) -> Result<u64, PipelineError> {
+    let digests = plant.ledger.to_delete(owner.address, ROUND)?;
+    if digests.is_empty() {
+        return Ok(0);
+    }
+    // The local copies first: the vault would be given its records back from them.
+    plant.ledger.drop_local_copies(&digests)?;
+    plant.vault.discard(&digests)?;
+    plant.ledger.deleted(&digests)?;
+    plant.observer.records_changed();
+    Ok(digests.len() as u64)
+}

@@ -1,0 +1,102 @@
+//! Whether the ledger's tables agree with each other: looked at after an unclean end, and by whoever examines a home.
+
+use rusqlite::Connection;
+
+use super::Ledger;
+use crate::model::{Digest, RecordState};
+use crate::store::StoreError;
+
+/// What must find nothing, and what it means where it finds something.
+const RULES: [(&str, &str); 5] = [
+    (
+        "SELECT count(*) FROM (SELECT stream, state, count(*) AS rows FROM records GROUP BY stream, state) found
+         LEFT JOIN counters c ON c.stream = found.stream AND c.state = found.state
+         WHERE coalesce(c.records, 0) <> found.rows",
+        "counts per state are not those of the records",
+    ),
+    (
+        "SELECT count(*) FROM (SELECT stream, sum(records) AS rows FROM counters GROUP BY stream) held
+         JOIN intake i ON i.stream = held.stream WHERE i.records <> held.rows",
+        "streams have fewer or more records than were taken in",
+    ),
+    (
+        "SELECT count(*) FROM records WHERE stream NOT IN (SELECT key FROM streams)
+         OR topic NOT IN (SELECT key FROM topics)",
+        "records belong to no topic",
+    ),
+    (
+        "SELECT count(*) FROM leaves WHERE batch NOT IN (SELECT key FROM batches)
+         OR record NOT IN (SELECT n FROM records)",
+        "places in batches belong to no batch or no record",
+    ),
+    (
+        "SELECT count(*) FROM records WHERE state = 1 AND n NOT IN (SELECT record FROM copies)",
+        "sealed records are without their local copies",
+    ),
+];
+
+impl Ledger {
+    /// Whether the process that had it open before closed it. Where it did not, the file's structure was checked
+    /// when it was opened.
+    pub fn ended_cleanly(&self) -> bool {
+        self.shared.clean
+    }
+
+    /// What in its tables contradicts itself, in words; a second or so per million records.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn contradictions(&self) -> Result<Vec<String>, StoreError> {
+        self.read(|connection| {
+            let found = RULES.iter().map(|(sql, text)| {
+                let count: i64 = connection.query_row(sql, [], |row| row.get(0))?;
+                Ok((count > 0).then(|| format!("{count} {text}")))
+            });
+            found.filter_map(Result::transpose).collect()
+        })
+    }
+
+    /// The records acknowledged last, at most `limit`, that should be in the vault and were not given up.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn newest_stored(&self, limit: usize) -> Result<Vec<Digest>, StoreError> {
+        self.read(|connection| newest(connection, limit))
+    }
+}
+
+fn newest(connection: &Connection, limit: usize) -> Result<Vec<Digest>, StoreError> {
+    let mut statement = connection.prepare_cached(
+        "SELECT digest FROM records WHERE state BETWEEN ?1 AND ?2
+         AND NOT EXISTS (SELECT 1 FROM retained WHERE record = n) ORDER BY n DESC LIMIT ?3",
+    )?;
+    let states = (RecordState::Stored.code(), RecordState::Verified.code());
+    let values = (states.0, states.1, i64::try_from(limit).unwrap_or(i64::MAX));
+    let rows = statement.query_map(values, |row| row.get(0).map(Digest))?;
+    Ok(rows.collect::<Result<_, _>>()?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_empty_ledger_is_sound_and_an_unclean_end_is_known() {
+        let home = tempfile::tempdir().expect("temporary directory");
+        let path = home.path().join("ledger.db");
+        let ledger = Ledger::open(&path).expect("opens");
+        assert_eq!((ledger.ended_cleanly(), ledger.contradictions()), (true, Ok(Vec::new())));
+        drop(ledger);
+        let ledger = Ledger::open(&path).expect("opens");
+        assert!(!ledger.ended_cleanly());
+        ledger.close().expect("closed");
+        let ledger = Ledger::open(&path).expect("opens");
+        assert!(ledger.ended_cleanly());
+        let lost = "INSERT INTO intake VALUES (7, 3); INSERT INTO counters VALUES (7, 2, 2, 9);
+                    INSERT INTO leaves VALUES (1, 1, 0, x'')";
+        ledger.write(|session| Ok(session.connection.execute_batch(lost)?)).expect("written");
+        let found = ledger.contradictions().expect("read");
+        assert_eq!(found.len(), 2, "{found:?}");
+        assert!(found[0].contains("taken in") && found[1].contains("batches"), "{found:?}");
+    }
+}

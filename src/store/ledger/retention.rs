@@ -1,0 +1,246 @@
+//! Records whose ciphertext is given up: named in a retention record first, deleted when that is anchored. Digest,
+//! signature, place in the batch and public header stay.
+
+use rusqlite::{Connection, OptionalExtension as _, params};
+
+use super::append::{add, count};
+use super::rows::unsigned;
+use super::{Ledger, NewRecord, database::whole};
+use crate::model::{Address, Digest, RecordKind, RecordState, Timestamp, TopicId};
+use crate::store::StoreError;
+
+/// A topic that retention looks at.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct KeptTopic {
+    /// Names it in this ledger.
+    pub key: i64,
+    /// Its pseudonym.
+    pub topic_id: TopicId,
+    /// Its name.
+    pub name: String,
+    /// Bytes of the messages whose ciphertext is there.
+    pub bytes: u64,
+}
+
+/// A record that could be given up.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct OldRecord {
+    /// SM3 of its stored bytes.
+    pub digest: Digest,
+    /// Its number.
+    pub seq: u64,
+    /// Length of its message.
+    pub bytes: u64,
+    /// When it was captured.
+    pub captured_at: Timestamp,
+}
+
+/// What is known of a record that retention has given up.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Retained {
+    /// The retention record that names it.
+    pub report: Digest,
+    /// Whether that stands confirmed on the chain: without it a missing ciphertext is an alarm.
+    pub anchored: bool,
+    /// The public header of its stored bytes.
+    pub header: Vec<u8>,
+    /// When its ciphertext was deleted.
+    pub deleted_at: Option<Timestamp>,
+}
+
+impl Ledger {
+    /// The topics that an owner records and anchors here.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn kept_topics(&self, owner: Address) -> Result<Vec<KeptTopic>, StoreError> {
+        self.read(|connection| {
+            let mut statement = connection.prepare_cached(
+                "SELECT t.key, t.topic_id, t.name, max(0, coalesce(sum(c.bytes), 0) - coalesce(
+                     (SELECT r.bytes FROM retained_topics r WHERE r.topic = t.key), 0))
+                 FROM topics t JOIN streams s ON s.topic = t.key JOIN counters c ON c.stream = s.key
+                 WHERE t.owner = ?1 AND t.keeper IS NULL AND s.kind = ?2 AND c.state <> ?3 GROUP BY t.key",
+            )?;
+            let values = params![owner.0, RecordKind::Data.code(), RecordState::Dropped.code()];
+            let rows = statement.query_map(values, |row| {
+                Ok(KeptTopic {
+                    key: row.get(0)?,
+                    topic_id: TopicId(row.get(1)?),
+                    name: row.get(2)?,
+                    bytes: unsigned(row, 3)?,
+                })
+            })?;
+            Ok(rows.collect::<Result<_, _>>()?)
+        })
+    }
+
+    /// The oldest verified messages of a topic that are not given up, captured from `since` on and before `until`.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn oldest(
+        &self,
+        topic: &KeptTopic,
+        (since, until): (Timestamp, Timestamp),
+        limit: usize,
+    ) -> Result<Vec<OldRecord>, StoreError> {
+        let key = topic.key;
+        self.read(|connection| {
+            let mut statement = connection.prepare_cached(
+                "SELECT digest, seq, bytes, captured_at FROM records
+                 WHERE state = ?1 AND stream IN (SELECT key FROM streams WHERE topic = ?2 AND kind = ?3)
+                 AND captured_at >= ?4 AND captured_at < ?5
+                 AND NOT EXISTS (SELECT 1 FROM retained WHERE record = n) ORDER BY captured_at, n LIMIT ?6",
+            )?;
+            let time = |at: Timestamp| i64::try_from(at.0).unwrap_or(i64::MAX);
+            let values = params![
+                RecordState::Verified.code(),
+                key,
+                RecordKind::Data.code(),
+                time(since),
+                time(until),
+                i64::try_from(limit).unwrap_or(i64::MAX)
+            ];
+            let rows = statement.query_map(values, |row| {
+                Ok(OldRecord {
+                    digest: Digest(row.get(0)?),
+                    seq: unsigned(row, 1)?,
+                    bytes: unsigned(row, 2)?,
+                    captured_at: Timestamp(unsigned(row, 3)?),
+                })
+            })?;
+            Ok(rows.collect::<Result<_, _>>()?)
+        })
+    }
+
+    /// Acknowledges a retention record and notes the records that it names, with their public headers, in one commit.
+    ///
+    /// # Errors
+    /// As [`Ledger::append`]; [`StoreError::NotReady`] where one of them is no longer verified, or named already.
+    pub fn give_up(
+        &self,
+        topic: &KeptTopic,
+        report: NewRecord,
+        records: Vec<(OldRecord, Vec<u8>)>,
+    ) -> Result<(), StoreError> {
+        let key = topic.key;
+        self.write(move |session| {
+            let (connection, now) = (session.connection, whole("time", Timestamp::now().0)?);
+            add(session, &report, now)?;
+            let mut bytes = 0;
+            for (record, header) in &records {
+                name(connection, record.digest, report.digest, header)?;
+                bytes += record.bytes;
+            }
+            connection
+                .prepare_cached(
+                    "INSERT INTO retained_topics VALUES (?1, ?2, ?3)
+                     ON CONFLICT DO UPDATE SET records = records + excluded.records, bytes = bytes + excluded.bytes",
+                )?
+                .execute(params![key, whole("count", records.len() as u64)?, whole("bytes", bytes)?])?;
+            Ok(())
+        })
+    }
+
+    /// Records of an owner whose retention record stands confirmed, and whose ciphertext is still to be deleted.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn to_delete(&self, owner: Address, limit: usize) -> Result<Vec<Digest>, StoreError> {
+        self.read(|connection| {
+            let mut statement = connection.prepare_cached(
+                "SELECT one.digest FROM retained INDEXED BY retained_due CROSS JOIN records one ON one.n = record
+                 JOIN topics ON topics.key = one.topic JOIN records told ON told.digest = report
+                 WHERE deleted_at IS NULL AND owner = ?1 AND told.state IN (?2, ?3) ORDER BY record LIMIT ?4",
+            )?;
+            let (confirmed, verified) = (RecordState::Confirmed.code(), RecordState::Verified.code());
+            let values = params![owner.0, confirmed, verified, i64::try_from(limit).unwrap_or(i64::MAX)];
+            let rows = statement.query_map(values, |row| row.get(0).map(Digest))?;
+            Ok(rows.collect::<Result<_, _>>()?)
+        })
+    }
+
+    /// Notes that the ciphertext of these is deleted, and deletes their local copies.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like.
+    pub fn deleted(&self, digests: &[Digest]) -> Result<(), StoreError> {
+        let digests = digests.to_vec();
+        self.write(move |session| {
+            let now = whole("time", Timestamp::now().0)?;
+            for digest in &digests {
+                for sql in [
+                    "UPDATE retained SET deleted_at = coalesce(deleted_at, ?2)
+                     WHERE record = (SELECT n FROM records WHERE digest = ?1)",
+                    "DELETE FROM copies WHERE record = (SELECT n FROM records WHERE digest = ?1) AND ?2 > 0",
+                ] {
+                    session.connection.prepare_cached(sql)?.execute(params![digest.0, now])?;
+                }
+            }
+            Ok(())
+        })
+    }
+
+    /// Whether retention has given a record up, and what stays of it.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn retained(&self, digest: Digest) -> Result<Option<Retained>, StoreError> {
+        self.read(|connection| {
+            let found = connection
+                .prepare_cached(
+                    "SELECT report, told.state IN (?2, ?3), header, deleted_at FROM records one
+                     JOIN retained ON record = one.n JOIN records told ON told.digest = report WHERE one.digest = ?1",
+                )?
+                .query_row(params![digest.0, RecordState::Confirmed.code(), RecordState::Verified.code()], |row| {
+                    Ok(Retained {
+                        report: Digest(row.get(0)?),
+                        anchored: row.get(1)?,
+                        header: row.get(2)?,
+                        deleted_at: row.get::<_, Option<i64>>(3)?.map(|at| Timestamp(at.cast_unsigned())),
+                    })
+                })
+                .optional()?;
+            Ok(found)
+        })
+    }
+
+    /// How many messages of an owner retention has given up.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn given_up(&self, owner: Address) -> Result<u64, StoreError> {
+        self.read(|connection| {
+            let sql =
+                "SELECT coalesce(sum(records), 0) FROM retained_topics JOIN topics ON key = topic WHERE owner = ?1";
+            Ok(connection.prepare_cached(sql)?.query_row([owner.0], |row| unsigned(row, 0))?)
+        })
+    }
+
+    /// Deletes local copies of records that were verified and captured before a moment; returns how many.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like.
+    pub fn drop_old_copies(&self, before: Timestamp, limit: usize) -> Result<u64, StoreError> {
+        let (before, limit) = (whole("time", before.0)?, i64::try_from(limit).unwrap_or(i64::MAX));
+        self.write(move |session| {
+            let sql = "DELETE FROM copies WHERE record IN (SELECT record FROM copies JOIN records ON n = record
+                       WHERE state = ?1 AND captured_at < ?2 ORDER BY record LIMIT ?3)";
+            let values = params![RecordState::Verified.code(), before, limit];
+            Ok(count(session.connection.prepare_cached(sql)?.execute(values)?))
+        })
+    }
+}
+
+fn name(connection: &Connection, digest: Digest, report: Digest, header: &[u8]) -> Result<(), StoreError> {
+    let named = connection
+        .prepare_cached(
+            "INSERT INTO retained (record, report, header) SELECT n, ?2, ?3 FROM records
+             WHERE digest = ?1 AND state = ?4 ON CONFLICT DO NOTHING",
+        )?
+        .execute(params![digest.0, report.0, header, RecordState::Verified.code()])?;
+    match named {
+        1 => Ok(()),
+        _ => Err(StoreError::NotReady { digest, found: "not verified, or given up already" }),
+    }
+}
