@@ -8,6 +8,7 @@ use clap::{Args, Subcommand};
 use super::connect::{Context, ProfileNeed, unexpected};
 use super::output::{Output, table};
 use super::parse;
+use super::serve::Ending;
 use crate::model::ErrorKind;
 use crate::ros::recording::{ChunkCompression, RecordingFormat};
 use crate::service::command::{ExportWishes, ImportWishes, RecordingCommand};
@@ -165,8 +166,8 @@ async fn until_done(client: &Client, command: Command, output: &Output) -> Resul
                 };
             }
             () = tokio::time::sleep(LOOK) => tell_progress(client, &mut told, output).await,
-            _ = crate::cli::serve::asked_to_end() => {
-                if asked {
+            ending = crate::cli::serve::asked_to_end() => {
+                if asked || ending == Ending::Ordered {
                     return Err(Failure::new(ErrorKind::Incomplete, "left before all was done; what is sealed is stored, repeat the command to go on"));
                 }
                 asked = true;

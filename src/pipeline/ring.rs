@@ -116,7 +116,7 @@ impl<T: Weighted> Rings<T> {
         let free = self.capacity.saturating_sub(inner.held);
         let own = inner.rings.get(topic).map_or(0, |ring| ring.held);
         // Half of the budget for one topic alone, a third each for two, and always room for a first message.
-        if inner.closed || weight > free || own > 0 && own + weight > free {
+        if inner.closed || weight > free || own > 0 && own + weight > free - weight {
             return Err(item);
         }
         inner.append(topic, item, weight);
