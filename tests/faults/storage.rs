@@ -181,8 +181,8 @@ fn check(place: &Path, operations: usize, done: usize, what: &str) {
     store.ledger.close().expect("closes");
 }
 
-/// Where the fault falls: at every tenth write in the long form, at every one with `AUTHROS_LONG=all` (hours), else at the first writes, which make the files, and then at
-/// a stride.
+/// Where the fault falls: at every tenth write in the long form, at every one with `AUTHROS_LONG=all` (hours), else at
+/// the first writes, which make the files, and then at a stride.
 fn points(total: usize, few: usize) -> Vec<usize> {
     if long() {
         let every = if std::env::var("AUTHROS_LONG").is_ok_and(|word| word == "all") { 1 } else { 10 };
