@@ -302,16 +302,16 @@ fn bomb(width: u32, height: u32) -> Vec<u8> {
     let mut encoder = png::Encoder::new(&mut out, width, height);
     encoder.set_color(png::ColorType::Grayscale);
     encoder.set_depth(png::BitDepth::One);
-    let mut writer = encoder.write_header().expect("a header");
-    if height <= 10_000 {
-        let mut rows = writer.stream_writer().expect("a writer");
-        let row = vec![0; usize::try_from(width.div_ceil(8)).expect("fits")];
-        for _ in 0..height {
-            std::io::Write::write_all(&mut rows, &row).expect("written");
+    {
+        let mut writer = encoder.write_header().expect("a header");
+        if height <= 10_000 {
+            let mut rows = writer.stream_writer().expect("a writer");
+            let row = vec![0; usize::try_from(width.div_ceil(8)).expect("fits")];
+            for _ in 0..height {
+                std::io::Write::write_all(&mut rows, &row).expect("written");
+            }
+            rows.finish().expect("written");
         }
-        rows.finish().expect("written");
-    } else {
-        drop(writer);
     }
     out
 }
