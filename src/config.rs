@@ -1,5 +1,6 @@
 //! Settings: flag over environment over `config.toml` over default, each with where it came from.
 
+mod console;
 mod definitions;
 mod error;
 mod read;
@@ -11,12 +12,13 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::Duration;
 
+pub use self::console::ConsoleSettings;
 pub use self::definitions::{DEFINITIONS, Definition};
 pub use self::error::ConfigError;
 pub use self::read::without_password;
-use self::read::{Values, bytes, find, number, parsed, read_file, span, url, value, wrong};
+use self::read::{Values, bytes, find, number, parsed, read_file, span, switch, url, value, wrong};
 pub use self::source::{SettingView, Source};
-use crate::crypto::ProviderName;
+use crate::crypto::{Kernel, ProviderName};
 use crate::model::{Address, AnchorMode, Consensus, ListedPublishers, PinMode, RetentionRules, SignerId, clean};
 
 /// How the URL of a vault begins.
@@ -69,16 +71,24 @@ pub struct Config {
     pub retention: RetentionRules,
     /// Disk space that records leave free, bytes.
     pub disk_reserve: u64,
+    /// Whether messages are compressed before they are sealed.
+    pub compression: bool,
     /// Which SM implementation.
     pub provider: ProviderName,
+    /// Which SM4 kernel, where it is not to be the fastest.
+    pub sm4_kernel: Option<Kernel>,
     /// How digests go on the chain.
     pub anchor_mode: AnchorMode,
     /// How long a line of the audit log may wait until a head over it is anchored.
     pub audit_every: Duration,
+    /// Per cent of the stored records that a running site re-hashes an hour.
+    pub scrub_percent: u64,
     /// Blocks until confirmed.
     pub confirmations: u64,
     /// The gateway of the remote site that this one joins.
     pub site: Option<RemoteSite>,
+    /// How the console looks.
+    pub console: ConsoleSettings,
 }
 
 /// A remote site as the settings name it.
@@ -142,11 +152,15 @@ impl Config {
             vault_local: span(&values, "vault.local", "always")?,
             retention: parsed(&values, "retention")?.unwrap_or_default(),
             disk_reserve: bytes(&values, "disk.reserve", 0)?,
+            compression: switch(&values, "record.compression", ("auto", "off"))?,
             provider: parsed(&values, "crypto.provider")?.unwrap_or_default(),
+            sm4_kernel: parsed(&values, "crypto.sm4_kernel")?,
             anchor_mode: parsed(&values, "anchor.mode")?.unwrap_or_default(),
             audit_every: Duration::from_secs(number(&values, "audit.anchor_every", 1, 86_400)?),
+            scrub_percent: number(&values, "audit.scrub", 0, 1_000_000)?,
             confirmations: number(&values, "confirmations", 1, 1000)?,
             site: remote_site(&values)?,
+            console: ConsoleSettings::read(&values)?,
             values,
         })
     }

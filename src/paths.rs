@@ -33,6 +33,21 @@ impl Home {
         self.root.join("config.toml")
     }
 
+    /// What differs from the console's preset keys.
+    pub fn keymap(&self) -> PathBuf {
+        self.root.join("keymap.toml")
+    }
+
+    /// The operator's own themes, one file each.
+    pub fn themes(&self) -> PathBuf {
+        self.root.join("themes")
+    }
+
+    /// What the console of a profile remembers of its last run.
+    pub fn console(&self, profile: &ProfileName) -> PathBuf {
+        self.root.join("console").join(format!("{profile}.json"))
+    }
+
     /// Held by the process that is the site.
     pub fn site_lock(&self) -> PathBuf {
         self.root.join("site.lock")

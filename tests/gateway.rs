@@ -77,6 +77,18 @@ fn bodies(count: u64) -> Vec<Vec<u8>> {
     (1..=count).map(|number| format!("entry {number} of the log").into_bytes()).collect()
 }
 
+/// The operator sees who is connected, which system keys are in use, and what was refused.
+fn expect_status(site: &Site) {
+    let status = site.home.authros().json(&["gateway", "status"]);
+    let robot = support::list(&status, "senders").into_iter().find(|sender| sender["name"] == "robot-7");
+    let robot = robot.expect("the robot is among the senders");
+    assert!(robot["sessions"] == 1 && robot["frames"].as_u64() >= Some(2) && robot["peer"].is_string(), "{robot}");
+    let keys = support::list(&status, "keys");
+    assert!(keys.len() == 2 && keys[0]["current"] == true && keys[1]["current"] == false, "{status}");
+    let refused = support::list(&status, "refused");
+    assert!(refused.iter().any(|row| row["code"] == Code::NotAuthorised.number() && row["count"] == 2), "{status}");
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn what_robots_send_is_anchored_by_the_gateway_and_read_by_a_grantee_until_the_revoke() {
     let site = site();
@@ -108,6 +120,7 @@ async fn what_robots_send_is_anchored_by_the_gateway_and_read_by_a_grantee_until
     assert_eq!(refused(session.query(&all_of(&owner)).await), Code::NotAuthorised);
     assert_eq!(refused(session.fetch(&digests[0]).await), Code::NotAuthorised);
     assert_eq!(session.check(&digests[..2]).await.expect("answers"), [Standing::Unknown; 2]);
+    expect_status(&site);
 
     alice.json(&["grant", &bob_address]);
     let read = read_all(&mut session, &owner, &reader).await;

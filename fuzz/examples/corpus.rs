@@ -5,18 +5,22 @@
 use std::path::Path;
 use std::{fs, io};
 
-use authros_fuzz::{Sample, frame, key_allocation, proof, record};
+use authros_fuzz::{Sample, backup, decoder, export_folder, frame, key_allocation, picture, proof, record};
 
 /// Name, valid encodings, what is done with them.
 type Target = (&'static str, Vec<Sample>, fn(&[u8]) -> bool);
 
 fn main() -> io::Result<()> {
     let write = std::env::args().nth(1).is_some_and(|word| word == "write");
-    let targets: [Target; 4] = [
+    let targets: [Target; 6] = [
         ("frame", frame::samples(), frame::run),
         ("key_allocation", key_allocation::samples(), key_allocation::run),
         ("record", record::samples(), record::run),
         ("proof", proof::samples(), proof::run),
+        ("export_folder", export_folder::samples(), export_folder::run),
+        ("backup", backup::samples(), backup::run),
+        ("decoder", decoder::samples(), decoder::run),
+        ("picture", picture::samples(), picture::run),
     ];
     let corpus = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpus");
     for (target, samples, run) in targets {

@@ -1,8 +1,12 @@
 //! What the fuzz targets do: each takes bytes, the first of which says how they are tried, and panics where the
 //! product breaks its word. `run` gives whether something valid went all the way through.
 
+pub mod backup;
+pub mod decoder;
+pub mod export_folder;
 pub mod frame;
 pub mod key_allocation;
+pub mod picture;
 pub mod proof;
 pub mod record;
 

@@ -42,6 +42,18 @@ pub enum Action {
     FilesWritten(Result<String, String>),
     /// The theme is now this one.
     ThemeIs(String),
+    /// The wheel was turned: up or down.
+    Wheel {
+        /// Away from the operator.
+        up: bool,
+    },
+    /// The left button was pressed on a cell, from 0.
+    Click {
+        /// Column.
+        column: u16,
+        /// Row.
+        row: u16,
+    },
     /// The process was suspended and runs again.
     Resumed,
     /// A background task of this process failed.
@@ -61,8 +73,12 @@ pub enum Effect {
     Suspend,
     /// Draw everything anew.
     Redraw,
-    /// Show the next theme.
-    NextTheme,
+    /// Show the theme of that name.
+    ShowTheme(String),
+    /// Change between ASCII characters only and all.
+    ToggleAscii,
+    /// Take the mouse, or leave it to the terminal.
+    Mouse(bool),
     /// Give a text to the terminal's clipboard (OSC 52).
     CopyText(String),
     /// Write files into a new place below the working directory, 0600, never over others.
@@ -130,10 +146,28 @@ pub enum Tag {
     ExportKey(KeyKind),
     /// A new epoch.
     Rotate,
+    /// Wiping of the keys from memory.
+    Lock,
+    /// A copy of the keyring.
+    BackUp,
+    /// An act of the administrator, in a word.
+    Administer(&'static str),
+    /// Accepting of a topic's publishers.
+    Pin(String),
+    /// A publisher of a topic is no longer accepted.
+    Unpin(String),
+    /// Held messages of a topic go on.
+    Release(String),
+    /// Held messages of a topic are deleted.
+    Discard(String),
+    /// Publishers of a topic.
+    Publishers(String),
     /// Provenance of a record.
     Show(String),
     /// Opening of a record.
     Open(String),
+    /// The path over a record's topic.
+    Path(String),
     /// Check of a record.
     Check(String),
     /// Export of a record.
@@ -143,7 +177,9 @@ pub enum Tag {
 impl Tag {
     /// Whether the work behind it changes something, so that quitting should wait or ask.
     pub fn is_work(&self) -> bool {
-        !matches!(self, Self::Feed(..) | Self::OpenConsole | Self::Show(_) | Self::Open(_) | Self::Check(_))
+        let looks =
+            matches!(self, Self::Show(_) | Self::Open(_) | Self::Path(_) | Self::Check(_) | Self::Publishers(_));
+        !looks && !matches!(self, Self::Feed(..) | Self::OpenConsole)
     }
 
     /// What is under way, in words.
@@ -161,8 +197,17 @@ impl Tag {
             Self::LoadKey(kind) => format!("loading the {} key", kind_word(*kind)),
             Self::ExportKey(kind) => format!("exporting the {} key", kind_word(*kind)),
             Self::Rotate => "rotating the keys".to_owned(),
+            Self::Lock => "locking the keyring".to_owned(),
+            Self::BackUp => "backing up the keyring".to_owned(),
+            Self::Administer(act) => format!("administrator: {act}"),
+            Self::Pin(topic) => format!("pinning publishers of {topic}"),
+            Self::Unpin(topic) => format!("unpinning a publisher of {topic}"),
+            Self::Release(topic) => format!("releasing what is held of {topic}"),
+            Self::Discard(topic) => format!("discarding what is held of {topic}"),
+            Self::Publishers(topic) => format!("looking up publishers of {topic}"),
             Self::Show(id) => format!("looking up {id}"),
             Self::Open(id) => format!("opening {id}"),
+            Self::Path(id) => format!("reading the path to {id}"),
             Self::Check(id) => format!("checking {id}"),
             Self::Export(id) => format!("exporting {id}"),
         }

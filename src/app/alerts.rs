@@ -1,8 +1,10 @@
 //! What an operator should look at, from the data on hand.
 
+use super::screens::grants::{is_active, is_given};
 use super::state::State;
+use crate::model::Timestamp;
 use crate::service::NoticeLevel;
-use crate::service::reply::{HealthLevel, LifeLine, PartHealth};
+use crate::service::reply::{GrantRow, HealthLevel, LifeLine, PartHealth};
 
 /// The most notices repeated as alerts.
 const MOST_NOTICES: usize = 3;
@@ -21,12 +23,27 @@ pub fn alerts(state: &State) -> Vec<(NoticeLevel, String)> {
             found.push((NoticeLevel::Warning, "not registered on this chain: 6, then R registers".to_owned()));
         }
     }
+    found.extend(state.grants.rows.iter().filter_map(|row| expiring(row, state.now)));
     found.extend(state.log.urgent(MOST_NOTICES).into_iter().map(|line| {
         let at = line.at.clock();
         (line.level, format!("{at} {}", line.text))
     }));
     found.sort_by_key(|(level, _)| std::cmp::Reverse(*level));
     found
+}
+
+/// A grant given that ends within three days.
+fn expiring(row: &GrantRow, now: Timestamp) -> Option<(NoticeLevel, String)> {
+    const SOON: u64 = 3 * 86_400 * 1_000_000_000;
+    let ends = row.expires.filter(|_| is_given(row) && is_active(row))?;
+    let left = ends.0.checked_sub(now.0).filter(|left| *left < SOON)? / 1_000_000_000;
+    let who = row.name.clone().unwrap_or_else(|| row.grantee.short());
+    let when = match left {
+        0..3_600 => format!("{} min", left / 60),
+        3_600..86_400 => format!("{} h", left / 3_600),
+        _ => format!("{} d", left / 86_400),
+    };
+    Some((NoticeLevel::Info, format!("the grant to {who} ends in {when}: a new epoch begins then (5)")))
 }
 
 fn health(part: &PartHealth) -> Option<(NoticeLevel, String)> {

@@ -5,11 +5,13 @@ use zeroize::Zeroizing;
 use super::action::{Contents, Effect, Tag};
 use super::feed::Feed;
 use super::identity_path;
-use super::popup::{Lookup, Popup};
+use super::opening;
+use super::popup::Popup;
 use super::state::State;
+use super::undo;
 use crate::model::{ErrorKind, Verdict};
 use crate::service::reply::CheckView;
-use crate::service::{Failure, KeyKind, Reply};
+use crate::service::{Failure, KeyKind, NoticeLevel, Reply};
 
 /// Takes an answer.
 pub fn answered(state: &mut State, tag: &Tag, result: Result<Reply, Failure>) -> Vec<Effect> {
@@ -24,8 +26,17 @@ pub fn answered(state: &mut State, tag: &Tag, result: Result<Reply, Failure>) ->
             looked_up(state, id, result);
             Vec::new()
         }
-        Tag::Open(id) => {
-            opened(state, id, result);
+        Tag::Publishers(topic) => {
+            publishers(state, topic, result);
+            Vec::new()
+        }
+        Tag::Lock => {
+            locked(state, result);
+            Vec::new()
+        }
+        Tag::Open(id) => opening::opened(state, id, result),
+        Tag::Path(id) => {
+            opening::path_found(state, id, result);
             Vec::new()
         }
         _ => match result {
@@ -69,6 +80,7 @@ fn take(state: &mut State, feed: Feed, reply: Reply) {
         Reply::Grants(rows) => state.grants.set(rows),
         Reply::Chain(chain) => state.chain = Some(chain),
         Reply::Audit(lines) => state.log.set_audit(lines),
+        Reply::GatewayStatus(view) => state.gateway.set(view),
         _ => {}
     }
 }
@@ -99,18 +111,32 @@ fn looked_up(state: &mut State, id: &str, result: Result<Reply, Failure>) {
     }
 }
 
-fn opened(state: &mut State, id: &str, result: Result<Reply, Failure>) {
+fn publishers(state: &mut State, topic: &str, result: Result<Reply, Failure>) {
     let answer = match result {
-        Ok(Reply::Opened(view)) => Ok(view),
+        Ok(Reply::Pins(pins)) => Ok(Box::new(pins)),
         Ok(_) => return,
         Err(failure) => Err(failure),
     };
-    let lookup = state.popups.iter_mut().find_map(|popup| match popup {
-        Popup::Record(lookup) if lookup.id == id => Some(lookup),
-        _ => None,
-    });
-    if let Some(Lookup { answer: place, .. }) = lookup {
-        *place = Some(answer);
+    for popup in &mut state.popups {
+        match popup {
+            Popup::Publishers(lookup) if lookup.id == topic => return lookup.answer = Some(answer),
+            _ => {}
+        }
+    }
+}
+
+fn locked(state: &mut State, result: Result<Reply, Failure>) {
+    state.feeds.renew(Feed::Identity);
+    for feed in [Feed::Keys, Feed::Grants, Feed::Shared] {
+        state.feeds.slot_mut(feed).stale = true;
+    }
+    match result {
+        Ok(Reply::Identity(identity)) => {
+            state.identity = Some(identity);
+            state.inform("locked: what decrypts, grants and revokes is wiped; capture and anchoring go on");
+        }
+        Ok(_) => {}
+        Err(failure) => state.complain_of(&Tag::Lock, &failure),
     }
 }
 
@@ -118,18 +144,21 @@ fn done(state: &mut State, tag: &Tag, reply: Reply) -> Vec<Effect> {
     match reply {
         Reply::Transaction(done) => state.inform(done.text),
         Reply::Check(check) => checked(state, &check),
+        Reply::Decided(decided) => state.inform(decided.text),
+        Reply::Deployed(deployed) => state.inform(format!("contract {} deployed", deployed.pin.contract)),
         Reply::Files(files) => {
             let Tag::Export(id) = tag else { return Vec::new() };
             let directory = Some(format!("authros-{}", crate::model::clean(id, 40).replace('/', "_")));
             return vec![Effect::WriteFiles { directory, files: files.into_iter().map(Contents::from).collect() }];
         }
         Reply::Key(secret) => {
-            let Tag::ExportKey(kind) = tag else { return Vec::new() };
+            let name = match tag {
+                Tag::ExportKey(kind) => key_file(state, *kind),
+                Tag::BackUp => format!("{}.keyring", state.settings.profile),
+                _ => return Vec::new(),
+            };
             let bytes = Zeroizing::new(secret.expose().to_vec());
-            return vec![Effect::WriteFiles {
-                directory: None,
-                files: vec![Contents { name: key_file(state, *kind), bytes }],
-            }];
+            return vec![Effect::WriteFiles { directory: None, files: vec![Contents { name, bytes }] }];
         }
         Reply::Keys(keys) => {
             state.keys = Some(keys);
@@ -142,6 +171,7 @@ fn done(state: &mut State, tag: &Tag, reply: Reply) -> Vec<Effect> {
             _ => state.inform(format!("{}: done", tag.words())),
         },
     }
+    undo::note(state, tag);
     for feed in touched_by(tag) {
         state.feeds.slot_mut(*feed).stale = true;
     }
@@ -154,6 +184,8 @@ fn touched_by(tag: &Tag) -> &'static [Feed] {
         Tag::Watch(_) | Tag::Unwatch(_) => &[Feed::Topics],
         Tag::Grant(_) | Tag::Revoke(_) => &[Feed::Grants, Feed::Identity, Feed::Keys],
         Tag::LoadKey(_) | Tag::Rotate => &[Feed::Keys, Feed::Identity],
+        Tag::Pin(_) | Tag::Unpin(_) | Tag::Release(_) | Tag::Discard(_) => &[Feed::Topics],
+        Tag::Administer(_) => &[Feed::Chain],
         _ => &[],
     }
 }
@@ -171,7 +203,10 @@ fn checked(state: &mut State, check: &CheckView) {
     let place = check.block.map_or_else(String::new, |block| format!(", anchored in block {block}"));
     let text = format!("record {}: {}{place}", check.id, check.verdict.word());
     match check.verdict {
-        Verdict::Verified => state.inform(text),
+        Verdict::Verified => {
+            state.log.notice(state.now, NoticeLevel::Info, &text);
+            state.inform(text);
+        }
         Verdict::Unanchored => state.inform(format!("{text}: not on the chain yet, other checks pass")),
         Verdict::Tampered => state.complain(format!("{text}: the stored bytes are not the ones anchored")),
         Verdict::Deleted => state.inform(format!("{text}: header, signature and proof stay")),

@@ -1,6 +1,7 @@
 //! Whether a verb can be done now, and if not, why, in a few words.
 
 use super::action::Tag;
+use super::administration::Act;
 use super::screen::Screen;
 use super::screens::grants::{is_active, is_given};
 use super::state::State;
@@ -30,7 +31,16 @@ pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
             given(entry.works_on(state.screen), "other screen")?;
             given(state.has_rows(), "no row")
         }
-        Verb::Copy => given(copyable(state), "nothing here to copy"),
+        Verb::Publishers | Verb::Pin | Verb::Unpin | Verb::Readers | Verb::Browse => {
+            given(entry.works_on(state.screen), "other screen")?;
+            given(matches!(verb, Verb::Browse) || state.has_rows(), "no row")
+        }
+        Verb::Release | Verb::Discard => held(state),
+        Verb::BackUp => identity(state),
+        Verb::Lock => lock(state),
+        Verb::Undo => given(state.undo.is_some(), "nothing to undo"),
+        Verb::Administer(act) => administer(state, act),
+        Verb::Copy | Verb::WriteFile => given(copyable(state), "nothing here to copy"),
         Verb::Level => given(state.screen == Screen::Log, "other screen"),
         _ => Ok(()),
     }
@@ -45,6 +55,7 @@ fn copyable(state: &State) -> bool {
         Screen::Keys => state.address().is_some(),
         Screen::Chain => state.chain.as_ref().is_some_and(|chain| chain.contract.is_some()),
         Screen::Log => false,
+        Screen::Gateway => state.gateway.view.as_ref().is_some_and(|view| view.served.is_some()),
         _ => state.has_rows(),
     }
 }
@@ -70,6 +81,29 @@ fn register(state: &State) -> Result<(), &'static str> {
     identity(state)?;
     given(!state.identity.as_ref().is_some_and(|identity| identity.registered), "is registered")?;
     given(!state.work.contains(&Tag::Register), "under way")
+}
+
+fn held(state: &State) -> Result<(), &'static str> {
+    given(state.screen == Screen::Topics, "other screen")?;
+    let row = state.topics.selected().ok_or("no row")?;
+    given(row.quarantined > 0, "nothing is held of it")
+}
+
+fn lock(state: &State) -> Result<(), &'static str> {
+    identity(state)?;
+    given(state.identity.as_ref().is_some_and(|identity| identity.unlocked), "is locked")?;
+    given(!state.work.contains(&Tag::Lock), "under way")
+}
+
+fn administer(state: &State, act: Act) -> Result<(), &'static str> {
+    let chain = state.chain.as_ref().ok_or("look at the chain first (7)")?;
+    let own = state.address();
+    match act {
+        Act::Deploy => given(chain.contract.is_none(), "is deployed"),
+        Act::Adopt => Ok(()),
+        Act::Accept => given(own.is_some() && chain.administration.nominee == own, "you were not named"),
+        _ => given(own.is_some() && chain.administration.administrator == own, "you are not the administrator"),
+    }
 }
 
 fn revoke(state: &State) -> Result<(), &'static str> {

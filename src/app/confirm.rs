@@ -1,12 +1,69 @@
 //! The questions before what cannot be taken back, with honest words.
 
 use super::action::{Errand, Tag, kind_word};
+use super::field::Field;
 use super::forms::{GrantWish, KeyWish};
 use super::popup::Confirm;
 use super::screens::grants::{day, end, scope};
 use super::state::State;
-use crate::service::reply::GrantRow;
+use crate::model::TopicName;
+use crate::service::command::Held;
+use crate::service::reply::{GrantRow, TopicRow};
 use crate::service::{Command, Epochs, KeyKind};
+
+/// A word that must be typed for a grave act.
+#[derive(Debug)]
+pub struct Typed {
+    /// The word.
+    pub wanted: String,
+    /// What is typed.
+    pub field: Field,
+}
+
+impl Typed {
+    /// Nothing typed yet.
+    pub fn new(wanted: &str) -> Self {
+        Self { wanted: wanted.to_owned(), field: Field::default() }
+    }
+
+    /// Whether the word is there.
+    pub fn is_done(&self) -> bool {
+        self.field.text().trim() == self.wanted
+    }
+}
+
+/// Before the publishers that are read now are accepted.
+pub fn pin(row: &TopicRow, topic: TopicName) -> Confirm {
+    let lines = vec![
+        format!("Topic       {topic}"),
+        format!(
+            "Publishers  {}",
+            if row.publishers.is_empty() { "nobody".to_owned() } else { row.publishers.join(" ") }
+        ),
+        "Messages of these are captured from now on; those of others are held back.".to_owned(),
+        "Look at host and type first: enter shows them (a name alone can be forged).".to_owned(),
+    ];
+    let tag = Tag::Pin(topic.to_string());
+    let errand = Errand { command: Command::PinTopic { topic, publishers: Vec::new() }, tag };
+    Confirm { title: "Accept these publishers?".to_owned(), lines, yes: "pin", typed: None, errand }
+}
+
+/// Before held messages go on, or are deleted.
+pub fn decide(row: &TopicRow, topic: TopicName, discard: bool) -> Confirm {
+    let held = Held { topic: Some(topic.clone()), ids: Vec::new() };
+    let mut lines = vec![format!("Topic  {topic}"), format!("Held   {} messages", row.quarantined)];
+    let name = topic.to_string();
+    if discard {
+        lines.push("Their ciphertext is deleted. Quarantine records on the chain count them, so that".to_owned());
+        lines.push("nobody can choose evidence; the messages themselves do not come back.".to_owned());
+        let errand = Errand { command: Command::DiscardHeld { held }, tag: Tag::Discard(name.clone()) };
+        let typed = Some(Typed::new(&name));
+        return Confirm { title: "Discard what is held?".to_owned(), lines, yes: "discard", typed, errand };
+    }
+    lines.push("They are anchored like others and keep the tag that says they were held.".to_owned());
+    let errand = Errand { command: Command::ReleaseHeld { held }, tag: Tag::Release(name) };
+    Confirm { title: "Release what is held?".to_owned(), lines, yes: "release", typed: None, errand }
+}
 
 /// Before a grant: what it opens, and who can read already.
 pub fn grant(state: &State, wish: GrantWish) -> Confirm {
@@ -25,7 +82,7 @@ pub fn grant(state: &State, wish: GrantWish) -> Confirm {
     ];
     lines.extend(readers(state, "Who can read this now:", None));
     lines.push("A later revoke stops new records; what was read cannot be recalled.".to_owned());
-    Confirm { title: "Grant this?".to_owned(), lines, yes: "grant", errand: wish.errand() }
+    Confirm { title: "Grant this?".to_owned(), lines, yes: "grant", typed: None, errand: wish.errand() }
 }
 
 /// Before a revoke: what it does and what it cannot do.
@@ -42,7 +99,7 @@ pub fn revoke(state: &State, row: &GrantRow) -> Confirm {
     ];
     lines.extend(readers(state, "Who can read afterwards:", Some(row)));
     let errand = Errand { command: Command::Revoke { grantee: row.grantee.into() }, tag: Tag::Revoke(row.grantee) };
-    Confirm { title: format!("Revoke {}?", row.grantee.short()), lines, yes: "revoke", errand }
+    Confirm { title: format!("Revoke {}?", row.grantee.short()), lines, yes: "revoke", typed: None, errand }
 }
 
 /// Before a key takes another's place.
@@ -56,7 +113,7 @@ pub fn load_key(wish: KeyWish) -> Confirm {
     let file = format!("File  {}", path.display());
     let lines = vec![file, what.to_owned(), "The present key is replaced; export it first if you need it.".to_owned()];
     let errand = Errand { command: Command::LoadKey { kind, path, passphrase }, tag: Tag::LoadKey(kind) };
-    Confirm { title: format!("Replace the {} key?", kind_word(kind)), lines, yes: "replace", errand }
+    Confirm { title: format!("Replace the {} key?", kind_word(kind)), lines, yes: "replace", typed: None, errand }
 }
 
 /// Before a new epoch.
@@ -66,10 +123,11 @@ pub fn rotate() -> Confirm {
         "their keys are wrapped anew. It is a transaction.".to_owned(),
     ];
     let errand = Errand { command: Command::RotateKeys, tag: Tag::Rotate };
-    Confirm { title: "Begin a new epoch?".to_owned(), lines, yes: "rotate", errand }
+    Confirm { title: "Begin a new epoch?".to_owned(), lines, yes: "rotate", typed: None, errand }
 }
 
-fn readers(state: &State, title: &str, without: Option<&GrantRow>) -> Vec<String> {
+/// Who can read now, one line each, under a title; `without` is left out.
+pub fn readers(state: &State, title: &str, without: Option<&GrantRow>) -> Vec<String> {
     let readers = state.grants.readers(without.map(|row| row.grantee));
     let mut lines = vec![title.to_owned()];
     if state.awaits(super::feed::Feed::Grants) {

@@ -3,7 +3,7 @@
 use super::feed::Feed;
 use super::key::Key;
 use super::screen::Screen;
-use super::screens::{grants, topics};
+use super::screens::{gateway, grants, topics};
 use super::state::State;
 use super::table::Table;
 
@@ -16,7 +16,8 @@ impl State {
             Screen::Shared => Some(&self.shared.table),
             Screen::Grants => Some(&self.grants.table),
             Screen::Log => Some(&self.log.table),
-            Screen::Overview | Screen::Keys | Screen::Chain | Screen::Gateway => None,
+            Screen::Gateway => Some(&self.gateway.table),
+            Screen::Overview | Screen::Keys | Screen::Chain => None,
         }
     }
 
@@ -28,7 +29,8 @@ impl State {
             Screen::Shared => Some(&mut self.shared.table),
             Screen::Grants => Some(&mut self.grants.table),
             Screen::Log => Some(&mut self.log.table),
-            Screen::Overview | Screen::Keys | Screen::Chain | Screen::Gateway => None,
+            Screen::Gateway => Some(&mut self.gateway.table),
+            Screen::Overview | Screen::Keys | Screen::Chain => None,
         }
     }
 
@@ -37,11 +39,12 @@ impl State {
         let ids = |rows: Vec<&crate::service::reply::RecordView>| rows.iter().map(|row| row.id.clone()).collect();
         match self.screen {
             Screen::Topics => self.topics.keys(),
-            Screen::Uploads => ids(self.uploads.visible(&self.topics.rows)),
-            Screen::Shared => ids(self.shared.visible(&self.topics.rows)),
+            Screen::Uploads => ids(self.uploads.visible(&self.topics.rows, self.now)),
+            Screen::Shared => ids(self.shared.visible(&self.topics.rows, self.now)),
             Screen::Grants => self.grants.keys(),
             Screen::Log => self.log.keys(),
-            Screen::Overview | Screen::Keys | Screen::Chain | Screen::Gateway => Vec::new(),
+            Screen::Gateway => self.gateway.keys(),
+            Screen::Overview | Screen::Keys | Screen::Chain => Vec::new(),
         }
     }
 
@@ -58,6 +61,9 @@ impl State {
 
     /// The key of the row under the cursor.
     pub fn row_key(&self) -> Option<String> {
+        if self.screen == Screen::Topics {
+            return self.topics.selected().map(|row| row.topic.clone());
+        }
         let keys = self.row_keys();
         let position = self.table()?.position(&keys);
         keys.into_iter().nth(position)
@@ -111,6 +117,7 @@ pub fn sort(state: &mut State) {
     let orders = match state.screen {
         Screen::Topics => topics::SORTS.len(),
         Screen::Grants => grants::SORTS.len(),
+        Screen::Gateway => gateway::SORTS.len(),
         _ => 2,
     };
     if let Some(table) = state.table_mut() {

@@ -28,11 +28,13 @@ pub enum Feed {
     Chain,
     /// `ListAudit`.
     Audit,
+    /// `Operation::GatewayStatus`.
+    Gateway,
 }
 
 impl Feed {
     /// All feeds.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 10] = [
         Self::Site,
         Self::Identity,
         Self::Keys,
@@ -42,16 +44,17 @@ impl Feed {
         Self::Grants,
         Self::Chain,
         Self::Audit,
+        Self::Gateway,
     ];
 
     /// What a change of `part` makes out of date.
     pub fn touched_by(part: Part) -> &'static [Self] {
         match part {
             Part::Topics => &[Self::Topics],
-            Part::Uploads => &[Self::Uploads, Self::Site],
+            Part::Uploads => &[Self::Uploads, Self::Site, Self::Gateway],
             Part::Grants => &[Self::Grants, Self::Shared, Self::Audit],
-            Part::Chain => &[Self::Chain, Self::Shared],
-            Part::Health => &[Self::Site],
+            Part::Chain => &[Self::Chain, Self::Shared, Self::Gateway],
+            Part::Health => &[Self::Site, Self::Gateway],
             Part::Identity => &[Self::Identity, Self::Keys, Self::Audit],
         }
     }

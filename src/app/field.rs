@@ -45,6 +45,11 @@ impl Field {
         if self.masked { "•".repeat(self.text.chars().count()) } else { self.text.to_string() }
     }
 
+    /// Whether it holds a secret.
+    pub fn is_masked(&self) -> bool {
+        self.masked
+    }
+
     /// Where the cursor stands, in characters.
     pub fn cursor(&self) -> usize {
         self.cursor

@@ -111,6 +111,29 @@ pub fn read_grant(form: &Form, own: Option<Address>, now: Timestamp) -> Result<G
     Ok(GrantWish { grantee, topics, epochs, expires })
 }
 
+/// Asks which publisher of a topic is no longer accepted.
+pub fn unpin(topic: &str, publisher: &str) -> Form {
+    let lines = vec![
+        Line::text("Topic", "as /robot1/odom", Field::with(topic)),
+        Line::text("Node", "caller id, as /driver", Field::with(publisher)),
+    ];
+    Form::new("Unpin a publisher", vec!["Its messages are held back from then on.".to_owned()], lines)
+}
+
+/// The command of a filled [`unpin`].
+///
+/// # Errors
+/// The line that is wrong, and why.
+pub fn read_unpin(form: &Form) -> Result<Errand, (usize, String)> {
+    let topic: TopicName = form.text(0).trim().parse().map_err(|error| (0, format!("{error}")))?;
+    let caller_id = form.text(1).trim().to_owned();
+    if caller_id.is_empty() {
+        return Err((1, "write the node's name; enter on the topic lists who is pinned".to_owned()));
+    }
+    let tag = Tag::Unpin(topic.to_string());
+    Ok(Errand { command: Command::UnpinTopic { topic, caller_id }, tag })
+}
+
 /// Asks for a key file.
 pub fn load_key() -> Form {
     let lines = vec![

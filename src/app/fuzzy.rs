@@ -13,10 +13,18 @@ pub fn narrow<T>(needle: &str, rows: Vec<T>, text: impl Fn(&T) -> String) -> Vec
     if needle.trim().is_empty() {
         return rows;
     }
-    let whole: Vec<bool> = rows.iter().map(|row| whole_words(needle, &text(row))).collect();
+    let needle = needle.to_lowercase();
+    let words: Vec<&str> = needle.split_whitespace().collect();
+    let whole: Vec<bool> = rows.iter().map(|row| holds_all(&words, &text(row))).collect();
     let any = whole.contains(&true);
     let kept = rows.into_iter().zip(whole);
-    kept.filter(|(row, whole)| *whole || !any && score(needle, &text(row)).is_some()).map(|(row, _)| row).collect()
+    kept.filter(|(row, whole)| *whole || !any && score(&needle, &text(row)).is_some()).map(|(row, _)| row).collect()
+}
+
+/// Whether all words, in lower case, stand in `text`.
+fn holds_all(words: &[&str], text: &str) -> bool {
+    let text = text.to_lowercase();
+    words.iter().all(|word| text.contains(word))
 }
 
 /// Whether every word of `needle` stands in `text` as it is.

@@ -6,9 +6,11 @@
 //! bar are made from it.
 
 pub mod action;
+pub mod administration;
 pub mod alerts;
 pub mod answer;
 pub mod available;
+pub mod browse;
 pub mod confirm;
 pub mod cursor;
 pub mod feed;
@@ -19,24 +21,33 @@ pub mod forms;
 pub mod fuzzy;
 pub mod identity_path;
 pub mod key;
+pub mod keymap;
+pub mod lock;
+pub mod mouse;
+pub mod opening;
 pub mod perform;
 pub mod popup;
 pub mod popup_keys;
 pub mod rates;
+pub mod resume;
 pub mod screen;
 pub mod screens;
 pub mod state;
 pub mod table;
+pub mod themes;
 pub mod toast;
+pub mod undo;
 pub mod update;
 pub mod verb;
 pub mod when;
+pub mod zone;
 
 #[cfg(test)]
 pub mod tests;
 
 pub use action::{Action, Contents, Effect, Errand, Tag};
 pub use key::Key;
+pub use keymap::Keymap;
 pub use screen::Screen;
 pub use state::{Settings, State};
 pub use update::update;

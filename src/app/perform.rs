@@ -1,19 +1,26 @@
 //! What each verb does.
 
-use super::action::{Effect, Errand, Tag};
+use super::action::{Contents, Effect, Errand, Tag};
+use super::administration;
 use super::available::available;
+use super::browse::Browse;
 use super::confirm;
 use super::cursor;
 use super::feed::Feed;
 use super::forms;
 use super::identity_path::{self, Need};
+use super::lock;
+use super::mouse;
 use super::popup::{Lookup, Palette, Popup, Purpose};
 use super::screen::Screen;
 use super::screens::grants::other_side;
 use super::state::State;
+use super::themes;
+use super::undo;
 use super::verb::Verb;
 use crate::model::TopicName;
-use crate::service::Command;
+use crate::service::reply::TopicRow;
+use crate::service::{Command, Operation};
 
 /// Does `verb`, or says why it cannot be done now.
 pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
@@ -26,13 +33,22 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Watch => watch(state),
         Verb::Details => details(state),
         Verb::Open => record(state, Tag::Open, |id| Command::OpenShared { id }, Need::Unlocked),
-        Verb::Check => send_for_row(state, Tag::Check, |id| Command::CheckShared { id }),
-        Verb::Export => send_for_row(state, Tag::Export, |id| Command::ExportUpload { id, addresses: false }),
+        Verb::Check => send_for_rows(state, Tag::Check, |id| Command::CheckShared { id }),
+        Verb::Export => send_for_rows(state, Tag::Export, |id| Command::ExportUpload { id, addresses: false }),
         Verb::CreateIdentity | Verb::Register => identity_path::run(state, Need::Registered, Vec::new()),
         Verb::Unlock => identity_path::run(state, Need::Unlocked, Vec::new()),
         Verb::Copy => copied(state).map_or_else(Vec::new, |text| vec![copy(state, text)]),
         Verb::Quit => quit(state),
-        Verb::NextTheme => vec![Effect::NextTheme],
+        Verb::Publishers => publishers(state),
+        Verb::Lock => lock::lock(state),
+        Verb::Undo => undo::undo(state),
+        Verb::BackUp => {
+            vec![state.send(Errand { command: Command::Operate(Operation::BackUpKeys), tag: Tag::BackUp })]
+        }
+        Verb::WriteFile => copied(state).map_or_else(Vec::new, |text| vec![write_file(state, &text)]),
+        Verb::ChooseTheme => themes::choose(state),
+        Verb::Ascii => vec![Effect::ToggleAscii],
+        Verb::Mouse => mouse::toggle(state),
         Verb::Redraw => vec![Effect::Redraw],
         Verb::Suspend => vec![Effect::Suspend],
         Verb::Up => moved(state, -1),
@@ -59,6 +75,13 @@ fn quietly(state: &mut State, verb: Verb) {
         Verb::Filter => drop(state.table_mut().map(|table| table.filtering = true)),
         Verb::Sort => cursor::sort(state),
         Verb::Level => state.log.next_level(),
+        Verb::Tasks => state.popups.push(Popup::Tasks),
+        Verb::Readers => readers(state),
+        Verb::Browse => state.popups.push(Popup::Browse(Browse::default())),
+        Verb::LocalTime => state.local_time = !state.local_time,
+        Verb::Pin | Verb::Release | Verb::Discard => decide(state, verb),
+        Verb::Unpin => unpin(state),
+        Verb::Administer(act) => administration::begin(state, act),
         Verb::Freeze => state.paused = !state.paused,
         Verb::Palette => state.popups.push(Popup::Palette(Palette::default())),
         Verb::Help => state.popups.push(Popup::Help { scroll: 0 }),
@@ -157,13 +180,65 @@ fn record(state: &mut State, tag: fn(String) -> Tag, command: fn(String) -> Comm
     identity_path::run(state, need, vec![Errand { command: command(id.clone()), tag: tag(id) }])
 }
 
-fn send_for_row(state: &mut State, tag: fn(String) -> Tag, command: fn(String) -> Command) -> Vec<Effect> {
-    let Some(id) = state.row_key() else { return Vec::new() };
-    let errand = Errand { command: command(id.clone()), tag: tag(id) };
-    if state.work.contains(&errand.tag) {
-        return Vec::new();
+/// For the marked rows, else for the one of the cursor.
+fn send_for_rows(state: &mut State, tag: fn(String) -> Tag, command: fn(String) -> Command) -> Vec<Effect> {
+    let marked: Vec<String> = state.table().map(|table| table.marks.iter().cloned().collect()).unwrap_or_default();
+    let ids = if marked.is_empty() { state.row_key().into_iter().collect() } else { marked };
+    let errands = ids.into_iter().map(|id| Errand { command: command(id.clone()), tag: tag(id) });
+    let fresh: Vec<Errand> = errands.filter(|errand| !state.work.contains(&errand.tag)).collect();
+    if let Some(table) = state.table_mut() {
+        table.marks.clear();
     }
-    vec![state.send(errand)]
+    fresh.into_iter().map(|errand| state.send(errand)).collect()
+}
+
+/// The topic under the cursor, where its name is one.
+fn selected_topic(state: &mut State) -> Option<(TopicRow, TopicName)> {
+    let row = state.topics.selected()?.clone();
+    match row.topic.parse() {
+        Ok(topic) => Some((row, topic)),
+        Err(error) => {
+            state.complain(format!("{error}"));
+            None
+        }
+    }
+}
+
+fn publishers(state: &mut State) -> Vec<Effect> {
+    let Some((_, topic)) = selected_topic(state) else { return Vec::new() };
+    let name = topic.to_string();
+    state.popups.push(Popup::Publishers(Lookup::new(&name)));
+    let command = Command::ListPins { topic: Some(topic) };
+    vec![state.send(Errand { command, tag: Tag::Publishers(name) })]
+}
+
+fn decide(state: &mut State, verb: Verb) {
+    let Some((row, topic)) = selected_topic(state) else { return };
+    let question = match verb {
+        Verb::Pin => confirm::pin(&row, topic),
+        _ => confirm::decide(&row, topic, verb == Verb::Discard),
+    };
+    state.popups.push(Popup::Confirm(question));
+}
+
+fn unpin(state: &mut State) {
+    let Some((row, topic)) = selected_topic(state) else { return };
+    let publisher = row.unpinned.first().or(row.publishers.first()).cloned().unwrap_or_default();
+    state.popups.push(Popup::Form(Purpose::Unpin, forms::unpin(topic.as_str(), &publisher)));
+}
+
+/// Who can read the topics, the record's topic, or what the grant covers.
+fn readers(state: &mut State) {
+    let topics = match state.screen {
+        Screen::Topics => state.topics.targets().into_iter().map(|row| row.topic.clone()).collect(),
+        Screen::Uploads => {
+            let key = state.row_key();
+            let rows = state.uploads.rows.iter();
+            rows.filter(|row| Some(&row.id) == key.as_ref()).map(|row| row.topic.clone()).collect()
+        }
+        _ => state.grants.selected().map(|row| row.topics.clone()).unwrap_or_default(),
+    };
+    state.popups.push(Popup::Readers(topics));
 }
 
 fn grant(state: &mut State) {
@@ -193,6 +268,13 @@ pub fn copy(state: &mut State, text: String) -> Effect {
     Effect::CopyText(text)
 }
 
+/// The same as a file, for terminals that take nothing from a program.
+fn write_file(state: &State, text: &str) -> Effect {
+    let name = format!("{}.txt", state.screen.title().to_lowercase());
+    let file = Contents { name, bytes: format!("{text}\n").into_bytes().into() };
+    Effect::WriteFiles { directory: None, files: vec![file] }
+}
+
 /// What `copy` would copy now.
 pub fn copied(state: &State) -> Option<String> {
     let digest = |rows: Vec<&crate::service::reply::RecordView>| {
@@ -201,8 +283,9 @@ pub fn copied(state: &State) -> Option<String> {
     };
     match state.screen {
         Screen::Topics => state.row_key(),
-        Screen::Uploads => digest(state.uploads.visible(&state.topics.rows)),
-        Screen::Shared => digest(state.shared.visible(&state.topics.rows)),
+        Screen::Uploads => digest(state.uploads.visible(&state.topics.rows, state.now)),
+        Screen::Shared => digest(state.shared.visible(&state.topics.rows, state.now)),
+        Screen::Gateway => state.gateway.view.as_ref()?.served.as_ref().map(|served| served.gateway.to_string()),
         Screen::Grants => state.grants.selected().map(|row| other_side(row).to_string()),
         Screen::Keys => state.address().map(|address| address.to_string()),
         Screen::Chain => state.chain.as_ref()?.contract.map(|contract| contract.to_string()),
@@ -212,6 +295,9 @@ pub fn copied(state: &State) -> Option<String> {
 
 /// The data a screen needs besides its own: grants are asked for before a confirmation.
 pub fn wants_grants(state: &State) -> Option<Feed> {
-    let asks = state.popups.iter().any(|popup| matches!(popup, Popup::Form(Purpose::Grant, _) | Popup::Confirm(_)));
+    let asks = state
+        .popups
+        .iter()
+        .any(|popup| matches!(popup, Popup::Form(Purpose::Grant, _) | Popup::Confirm(_) | Popup::Readers(_)));
     asks.then_some(Feed::Grants)
 }

@@ -1,14 +1,20 @@
 //! What can lie over a screen. The topmost popup has the keys; `q` or Esc closes it.
 
 use super::action::Errand;
+use super::administration::Act;
 use super::available::available;
+use super::browse::Browse;
+use super::confirm::Typed;
 use super::field::Field;
 use super::form::Form;
 use super::fuzzy;
+use super::key::Key;
+use super::opening::Opening;
 use super::state::State;
+use super::themes::ThemeChoice;
 use super::verb::{Entry, VERBS};
 use crate::service::Failure;
-use crate::service::reply::{OpenedView, Provenance};
+use crate::service::reply::{PinsView, Provenance};
 
 /// Something over the screen.
 #[derive(Debug)]
@@ -27,7 +33,19 @@ pub enum Popup {
     /// Where a record comes from and where it stands.
     Provenance(Lookup<Provenance>),
     /// An opened record.
-    Record(Lookup<OpenedView>),
+    Record(Opening),
+    /// The first keys of a chord; what may follow is shown.
+    Chord(Vec<Key>),
+    /// Choosing of a theme.
+    Themes(ThemeChoice),
+    /// Publishers of a topic: pinned, doubted, held back.
+    Publishers(Lookup<PinsView>),
+    /// Who can read these topics now; empty = all.
+    Readers(Vec<String>),
+    /// What is under way and what waits.
+    Tasks,
+    /// Choosing among what others share.
+    Browse(Browse),
     /// Leaving while work is pending.
     Quit {
         /// Leave by itself once the work is done.
@@ -48,6 +66,10 @@ pub enum Purpose {
     LoadKey,
     /// Which key to hand out.
     ExportKey,
+    /// The account of an administrator's act.
+    Administer(Act),
+    /// A publisher of this kind of topic that is no longer accepted.
+    Unpin,
 }
 
 /// A question answered by `y`; anything else is no.
@@ -59,6 +81,8 @@ pub struct Confirm {
     pub lines: Vec<String>,
     /// The word beside `y`.
     pub yes: &'static str,
+    /// What is to be typed instead of `y`, where the act is grave.
+    pub typed: Option<Typed>,
     /// What `y` sends.
     pub errand: Errand,
 }

@@ -1,29 +1,36 @@
 //! Keys while a popup lies over the screen.
 
-use zeroize::Zeroizing;
-
-use super::action::{Contents, Effect};
+use super::action::{Effect, Tag};
+use super::administration;
+use super::browse;
 use super::confirm;
 use super::form::{Form, FormStep};
 use super::forms;
 use super::identity_path::{self, Need};
-use super::key::Key;
-use super::perform::{copy, perform};
+use super::key::{Key, chord_label};
+use super::keymap::Meaning;
+use super::opening;
+use super::perform::perform;
 use super::popup::{Confirm, Lookup, Palette, Popup, Purpose};
 use super::state::State;
-use crate::service::reply::OpenedView;
+use super::themes;
+use super::verb::Verb;
+use crate::service::reply::PinsView;
 
 /// A popup's keys, for the bottom bar: key and what it does.
 pub fn hints(popup: &Popup) -> Vec<(&'static str, &'static str)> {
     match popup {
         Popup::Palette(_) => vec![("enter", "do"), ("up down", "choose"), ("esc", "close")],
+        Popup::Browse(_) => vec![("enter", "show these"), ("up down", "choose"), ("q", "close")],
+        Popup::Publishers(_) => vec![("up down", "scroll"), ("p", "pin"), ("P", "unpin"), ("q", "close")],
+        Popup::Tasks | Popup::Readers(_) => vec![("q", "close")],
         Popup::Help { .. } | Popup::Provenance(_) => vec![("up down", "scroll"), ("q", "close")],
+        Popup::Chord(_) => vec![("esc", "close")],
+        Popup::Themes(_) => vec![("up down", "see it"), ("enter", "keep it"), ("esc", "as before")],
+        Popup::Confirm(confirm) if confirm.typed.is_some() => vec![("enter", confirm.yes), ("esc", "no")],
         Popup::Confirm(confirm) => vec![("y", confirm.yes), ("any other key", "no")],
         Popup::Form(..) => vec![("enter", "next, then go on"), ("tab", "next field"), ("esc", "close")],
-        Popup::Record(lookup) => match lookup.found().and_then(writable) {
-            Some(_) => vec![("up down", "scroll"), ("W", "write to file"), ("y", "copy digest"), ("q", "close")],
-            None => vec![("up down", "scroll"), ("q", "close")],
-        },
+        Popup::Record(opening) => opening.hints(),
         Popup::Quit { waiting: false } => vec![("y", "quit now"), ("w", "when all is done"), ("any other key", "stay")],
         Popup::Quit { waiting: true } => vec![("y", "quit now"), ("any other key", "stay")],
     }
@@ -39,7 +46,17 @@ pub fn popup_key(state: &mut State, key: Key) -> Vec<Effect> {
         Popup::Form(purpose, form) => form_key(state, purpose, form, key),
         Popup::Confirm(confirm) => confirm_key(state, confirm, key),
         Popup::Quit { .. } => quit_key(state, key),
-        Popup::Record(lookup) => record_key(state, lookup, key),
+        Popup::Chord(begun) => chord_key(state, begun, key),
+        Popup::Themes(choice) => themes::key(state, choice, key),
+        Popup::Record(opening) => opening::key(state, opening, key),
+        Popup::Browse(browse) => browse::key(state, browse, key),
+        Popup::Publishers(lookup) => publishers_key(state, lookup, key),
+        Popup::Tasks | Popup::Readers(_) => {
+            if !matches!(key, Key::Escape | Key::Enter | Key::Char('q' | 't' | 'i')) {
+                state.popups.push(popup);
+            }
+            Vec::new()
+        }
         Popup::Provenance(mut lookup) => {
             if let Some(scroll) = scrolled(lookup.scroll, key, state.page_rows()) {
                 let lines = lookup.found().map_or(0, |found| found.steps.len() * 3 + 8);
@@ -62,12 +79,13 @@ pub fn popup_paste(state: &mut State, text: &str) {
     match state.popups.last_mut() {
         Some(Popup::Form(_, form)) => form.paste(text),
         Some(Popup::Palette(palette)) => palette.field.insert(text),
+        Some(Popup::Confirm(Confirm { typed: Some(typed), .. })) => typed.field.insert(text),
         _ => {}
     }
 }
 
 /// Where a key scrolls to; `None` = it closes.
-fn scrolled(scroll: usize, key: Key, page: usize) -> Option<usize> {
+pub(super) fn scrolled(scroll: usize, key: Key, page: usize) -> Option<usize> {
     Some(match key {
         Key::Escape | Key::Char('q' | '?') => return None,
         Key::Up | Key::Char('k') => scroll.saturating_sub(1),
@@ -99,19 +117,67 @@ fn palette_key(state: &mut State, mut palette: Palette, key: Key) -> Vec<Effect>
     Vec::new()
 }
 
-fn confirm_key(state: &mut State, confirm: Confirm, key: Key) -> Vec<Effect> {
-    if key != Key::Char('y') {
+/// The next key of a chord.
+fn chord_key(state: &mut State, mut pressed: Vec<Key>, key: Key) -> Vec<Effect> {
+    if key == Key::Escape {
+        return Vec::new();
+    }
+    pressed.push(key);
+    let meaning = state.settings.keymap.meaning(&pressed, state.screen);
+    match meaning {
+        Meaning::Does(verb) => return perform(state, verb),
+        Meaning::Begins(_) => state.popups.push(Popup::Chord(pressed)),
+        Meaning::Nothing => state.inform(format!("'{}' does nothing here", chord_label(&pressed))),
+    }
+    Vec::new()
+}
+
+fn publishers_key(state: &mut State, mut lookup: Lookup<PinsView>, key: Key) -> Vec<Effect> {
+    match key {
+        Key::Char('p') => return perform(state, Verb::Pin),
+        Key::Char('P') => return perform(state, Verb::Unpin),
+        _ => {}
+    }
+    if let Some(scroll) = scrolled(lookup.scroll, key, state.page_rows()) {
+        let lines = lookup.found().map_or(0, |found| found.pins.len() * 3 + found.alarms.len() * 3 + 4);
+        lookup.scroll = scroll.min(lines);
+        state.popups.push(Popup::Publishers(lookup));
+    }
+    Vec::new()
+}
+
+fn confirm_key(state: &mut State, mut confirm: Confirm, key: Key) -> Vec<Effect> {
+    let said = match &mut confirm.typed {
+        Some(_) if key == Key::Escape => return Vec::new(),
+        Some(typed) if key == Key::Enter => typed.is_done(),
+        Some(typed) => {
+            typed.field.key(key);
+            false
+        }
+        None if key != Key::Char('y') => return Vec::new(),
+        None => true,
+    };
+    if !said {
+        state.popups.push(Popup::Confirm(confirm));
         return Vec::new();
     }
     // The form that led here has done its work.
-    state.popups.retain(|popup| !matches!(popup, Popup::Form(Purpose::Grant | Purpose::LoadKey, _)));
-    identity_path::run(state, need_of(&confirm), vec![confirm.errand])
+    let led_here = |purpose: &Purpose| matches!(purpose, Purpose::Grant | Purpose::LoadKey | Purpose::Administer(_));
+    state.popups.retain(|popup| !matches!(popup, Popup::Form(purpose, _) if led_here(purpose)));
+    match need_of(&confirm) {
+        Some(need) => identity_path::run(state, need, vec![confirm.errand]),
+        None => vec![state.send(confirm.errand)],
+    }
 }
 
-fn need_of(confirm: &Confirm) -> Need {
+/// How much of an identity the act needs; pins need none that is open.
+fn need_of(confirm: &Confirm) -> Option<Need> {
     match confirm.errand.tag {
-        super::action::Tag::LoadKey(_) => Need::Unlocked,
-        _ => Need::Registered,
+        Tag::Pin(_) => None,
+        Tag::LoadKey(_) | Tag::Release(_) | Tag::Discard(_) | Tag::Administer("deploy" | "adopt") => {
+            Some(Need::Unlocked)
+        }
+        _ => Some(Need::Registered),
     }
 }
 
@@ -162,6 +228,12 @@ fn submit(state: &mut State, purpose: Purpose, form: &Form) -> Result<Vec<Effect
             state.popups.push(Popup::Confirm(confirm::grant(state, wish)));
             return Ok(Vec::new());
         }
+        Purpose::Unpin => forms::read_unpin(form)?,
+        Purpose::Administer(act) => {
+            let question = administration::read(act, form)?;
+            state.popups.push(Popup::Confirm(question));
+            return Ok(Vec::new());
+        }
         Purpose::LoadKey => {
             let wish = forms::read_load(form, &state.settings.directory, state.settings.home.as_deref())?;
             state.popups.push(Popup::Confirm(confirm::load_key(wish)));
@@ -169,45 +241,4 @@ fn submit(state: &mut State, purpose: Purpose, form: &Form) -> Result<Vec<Effect
         }
     };
     Ok(vec![state.send(errand)])
-}
-
-fn record_key(state: &mut State, mut lookup: Lookup<OpenedView>, key: Key) -> Vec<Effect> {
-    let mut effects = Vec::new();
-    match key {
-        Key::Char('W') => effects.extend(
-            lookup.found().and_then(writable).map(|file| Effect::WriteFiles { directory: None, files: vec![file] }),
-        ),
-        Key::Char('y') => {
-            let digest = lookup.found().map(|view| view.record.digest.to_hex());
-            effects.extend(digest.map(|digest| copy(state, digest)));
-        }
-        _ => match scrolled(lookup.scroll, key, state.page_rows()) {
-            Some(scroll) => lookup.scroll = scroll.min(lookup.found().map_or(0, |found| found.fields.len() + 8)),
-            None => return effects,
-        },
-    }
-    state.popups.push(Popup::Record(lookup));
-    effects
-}
-
-/// What `W` writes of an opened record: its picture, else its bytes, else its fields.
-fn writable(view: &OpenedView) -> Option<Contents> {
-    let stem: String = view.record.topic.trim_matches('/').chars().map(file_character).collect();
-    let named = |extension: &str, bytes: &[u8]| Contents {
-        name: format!("{stem}-{}.{extension}", view.record.seq),
-        bytes: Zeroizing::new(bytes.to_vec()),
-    };
-    if let Some(picture) = &view.picture {
-        let extension = if picture.starts_with(b"\x89PNG") { "png" } else { "jpg" };
-        return Some(named(extension, picture));
-    }
-    match &view.body {
-        Some(body) => Some(named("bin", body)),
-        None if view.message.is_null() => None,
-        None => Some(named("json", view.message.to_string().as_bytes())),
-    }
-}
-
-fn file_character(character: char) -> char {
-    if character.is_ascii_alphanumeric() { character } else { '_' }
 }

@@ -8,35 +8,51 @@ const WINDOW: u64 = 2_000_000_000;
 /// Without news for so long nothing flows any more, nanoseconds.
 const STILL_AFTER: u64 = 6_000_000_000;
 
-/// Records a second at both ends of the life line.
+/// Stations of the life line: captured, sealed, stored, anchored, confirmed, verified.
+pub const STATIONS: usize = 6;
+
+/// Records a second at each station of the life line.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Rates {
-    base: Option<(Timestamp, u64, u64)>,
-    /// Captured a second.
-    pub captured: f64,
-    /// Verified a second.
-    pub verified: f64,
+    base: Option<(Timestamp, [u64; STATIONS])>,
+    /// Records a second, by station.
+    pub stations: [f64; STATIONS],
+}
+
+fn counts(life: &LifeLine) -> [u64; STATIONS] {
+    [life.captured, life.sealed, life.stored, life.anchored, life.confirmed, life.verified]
 }
 
 impl Rates {
     /// Takes note of the counts at a moment.
     pub fn observe(&mut self, life: &LifeLine, now: Timestamp) {
-        let Some((since, captured, verified)) = self.base else {
-            self.base = Some((now, life.captured, life.verified));
+        let counts = counts(life);
+        let Some((since, before)) = self.base else {
+            self.base = Some((now, counts));
             return;
         };
         let nanoseconds = now.0.saturating_sub(since.0);
         if nanoseconds < WINDOW {
             return;
         }
-        self.captured = per_second(life.captured.saturating_sub(captured), nanoseconds);
-        self.verified = per_second(life.verified.saturating_sub(verified), nanoseconds);
-        self.base = Some((now, life.captured, life.verified));
+        self.stations =
+            std::array::from_fn(|place| per_second(counts[place].saturating_sub(before[place]), nanoseconds));
+        self.base = Some((now, counts));
+    }
+
+    /// Captured a second.
+    pub fn captured(&self) -> f64 {
+        self.stations[0]
+    }
+
+    /// Verified a second.
+    pub fn verified(&self) -> f64 {
+        self.stations[STATIONS - 1]
     }
 
     /// When the rates fall to nothing unless something arrives before.
     pub fn still_at(&self) -> Option<Timestamp> {
-        let flows = self.captured > 0.0 || self.verified > 0.0;
+        let flows = self.stations.iter().any(|rate| *rate > 0.0);
         self.base.filter(|_| flows).map(|(since, ..)| Timestamp(since.0.saturating_add(STILL_AFTER)))
     }
 
@@ -65,7 +81,7 @@ mod tests {
         rates.observe(&life(140), Timestamp::from_seconds(1));
         assert_eq!(rates.still_at(), None);
         rates.observe(&life(180), Timestamp::from_seconds(2));
-        assert!((rates.captured - 40.0).abs() < 1e-9);
+        assert!((rates.captured() - 40.0).abs() < 1e-9);
         assert_eq!(rates.still_at(), Some(Timestamp::from_seconds(8)));
         rates.settle(Timestamp::from_seconds(8));
         assert_eq!(rates, Rates::default());

@@ -72,22 +72,22 @@ impl Screen {
             Self::Overview => &[Feed::Topics, Feed::Grants],
             Self::Topics => &[Feed::Topics],
             Self::Uploads => &[Feed::Topics, Feed::Uploads],
-            Self::Shared => &[Feed::Topics, Feed::Shared],
+            Self::Shared => &[Feed::Topics, Feed::Shared, Feed::Grants],
             Self::Grants => &[Feed::Grants],
             Self::Keys => &[Feed::Keys],
             Self::Chain => &[Feed::Chain],
-            Self::Gateway => &[],
+            Self::Gateway => &[Feed::Gateway],
             Self::Log => &[Feed::Audit],
         }
     }
 
     /// Whether it is a table with cursor, filter and sort.
     pub fn has_table(self) -> bool {
-        matches!(self, Self::Topics | Self::Uploads | Self::Shared | Self::Grants | Self::Log)
+        matches!(self, Self::Topics | Self::Uploads | Self::Shared | Self::Grants | Self::Gateway | Self::Log)
     }
 
     /// Whether the lines of its table can be sorted by `s`.
     pub fn sorts(self) -> bool {
-        matches!(self, Self::Topics | Self::Uploads | Self::Shared | Self::Grants)
+        matches!(self, Self::Topics | Self::Uploads | Self::Shared | Self::Grants | Self::Gateway)
     }
 }

@@ -5,14 +5,19 @@ use std::path::PathBuf;
 use super::action::{Effect, Errand, Tag};
 use super::feed::{Feed, Feeds};
 use super::identity_path::IdentityPath;
-use super::popup::{Lookup, Popup};
+use super::keymap::Keymap;
+use super::opening::Opening;
+use super::popup::Popup;
 use super::rates::Rates;
 use super::screen::Screen;
+use super::screens::gateway::Gateway;
 use super::screens::grants::Grants;
 use super::screens::log::Log;
 use super::screens::records::Records;
 use super::screens::topics::Topics;
 use super::toast::Toasts;
+use super::undo::Undo;
+use super::zone::Zone;
 use crate::model::{Address, ProfileName, Timestamp};
 use crate::service::reply::{ChainView, IdentityView, KeysView, SiteView};
 use crate::service::{Failure, NoticeLevel};
@@ -31,6 +36,14 @@ pub struct Settings {
     pub directory: PathBuf,
     /// What `~` means.
     pub home: Option<PathBuf>,
+    /// Which keys do what.
+    pub keymap: Keymap,
+    /// Names of the themes that can be chosen.
+    pub themes: Vec<String>,
+    /// Nanoseconds without a key after which the keyring locks; `None` = never.
+    pub lock_after: Option<u64>,
+    /// The operator's time zone.
+    pub zone: Zone,
 }
 
 /// All the console knows and shows.
@@ -46,6 +59,10 @@ pub struct State {
     pub screen: Screen,
     /// Whether the view stands still.
     pub paused: bool,
+    /// Name of the theme in use.
+    pub theme: String,
+    /// Whether the mouse is the console's.
+    pub mouse: bool,
     /// How the questions to the site stand.
     pub feeds: Feeds,
     /// The profile's public side.
@@ -76,6 +93,14 @@ pub struct State {
     pub work: Vec<Tag>,
     /// Commands that wait for an identity.
     pub identity_path: Option<IdentityPath>,
+    /// The gateway.
+    pub gateway: Gateway,
+    /// What undoing would do.
+    pub undo: Option<Undo>,
+    /// When a key was last pressed.
+    pub touched: Timestamp,
+    /// Whether local times stand beside UTC.
+    pub local_time: bool,
 }
 
 impl State {
@@ -87,6 +112,8 @@ impl State {
             size: (80, 24),
             screen: Screen::Overview,
             paused: false,
+            theme: String::new(),
+            mouse: false,
             feeds: Feeds::default(),
             identity: None,
             keys: None,
@@ -102,6 +129,10 @@ impl State {
             toasts: Toasts::default(),
             work: Vec::new(),
             identity_path: None,
+            gateway: Gateway::default(),
+            undo: None,
+            touched: Timestamp::default(),
+            local_time: false,
         }
     }
 
@@ -112,7 +143,9 @@ impl State {
 
     /// When time alone changes something; `None` = never.
     pub fn deadline(&self) -> Option<Timestamp> {
-        [self.toasts.next_expiry(), self.feeds.next_retry(), self.rates.still_at()].into_iter().flatten().min()
+        let moments =
+            [self.toasts.next_expiry(), self.feeds.next_retry(), self.rates.still_at(), super::lock::due(self)];
+        moments.into_iter().flatten().min()
     }
 
     /// Records not yet verified.
@@ -153,6 +186,19 @@ impl State {
         self.toasts.push(NoticeLevel::Info, text.into(), self.now);
     }
 
+    /// Tells the operator something that waits to be seen.
+    pub fn warn(&mut self, text: impl Into<String>) {
+        let text = text.into();
+        self.log.notice(self.now, NoticeLevel::Warning, &text);
+        self.toasts.push(NoticeLevel::Warning, text, self.now);
+    }
+
+    /// `22:13:20`, with the local time beside it where that is wanted.
+    pub fn clock(&self, moment: Timestamp) -> String {
+        let local = if self.local_time { self.settings.zone.clock(moment) } else { None };
+        local.map_or_else(|| moment.clock(), |local| format!("{} {local}", moment.clock()))
+    }
+
     /// Tells the operator that something failed, until seen, and in the log.
     pub fn complain(&mut self, text: impl Into<String>) {
         let text = text.into();
@@ -168,7 +214,7 @@ impl State {
     /// Sends a command on its way; an opened record gets its popup at once.
     pub fn send(&mut self, errand: Errand) -> Effect {
         if let Tag::Open(id) = &errand.tag {
-            self.popups.push(Popup::Record(Lookup::new(id)));
+            self.popups.push(Popup::Record(Opening::new(id)));
         }
         self.work.push(errand.tag.clone());
         Effect::Send(errand.command, errand.tag)

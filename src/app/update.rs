@@ -5,15 +5,18 @@ use super::answer::answered;
 use super::cursor;
 use super::feed::Feed;
 use super::key::Key;
+use super::keymap::Meaning;
+use super::lock;
+use super::mouse;
 use super::perform::{perform, wants_grants};
 use super::popup::Popup;
 use super::popup_keys::{popup_key, popup_paste};
 use super::screens::log::MOST_AUDIT;
 use super::state::State;
-use super::verb::{Verb, verb_for};
+use super::verb::Verb;
 use crate::model::Timestamp;
 use crate::service::command::AuditQuery;
-use crate::service::{Command, Event, Part};
+use crate::service::{Command, Event, Operation, Part};
 
 /// The first effects of a console: claim the profile, ask for what is on screen.
 pub fn start(state: &mut State) -> Vec<Effect> {
@@ -25,7 +28,11 @@ pub fn start(state: &mut State) -> Vec<Effect> {
 
 /// Takes one action.
 pub fn update(state: &mut State, action: Action) -> Vec<Effect> {
+    if matches!(action, Action::Key(_) | Action::Paste(_) | Action::Click { .. } | Action::Do(_)) {
+        state.touched = state.now;
+    }
     let mut effects = act(state, action);
+    state.topics.refresh(false);
     let leaves = matches!(state.popups.last(), Some(Popup::Quit { waiting: true })) && !state.has_pending_work();
     if leaves {
         effects.push(Effect::Quit);
@@ -43,11 +50,13 @@ fn act(state: &mut State, action: Action) -> Vec<Effect> {
         Action::Paste(text) if state.popups.is_empty() => cursor::filter_paste(state, &text),
         Action::Paste(text) => popup_paste(state, &text),
         Action::Resize { columns, rows } => resize(state, columns, rows),
-        Action::Tick(now) => tick(state, now),
+        Action::Tick(now) => return tick(state, now),
         Action::Missed => state.feeds.touch_all(),
         Action::FilesWritten(Ok(place)) => state.inform(format!("written: {place}")),
         Action::FilesWritten(Err(error)) | Action::Fault(error) => state.complain(error),
-        Action::ThemeIs(name) => state.inform(format!("theme: {name}")),
+        Action::ThemeIs(name) => state.theme = name,
+        Action::Wheel { up } => return mouse::wheel(state, up),
+        Action::Click { column, row } => mouse::click(state, column, row),
         Action::Resumed => {
             state.feeds.touch_all();
             state.inform("resumed; a site inside this console stood still meanwhile");
@@ -57,10 +66,11 @@ fn act(state: &mut State, action: Action) -> Vec<Effect> {
 }
 
 fn pressed(state: &mut State, key: Key) -> Vec<Effect> {
-    match key {
-        Key::Control('z') => return perform(state, Verb::Suspend),
-        Key::Control('l') => return perform(state, Verb::Redraw),
-        _ => {}
+    // These two go before whatever lies over the screen.
+    for verb in [Verb::Suspend, Verb::Redraw] {
+        if state.settings.keymap.is(key, verb, state.screen) {
+            return perform(state, verb);
+        }
     }
     if !state.popups.is_empty() {
         return popup_key(state, key);
@@ -68,7 +78,12 @@ fn pressed(state: &mut State, key: Key) -> Vec<Effect> {
     if state.table().is_some_and(|table| table.filtering) && key != Key::Control('c') {
         return filter_or_move(state, key);
     }
-    verb_for(key, state.screen).map_or_else(Vec::new, |verb| perform(state, verb))
+    match state.settings.keymap.meaning(&[key], state.screen) {
+        Meaning::Does(verb) => return perform(state, verb),
+        Meaning::Begins(_) => state.popups.push(Popup::Chord(vec![key])),
+        Meaning::Nothing => {}
+    }
+    Vec::new()
 }
 
 fn filter_or_move(state: &mut State, key: Key) -> Vec<Effect> {
@@ -115,17 +130,27 @@ fn resize(state: &mut State, columns: u16, rows: u16) {
     }
 }
 
-fn tick(state: &mut State, now: Timestamp) {
+fn tick(state: &mut State, now: Timestamp) -> Vec<Effect> {
     state.now = now;
+    if state.touched.0 == 0 {
+        state.touched = now;
+    }
     state.toasts.expire(now);
     state.feeds.retry(now);
     state.rates.settle(now);
+    lock::tick(state)
+}
+
+/// The tasks popup tells of the lanes.
+fn wants_chain(state: &State) -> Option<Feed> {
+    matches!(state.popups.last(), Some(Popup::Tasks)).then_some(Feed::Chain)
 }
 
 /// Asks for what is on screen and out of date, one question per feed at a time.
 fn pull(state: &mut State) -> Vec<Effect> {
     let always = [Feed::Site, Feed::Identity];
-    let wanted = always.iter().chain(state.screen.feeds()).copied().chain(wants_grants(state));
+    let wanted =
+        always.iter().chain(state.screen.feeds()).copied().chain(wants_grants(state)).chain(wants_chain(state));
     let wanted: Vec<Feed> = wanted.collect();
     wanted.into_iter().filter_map(|feed| ask(state, feed)).collect()
 }
@@ -155,8 +180,9 @@ fn question(state: &State, feed: Feed) -> Option<Command> {
         Feed::Audit => Some(Command::ListAudit(AuditQuery { limit: MOST_AUDIT, ..AuditQuery::default() })),
         Feed::Keys => exists.then_some(Command::ListKeys),
         Feed::Grants => exists.then_some(Command::ListGrants),
-        Feed::Uploads => exists.then(|| Command::ListUploads(state.uploads.query(&state.topics.rows, rows))),
-        Feed::Shared => exists.then(|| Command::ListShared(state.shared.query(&state.topics.rows, rows))),
+        Feed::Uploads => exists.then(|| Command::ListUploads(state.uploads.query(&state.topics.rows, rows, state.now))),
+        Feed::Shared => exists.then(|| Command::ListShared(state.shared.query(&state.topics.rows, rows, state.now))),
+        Feed::Gateway => Some(Command::Operate(Operation::GatewayStatus)),
     }
 }
 

@@ -1,6 +1,7 @@
 //! The one list of what an operator can do: keymap, palette, help and bottom bar are made
 //! from it, and tests speak in it.
 
+use super::administration::Act;
 use super::key::Key;
 use super::screen::Screen;
 
@@ -59,8 +60,36 @@ pub enum Verb {
     Grant,
     /// Stop sharing.
     Revoke,
+    /// Publishers of the topic, pinned and doubted.
+    Publishers,
+    /// Accept the publishers that are read now.
+    Pin,
+    /// No longer accept a publisher.
+    Unpin,
+    /// Let held messages go on.
+    Release,
+    /// Delete held messages.
+    Discard,
+    /// Who can read this now.
+    Readers,
+    /// Choose among what others share.
+    Browse,
+    /// A copy of the keyring.
+    BackUp,
+    /// Wipe the keys from memory.
+    Lock,
+    /// What is under way.
+    Tasks,
+    /// Take the last act back.
+    Undo,
+    /// Local times beside UTC.
+    LocalTime,
+    /// An act of the administrator, or of whoever sets up the chain.
+    Administer(Act),
     /// Copy what the cursor is on.
     Copy,
+    /// Write the same into a file.
+    WriteFile,
     /// Show only more urgent lines of the log.
     Level,
     /// Stand still while capture goes on.
@@ -71,8 +100,12 @@ pub enum Verb {
     Help,
     /// The message was seen.
     Dismiss,
-    /// Next theme.
-    NextTheme,
+    /// Choose a theme.
+    ChooseTheme,
+    /// ASCII characters only, or not.
+    Ascii,
+    /// The mouse for the console, or for the terminal's own selection.
+    Mouse,
     /// Draw anew.
     Redraw,
     /// Back to the shell for a while.
@@ -82,7 +115,7 @@ pub enum Verb {
 }
 
 /// One entry of the list.
-#[derive(Debug)]
+#[derive(Debug, PartialEq, Eq)]
 pub struct Entry {
     /// What is done.
     pub verb: Verb,
@@ -94,6 +127,8 @@ pub struct Entry {
     pub help: &'static str,
     /// The preset keys.
     pub keys: &'static [Key],
+    /// Preset keys that are pressed one after the other.
+    pub chord: &'static [Key],
     /// Where the keys work; empty = on every screen.
     pub on: &'static [Screen],
     /// Whether it changes keys, grants or records; hidden when read-only.
@@ -102,13 +137,21 @@ pub struct Entry {
     pub palette: bool,
 }
 
-const TABLES: &[Screen] = &[Screen::Topics, Screen::Uploads, Screen::Shared, Screen::Grants, Screen::Log];
-const SORTED: &[Screen] = &[Screen::Topics, Screen::Uploads, Screen::Shared, Screen::Grants];
+const TABLES: &[Screen] =
+    &[Screen::Topics, Screen::Uploads, Screen::Shared, Screen::Grants, Screen::Gateway, Screen::Log];
+const SORTED: &[Screen] = &[Screen::Topics, Screen::Uploads, Screen::Shared, Screen::Grants, Screen::Gateway];
+const MARKED: &[Screen] = &[Screen::Topics, Screen::Uploads, Screen::Shared];
+const ON_CHAIN: &[Screen] = &[Screen::Chain];
 const COPIED: &[Screen] =
     &[Screen::Topics, Screen::Uploads, Screen::Shared, Screen::Grants, Screen::Keys, Screen::Chain];
 
 const fn entry(verb: Verb, name: &'static str, label: &'static str, keys: &'static [Key], help: &'static str) -> Entry {
-    Entry { verb, name, label, help, keys, on: &[], changes: false, palette: true }
+    Entry { verb, name, label, help, keys, chord: &[], on: &[], changes: false, palette: true }
+}
+
+/// An act of the administrator: in the palette, on no key.
+const fn administers(act: Act, name: &'static str, help: &'static str) -> Entry {
+    entry(Verb::Administer(act), name, "", &[], help).on(ON_CHAIN).changing()
 }
 
 impl Entry {
@@ -127,7 +170,18 @@ impl Entry {
         self
     }
 
-    /// Whether its keys work on a screen.
+    const fn chord(mut self, chord: &'static [Key]) -> Self {
+        self.chord = chord;
+        self
+    }
+
+    /// All that is pressed for it in the preset.
+    pub fn chords(&self) -> impl Iterator<Item = Vec<Key>> {
+        let chord = Some(self.chord.to_vec()).filter(|chord| !chord.is_empty());
+        self.keys.iter().map(|key| vec![*key]).chain(chord)
+    }
+
+    /// Whether the preset's keys work on a screen.
     pub fn works_on(&self, screen: Screen) -> bool {
         self.on.is_empty() || self.on.contains(&screen)
     }
@@ -136,9 +190,9 @@ impl Entry {
 /// Everything an operator can do; what belongs to one screen comes first.
 pub static VERBS: &[Entry] = &[
     entry(Verb::Mark, "mark", "mark", &[Key::Char(' ')], "Mark the row; commands then act on the marked rows")
-        .on(&[Screen::Topics]),
+        .on(MARKED),
     entry(Verb::MarkAll, "mark-all", "mark all", &[Key::Char('a')], "Mark every row shown, or take all marks away")
-        .on(&[Screen::Topics]),
+        .on(MARKED),
     entry(Verb::Watch, "watch", "watch", &[Key::Char('w')], "Watch or unwatch the marked topics, or the selected one")
         .on(&[Screen::Overview, Screen::Topics])
         .changing(),
@@ -156,9 +210,36 @@ pub static VERBS: &[Entry] = &[
         &[Key::Char('c')],
         "Compare the stored bytes with the chain and the signature",
     )
-    .on(&[Screen::Shared]),
+    .on(&[Screen::Shared, Screen::Uploads]),
     entry(Verb::Export, "export", "export", &[Key::Char('e')], "Write the record's files for others to check")
         .on(&[Screen::Uploads]),
+    entry(Verb::Browse, "browse", "browse", &[Key::Char('b')], "Who shares, their topics and types, by time")
+        .on(&[Screen::Shared]),
+    entry(Verb::Readers, "readers", "readers", &[Key::Char('i')], "Who can read this now?").on(&[
+        Screen::Topics,
+        Screen::Uploads,
+        Screen::Grants,
+    ]),
+    entry(Verb::Publishers, "publishers", "publishers", &[Key::Enter], "Who publishes it: pinned, doubted, held back")
+        .on(&[Screen::Topics]),
+    entry(Verb::Pin, "pin", "pin", &[Key::Char('p')], "Accept the publishers that are read now")
+        .on(&[Screen::Topics])
+        .changing(),
+    entry(Verb::Unpin, "unpin", "", &[Key::Char('P')], "No longer accept a publisher of the topic")
+        .on(&[Screen::Topics])
+        .changing(),
+    entry(Verb::Release, "release", "", &[Key::Char('r')], "Let the held messages of the topic go on")
+        .on(&[Screen::Topics])
+        .changing(),
+    entry(
+        Verb::Discard,
+        "discard",
+        "",
+        &[Key::Char('D')],
+        "Delete the held messages of the topic; counted on the chain",
+    )
+    .on(&[Screen::Topics])
+    .changing(),
     entry(Verb::Grant, "grant", "grant", &[Key::Char('g')], "Let another account open your records")
         .on(&[Screen::Overview, Screen::Topics, Screen::Grants])
         .changing(),
@@ -193,12 +274,43 @@ pub static VERBS: &[Entry] = &[
     entry(Verb::ExportKey, "export-key", "export", &[Key::Char('e')], "Write a secret key into a file")
         .on(&[Screen::Keys])
         .changing(),
+    entry(
+        Verb::BackUp,
+        "back-up-keys",
+        "back up",
+        &[Key::Char('b')],
+        "Write the keyring, under its passphrase, to a file",
+    )
+    .on(&[Screen::Keys]),
+    entry(Verb::Administer(Act::Deploy), "deploy", "deploy", &[Key::Char('d')], "Put the contract on the chain")
+        .on(ON_CHAIN)
+        .changing(),
+    administers(Act::Admit, "admit", "Administrator: let an account register"),
+    administers(Act::Suspend, "suspend", "Administrator: stop an account's changes"),
+    administers(Act::Restore, "restore", "Administrator: free a suspended account"),
+    administers(Act::Open, "open-registration", "Administrator: anyone may register"),
+    administers(Act::Close, "close-registration", "Administrator: only admitted accounts may register"),
+    administers(Act::Pause, "pause-changes", "Administrator: stop all changes but revokes"),
+    administers(Act::Continue, "continue-changes", "Administrator: let changes go on"),
+    administers(Act::Succeed, "succeed", "Administrator: name who continues for a lost account"),
+    administers(Act::HandOver, "hand-over", "Administrator: name the next administrator"),
+    administers(Act::Accept, "accept-administration", "Take over as the administrator that was named"),
+    administers(Act::Adopt, "adopt-chain", "Go on with the chain that is there now instead of the pinned one"),
     entry(Verb::Level, "log-level", "level", &[Key::Char('l')], "All lines, warnings and errors, or errors only")
         .on(&[Screen::Log]),
     entry(Verb::Filter, "filter", "filter", &[Key::Char('/')], "Show only rows that match").on(TABLES),
     entry(Verb::Sort, "sort", "sort", &[Key::Char('s')], "Sort by the next column").on(SORTED),
     entry(Verb::Copy, "copy", "copy", &[Key::Char('y')], "Send name, digest or address to the terminal's clipboard")
         .on(COPIED),
+    entry(Verb::WriteFile, "write-file", "", &[Key::Char('W')], "Write what `copy` would copy into a file here")
+        .on(COPIED),
+    entry(Verb::Tasks, "tasks", "", &[Key::Char('t')], "What is under way, what waits, and for how long"),
+    entry(Verb::Undo, "undo", "", &[Key::Char('U')], "Take the last act back, where that is true")
+        .chord(&[Key::Char('z'), Key::Char('u')]),
+    entry(Verb::Lock, "lock", "", &[], "Wipe the keys that decrypt, grant and revoke; capture goes on")
+        .chord(&[Key::Char('z'), Key::Char('x')]),
+    entry(Verb::LocalTime, "local-time", "", &[], "Local times beside UTC, or UTC alone")
+        .chord(&[Key::Char('z'), Key::Char('l')]),
     entry(Verb::Freeze, "freeze", "freeze", &[Key::Char('f')], "Stand still while capture goes on"),
     entry(Verb::Palette, "palette", "commands", &[Key::Char(':')], "Every command by name").unlisted(),
     entry(Verb::Help, "help", "help", &[Key::Char('?')], "What the keys do here"),
@@ -227,9 +339,13 @@ pub static VERBS: &[Entry] = &[
     entry(Verb::Go(Screen::Gateway), "go-gateway", "", &[Key::Char('8')], "The gateway"),
     entry(Verb::Go(Screen::Log), "go-log", "", &[Key::Char('9')], "Notices and audit lines"),
     entry(Verb::Dismiss, "dismiss", "", &[Key::Escape], "The message was seen; take the filter and marks away"),
-    entry(Verb::NextTheme, "next-theme", "", &[Key::Char('T')], "Next theme: night, day, contrast, mono"),
+    entry(Verb::ChooseTheme, "theme", "", &[Key::Char('T')], "Choose a theme, seen at once")
+        .chord(&[Key::Char('z'), Key::Char('t')]),
+    entry(Verb::Ascii, "ascii", "", &[], "ASCII characters only, or not").chord(&[Key::Char('z'), Key::Char('a')]),
+    entry(Verb::Mouse, "mouse", "", &[], "Mouse for the console, or for the terminal's own selection")
+        .chord(&[Key::Char('z'), Key::Char('m')]),
     entry(Verb::Redraw, "redraw", "", &[Key::Control('l')], "Draw the screen anew"),
-    entry(Verb::Suspend, "suspend", "", &[Key::Control('z')], "Back to the shell; `fg` returns"),
+    entry(Verb::Suspend, "shell", "", &[Key::Control('z')], "Back to the shell; `fg` returns"),
 ];
 
 /// The entry of a verb, the one of this screen first.
@@ -238,31 +354,14 @@ pub fn entry_of(verb: Verb, screen: Screen) -> Option<&'static Entry> {
     same.clone().find(|entry| entry.works_on(screen)).or_else(|| same.next())
 }
 
-/// What a key means on a screen.
-pub fn verb_for(key: Key, screen: Screen) -> Option<Verb> {
-    VERBS.iter().find(|entry| entry.works_on(screen) && entry.keys.contains(&key)).map(|entry| entry.verb)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn no_key_means_two_things_on_one_screen() {
-        for screen in Screen::ALL {
-            let mut seen = Vec::new();
-            for key in VERBS.iter().filter(|entry| entry.works_on(screen)).flat_map(|entry| entry.keys) {
-                assert!(!seen.contains(&key), "{key:?} on {screen:?}");
-                seen.push(key);
-            }
-        }
-    }
-
-    #[test]
-    fn every_name_is_its_own_and_no_key_is_stolen_by_tmux_or_screen() {
+    fn every_name_is_its_own() {
         for (index, entry) in VERBS.iter().enumerate() {
             assert!(VERBS[..index].iter().all(|other| other.name != entry.name), "{}", entry.name);
-            assert!(!entry.keys.iter().any(|key| matches!(key, Key::Control('a' | 'b'))), "{}", entry.name);
         }
     }
 }

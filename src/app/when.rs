@@ -18,6 +18,13 @@ pub fn expiry(text: &str, now: Timestamp) -> Result<Option<Timestamp>, String> {
     if moment <= now { Err("that moment has passed; write a later one".to_owned()) } else { Ok(Some(moment)) }
 }
 
+/// The moment in the past that `text` means: a span before `now`, to the minute, or a date; `None` = neither.
+pub fn past(text: &str, now: Timestamp) -> Option<Timestamp> {
+    const MINUTE: u64 = 60 * SECOND;
+    let before = |seconds: u64| Timestamp(now.0.saturating_sub(seconds.saturating_mul(SECOND)) / MINUTE * MINUTE);
+    span(text).map(before).or_else(|| date(text))
+}
+
 fn span(text: &str) -> Option<u64> {
     let (number, unit) = text.split_at_checked(text.len().checked_sub(1)?)?;
     let seconds = match unit {

@@ -134,8 +134,17 @@ impl Chain {
     /// # Errors
     /// The node's.
     pub async fn anchored(&self, owner: Address, digest: Digest) -> Result<bool, ChainError> {
+        Ok(self.uploaded_at(owner, digest).await?.is_some())
+    }
+
+    /// The block in which an owner uploaded this digest one by one.
+    ///
+    /// # Errors
+    /// The node's.
+    pub async fn uploaded_at(&self, owner: Address, digest: Digest) -> Result<Option<u64>, ChainError> {
         let mut answer = self.view(owner, "uploadedAt", &[address(owner), word(digest.0)]).await?;
-        Ok(answer.number()? != 0)
+        let block = answer.number()?;
+        Ok((block != 0).then_some(block))
     }
 
     /// The block in which an account first anchored a root, and over how many leaves.
@@ -164,6 +173,17 @@ impl Chain {
         let mut answer = self.view(owner, "grantOf", &[address(owner), address(grantee)]).await?;
         let state = GrantState { active: answer.flag()?, epoch: answer.number()?, expiry: end(answer.number()?) };
         Ok((state.epoch != 0).then_some(state))
+    }
+
+    /// Writes the embedded chain, as it is between two blocks, to a new file; `false` on other chains.
+    ///
+    /// # Errors
+    /// [`ChainError::File`] where it cannot be written.
+    pub async fn copy_to(&self, path: std::path::PathBuf) -> Result<bool, ChainError> {
+        match self.transport().embedded() {
+            Some(embedded) => embedded.copy_to(path).await.map(|()| true),
+            None => Ok(false),
+        }
     }
 
     /// All call data, storage slots and logs of the embedded chain, for the test that it holds no secret.

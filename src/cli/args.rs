@@ -8,6 +8,8 @@ mod global;
 mod keys;
 mod records;
 
+use std::path::PathBuf;
+
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
 pub use self::agent::{AgentVerb, EnrolArguments, RunArguments};
@@ -26,6 +28,9 @@ pub struct Arguments {
     /// What applies to every command.
     #[command(flatten)]
     pub global: Global,
+    /// What is printed instead of done.
+    #[command(flatten)]
+    pub print: PrintArguments,
     /// What to do; nothing = the console.
     #[command(subcommand)]
     pub verb: Option<Verb>,
@@ -78,9 +83,25 @@ pub enum Verb {
     /// Address book: names for accounts, and the keys they are known by
     #[command(subcommand)]
     Contacts(super::parties::ContactsVerb),
-    /// Who did what: list, verify, export
-    #[command(subcommand)]
-    Audit(super::audit::AuditVerb),
+    /// All records against proofs and chain; who did what: list, verify, export
+    Audit(super::audit::AuditArguments),
+    /// Whether everything a home depends on is as it should be, and what to do
+    Doctor,
+    /// Check a folder of `uploads export` against the chain at --chain, without home or keys
+    Verify {
+        /// The folder
+        dir: PathBuf,
+    },
+    /// Write profiles, ledger, embedded vault and chain, settings and pins into one encrypted file
+    Backup {
+        /// The file; its passphrase is given by --passphrase-file or --passphrase-fd
+        file: PathBuf,
+    },
+    /// Make a home out of a back-up, where none is
+    Restore {
+        /// The file; its passphrase is given by --passphrase-file or --passphrase-fd
+        file: PathBuf,
+    },
     /// Settings and where they come from
     #[command(subcommand)]
     Config(ConfigVerb),
@@ -97,6 +118,14 @@ pub enum Verb {
     Bench(BenchArguments),
     /// The operator console (also without any command)
     Console(ConsoleArguments),
+    /// Print what a shell needs to complete these commands
+    Completions {
+        /// For this shell
+        #[arg(value_enum)]
+        shell: clap_complete::Shell,
+    },
+    /// Print the manual page, for `man -l -`
+    Man,
 }
 
 /// Which epochs a grant opens.
@@ -152,15 +181,33 @@ pub struct DemoArguments {
     pub seconds: u64,
 }
 
+/// What is printed instead of done: defaults to write one's own files from.
+#[derive(Debug, Default, Args)]
+pub struct PrintArguments {
+    /// Print every setting with its default, as a config.toml
+    #[arg(long = "print-default-config", group = "printed")]
+    pub default_config: bool,
+    /// Print the console's keys, as a keymap.toml
+    #[arg(long = "print-default-keymap", group = "printed")]
+    pub default_keymap: bool,
+    /// Print a theme of the console
+    #[arg(long = "print-default-theme", value_name = "NAME", group = "printed", require_equals = true,
+          num_args = 0..=1, default_missing_value = "night")]
+    pub default_theme: Option<String>,
+}
+
 /// `console …`
 #[derive(Debug, Default, Args)]
 pub struct ConsoleArguments {
-    /// night, day, contrast or mono
+    /// night, day, contrast, mono, or one of your own
     #[arg(long, value_name = "NAME")]
     pub theme: Option<String>,
     /// Plain ASCII glyphs
     #[arg(long)]
     pub ascii: bool,
+    /// Lines instead of a screen: words in, sentences out, for screen readers and pipes
+    #[arg(long)]
+    pub plain: bool,
     /// Look, do not touch
     #[arg(long)]
     pub read_only: bool,

@@ -1,6 +1,6 @@
 //! `audit`: what its arguments mean, and its results for people.
 
-use clap::Subcommand;
+use clap::{Args, Subcommand};
 
 use super::output::table;
 use super::parse;
@@ -8,6 +8,30 @@ use crate::model::{ErrorKind, Timestamp};
 use crate::service::command::AuditQuery;
 use crate::service::reply::{AuditCheck, AuditView};
 use crate::service::{Command, Failure};
+
+/// `audit`
+#[derive(Debug, Args)]
+pub struct AuditArguments {
+    /// The log of deeds instead of the records
+    #[command(subcommand)]
+    pub verb: Option<AuditVerb>,
+    /// Also re-hash every stored ciphertext and check every signature
+    #[arg(long)]
+    pub deep: bool,
+    /// Only records captured at or after: a time as 2026-11-21T08:30:00Z, or so long ago, as 10m
+    #[arg(long, value_name = "TIME")]
+    pub since: Option<String>,
+}
+
+impl AuditArguments {
+    /// From when on.
+    ///
+    /// # Errors
+    /// A time that cannot be read.
+    pub fn since(&self) -> Result<Option<Timestamp>, Failure> {
+        self.since.as_deref().map(beginning).transpose()
+    }
+}
 
 /// `audit …`
 #[derive(Debug, Subcommand)]

@@ -2,14 +2,17 @@
 //! lies in temporary directories that go with the command.
 
 mod account;
+mod algorithms;
 mod batcher;
 mod consensus;
 mod gas;
 mod gateway;
 mod lane;
+mod libgcrypt;
 mod machine;
 mod mined;
 mod network;
+mod pictures;
 mod pipeline;
 mod progress;
 mod report;
@@ -17,6 +20,7 @@ mod spread;
 mod storer;
 mod uploads;
 
+use self::algorithms::Algorithm;
 use super::args::{BenchArguments, BenchVerb, Global};
 use super::output::Output;
 use super::{parse, serve};
@@ -36,7 +40,11 @@ pub async fn run(global: &Global, arguments: BenchArguments, output: &Output) ->
     let (provider, csv, output) = (provider(name), arguments.csv, *output);
     let work = async {
         match arguments.verb {
+            BenchVerb::Sm2(runs) => algorithms::run(Algorithm::Sm2, runs.runs, provider, csv, output).await,
+            BenchVerb::Sm3(runs) => algorithms::run(Algorithm::Sm3, runs.runs, provider, csv, output).await,
+            BenchVerb::Sm4(runs) => algorithms::run(Algorithm::Sm4, runs.runs, provider, csv, output).await,
             BenchVerb::Consensus(consensus) => consensus::run(consensus, provider, csv, output).await,
+            BenchVerb::Pictures => tokio::task::block_in_place(|| pictures::run(provider, csv, output)),
             BenchVerb::Gas => gas::run(provider, csv, output).await,
             BenchVerb::Pipeline(pipeline) => pipeline::run(global, pipeline, csv, output).await,
             BenchVerb::Gateway(gateway) => gateway::run(gateway, provider, csv, output).await,
@@ -44,6 +52,6 @@ pub async fn run(global: &Global, arguments: BenchArguments, output: &Output) ->
     };
     tokio::select! {
         done = work => done,
-        () = serve::asked_to_end() => Err(Failure::new(ErrorKind::Incomplete, "the bench was ended before it was done; run it again for its figures")),
+        _ = serve::asked_to_end() => Err(Failure::new(ErrorKind::Incomplete, "the bench was ended before it was done; run it again for its figures")),
     }
 }

@@ -4,6 +4,7 @@ use super::args::CaptureArguments;
 use super::connect::{Context, ProfileNeed, unexpected};
 use super::output::{Output, table};
 use super::parse;
+use super::serve::Ending;
 use crate::model::ErrorKind;
 use crate::service::reply::CaptureSummary;
 use crate::service::{Client, Command, Failure, Needs, Reply};
@@ -28,7 +29,10 @@ pub async fn run(context: Context, arguments: CaptureArguments, output: &Output)
         until_done(&connection.client, command, output).await
     };
     let result = result.await;
-    connection.close().await;
+    match &result {
+        Ok(_) => connection.close().await,
+        Err(_) => connection.end().await,
+    }
     let summary = result?;
     output.result(&summary, || text(&summary));
     Ok(code(&summary, output))
@@ -46,8 +50,8 @@ async fn until_done(client: &Client, command: Command, output: &Output) -> Resul
                     _ => Err(unexpected()),
                 };
             }
-            () = crate::cli::serve::asked_to_end() => {
-                if asked {
+            ending = crate::cli::serve::asked_to_end() => {
+                if asked || ending == Ending::Ordered {
                     return Err(Failure::new(ErrorKind::Incomplete, "left before all that was captured is verified; it is stored, and goes on at the next start"));
                 }
                 asked = true;

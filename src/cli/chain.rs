@@ -27,10 +27,12 @@ pub async fn serve(context: Context, listen: SocketAddr, output: &Output) -> Res
     }
     let connection = context.connect(Needs { ros: true, chain: true }).await?;
     let joined = connection.site.is_none();
+    let end = site::asked_to_end();
+    tokio::pin!(end);
     let served = tokio::select! {
         served = start(&connection.client, listen) => served,
-        () = site::asked_to_end() => {
-            connection.close().await;
+        _ = &mut end => {
+            connection.end().await;
             return Ok(0);
         }
     };
@@ -46,10 +48,10 @@ pub async fn serve(context: Context, listen: SocketAddr, output: &Output) -> Res
         format!("chain {} at {}, by {place}; end it with Ctrl-C", served.chain_id, served.url)
     });
     let ended = tokio::select! {
-        () = site::follow(&connection.client, output) => Ok(0),
+        () = site::follow(&connection.client, output, end) => Ok(0),
         failure = lost(&connection.client) => Err(failure),
     };
-    connection.close().await;
+    connection.end().await;
     ended
 }
 

@@ -2,6 +2,7 @@
 //! the profile made or unlocked where the command needs it.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use super::args::Global;
 use super::output::Output;
@@ -13,6 +14,9 @@ use crate::service::reply::IdentityView;
 use crate::service::socket::{self, Greeting};
 use crate::service::{Client, Command, Failure, Needs, Reply, Site};
 use crate::store::{SiteLock, files};
+
+/// How long joined processes may still wait for an answer once a signal has come.
+const FAREWELL: Duration = Duration::from_millis(500);
 
 /// What every command begins with.
 pub struct Context {
@@ -55,9 +59,12 @@ impl Context {
     /// # Errors
     /// Where one of them is not usable.
     pub fn new(global: Global) -> Result<Self, Failure> {
-        let profile = super::parse::value(&global.profile)?;
+        let profile = super::parse::value(global.profile.as_deref().unwrap_or("default"))?;
         let home = global.home.clone().map_or_else(|| Home::standard(&environment), Home::new);
         let config = Self::read_config(&global, &home)?;
+        if let Some(kernel) = config.sm4_kernel {
+            kernel.force().map_err(|error| Failure::new(ErrorKind::Input, error.to_string()))?;
+        }
         Ok(Self { global, home, profile, config })
     }
 
@@ -101,7 +108,7 @@ impl Context {
                 socket::listen(&site)?;
                 return Ok(Connection { client: site.client(self.profile.clone()), site: Some(site) });
             }
-            tokio::time::sleep(std::time::Duration::from_millis(100)).await;
+            tokio::time::sleep(Duration::from_millis(100)).await;
         }
         let root = self.home.root().display();
         Err(Failure::new(
@@ -176,14 +183,27 @@ impl Connection {
     /// Ends the site where this process is it, once no joined process waits for an answer of it.
     pub async fn close(self) {
         if let Some(site) = self.site {
-            while site.guests() > 0 {
-                tokio::select! {
-                    () = tokio::time::sleep(std::time::Duration::from_millis(50)) => {}
-                    () = super::serve::asked_to_end() => break,
-                }
+            tokio::select! {
+                () = unasked(&site) => {}
+                _ = super::serve::asked_to_end() => {}
             }
             site.stop().await;
         }
+    }
+
+    /// The same after a signal: joined processes that wait are given half a second, they can ask the next site.
+    pub async fn end(self) {
+        if let Some(site) = self.site {
+            // Whether they were all answered makes no difference.
+            drop(tokio::time::timeout(FAREWELL, unasked(&site)).await);
+            site.stop().await;
+        }
+    }
+}
+
+async fn unasked(site: &Site) {
+    while site.guests() > 0 {
+        tokio::time::sleep(Duration::from_millis(50)).await;
     }
 }
 

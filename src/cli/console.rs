@@ -6,37 +6,34 @@ use tokio::sync::{broadcast, mpsc};
 
 use super::args::ConsoleArguments;
 use super::connect::{Connection, Context};
-use super::passphrase;
+use super::{looks, passphrase};
 use crate::model::{ErrorKind, Timestamp};
 use crate::service::client::site_gone;
 use crate::service::event::NoticeLevel;
 use crate::service::{Call, Client, Command, Event, Failure, Needs, Site};
-use crate::term::{self, ConsoleOptions, ExitReason};
+use crate::term::{self, ExitReason};
 
 /// Runs the console until it is left; the exit code is the terminal's.
 ///
 /// # Errors
 /// Without a terminal, or where the profile's console is open already.
 pub fn run(runtime: &tokio::runtime::Runtime, context: Context, arguments: ConsoleArguments) -> Result<u8, Failure> {
-    if !term::is_interactive() {
+    if !arguments.plain && !term::is_interactive() {
         return Err(Failure::new(
             ErrorKind::Usage,
-            "the console needs a terminal, and this is none; without one use `authros demo`, `authros capture` or `authros serve`",
+            "the console needs a terminal, and this is none; without one use `authros console --plain`, `authros demo`, `authros capture` or `authros serve`",
         ));
     }
+    let plain = arguments.plain;
+    let options = looks::options(&context, arguments)?;
     let (events, _) = broadcast::channel(1024);
     let (calls, waiting) = mpsc::unbounded_channel();
     let client = Client::new(context.profile.clone(), calls, events.clone());
     let site = Arc::new(OnceLock::new());
     // The first frame does not wait for the site: calls are answered as soon as it is there.
     runtime.spawn(serve(context, Arc::clone(&site), waiting, events));
-    let options = ConsoleOptions {
-        theme: arguments.theme,
-        ascii: arguments.ascii,
-        read_only: arguments.read_only,
-        ..ConsoleOptions::default()
-    };
-    let ended = term::run(client, runtime.handle(), &options);
+    let run = if plain { term::plain::run } else { term::run };
+    let ended = run(client, runtime.handle(), &options);
     if let Some(site) = site.get() {
         runtime.block_on(Arc::clone(site).stop());
     }

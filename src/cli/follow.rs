@@ -33,9 +33,9 @@ pub async fn run(context: Context, which: Which, query: UploadQuery, output: &Ou
     };
     let followed = tokio::select! {
         followed = followed => followed,
-        () = super::serve::asked_to_end() => Ok(()),
+        _ = super::serve::asked_to_end() => Ok(()),
     };
-    connection.close().await;
+    connection.end().await;
     followed.map(|()| 0)
 }
 

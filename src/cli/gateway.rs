@@ -5,7 +5,8 @@ use std::net::SocketAddr;
 use super::connect::{Connection, Context, ProfileNeed, unexpected};
 use super::output::Output;
 use super::serve as site;
-use crate::service::reply::GatewayView;
+use crate::model::clean;
+use crate::service::reply::{GatewayStatusView, GatewayView};
 use crate::service::{Command, Failure, Needs, Reply};
 
 /// Serves until a signal: through the running site of this home, or as a site of its own without ROS.
@@ -15,10 +16,12 @@ use crate::service::{Command, Failure, Needs, Reply};
 pub async fn serve(context: Context, listen: SocketAddr, output: &Output) -> Result<u8, Failure> {
     let connection = context.connect(Needs { ros: false, chain: true }).await?;
     let joined = connection.site.is_none();
+    let end = site::asked_to_end();
+    tokio::pin!(end);
     let begun = tokio::select! {
         begun = begin(&context, &connection, listen, output) => begun,
-        () = site::asked_to_end() => {
-            connection.close().await;
+        _ = &mut end => {
+            connection.end().await;
             return Ok(0);
         }
     };
@@ -36,10 +39,10 @@ pub async fn serve(context: Context, listen: SocketAddr, output: &Output) -> Res
         )
     });
     let ended = tokio::select! {
-        () = site::follow(&connection.client, output) => Ok(0),
+        () = site::follow(&connection.client, output, end) => Ok(0),
         failure = super::chain::lost(&connection.client) => Err(failure),
     };
-    connection.close().await;
+    connection.end().await;
     ended
 }
 
@@ -56,4 +59,27 @@ async fn begin(
         Reply::Gateway(view) => Ok(view),
         _ => Err(unexpected()),
     }
+}
+
+/// A gateway for people.
+pub fn status(view: &GatewayStatusView) -> String {
+    let mut lines = Vec::new();
+    match (&view.served, &view.through) {
+        (Some(served), _) => lines.push(format!(
+            "gateway at {}, key {} (fingerprint {}), anchoring as {}; {} connections",
+            served.address, served.gateway, served.fingerprint, served.account, view.connections
+        )),
+        (None, Some(through)) => lines.push(format!("no gateway here; this site joins another one: {through}")),
+        (None, None) => lines.push("no gateway here; `authros gateway serve` starts one".to_owned()),
+    }
+    lines.extend(view.keys.iter().map(|key| {
+        let use_of = if key.current { "in use" } else { "next" };
+        format!("system key {} {use_of}, from {} to {}", key.id, key.not_before, key.not_after)
+    }));
+    lines.extend(view.senders.iter().map(|sender| {
+        let place = sender.peer.as_deref().map_or_else(|| "not connected".to_owned(), |peer| clean(peer, 60));
+        format!("{}  {}  {place}  {} frames, {} bytes", sender.name, sender.account, sender.frames, sender.bytes)
+    }));
+    lines.extend(view.refused.iter().map(|row| format!("refused {}: {}", row.count, row.text)));
+    lines.join("\n")
 }

@@ -6,7 +6,7 @@ use crate::config::SettingView;
 use crate::model::{Address, Verdict};
 use crate::pipeline::sender::LaneState;
 use crate::service::reply::{
-    ChainView, DeployedView, GrantRow, IdentityView, KeysView, OpenedView, Provenance, RecordPage, TopicRow,
+    ChainView, DeployedView, GrantRow, IdentityView, KeysView, Provenance, RecordPage, TopicRow,
 };
 
 fn pairs(rows: &[(&str, String)]) -> String {
@@ -189,16 +189,4 @@ pub fn deployed(view: &DeployedView) -> String {
         ("block", view.pin.deployed_at.to_string()),
         ("code hash", view.pin.code_hash.to_string()),
     ])
-}
-
-/// An opened record.
-pub fn opened(view: &OpenedView) -> String {
-    let record = &view.record;
-    let mut lines = vec![
-        format!("{}  {}  seq {}  {}", record.id, record.topic, record.seq, view.verdict.word().to_uppercase()),
-        format!("{} from {} captured {}", record.type_name, view.caller_id, record.captured_at),
-    ];
-    lines.extend(view.tags.iter().map(|(key, value)| format!("tag {key} = {value}")));
-    lines.extend(view.fields.iter().map(|(path, text)| format!("  {path}: {text}")));
-    lines.join("\n")
 }

@@ -10,22 +10,27 @@ mod audit;
 mod bench;
 mod capture;
 mod chain;
+mod check;
 mod connect;
 mod console;
 mod demo;
 mod follow;
 mod gateway;
 mod lists;
+mod looks;
 mod output;
 mod parse;
 mod parties;
 mod passphrase;
 mod plans;
+mod printed;
 mod quarantine;
 mod serve;
 mod show;
 mod status;
+mod twins;
 mod verbs;
+mod viewing;
 
 use std::process::ExitCode;
 
@@ -38,6 +43,7 @@ use crate::service::Failure;
 
 /// Runs the program; the exit code follows from the kind of error.
 pub fn main() -> ExitCode {
+    serve::note_hangup();
     let arguments = match Arguments::try_parse() {
         Ok(arguments) => arguments,
         Err(error) => {
@@ -72,6 +78,10 @@ fn run(runtime: &tokio::runtime::Runtime, arguments: Arguments, output: &Output)
     if let Some(Verb::Chain(ChainVerb::Genesis(genesis))) = &arguments.verb {
         return chain::genesis(genesis, output);
     }
+    if let Some(text) = printed::text(&arguments)? {
+        output.raw(&text);
+        return Ok(0);
+    }
     let verb = match arguments.verb {
         // Needs no home, so it does not look at one.
         // Its home follows from its enrolment.
@@ -81,6 +91,9 @@ fn run(runtime: &tokio::runtime::Runtime, arguments: Arguments, output: &Output)
         Some(Verb::Bench(bench)) => return runtime.block_on(bench::run(&arguments.global, bench, output)),
         other => other,
     };
+    if let Some(Verb::Verify { dir }) = &verb {
+        return runtime.block_on(check::run_verify(&arguments.global, dir, output));
+    }
     let context = Context::new(arguments.global)?;
     match verb {
         None => console::run(runtime, context, args::ConsoleArguments::default()),
@@ -92,6 +105,9 @@ fn run(runtime: &tokio::runtime::Runtime, arguments: Arguments, output: &Output)
             runtime.block_on(gateway::serve(context, listen, output))
         }
         Some(Verb::Chain(ChainVerb::Serve { listen })) => runtime.block_on(chain::serve(context, listen, output)),
+        Some(Verb::Doctor) => runtime.block_on(check::run_doctor(context, output)),
+        Some(Verb::Backup { file }) => runtime.block_on(check::run_backup(context, &file, output)),
+        Some(Verb::Restore { file }) => check::run_restore(&context, &file, output),
         Some(Verb::Capture(capture)) => runtime.block_on(capture::run(context, capture, output)),
         Some(Verb::Uploads(UploadsVerb::List(list))) if list.follow => {
             runtime.block_on(follow::run(context, follow::Which::Uploads, parse::query(&list)?, output))

@@ -4,7 +4,7 @@ use std::io::Write as _;
 
 use serde::Serialize;
 
-use crate::model::clean_lines;
+use crate::model::{clean_lines, is_shown};
 use crate::service::Failure;
 
 /// Widest line of text, characters.
@@ -24,11 +24,21 @@ impl Output {
 
     /// The result: `value` as one JSON document, or `text`.
     pub fn result<T: Serialize>(self, value: &T, text: impl FnOnce() -> String) {
-        let line =
-            if self.json { serde_json::to_string(value).unwrap_or_default() } else { clean_lines(&text(), WIDEST) };
+        let line = if self.json {
+            escaped(&serde_json::to_string(value).unwrap_or_default())
+        } else {
+            clean_lines(&text(), WIDEST)
+        };
         let mut stdout = std::io::stdout().lock();
         // A reader that went away wants no more.
         drop(writeln!(stdout, "{line}").and_then(|()| stdout.flush()));
+    }
+
+    /// A file of our own making, as it is.
+    pub fn raw(self, text: &str) {
+        let mut stdout = std::io::stdout().lock();
+        // A reader that went away wants no more.
+        drop(stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()));
     }
 
     /// A word beside the result, for people.
@@ -46,6 +56,19 @@ impl Output {
     }
 }
 
+/// JSON whose strings spell out what a terminal must not get, should it have come this far.
+fn escaped(json: &str) -> String {
+    let mut out = String::with_capacity(json.len());
+    for character in json.chars() {
+        if is_shown(character) {
+            out.push(character);
+        } else {
+            character.encode_utf16(&mut [0; 2]).iter().for_each(|unit| out.push_str(&format!("\\u{unit:04x}")));
+        }
+    }
+    out
+}
+
 /// Columns of text, each as wide as its widest cell.
 pub fn table(head: &[&str], rows: &[Vec<String>]) -> String {
     let width = |column: usize| {
@@ -60,4 +83,18 @@ pub fn table(head: &[&str], rows: &[Vec<String>]) -> String {
     let mut lines = vec![line(head.to_vec())];
     lines.extend(rows.iter().map(|row| line(row.iter().map(String::as_str).collect())));
     lines.join("\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn json_keeps_its_meaning_and_loses_what_terminals_act_on() {
+        let hostile = "a\u{9b}2J\u{202e}b\u{200b}\u{e0041}\u{1b}";
+        let json = escaped(&serde_json::to_string(hostile).expect("a string"));
+        assert!(json.chars().all(is_shown), "{json}");
+        assert_eq!(serde_json::from_str::<String>(&json).expect("still JSON"), hostile);
+        assert_eq!(escaped("{\"a\":\"机é\"}"), "{\"a\":\"机é\"}");
+    }
 }

@@ -109,6 +109,8 @@ pub fn query(arguments: &ListArguments) -> Result<UploadQuery, Failure> {
     Ok(UploadQuery {
         owner: arguments.owner.as_deref().map(value).transpose()?,
         topic: arguments.topic.as_deref().map(value).transpose()?,
+        type_name: arguments.type_name.as_deref().map(value).transpose()?,
+        tags: arguments.tags.iter().map(|text| tag(text)).collect::<Result<_, _>>()?,
         kind: arguments.kind.as_deref().map(|text| word(text, "kind of record", &kinds)).transpose()?,
         state: arguments.state.as_deref().map(|text| word(text, "state", &states)).transpose()?,
         since: arguments.since.as_deref().map(moment).transpose()?,

@@ -3,18 +3,28 @@
 use std::path::{Path, PathBuf};
 
 use super::args::{EpochsChoice, ExportKind, GrantArguments, KeysVerb};
-use super::audit::AuditVerb;
-use super::connect::ProfileNeed;
+use super::audit::{AuditArguments, AuditVerb};
+use super::connect::{Context, ProfileNeed};
 use super::verbs::{CHAIN, NEITHER, Plan};
 use super::{parse, passphrase};
 use crate::model::{ErrorKind, Timestamp};
-use crate::service::{Command, Epochs, Failure, KeyKind, SecretText};
+use crate::service::{Command, Epochs, Failure, KeyKind, Operation, SecretText};
 
 /// `audit …`
 ///
 /// # Errors
 /// A time that cannot be read.
-pub fn audit(verb: &AuditVerb) -> Result<Plan, Failure> {
+pub fn audit(context: &Context, arguments: &AuditArguments) -> Result<Plan, Failure> {
+    let Some(verb) = &arguments.verb else {
+        let command = super::check::audit_command(arguments.deep, arguments.since()?);
+        return Ok(Plan::new(super::check::audit_needs(context), ProfileNeed::None, command));
+    };
+    if arguments.deep || arguments.since.is_some() {
+        return Err(Failure::new(
+            ErrorKind::Usage,
+            "--deep and --since before a verb are of the audit of records; leave them out",
+        ));
+    }
     let command = super::audit::query(verb)?;
     Ok(match verb {
         AuditVerb::List { .. } | AuditVerb::Verify { without_heads: true } => {
@@ -40,6 +50,10 @@ pub fn keys(verb: KeysVerb) -> Result<Plan, Failure> {
     Ok(match verb {
         KeysVerb::List => Plan::new(CHAIN, ProfileNeed::Unlocked, Command::ListKeys),
         KeysVerb::Rotate => Plan::new(CHAIN, ProfileNeed::Unlocked, Command::RotateKeys),
+        KeysVerb::Backup { out } => {
+            let command = Command::Operate(Operation::BackUpKeys);
+            Plan { out: Some(out), ..Plan::new(NEITHER, ProfileNeed::None, command) }
+        }
         KeysVerb::Load { sm4, sm2, eoa, keystore_passphrase_file } => {
             let choices = [(KeyKind::Sm4, sm4), (KeyKind::Sm2, sm2), (KeyKind::Eoa, eoa)];
             let chosen = choices.into_iter().find_map(|(kind, path)| path.map(|path| (kind, path)));

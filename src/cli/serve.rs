@@ -1,5 +1,7 @@
 //! `authros serve`: the site without a console.
 
+use std::sync::OnceLock;
+
 use tokio::signal::unix::{SignalKind, signal};
 
 use super::connect::{Context, ProfileNeed};
@@ -8,18 +10,48 @@ use crate::model::ErrorKind;
 use crate::service::event::NoticeLevel;
 use crate::service::{Command, Event, Failure, Needs};
 
-/// Waits for SIGINT, SIGTERM or SIGHUP.
-pub async fn asked_to_end() {
+/// Whether whoever started this process wants it to outlive its terminal (nohup), as its signals were at the start.
+static KEEPS_ON: OnceLock<bool> = OnceLock::new();
+
+/// Looks whether SIGHUP is ignored; to be called before anything listens to signals.
+pub fn note_hangup() {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    KEEPS_ON.get_or_init(|| ignores_hangup(&status));
+}
+
+/// SIGHUP is the lowest bit of the mask.
+fn ignores_hangup(status: &str) -> bool {
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).is_some_and(|mask| mask & 1 == 1)
+}
+
+/// How a process was asked to end.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Ending {
+    /// SIGINT: by a person, who can wait and can ask again.
+    Asked,
+    /// SIGTERM or SIGHUP: now.
+    Ordered,
+}
+
+/// Waits for SIGINT, SIGTERM, or SIGHUP unless that is ignored.
+pub async fn asked_to_end() -> Ending {
     let wait = |kind| async move {
         match signal(kind) {
             Ok(mut stream) => drop(stream.recv().await),
             Err(_) => std::future::pending().await,
         }
     };
+    let hangup = async {
+        match KEEPS_ON.get() {
+            Some(true) => std::future::pending().await,
+            _ => wait(SignalKind::hangup()).await,
+        }
+    };
     tokio::select! {
-        () = wait(SignalKind::interrupt()) => {}
-        () = wait(SignalKind::terminate()) => {}
-        () = wait(SignalKind::hangup()) => {}
+        () = wait(SignalKind::interrupt()) => Ending::Asked,
+        () = wait(SignalKind::terminate()) => Ending::Ordered,
+        () = hangup => Ending::Ordered,
     }
 }
 
@@ -36,43 +68,66 @@ pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
             format!("a site of {root} runs already; commands join it by themselves"),
         ));
     }
+    // One that worked here before needs no chain to begin.
+    let known = context.home.pin().exists() && context.home.keyring(&context.profile).exists();
     let prepared = async {
         context.prepare(&connection.client, ProfileNeed::Made, output).await?;
         connection.client.request(Command::Register).await
     };
+    // Listened to from here to the end, so that no signal falls in between.
+    let end = asked_to_end();
+    tokio::pin!(end);
     let ended = tokio::select! {
         prepared = prepared => prepared.map(drop),
-        () = asked_to_end() => {
-            connection.close().await;
+        _ = &mut end => {
+            connection.end().await;
             return Ok(0);
         }
     };
-    if let Err(failure) = ended {
-        connection.close().await;
-        return Err(failure);
+    match ended {
+        Ok(()) => {}
+        Err(failure) if known && failure.kind == ErrorKind::Unreachable => {
+            output.note(&format!("authros: {}; it is waited for, and what is captured meanwhile too", failure.message));
+        }
+        Err(failure) => {
+            connection.end().await;
+            return Err(failure);
+        }
     }
     let ready = serde_json::json!({ "serving": context.home.root().display().to_string(), "profile": context.profile });
     output.result(&ready, || {
         format!("serving {} for profile '{}'; end it with Ctrl-C", context.home.root().display(), context.profile)
     });
-    follow(&connection.client, output).await;
-    connection.close().await;
+    follow(&connection.client, output, end).await;
+    connection.end().await;
     Ok(0)
 }
 
-/// Shows the site's warnings until a signal, or the site's end.
-pub async fn follow(client: &crate::service::Client, output: &Output) {
+/// Shows the site's warnings until `end`, or the site's end.
+pub async fn follow(client: &crate::service::Client, output: &Output, end: impl Future<Output = Ending>) {
     let mut events = client.events();
-    let end = asked_to_end();
     tokio::pin!(end);
     loop {
         tokio::select! {
-            () = &mut end => return,
+            _ = &mut end => return,
             event = events.recv() => match event {
                 Ok(Event::Notice { at, level, text }) if level >= NoticeLevel::Warning => output.note(&format!("{at} {text}")),
                 Ok(_) | Err(tokio::sync::broadcast::error::RecvError::Lagged(_)) => {}
                 Err(tokio::sync::broadcast::error::RecvError::Closed) => return,
             },
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_an_ignored_hangup_is_one() {
+        assert!(ignores_hangup("Name:\tauthros\nSigIgn:\t0000000000001001\n"));
+        assert!(!ignores_hangup("Name:\tauthros\nSigIgn:\t0000000000001000\n"));
+        assert!(!ignores_hangup("SigIgn:\tnonsense\n"));
+        assert!(!ignores_hangup(""));
     }
 }

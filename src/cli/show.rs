@@ -26,6 +26,7 @@ pub fn show(reply: Reply, out: Option<&Path>, output: &Output) -> Result<u8, Fai
             output.result(&serde_json::json!({ "devices": rows }), || super::adopt::devices(&rows));
         }
         Reply::Chain(view) => output.result(&view, || lists::chain(&view)),
+        Reply::Site(view) => output.result(&view, || super::status::text(&view)),
         Reply::Deployed(view) => output.result(&view, || lists::deployed(&view)),
         Reply::Contacts(rows) => {
             output.result(&serde_json::json!({ "contacts": rows }), || parties::contact_table(&rows));
@@ -41,6 +42,12 @@ pub fn show(reply: Reply, out: Option<&Path>, output: &Output) -> Result<u8, Fai
             output.result(&check, || super::audit::check(&check));
             return Ok(super::audit::code(&check));
         }
+        Reply::RecordsAudited(audit) => {
+            output.result(&audit, || super::check::audit(&audit));
+            return Ok(super::check::audit_code(&audit));
+        }
+        Reply::BackedUp(view) => output.result(&view, || super::check::backed_up(&view)),
+        Reply::GatewayStatus(view) => output.result(&view, || super::gateway::status(&view)),
         Reply::Pins(view) => output.result(&view, || quarantine::pins(&view)),
         Reply::Quarantine(view) => output.result(&view, || quarantine::held(&view)),
         Reply::Decided(view) => output.result(&view, || view.text.clone()),
@@ -49,14 +56,14 @@ pub fn show(reply: Reply, out: Option<&Path>, output: &Output) -> Result<u8, Fai
             return Ok(lists::verdict_code(view.verdict));
         }
         Reply::Opened(mut view) => {
-            let bytes = view.picture.take().or_else(|| view.body.clone());
-            view.body = None;
-            if let (Some(path), Some(bytes)) = (out, bytes) {
+            if let (Some(path), Some(bytes)) = (out, view.file.take()) {
                 write_new(path, &bytes)?;
             }
-            output.result(&view, || lists::opened(&view));
+            super::viewing::without_bytes(&mut view);
+            output.result(&view, || super::viewing::opened(&view));
             return Ok(lists::verdict_code(view.verdict));
         }
+        Reply::Path(view) => output.result(&view, || super::viewing::path(&view)),
         Reply::Files(files) => {
             let directory = out.unwrap_or(Path::new("."));
             std::fs::create_dir_all(directory).map_err(|error| not_written(directory, &error))?;
@@ -75,7 +82,6 @@ pub fn show(reply: Reply, out: Option<&Path>, output: &Output) -> Result<u8, Fai
                 format!("written to {} (0600)", path.display())
             });
         }
-        Reply::Site(view) => output.result(&view, || super::status::text(&view)),
         Reply::Enrolled(_) | Reply::Captured(_) | Reply::Served(_) | Reply::Gateway(_) => {
             return Err(super::connect::unexpected());
         }

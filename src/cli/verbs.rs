@@ -2,13 +2,16 @@
 
 use std::path::PathBuf;
 
-use super::args::{ChainVerb, ConfigVerb, GrantsVerb, IdentityVerb, SharedVerb, TopicsVerb, UploadsVerb, Verb};
+use super::args::{
+    ChainVerb, ConfigVerb, GatewayVerb, GrantsVerb, IdentityVerb, SharedVerb, TopicsVerb, UploadsVerb, Verb,
+};
 use super::connect::{Context, ProfileNeed};
 use super::output::Output;
 use super::plans::{audit, grant, keys};
 use super::quarantine::{self, QuarantineVerb};
-use super::{lists, parse, parties, passphrase, show};
-use crate::service::{Command, Failure, Needs};
+use super::{check, lists, parse, parties, passphrase, show};
+use crate::service::command::Viewing;
+use crate::service::{Command, Failure, Needs, Operation};
 
 /// The chain alone.
 pub const CHAIN: Needs = Needs { ros: false, chain: true };
@@ -79,6 +82,8 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
             let account = account.as_deref().map(parse::value).transpose()?;
             Plan::new(needs, NoProfile, Command::CompareFingerprint { fingerprint, account })
         }
+        Verb::Identity(IdentityVerb::Lock) => Plan::new(NEITHER, NoProfile, Command::Operate(Operation::Lock)),
+        Verb::Gateway(GatewayVerb::Status) => Plan::new(NEITHER, NoProfile, Command::Operate(Operation::GatewayStatus)),
         Verb::Status => Plan::new(NEITHER, NoProfile, Command::SiteStatus),
         Verb::Contacts(verb) => Plan::new(CHAIN, NoProfile, parties::contacts(verb)?),
         Verb::Register => Plan::new(CHAIN, Made, Command::Register),
@@ -105,7 +110,7 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
             Plan::new(needs, profile, quarantine::command(verb)?)
         }
         Verb::Uploads(UploadsVerb::List(list)) => {
-            Plan::new(NEITHER, NoProfile, Command::ListUploads(parse::query(&list)?))
+            Plan::new(NEITHER, NoProfile, check::list_uploads(context, parse::query(&list)?))
         }
         Verb::Uploads(UploadsVerb::Show { id }) => Plan::new(CHAIN, NoProfile, Command::ShowUpload { id }),
         Verb::Uploads(UploadsVerb::Export { id, dir, addresses }) => {
@@ -117,12 +122,16 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
         Verb::Shared(SharedVerb::List(list)) => Plan::new(CHAIN, Unlocked, Command::ListShared(parse::query(&list)?)),
         Verb::Shared(SharedVerb::Check { id }) => Plan::new(CHAIN, Unlocked, Command::CheckShared { id }),
         Verb::Shared(SharedVerb::Open { id, out }) => {
-            Plan { out, ..Plan::new(CHAIN, Unlocked, Command::OpenShared { id }) }
+            let command = super::viewing::open(id, out.as_deref());
+            Plan { out, ..Plan::new(CHAIN, Unlocked, command) }
+        }
+        Verb::Shared(SharedVerb::Path { id, records }) => {
+            Plan::new(CHAIN, Unlocked, Command::View(Viewing::Path { id, records }))
         }
         Verb::Chain(ChainVerb::Status) => Plan::new(CHAIN, NoProfile, Command::ChainStatus),
         Verb::Chain(ChainVerb::Adopt) => Plan::new(CHAIN, Unlocked, Command::AdoptChain),
         Verb::Devices(verb) => Plan::new(CHAIN, Unlocked, super::adopt::command(&verb)?),
-        Verb::Audit(verb) => audit(&verb)?,
+        Verb::Audit(arguments) => audit(context, &arguments)?,
         Verb::Chain(ChainVerb::Deploy) => Plan::new(CHAIN, Made, Command::DeployContract),
         Verb::Chain(verb) => {
             let command = parties::act(&verb)?.ok_or_else(super::connect::unexpected)?;
@@ -132,10 +141,16 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
         | Verb::Config(_)
         | Verb::Capture(_)
         | Verb::Serve
+        | Verb::Doctor
+        | Verb::Verify { .. }
+        | Verb::Backup { .. }
+        | Verb::Restore { .. }
         | Verb::Gateway(_)
         | Verb::Demo(_)
         | Verb::Bench(_)
-        | Verb::Console(_) => {
+        | Verb::Console(_)
+        | Verb::Completions { .. }
+        | Verb::Man => {
             return Err(super::connect::unexpected());
         }
     })

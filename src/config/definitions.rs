@@ -114,10 +114,22 @@ pub const DEFINITIONS: &[Definition] = &[
         text: "disk space left free: below it no further record is acknowledged, so that those there are can go on",
     },
     Definition {
+        name: "record.compression",
+        variable: "AUTHROS_COMPRESSION",
+        default: "auto",
+        text: "auto = compress messages before they are sealed where it pays; off = seal them as they are",
+    },
+    Definition {
         name: "crypto.provider",
         variable: "AUTHROS_CRYPTO_PROVIDER",
         default: "rustcrypto",
         text: "rustcrypto or libsm",
+    },
+    Definition {
+        name: "crypto.sm4_kernel",
+        variable: "AUTHROS_SM4_KERNEL",
+        default: "",
+        text: "gfni-avx512, gfni-avx2, aesni-avx2 or portable; empty = the fastest that this processor can run",
     },
     Definition {
         name: "anchor.mode",
@@ -136,6 +148,12 @@ pub const DEFINITIONS: &[Definition] = &[
         variable: "AUTHROS_AUDIT_ANCHOR_EVERY",
         default: "60",
         text: "seconds after which a changed audit log's head is anchored, 1 to 86400",
+    },
+    Definition {
+        name: "audit.scrub",
+        variable: "AUTHROS_AUDIT_SCRUB",
+        default: "1",
+        text: "per cent of the stored records that a running site re-hashes an hour; 0 = none, above 100 = several times",
     },
     Definition {
         name: "confirmations",
@@ -160,5 +178,35 @@ pub const DEFINITIONS: &[Definition] = &[
         variable: "AUTHROS_TRUST_FIRST",
         default: "no",
         text: "yes = pin whatever gateway answers the first time",
+    },
+    Definition {
+        name: "console.theme",
+        variable: "AUTHROS_THEME",
+        default: "",
+        text: "theme of the console: night, day, contrast, mono or one of your own; empty = by the terminal's colours",
+    },
+    Definition {
+        name: "console.ascii",
+        variable: "AUTHROS_ASCII",
+        default: "auto",
+        text: "ASCII characters only: yes, no, or auto (where the locale has no UTF-8)",
+    },
+    Definition {
+        name: "console.mouse",
+        variable: "AUTHROS_MOUSE",
+        default: "no",
+        text: "whether the console takes the mouse; no leaves selecting text to the terminal",
+    },
+    Definition {
+        name: "console.bytes_per_second",
+        variable: "AUTHROS_BYTES_PER_SECOND",
+        default: "",
+        text: "most bytes a second drawn because data changed, keys apart; empty = 4000 over SSH, else no limit",
+    },
+    Definition {
+        name: "console.lock_after",
+        variable: "AUTHROS_LOCK_AFTER",
+        default: "15",
+        text: "minutes without a key after which the console locks the keyring while capture goes on; 0 = never",
     },
 ];

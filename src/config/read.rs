@@ -118,6 +118,15 @@ pub(super) fn span(values: &Values, name: &'static str, endless: &str) -> Result
     }
 }
 
+/// One of two words; the first means yes.
+pub(super) fn switch(values: &Values, name: &'static str, words: (&str, &str)) -> Result<bool, ConfigError> {
+    match value(values, name) {
+        Some(word) if word == words.0 => Ok(true),
+        Some(word) if word == words.1 => Ok(false),
+        _ => Err(wrong(values, name, &format!("write {} or {}", words.0, words.1))),
+    }
+}
+
 pub(super) fn parsed<T: FromStr<Err: fmt::Display>>(
     values: &Values,
     name: &'static str,

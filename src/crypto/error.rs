@@ -74,6 +74,9 @@ pub enum CryptoError {
     /// The keyring's passphrase is wrong.
     #[error("the passphrase does not open {0}; type it again, nothing was changed")]
     WrongPassphrase(String),
+    /// A keyring whose keys were wiped from memory.
+    #[error("the keyring {0} is locked; unlock it with its passphrase, nothing was changed")]
+    Locked(String),
     /// A passphrase that is too short.
     #[error("the passphrase has {0} characters; use 8 or more")]
     ShortPassphrase(usize),
@@ -145,7 +148,8 @@ impl CryptoError {
             | Self::BadCiphertext
             | Self::WrongKey
             | Self::NotAccepted { .. }
-            | Self::WrongPassphrase(_) => ErrorKind::Refused,
+            | Self::WrongPassphrase(_)
+            | Self::Locked(_) => ErrorKind::Refused,
             Self::DamagedRecord(_) | Self::Tampered(_) | Self::NotAsked(_) | Self::DamagedKeyring(_) => {
                 ErrorKind::Tampered
             }

@@ -1,4 +1,4 @@
-//! SM4-GCM (RFC 8998, GB/T 36624): counter mode and GHASH over any provider's SM4 block.
+//! SM4-GCM (RFC 8998, GB/T 36624): counter mode and GHASH over any SM4 block; the kernels have their own.
 //! Nonces are 96 bits, tags 128; who chooses keys and nonces lives elsewhere.
 
 use ghash::universal_hash::UniversalHash as _;
@@ -11,7 +11,7 @@ use super::{CryptoError, fault};
 /// The tag's length, bytes.
 pub const TAG: usize = 16;
 /// The longest text of one nonce: 2^32 - 2 blocks (NIST SP 800-38D, 5.2.1.1).
-const LONGEST: u64 = ((1 << 32) - 2) * 16;
+pub(super) const LONGEST: u64 = ((1 << 32) - 2) * 16;
 
 /// One SM4 key, ready to encrypt.
 pub(super) trait BlockCipher {
@@ -55,20 +55,18 @@ fn tag(cipher: &impl BlockCipher, nonce: &[u8; 12], aad: &[u8], text: &[u8]) -> 
     Ok(tag)
 }
 
-/// Encrypts `buffer` in place and appends the tag.
+/// Encrypts `text` in place and returns the tag.
 pub(super) fn seal(
     cipher: &impl BlockCipher,
     nonce: &[u8; 12],
     aad: &[u8],
-    buffer: &mut Vec<u8>,
-) -> Result<(), CryptoError> {
-    if u64::try_from(buffer.len()).unwrap_or(u64::MAX) > LONGEST {
-        return Err(CryptoError::Length { what: "text for SM4-GCM", found: buffer.len(), allowed: "under 64 GiB" });
+    text: &mut [u8],
+) -> Result<[u8; TAG], CryptoError> {
+    if u64::try_from(text.len()).unwrap_or(u64::MAX) > LONGEST {
+        return Err(CryptoError::Length { what: "text for SM4-GCM", found: text.len(), allowed: "under 64 GiB" });
     }
-    cipher.apply_counter(counter(nonce, 2), buffer)?;
-    let tag = tag(cipher, nonce, aad, buffer)?;
-    buffer.extend_from_slice(&tag);
-    Ok(())
+    cipher.apply_counter(counter(nonce, 2), text)?;
+    tag(cipher, nonce, aad, text)
 }
 
 /// Checks the tag in constant time, and only then decrypts.

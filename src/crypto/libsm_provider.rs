@@ -106,8 +106,14 @@ impl Provider for LibsmProvider {
         }
     }
 
-    fn gcm_seal(&self, key: &[u8; 16], nonce: &[u8; 12], aad: &[u8], buffer: &mut Vec<u8>) -> Result<(), CryptoError> {
-        gcm::seal(&Sm4Block::new(key)?, nonce, aad, buffer)
+    fn gcm_seal_in_place(
+        &self,
+        key: &[u8; 16],
+        nonce: &[u8; 12],
+        aad: &[u8],
+        text: &mut [u8],
+    ) -> Result<[u8; 16], CryptoError> {
+        gcm::seal(&Sm4Block::new(key)?, nonce, aad, text)
     }
 
     fn gcm_open(

@@ -4,6 +4,7 @@
 
 pub mod account;
 pub mod agreement;
+pub mod compression;
 pub mod der;
 pub mod derive;
 pub mod enrolment;
@@ -15,6 +16,7 @@ mod gcm;
 pub mod identity;
 pub mod kdf;
 pub mod kept_key;
+pub mod kernel;
 pub mod keyfile;
 pub mod keyring;
 pub mod keystore;
@@ -25,8 +27,10 @@ pub mod provider;
 pub mod random;
 pub mod record;
 mod rustcrypto;
+pub mod sealed_stream;
 pub mod secret;
 pub mod sm3;
+mod sm4_gcm;
 pub mod transport_file;
 
 #[cfg(test)]
@@ -49,13 +53,15 @@ pub use error::CryptoError;
 pub use identity::{check_identity, prove};
 pub use kdf::{hkdf_sm3, hmac_sm3};
 pub use kept_key::{open_transport_key, seal_transport_key};
+pub use kernel::{Kernel, KernelError};
 pub use keyring::{EpochSecret, EpochState, Keyring, NetworkKeys, PublicIdentity, UnlockedKeyring, read_public};
 pub use passphrase::Passphrase;
 pub use provider::{Provider, ProviderName, provider};
 pub use random::random_bytes;
 pub use record::{Anchor, Expected, OpenedRecord, SealRequest, SealedRecord, check, check_deleted, open, seal};
+pub use rustcrypto::seal_by_crates;
 pub use secret::{
     EoaSecret, EpochKey, EpochSalt, Fingerprint, FingerprintError, IndexKey, Sm4Key, SmKeyPair, SmSecret, TopicKey,
     TransportKey,
 };
-pub use sm3::Sm3Hasher;
+pub use sm3::{Sm3Hasher, sm3_many};

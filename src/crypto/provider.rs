@@ -21,11 +21,32 @@ pub trait Provider: Send + Sync {
     /// SM3 (GB/T 32905-2016) of the concatenation of `parts`.
     fn sm3(&self, parts: &[&[u8]]) -> [u8; 32];
 
+    /// SM3 of each message; many short ones at once where the processor can.
+    fn sm3_many(&self, messages: &[&[u8]]) -> Vec<[u8; 32]> {
+        messages.iter().map(|message| self.sm3(&[message])).collect()
+    }
+
+    /// SM4-GCM (RFC 8998, 96-bit nonce): encrypts `text` in place and returns the tag that follows it.
+    ///
+    /// # Errors
+    /// [`CryptoError::Length`] where the text is longer than GCM allows.
+    fn gcm_seal_in_place(
+        &self,
+        key: &[u8; 16],
+        nonce: &[u8; 12],
+        aad: &[u8],
+        text: &mut [u8],
+    ) -> Result<[u8; 16], CryptoError>;
+
     /// SM4-GCM (RFC 8998, 96-bit nonce): encrypts `buffer` in place and appends the 16-byte tag.
     ///
     /// # Errors
     /// [`CryptoError::Length`] where the buffer is longer than GCM allows.
-    fn gcm_seal(&self, key: &[u8; 16], nonce: &[u8; 12], aad: &[u8], buffer: &mut Vec<u8>) -> Result<(), CryptoError>;
+    fn gcm_seal(&self, key: &[u8; 16], nonce: &[u8; 12], aad: &[u8], buffer: &mut Vec<u8>) -> Result<(), CryptoError> {
+        let tag = self.gcm_seal_in_place(key, nonce, aad, buffer)?;
+        buffer.extend_from_slice(&tag);
+        Ok(())
+    }
 
     /// SM4-GCM: checks the tag in constant time, then decrypts.
     ///
@@ -91,7 +112,7 @@ pub(super) fn check_plain(plain: &[u8]) -> Result<(), CryptoError> {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ProviderName {
-    /// The `RustCrypto` crates.
+    /// The `RustCrypto` crates for SM2 and SM3, our own kernels for SM4.
     #[default]
     RustCrypto,
     /// The `libsm` crate behind guards.

@@ -2,7 +2,7 @@
 //! nothing before the last check: parse, digest, signature, commitment, tags, what was asked for.
 //! Where blobs come from and whether a signer may sign for an owner is decided elsewhere.
 
-use zeroize::Zeroizing;
+use zeroize::{Zeroize as _, Zeroizing};
 
 use crate::model::head::{Compression, MOST_TAGS};
 use crate::model::header::{LARGEST_BODY, LARGEST_HEAD, MOST_FILTERS, TAG_LENGTH};
@@ -43,9 +43,9 @@ pub struct SealRequest<'a> {
     pub filters: Vec<FilterId>,
     /// When the message was captured.
     pub captured_at: Timestamp,
-    /// What only readers may know; its plain length is that of `body`.
+    /// What only readers may know; its plain length is that of the message.
     pub head: &'a Head,
-    /// The message.
+    /// The message, compressed as the head says.
     pub body: &'a [u8],
 }
 
@@ -66,18 +66,33 @@ pub struct SealedRecord {
 /// [`CryptoError::Length`] or [`CryptoError::Inconsistent`] where a field is out of bounds,
 /// [`CryptoError::Random`] where the random source fails.
 pub fn seal(provider: &dyn Provider, request: &SealRequest<'_>) -> Result<SealedRecord, CryptoError> {
-    let mut head = Zeroizing::new(request.head.encode());
+    let head = Zeroizing::new(request.head.encode());
     check_request(request, head.len())?;
     let (header, keys) = header(request, head.len())?;
     let prefix = header.encode();
-    provider.gcm_seal(&keys.head_key, &keys.head_nonce, &prefix, &mut head)?;
-    let mut body = Vec::with_capacity(request.body.len() + TAG_LENGTH);
-    body.extend_from_slice(request.body);
-    provider.gcm_seal(&keys.body_key, &keys.body_nonce, &prefix, &mut body)?;
-    let blob = [&prefix[..], &head, &body].concat();
+    let mut blob = Vec::with_capacity(prefix.len() + head.len() + request.body.len() + 2 * TAG_LENGTH);
+    blob.extend_from_slice(&prefix);
+    append(provider, (&keys.head_key, &keys.head_nonce), &prefix, &head, &mut blob)?;
+    append(provider, (&keys.body_key, &keys.body_nonce), &prefix, request.body, &mut blob)?;
     let digest = Digest(provider.sm3(&[&blob]));
     let signature = provider.sign(&request.signer.secret, &signed_bytes(&request.domain, &digest))?;
     Ok(SealedRecord { blob, digest, signature })
+}
+
+/// Copies `plain` behind the blob, the only copy there is, and seals it there.
+fn append(
+    provider: &dyn Provider,
+    (key, nonce): (&[u8; 16], &[u8; 12]),
+    aad: &[u8],
+    plain: &[u8],
+    blob: &mut Vec<u8>,
+) -> Result<(), CryptoError> {
+    let start = blob.len();
+    blob.extend_from_slice(plain);
+    let sealed = provider.gcm_seal_in_place(key, nonce, aad, &mut blob[start..]);
+    let tag = sealed.inspect_err(|_| blob.zeroize())?;
+    blob.extend_from_slice(&tag);
+    Ok(())
 }
 
 fn header(request: &SealRequest<'_>, head_length: usize) -> Result<(Header, RecordKeys), CryptoError> {
@@ -122,9 +137,14 @@ fn check_request(request: &SealRequest<'_>, head: usize) -> Result<(), CryptoErr
     if is_length(request.head, request.body) { Ok(()) } else { Err(CryptoError::Inconsistent("plain length")) }
 }
 
+/// Whether a body of that many bytes can be what the head says; a message is never longer than a record may be.
 fn is_length(head: &Head, body: &[u8]) -> bool {
+    let length = u64::try_from(body.len()).unwrap_or(u64::MAX);
     match head.compression {
-        Compression::None => u64::try_from(body.len()) == Ok(head.plain_length),
+        Compression::None => length == head.plain_length,
+        Compression::Lz4 | Compression::Matrix => {
+            length < head.plain_length && head.plain_length <= LARGEST_BODY - TAG_LENGTH as u64
+        }
     }
 }
 

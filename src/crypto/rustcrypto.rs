@@ -1,4 +1,5 @@
-//! The default provider: the `RustCrypto` crates sm2, sm3, sm4, ctr and ghash.
+//! The default provider: the `RustCrypto` crates sm2 and sm3, and our own kernels for SM4-GCM. What the crates
+//! sm4, ctr and ghash make of it is kept beside, to be compared with: sm4 looks its S-box up in a table.
 //! Nonces of signatures are hedged: derived from key and message (RFC 6979) and fresh random bytes.
 
 use ctr::cipher::{
@@ -17,9 +18,10 @@ use crate::model::{PublicKey, Signature};
 
 use super::der::CipherParts;
 use super::gcm::{self, BlockCipher};
+use super::kernel::Available;
 use super::provider::{Provider, check_plain};
 use super::secret::{uncompressed, unprefixed};
-use super::{CryptoError, SmSecret};
+use super::{CryptoError, SmSecret, sm4_gcm};
 
 /// The signer's distinguishing identifier (GM/T 0009-2012, 10).
 pub(super) const DISTINGUISHED_ID: &str = "1234567812345678";
@@ -28,7 +30,7 @@ pub(super) const DISTINGUISHED_ID: &str = "1234567812345678";
 #[derive(Debug, Clone, Copy)]
 pub struct RustCryptoProvider;
 
-/// One SM4 key.
+/// One SM4 key of the crate sm4.
 pub(super) struct Sm4Block(Sm4);
 
 impl Sm4Block {
@@ -52,6 +54,16 @@ impl BlockCipher for Sm4Block {
     }
 }
 
+/// SM4-GCM by the crates sm4, ctr and ghash alone, the tag appended: what the kernels are measured against.
+///
+/// # Errors
+/// [`CryptoError::Length`] where the buffer is longer than GCM allows.
+pub fn seal_by_crates(key: &[u8; 16], nonce: &[u8; 12], aad: &[u8], buffer: &mut Vec<u8>) -> Result<(), CryptoError> {
+    let tag = gcm::seal(&Sm4Block::new(key), nonce, aad, buffer)?;
+    buffer.extend_from_slice(&tag);
+    Ok(())
+}
+
 /// The point of a public key, checked to lie on the curve.
 pub(super) fn point(public: &PublicKey) -> Result<sm2::PublicKey, CryptoError> {
     sm2::PublicKey::from_sec1_bytes(&uncompressed(public)).map_err(|_| CryptoError::PublicPoint)
@@ -71,8 +83,18 @@ impl Provider for RustCryptoProvider {
         super::sm3::sm3(parts)
     }
 
-    fn gcm_seal(&self, key: &[u8; 16], nonce: &[u8; 12], aad: &[u8], buffer: &mut Vec<u8>) -> Result<(), CryptoError> {
-        gcm::seal(&Sm4Block::new(key), nonce, aad, buffer)
+    fn sm3_many(&self, messages: &[&[u8]]) -> Vec<[u8; 32]> {
+        super::sm3::sm3_many(messages)
+    }
+
+    fn gcm_seal_in_place(
+        &self,
+        key: &[u8; 16],
+        nonce: &[u8; 12],
+        aad: &[u8],
+        text: &mut [u8],
+    ) -> Result<[u8; 16], CryptoError> {
+        sm4_gcm::seal(Available::decided(), key, nonce, aad, text)
     }
 
     fn gcm_open(
@@ -82,7 +104,7 @@ impl Provider for RustCryptoProvider {
         aad: &[u8],
         sealed: &[u8],
     ) -> Result<Zeroizing<Vec<u8>>, CryptoError> {
-        gcm::open(&Sm4Block::new(key), nonce, aad, sealed)
+        sm4_gcm::open(Available::decided(), key, nonce, aad, sealed)
     }
 
     fn sign(&self, secret: &SmSecret, message: &[u8]) -> Result<Signature, CryptoError> {

@@ -23,7 +23,9 @@ use super::parts::Assembler;
 use super::receipt::Receipt;
 use super::server::stopped;
 use super::session::{LONGEST_LIFE, Session};
+use super::system_keys::SystemKeyList;
 use super::system_keys::cabinet::Cabinet;
+use super::tally::Tally;
 
 mod commands;
 mod feeds;
@@ -45,6 +47,8 @@ pub(super) struct Shared {
     pub peers: Peers,
     /// Held while a name is bound.
     pub binding: tokio::sync::Mutex<()>,
+    /// For the operator's eyes.
+    pub tally: Tally,
 }
 
 impl Shared {
@@ -62,6 +66,17 @@ impl Shared {
 
     fn list(&self) -> (ListSummary, Vec<u8>) {
         self.with_cabinet(|cabinet| (cabinet.list().summary(self.provider()), cabinet.list().encode()))
+    }
+
+    /// Counts a refusal and tells the desk of it.
+    pub fn refused(&self, peer: SocketAddr, refusal: &Refusal) {
+        self.tally.refuse(refusal.code);
+        self.desk.refused(peer, refusal);
+    }
+
+    /// The published list of system keys.
+    pub fn system_keys(&self) -> SystemKeyList {
+        self.with_cabinet(|cabinet| cabinet.list().clone())
     }
 
     /// Rotates the system keys where it is time.
@@ -156,7 +171,7 @@ impl Connection {
 
     async fn close(self, outcome: Result<(), End>) {
         if let Err(End::Refused(refusal)) = outcome {
-            self.shared.desk.refused(self.peer, &refusal);
+            self.shared.refused(self.peer, &refusal);
             self.line.refuse(refusal.code).await;
         }
     }
@@ -255,7 +270,7 @@ impl Connection {
             Ok(charged) => charged,
             Err(refusal) if refusal.code.ends_session() => return Err(refusal.into()),
             Err(refusal) => {
-                self.shared.desk.refused(self.peer, &refusal);
+                self.shared.refused(self.peer, &refusal);
                 (Answer::Refused(refusal.code), None)
             }
         };
@@ -321,6 +336,7 @@ impl Connection {
         binding: Binding,
         hello_deadline: Instant,
     ) -> Result<(), End> {
+        let present = name.clone();
         let caller = Caller { name, account: binding.account, signing: binding.signing, peer: self.peer };
         let mut desk = Commands { agreed, caller, binding, feeds: None };
         let payload = self.expect(FrameKind::Transfer, hello_deadline).await?;
@@ -328,6 +344,8 @@ impl Connection {
         // Whoever sealed this frame holds K_T.
         self.seat.authenticated();
         self.line.raise_cap();
+        let presence = self.shared.tally.enter(present, desk.caller.account, self.peer);
+        presence.frame(payload.len());
         let mut assembler = Assembler::new();
         self.frame(&mut session, &mut desk, &mut assembler, first.0, &first.1).await?;
         let end = Instant::now() + LONGEST_LIFE;
@@ -340,6 +358,7 @@ impl Connection {
                 Next::Frame(FrameKind::Transfer, payload) => {
                     self.pace(payload.len()).await;
                     let (counter, text) = session.open(&payload)?;
+                    presence.frame(payload.len());
                     self.frame(&mut session, &mut desk, &mut assembler, counter, &text).await?;
                 }
                 Next::Frame(kind, _) => {
@@ -390,12 +409,12 @@ impl Connection {
         match self.shared.desk.fetch(&commands.caller, &entry.digest).await {
             Ok(record) => self.send(session, fed.request, &Answer::Event(Box::new((entry, record)))).await,
             Err(refusal) if matches!(refusal.code, Code::NotFound | Code::Tampered) => {
-                self.shared.desk.refused(self.peer, &refusal);
+                self.shared.refused(self.peer, &refusal);
                 Ok(())
             }
             Err(refusal) => {
                 feeds.remove(fed.request);
-                self.shared.desk.refused(self.peer, &refusal);
+                self.shared.refused(self.peer, &refusal);
                 self.send(session, fed.request, &Answer::End(refusal.code)).await
             }
         }

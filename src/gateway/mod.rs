@@ -20,6 +20,7 @@ pub mod receipt;
 pub mod server;
 pub mod session;
 pub mod system_keys;
+pub mod tally;
 pub mod trust;
 
 pub use allocation::Applicant;
@@ -35,7 +36,7 @@ pub use error::GatewayError;
 pub use hello::{Context, NetworkName};
 pub use limits::Limits;
 pub use receipt::Receipt;
-pub use server::Server;
+pub use server::{Server, ServerWatch};
 pub use system_keys::cabinet::{Cabinet, Schedule};
 pub use trust::{KeptTrust, Trust};
 

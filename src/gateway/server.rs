@@ -20,7 +20,9 @@ use super::frame::{FrameKind, encode};
 use super::hello::{Context, gateway_id};
 use super::limits::{Limits, Peers};
 use super::line::Line;
+use super::system_keys::SystemKeyList;
 use super::system_keys::cabinet::Cabinet;
+use super::tally::{Sender, Tally};
 
 /// How often the system keys' schedule is looked at.
 const ROTATION: Duration = Duration::from_secs(10);
@@ -57,6 +59,7 @@ impl Server {
             cabinet: Mutex::new(cabinet),
             peers: Peers::new(limits),
             binding: tokio::sync::Mutex::new(()),
+            tally: Tally::default(),
         });
         let (stop, stopping) = watch::channel(false);
         let task = tokio::spawn(listen(listener, Arc::clone(&shared), stopping));
@@ -78,10 +81,21 @@ impl Server {
         self.shared.peers.connections()
     }
 
+    /// For the operator's eyes, also while it is stopped.
+    pub fn watch(&self) -> ServerWatch {
+        ServerWatch(Arc::clone(&self.shared))
+    }
+
     /// What its connections share, for tests that serve one themselves.
     #[cfg(test)]
     pub(super) fn shared(&self) -> Arc<Shared> {
         Arc::clone(&self.shared)
+    }
+
+    /// Waits until it takes no more connections by a fault of its own. Drop it then.
+    pub async fn broken(&mut self) {
+        // How it ended makes no difference.
+        drop((&mut self.task).await);
     }
 
     /// Takes no more connections, lets requests under way finish, closes all; whatever lasts longer than
@@ -93,6 +107,32 @@ impl Server {
         if finished.is_err() {
             connections.shutdown().await;
         }
+    }
+}
+
+/// Looks at a server without holding it up.
+#[derive(Clone)]
+pub struct ServerWatch(Arc<Shared>);
+
+impl ServerWatch {
+    /// Connections there are now, those in their handshake included.
+    pub fn connections(&self) -> usize {
+        self.0.peers.connections()
+    }
+
+    /// Everybody with a session under a transport key.
+    pub fn senders(&self) -> Vec<Sender> {
+        self.0.tally.senders()
+    }
+
+    /// What was refused since it was started, by reason.
+    pub fn refused(&self) -> Vec<(Code, u64)> {
+        self.0.tally.refused()
+    }
+
+    /// The published list of system keys.
+    pub fn system_keys(&self) -> SystemKeyList {
+        self.0.system_keys()
     }
 }
 
@@ -138,7 +178,7 @@ fn admit(
             connections.spawn(serve(Arc::clone(shared), Line::new(stream), peer, seat, stop));
         }
         Err(refusal) => {
-            shared.desk.refused(peer, &refusal);
+            shared.refused(peer, &refusal);
             // If it does not fit into the socket at once, the peer learns nothing: it costs us nothing.
             let _ = stream.try_write(&encode(FrameKind::Refusal, &Code::Busy.number().to_be_bytes()));
         }
@@ -150,7 +190,7 @@ fn rotate(shared: &Arc<Shared>) {
     let shared = Arc::clone(shared);
     tokio::task::spawn_blocking(move || {
         if let Err(refusal) = shared.rotate() {
-            shared.desk.refused(SocketAddr::from(([0, 0, 0, 0], 0)), &refusal);
+            shared.refused(SocketAddr::from(([0, 0, 0, 0], 0)), &refusal);
         }
     });
 }

@@ -21,11 +21,14 @@ pub enum LossReason {
     Key,
     /// The program had to end before they could be stored.
     End,
+    /// Sealing them failed by a fault of the program.
+    Fault,
 }
 
 impl LossReason {
     /// All reasons, in the order of their codes.
-    pub const ALL: [Self; 6] = [Self::Transport, Self::Memory, Self::Disk, Self::Backlog, Self::Key, Self::End];
+    pub const ALL: [Self; 7] =
+        [Self::Transport, Self::Memory, Self::Disk, Self::Backlog, Self::Key, Self::End, Self::Fault];
 
     /// The byte in a gap record.
     pub fn code(self) -> u8 {
@@ -46,6 +49,7 @@ impl LossReason {
             Self::Backlog => "vault behind",
             Self::Key => "no key",
             Self::End => "end",
+            Self::Fault => "fault",
         }
     }
 
@@ -63,6 +67,7 @@ impl LossReason {
             Self::Backlog => "came while the vault took no records and the space for waiting ones was used up",
             Self::Key => "came while there was no key to seal them with",
             Self::End => "could not be stored before the program had to end",
+            Self::Fault => "could not be sealed by a fault of the program",
         }
     }
 }

@@ -13,6 +13,37 @@ pub const MOST_TAGS: usize = 64;
 pub enum Compression {
     /// Not at all.
     None,
+    /// LZ4, one block.
+    Lz4,
+    /// As a matrix of numbers: raw pictures, depth, clouds (`crypto::compression`).
+    Matrix,
+}
+
+impl Compression {
+    /// Every way, in the order of their codes.
+    const ALL: [Self; 3] = [Self::None, Self::Lz4, Self::Matrix];
+
+    /// Its code in the head.
+    fn code(self) -> u8 {
+        match self {
+            Self::None => 0,
+            Self::Lz4 => 1,
+            Self::Matrix => 2,
+        }
+    }
+
+    fn from_code(code: u8) -> Option<Self> {
+        Self::ALL.into_iter().find(|compression| compression.code() == code)
+    }
+
+    /// As told to people.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::Lz4 => "lz4",
+            Self::Matrix => "matrix",
+        }
+    }
 }
 
 /// The sealed head, in the order it is written.
@@ -51,7 +82,7 @@ impl Head {
         out.extend_from_slice(&self.definition.0);
         put_text(&mut out, &self.caller_id);
         out.extend_from_slice(&self.boot_id);
-        out.push(0);
+        out.push(self.compression.code());
         out.extend_from_slice(&self.plain_length.to_be_bytes());
         let count = self.tags.len().min(MOST_TAGS);
         out.extend_from_slice(&u16::try_from(count).unwrap_or(0).to_be_bytes());
@@ -75,10 +106,7 @@ impl Head {
             definition: Digest(reader.array("definition")?),
             caller_id: reader.text("caller id")?,
             boot_id: reader.array("boot id")?,
-            compression: match reader.u8("compression")? {
-                0 => Compression::None,
-                _ => return Err(WireError::Value("compression")),
-            },
+            compression: Compression::from_code(reader.u8("compression")?).ok_or(WireError::Value("compression"))?,
             plain_length: reader.u64("plain length")?,
             tags: read_tags(&mut reader)?,
         };
@@ -139,11 +167,12 @@ mod tests {
 
     proptest! {
         #[test]
-        fn round_trip(topic in "/[a-z]{1,20}", caller in any::<String>(), length in any::<u64>(),
+        fn round_trip(topic in "/[a-z]{1,20}", caller in any::<String>(), length in any::<u64>(), code in 0u8..3,
                       tags in proptest::collection::btree_map("[a-z]{1,8}", any::<String>(), 0..5)) {
             let head = Head {
                 topic, type_name: "a/B".into(), md5sum: "0".repeat(32), definition: Digest([1; 32]),
-                caller_id: caller, boot_id: [2; 16], compression: Compression::None, plain_length: length, tags,
+                caller_id: caller, boot_id: [2; 16], plain_length: length, tags,
+                compression: Compression::from_code(code).expect("known"),
             };
             prop_assert_eq!(Head::parse(&head.encode()), Ok(head));
         }

@@ -7,6 +7,7 @@ pub mod address;
 pub mod adoption;
 pub mod anchor_mode;
 pub mod audit_head;
+pub mod base64_text;
 pub mod byte_size;
 pub mod bytes;
 pub mod consensus;
@@ -35,7 +36,7 @@ pub use bytes::{
     Commit, Digest, Domain, FilterId, Hash, PublicKey, RecorderId, Salt, Signature, SignerId, Token, TopicId,
 };
 pub use consensus::Consensus;
-pub use display::{clean, clean_lines};
+pub use display::{clean, clean_lines, is_shown};
 pub use error_kind::ErrorKind;
 pub use gap::{GapReport, LossReason};
 pub use grant::{GrantTerms, Scope};

@@ -7,7 +7,7 @@ use tokio::task::block_in_place;
 
 use crate::chain::merkle::{Leaf, MOST_LEAVES, Tree};
 use crate::chain::{Call, ChainError};
-use crate::crypto::EoaSecret;
+use crate::crypto::{EoaSecret, fault};
 use crate::model::{Address, AnchorMode, RecordState, Timestamp, Token};
 use crate::store::{Anchors, NewBatch, RecordRow, WaitingBatch};
 
@@ -128,11 +128,13 @@ pub(super) fn close_batch(
     owner: Address,
     leaves: &[Leaf],
 ) -> Result<Option<WaitingBatch>, PipelineError> {
-    let Some(tree) = Tree::new(leaves.iter().map(Leaf::hash).collect()) else { return Ok(None) };
+    let Some(tree) = Tree::new(Leaf::hashes(leaves)) else { return Ok(None) };
     let places = leaves.iter().enumerate();
     let leaves: Vec<_> = places.map(|(index, leaf)| (leaf.digest, tree.path(index))).collect();
     let batch = WaitingBatch { root: tree.root(), count: leaves.len() as u64 };
+    fault::point("batch-due");
     plant.ledger.close_batch(NewBatch { owner, root: batch.root, leaves })?;
+    fault::point("batch-closed");
     plant.observer.records_changed();
     Ok(Some(batch))
 }

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
-use crate::model::{AuditHead, Digest, RecordKind, Timestamp};
+use crate::model::{Address, AuditHead, Digest, RecordKind, Timestamp};
 use crate::store::{AuditLog, Ledger, RecordQuery, RecordRow, StoreError};
 
 use super::reader::Reader;
@@ -24,11 +24,19 @@ struct Last {
     hash: Digest,
 }
 
-fn key(owner: &Owner) -> String {
-    format!("audit-head:{}", owner.address)
+fn key(owner: Address) -> String {
+    format!("audit-head:{owner}")
 }
 
-fn last(ledger: &Ledger, owner: &Owner) -> Result<Option<Last>, StoreError> {
+/// The head (number of lines, hash) that an account's newest record holds, as the ledger noted it: needs no key.
+///
+/// # Errors
+/// Of the ledger, also where the note cannot be read.
+pub fn noted(ledger: &Ledger, owner: Address) -> Result<Option<(u64, Digest)>, StoreError> {
+    Ok(last(ledger, owner)?.map(|last| (last.line, last.hash)))
+}
+
+fn last(ledger: &Ledger, owner: Address) -> Result<Option<Last>, StoreError> {
     let Some(text) = ledger.setting(&key(owner))? else { return Ok(None) };
     let detail = "its note about the anchored audit head cannot be read".to_owned();
     serde_json::from_str(&text).map(Some).map_err(|_| StoreError::Corrupt { file: ledger.path().to_owned(), detail })
@@ -49,7 +57,7 @@ pub fn state_head(
     every: Duration,
 ) -> Result<Option<Digest>, PipelineError> {
     let Some(keys) = owner.sealing().filter(|keys| keys.domain == network.domain) else { return Ok(None) };
-    let before = last(&plant.ledger, owner)?;
+    let before = last(&plant.ledger, owner.address)?;
     if let Some(before) = before
         && let Err(fault) = log.compare(&[(before.line, before.hash)])
     {
@@ -68,7 +76,7 @@ pub fn state_head(
     let named = Statement { kind: RecordKind::Audit, topic: TOPIC, type_name: "authros/AuditHead", body: &body };
     let Some(digest) = statement::state(plant, owner.address, &keys, named)? else { return Ok(None) };
     // Cut here, the next head names the same one before it, which is no contradiction.
-    plant.ledger.put_setting(&key(owner), &serde_json::to_string(&Last { line, hash }).unwrap_or_default())?;
+    plant.ledger.put_setting(&key(owner.address), &serde_json::to_string(&Last { line, hash }).unwrap_or_default())?;
     plant.observer.records_changed();
     Ok(Some(digest))
 }
@@ -108,7 +116,7 @@ pub async fn heads(reader: &Reader<'_>) -> Result<Heads, PipelineError> {
         }
     }
     // The ledger's own note, for a head whose record was taken away.
-    let noted = tokio::task::block_in_place(|| last(&reader.plant.ledger, reader.reader))?;
+    let noted = tokio::task::block_in_place(|| last(&reader.plant.ledger, reader.reader.address))?;
     heads.good.extend(noted.map(|last| (last.line, last.hash)));
     Ok(heads)
 }

@@ -64,6 +64,11 @@ impl Author {
         *self.sealing.write().unwrap_or_else(PoisonError::into_inner) = Sealing { keys: Some(keys), next: None };
     }
 
+    /// From now on nothing is sealed.
+    pub fn rest(&self) {
+        *self.sealing.write().unwrap_or_else(PoisonError::into_inner) = Sealing::default();
+    }
+
     /// From `moment` on records are sealed under these keys, unless those of the same or a later epoch seal
     /// already; of two such moments the earlier counts.
     pub fn seal_from(&self, moment: Timestamp, keys: Arc<EpochKeys>) {

@@ -43,7 +43,7 @@ impl Default for Pace {
     fn default() -> Self {
         Self {
             first_pause: Duration::from_millis(250),
-            longest_pause: Duration::from_secs(10),
+            longest_pause: Duration::from_secs(5),
             check: Duration::from_secs(1),
         }
     }

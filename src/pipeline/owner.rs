@@ -2,11 +2,12 @@
 
 use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, HashMap};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::crypto::{
-    CryptoError, EoaSecret, EpochKey, EpochSalt, EpochSecret, EpochState, IndexKey, NetworkKeys, SealingKey, SmKeyPair,
-    UnlockedKeyring, WrappedKeys, epoch_key, token, topic_id,
+    CryptoError, EoaSecret, EpochKey, EpochSalt, EpochSecret, EpochState, IndexKey, NetworkKeys, Provider, SealingKey,
+    SmKeyPair, UnlockedKeyring, WrappedKeys, epoch_key, token, topic_id,
 };
 use crate::model::{Address, Digest, Domain, ProfileName, PublicKey, Timestamp, Token, TopicId};
 
@@ -26,6 +27,7 @@ pub struct Owner {
     pub(super) opened: Mutex<HashMap<Digest, Arc<WrappedKeys>>>,
     /// Changes of epochs, keys and grants happen one at a time.
     pub changes: tokio::sync::Mutex<()>,
+    locked: AtomicBool,
 }
 
 impl Owner {
@@ -39,7 +41,31 @@ impl Owner {
             keyring: Mutex::new(keyring),
             opened: Mutex::default(),
             changes: tokio::sync::Mutex::default(),
+            locked: AtomicBool::new(false),
         }
+    }
+
+    /// Whether the keys that decrypt, grant and revoke were wiped.
+    pub fn is_locked(&self) -> bool {
+        self.locked.load(Ordering::Acquire)
+    }
+
+    /// Wipes the keys that decrypt, grant and revoke from memory. What seals under the current epoch, signs records and
+    /// pays for anchors stays, so that capture goes on: d_C, IK, the epoch's key, the EOA.
+    ///
+    /// # Errors
+    /// Of the random source; nothing is wiped then.
+    pub fn lock(&self, provider: &dyn Provider) -> Result<(), CryptoError> {
+        self.keyring().strip(provider)?;
+        self.opened.lock().unwrap_or_else(PoisonError::into_inner).clear();
+        self.locked.store(true, Ordering::Release);
+        Ok(())
+    }
+
+    /// Takes the keys back that [`Self::lock`] wiped.
+    pub fn unlock(&self, keyring: UnlockedKeyring) {
+        *self.keyring() = keyring;
+        self.locked.store(false, Ordering::Release);
     }
 
     /// The keyring itself.
@@ -158,6 +184,13 @@ impl Owner {
         let token = token(&domain, &self.address, epoch, &key);
         let key = SealingKey::Epoch(key);
         Ok(Arc::new(EpochKeys::new(domain, (epoch, token), self.signing(), key, self.index())))
+    }
+
+    /// Whether the chain was seen to have an epoch of this owner.
+    pub fn has_registered_epoch(&self, domain: Domain) -> bool {
+        let keyring = self.keyring();
+        let network = keyring.keyring.networks.get(&domain);
+        network.is_some_and(|network| network.epochs.values().any(|secret| matches!(secret.state, EpochState::Active)))
     }
 
     /// The chain has this epoch: noted in the keyring.

@@ -2,10 +2,12 @@
 //! for as many records as wait. What fails is kept and tried again; the rings fill meanwhile.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use crate::crypto::{SealRequest, SealedRecord, seal};
+use crate::crypto::compression::{Packed, pack};
+use crate::crypto::{SealRequest, SealedRecord, fault, seal};
 use crate::model::head::Compression;
 use crate::model::{Address, Digest, Head, LossReason, RecordKind, RecordState, Timestamp, TopicId, clean};
 use crate::ros::Message;
@@ -13,6 +15,7 @@ use crate::store::{Hold, NewRecord, StoreError};
 
 use super::epoch::{EpochKeys, SIMULATED, TopicKeys};
 use super::losses::{GATHERED, Losses, Lost};
+use super::packing::Packing;
 use super::recorder::CapturedMessage;
 use super::ring::Rings;
 use super::session::Sessions;
@@ -37,6 +40,9 @@ struct Ready {
     item: Option<usize>,
 }
 
+/// A round ended in a panic; what it was about is not acknowledged.
+struct Panicked;
+
 /// Seals everything that comes through the rings.
 pub struct Sealer {
     plant: Plant,
@@ -49,6 +55,8 @@ pub struct Sealer {
     seqs: HashMap<(Address, TopicId), u64>,
     definitions: HashSet<String>,
     hashes: HashMap<Arc<str>, Digest>,
+    /// `None` = messages are sealed as they are.
+    packing: Option<Packing>,
 }
 
 /// Definitions whose hash is remembered at most.
@@ -68,7 +76,13 @@ impl Sealer {
             seqs: HashMap::new(),
             definitions: HashSet::new(),
             hashes: HashMap::new(),
+            packing: Some(Packing::default()),
         }
+    }
+
+    /// Seals messages as they are, without compression.
+    pub fn without_compression(self) -> Self {
+        Self { packing: None, ..self }
     }
 
     /// Works until the rings are closed and empty. `acknowledged` is called after each round.
@@ -85,10 +99,34 @@ impl Sealer {
         self.tell_losses(true);
     }
 
-    /// Tries until the messages are acknowledged; when the program ends, not for ever: then they are counted as lost.
+    /// Tries until the messages are acknowledged. Where that panics, each is tried by itself, and the one over which it
+    /// panics again is given up and counted: it must not take its neighbours with it.
     fn store(&mut self, items: &[CapturedMessage], rings: &Rings<CapturedMessage>, closed_at: &mut Option<Instant>) {
+        if self.try_to_store(items, rings, closed_at).is_ok() {
+            return;
+        }
+        self.plant.observer.alert(true, "sealing failed by a fault of the program, it is tried again".to_owned());
+        for item in items {
+            if self.try_to_store(std::slice::from_ref(item), rings, closed_at).is_err() {
+                self.lose(item, LossReason::Fault);
+            }
+        }
+    }
+
+    /// When the program ends, not for ever: then they are counted as lost.
+    fn try_to_store(
+        &mut self,
+        items: &[CapturedMessage],
+        rings: &Rings<CapturedMessage>,
+        closed_at: &mut Option<Instant>,
+    ) -> Result<(), Panicked> {
         let mut pause = Duration::from_millis(100);
-        while let Err(error) = self.round(items) {
+        let names = loop {
+            let error = match catch_unwind(AssertUnwindSafe(|| self.round(items))) {
+                Ok(Ok(names)) => break names,
+                Ok(Err(error)) => error,
+                Err(_) => return Err(Panicked),
+            };
             self.losses.blame(cause(&error));
             let text = format!("captured messages cannot be stored, they wait in memory: {error}");
             self.plant.observer.alert(true, text);
@@ -96,15 +134,30 @@ impl Sealer {
                 let end = *closed_at.get_or_insert_with(Instant::now) + LAST_TRIES;
                 if Instant::now() >= end {
                     items.iter().for_each(|item| self.lose(item, LossReason::End));
-                    return;
+                    return Ok(());
                 }
                 pause = Duration::from_millis(200);
             }
             self.tell_losses(false);
             std::thread::sleep(pause);
             pause = (pause * 2).min(Duration::from_secs(2));
-        }
+        };
+        // From here on they are acknowledged: whatever fails, they must not be sealed a second time.
         self.losses.blame(LossReason::Memory);
+        fault::point("appended");
+        self.note_definitions(names);
+        self.plant.observer.records_changed();
+        Ok(())
+    }
+
+    /// Remembers which definitions are stored; one that is not remembered is sealed once more, which is no harm.
+    fn note_definitions(&mut self, names: Vec<String>) {
+        for name in names {
+            match self.plant.ledger.put_setting(&name, "sent") {
+                Ok(()) => drop(self.definitions.insert(name)),
+                Err(error) => self.plant.observer.alert(false, format!("a definition is stored again: {error}")),
+            }
+        }
     }
 
     fn lose(&self, item: &CapturedMessage, reason: LossReason) {
@@ -134,7 +187,8 @@ impl Sealer {
         }
     }
 
-    fn round(&mut self, items: &[CapturedMessage]) -> Result<(), PipelineError> {
+    /// Seals and stores; the definitions that went with it.
+    fn round(&mut self, items: &[CapturedMessage]) -> Result<Vec<String>, PipelineError> {
         let begun = Instant::now();
         let mut seqs = HashMap::new();
         let (mut ready, mut keyless) = (Vec::with_capacity(items.len()), Vec::new());
@@ -145,24 +199,29 @@ impl Sealer {
                 continue;
             };
             self.seal_definition(item, &keys, &mut seqs, &mut ready)?;
-            let body = &item.message.body;
-            let one = self.seal_one(item, &keys, RecordKind::Data, body, &mut seqs)?;
+            let packed = self.packing.as_mut().and_then(|packing| packing.pack(&item.message));
+            let one = self.seal_one(item, &keys, RecordKind::Data, &item.message.body, packed, &mut seqs)?;
             ready.push(Ready { item: Some(index), definition: None, ..one });
         }
         self.spent(Stage::Seal, begun);
+        let mut names = Vec::new();
         if !ready.is_empty() {
+            fault::point("sealed");
+            let captured: Vec<Timestamp> = ready
+                .iter()
+                .filter_map(|one| one.item.and_then(|index| items.get(index)))
+                .map(|item| item.message.captured_at)
+                .collect();
             let begun = Instant::now();
-            let stored = ready.iter().filter_map(|one| items.get(one.item?)).map(|item| item.message.captured_at);
-            let stored: Vec<_> = stored.collect();
-            self.acknowledge(items, ready)?;
+            names = self.acknowledge(items, ready)?;
             self.spent(Stage::Commit, begun);
             if let Some(stages) = self.plant.observer.stages() {
-                stages.reached(Milestone::Durable, stored);
+                stages.reached(Milestone::Durable, captured);
             }
         }
         self.seqs.extend(seqs);
         keyless.into_iter().for_each(|item| self.lose(item, LossReason::Key));
-        Ok(())
+        Ok(names)
     }
 
     fn spent(&self, stage: Stage, begun: Instant) {
@@ -190,7 +249,7 @@ impl Sealer {
         }
         if self.plant.ledger.setting(&name)?.is_none() {
             let body = item.message.definition.as_bytes();
-            let one = self.seal_one(item, keys, RecordKind::Definition, body, seqs)?;
+            let one = self.seal_one(item, keys, RecordKind::Definition, body, pack(body, None), seqs)?;
             ready.push(Ready { item: None, definition: Some(name), ..one });
         } else {
             self.definitions.insert(name);
@@ -216,11 +275,13 @@ impl Sealer {
         keys: &EpochKeys,
         kind: RecordKind,
         body: &[u8],
+        packed: Option<Packed>,
         seqs: &mut HashMap<(Address, TopicId), u64>,
     ) -> Result<Ready, PipelineError> {
         let message = &*item.message;
         let topic = covered(keys, &message.topic)?;
         let tags = tags(item);
+        let compression = packed.as_ref().map_or(Compression::None, |packed| packed.compression);
         let owner = item.author.address;
         let seq = self.next_seq(owner, topic.id, seqs)?;
         let request = SealRequest {
@@ -235,8 +296,8 @@ impl Sealer {
             kind,
             filters: keys.filters(&message.type_name, &tags),
             captured_at: message.captured_at,
-            head: &self.head(item, body.len(), tags),
-            body,
+            head: &Head { compression, ..self.head(item, body.len(), tags) },
+            body: packed.as_ref().map_or(body, |packed| &packed.bytes),
         };
         let sealed = seal(self.plant.provider, &request)?;
         seqs.insert((owner, topic.id), seq);
@@ -320,12 +381,13 @@ impl Sealer {
         if waiting <= self.backlog { Ok(()) } else { Err(StoreError::Backlog { waiting, limit: self.backlog }) }
     }
 
-    fn acknowledge(&mut self, items: &[CapturedMessage], ready: Vec<Ready>) -> Result<(), PipelineError> {
+    fn acknowledge(&self, items: &[CapturedMessage], ready: Vec<Ready>) -> Result<Vec<String>, PipelineError> {
         self.plant.ledger.takes_records()?;
         self.keep_backlog()?;
         if self.plant.vault.durable() {
             let entries: Vec<_> = ready.iter().map(|one| (one.sealed.digest, one.sealed.blob.as_slice())).collect();
             self.plant.vault.put(&entries)?;
+            fault::point("vault-put");
         }
         // Sessions wait before the append: verification may be quicker than this thread.
         for one in &ready {
@@ -340,12 +402,7 @@ impl Sealer {
             holds.extend(one.hold);
         }
         self.plant.ledger.append_held(rows, holds)?;
-        for name in names {
-            self.plant.ledger.put_setting(&name, "sent")?;
-            self.definitions.insert(name);
-        }
-        self.plant.observer.records_changed();
-        Ok(())
+        Ok(names)
     }
 }
 

@@ -5,6 +5,7 @@
 
 use std::time::{Duration, Instant};
 
+use crate::crypto::fault;
 use crate::model::{Digest, RecordState};
 use crate::store::{RecordQuery, StoreError};
 
@@ -68,8 +69,11 @@ fn store_round(plant: &Plant, digests: &[Digest], pass: &mut Pass) -> Result<(),
         return Ok(());
     }
     let borrowed: Vec<_> = entries.iter().map(|(digest, bytes)| (*digest, bytes.as_slice())).collect();
+    fault::point("store-read");
     let put = plant.vault.put_each(&borrowed);
+    fault::point("store-put");
     plant.ledger.advance(&put.stored, RecordState::Sealed, RecordState::Stored)?;
+    fault::point("store-advanced");
     pass.stored += put.stored.len();
     pass.waiting += entries.len() - put.stored.len();
     pass.failure = put.failure.or_else(|| pass.failure.take());
@@ -125,7 +129,10 @@ fn compare(plant: &Plant, digest: Digest, found: &mut PutBack) -> Result<(), Pip
         }
     };
     match plant.vault.put(&[(digest, &copy)]) {
-        Ok(()) => *counter += 1,
+        Ok(()) => {
+            fault::point("put-back");
+            *counter += 1;
+        }
         Err(_) => found.waiting += 1,
     }
     Ok(())

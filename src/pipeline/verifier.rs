@@ -1,9 +1,10 @@
 //! The last step: re-reads confirmed records from the vault and checks digest and signature.
 
+use std::collections::HashMap;
 use std::time::Instant;
 
-use crate::crypto::{Anchor, check, check_deleted};
-use crate::model::{Digest, PublicKey, RecordState};
+use crate::crypto::{Anchor, check, check_deleted, fault};
+use crate::model::{Digest, PublicKey, RecordState, Timestamp};
 use crate::store::{RecordQuery, RecordRow, StoreError};
 
 use super::stages::{Milestone, Stage};
@@ -19,15 +20,9 @@ const ROUND: usize = 128;
 pub fn verify_round(plant: &Plant, network: &Network) -> Result<usize, PipelineError> {
     let mut after = None;
     loop {
-        let begun = Instant::now();
         let state = Some(RecordState::Confirmed);
         let page = plant.ledger.list(&RecordQuery { state, limit: ROUND, after, ..RecordQuery::default() })?;
         let decided = verify_page(plant, network, &page.rows)?;
-        if let Some(stages) = plant.observer.stages().filter(|_| decided > 0) {
-            stages.spent(Stage::Verify, begun.elapsed());
-            // Those whose part of the vault is gone are among them; there is none where times are measured.
-            stages.reached(Milestone::Verified, page.rows.iter().map(|row| row.captured_at));
-        }
         // Where a part of the vault is gone, the records behind it are not kept waiting.
         match page.next {
             Some(next) if decided == 0 => after = Some(next),
@@ -37,6 +32,11 @@ pub fn verify_round(plant: &Plant, network: &Network) -> Result<usize, PipelineE
 }
 
 fn verify_page(plant: &Plant, network: &Network, rows: &[RecordRow]) -> Result<usize, PipelineError> {
+    let begun = Instant::now();
+    let captured: HashMap<Digest, Timestamp> = rows.iter().map(|row| (row.digest, row.captured_at)).collect();
+    if !rows.is_empty() {
+        fault::point("read-back");
+    }
     let (mut good, mut bad) = (Vec::new(), Vec::new());
     let mut unreachable = None;
     for row in rows.iter().filter(|row| plant.vault.answers(row.digest)) {
@@ -49,8 +49,15 @@ fn verify_page(plant: &Plant, network: &Network, rows: &[RecordRow]) -> Result<u
             Err(error) => return Err(error),
         }
     }
+    if !rows.is_empty() {
+        fault::point("checked");
+    }
     settle(plant, &good, RecordState::Verified)?;
     settle(plant, &bad, RecordState::Tampered)?;
+    if let Some(stages) = plant.observer.stages().filter(|_| !good.is_empty()) {
+        stages.spent(Stage::Verify, begun.elapsed());
+        stages.reached(Milestone::Verified, good.iter().filter_map(|digest| captured.get(digest).copied()));
+    }
     if let Some(error) = unreachable {
         plant.observer.alert(true, format!("some records cannot be verified now, they wait: {error}"));
     }
@@ -64,6 +71,7 @@ fn put_back(plant: &Plant, row: &RecordRow) -> Result<(), PipelineError> {
     }
     if let Some(copy) = plant.ledger.local_copy(row.digest)? {
         plant.vault.put(&[(row.digest, &copy)])?;
+        fault::point("put-back");
     }
     Ok(())
 }
@@ -100,6 +108,7 @@ fn settle(plant: &Plant, digests: &[Digest], state: RecordState) -> Result<(), P
     plant.ledger.advance(digests, RecordState::Confirmed, state)?;
     if state == RecordState::Verified {
         // Local copies beside a vault that is only a cache stay until retention says otherwise.
+        fault::point("verified");
         plant.observer.verified(digests);
     } else {
         plant.observer.tampered(digests);

@@ -1,6 +1,8 @@
 //! Questions to a ROS master: is it there, which topics are there. Every call ends within
 //! [`PATIENCE`], whatever the master does; what it answers is untrusted and only names are kept.
 
+mod reach;
+
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
@@ -8,6 +10,8 @@ use super::RosError;
 use super::address::Endpoint;
 use super::xmlrpc::{CallError, Value, call};
 use crate::model::clean;
+
+pub use reach::Unreached;
 
 /// The longest any question takes.
 pub const PATIENCE: Duration = Duration::from_millis(2500);

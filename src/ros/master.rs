@@ -48,6 +48,11 @@ impl EmbeddedMaster {
         &self.uri
     }
 
+    /// Whether it still answers; a fault of its own may have ended it.
+    pub fn is_running(&self) -> bool {
+        self.thread.as_ref().is_some_and(|thread| !thread.is_finished())
+    }
+
     fn start_on(port: u16) -> Result<Self, String> {
         let runtime =
             tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(|error| error.to_string())?;

@@ -6,11 +6,14 @@
 mod decode;
 mod definition;
 mod digest;
+mod json;
 mod line;
+mod matrix;
 mod value;
 
 pub use decode::{Limits, Picture};
 pub use definition::{DEEPEST, Definition, LONGEST_DEFINITION};
+pub use matrix::layout;
 pub use value::Value;
 
 use super::RosError;

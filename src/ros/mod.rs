@@ -9,6 +9,7 @@ mod error;
 pub mod graph;
 pub mod master;
 pub mod message;
+pub mod readable;
 pub mod robot;
 mod slave;
 mod tcpros;

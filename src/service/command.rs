@@ -1,14 +1,20 @@
 //! What can be asked of a site.
 
 mod administration;
+mod check;
 mod choices;
+mod operate;
 mod secret;
+mod viewing;
 
 use serde::{Deserialize, Serialize};
 
 pub use self::administration::Administration;
+pub use self::check::StoreCommand;
 pub use self::choices::{Epochs, Held, KeyKind, UploadQuery};
+pub use self::operate::Operation;
 pub use self::secret::{SecretBytes, SecretText};
+pub use self::viewing::{LONGEST_PATH, Viewing};
 use crate::model::{Address, ContactName, Party, ProfileName, Publisher, SignerId, Timestamp, TopicName, TypeName};
 pub use crate::store::AuditQuery;
 
@@ -160,6 +166,8 @@ pub enum Command {
         /// Its id.
         id: String,
     },
+    /// Look at opened records: as files, as a path.
+    View(Viewing),
     /// Let a device sign for the profile.
     LendDevice {
         /// SM3 of its public key.
@@ -239,6 +247,10 @@ pub enum Command {
         /// With addresses in full.
         addresses: bool,
     },
+    /// About the whole store.
+    OfStore(StoreCommand),
+    /// What an operator asks of the site itself.
+    Operate(Operation),
     /// Claims the profile for a console, until the connection ends; refused where one is open already.
     OpenConsole,
 }

@@ -5,15 +5,18 @@
 
 pub mod client;
 pub mod command;
+pub mod doctor;
 pub mod event;
 pub mod failure;
 pub mod hub;
 pub mod reply;
+pub mod restoring;
 pub mod site;
 pub mod socket;
+pub mod verification;
 
 pub use client::{Call, Client};
-pub use command::{Command, Epochs, KeyKind, Request, SecretBytes, SecretText, UploadQuery};
+pub use command::{Command, Epochs, KeyKind, Operation, Request, SecretBytes, SecretText, UploadQuery};
 pub use event::{Event, NoticeLevel, Part};
 pub use reply::{Failure, Reply};
 pub use site::{Agent, AgentEnd, AgentFigures, AgentWishes, EnrolWishes, Needs, Site};

@@ -2,23 +2,31 @@
 
 mod audit;
 mod chain;
+mod check;
 mod forging;
 mod identity;
+mod operate;
 mod parties;
 mod records;
 mod site;
+mod tasks;
 mod topics;
+mod viewing;
 
 use serde::{Deserialize, Serialize};
 
 pub use self::audit::{AuditCheck, AuditView};
-pub use self::chain::{ChainView, DeployedView, GatewayView, ServedView};
+pub use self::chain::{ChainView, DeployedView, GasView, GatewayView, ServedView};
+pub use self::check::{BackupView, CheckStatus, DoctorCheck, DoctorView, FindingKind, RecordAudit, RecordFinding};
 pub use self::forging::{AlarmView, DecidedView, HeldView, PinView, PinsView, QuarantineView};
 pub use self::identity::{EnrolledView, EpochView, IdentityView, KeysView, TransactionView};
+pub use self::operate::{GatewayStatusView, RefusedView, SenderView, SystemKeyView};
 pub use self::parties::{AdministrationView, CompareView, ContactRow, DeviceRow, GrantRow, SuccessionView};
 pub use self::records::{CheckView, ExportedFile, OpenedView, Provenance, RecordPage, RecordView};
-pub use self::site::{HealthLevel, LifeLine, PartHealth, SiteView};
+pub use self::site::{HealthLevel, LifeLine, PartHealth, QueueView, SiteView};
+pub use self::tasks::{TaskState, TaskView};
 pub use self::topics::{CaptureSummary, TopicRow, TopicSummary};
+pub use self::viewing::PathView;
 use super::command::SecretBytes;
 use crate::model::ErrorKind;
 
@@ -77,6 +85,8 @@ pub enum Reply {
     Check(CheckView),
     /// To `OpenShared`.
     Opened(Box<OpenedView>),
+    /// To `Viewing::Path`.
+    Path(PathView),
     /// To commands about pins.
     Pins(PinsView),
     /// To `ListQuarantine`.
@@ -91,10 +101,16 @@ pub enum Reply {
     Served(ServedView),
     /// A gateway is served.
     Gateway(GatewayView),
+    /// To `Operation::GatewayStatus`.
+    GatewayStatus(GatewayStatusView),
     /// To `SiteStatus`.
     Site(SiteView),
     /// To `ListAudit`.
     Audit(Vec<AuditView>),
+    /// To `AuditRecords`.
+    RecordsAudited(Box<RecordAudit>),
+    /// To `BackUp`.
+    BackedUp(BackupView),
     /// To `VerifyAudit`.
     AuditChecked(AuditCheck),
 }

@@ -76,11 +76,12 @@ pub fn listen(site: &Arc<Site>) -> Result<(), Failure> {
     let (short, _directory) = reachable(&path).map_err(unusable)?;
     let listener = UnixListener::bind(&short).map_err(unusable)?;
     std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o600)).map_err(unusable)?;
-    tokio::spawn(accept(Arc::clone(site), listener));
+    let listener = Arc::new(listener);
+    site.supervise("socket", move |site| accept(site, Arc::clone(&listener)));
     Ok(())
 }
 
-async fn accept(site: Arc<Site>, listener: UnixListener) {
+async fn accept(site: Arc<Site>, listener: Arc<UnixListener>) {
     loop {
         tokio::select! {
             joined = listener.accept() => {

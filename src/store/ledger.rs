@@ -11,12 +11,14 @@ mod earlier;
 mod edges;
 mod forwarding;
 mod gaps;
+mod inspect;
 mod integrity;
 mod kept;
 mod lanes;
 mod pins;
 mod quarantine;
 mod query;
+mod recent;
 mod retention;
 mod rows;
 mod settings;
@@ -43,6 +45,7 @@ pub use earlier::{EarlierAnchor, Left};
 pub use edges::is_legal;
 pub use forwarding::KeptReceipt;
 pub use gaps::{GapRow, Loss};
+pub use inspect::{AuditPage, AuditedBatch, AuditedPlace, AuditedRecord, Sequence};
 pub use kept::KeptBinding;
 pub use lanes::{LaneCount, OpenTransaction, Reissue};
 pub use pins::{AlarmRow, PinRow};
@@ -207,10 +210,35 @@ fn begin(connection: &Connection, path: &Path) -> Result<(RecorderId, bool), Sto
     }
 }
 
-fn name_recorder(connection: &Connection, path: &Path) -> Result<RecorderId, StoreError> {
+/// See [`super::snapshot::renew_ledger`].
+pub(super) fn renew(path: &Path) -> Result<(), StoreError> {
+    let connection = database::open_writer(path, &SCHEMA)?;
+    renew_in(&connection, path).map_err(|error| error.in_file(path))
+}
+
+fn renew_in(connection: &Connection, path: &Path) -> Result<(), StoreError> {
+    database::quick_check(connection, path)?;
+    let transaction = connection.unchecked_transaction()?;
+    transaction.execute("INSERT INTO recorders (id) VALUES (?1)", params![random_id(path)?])?;
+    transaction.execute("UPDATE about SET recorder = last_insert_rowid(), clean = 1", [])?;
+    // The first of several restores counts: whatever was anchored since may lie in another home.
+    transaction.execute(
+        "INSERT OR IGNORE INTO settings SELECT ?1, max(block) FROM cursors HAVING max(block) IS NOT NULL",
+        [inspect::COPIED_AT],
+    )?;
+    transaction.commit()?;
+    Ok(connection.execute_batch("PRAGMA wal_checkpoint(TRUNCATE)")?)
+}
+
+fn random_id(path: &Path) -> Result<[u8; RecorderId::LENGTH], StoreError> {
     let mut id = [0; RecorderId::LENGTH];
     getrandom::fill(&mut id)
         .map_err(|error| StoreError::Database { file: path.to_owned(), detail: error.to_string() })?;
+    Ok(id)
+}
+
+fn name_recorder(connection: &Connection, path: &Path) -> Result<RecorderId, StoreError> {
+    let id = random_id(path)?;
     let transaction = connection.unchecked_transaction()?;
     transaction.execute("INSERT INTO recorders (id) VALUES (?1)", params![id])?;
     transaction.execute("INSERT INTO about VALUES (1, last_insert_rowid(), 0)", [])?;

@@ -72,6 +72,14 @@ pub trait Vault: Send + Sync {
     /// [`StoreError::Unreachable`], [`StoreError::Corrupt`] and the like.
     fn get(&self, digest: Digest) -> Result<Option<Vec<u8>>, StoreError>;
 
+    /// The bytes under several digests, in their order; where the vault can, in one go.
+    ///
+    /// # Errors
+    /// As [`Vault::get`].
+    fn get_many(&self, digests: &[Digest]) -> Result<Vec<Option<Vec<u8>>>, StoreError> {
+        digests.iter().map(|digest| self.get(*digest)).collect()
+    }
+
     /// Takes a record out; whether it was there.
     ///
     /// # Errors

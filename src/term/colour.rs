@@ -2,6 +2,9 @@
 
 use ratatui::style::Color;
 
+use crate::ui::palette::{Rgb, SIXTEEN as BASIC, distance};
+use crate::ui::theme::Shades;
+
 /// How many colours the terminal has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Depth {
@@ -30,6 +33,15 @@ impl Depth {
         if term.contains("256color") { Self::Indexed } else { Self::Sixteen }
     }
 
+    /// How many colours pictures may have.
+    pub fn shades(self) -> Shades {
+        match self {
+            Self::True | Self::Indexed => Shades::All,
+            Self::Sixteen => Shades::Sixteen,
+            Self::None => Shades::None,
+        }
+    }
+
     /// What is sent for a colour of the theme; `None` = the terminal's own.
     pub fn map(self, colour: Color) -> Option<Sent> {
         let Color::Rgb(red, green, blue) = colour else { return None };
@@ -53,33 +65,7 @@ pub enum Sent {
     Basic(u8),
 }
 
-type Rgb = (u8, u8, u8);
-
-const BASIC: [Rgb; 16] = [
-    (0, 0, 0),
-    (170, 0, 0),
-    (0, 130, 0),
-    (130, 90, 0),
-    (0, 0, 170),
-    (130, 0, 150),
-    (0, 130, 130),
-    (190, 190, 190),
-    (100, 100, 100),
-    (255, 120, 110),
-    (110, 230, 110),
-    (245, 220, 80),
-    (100, 170, 255),
-    (220, 170, 255),
-    (110, 230, 255),
-    (255, 255, 255),
-];
-
 const CUBE: [u8; 6] = [0, 95, 135, 175, 215, 255];
-
-fn distance(one: Rgb, other: Rgb) -> u32 {
-    let part = |one: u8, other: u8, weight: u32| u32::from(one.abs_diff(other)).pow(2) * weight;
-    part(one.0, other.0, 3) + part(one.1, other.1, 6) + part(one.2, other.2, 2)
-}
 
 fn basic(colour: Rgb) -> u8 {
     let nearest = (0u8..16).min_by_key(|index| distance(colour, BASIC[usize::from(*index)]));

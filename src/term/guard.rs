@@ -10,8 +10,12 @@ use crossterm::terminal::{disable_raw_mode, enable_raw_mode};
 
 /// Alternate screen, no cursor, bracketed paste.
 const ENTER: &str = "\x1b[?1049h\x1b[?25l\x1b[?2004h\x1b[2J";
-/// The way back, also out of a half-drawn frame.
-const LEAVE: &str = "\x1b[?2026l\x1b[m\x1b[?2004l\x1b[?25h\x1b[?1049l";
+/// The way back, also out of a half-drawn frame and with the mouse taken.
+const LEAVE: &str = "\x1b[?2026l\x1b[m\x1b[?1006l\x1b[?1000l\x1b[?2004l\x1b[?25h\x1b[?1049l";
+/// Buttons and wheel come to the console, in cells.
+pub const TAKE_MOUSE: &str = "\x1b[?1000h\x1b[?1006h";
+/// The terminal has the mouse for itself again.
+pub const LEAVE_MOUSE: &str = "\x1b[?1006l\x1b[?1000l";
 /// Threads of the console begin with this.
 pub const THREAD_PREFIX: &str = "console-";
 
@@ -26,12 +30,16 @@ pub struct Guard {
 }
 
 impl Guard {
-    /// Takes the terminal. A panic of the console restores it before anything is printed;
-    /// a panic of another thread is given to `fault` and leaves it alone.
+    /// Takes the terminal. A panic of the console restores it before anything is printed, and where
+    /// it was in a thread beside the caller's, `broken` hears of it, for nothing draws or reads any
+    /// more. A panic of any other thread is given to `fault` and leaves the terminal alone.
     ///
     /// # Errors
     /// Where the terminal refuses.
-    pub fn enter(fault: impl Fn(String) + Send + Sync + 'static) -> io::Result<Self> {
+    pub fn enter(
+        fault: impl Fn(String) + Send + Sync + 'static,
+        broken: impl Fn(String) + Send + Sync + 'static,
+    ) -> io::Result<Self> {
         take()?;
         let previous: Arc<Hook> = Arc::new(panic::take_hook());
         let console = thread::current().id();
@@ -41,6 +49,9 @@ impl Guard {
             if own || thread.id() == console || !ENTERED.load(Ordering::SeqCst) {
                 restore();
                 previous(info);
+                if own {
+                    broken(describe(info));
+                }
             } else {
                 fault(describe(info));
             }
@@ -114,5 +125,5 @@ fn describe(info: &PanicHookInfo<'_>) -> String {
     let payload = info.payload();
     let text = payload.downcast_ref::<&str>().copied();
     let text = text.or_else(|| payload.downcast_ref::<String>().map(String::as_str)).unwrap_or("no reason given");
-    format!("a background task ({}) failed at {place}: {text}", thread.name().unwrap_or("unnamed"))
+    format!("{} failed at {place}: {text}", thread.name().unwrap_or("a background task"))
 }

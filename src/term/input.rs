@@ -1,4 +1,4 @@
-//! Keys, pastes and sizes, read by a thread of their own.
+//! Keys, pastes, sizes and the mouse, read by a thread of their own.
 
 use std::io;
 use std::sync::Arc;
@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
 
-use crossterm::event::{self, Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
+use crossterm::event::{self, Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers, MouseButton, MouseEventKind};
 use zeroize::Zeroizing;
 
 use super::guard::THREAD_PREFIX;
@@ -45,6 +45,12 @@ fn actions(event: Event) -> Vec<Action> {
     match event {
         Event::Key(key) if key.kind != KeyEventKind::Release => keys(key).into_iter().map(Action::Key).collect(),
         Event::Paste(text) => vec![Action::Paste(Zeroizing::new(text))],
+        Event::Mouse(mouse) => match mouse.kind {
+            MouseEventKind::ScrollUp => vec![Action::Wheel { up: true }],
+            MouseEventKind::ScrollDown => vec![Action::Wheel { up: false }],
+            MouseEventKind::Down(MouseButton::Left) => vec![Action::Click { column: mouse.column, row: mouse.row }],
+            _ => Vec::new(),
+        },
         Event::Resize(columns, rows) => vec![Action::Resize { columns, rows }],
         _ => Vec::new(),
     }

@@ -12,34 +12,49 @@ pub mod encode;
 pub mod files;
 pub mod guard;
 pub mod input;
+pub mod outside;
+pub mod plain;
 pub mod renderer;
 pub mod signals;
 pub mod stage;
 
+mod kept;
 mod session;
 
 use std::io::{self, IsTerminal};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use tokio::runtime::Handle;
 
-use crate::model::ErrorKind;
+use crate::app::zone::Zone;
+use crate::app::{Keymap, Settings, State};
+use crate::model::{ErrorKind, Timestamp};
 use crate::service::{Client, Failure};
-use crate::ui::ThemeError;
+use crate::ui::{ThemeError, Themes};
 
 /// How the console is to look and what it may do.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub struct ConsoleOptions {
     /// A theme's name; `None` = chosen by the terminal's colours.
     pub theme: Option<String>,
+    /// The themes there are.
+    pub themes: Themes,
+    /// Which keys do what.
+    pub keymap: Keymap,
     /// Draw with ASCII characters only.
     pub ascii: bool,
+    /// Take the mouse from the beginning on.
+    pub mouse: bool,
     /// Hide what changes keys, grants or records.
     pub read_only: bool,
     /// Bytes a second for drawing of data; `None` = 4 kB/s over SSH, else no limit.
     pub bytes_per_second: Option<u32>,
     /// Where relative paths begin and files are written; `None` = the working directory.
     pub directory: Option<PathBuf>,
+    /// Where screen, filters and orders are kept for the next start; `None` = nowhere.
+    pub kept: Option<PathBuf>,
+    /// Nanoseconds without a key after which the keyring locks; `None` = never.
+    pub lock_after: Option<u64>,
 }
 
 /// Why the console ended.
@@ -93,6 +108,27 @@ impl TermError {
             Self::Terminal(_) | Self::Fault(_) => ErrorKind::Internal,
         }
     }
+}
+
+/// Where relative paths begin.
+fn directory(options: &ConsoleOptions) -> io::Result<PathBuf> {
+    options.directory.clone().map_or_else(std::env::current_dir, Ok)
+}
+
+/// The state before the first answer, at the present time.
+fn first_state(client: &Client, options: &ConsoleOptions, directory: &Path) -> State {
+    let mut state = State::new(Settings {
+        profile: client.profile().clone(),
+        read_only: options.read_only,
+        directory: directory.to_owned(),
+        home: std::env::var_os("HOME").map(PathBuf::from),
+        keymap: options.keymap.clone(),
+        themes: options.themes.names(),
+        lock_after: options.lock_after,
+        zone: Zone::new(jiff::tz::TimeZone::system()),
+    });
+    (state.now, state.mouse) = (Timestamp::now(), options.mouse);
+    state
 }
 
 /// Whether there is a terminal to read keys from and to draw on.

@@ -77,10 +77,21 @@ fn next_frame(stage: &Stage, painter: &mut Painter, budget: &Budget) -> Option<S
     loop {
         scene = due(stage, scene, budget)?;
         scene.wish = Wish::None;
+        #[cfg(feature = "fault")]
+        fail_for_the_test(&scene);
         let bytes = painter.paint(&mut scene);
         if !bytes.is_empty() {
             return Some(bytes);
         }
+    }
+}
+
+/// A panic in the thread that draws, to prove that the terminal comes back: on the screen Log.
+#[cfg(feature = "fault")]
+#[expect(clippy::panic, reason = "never in the product's build")]
+fn fail_for_the_test(scene: &Scene) {
+    if scene.state.screen == crate::app::Screen::Log && crate::crypto::fault::is_off("renderer") {
+        panic!("asked for by AUTHROS_FAULT");
     }
 }
 

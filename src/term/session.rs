@@ -4,25 +4,24 @@
 use std::io::{self, IsTerminal};
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::sync::{Arc, MutexGuard, PoisonError, TryLockError};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use tokio::runtime::Handle;
-use tokio::sync::broadcast::error::RecvError;
 
 use super::budget::{Budget, OVER_SSH};
 use super::colour::Depth;
+use super::outside::{Heard, Outside, sender};
 use super::renderer::{self, Painter};
 use super::signals::{self, Listener};
 use super::stage::{Stage, Wish};
-use super::{ConsoleOptions, ExitReason, TermError, clipboard, files, guard, input};
-use crate::app::{Action, Contents, Effect, Settings, State, update};
+use super::{ConsoleOptions, ExitReason, TermError, clipboard, guard, input};
+use crate::app::{Action, Effect, update};
 use crate::model::Timestamp;
-use crate::service::client::site_gone;
-use crate::service::{Client, Command};
-use crate::ui::Theme;
+use crate::service::Client;
+use crate::ui::{Theme, Themes};
 
 /// How often the terminal is looked for.
 const WATCH_EVERY: Duration = Duration::from_secs(1);
@@ -31,24 +30,17 @@ const SETTLE: Duration = Duration::from_millis(40);
 /// How long a frame being written is waited for before the terminal counts as stuck.
 const STUCK_AFTER: Duration = Duration::from_millis(1500);
 
-/// What reaches the updating thread.
-enum Heard {
-    Act(Action),
-    Signal(i32),
-    TerminalFailed,
-}
-
 /// One run of the console.
 pub struct Session {
-    client: Client,
-    handle: Handle,
+    outside: Outside,
     stage: Arc<Stage>,
     ears: Receiver<Heard>,
-    mouth: Sender<Heard>,
     stop: Arc<AtomicBool>,
-    directory: PathBuf,
     resized: Option<(u16, u16, Instant)>,
     watched_at: Instant,
+    themes: Themes,
+    mouse: bool,
+    kept: Option<PathBuf>,
     _guard: guard::Guard,
     _signals: Listener,
 }
@@ -58,18 +50,19 @@ impl Session {
     pub fn open(client: Client, handle: &Handle, options: &ConsoleOptions) -> Result<Self, TermError> {
         let depth = Depth::from_environment(|name| std::env::var(name).ok());
         let theme = theme(options, depth)?;
-        let directory = options.directory.clone().map_or_else(std::env::current_dir, Ok)?;
-        let mut state = State::new(Settings {
-            profile: client.profile().clone(),
-            read_only: options.read_only,
-            directory: directory.clone(),
-            home: std::env::var_os("HOME").map(PathBuf::from),
-        });
-        state.now = Timestamp::now();
+        let directory = super::directory(options)?;
+        let mut state = super::first_state(&client, options, &directory);
+        state.theme.clone_from(&theme.name);
+        if let Some(kept) = options.kept.as_deref().and_then(super::kept::read) {
+            crate::app::resume::recall(&mut state, &kept);
+        }
         state.size = crossterm::terminal::size()?;
         let (mouth, ears) = channel();
         let signals = Listener::start(sender(&mouth, Heard::Signal))?;
-        let guard = guard::Guard::enter(sender(&mouth, |fault| Heard::Act(Action::Fault(fault))))?;
+        let guard = guard::Guard::enter(
+            sender(&mouth, |fault| Heard::Act(Action::Fault(fault))),
+            sender(&mouth, Heard::Broken),
+        )?;
         let painter = Painter::new(depth, state.size);
         let stage = Arc::new(Stage::new(state, theme));
         let budget = Budget::new(bytes_per_second(options), Instant::now());
@@ -77,19 +70,22 @@ impl Session {
         let stop = Arc::new(AtomicBool::new(false));
         input::start(Arc::clone(&stop), sender(&mouth, Heard::Act))?;
         let session = Self {
-            client,
-            handle: handle.clone(),
+            outside: Outside { client, handle: handle.clone(), mouth, directory },
             stage,
             ears,
-            mouth,
             stop,
-            directory,
             resized: None,
             watched_at: Instant::now(),
+            themes: options.themes.clone(),
+            mouse: options.mouse,
+            kept: options.kept.clone(),
             _guard: guard,
             _signals: signals,
         };
-        session.listen();
+        session.outside.listen();
+        if session.mouse {
+            session.stage.change(Wish::Now, |scene| scene.extra.push_str(guard::TAKE_MOUSE));
+        }
         Ok(session)
     }
 
@@ -108,21 +104,6 @@ impl Session {
         }
         self.close();
         ended.unwrap_or(Ok(ExitReason::Quit))
-    }
-
-    /// Forwards what the site tells.
-    fn listen(&self) {
-        let mut events = self.client.events();
-        let say = sender(&self.mouth, Heard::Act);
-        self.handle.spawn(async move {
-            loop {
-                match events.recv().await {
-                    Ok(event) => say(Action::Told(event)),
-                    Err(RecvError::Lagged(_)) => say(Action::Missed),
-                    Err(RecvError::Closed) => return,
-                }
-            }
-        });
     }
 
     /// How long nothing has to happen before the next look around.
@@ -149,6 +130,8 @@ impl Session {
                 Some(Err(TermError::Fault("the terminal takes no more output".to_owned())))
             }
             Heard::TerminalFailed => Some(Ok(ExitReason::TerminalGone)),
+            Heard::Broken(what) => Some(Err(TermError::Fault(what))),
+            Heard::Line(_) | Heard::NoMoreLines => None,
         }
     }
 
@@ -188,47 +171,36 @@ impl Session {
     fn carry_out(&mut self, effects: Vec<Effect>) -> Option<Result<ExitReason, TermError>> {
         for effect in effects {
             match effect {
-                Effect::Send(command, tag) => {
-                    self.ask(command, move |result| Action::Answered { tag, result: Box::new(result) })
-                }
+                Effect::Send(command, tag) => self.outside.ask(command, tag),
                 Effect::Quit => return Some(Ok(ExitReason::Quit)),
                 Effect::Leave(failure) => return Some(Ok(ExitReason::Refused(failure))),
                 Effect::Suspend => return self.suspend(),
                 Effect::Redraw => self.stage.change(Wish::Now, |scene| scene.anew = true),
-                Effect::NextTheme => self.next_theme(),
+                Effect::ShowTheme(name) => self.show_theme(&name),
+                Effect::ToggleAscii => self.stage.change(Wish::Now, |scene| scene.theme.ascii = !scene.theme.ascii),
+                Effect::Mouse(taken) => self.take_mouse(taken),
                 Effect::CopyText(text) => {
                     self.stage.change(Wish::Now, |scene| scene.extra.push_str(&clipboard::sequence(&text)));
                 }
-                Effect::WriteFiles { directory, files } => self.write(directory, files),
+                Effect::WriteFiles { directory, files } => self.outside.write(directory, files),
             }
         }
         None
     }
 
-    fn ask<F>(&self, command: Command, action: F)
-    where
-        F: FnOnce(Result<crate::service::Reply, crate::service::Failure>) -> Action + Send + 'static,
-    {
-        let answer = self.client.send(command);
-        let say = sender(&self.mouth, Heard::Act);
-        self.handle.spawn(async move { say(action(answer.await.unwrap_or_else(|_| Err(site_gone())))) });
-    }
-
-    fn write(&self, directory: Option<String>, contents: Vec<Contents>) {
-        let (base, say) = (self.directory.clone(), sender(&self.mouth, Heard::Act));
-        self.handle.spawn_blocking(move || {
-            say(Action::FilesWritten(files::write_all(&base, directory.as_deref(), &contents)));
-        });
-    }
-
-    fn next_theme(&self) {
+    fn show_theme(&self, name: &str) {
+        // The names are those of the state, which come from here.
+        let Ok(theme) = self.themes.named(name) else { return };
         self.stage.change(Wish::Now, |scene| {
-            let name = Theme::name_after(&scene.theme.name);
-            if let Ok(theme) = Theme::named(name) {
-                scene.theme = theme.with_ascii(scene.theme.ascii);
-                drop(update(&mut scene.state, Action::ThemeIs(name.to_owned())));
-            }
+            scene.theme = theme.with_ascii(scene.theme.ascii).with_shades(scene.theme.shades);
+            drop(update(&mut scene.state, Action::ThemeIs(name.to_owned())));
         });
+    }
+
+    fn take_mouse(&mut self, taken: bool) {
+        self.mouse = taken;
+        let bytes = if taken { guard::TAKE_MOUSE } else { guard::LEAVE_MOUSE };
+        self.stage.change(Wish::Now, |scene| scene.extra.push_str(bytes));
     }
 
     /// Gives the terminal to the shell until this process is continued.
@@ -253,6 +225,9 @@ impl Session {
             guard::take().and_then(|()| crossterm::terminal::size())
         };
         self.stage.change(Wish::Now, |scene| scene.anew = true);
+        if self.mouse {
+            self.take_mouse(true);
+        }
         match taken {
             Ok((columns, rows)) => self.act(Action::Resize { columns, rows }),
             Err(error) => Some(Err(error.into())),
@@ -262,6 +237,10 @@ impl Session {
     /// Ends the threads and gives the terminal back.
     fn close(&self) {
         self.stop.store(true, Ordering::Relaxed);
+        if let Some(path) = &self.kept {
+            let kept = crate::app::resume::kept(&self.stage.scene().state);
+            super::kept::write(path, &kept);
+        }
         self.stage.change(Wish::None, |scene| scene.over = true);
         let writing = finished(&self.stage);
         if writing.is_some() {
@@ -290,16 +269,10 @@ fn ended_by(signal: i32) -> ExitReason {
     if gone { ExitReason::TerminalGone } else { ExitReason::Signal(signal) }
 }
 
-fn sender<T, W: Fn(T) -> Heard>(mouth: &Sender<Heard>, wrap: W) -> impl Fn(T) + use<T, W> {
-    let mouth = mouth.clone();
-    // After the end nobody listens, and nothing is lost by it.
-    move |thing| drop(mouth.send(wrap(thing)))
-}
-
 fn theme(options: &ConsoleOptions, depth: Depth) -> Result<Theme, TermError> {
     let fitting = if depth == Depth::None { "mono" } else { "night" };
-    let theme = Theme::named(options.theme.as_deref().unwrap_or(fitting))?;
-    Ok(theme.with_ascii(options.ascii))
+    let theme = options.themes.named(options.theme.as_deref().unwrap_or(fitting))?;
+    Ok(theme.with_ascii(options.ascii).with_shades(depth.shades()))
 }
 
 fn bytes_per_second(options: &ConsoleOptions) -> Option<u32> {

@@ -25,6 +25,18 @@ fn plain(character: char) -> char {
         '▁' | '▂' => '_',
         '▃' | '▄' | '▅' => '=',
         '▆' | '▇' | '█' => '#',
+        '▀' => '"',
+        '\u{2800}' => ' ',
+        '\u{2801}'..='\u{28ff}' => dots(character),
         _ => '?',
+    }
+}
+
+/// A Braille pattern by how many of its eight dots are set.
+fn dots(pattern: char) -> char {
+    match (u32::from(pattern) & 0xff).count_ones() {
+        1 | 2 => '.',
+        3..=5 => ':',
+        _ => '#',
     }
 }

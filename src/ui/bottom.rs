@@ -12,6 +12,8 @@ use crate::app::update::under_way;
 use crate::app::verb::{Entry, VERBS, Verb};
 use crate::service::NoticeLevel;
 
+/// What keeps its place at the right of the bar.
+const TAIL_NAMES: [&str; 3] = ["palette", "help", "quit"];
 /// The most lines a message takes.
 const MOST_LINES: usize = 3;
 
@@ -68,7 +70,7 @@ fn draw_bar(canvas: &mut Canvas, area: Rect, state: &State) {
     }
     // Help and quit keep their place at the right, whatever is cut.
     let tail = Rect { x: area.x + area.width.saturating_sub(TAIL), width: TAIL.min(area.width), ..area };
-    draw_hints(canvas, tail, &[(":", "commands"), ("?", "help"), ("q", "quit")]);
+    draw_tail(canvas, tail, state);
     let mut rest = Rect { width: area.width - tail.width, ..area };
     for entry in entries(state) {
         rest = draw_entry(canvas, rest, state, entry);
@@ -77,6 +79,14 @@ fn draw_bar(canvas: &mut Canvas, area: Rect, state: &State) {
 
 /// Columns of `: commands  ? help  q quit`.
 const TAIL: u16 = 28;
+
+fn draw_tail(canvas: &mut Canvas, area: Rect, state: &State) {
+    let tail = TAIL_NAMES.iter().filter_map(|name| VERBS.iter().find(|entry| entry.name == *name));
+    let hints = tail.map(|entry| (state.settings.keymap.label(entry, state.screen), entry.label));
+    let hints: Vec<(String, &str)> = hints.filter(|(key, _)| !key.is_empty()).collect();
+    let hints: Vec<(&str, &str)> = hints.iter().map(|(key, label)| (key.as_str(), *label)).collect();
+    draw_hints(canvas, area, &hints);
+}
 
 fn draw_hints(canvas: &mut Canvas, area: Rect, hints: &[(&str, &str)]) {
     hints.iter().fold(area, |rest, (key, label)| {
@@ -87,10 +97,10 @@ fn draw_hints(canvas: &mut Canvas, area: Rect, hints: &[(&str, &str)]) {
 /// What the bar shows of a screen: its own verbs first.
 fn entries(state: &State) -> impl Iterator<Item = &'static Entry> + use<'_> {
     let (screen, read_only) = (state.screen, state.settings.read_only);
-    let tail = ["palette", "help", "quit"];
     let shown = move |entry: &&Entry| {
         let hidden = read_only && entry.changes;
-        !entry.label.is_empty() && entry.works_on(screen) && !hidden && !tail.contains(&entry.name)
+        let keys = state.settings.keymap.of(entry, screen).next().is_some();
+        !entry.label.is_empty() && keys && !hidden && !TAIL_NAMES.contains(&entry.name)
     };
     // What works everywhere, or is done once, is named only where it can be done.
     let once = |entry: &Entry| entry.on.is_empty() || matches!(entry.verb, Verb::CreateIdentity | Verb::Register);
@@ -99,7 +109,7 @@ fn entries(state: &State) -> impl Iterator<Item = &'static Entry> + use<'_> {
 }
 
 fn draw_entry(canvas: &mut Canvas, area: Rect, state: &State, entry: &Entry) -> Rect {
-    let key = entry.keys.first().map(|key| key.label()).unwrap_or_default();
+    let key = state.settings.keymap.label(entry, state.screen);
     let reason = available(state, entry.verb).err();
     let label = reason.map_or_else(|| entry.label.to_owned(), |reason| format!("{} ({reason})", entry.label));
     if columns(&key) + columns(&label) + 3 > area.width {

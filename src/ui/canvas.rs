@@ -2,10 +2,11 @@
 
 use ratatui::buffer::Buffer;
 use ratatui::layout::{Position, Rect};
+use ratatui::style::Style;
 use ratatui::widgets::{Block, Clear, Widget};
 use unicode_width::UnicodeWidthStr;
 
-use super::theme::{Role, Theme};
+use super::theme::{Role, Shades, Theme};
 use crate::model::clean;
 
 /// A buffer to draw on, with the theme's looks.
@@ -41,6 +42,18 @@ impl<'a> Canvas<'a> {
     /// Draws on `buffer`.
     pub fn new(buffer: &'a mut Buffer, theme: &'a Theme) -> Self {
         Self { buffer, theme, cursor: None }
+    }
+
+    /// How many colours pictures may have; none in ASCII.
+    pub fn shades(&self) -> Shades {
+        if self.theme.ascii { Shades::None } else { self.theme.shades }
+    }
+
+    /// Puts one character into a cell with a look of its own: for pictures alone.
+    pub fn paint(&mut self, place: Rect, character: char, style: Style) {
+        if self.buffer.area().contains(Position { x: place.x, y: place.y }) {
+            self.buffer[(place.x, place.y)].set_char(character).set_style(style);
+        }
     }
 
     /// Where the terminal's cursor is to stand.

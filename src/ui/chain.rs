@@ -11,7 +11,7 @@ use crate::app::State;
 use crate::app::feed::Feed;
 use crate::model::Address;
 use crate::pipeline::sender::LaneState;
-use crate::service::reply::{AdministrationView, ChainView};
+use crate::service::reply::{AdministrationView, ChainView, GasView};
 
 /// Draws the screen.
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
@@ -40,14 +40,16 @@ fn draw_chain(canvas: &mut Canvas, area: Rect, state: &State, chain: &ChainView)
         ("Balance", ether(&chain.balance)),
         ("Next nonce", chain.nonce.to_string()),
         ("Pending", format!("{} own transactions not in a block", chain.pending)),
+        ("Gas", gas(&chain.gas)),
+        ("Contract by", administrator(state, &chain.administration)),
     ];
     for (place, (label, value)) in (0u16..).zip(&lines) {
         line(canvas, row(area, place), label, value, Role::Body);
     }
-    let told = draw_administration(canvas, below(area, 12), &chain.administration);
-    let lanes = told + draw_lanes(canvas, below(area, 12 + told), &chain.lanes);
+    let told = draw_administration(canvas, below(area, 14), &chain.administration);
+    let lanes = told + draw_lanes(canvas, below(area, 14 + told), &chain.lanes);
     if let Some(failure) = &state.feeds.slot(Feed::Chain).failure {
-        canvas.put(row(area, 13 + lanes), &failure.message, Role::Bad);
+        canvas.put(row(area, 15 + lanes), &failure.message, Role::Bad);
     }
 }
 
@@ -79,6 +81,23 @@ fn draw_lanes(canvas: &mut Canvas, area: Rect, lanes: &[LaneState]) -> u16 {
         }
     }
     place
+}
+
+/// What anchoring a record costs, over the newest transactions.
+fn gas(view: &GasView) -> String {
+    if view.records == 0 {
+        return "nothing anchored yet".to_owned();
+    }
+    let each = view.gas / view.records;
+    let (transactions, records) = (words::count(view.transactions), words::count(view.records));
+    format!("{} per record ({records} records in the newest {transactions} transactions)", words::count(each))
+}
+
+fn administrator(state: &State, decided: &AdministrationView) -> String {
+    let Some(administrator) = decided.administrator else { return "not known yet".to_owned() };
+    let whose = if Some(administrator) == state.address() { "you: : lists what you may do" } else { "not you" };
+    let registration = if decided.open { "anyone may register" } else { "only admitted accounts register" };
+    format!("{} ({whose}), {registration}", administrator.short())
 }
 
 /// Period, difficulty and signers, as far as the chain tells.

@@ -58,6 +58,10 @@ pub fn level(part: &PartHealth) -> (&'static str, Role, &str) {
     match part.level {
         HealthLevel::Ok => ("●", Role::Good, "ok"),
         HealthLevel::Waiting => ("◐", Role::Warning, &part.text),
+        // `retry in 4 s: why`: the header has room for the first half.
+        HealthLevel::Failed if part.text.starts_with("retry in") => {
+            ("✖", Role::Bad, part.text.split(':').next().unwrap_or("failed"))
+        }
         HealthLevel::Failed => ("✖", Role::Bad, "failed"),
         HealthLevel::Absent => ("○", Role::Dim, "absent"),
     }

@@ -11,6 +11,9 @@ use crate::service::reply::{EpochView, IdentityView, KeysView};
 /// Columns of the labels.
 const LABEL: u16 = 12;
 
+/// What a locked keyring can and cannot do, for what is watched goes on all the same.
+const LOCKED: &str = "locked: u unlocks it; capture and anchoring go on with the keys they need";
+
 /// Draws a label and its value.
 pub fn line(canvas: &mut Canvas, area: Rect, label: &str, value: &str, role: Role) {
     canvas.put(Rect { width: LABEL.min(area.width), ..area }, label, Role::Dim);
@@ -33,8 +36,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
 
 fn draw_identity(canvas: &mut Canvas, area: Rect, state: &State, identity: &IdentityView) {
     let address = identity.address.map(|address| address.to_string()).unwrap_or_default();
-    let (keyring, keyring_role) =
-        if identity.unlocked { ("unlocked", Role::Good) } else { ("locked: u unlocks it", Role::Warning) };
+    let (keyring, keyring_role) = if identity.unlocked { ("unlocked", Role::Good) } else { (LOCKED, Role::Warning) };
     let (chain, chain_role) = if identity.registered {
         ("registered", Role::Good)
     } else {
@@ -44,7 +46,11 @@ fn draw_identity(canvas: &mut Canvas, area: Rect, state: &State, identity: &Iden
     line(canvas, row(area, 1), "Keyring", keyring, keyring_role);
     line(canvas, row(area, 2), "On chain", chain, chain_role);
     line(canvas, row(area, 3), "Address", &address, Role::Accent);
-    canvas.put(right_of(row(area, 4), LABEL), "y copies it; give it to whoever shall share with you", Role::Dim);
+    canvas.put(
+        right_of(row(area, 4), LABEL),
+        "y copies it; give it to whoever shall share with you. b backs the keyring up.",
+        Role::Dim,
+    );
     let rest = below(area, 6);
     if let Some(keys) = &state.keys {
         draw_keys(canvas, rest, keys);

@@ -4,7 +4,7 @@ use ratatui::layout::Rect;
 
 use super::bottom::level;
 use super::canvas::Canvas;
-use super::table::{Column, Sheet, draw as draw_table};
+use super::table::{Column, Sheet, draw as draw_table, with_local_time};
 use super::theme::Role;
 use crate::app::State;
 use crate::app::screens::log::{LogLine, level_word};
@@ -24,11 +24,11 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
         NoticeLevel::Error => "errors",
     };
     let note = format!("{} of {} lines, {least}, newest first", lines.len(), log.count());
-    let cells = |index: usize| lines.get(index).map_or_else(Vec::new, |line| cells(line));
+    let cells = |index: usize| lines.get(index).map_or_else(Vec::new, |line| cells(state, line));
     let sheet = Sheet {
         title: "Log",
         note,
-        columns: COLUMNS,
+        columns: &with_local_time(COLUMNS, state),
         keys: &keys,
         cells: &cells,
         table: &log.table,
@@ -37,10 +37,10 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
     draw_table(canvas, area, &sheet);
 }
 
-fn cells(line: &LogLine) -> Vec<(String, Role)> {
+fn cells(state: &State, line: &LogLine) -> Vec<(String, Role)> {
     let role = if line.level == NoticeLevel::Info { Role::Dim } else { level(line.level).1 };
     vec![
-        (line.at.clock(), Role::Dim),
+        (state.clock(line.at), Role::Dim),
         (level_word(line.level).to_owned(), role),
         (line.source.clone(), Role::Dim),
         (line.text.clone(), Role::Body),

@@ -24,7 +24,10 @@ pub mod header;
 pub mod keys;
 pub mod log;
 pub mod overview;
+pub mod palette;
+pub mod plot;
 pub mod popups;
+pub mod raster;
 pub mod records;
 pub mod table;
 pub mod theme;
@@ -39,7 +42,7 @@ use ratatui::layout::Rect;
 
 use crate::app::{Screen, State};
 use canvas::Canvas;
-pub use theme::{Role, Theme, ThemeError};
+pub use theme::{Role, Theme, ThemeError, Themes};
 
 /// The smallest terminal the screens are made for, columns.
 pub const LEAST_COLUMNS: u16 = 60;
@@ -68,14 +71,15 @@ pub fn draw(frame: &mut Frame, state: &State, theme: &Theme) {
 fn draw_whole(canvas: &mut Canvas, area: Rect, state: &State) {
     let content = Rect { y: area.y + 2, height: area.height - 4, ..area };
     header::draw(canvas, Rect { height: 2, ..area }, state);
-    draw_screen(canvas, content, state);
+    draw_content(canvas, content, state);
     if let Some(popup) = state.popups.last() {
         popups::draw(canvas, content, state, popup);
     }
     bottom::draw(canvas, area, state);
 }
 
-fn draw_screen(canvas: &mut Canvas, area: Rect, state: &State) {
+/// Draws the screen in view without header, messages and bar.
+pub fn draw_content(canvas: &mut Canvas, area: Rect, state: &State) {
     match state.screen {
         Screen::Overview => overview::draw(canvas, area, state),
         Screen::Topics => topics::draw(canvas, area, state),

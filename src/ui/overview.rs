@@ -83,26 +83,40 @@ fn draw_life(canvas: &mut Canvas, area: Rect, state: &State, life: &LifeLine) ->
         let arrow = if place == 5 { "" } else { " ›" };
         canvas.puts(row(column, 0), &[(name, Role::Title), (arrow, Role::Dim)]);
         canvas.put(row(column, 1), &count, if place == 5 { Role::Good } else { Role::Accent });
+        let rate = state.rates.stations.get(usize::from(place)).copied().unwrap_or(0.0);
+        canvas.put(row(column, 2), &format!("{rate:.1}/s"), Role::Dim);
     }
-    draw_losses(canvas, row(area, 2), state, life);
-    below(area, 3)
+    draw_law(canvas, row(area, 3), life);
+    let lost = life.lost_in_transport > 0;
+    if lost {
+        let text = format!("{} lost in transport, before they were captured", words::count(life.lost_in_transport));
+        canvas.put(row(area, 4), &text, Role::Warning);
+    }
+    below(area, 4 + u16::from(lost))
 }
 
-fn draw_losses(canvas: &mut Canvas, area: Rect, state: &State, life: &LifeLine) {
-    let flow = format!("in {:.1}/s, verified {:.1}/s, ", state.rates.captured, state.rates.verified);
-    let pending = format!("{} pending", words::count(life.pending));
-    let mut rest = canvas.puts(area, &[(&flow, Role::Dim), (&pending, Role::Body)]);
-    let counts = [
-        ("lost", life.lost_in_transport, Role::Warning),
-        ("dropped", life.dropped, Role::Warning),
-        ("quarantined", life.quarantined, Role::Warning),
-        ("tampered", life.tampered, Role::Bad),
+/// Captured = verified + pending + quarantined + dropped + tampered, in figures, and whether it holds.
+fn draw_law(canvas: &mut Canvas, area: Rect, life: &LifeLine) {
+    let parts = [
+        (life.verified, "verified", Role::Good),
+        (life.pending, "pending", Role::Accent),
+        (life.quarantined, "quarantined", Role::Warning),
+        (life.dropped, "dropped", Role::Warning),
+        (life.tampered, "tampered", Role::Bad),
     ];
-    if counts.iter().all(|(_, count, _)| *count == 0) {
-        canvas.put(rest, ", nothing lost, dropped or tampered", Role::Dim);
+    let sum: u64 = parts.iter().map(|(count, ..)| count).sum();
+    let (verdict, role) =
+        if sum == life.captured { ("● holds: ", Role::Good) } else { ("✖ does not add up: ", Role::Bad) };
+    let mut rest =
+        canvas.puts(area, &[(verdict, role), (&words::count(life.captured), Role::Accent), (" = ", Role::Dim)]);
+    // What is out of the ordinary is named where there is any; figures grow, and the line is short.
+    let named = parts.into_iter().enumerate().filter(|(place, (count, ..))| *place < 2 || *count > 0);
+    for (place, (count, name, role)) in named {
+        let plus = if place == 0 { "" } else { " + " };
+        rest = canvas.puts(rest, &[(plus, Role::Dim), (&words::count(count), role), (" ", role), (name, Role::Dim)]);
     }
-    for (name, count, role) in counts.into_iter().filter(|(_, count, _)| *count > 0) {
-        rest = canvas.puts(rest, &[(", ", Role::Dim), (&words::count(count), role), (" ", role), (name, role)]);
+    if life.quarantined + life.dropped + life.tampered == 0 {
+        canvas.put(rest, ", none quarantined, dropped, tampered", Role::Dim);
     }
 }
 

@@ -3,12 +3,13 @@
 use ratatui::layout::Rect;
 
 use super::canvas::Canvas;
-use super::table::{Column, Sheet, draw as draw_table};
+use super::table::{Column, Sheet, draw as draw_table, with_local_time};
 use super::theme::Role;
 use super::topics::{empty, simulated};
 use super::words;
 use crate::app::State;
 use crate::app::feed::Feed;
+use crate::app::screens::grants::day;
 use crate::app::screens::records::{Records, Wanted};
 use crate::service::reply::RecordView;
 
@@ -55,12 +56,13 @@ pub fn draw_shared(canvas: &mut Canvas, area: Rect, state: &State) {
 
 fn draw(canvas: &mut Canvas, area: Rect, state: &State, records: &Records, look: (&str, &[Column], &str)) {
     let (title, columns, empty) = look;
-    let rows = records.visible(&state.topics.rows);
+    let rows = records.visible(&state.topics.rows, state.now);
     let keys: Vec<String> = rows.iter().map(|row| row.id.clone()).collect();
     let with_owner = columns.iter().any(|column| column.title == "Owner");
-    let cells = |index: usize| rows.get(index).map_or_else(Vec::new, |row| cells(row, with_owner));
+    let cells = |index: usize| rows.get(index).map_or_else(Vec::new, |row| cells(state, row, with_owner));
     let empty = if records.table.filter.text().is_empty() { empty } else { "No record matches the filter." };
-    let note = note(records, &Wanted::read(records.table.filter.text(), &state.topics.rows));
+    let note = note(records, &Wanted::read(records.table.filter.text(), &state.topics.rows, state.now));
+    let columns = &with_local_time(columns, state);
     let sheet = Sheet { title, note, columns, keys: &keys, cells: &cells, table: &records.table, empty };
     draw_table(canvas, area, &sheet);
 }
@@ -71,8 +73,20 @@ fn note(records: &Records, wanted: &Wanted) -> String {
     if records.next.is_some() {
         note.push_str(", more below");
     }
-    if let Some(topic) = &wanted.topic {
-        note.push_str(&format!(", only {topic}"));
+    let words = [
+        wanted.topic.as_ref().map(|topic| format!("only {topic}")),
+        wanted.type_name.as_ref().map(|name| format!("only {name}")),
+        wanted.owner.as_ref().map(|owner| format!("of {}", owner.short())),
+        wanted.since.map(|since| format!("since {} UTC", day(since))),
+        wanted.until.map(|until| format!("until {} UTC", day(until))),
+    ];
+    let tags = wanted.tags.iter().map(|(name, value)| format!("tag {name}={value}"));
+    for word in words.into_iter().flatten().chain(tags) {
+        note.push_str(", ");
+        note.push_str(&word);
+    }
+    if !records.table.marks.is_empty() {
+        note.push_str(&format!(", {} marked", records.table.marks.len()));
     }
     if !wanted.rest.is_empty() {
         note.push_str(", within this page");
@@ -80,7 +94,7 @@ fn note(records: &Records, wanted: &Wanted) -> String {
     note
 }
 
-fn cells(row: &RecordView, with_owner: bool) -> Vec<(String, Role)> {
+fn cells(state: &State, row: &RecordView, with_owner: bool) -> Vec<(String, Role)> {
     let topic = if row.kind == "data" { row.topic.clone() } else { format!("{} ({})", row.topic, row.kind) };
     let mut cells = vec![(row.state.clone(), state_role(&row.state))];
     if with_owner {
@@ -92,7 +106,7 @@ fn cells(row: &RecordView, with_owner: bool) -> Vec<(String, Role)> {
         (row.type_name.clone(), Role::Dim),
         (row.seq.to_string(), Role::Body),
         (words::size(row.bytes), Role::Body),
-        (row.captured_at.clock(), Role::Dim),
+        (state.clock(row.captured_at), Role::Dim),
         (row.epoch.to_string(), Role::Dim),
         (row.block.map(|block| block.to_string()).unwrap_or_default(), Role::Dim),
         (row.id.clone(), Role::Dim),

@@ -4,12 +4,14 @@ use ratatui::layout::Rect;
 
 use super::canvas::{Canvas, below, columns, right_of, row};
 use super::theme::Role;
+use crate::app::State;
 use crate::app::table::Table;
 
 /// The widest a column of names grows.
 const WIDEST_NAME: u16 = 56;
 
 /// One column.
+#[derive(Debug, Clone, Copy)]
 pub struct Column {
     /// Its head.
     pub title: &'static str,
@@ -57,6 +59,15 @@ impl Column {
         self.from = columns;
         self
     }
+}
+
+/// The same columns, those of times wide enough for the local time beside where that is shown.
+pub fn with_local_time(columns: &[Column], state: &State) -> Vec<Column> {
+    let wide = |column: &Column| match column.title {
+        "UTC" if state.local_time => Column { title: "UTC      local", width: 17, most: 17, ..*column },
+        _ => *column,
+    };
+    columns.iter().map(wide).collect()
 }
 
 /// What to draw.

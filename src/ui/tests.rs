@@ -45,6 +45,27 @@ fn compare(name: &str, text: &str) {
     settings.bind(|| insta::assert_snapshot!(name, text));
 }
 
+/// Who can read, who publishes, what is under way, what is shared, and a question that wants a word.
+fn situations(add: &mut dyn FnMut(&'static str, Screen, &dyn Fn(&mut Robot))) {
+    add("readers", Screen::Topics, &|robot| robot.types("i"));
+    add("publishers", Screen::Topics, &|robot| {
+        robot.presses(Key::Enter);
+        let topic = robot.state.topics.selected().map(|row| row.topic.clone()).expect("a topic");
+        robot.is_answered(&Tag::Publishers(topic.clone()), Ok(Reply::Pins(fixtures::pins(&topic))));
+    });
+    add("tasks", Screen::Chain, &|robot| {
+        robot.types("t");
+        robot.site_answers(true);
+    });
+    add("browse", Screen::Shared, &|robot| robot.types("b"));
+    add("suspend asked", Screen::Chain, &|robot| {
+        robot.types(":suspend");
+        robot.presses(Key::Enter);
+        robot.types("0x5aAeb6053F3E94C9b9A09f33669435E7Ef1BeAed");
+        robot.presses(Key::Enter);
+    });
+}
+
 #[test]
 fn every_screen_at_every_size() {
     for screen in Screen::ALL {
@@ -87,6 +108,7 @@ fn popups() -> Vec<(&'static str, Robot)> {
         robot.presses(Key::Enter);
         robot.is_answered(&Tag::Show("00000000000003e8".into()), Ok(Reply::Provenance(fixtures::provenance(1_000))));
     });
+    situations(&mut add);
     for (name, camera) in [("odometry", false), ("picture", true)] {
         add(name, Screen::Shared, &move |robot| {
             robot.presses(Key::Enter);
@@ -164,6 +186,53 @@ fn every_theme_shows_the_same_words_and_ascii_only_ascii() {
         let ascii = shown(&robot.state, &night().with_ascii(true));
         assert!(ascii.is_ascii());
         assert_eq!(ascii.len(), text.chars().count(), "nothing moves");
+    }
+}
+
+/// Where a theme's roles lie on a screen: a letter for each cell that is not plain.
+fn looks(state: &State, theme: &Theme) -> String {
+    let (columns, rows) = state.size;
+    let mut terminal = Terminal::new(TestBackend::new(columns, rows)).expect("a terminal");
+    terminal.draw(|frame| draw(frame, state, theme)).expect("drawn");
+    let buffer = terminal.backend().buffer();
+    let mut styles: Vec<(String, String)> = Vec::new();
+    for row in 0..rows {
+        for column in 0..columns {
+            let cell = &buffer[(column, row)];
+            let style = format!("{:?} {:?} {:?}", cell.fg, cell.bg, cell.modifier);
+            match styles.last_mut() {
+                Some((last, text)) if *last == style => text.push_str(cell.symbol()),
+                _ => styles.push((style, cell.symbol().to_owned())),
+            }
+        }
+    }
+    let words = styles.into_iter().filter(|(_, text)| !text.trim().is_empty());
+    words.map(|(style, text)| format!("{style}: {}\n", text.split_whitespace().collect::<Vec<_>>().join(" "))).collect()
+}
+
+#[test]
+fn one_pass_each_in_day_mono_and_ascii() {
+    let mut themes = ["day", "mono"].map(|name| (name, Theme::named(name).expect("embedded"), String::new()));
+    let mut ascii = String::new();
+    for screen in Screen::ALL {
+        for size in SIZES {
+            let state = at(screen, size).state;
+            let plain = shown(&state, &night().with_ascii(true));
+            assert!(plain.is_ascii(), "{screen:?} {size:?}");
+            if size == SIZES[2] {
+                ascii.push_str(&format!("{}\n{plain}\n", screen.title()));
+            }
+            for (_, theme, pages) in &mut themes {
+                assert_eq!(shown(&state, theme), shown(&state, &night()));
+                if size == SIZES[0] && matches!(screen, Screen::Overview | Screen::Topics | Screen::Uploads) {
+                    pages.push_str(&format!("{}\n{}\n", screen.title(), looks(&state, theme)));
+                }
+            }
+        }
+    }
+    compare("ascii", &ascii);
+    for (name, _, pages) in themes {
+        compare(&format!("looks_{name}"), &pages);
     }
 }
 

@@ -1,8 +1,8 @@
 //! Roles to colours. Code speaks of roles only; the colours are in `themes/*.toml`.
 
-use std::collections::BTreeMap;
+mod file;
 
-use ratatui::style::{Color, Modifier, Style};
+use ratatui::style::Style;
 use serde::Deserialize;
 
 use crate::model::clean;
@@ -51,47 +51,49 @@ impl Role {
         Self::Badge,
         Self::Key,
     ];
-}
 
-/// The look of one role, as written in a theme file.
-#[derive(Debug, Clone, Default, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-#[allow(clippy::struct_excessive_bools, reason = "each is a key of the theme file")]
-struct Paint {
-    fg: Option<String>,
-    bg: Option<String>,
-    bold: bool,
-    dim: bool,
-    underline: bool,
-    reversed: bool,
-}
-
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct ThemeFile {
-    name: String,
-    assumed: Option<String>,
-    roles: BTreeMap<Role, Paint>,
+    /// Its name in a theme file.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Body => "body",
+            Self::Title => "title",
+            Self::Dim => "dim",
+            Self::Accent => "accent",
+            Self::Good => "good",
+            Self::Warning => "warning",
+            Self::Bad => "bad",
+            Self::Selection => "selection",
+            Self::Border => "border",
+            Self::Badge => "badge",
+            Self::Key => "key",
+        }
+    }
 }
 
 /// Why a theme cannot be used.
-#[derive(Debug, thiserror::Error)]
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ThemeError {
     /// There is no theme of that name.
-    #[error("there is no theme '{0}'; choose night, day, contrast or mono")]
-    Unknown(String),
-    /// The file is not a theme.
-    #[error("the theme file is wrong: {0}")]
-    Syntax(String),
-    /// A role is missing.
-    #[error("the theme names no look for the role {0:?}; add it under [roles]")]
-    Missing(Role),
-    /// A colour is not `#rrggbb`.
-    #[error("'{0}' is not a colour; write #rrggbb")]
-    Colour(String),
+    #[error("there is no theme '{name}'; choose {known}")]
+    Unknown {
+        /// The name asked for.
+        name: String,
+        /// The names there are.
+        known: String,
+    },
+    /// A theme file is wrong.
+    #[error("{file} line {line}: {what}")]
+    File {
+        /// The file.
+        file: String,
+        /// The line, from 1.
+        line: usize,
+        /// What is wrong, and what to do.
+        what: String,
+    },
 }
 
-/// The embedded themes, in the order in which they are switched.
+/// The embedded themes.
 const EMBEDDED: [(&str, &str); 4] = [
     ("night", include_str!("../../themes/night.toml")),
     ("day", include_str!("../../themes/day.toml")),
@@ -99,13 +101,32 @@ const EMBEDDED: [(&str, &str); 4] = [
     ("mono", include_str!("../../themes/mono.toml")),
 ];
 
+/// The text of the embedded theme of that name, to write one's own from.
+pub fn embedded_text(name: &str) -> Option<&'static str> {
+    EMBEDDED.iter().find(|(known, _)| *known == name).map(|(_, text)| *text)
+}
+
+/// How many colours pictures may have.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Shades {
+    /// As many as wanted.
+    #[default]
+    All,
+    /// The sixteen.
+    Sixteen,
+    /// None: characters instead.
+    None,
+}
+
 /// How each role looks.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Theme {
     /// Its name.
     pub name: String,
     /// Draw with ASCII characters only.
     pub ascii: bool,
+    /// How many colours pictures may have.
+    pub shades: Shades,
     /// The background the colours are made for.
     pub assumed: Option<(u8, u8, u8)>,
     styles: [Style; Role::ALL.len()],
@@ -117,35 +138,18 @@ impl Theme {
     /// # Errors
     /// [`ThemeError::Unknown`] where there is none.
     pub fn named(name: &str) -> Result<Self, ThemeError> {
-        let found = EMBEDDED.iter().find(|(known, _)| *known == name);
-        let (_, text) = found.ok_or_else(|| ThemeError::Unknown(clean(name, 40)))?;
-        Self::parse(text)
-    }
-
-    /// The embedded theme behind the one of that name.
-    pub fn name_after(name: &str) -> &'static str {
-        let place = EMBEDDED.iter().position(|(known, _)| *known == name).map_or(0, |place| place + 1);
-        EMBEDDED[place % EMBEDDED.len()].0
-    }
-
-    /// A theme from the text of its file.
-    ///
-    /// # Errors
-    /// [`ThemeError`] naming what is wrong.
-    pub fn parse(text: &str) -> Result<Self, ThemeError> {
-        let file: ThemeFile =
-            toml::from_str(text).map_err(|error| ThemeError::Syntax(clean(&error.to_string(), 200)))?;
-        let mut styles = [Style::default(); Role::ALL.len()];
-        for (style, role) in styles.iter_mut().zip(Role::ALL) {
-            *style = file.roles.get(&role).ok_or(ThemeError::Missing(role))?.style()?;
-        }
-        let assumed = file.assumed.as_deref().map(rgb).transpose()?;
-        Ok(Self { name: clean(&file.name, 30), ascii: false, assumed, styles })
+        let text = embedded_text(name).ok_or_else(|| unknown(name, EMBEDDED.map(|(known, _)| known).join(", ")))?;
+        file::read(name, text, &[])
     }
 
     /// The same theme, drawn with ASCII characters only or not.
     pub fn with_ascii(self, ascii: bool) -> Self {
         Self { ascii, ..self }
+    }
+
+    /// The same theme on a terminal of so many colours.
+    pub fn with_shades(self, shades: Shades) -> Self {
+        Self { shades, ..self }
     }
 
     /// How a role looks.
@@ -154,38 +158,61 @@ impl Theme {
     }
 }
 
-impl Paint {
-    fn style(&self) -> Result<Style, ThemeError> {
-        let fg = self.fg.as_deref().map(colour).transpose()?;
-        let bg = self.bg.as_deref().map(colour).transpose()?;
-        let mut style = Style { fg, bg, ..Style::default() };
-        let wanted = [
-            (self.bold, Modifier::BOLD),
-            (self.dim, Modifier::DIM),
-            (self.underline, Modifier::UNDERLINED),
-            (self.reversed, Modifier::REVERSED),
-        ];
-        for (_, modifier) in wanted.into_iter().filter(|(on, _)| *on) {
-            style = style.add_modifier(modifier);
+/// The themes that can be chosen: the embedded ones, then the operator's own.
+#[derive(Debug, Clone)]
+pub struct Themes(Vec<Theme>);
+
+impl Themes {
+    /// The embedded ones and those of the operator's files (name and text). A file says only what
+    /// differs from its `base`; one with the name of an embedded theme takes its place.
+    ///
+    /// # Errors
+    /// [`ThemeError`] naming file and line.
+    pub fn with_files(files: &[(String, String)]) -> Result<Self, ThemeError> {
+        let mut themes = EMBEDDED.iter().map(|(name, _)| Theme::named(name)).collect::<Result<Vec<_>, _>>()?;
+        let mut from: Vec<(String, &str)> = Vec::new();
+        for (file, text) in files {
+            let theme = file::read(file, text, &themes)?;
+            if let Some((_, other)) = from.iter().find(|(name, _)| *name == theme.name) {
+                let what = format!(
+                    "the theme '{}' is also in {}; give one of them another name",
+                    theme.name,
+                    clean(other, 200)
+                );
+                return Err(ThemeError::File { file: clean(file, 200), line: 1, what });
+            }
+            from.push((theme.name.clone(), file));
+            match themes.iter_mut().find(|known| known.name == theme.name) {
+                Some(known) => *known = theme,
+                None => themes.push(theme),
+            }
         }
-        Ok(style)
+        Ok(Self(themes))
+    }
+
+    /// Their names, in the order shown.
+    pub fn names(&self) -> Vec<String> {
+        self.0.iter().map(|theme| theme.name.clone()).collect()
+    }
+
+    /// The theme of that name.
+    ///
+    /// # Errors
+    /// [`ThemeError::Unknown`] where there is none.
+    pub fn named(&self, name: &str) -> Result<Theme, ThemeError> {
+        let found = self.0.iter().find(|theme| theme.name == name).cloned();
+        found.ok_or_else(|| unknown(name, self.names().join(", ")))
     }
 }
 
-fn colour(text: &str) -> Result<Color, ThemeError> {
-    rgb(text).map(|(red, green, blue)| Color::Rgb(red, green, blue))
-}
-
-fn rgb(text: &str) -> Result<(u8, u8, u8), ThemeError> {
-    let wrong = || ThemeError::Colour(clean(text, 20));
-    let number = text.strip_prefix('#').filter(|digits| digits.len() == 6).ok_or_else(wrong)?;
-    let [_, red, green, blue] = u32::from_str_radix(number, 16).map_err(|_| wrong())?.to_be_bytes();
-    Ok((red, green, blue))
+fn unknown(name: &str, known: String) -> ThemeError {
+    ThemeError::Unknown { name: clean(name, 40), known }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use ratatui::style::Color;
 
     /// Relative luminance of WCAG 2.
     fn luminance((red, green, blue): (u8, u8, u8)) -> f64 {
@@ -231,14 +258,55 @@ mod tests {
         assert!(Role::ALL.iter().all(|role| mono.style(*role).fg.is_none() && mono.style(*role).bg.is_none()));
     }
 
+    fn one(text: &str) -> Result<Theme, ThemeError> {
+        let files = [("mine.toml".to_owned(), text.to_owned())];
+        Themes::with_files(&files).map(|themes| themes.0.last().expect("some").clone())
+    }
+
+    fn line_of(text: &str) -> (usize, String) {
+        match one(text) {
+            Err(ThemeError::File { file, line, what }) if file == "mine.toml" => (line, what),
+            other => panic!("{other:?}"),
+        }
+    }
+
     #[test]
-    fn a_wrong_theme_says_what_is_wrong() {
-        assert!(matches!(Theme::named("\u{1b}[2J"), Err(ThemeError::Unknown(name)) if !name.contains('\u{1b}')));
-        assert!(matches!(Theme::parse("name = 'x'\n[roles]\n"), Err(ThemeError::Missing(Role::Body))));
-        let text = EMBEDDED[0].1.replace("#7cc7ff", "blue");
-        assert!(matches!(Theme::parse(&text), Err(ThemeError::Colour(colour)) if colour == "blue"));
-        let text = EMBEDDED[0].1.replace("accent", "akzent");
-        assert!(matches!(Theme::parse(&text), Err(ThemeError::Syntax(_))));
-        assert_eq!(Theme::name_after("mono"), "night");
+    fn an_own_theme_says_only_what_differs() {
+        let own = one("name = 'sea'\nbase = 'day'\n[roles]\naccent = { fg = '#003366' }\n").expect("a theme");
+        let day = Theme::named("day").expect("embedded");
+        assert_eq!((own.name.as_str(), own.assumed), ("sea", day.assumed));
+        for role in Role::ALL {
+            assert_eq!(own.style(role) == day.style(role), role != Role::Accent, "{role:?}");
+        }
+        let files = [("a.toml".to_owned(), "name = 'night'\n[roles]\nbody = { bold = true }\n".to_owned())];
+        let themes = Themes::with_files(&files).expect("themes");
+        assert_eq!(themes.names(), ["night", "day", "contrast", "mono"]);
+        assert_ne!(themes.named("night").expect("there").style(Role::Body), Style::default());
+        assert!(themes.named("sea").expect_err("none").to_string().contains("mono"));
+    }
+
+    #[test]
+    fn a_wrong_theme_names_file_and_line() {
+        assert!(matches!(Theme::named("\u{1b}[2J"), Err(ThemeError::Unknown { name, .. }) if !name.contains('\u{1b}')));
+        let (line, what) = line_of("name = 'x'\n[roles]\nbody = {}\naccent = { fg = 'blue' }\n");
+        assert!(line == 4 && what.contains("'blue'"), "{line} {what}");
+        let (line, what) = line_of("name = 'x'\n[roles]\nakzent = { bold = true }\n");
+        assert!(line == 3 && what.contains("akzent"), "{line} {what}");
+        let (line, _) = line_of("name = 'x'\n[roles]\nbad = {}\nbad = {}\n");
+        assert_eq!(line, 4);
+        let (line, what) = line_of("name = 'x'\nbase = 'fog'\n[roles]\n");
+        assert!(line == 2 && what.contains("fog"), "{line} {what}");
+        let (line, what) = line_of("name = 'x'\n[roles]\nbad = { fg = '#é1234' }\n");
+        assert!(line == 3 && what.contains("#rrggbb"), "{line} {what}");
+        let twice = ["a", "b"].map(|file| (file.to_owned(), "name = 'x'\n".to_owned()));
+        assert!(Themes::with_files(&twice).expect_err("twice").to_string().starts_with("b line 1"));
+    }
+
+    #[test]
+    fn every_role_has_its_word() {
+        for role in Role::ALL {
+            let text = format!("name = 'x'\n[roles]\n{} = {{ underline = true }}\n", role.word());
+            assert!(one(&text).expect("known").style(role).add_modifier.contains(ratatui::style::Modifier::UNDERLINED));
+        }
     }
 }

@@ -15,13 +15,14 @@ const COLUMNS: &[Column] = &[
     Column::name("Topic"),
     Column::text("Type", 27).from(100),
     Column::text("Publishers", 24).from(ALL_FROM),
+    Column::text("Pinned", 10).from(90),
     Column::text("Watched", 7),
     Column::number("Hz", 7),
     Column::number("kB/s", 8),
     Column::text("Lately", 8).from(110),
     Column::number("Captured", 9).from(130),
     Column::number("Lost t/r", 8).from(70),
-    Column::text("Last UTC", 8).from(120),
+    Column::number("Age", 6).from(80),
     Column::text("", 9),
 ];
 
@@ -51,13 +52,18 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
 /// What the columns of a narrow screen leave out of the selected topic; it changes with every
 /// move of the cursor, so it is kept cheap: no colours.
 fn draw_detail(canvas: &mut Canvas, area: Rect, topic: &TopicRow) {
-    let publishers = if topic.publishers.is_empty() { "nobody".to_owned() } else { topic.publishers.join(" ") };
+    let publishers = match topic.publishers.as_slice() {
+        [] => "nobody".to_owned(),
+        names if topic.pins == 0 => names.join(" "),
+        names if topic.unpinned.is_empty() => format!("{} (pinned)", names.join(" ")),
+        names => format!("{} (NOT PINNED: {})", names.join(" "), topic.unpinned.join(" ")),
+    };
     let last = topic.last_message.map(|last| format!(", last {}", last.clock())).unwrap_or_default();
     let type_name = topic.type_name.as_deref().unwrap_or("type not known yet");
     let lost = topic.lost_in_transport + topic.lost_in_recorder;
     let lost = if lost > 0 { format!(", {} lost", words::count(lost)) } else { String::new() };
     let held = match topic.quarantined {
-        0 if topic.alarm => String::from(", ALARM: a publisher is doubted (`authros topics pins`)"),
+        0 if topic.alarm => String::from(", ALARM: a publisher is doubted (enter)"),
         0 => String::new(),
         held => format!(", {} QUARANTINED", words::count(held)),
     };
@@ -83,15 +89,25 @@ fn cells(state: &State, row: &TopicRow) -> Vec<(String, Role)> {
         (row.topic.clone(), Role::Body),
         (row.type_name.clone().unwrap_or_default(), Role::Dim),
         (row.publishers.join(" "), Role::Dim),
+        pinned(row),
         watched(row),
         (words::rate(row.hz), Role::Accent),
         (words::kilobytes(row.bytes_per_second), Role::Body),
         (words::sparkline(&state.topics.samples(&row.topic)), Role::Accent),
         (words::count(row.messages), Role::Body),
         (lost, if any_lost { Role::Warning } else { Role::Dim }),
-        (row.last_message.map(crate::model::Timestamp::clock).unwrap_or_default(), Role::Dim),
+        (row.last_message.map(|last| words::age(last, state.now)).unwrap_or_default(), Role::Dim),
         simulated(row.simulated),
     ]
+}
+
+/// The cell that says whether all publishers are pinned ones.
+pub fn pinned(row: &TopicRow) -> (String, Role) {
+    match row {
+        TopicRow { pins: 0, .. } => ("-".to_owned(), Role::Dim),
+        TopicRow { unpinned, .. } if unpinned.is_empty() => ("pinned".to_owned(), Role::Good),
+        _ => ("NOT PINNED".to_owned(), Role::Warning),
+    }
 }
 
 /// The cell that says whether a topic is watched, or that one of its publishers is doubted.

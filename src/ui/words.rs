@@ -2,6 +2,8 @@
 
 use unicode_width::UnicodeWidthStr;
 
+use crate::model::Timestamp;
+
 /// `12,345`.
 pub fn count(number: u64) -> String {
     let digits = number.to_string();
@@ -32,6 +34,17 @@ pub fn size(bytes: u64) -> String {
         0..1_000 => format!("{bytes} B"),
         1_000..1_000_000 => format!("{} kB", tenths(1_000)),
         _ => format!("{} MB", tenths(1_000_000)),
+    }
+}
+
+/// How long ago: `4 s`, `12 min`, `3 h`, `9 d`.
+pub fn age(then: Timestamp, now: Timestamp) -> String {
+    let seconds = now.0.saturating_sub(then.0) / 1_000_000_000;
+    match seconds {
+        0..60 => format!("{seconds} s"),
+        60..3_600 => format!("{} min", seconds / 60),
+        3_600..86_400 => format!("{} h", seconds / 3_600),
+        _ => format!("{} d", seconds / 86_400),
     }
 }
 
@@ -88,6 +101,8 @@ mod tests {
         assert_eq!([count(0), count(999), count(1_000), count(1_234_567)], ["0", "999", "1,000", "1,234,567"]);
         assert_eq!([size(712), size(58_234), size(1_300_000)], ["712 B", "58.2 kB", "1.3 MB"]);
         assert_eq!(rate(None), "-");
+        let at = Timestamp::from_seconds;
+        assert_eq!([age(at(96), at(100)), age(at(0), at(7_200)), age(at(9), at(1))], ["4 s", "2 h", "0 s"]);
         assert_eq!(sparkline(&[0.0, 4.0, 8.0]), "▁▄█");
         assert_eq!(sparkline(&[0.0, 0.0]), "▁▁");
     }

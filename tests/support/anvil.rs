@@ -82,21 +82,7 @@ impl Anvil {
 
     /// One JSON-RPC call that must succeed.
     pub fn call(&self, method: &str, parameters: &Value) -> Value {
-        let body = json!({ "jsonrpc": "2.0", "id": 1, "method": method, "params": parameters }).to_string();
-        let mut stream = TcpStream::connect(("127.0.0.1", self.port)).expect("the node accepts");
-        stream.set_read_timeout(Some(Duration::from_secs(30))).expect("a read limit");
-        let head = format!(
-            "POST / HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/json\r\nConnection: close\r\n\
-             Content-Length: {}\r\n\r\n",
-            body.len()
-        );
-        stream.write_all((head + &body).as_bytes()).expect("the request is sent");
-        let mut answer = String::new();
-        stream.read_to_string(&mut answer).expect("the answer is read");
-        let (_, document) = answer.split_once("\r\n\r\n").expect("an HTTP answer");
-        let document: Value = serde_json::from_str(document).expect("a JSON answer");
-        assert!(document.get("error").is_none(), "{method}: {document}");
-        document["result"].clone()
+        call(self.port, method, parameters)
     }
 
     /// Gives an account 100 ether.
@@ -172,6 +158,25 @@ impl Anvil {
     pub fn nonce(&self, address: &str) -> u64 {
         number(&self.call("eth_getTransactionCount", &json!([address, "latest"])))
     }
+}
+
+/// One JSON-RPC call that must succeed, to any node on this machine.
+pub fn call(port: u16, method: &str, parameters: &Value) -> Value {
+    let body = json!({ "jsonrpc": "2.0", "id": 1, "method": method, "params": parameters }).to_string();
+    let mut stream = TcpStream::connect(("127.0.0.1", port)).expect("the node accepts");
+    stream.set_read_timeout(Some(Duration::from_secs(30))).expect("a read limit");
+    let head = format!(
+        "POST / HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/json\r\nConnection: close\r\n\
+             Content-Length: {}\r\n\r\n",
+        body.len()
+    );
+    stream.write_all((head + &body).as_bytes()).expect("the request is sent");
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).expect("the answer is read");
+    let (_, document) = answer.split_once("\r\n\r\n").expect("an HTTP answer");
+    let document: Value = serde_json::from_str(document).expect("a JSON answer");
+    assert!(document.get("error").is_none(), "{method}: {document}");
+    document["result"].clone()
 }
 
 /// A quantity of JSON-RPC.

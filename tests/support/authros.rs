@@ -52,6 +52,7 @@ impl Home {
         Authros {
             program: env!("CARGO_BIN_EXE_authros").into(),
             root: self.root().to_owned(),
+            prefix: Vec::new(),
             options: vec!["--home".into(), site.to_str().expect("UTF-8").to_owned()],
             environment: Vec::new(),
         }
@@ -85,6 +86,7 @@ pub fn files_below(directory: &Path) -> Vec<PathBuf> {
 pub struct Authros {
     program: PathBuf,
     root: PathBuf,
+    prefix: Vec<String>,
     options: Vec<String>,
     environment: Vec<(String, String)>,
 }
@@ -93,7 +95,7 @@ impl Authros {
     /// In a `HOME` and without `--home`.
     pub fn bare(root: &Path) -> Self {
         let program = env!("CARGO_BIN_EXE_authros").into();
-        Self { program, root: root.to_owned(), options: Vec::new(), environment: Vec::new() }
+        Self { program, root: root.to_owned(), prefix: Vec::new(), options: Vec::new(), environment: Vec::new() }
     }
 
     /// The same with more options, given behind every command's own.
@@ -108,11 +110,21 @@ impl Authros {
         Self { program: program.to_owned(), ..self.clone() }
     }
 
+    /// The same with arguments before every command's own: for a program that runs another one.
+    pub fn with_prefix(&self, arguments: &[&str]) -> Self {
+        Self { prefix: arguments.iter().map(|&argument| argument.to_owned()).collect(), ..self.clone() }
+    }
+
     /// The same with an environment variable.
     pub fn with_variable(&self, name: &str, value: &str) -> Self {
         let mut more = self.clone();
         more.environment.push((name.to_owned(), value.to_owned()));
         more
+    }
+
+    /// The program's file.
+    pub fn program(&self) -> &Path {
+        &self.program
     }
 
     /// All arguments of a command.
@@ -133,7 +145,12 @@ impl Authros {
     /// Starts a command that runs beside the test.
     pub fn spawn(&self, arguments: &[&str]) -> Running {
         let mut command = Command::new(&self.program);
-        command.args(self.arguments(arguments)).env_clear().envs(self.variables()).current_dir(&self.root);
+        command
+            .args(&self.prefix)
+            .args(self.arguments(arguments))
+            .env_clear()
+            .envs(self.variables())
+            .current_dir(&self.root);
         Running::start(command)
     }
 

@@ -2,7 +2,9 @@
 
 use std::io::{Read, Write};
 use std::num::NonZeroU16;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 use portable_pty::{Child, CommandBuilder, ExitStatus, MasterPty, PtyPair, PtySize, native_pty_system};
 use vt100::Parser;
@@ -11,36 +13,100 @@ use super::authros::Authros;
 use super::poll;
 use super::process::signal;
 
+/// A terminal to open a program in.
+#[derive(Debug, Clone)]
+pub struct Terminal {
+    /// Rows.
+    pub rows: u16,
+    /// Columns.
+    pub columns: u16,
+    /// What TERM says.
+    pub name: &'static str,
+    /// How many bytes a second it takes; as many as come where none is said.
+    pub bytes_per_second: Option<u32>,
+}
+
+impl Terminal {
+    /// Of that size, with 256 colours.
+    pub fn of(columns: u16, rows: u16) -> Self {
+        Self { rows, columns, name: "xterm-256color", bytes_per_second: None }
+    }
+}
+
+/// What the terminal has received.
+struct Received {
+    emulator: Mutex<Parser>,
+    bytes: AtomicU64,
+    kept: Mutex<Vec<u8>>,
+}
+
 /// A console at work; killed when dropped.
 pub struct Console {
     child: Box<dyn Child + Send + Sync>,
     pair: PtyPair,
     keys: Box<dyn Write + Send>,
-    screen: Arc<Mutex<Parser>>,
+    received: Arc<Received>,
     modes_before: String,
 }
 
 impl Console {
     /// Opens `authros` in a terminal of 100x30.
     pub fn open(authros: &Authros) -> Self {
-        let (rows, cols) = (30, 100);
+        Self::open_in(&Terminal::of(100, 30), authros, &[])
+    }
+
+    /// Opens `authros` with further arguments in a terminal.
+    pub fn open_in(terminal: &Terminal, authros: &Authros, arguments: &[&str]) -> Self {
+        let program = authros.program().to_str().expect("UTF-8").to_owned();
+        let words: Vec<String> = [vec![program], authros.arguments(arguments)].concat();
+        Self::run(terminal, &words, &authros.variables())
+    }
+
+    /// Runs any program in a terminal, with that environment and no other.
+    pub fn run(terminal: &Terminal, words: &[String], variables: &[(String, String)]) -> Self {
+        let Terminal { rows, columns, .. } = *terminal;
         let pair = native_pty_system()
-            .openpty(PtySize { rows, cols, pixel_width: 0, pixel_height: 0 })
+            .openpty(PtySize { rows, cols: columns, pixel_width: 0, pixel_height: 0 })
             .expect("a pseudo-terminal");
         let modes_before = modes(pair.master.as_ref());
-        let mut command = CommandBuilder::new(env!("CARGO_BIN_EXE_authros"));
-        command.args(authros.arguments(&[]));
+        let mut command = CommandBuilder::new(&words[0]);
+        command.args(&words[1..]);
         command.env_clear();
-        for (name, value) in authros.variables() {
+        command.env("TERM", terminal.name);
+        for (name, value) in variables {
             command.env(name, value);
         }
-        command.env("TERM", "xterm-256color");
-        let child = pair.slave.spawn_command(command).expect("the console starts");
+        let child = pair.slave.spawn_command(command).expect("the program starts");
         let keys = pair.master.take_writer().expect("the keyboard");
         let size = |cells| NonZeroU16::new(cells).expect("not zero");
-        let screen = Arc::new(Mutex::new(Parser::new(size(rows), size(cols), 0)));
-        watch(pair.master.try_clone_reader().expect("the screen"), Arc::clone(&screen));
-        Self { child, pair, keys, screen, modes_before }
+        let received = Arc::new(Received {
+            emulator: Mutex::new(Parser::new(size(rows), size(columns), 0)),
+            bytes: AtomicU64::new(0),
+            kept: Mutex::default(),
+        });
+        let source = pair.master.try_clone_reader().expect("the screen");
+        watch(source, Arc::clone(&received), terminal.bytes_per_second);
+        Self { child, pair, keys, received, modes_before }
+    }
+
+    /// How many bytes it has sent to the terminal so far.
+    pub fn bytes(&self) -> u64 {
+        self.received.bytes.load(Ordering::SeqCst)
+    }
+
+    /// All it has sent so far, as it came.
+    pub fn raw(&self) -> Vec<u8> {
+        self.received.kept.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Its process id.
+    pub fn id(&self) -> u32 {
+        self.child.process_id().expect("a process")
+    }
+
+    /// Whether it still runs.
+    pub fn is_running(&mut self) -> bool {
+        matches!(self.child.try_wait(), Ok(None))
     }
 
     /// What it shows now.
@@ -74,6 +140,11 @@ impl Console {
         signal(name, &self.child.process_id().expect("a process").to_string());
     }
 
+    /// Whether it has ended.
+    pub fn has_ended(&mut self) -> bool {
+        self.child.try_wait().is_ok_and(|ended| ended.is_some())
+    }
+
     /// Waits for its end.
     pub fn wait(&mut self, seconds: u64) -> ExitStatus {
         poll(seconds, || self.child.try_wait().expect("its state is known"))
@@ -93,8 +164,18 @@ impl Console {
         assert_eq!(modes(self.pair.master.as_ref()), self.modes_before, "left in raw mode");
     }
 
+    /// Whether the terminal is as it was before.
+    pub fn is_restored(&self) -> bool {
+        poll(3, || Some(()).filter(|()| !self.emulator().screen().alternate_screen()));
+        let emulator = self.emulator();
+        let screen = emulator.screen();
+        let mouse = screen.mouse_protocol_mode() != vt100::MouseProtocolMode::None;
+        let held = screen.alternate_screen() || screen.hide_cursor() || screen.bracketed_paste() || mouse;
+        !held && modes(self.pair.master.as_ref()) == self.modes_before
+    }
+
     fn emulator(&self) -> MutexGuard<'_, Parser> {
-        self.screen.lock().unwrap_or_else(PoisonError::into_inner)
+        self.received.emulator.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -111,11 +192,20 @@ fn modes(master: &dyn MasterPty) -> String {
     format!("{:?}", master.get_termios().expect("the terminal's modes"))
 }
 
-fn watch(mut source: Box<dyn Read + Send>, screen: Arc<Mutex<Parser>>) {
+/// Reads what comes, no faster than the terminal takes it, and keeps it.
+fn watch(mut source: Box<dyn Read + Send>, received: Arc<Received>, bytes_per_second: Option<u32>) {
     std::thread::spawn(move || {
         let mut buffer = [0; 8192];
-        while let Ok(length @ 1..) = source.read(&mut buffer) {
-            screen.lock().unwrap_or_else(PoisonError::into_inner).process(&buffer[..length]);
+        // Fifty pieces a second, as a slow link brings them.
+        let most = bytes_per_second.map_or(buffer.len(), |rate| usize::try_from(rate / 50).unwrap_or(1).max(1));
+        while let Ok(length @ 1..) = source.read(&mut buffer[..most]) {
+            if let Some(rate) = bytes_per_second {
+                let bytes = u32::try_from(length).unwrap_or(u32::MAX);
+                std::thread::sleep(Duration::from_secs_f64(f64::from(bytes) / f64::from(rate)));
+            }
+            received.kept.lock().unwrap_or_else(PoisonError::into_inner).extend_from_slice(&buffer[..length]);
+            received.emulator.lock().unwrap_or_else(PoisonError::into_inner).process(&buffer[..length]);
+            received.bytes.fetch_add(u64::try_from(length).unwrap_or(0), Ordering::SeqCst);
         }
     });
 }

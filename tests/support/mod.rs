@@ -7,7 +7,10 @@
 pub mod anvil;
 pub mod authros;
 pub mod client_stream;
+pub mod conservation;
 pub mod console;
+pub mod figures;
+pub mod hostile;
 pub mod member;
 pub mod process;
 pub mod proxy;
@@ -23,7 +26,8 @@ use std::time::{Duration, Instant};
 
 pub use anvil::Anvil;
 pub use authros::{Authros, Home};
-pub use console::Console;
+pub use conservation::Conservation;
+pub use console::{Console, Terminal};
 pub use process::{Outcome, Running};
 pub use proxy::{Proxy, Spoil};
 pub use redis::Redis;

@@ -25,6 +25,9 @@ pub enum Spoil {
     TruncateJson,
 }
 
+/// Stands for every method.
+pub const EVERY: &str = "*";
+
 #[derive(Debug)]
 struct Rule {
     method: String,
@@ -111,7 +114,7 @@ impl Shared {
     fn decide(&self, method: &str) -> Option<Spoil> {
         *lock(&self.seen).entry(method.to_owned()).or_default() += 1;
         let mut rule = lock(&self.rule);
-        let rule = rule.as_mut().filter(|rule| rule.left > 0 && rule.method == method)?;
+        let rule = rule.as_mut().filter(|rule| rule.left > 0 && (rule.method == method || rule.method == EVERY))?;
         rule.left -= 1;
         self.spoilt.fetch_add(1, Ordering::SeqCst);
         Some(rule.how)

@@ -1,5 +1,6 @@
 //! The state of the screens that have one: rows, cursor, filter and order.
 
+pub mod gateway;
 pub mod grants;
 pub mod log;
 pub mod records;

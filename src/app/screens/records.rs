@@ -2,7 +2,8 @@
 
 use crate::app::fuzzy;
 use crate::app::table::Table;
-use crate::model::{Address, Party, RecordState, TopicName};
+use crate::app::when;
+use crate::model::{Address, Party, RecordState, Timestamp, TopicName, TypeName};
 use crate::service::UploadQuery;
 use crate::service::reply::{RecordPage, RecordView, TopicRow};
 
@@ -34,15 +35,27 @@ pub struct Wanted {
     pub state: Option<RecordState>,
     /// Only this owner.
     pub owner: Option<Party>,
+    /// Only this message type.
+    pub type_name: Option<TypeName>,
+    /// Only with these tags.
+    pub tags: Vec<(String, String)>,
+    /// Captured at or after.
+    pub since: Option<Timestamp>,
+    /// Captured before.
+    pub until: Option<Timestamp>,
     /// Words that only narrow the page on screen.
     pub rest: String,
 }
 
 impl Wanted {
-    /// Reads a filter: state words, whole or unmistakable topic names, addresses.
-    pub fn read(filter: &str, topics: &[TopicRow]) -> Self {
+    /// Reads a filter: state words, whole or unmistakable topic names, addresses, and `owner:`, `topic:`, `type:`,
+    /// `tag:name=value`, `since:1h`, `until:2026-12-31` with what they say.
+    pub fn read(filter: &str, topics: &[TopicRow], now: Timestamp) -> Self {
         let mut wanted = Self::default();
         for word in filter.split_whitespace() {
+            if word.split_once(':').is_some_and(|(name, value)| wanted.takes(name, value, now)) {
+                continue;
+            }
             if let Some(state) = RecordState::ALL.into_iter().find(|state| state.word() == word) {
                 wanted.state = Some(state);
             } else if let Ok(owner) = word.parse::<Address>() {
@@ -58,6 +71,35 @@ impl Wanted {
     }
 }
 
+impl Wanted {
+    /// Takes `name:value` over; false where it says nothing that can be asked for.
+    fn takes(&mut self, name: &str, value: &str, now: Timestamp) -> bool {
+        match name {
+            "owner" => self.owner = value.parse().ok(),
+            "topic" => self.topic = value.parse().ok(),
+            "type" => self.type_name = value.parse().ok(),
+            "state" => self.state = RecordState::ALL.into_iter().find(|state| state.word() == value),
+            "since" => self.since = when::past(value, now),
+            "until" => self.until = when::past(value, now),
+            "tag" => {
+                let tag = value.split_once('=').map(|(name, value)| (name.to_owned(), value.to_owned()));
+                let known = tag.is_some();
+                self.tags.extend(tag);
+                return known;
+            }
+            _ => return false,
+        }
+        match name {
+            "owner" => self.owner.is_some(),
+            "topic" => self.topic.is_some(),
+            "type" => self.type_name.is_some(),
+            "state" => self.state.is_some(),
+            "since" => self.since.is_some(),
+            _ => self.until.is_some(),
+        }
+    }
+}
+
 fn topic_named(word: &str, topics: &[TopicRow]) -> Option<TopicName> {
     if let Some(whole) = topics.iter().find(|row| row.topic == word) {
         return whole.topic.parse().ok();
@@ -69,12 +111,17 @@ fn topic_named(word: &str, topics: &[TopicRow]) -> Option<TopicName> {
 
 impl Records {
     /// The question for the page in view.
-    pub fn query(&self, topics: &[TopicRow], limit: usize) -> UploadQuery {
-        let Wanted { topic, state, owner, .. } = Wanted::read(self.table.filter.text(), topics);
+    pub fn query(&self, topics: &[TopicRow], limit: usize, now: Timestamp) -> UploadQuery {
+        let Wanted { topic, state, owner, type_name, tags, since, until, .. } =
+            Wanted::read(self.table.filter.text(), topics, now);
         UploadQuery {
             owner,
             topic,
+            type_name,
+            tags,
             state,
+            since,
+            until,
             after: self.path.last().cloned(),
             limit: limit.clamp(1, 1_000),
             newest_first: self.table.sort == 0,
@@ -90,8 +137,11 @@ impl Records {
     }
 
     /// The rows to show.
-    pub fn visible(&self, topics: &[TopicRow]) -> Vec<&RecordView> {
-        let rest = Wanted::read(self.table.filter.text(), topics).rest;
+    pub fn visible(&self, topics: &[TopicRow], now: Timestamp) -> Vec<&RecordView> {
+        if self.table.filter.text().is_empty() {
+            return self.rows.iter().collect();
+        }
+        let rest = Wanted::read(self.table.filter.text(), topics, now).rest;
         fuzzy::narrow(&rest, self.rows.iter().collect(), |row| haystack(row))
     }
 

@@ -1,7 +1,7 @@
 //! The Topics screen: rows of the graph, their order and what was transferred lately.
 
 use std::cmp::Ordering;
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{HashMap, VecDeque};
 
 use crate::app::fuzzy;
 use crate::app::table::Table;
@@ -24,8 +24,17 @@ pub struct Topics {
     pub rows: Vec<TopicRow>,
     /// Cursor, filter, order, marks.
     pub table: Table,
-    history: BTreeMap<String, VecDeque<f64>>,
+    history: HashMap<String, VecDeque<f64>>,
     sampled_at: Timestamp,
+    shown: Shown,
+}
+
+/// Which rows a filter and an order show, found once for all questions until one of them changes.
+#[derive(Debug, Default)]
+struct Shown {
+    filter: String,
+    sort: usize,
+    places: Vec<usize>,
 }
 
 impl Topics {
@@ -35,7 +44,10 @@ impl Topics {
         rows.sort_by(|one, other| one.topic.cmp(&other.topic));
         self.rows = rows;
         let rows = &self.rows;
-        self.table.marks.retain(|mark| rows.iter().any(|row| row.topic == *mark));
+        // Sorted by name above.
+        let is_there = |name: &String| rows.binary_search_by(|row| row.topic.cmp(name)).is_ok();
+        self.table.marks.retain(is_there);
+        self.refresh(true);
         let keys = self.keys();
         self.table.settle(&keys);
         if now.0.saturating_sub(self.sampled_at.0) >= SAMPLE_EVERY {
@@ -45,9 +57,14 @@ impl Topics {
     }
 
     fn sample(&mut self) {
-        self.history.retain(|topic, _| self.rows.iter().any(|row| row.topic == *topic));
+        let rows = &self.rows;
+        self.history.retain(|topic, _| rows.binary_search_by(|row| row.topic.cmp(topic)).is_ok());
         for row in &self.rows {
-            let samples = self.history.entry(row.topic.clone()).or_default();
+            // Most are there already, and need no name of their own.
+            let samples = match self.history.get_mut(&row.topic) {
+                Some(samples) => samples,
+                None => self.history.entry(row.topic.clone()).or_default(),
+            };
             samples.push_back(row.bytes_per_second.unwrap_or(0.0));
             if samples.len() > SAMPLES {
                 samples.pop_front();
@@ -62,15 +79,35 @@ impl Topics {
 
     /// The rows to show, filtered and in order.
     pub fn visible(&self) -> Vec<&TopicRow> {
-        let mut rows = fuzzy::narrow(self.table.filter.text(), self.rows.iter().collect(), |row| haystack(row));
+        if self.is_fresh() {
+            return self.shown.places.iter().filter_map(|place| self.rows.get(*place)).collect();
+        }
+        self.found().into_iter().map(|(_, row)| row).collect()
+    }
+
+    fn is_fresh(&self) -> bool {
+        self.shown.filter == self.table.filter.text() && self.shown.sort == self.table.sort
+    }
+
+    fn found(&self) -> Vec<(usize, &TopicRow)> {
+        let all = self.rows.iter().enumerate().collect();
+        let mut rows = fuzzy::narrow(self.table.filter.text(), all, |(_, row)| haystack(row));
         // A stable order: what is equal stays in the order of names.
-        rows.sort_by(|one, other| order(self.table.sort, one, other));
+        rows.sort_by(|(_, one), (_, other)| order(self.table.sort, one, other));
         rows
+    }
+
+    /// Finds the rows to show anew where filter or order changed, or `rows_changed`.
+    pub fn refresh(&mut self, rows_changed: bool) {
+        if rows_changed || !self.is_fresh() {
+            let places = self.found().into_iter().map(|(place, _)| place).collect();
+            self.shown = Shown { filter: self.table.filter.text().to_owned(), sort: self.table.sort, places };
+        }
     }
 
     /// Whether any row passes the filter.
     pub fn any_visible(&self) -> bool {
-        self.rows.iter().any(|row| fuzzy::score(self.table.filter.text(), &haystack(row)).is_some())
+        if self.is_fresh() { !self.shown.places.is_empty() } else { !self.visible().is_empty() }
     }
 
     /// The names of the rows shown.

@@ -1,13 +1,18 @@
 //! Fixed data of a small site, for tests of the console.
 
 use crate::chain::Sealing;
-use crate::model::{Address, Digest, ErrorKind, Hash, ProfileName, PublicKey, Timestamp, Token, Verdict};
+use crate::gateway::Code;
+use crate::model::{
+    Address, Digest, Domain, ErrorKind, Hash, PinMode, ProfileName, PublicKey, Publisher, SignerId, Timestamp, Token,
+    Verdict,
+};
 use crate::pipeline::sender::{LaneState, PauseReason};
 use crate::service::reply::{
-    AdministrationView, AuditView, ChainView, EpochView, GrantRow, HealthLevel, IdentityView, KeysView, LifeLine,
-    OpenedView, PartHealth, Provenance, RecordPage, RecordView, SiteView, TopicRow, TransactionView,
+    AdministrationView, AlarmView, AuditView, ChainView, EpochView, GasView, GatewayStatusView, GatewayView, GrantRow,
+    HealthLevel, IdentityView, KeysView, LifeLine, OpenedView, PartHealth, PinView, PinsView, Provenance, QueueView,
+    RecordPage, RecordView, RefusedView, SenderView, SiteView, SystemKeyView, TopicRow, TransactionView,
 };
-use crate::service::{Command, Failure, Reply, UploadQuery};
+use crate::service::{Command, Failure, Operation, Reply, UploadQuery};
 
 /// The frozen clock.
 pub const NOW: Timestamp = Timestamp(1_700_000_000_000_000_000);
@@ -28,6 +33,8 @@ pub fn reply(command: &Command, exists: bool) -> Reply {
         Command::ListGrants => Reply::Grants(grants()),
         Command::ChainStatus => Reply::Chain(chain()),
         Command::ListAudit(_) => Reply::Audit(audit()),
+        Command::Operate(Operation::GatewayStatus) => Reply::GatewayStatus(gateway()),
+        Command::Operate(Operation::Lock) => Reply::Identity(identity(exists, false, exists)),
         _ => Reply::Done,
     }
 }
@@ -86,6 +93,8 @@ pub fn site() -> SiteView {
         },
         robots: 4,
         profiles: vec![ProfileName::default()],
+        tasks: Vec::new(),
+        queue: QueueView { messages: 3, bytes: 2_184, capacity: 201_326_592 },
     }
 }
 
@@ -104,6 +113,8 @@ pub fn topic(name: &str, hz: f64) -> TopicRow {
         lost_in_transport: 0,
         lost_in_recorder: 0,
         last_message: Some(NOW),
+        pins: u64::from(!camera),
+        unpinned: Vec::new(),
         quarantined: 0,
         alarm: false,
     }
@@ -195,9 +206,69 @@ fn chain() -> ChainView {
         pending: 1,
         client: "AuthROS embedded".to_owned(),
         through: None,
-        administration: AdministrationView::default(),
+        administration: AdministrationView { administrator: Some(OWN), open: true, ..AdministrationView::default() },
+        gas: GasView { transactions: 100, gas: 5_214_000, records: 2_560 },
         lanes: vec![LaneState { open: 1, paused: Some(PauseReason::Stalled), ..LaneState::idle(OWN) }],
         sealing: Sealing { period: Some(100), difficulty: None, sealers: vec![Address([0x5e; 20])] },
+    }
+}
+
+/// Publishers of a topic: one pinned, one doubted.
+pub fn pins(topic: &str) -> PinsView {
+    let publisher = Publisher {
+        caller_id: "/driver".to_owned(),
+        host: "192.0.2.17".to_owned(),
+        type_name: "nav_msgs/Odometry".to_owned(),
+        md5sum: "cd5e73d190d741a2f92e81eda573aca7".to_owned(),
+    };
+    let alarm = AlarmView {
+        topic: topic.to_owned(),
+        publisher: "/driver@198.51.100.9:nav_msgs/Odometry:cd5e73d190d741a2f92e81eda573aca7".to_owned(),
+        reason: "host".to_owned(),
+        at: NOW,
+        open: true,
+    };
+    let pin = PinView { topic: topic.to_owned(), publisher, source: "first".to_owned(), at: Some(NOW) };
+    PinsView { mode: PinMode::default(), pins: vec![pin], alarms: vec![alarm] }
+}
+
+/// A gateway with one robot connected and one away.
+fn gateway() -> GatewayStatusView {
+    let day = |day: u64| Timestamp(NOW.0 + day * 86_400_000_000_000);
+    let sender = |name: &str, sessions: u64| SenderView {
+        name: name.parse().expect("a name"),
+        account: OWN,
+        sessions,
+        peer: (sessions > 0).then(|| "192.0.2.17:40112".to_owned()),
+        since: (sessions > 0).then_some(NOW),
+        last: (sessions > 0).then_some(NOW),
+        frames: sessions * 12_044,
+        bytes: sessions * 9_120_331,
+    };
+    let key = |id: u8, from: u64, current| SystemKeyView {
+        id: SignerId([id; 32]),
+        not_before: day(from),
+        not_after: day(from + 7),
+        current,
+    };
+    GatewayStatusView {
+        served: Some(GatewayView {
+            address: "192.0.2.1:7420".to_owned(),
+            gateway: SignerId([0x6a; 32]),
+            fingerprint: "5a1f 09c2 77e0 41bd 5a1f 09c2 77e0 41bd".to_owned(),
+            account: OWN,
+            domain: Domain([4; 32]),
+        }),
+        through: None,
+        connections: 2,
+        senders: vec![sender("robot1", 1), sender("robot2", 0)],
+        keys: vec![key(0x31, 0, true), key(0x32, 7, false)],
+        list_version: 1_700_000_000,
+        list_expires: Some(day(14)),
+        refused: vec![
+            RefusedView { code: 4, text: Code::Tag.text().to_owned(), count: 1_204 },
+            RefusedView { code: 15, text: Code::NotAuthorised.text().to_owned(), count: 3 },
+        ],
     }
 }
 
@@ -227,13 +298,17 @@ pub fn transaction(text: &str) -> Reply {
 pub fn provenance(number: u64) -> Provenance {
     let step = |word: &str, evidence: &str| (word.to_owned(), evidence.to_owned());
     let steps = vec![
-        step("captured", "2023-11-14T22:13:21Z from /driver"),
-        step("sealed", "SM4-GCM under epoch 2, SM2 signature by 5a1f 09c2 77e0 41bd"),
-        step("stored", "embedded vault"),
-        step("submitted", &format!("transaction {}", Hash([3; 32]))),
-        step("mined", "block 118"),
-        step("confirmed", "12 blocks deep"),
-        step("verified", "re-read from the vault, digest equal to the chain, signature valid"),
+        step("message", "728 bytes of /robot1/odom, captured 2023-11-14T22:13:21Z"),
+        step("record", "sealed under epoch 2, seq 1000, on disk 2023-11-14T22:13:21Z"),
+        step("digest", &format!("SM3 {}", Digest([0xd1; 32]))),
+        step("signature", &format!("SM2 by signer {}", SignerId([0x5e; 32]))),
+        step("vault", "stored in the embedded vault"),
+        step("batch", &format!("root {}, closed 2023-11-14T22:13:22Z", Hash([7; 32]))),
+        step("proof", "leaf 12 of 25, 5 hashes to the root"),
+        step("transaction", &Hash([3; 32]).to_string()),
+        step("block", &format!("118 {}", Hash([5; 32]))),
+        step("confirmations", "12 of 3 wanted"),
+        step("verified", "read back from the vault: digest equal to the chain or its proof, signature valid"),
     ];
     Provenance { record: record(number, "verified"), steps }
 }
@@ -266,6 +341,11 @@ pub fn opened(number: u64, camera: bool) -> OpenedView {
         verdict: Verdict::Verified,
         caller_id: "/driver".to_owned(),
         tags: vec![("mission".to_owned(), "crime scene".to_owned()), ("simulated".to_owned(), "yes".to_owned())],
+        compression: "lz4".to_owned(),
+        stored: 312,
+        readable: None,
+        beginning: (0..=255).collect(),
+        file: None,
         fields,
         message: serde_json::json!({ "header": { "seq": 1042 } }),
         body: None,

@@ -7,6 +7,7 @@ mod freezing;
 mod granting;
 mod keys;
 mod leaving;
+mod operating;
 mod palette;
 mod pulling;
 mod records;
@@ -125,7 +126,7 @@ impl Robot {
 /// The answer in a lookup popup, where it is the topmost.
 pub fn record_shown(state: &State) -> Option<&Lookup<crate::service::reply::OpenedView>> {
     match state.popups.last() {
-        Some(Popup::Record(lookup)) => Some(lookup),
+        Some(Popup::Record(opening)) => Some(&opening.lookup),
         _ => None,
     }
 }

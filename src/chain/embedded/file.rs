@@ -182,6 +182,18 @@ impl ChainFile {
         Ok(())
     }
 
+    /// Copies the file, as it is, to a new one of mode 0600.
+    ///
+    /// # Errors
+    /// [`ChainError::File`] where it cannot be written.
+    pub fn copy_to(&self, path: &Path) -> Result<(), ChainError> {
+        let blame = |error: std::io::Error| ChainError::File { path: path.to_owned(), reason: error.to_string() };
+        let file = OpenOptions::new().create_new(true).write(true).mode(0o600).open(path).map_err(blame)?;
+        let copied = self.connection.backup(rusqlite::MAIN_DB, path, None::<fn(rusqlite::backup::Progress)>);
+        copied.map_err(|error| blamed(path, &error))?;
+        file.sync_all().map_err(blame)
+    }
+
     /// A block by number: hash and header.
     ///
     /// # Errors

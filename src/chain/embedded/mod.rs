@@ -26,6 +26,7 @@ mod sealing;
 mod sealing_tests;
 mod transaction;
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
@@ -39,10 +40,14 @@ use self::node::Node;
 pub use self::rpc::Fault;
 pub use self::transaction::Transaction;
 use super::{BlockRef, ChainError, Consensus};
+use crate::crypto::fault;
 use crate::model::Address;
 
 /// How long the thread sleeps when nothing is due.
 const IDLE: Duration = Duration::from_secs(3600);
+
+/// How long the thread rests after a panic.
+const REST: Duration = Duration::from_millis(500);
 
 /// The most requests answered before the clock is looked at again.
 const BURST: usize = 256;
@@ -50,6 +55,7 @@ const BURST: usize = 256;
 enum Request {
     Rpc { method: String, parameters: Value, reply: oneshot::Sender<Result<Value, Fault>> },
     Dump(oneshot::Sender<Result<Vec<Vec<u8>>, ChainError>>),
+    Copy(PathBuf, oneshot::Sender<Result<(), ChainError>>),
     Worked(u64),
     End,
 }
@@ -97,12 +103,12 @@ impl Embedded {
         let (opened, answer) = oneshot::channel();
         let inlet = Inlet(requests.clone());
         let found = Arc::new(move |nonce| drop(requests.send(Request::Worked(nonce))));
-        let run = move || match Node::open(&directory, asked, found) {
+        let run = move || match Node::open(&directory, asked, Arc::clone(&found) as _) {
             Ok(node) => {
                 let (announce, head) = watch::channel(node.head);
                 let facts = Facts { head, consensus: node.consensus, sealers: node.sealing.addresses() };
                 if opened.send(Ok(facts)).is_ok() {
-                    serve(node, &inbox, &announce);
+                    keep_serving(node, &inbox, &announce, || Node::open(&directory, asked, Arc::clone(&found) as _));
                 }
             }
             Err(error) => drop(opened.send(Err(error))),
@@ -135,6 +141,16 @@ impl Embedded {
         answer.await.unwrap_or_else(|_| Err(gone()))
     }
 
+    /// Writes the chain as it is between two blocks to a new file.
+    ///
+    /// # Errors
+    /// [`ChainError::File`] where it cannot be written.
+    pub async fn copy_to(&self, path: PathBuf) -> Result<(), ChainError> {
+        let (reply, answer) = oneshot::channel();
+        self.line.inlet.0.send(Request::Copy(path, reply)).map_err(|_| gone())?;
+        answer.await.unwrap_or_else(|_| Err(gone()))
+    }
+
     /// How its blocks are sealed.
     pub fn consensus(&self) -> Consensus {
         self.line.facts.consensus
@@ -155,6 +171,24 @@ fn gone() -> ChainError {
     ChainError::Internal("the embedded chain has stopped".into())
 }
 
+/// Serves until the end. After a panic what is in memory is given up, and the chain is opened again from its file;
+/// whoever asked meanwhile is told that there was no answer.
+fn keep_serving(
+    node: Node,
+    inbox: &Receiver<Request>,
+    announce: &watch::Sender<BlockRef>,
+    open: impl Fn() -> Result<Node, ChainError>,
+) {
+    let mut next = Ok(node);
+    while let Ok(node) = next {
+        if catch_unwind(AssertUnwindSafe(|| serve(node, inbox, announce))).is_ok() {
+            return;
+        }
+        thread::sleep(REST);
+        next = open();
+    }
+}
+
 /// Answers what has come in, assembles a block when one is due, until all handles are gone.
 fn serve(mut node: Node, inbox: &Receiver<Request>, announce: &watch::Sender<BlockRef>) {
     let mut open = true;
@@ -172,7 +206,9 @@ fn serve(mut node: Node, inbox: &Receiver<Request>, announce: &watch::Sender<Blo
         if !open {
             node.finish();
         } else if node.due() == Some(Duration::ZERO) {
+            fault::point("block-due");
             node.assemble();
+            fault::point("block-sealed");
         }
         announce.send_if_modified(|head| std::mem::replace(head, node.head) != node.head);
     }
@@ -183,6 +219,7 @@ fn handle(node: &mut Node, request: Request) -> bool {
     match request {
         Request::Rpc { method, parameters, reply } => drop(reply.send(rpc::answer(node, &method, parameters))),
         Request::Dump(reply) => drop(reply.send(dump(node))),
+        Request::Copy(path, reply) => drop(reply.send(node.file.copy_to(&path))),
         Request::Worked(nonce) => node.worked(nonce),
         Request::End => return false,
     }

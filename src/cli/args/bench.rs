@@ -16,6 +16,12 @@ pub struct BenchArguments {
 /// What can be measured.
 #[derive(Debug, Subcommand)]
 pub enum BenchVerb {
+    /// Signing, verifying and envelopes by SM2: ours and libsm
+    Sm2(AlgorithmArguments),
+    /// Digests by SM3 of 1 KB to 800 KB: ours, libsm and libgcrypt, beside the paper's
+    Sm3(AlgorithmArguments),
+    /// Sealing and opening by SM4-GCM, and whole records: ours, the crates, libsm and libgcrypt
+    Sm4(AlgorithmArguments),
     /// Concurrent uploads on the embedded chain (PoA, PoW) and a node, beside the paper's
     Consensus(ConsensusArguments),
     /// Gas per record: one by one, in batches, and the prototype's way
@@ -24,6 +30,16 @@ pub enum BenchVerb {
     Pipeline(PipelineArguments),
     /// Records that a gateway accepts per second, beside SM2 and SM3 alone; memory of idle connections
     Gateway(GatewayArguments),
+    /// Raw pictures, clouds and small messages compressed, sealed and restored, per codec
+    Pictures,
+}
+
+/// `bench sm2 …`, `bench sm3 …`, `bench sm4 …`
+#[derive(Debug, Args)]
+pub struct AlgorithmArguments {
+    /// How often each piece of work is timed
+    #[arg(long, value_name = "N", default_value_t = 300, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub runs: u32,
 }
 
 /// `bench consensus …`

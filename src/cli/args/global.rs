@@ -10,9 +10,9 @@ pub struct Global {
     /// Directory of this site [default: $XDG_DATA_HOME/authros or ~/.local/share/authros]
     #[arg(long, global = true, value_name = "DIR", env = "AUTHROS_HOME")]
     pub home: Option<PathBuf>,
-    /// Identity on this machine
-    #[arg(long, global = true, value_name = "NAME", env = "AUTHROS_PROFILE", default_value = "default")]
-    pub profile: String,
+    /// Identity on this machine [default: default]
+    #[arg(long, global = true, value_name = "NAME", env = "AUTHROS_PROFILE")]
+    pub profile: Option<String>,
     /// Print one JSON document (streams: one per line) on stdout
     #[arg(long, global = true)]
     pub json: bool,

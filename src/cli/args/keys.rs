@@ -11,6 +11,8 @@ pub enum IdentityVerb {
     Create,
     /// Show the public identity
     Show,
+    /// Wipe the keys that decrypt, grant and revoke from the running site's memory; capture goes on
+    Lock,
     /// Whether a fingerprint is that of this profile's key, or of an account's
     Compare {
         /// Eight groups of four hex characters, in quotes or without spaces
@@ -55,6 +57,12 @@ pub enum KeysVerb {
     },
     /// Begin a new epoch: readers keep what they have, new records need a new key
     Rotate,
+    /// Save the keyring, under its passphrase, to a new 0600 file
+    Backup {
+        /// File to write; must not exist
+        #[arg(long, value_name = "FILE")]
+        out: PathBuf,
+    },
     /// Write one key to a new 0600 file
     Export {
         /// Which key

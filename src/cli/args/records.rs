@@ -65,6 +65,12 @@ pub struct ListArguments {
     /// Only this topic
     #[arg(long, value_name = "TOPIC")]
     pub topic: Option<String>,
+    /// Only this message type, as nav_msgs/Odometry
+    #[arg(long = "type", value_name = "TYPE")]
+    pub type_name: Option<String>,
+    /// Only with this tag, as mission=harbour; may be repeated
+    #[arg(long = "tag", value_name = "KEY=VALUE")]
+    pub tags: Vec<String>,
     /// Only this state (uploads)
     #[arg(long, value_name = "STATE")]
     pub state: Option<String>,
@@ -131,8 +137,17 @@ pub enum SharedVerb {
     Open {
         /// Record id
         id: String,
-        /// Also write the message's bytes (a picture's own bytes where it is one) to a file
+        /// Also write it to a file: .json, .bin, pictures also .png, .jpg, .npy; of another name = a picture's own
+        /// bytes where it is one, else the message's
         #[arg(long, value_name = "FILE")]
         out: Option<PathBuf>,
+    },
+    /// Where the robot was, over the records of a topic that lead to one
+    Path {
+        /// Record id
+        id: String,
+        /// Records at most
+        #[arg(long, value_name = "N", default_value_t = 200)]
+        records: usize,
     },
 }

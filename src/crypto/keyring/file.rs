@@ -12,7 +12,7 @@ use crate::crypto::passphrase::Work;
 use crate::crypto::private_file::{
     check_private_directory, create_private, directory_of, make_private_directory, read_private, write_private,
 };
-use crate::crypto::{CryptoError, Passphrase, ProviderName, provider, random_bytes};
+use crate::crypto::{CryptoError, Passphrase, Provider, ProviderName, Sm4Key, SmKeyPair, provider, random_bytes};
 use crate::model::wire::{Reader, WireError};
 use crate::model::{Address, PublicKey};
 
@@ -159,12 +159,32 @@ pub struct UnlockedKeyring {
     pub keyring: Keyring,
     path: PathBuf,
     key: FileKey,
+    /// Keys are missing from `keyring`: it must not take the file's place.
+    stripped: bool,
 }
 
 impl UnlockedKeyring {
+    /// Wipes from memory what opens envelopes and old records, grants, and begins epochs: d_E, K_C, the secrets of all
+    /// epochs, and the key of the file, which stays whole. EOA, (d_C, P_C) and IK are kept.
+    ///
+    /// # Errors
+    /// [`CryptoError::Random`]; nothing is wiped then.
+    pub fn strip(&mut self, provider: &dyn Provider) -> Result<(), CryptoError> {
+        // Values of no meaning take their places; what they replace is wiped when it is dropped.
+        let (envelope, sm4) = (SmKeyPair::generate(provider)?, Sm4Key::generate()?);
+        self.stripped = true;
+        self.keyring.envelope.secret = envelope.secret;
+        self.keyring.sm4 = sm4;
+        for network in self.keyring.networks.values_mut() {
+            network.epochs.clear();
+        }
+        self.key.key = Zeroizing::new([0; 32]);
+        Ok(())
+    }
+
     /// A second handle on the same file, with the keys as they are now.
     pub fn duplicate(&self) -> Self {
-        Self { keyring: self.keyring.clone(), path: self.path.clone(), key: self.key.clone() }
+        Self { keyring: self.keyring.clone(), path: self.path.clone(), key: self.key.clone(), stripped: self.stripped }
     }
 
     /// Writes a new keyring file, never over one that exists.
@@ -175,7 +195,7 @@ impl UnlockedKeyring {
         make_private_directory(&directory_of(path))?;
         let key = FileKey::new(passphrase)?;
         create_private(path, &seal(&keyring, &key)?)?;
-        Ok(Self { keyring, path: path.to_owned(), key })
+        Ok(Self { keyring, path: path.to_owned(), key, stripped: false })
     }
 
     /// Reads and opens a keyring file.
@@ -192,14 +212,17 @@ impl UnlockedKeyring {
             Refusal::Passphrase => CryptoError::WrongPassphrase(shown(path)),
             Refusal::Damaged => damaged(),
         })?;
-        Ok(Self { keyring, path: path.to_owned(), key })
+        Ok(Self { keyring, path: path.to_owned(), key, stripped: false })
     }
 
     /// Writes the keyring back in one step.
     ///
     /// # Errors
-    /// [`CryptoError::Write`]; the old file is then still whole.
+    /// [`CryptoError::Write`], [`CryptoError::Locked`]; the old file is then still whole.
     pub fn save(&self) -> Result<(), CryptoError> {
+        if self.stripped {
+            return Err(CryptoError::Locked(shown(&self.path)));
+        }
         write_private(&self.path, &seal(&self.keyring, &self.key)?)
     }
 
@@ -208,6 +231,9 @@ impl UnlockedKeyring {
     /// # Errors
     /// As [`Self::save`].
     pub fn change_passphrase(&mut self, passphrase: &Passphrase) -> Result<(), CryptoError> {
+        if self.stripped {
+            return Err(CryptoError::Locked(shown(&self.path)));
+        }
         let key = FileKey::new(passphrase)?;
         write_private(&self.path, &seal(&self.keyring, &key)?)?;
         self.key = key;

@@ -1,8 +1,11 @@
 //! Checking and opening of a stored record.
 
 use subtle::ConstantTimeEq as _;
+use zeroize::Zeroizing;
 
+use crate::crypto::compression::unpack;
 use crate::crypto::{CryptoError, Provider, TopicKey, fault, signer_id};
+use crate::model::head::Compression;
 use crate::model::wire::WireError;
 use crate::model::{Address, Digest, Domain, Head, Header, PublicKey, RecorderId, Signature, TopicId, Verdict};
 
@@ -169,7 +172,18 @@ pub fn open(
         return Err(CryptoError::Tampered("plain length"));
     }
     compare(expected, &parts.header, &head)?;
-    Ok(OpenedRecord { header: parts.header, head, body: std::mem::take(&mut *body), digest, verdict })
+    let body = restore(&head, std::mem::take(&mut *body))?;
+    Ok(OpenedRecord { header: parts.header, head, body, digest, verdict })
+}
+
+/// The message as it was captured; the head's plain length bounds what is made of it.
+fn restore(head: &Head, body: Vec<u8>) -> Result<Vec<u8>, CryptoError> {
+    if head.compression == Compression::None {
+        return Ok(body);
+    }
+    let packed = Zeroizing::new(body);
+    let length = usize::try_from(head.plain_length).unwrap_or(usize::MAX);
+    unpack(head.compression, &packed, length).map_err(CryptoError::DamagedRecord)
 }
 
 fn compare(expected: &Expected, header: &Header, head: &Head) -> Result<(), CryptoError> {

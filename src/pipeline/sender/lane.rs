@@ -7,7 +7,7 @@ use tokio::sync::OwnedMutexGuard;
 use tokio::task::block_in_place;
 
 use crate::chain::{Call, Chain, ChainError};
-use crate::crypto::EoaSecret;
+use crate::crypto::{EoaSecret, fault};
 use crate::model::{Address, Hash};
 use crate::pipeline::PipelineError;
 use crate::pipeline::error::of_payer;
@@ -137,7 +137,9 @@ impl Lane<'_> {
             nonce += 1;
         }
         let sent: Vec<(Hash, Vec<u8>)> = rows.iter().map(|row| (row.hash, row.raw.clone())).collect();
+        fault::point("signed");
         block_in_place(|| self.sender.ledger.submit_many(rows))?;
+        fault::point("signed-kept");
         let (sender, chain, account) = (self.sender, self.chain, self.account);
         drop(self.held);
         let hashes = sent.iter().map(|(hash, _)| *hash).collect();
@@ -149,6 +151,7 @@ impl Lane<'_> {
                 break;
             }
         }
+        fault::point("handed-in");
         Ok(hashes)
     }
 }

@@ -10,6 +10,7 @@ use std::time::Duration;
 use tokio::task::block_in_place;
 
 use crate::chain::{BlockRef, Event, EventAt};
+use crate::crypto::fault;
 use crate::model::Hash;
 use crate::store::{RootSighting, Sighting};
 
@@ -68,6 +69,7 @@ pub async fn watch_round(plant: &Plant, network: &Network) -> Result<BlockRef, P
             if let Some(stages) = plant.observer.stages() {
                 stages.reached(Milestone::Confirmed, confirmed);
             }
+            fault::point("confirmed");
             plant.observer.records_changed();
         }
         return Ok(head);
@@ -108,17 +110,25 @@ async fn stands(network: &Network, block: Option<(u64, Hash)>) -> Result<bool, P
 fn write(plant: &Plant, network: &Network, events: &[EventAt], to: (u64, Hash)) -> Result<(), PipelineError> {
     let sightings: Vec<Sighting> = events.iter().filter_map(sighting).collect();
     let roots: Vec<RootSighting> = events.iter().filter_map(root_sighting).collect();
+    if !sightings.is_empty() || !roots.is_empty() {
+        fault::point("events-read");
+    }
     let mut changed = !sightings.is_empty() && plant.ledger.mined(&sightings)? > 0;
     changed |= !roots.is_empty() && plant.ledger.anchored(&roots)? > 0;
+    if changed {
+        fault::point("mined");
+    }
     let applied = events.iter().filter(|event| network.directory.apply(event)).count();
     if applied > 0 {
         plant.ledger.put_setting(DIRECTORY, &network.directory.write_down())?;
+        fault::point("directory-kept");
         plant.observer.directory_changed();
     }
     let mut met: Vec<(u64, Hash)> = events.iter().map(|event| (event.block, event.block_hash)).collect();
     met.dedup();
     plant.ledger.walk_to(CURSOR, to, met)?;
     if changed {
+        fault::point("walked");
         plant.observer.records_changed();
     }
     Ok(())

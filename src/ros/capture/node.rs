@@ -2,6 +2,7 @@
 //! the node shows to the master and to tools.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -10,6 +11,9 @@ use super::{CaptureNotice, MessageSink};
 use crate::model::{TopicName, TypeName, clean};
 use crate::ros::address::Endpoint;
 use crate::ros::slave::{BusLink, Node};
+
+/// How long a thread rests after a panic.
+const REST: Duration = Duration::from_millis(500);
 
 /// A lock that a panicking thread did not leave useless: the data are plain counters and lists.
 pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -159,12 +163,15 @@ pub(super) struct Threads {
 }
 
 impl Threads {
-    /// Runs `work` in a counted thread.
-    pub fn spawn(&self, name: &str, work: impl FnOnce() + Send + 'static) -> std::io::Result<()> {
+    /// Runs `work` in a counted thread until it ends by itself; after a panic, of which the panic hook tells, it is
+    /// begun again.
+    pub fn spawn(&self, name: &str, mut work: impl FnMut() + Send + 'static) -> std::io::Result<()> {
         let place = Counted::new(&self.running);
         std::thread::Builder::new().name(name.into()).spawn(move || {
             let _place = place;
-            work();
+            while catch_unwind(AssertUnwindSafe(&mut work)).is_err() {
+                std::thread::sleep(REST);
+            }
         })?;
         Ok(())
     }

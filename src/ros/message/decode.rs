@@ -40,12 +40,11 @@ impl Definition {
     /// # Errors
     /// [`RosError::Body`] where the body ends early, has bytes left over, or costs more than `limits`.
     pub fn decode(&self, body: &[u8], limits: Limits) -> Result<Value, RosError> {
-        let mut walk =
-            Walk { layouts: &self.layouts, reader: Reader::new(body), length: body.len(), limits, steps: limits.steps };
+        let mut walk = Walk { limits, ..Walk::new(&self.layouts, body, limits.steps) };
         let failed = |failure: Failure| RosError::body(self.type_name(), failure.to_string());
         let root = self.root().ok_or_else(|| RosError::body("", "the definition is empty"))?;
         let value = walk.message(root).map_err(failed)?;
-        walk.reader.end().map_err(|error| failed(error.into()))?;
+        walk.end().map_err(failed)?;
         Ok(value)
     }
 
@@ -65,16 +64,19 @@ impl Definition {
 }
 
 #[derive(Debug, thiserror::Error)]
-enum Failure {
+pub(super) enum Failure {
     #[error("{0}")]
     Wire(#[from] WireError),
     #[error("it claims {0} elements of {1}, more than its bytes can hold")]
     Claim(usize, String),
     #[error("it has more fields than can be shown")]
     Costly,
+    #[error("what was read of it could not be written")]
+    Written,
 }
 
-struct Walk<'a> {
+/// A walk over a body.
+pub(super) struct Walk<'a> {
     layouts: &'a [Layout],
     reader: Reader<'a>,
     length: usize,
@@ -83,6 +85,27 @@ struct Walk<'a> {
 }
 
 impl<'a> Walk<'a> {
+    pub fn new(layouts: &'a [Layout], body: &'a [u8], steps: usize) -> Self {
+        Self { layouts, reader: Reader::new(body), length: body.len(), limits: Limits::default(), steps }
+    }
+
+    pub fn layouts(&self) -> &'a [Layout] {
+        self.layouts
+    }
+
+    /// Nothing may be left.
+    pub fn end(&self) -> Result<(), Failure> {
+        Ok(self.reader.end()?)
+    }
+
+    /// Refuses a count of elements, each of at least `size` bytes, that the rest of the body cannot hold.
+    pub fn claim(&self, size: usize, count: usize, element: &str) -> Result<(), Failure> {
+        if size.saturating_mul(count) > self.reader.rest().len() {
+            return Err(Failure::Claim(count, element.split('[').next().unwrap_or_default().to_owned()));
+        }
+        Ok(())
+    }
+
     fn message(&mut self, layout: &'a Layout) -> Result<Value, Failure> {
         let mut fields = Vec::with_capacity(layout.fields.len().min(self.steps));
         for field in &layout.fields {
@@ -106,9 +129,7 @@ impl<'a> Walk<'a> {
         self.spend()?;
         let element = || field.written.split('[').next().unwrap_or_default().to_owned();
         let (size, fixed) = element_size(self.layouts, field.kind);
-        if size.saturating_mul(count) > self.reader.rest().len() {
-            return Err(Failure::Claim(count, element()));
-        }
+        self.claim(size, count, &field.written)?;
         if count <= self.limits.elements && size > 0 {
             return (0..count).map(|_| self.element(field.kind)).collect::<Result<_, _>>().map(Value::Array);
         }
@@ -156,16 +177,14 @@ impl<'a> Walk<'a> {
             Arity::Variable => self.count()?,
         };
         let (size, fixed) = element_size(self.layouts, field.kind);
-        if size.saturating_mul(count) > self.reader.rest().len() {
-            return Err(Failure::Claim(count, field.written.clone()));
-        }
+        self.claim(size, count, &field.written)?;
         if fixed {
             return self.reader.take(size * count, "array").map(drop).map_err(Failure::from);
         }
         (0..count).try_for_each(|_| self.skip(field.kind))
     }
 
-    fn primitive(&mut self, primitive: Primitive) -> Result<Value, Failure> {
+    pub fn primitive(&mut self, primitive: Primitive) -> Result<Value, Failure> {
         let reader = &mut self.reader;
         Ok(match primitive {
             Primitive::Bool => Value::Bool(reader.u8("bool")? != 0),
@@ -190,12 +209,12 @@ impl<'a> Walk<'a> {
         })
     }
 
-    fn text(&mut self) -> Result<&'a [u8], Failure> {
+    pub fn text(&mut self) -> Result<&'a [u8], Failure> {
         let length = self.count()?;
         Ok(self.reader.take(length, "text")?)
     }
 
-    fn count(&mut self) -> Result<usize, Failure> {
+    pub fn count(&mut self) -> Result<usize, Failure> {
         let count = u32::from_le_bytes(self.reader.array("length")?);
         Ok(usize::try_from(count).unwrap_or(usize::MAX))
     }
@@ -204,7 +223,7 @@ impl<'a> Walk<'a> {
         self.length - self.reader.rest().len()
     }
 
-    fn spend(&mut self) -> Result<(), Failure> {
+    pub fn spend(&mut self) -> Result<(), Failure> {
         self.steps = self.steps.checked_sub(1).ok_or(Failure::Costly)?;
         Ok(())
     }

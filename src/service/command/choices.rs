@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::model::{Party, RecordKind, RecordState, Timestamp, TopicName};
+use crate::model::{Party, RecordKind, RecordState, Timestamp, TopicName, TypeName};
 
 /// Which key a key file holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -36,6 +36,12 @@ pub struct UploadQuery {
     pub topic: Option<TopicName>,
     /// Only of this kind; `None` = captured messages.
     pub kind: Option<RecordKind>,
+    /// Only of this message type.
+    #[serde(default)]
+    pub type_name: Option<TypeName>,
+    /// Only with all of these tags (name, value) in the sealed head.
+    #[serde(default)]
+    pub tags: Vec<(String, String)>,
     /// Only in this state.
     pub state: Option<RecordState>,
     /// Captured at or after.

@@ -33,6 +33,9 @@ pub struct ChainView {
     /// Whose word has to be taken for all this, where it is not the own node's.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub through: Option<String>,
+    /// What its newest anchoring transactions cost.
+    #[serde(default)]
+    pub gas: GasView,
     /// How this profile's lanes stand: its own account's first, then its witnesses'.
     #[serde(default)]
     pub lanes: Vec<LaneState>,
@@ -42,6 +45,17 @@ pub struct ChainView {
     /// Who seals the blocks, and how often.
     #[serde(flatten)]
     pub sealing: Sealing,
+}
+
+/// What anchoring costs, over the newest transactions of one profile's lanes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct GasView {
+    /// Transactions that were counted, at most 100.
+    pub transactions: u64,
+    /// Their gas.
+    pub gas: u64,
+    /// The records that they anchored.
+    pub records: u64,
 }
 
 /// A contract that was put on the chain.

@@ -2,7 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::model::{Address, Digest, Hash, Timestamp, Verdict};
+use crate::model::{Address, Digest, Hash, Timestamp, Verdict, base64_text};
+use crate::ros::readable::Readable;
 
 /// One record in a list.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -82,16 +83,31 @@ pub struct OpenedView {
     pub caller_id: String,
     /// Tags, cleaned.
     pub tags: Vec<(String, String)>,
+    /// How it was compressed before it was sealed: `none`, `lz4`, `matrix`.
+    #[serde(default)]
+    pub compression: String,
+    /// Length of its sealed body, bytes.
+    #[serde(default)]
+    pub stored: u64,
     /// Field paths and values in order, cleaned, for screens.
     pub fields: Vec<(String, String)>,
     /// The message as JSON; long arrays summarised.
     pub message: serde_json::Value,
-    /// The message's bytes as captured.
+    /// Well-known types as people read them.
     #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub readable: Option<Readable>,
+    /// The first bytes of the message.
+    #[serde(with = "base64_text", skip_serializing_if = "Vec::is_empty", default)]
+    pub beginning: Vec<u8>,
+    /// The message's bytes as captured, unless it is a long one.
+    #[serde(with = "base64_text::option", skip_serializing_if = "Option::is_none", default)]
     pub body: Option<Vec<u8>>,
-    /// A picture's own bytes (JPEG, PNG) where the message is one.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
+    /// A picture's own bytes (JPEG, PNG) where the message is one, unless it is a long one.
+    #[serde(with = "base64_text::option", skip_serializing_if = "Option::is_none", default)]
     pub picture: Option<Vec<u8>>,
+    /// The file that was asked for.
+    #[serde(with = "base64_text::option", skip_serializing_if = "Option::is_none", default)]
+    pub file: Option<Vec<u8>>,
 }
 
 /// What a check of one record found.

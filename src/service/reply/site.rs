@@ -83,4 +83,21 @@ pub struct SiteView {
     pub robots: u16,
     /// Profiles open in this site.
     pub profiles: Vec<ProfileName>,
+    /// Background tasks and how they are.
+    #[serde(default)]
+    pub tasks: Vec<super::TaskView>,
+    /// What waits to be sealed.
+    #[serde(default)]
+    pub queue: QueueView,
+}
+
+/// The ring between capture and sealer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct QueueView {
+    /// Messages in it.
+    pub messages: u64,
+    /// Their bytes.
+    pub bytes: u64,
+    /// The most bytes it takes; beyond, the newest message is dropped and counted.
+    pub capacity: u64,
 }

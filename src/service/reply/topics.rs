@@ -30,6 +30,12 @@ pub struct TopicRow {
     pub lost_in_recorder: u64,
     /// Arrival of the last message.
     pub last_message: Option<Timestamp>,
+    /// Publishers that are pinned to it; 0 = none yet.
+    #[serde(default)]
+    pub pins: u64,
+    /// Of `publishers` those that are not pinned, where any is.
+    #[serde(default)]
+    pub unpinned: Vec<String>,
     /// Messages of it that this profile holds in quarantine.
     #[serde(default)]
     pub quarantined: u64,

@@ -112,7 +112,8 @@ impl Agent {
         }
         site.wishes_changed();
         let (link, refused) = (forwarder.link(), forwarder.refused());
-        let forwarder = tokio::spawn(forward(Arc::clone(site), forwarder));
+        let forwarder = Arc::new(tokio::sync::Mutex::new(forwarder));
+        let forwarder = site.supervise("forwarder", move |site| forward(site, Arc::clone(&forwarder)));
         let (site, length) = (Arc::clone(site), wishes.length);
         Ok(Self { site, name, author, session, topics, length, link, refused, before, forwarder })
     }
@@ -124,7 +125,7 @@ impl Agent {
     /// Of the outbox.
     pub async fn run(
         &mut self,
-        told: impl Future<Output = ()>,
+        told: impl Future,
         mut progress: impl FnMut(&AgentFigures),
     ) -> Result<AgentEnd, Failure> {
         let length = self.length;
@@ -138,7 +139,7 @@ impl Agent {
         let (mut up, mut looks, mut shown) = (false, 0u32, None);
         loop {
             tokio::select! {
-                () = &mut told => return Ok(AgentEnd::Told),
+                _ = &mut told => return Ok(AgentEnd::Told),
                 () = &mut time_is_up, if !up => {
                     up = true;
                     self.session.close();
@@ -225,8 +226,8 @@ impl Agent {
     }
 }
 
-async fn forward(site: Arc<Site>, mut forwarder: Forwarder) {
-    forwarder.run(&site.hub.stored).await;
+async fn forward(site: Arc<Site>, forwarder: Arc<tokio::sync::Mutex<Forwarder>>) {
+    forwarder.lock().await.run(&site.hub.stored).await;
 }
 
 fn forwarder(site: &Site, enrolment: &Enrolment) -> Result<Forwarder, Failure> {

@@ -27,6 +27,9 @@ impl Site {
         self.ros_link().await?;
         if owner.sealing().is_none() {
             self.register(owner).await?;
+        } else {
+            // Whoever waits for verified records is told at once where there is no chain to verify them.
+            self.network().await?;
         }
         let names: Vec<String> = topics.iter().map(ToString::to_string).collect();
         let listed = names.join(" ");

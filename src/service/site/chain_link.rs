@@ -14,6 +14,9 @@ use crate::service::failure::{input, internal};
 use crate::service::reply::Failure;
 use crate::store::atomic_write;
 
+/// The longest pause between two attempts to connect, seconds: a node that is back is found within it.
+const LONGEST_PAUSE: u64 = 5;
+
 /// Where the link stands.
 #[derive(Clone)]
 pub enum NetworkState {
@@ -84,7 +87,7 @@ impl Site {
                 () = tokio::time::sleep(Duration::from_secs(pause)) => {}
                 () = self.stopped() => return,
             }
-            pause = (pause * 2).min(30);
+            pause = (pause * 2).min(LONGEST_PAUSE);
         }
     }
 

@@ -8,7 +8,7 @@ use tokio::sync::oneshot;
 use super::Site;
 use crate::model::{ErrorKind, ProfileName};
 use crate::pipeline::Owner;
-use crate::service::command::{Command, Request};
+use crate::service::command::{Command, Request, StoreCommand};
 use crate::service::reply::{Failure, Reply};
 
 /// What a connection holds as long as it lasts.
@@ -60,6 +60,7 @@ impl Site {
                 claims.lock().unwrap_or_else(PoisonError::into_inner).servers.push(end);
                 Ok(Reply::Served(served))
             }
+            Command::Operate(operation) => self.operate(&profile, operation).await,
             Command::ChainStatus => self.chain_view(&profile).await.map(Reply::Chain),
             Command::SiteStatus => self.site_view(&profile).await.map(Reply::Site),
             Command::ListAudit(query) => self.audit_lines(query).await.map(Reply::Audit),
@@ -67,6 +68,7 @@ impl Site {
                 let owner = if heads { Some(self.unlocked(&profile)?) } else { None };
                 self.verify_audit(owner).await.map(Reply::AuditChecked)
             }
+            Command::OfStore(command) => self.handle_store(&profile, command).await,
             Command::CompareFingerprint { fingerprint, account } => {
                 self.compare_fingerprint(&profile, &fingerprint, account).await.map(Reply::Compared)
             }
@@ -81,6 +83,18 @@ impl Site {
             Command::ListUploads(query) => self.list_uploads(&profile, query).await.map(Reply::Records),
             Command::ShowUpload { id } => self.provenance(&profile, &id).await.map(Reply::Provenance),
             other => self.handle_unlocked(&profile, other, claims).await,
+        }
+    }
+
+    async fn handle_store(self: &Arc<Self>, profile: &ProfileName, command: StoreCommand) -> Result<Reply, Failure> {
+        match command {
+            StoreCommand::AuditRecords { deep, since } => {
+                self.audit_records(deep, since).await.map(|audit| Reply::RecordsAudited(Box::new(audit)))
+            }
+            StoreCommand::ListUploads(query) => self.list_all_uploads(query).await.map(Reply::Records),
+            StoreCommand::BackUp { file, passphrase } => {
+                self.back_up(profile, file, passphrase).await.map(Reply::BackedUp)
+            }
         }
     }
 
@@ -127,7 +141,7 @@ impl Site {
             Command::ListDevices => self.device_rows(&owner).await.map(Reply::Devices),
             Command::Administer(act) => self.administer(&owner, &act).await.map(Reply::Transaction),
             Command::AdoptChain => self.adopt_chain(&owner).await.map(Reply::Transaction),
-            Command::ListShared(_) | Command::CheckShared { .. } | Command::OpenShared { .. } => {
+            Command::ListShared(_) | Command::CheckShared { .. } | Command::OpenShared { .. } | Command::View(_) => {
                 self.caught_up(profile).await?;
                 self.handle_shared(&owner, command).await
             }
@@ -140,6 +154,7 @@ impl Site {
         match command {
             Command::ListShared(query) => self.list_shared(owner, query).await.map(Reply::Records),
             Command::CheckShared { id } => self.check_record(owner, &id).await.map(Reply::Check),
+            Command::View(viewing) => self.handle_viewing(owner, viewing).await,
             Command::OpenShared { id } => self.open_record(owner, &id).await.map(|view| Reply::Opened(Box::new(view))),
             _ => Err(unknown()),
         }

@@ -62,6 +62,8 @@ impl Site {
         if owner.token(network.domain, on_chain)
             != network.directory.account(owner.address).and_then(|account| account.tokens.get(&on_chain).copied())
         {
+            // What was taken for the current epoch is not: nobody knows who reads under it.
+            owner.author.rest();
             return Err(crate::service::failure::refused(format!(
                 "the keyring of '{}' lacks the key of its current epoch {on_chain}; restore the newest keyring, or begin a new epoch with `authros keys rotate`",
                 owner.profile

@@ -95,9 +95,6 @@ impl Site {
 
     /// Keeps the witnesses of an owner registered and able to pay, until the owner is closed or the site ends.
     pub(super) async fn keep_witnesses(self: Arc<Self>, owner: Arc<Owner>) {
-        if self.config.lanes < 2 {
-            return;
-        }
         while !self.is_stopping() && self.owner(&owner.profile).is_some_and(|other| Arc::ptr_eq(&other, &owner)) {
             if let Some(network) = self.network_now()
                 && network.directory.identity(owner.address).is_ok()

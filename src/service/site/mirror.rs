@@ -1,5 +1,5 @@
 //! Keeps what a gateway has for a profile here: lists and fetches what is missing, then takes records as they come.
-//! A lost connection is opened again, with pauses that grow to half a minute.
+//! A lost connection is opened again, with pauses that grow to five seconds.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -10,6 +10,7 @@ use tokio::task::block_in_place;
 
 use super::Site;
 use super::remote::{Mirrored, Remote};
+use super::supervision::Aborted;
 use crate::gateway::{Client, Code, Entry, Fetched, GatewayError, Query, Selection, Standing};
 use crate::model::{Address, Timestamp};
 use crate::pipeline::mirror::{Anchors, Mirror, sources};
@@ -18,7 +19,7 @@ use crate::service::event::{NoticeLevel, Part};
 use crate::service::reply::Failure;
 
 /// The first pause after a failure, and the longest.
-const PAUSES: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(30));
+const PAUSES: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(5));
 /// How often proofs that are missing are asked for, and grants are looked at.
 const TICK: Duration = Duration::from_millis(500);
 /// Entries on a page.
@@ -74,6 +75,11 @@ impl Site {
                 tokio::time::sleep(TICK).await;
                 continue;
             };
+            if owner.is_locked() {
+                // The transport key lies under d_E.
+                tokio::time::sleep(TICK).await;
+                continue;
+            }
             if network.directory.identity(owner.address).is_err() {
                 // Nobody can share with it, and the gateway does not know it.
                 remote.note(&owner.profile, Mirrored::Caught);
@@ -282,15 +288,6 @@ impl Site {
             }
         }
         Ok(asked)
-    }
-}
-
-/// Ends a task where it is dropped.
-struct Aborted(tokio::task::JoinHandle<()>);
-
-impl Drop for Aborted {
-    fn drop(&mut self) {
-        self.0.abort();
     }
 }
 

@@ -6,6 +6,7 @@
 mod adoption;
 mod agent;
 mod audit;
+mod backing_up;
 mod capture;
 mod chain_link;
 mod contacts;
@@ -23,10 +24,12 @@ mod lanes;
 mod mirror;
 mod naming;
 mod opening;
+mod operating;
 mod overdue;
 mod owners;
 mod pins;
 mod quarantine;
+mod record_audit;
 mod refusals;
 mod remote;
 mod retaining;
@@ -36,15 +39,18 @@ mod sharing;
 mod statements;
 mod status;
 mod succession;
+mod supervision;
 mod telling;
 mod topics;
 mod uploads;
 mod view;
+mod viewing;
 mod workers;
 
 use std::collections::{BTreeMap, HashSet};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, RwLock};
+use std::time::{Duration, Instant};
 
 use tokio::sync::{broadcast, mpsc, watch};
 
@@ -57,7 +63,7 @@ use super::client::{Call, Client};
 use super::event::{Event, Part};
 use super::failure::internal;
 use super::hub::Hub;
-use super::reply::{Failure, GatewayView};
+use super::reply::Failure;
 use crate::chain::BlockRef;
 use crate::config::Config;
 use crate::crypto::provider;
@@ -70,7 +76,9 @@ use crate::pipeline::{CaptureSession, Losses, Owner, PinRules, Pins, Plant, Reco
 use crate::store::{AuditLog, RESERVE_BYTES, Reserve, SiteLock, open_vault};
 
 /// How long the nodes may take to leave the ROS graph.
-const LEAVING: std::time::Duration = std::time::Duration::from_secs(3);
+const LEAVING: Duration = Duration::from_secs(2);
+/// How long captured messages may take to be stored at the end, counted from its beginning.
+const FLUSHING: Duration = Duration::from_secs(4);
 
 /// Which parts this run needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -90,7 +98,7 @@ pub struct Site {
     pub(crate) sender: Arc<Sender>,
     recorder: Arc<Recorder>,
     /// The gateway that this site serves, if it does.
-    served_gateway: Mutex<Option<GatewayView>>,
+    served_gateway: Mutex<Option<operating::Serving>>,
     pins: Arc<Pins>,
     /// Quarantine records are sealed one at a time.
     reporting: tokio::sync::Mutex<()>,
@@ -101,6 +109,8 @@ pub struct Site {
     reserve: Reserve,
     /// Space for the states of records on a full disk.
     states: Reserve,
+    /// Changes of the watch lists happen one at a time.
+    watching: Mutex<()>,
     /// Changes of the address book happen one at a time.
     contacts: tokio::sync::Mutex<()>,
     owners: RwLock<BTreeMap<ProfileName, Arc<Owner>>>,
@@ -110,9 +120,12 @@ pub struct Site {
     scanned: watch::Sender<u64>,
     ros: watch::Sender<RosState>,
     stopping: watch::Sender<bool>,
+    /// Set as soon as the site was told to end; background tasks are not begun again from then on.
+    ending: AtomicBool,
+    tasks: supervision::Tasks,
     chain_silent: AtomicBool,
     /// The newest head, and when the chain told it.
-    head_seen: Mutex<Option<(std::time::Instant, BlockRef)>>,
+    head_seen: Mutex<Option<(Instant, BlockRef)>>,
     /// The gateway through which this site joins another one.
     remote: Option<remote::Remote>,
     guests: AtomicUsize,
@@ -164,6 +177,7 @@ impl Site {
             served_gateway: Mutex::default(),
             reserve,
             states,
+            watching: Mutex::default(),
             contacts: tokio::sync::Mutex::default(),
             home,
             config,
@@ -178,6 +192,8 @@ impl Site {
             scanned: watch::channel(0).0,
             ros: watch::channel(if needs.ros { RosState::Starting } else { RosState::Off }).0,
             stopping: watch::channel(false).0,
+            ending: AtomicBool::new(false),
+            tasks: supervision::Tasks::default(),
             chain_silent: AtomicBool::new(false),
             head_seen: Mutex::default(),
             remote,
@@ -248,6 +264,11 @@ impl Site {
         *self.stopping.borrow()
     }
 
+    /// Whether the site was told to end; it may still be storing what was captured.
+    pub(super) fn is_ending(&self) -> bool {
+        self.ending.load(Ordering::Acquire)
+    }
+
     /// Waits until the site is ending.
     pub async fn stopped(&self) {
         let mut stopping = self.stopping.subscribe();
@@ -260,8 +281,10 @@ impl Site {
         &self.hub.stages
     }
 
-    /// Ends the site: no further capture, all captured messages acknowledged, files closed.
+    /// Ends the site within five seconds: no further capture, all captured messages acknowledged, files closed.
     pub async fn stop(self: Arc<Self>) {
+        let begun = Instant::now();
+        self.ending.store(true, Ordering::Release);
         self.ros.send_replace(RosState::Off);
         let ros = self.ros_task.lock().unwrap_or_else(std::sync::PoisonError::into_inner).take();
         if let Some(task) = ros {
@@ -270,13 +293,26 @@ impl Site {
         self.rings.close();
         let sealer = self.sealer.lock().unwrap_or_else(std::sync::PoisonError::into_inner).take();
         if let Some(thread) = sealer {
-            drop(tokio::task::spawn_blocking(move || thread.join()).await);
+            let joined = tokio::task::spawn_blocking(move || thread.join());
+            if tokio::time::timeout(FLUSHING.saturating_sub(begun.elapsed()), joined).await.is_err() {
+                self.tell_unstored();
+            }
         }
         self.stopping.send_replace(true);
         self.network.send_replace(NetworkState::Off);
         self.write_counted(None).await;
         let ledger = self.plant.ledger.clone();
         drop(tokio::task::spawn_blocking(move || ledger.close()).await);
+    }
+
+    /// Ledger or vault take nothing, and the process must end all the same.
+    fn tell_unstored(&self) {
+        let (messages, _) = self.rings.depth();
+        let text = format!(
+            "{messages} or more captured messages could not be stored before the end, they were never acknowledged; \
+             see to disk and vault before the next start"
+        );
+        self.hub.notice(super::event::NoticeLevel::Error, &text);
     }
 
     pub(crate) fn owner(&self, profile: &ProfileName) -> Option<Arc<Owner>> {
@@ -288,7 +324,7 @@ impl Site {
     }
 
     pub(crate) fn unlocked(&self, profile: &ProfileName) -> Result<Arc<Owner>, Failure> {
-        self.owner(profile).ok_or_else(|| match self.home.keyring(profile).exists() {
+        self.owner(profile).filter(|owner| !owner.is_locked()).ok_or_else(|| match self.home.keyring(profile).exists() {
             true => super::failure::refused(format!(
                 "the keyring of profile '{profile}' is locked; unlock it with --passphrase-file or --passphrase-fd"
             )),

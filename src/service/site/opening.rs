@@ -3,14 +3,17 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use super::view::{record_page, record_query, record_view};
-use super::{Site, statements};
-use crate::model::{Address, Scope, Timestamp, TopicId, clean};
-use crate::pipeline::Owner;
+use super::Site;
+use super::view::{record_page, record_query};
+use crate::crypto::GrantedKeys;
+use crate::model::{Address, FilterId, Scope, Timestamp, TopicId};
+use crate::pipeline::directory::Granted;
+use crate::pipeline::epoch::tag_filter;
 use crate::pipeline::reader::{Reader, is_held};
-use crate::ros::Limits;
+use crate::pipeline::{Network, Owner};
 use crate::service::command::UploadQuery;
-use crate::service::reply::{CheckView, Failure, OpenedView, RecordPage};
+use crate::service::failure::input;
+use crate::service::reply::{CheckView, Failure, RecordPage};
 use crate::store::RecordQuery;
 
 impl Site {
@@ -22,21 +25,26 @@ impl Site {
     ) -> Result<RecordPage, Failure> {
         let network = self.network().await?;
         let (me, now) = (owner.address, Timestamp::now());
-        let grants = network.directory.grants(|grant| grant.terms.grantee == me && grant.is_active(now));
-        let mut scopes: HashMap<Address, Scope> = HashMap::new();
         let wanted = query.owner.as_ref().map(|owner| self.resolve(owner)).transpose()?;
-        for grant in grants.into_iter().filter(|grant| wanted.is_none_or(|wanted| wanted == grant.terms.owner)) {
-            scopes.insert(grant.terms.owner, grant.terms.scope);
+        let grants = network.directory.grants(|grant| {
+            let of_wanted = wanted.is_none_or(|wanted| wanted == grant.terms.owner);
+            of_wanted && grant.terms.grantee == me && grant.is_active(now)
+        });
+        let mut scopes: HashMap<Address, Scope> = HashMap::new();
+        for grant in &grants {
+            scopes.insert(grant.terms.owner, grant.terms.scope.clone());
         }
         if scopes.is_empty() {
             return Ok(RecordPage { records: Vec::new(), next: None });
         }
         self.audit_query(owner, "list shared", &query).await?;
+        let filters = self.shared_tag_filters(&network, owner, &grants, &query.tags)?;
         let readable = self.readable_topics(&scopes).await?;
         let query = RecordQuery {
             owners: Some(scopes.keys().copied().collect()),
             owner: None,
             topic_ids: Some(readable),
+            filters,
             ..record_query(query)
         };
         let reader = Reader { plant: &self.plant, network: &network, reader: owner };
@@ -68,6 +76,32 @@ impl Site {
         }
     }
 
+    /// The ids by which records of another are found by their tags: IK of one owner, as a grant of all topics
+    /// carries it.
+    fn shared_tag_filters(
+        &self,
+        network: &Network,
+        owner: &Owner,
+        grants: &[Granted],
+        tags: &[(String, String)],
+    ) -> Result<Vec<FilterId>, Failure> {
+        if tags.is_empty() {
+            return Ok(Vec::new());
+        }
+        let [grant] = grants else {
+            return Err(input("tags are looked for among the records of one owner; name the owner beside them"));
+        };
+        let reader = Reader { plant: &self.plant, network, reader: owner };
+        match reader.open_envelope(grant, grant.terms.epoch)?.keys {
+            GrantedKeys::All { ref index_key, .. } => {
+                Ok(tags.iter().map(|(name, value)| tag_filter(index_key, name, value)).collect())
+            }
+            GrantedKeys::Topics { .. } => Err(input(
+                "a grant of some topics does not carry the key by which tags are found; search by topic or type",
+            )),
+        }
+    }
+
     async fn readable_topics(self: &Arc<Self>, scopes: &HashMap<Address, Scope>) -> Result<Vec<TopicId>, Failure> {
         let mut ids = Vec::new();
         for (owner, scope) in scopes {
@@ -94,42 +128,5 @@ impl Site {
         self.audit_first(owner, "check", &row.id).await?;
         let (verdict, digest) = reader.check(&row).await?;
         Ok(CheckView { id: row.id, verdict, digest, transaction: row.transaction, block: row.block })
-    }
-
-    /// Checks, decrypts and decodes one record, shared or own.
-    pub(super) async fn open_record(self: &Arc<Self>, owner: &Arc<Owner>, id: &str) -> Result<OpenedView, Failure> {
-        let row = self.find_record(id).await?;
-        let network = self.network().await?;
-        let reader = Reader { plant: &self.plant, network: &network, reader: owner };
-        let allowed = reader.authorise(&row);
-        self.count_refusal(owner, &allowed);
-        allowed?;
-        self.audit_first(owner, "decrypt", &row.id).await?;
-        let opened = reader.open(&row).await?;
-        let definition = reader.definition(&row, &opened).await?;
-        let decoded =
-            definition.as_ref().and_then(|definition| definition.decode(&opened.body, Limits::default()).ok());
-        let picture = definition
-            .as_ref()
-            .and_then(|definition| definition.compressed_image(&opened.body))
-            .and_then(|picture| opened.body.get(picture.data).map(<[u8]>::to_vec))
-            .filter(|_| !crate::crypto::fault::is_off("restore"));
-        let fields = decoded.as_ref().map(|value| value.flatten()).unwrap_or_default();
-        let stated = statements::view(row.kind, &opened.body);
-        Ok(OpenedView {
-            record: record_view(&row, row.owner != owner.address),
-            verdict: opened.verdict,
-            caller_id: clean(&opened.head.caller_id, 255),
-            tags: opened.head.tags.iter().map(|(key, value)| (clean(key, 64), clean(value, 200))).collect(),
-            fields: stated
-                .as_ref()
-                .map_or(fields, statements::fields)
-                .into_iter()
-                .map(|(path, text)| (clean(&path, 200), clean(&text, 400)))
-                .collect(),
-            message: stated.or_else(|| decoded.map(|value| value.to_json())).unwrap_or_default(),
-            body: Some(opened.body),
-            picture,
-        })
     }
 }

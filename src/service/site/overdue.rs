@@ -36,6 +36,18 @@ impl Site {
         Ok(())
     }
 
+    /// The same however far away that moment is: with a locked keyring it could not be done when the time comes.
+    pub(super) fn foresee_locked(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
+        let Some(epoch) = owner.sealing().filter(|keys| keys.domain == network.domain).map(|keys| keys.epoch) else {
+            return Ok(());
+        };
+        if let Some(moment) = self.earliest_expiry(owner, network, epoch) {
+            owner.prepare_epoch(network.domain, epoch + 1)?;
+            owner.seal_from(moment, network.domain, epoch + 1)?;
+        }
+        Ok(())
+    }
+
     /// When the first of the grants that cover an epoch runs out.
     pub(super) fn earliest_expiry(&self, owner: &Owner, network: &Network, epoch: u64) -> Option<Timestamp> {
         let covering = network.directory.grants(|grant| {

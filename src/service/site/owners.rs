@@ -2,12 +2,12 @@
 
 use std::sync::{Arc, PoisonError};
 
-use super::{Site, workers};
+use super::Site;
 use crate::crypto::{Fingerprint, Keyring, Passphrase, UnlockedKeyring, read_public};
 use crate::model::ProfileName;
-use crate::pipeline::Owner;
+use crate::pipeline::{Owner, adoption};
 use crate::service::command::SecretText;
-use crate::service::event::Part;
+use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::refused;
 use crate::service::reply::{Failure, IdentityView};
 
@@ -42,13 +42,18 @@ impl Site {
         profile: ProfileName,
         secret: SecretText,
     ) -> Result<IdentityView, Failure> {
-        if self.owner(&profile).is_none() {
+        let there = self.owner(&profile);
+        if there.as_ref().is_none_or(|owner| owner.is_locked()) {
             let path = self.home.keyring(&profile);
             let passphrase = Passphrase::new(secret.expose().to_owned())?;
             let opened = self.blocking(move |_| Ok(UnlockedKeyring::open(&path, &passphrase)?)).await;
             let outcome = if opened.is_ok() { "done" } else { "refused" };
             self.record_audit(&profile, "unlock", "keyring", outcome).await?;
-            self.adopt_owner(profile.clone(), opened?);
+            match there {
+                Some(owner) => owner.unlock(opened?),
+                None => drop(self.adopt_owner(profile.clone(), opened?)),
+            }
+            self.changed(Part::Identity);
         }
         if let (Some(owner), Some(_)) = (self.owner(&profile), self.network_now()) {
             self.resume_owner(&owner).await?;
@@ -61,12 +66,22 @@ impl Site {
         let owner = Arc::new(Owner::new(profile.clone(), keyring));
         self.pins.introduce(owner.address, profile.as_str());
         self.owners.write().unwrap_or_else(PoisonError::into_inner).insert(profile, Arc::clone(&owner));
-        tokio::spawn(workers::anchor(Arc::clone(self), Arc::clone(&owner)));
-        tokio::spawn(Arc::clone(self).keep_witnesses(Arc::clone(&owner)));
-        tokio::spawn(Arc::clone(self).mirror(Arc::clone(&owner)));
+        self.seal_as_before(&owner);
+        self.work_for(&owner);
         self.restore_watches(&owner);
         self.changed(Part::Identity);
         owner
+    }
+
+    /// Seals under the newest epoch of the keyring until the chain says how it stands, so that a start costs no message
+    /// and capture needs no chain; only where the chain is known to have an epoch of this owner.
+    fn seal_as_before(&self, owner: &Owner) {
+        let Ok(Some(pin)) = self.pin() else { return };
+        let domain = adoption::domain_of(&pin);
+        let newest = owner.epochs(domain).last().copied().filter(|_| owner.has_registered_epoch(domain));
+        if let Some(Err(error)) = newest.map(|epoch| owner.seal_under(domain, epoch)) {
+            self.hub.notice(NoticeLevel::Warning, &error.to_string());
+        }
     }
 
     /// Opens an owner anew after its account changed.
@@ -82,7 +97,7 @@ impl Site {
         let mut view = IdentityView {
             profile: profile.clone(),
             exists: path.exists(),
-            unlocked: owner.is_some(),
+            unlocked: owner.is_some_and(|owner| !owner.is_locked()),
             registered: false,
             address: None,
             epoch: None,

@@ -143,7 +143,10 @@ impl Site {
         let reports = self.anchored_reports(&rows_now).await?;
         self.audit_each(owner, "discard quarantined", &rows_now).await?;
         let digests: Vec<Digest> = rows_now.iter().map(|row| row.record.digest).collect();
+        // A back-up that is taken now must not see the bytes gone and the rows not.
+        let one_at_a_time = self.reporting.lock().await;
         self.blocking(move |site| Ok(quarantine::discard(&site.plant, &digests)?)).await?;
+        drop(one_at_a_time);
         self.decided(owner, &held)?;
         let messages = messages(&rows_now);
         let counted = reports.len();

@@ -52,13 +52,18 @@ pub struct RosLink {
     graph: Graph,
     topics: std::sync::RwLock<Vec<TopicInfo>>,
     // Dropped last: nodes unregister at it.
-    _master: Option<EmbeddedMaster>,
+    master: Option<EmbeddedMaster>,
 }
 
 impl RosLink {
     /// The graph's topics at the last look.
     pub fn topics(&self) -> Vec<TopicInfo> {
         self.topics.read().unwrap_or_else(std::sync::PoisonError::into_inner).clone()
+    }
+
+    /// Whether the master in this process has ended by a fault of its own.
+    fn has_lost_its_master(&self) -> bool {
+        self.master.as_ref().is_some_and(|master| !master.is_running())
     }
 
     fn look(&self) -> Result<bool, Failure> {
@@ -75,6 +80,14 @@ impl Site {
     /// Brings the ROS side up and keeps looking at the graph until the site ends.
     pub(super) async fn keep_ros(self: Arc<Self>) {
         let link = loop {
+            // Begun again after a fault, the task finds the link still at work.
+            let kept = match &*self.ros.borrow() {
+                RosState::Up(link) | RosState::Down { link: Some(link), .. } => Some(Arc::clone(link)),
+                _ => None,
+            };
+            if let Some(link) = kept {
+                break link;
+            }
             let site = Arc::clone(&self);
             match self.blocking(move |_| site.start_ros()).await {
                 Ok(link) => break Arc::new(link),
@@ -98,6 +111,17 @@ impl Site {
                 () = self.leaving() => break,
             }
             self.look_at_graph(&link).await;
+            if link.has_lost_its_master() {
+                // Returning early is a fault: everything here is begun anew, with another master.
+                self.ros.send_if_modified(|state| {
+                    let ending = matches!(state, RosState::Off);
+                    if !ending {
+                        *state = RosState::Starting;
+                    }
+                    !ending
+                });
+                break;
+            }
         }
         // The nodes unregister at the master and their threads are joined: not on an async thread.
         drop(tokio::task::spawn_blocking(move || drop(link)).await);
@@ -137,7 +161,7 @@ impl Site {
             fleet,
             graph,
             topics: std::sync::RwLock::default(),
-            _master: master,
+            master,
         };
         link.look()?;
         self.follow_wishes(&link);

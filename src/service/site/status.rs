@@ -7,8 +7,12 @@ use tokio::task::block_in_place;
 use super::{NetworkState, RosState, Site};
 use crate::config::without_password;
 use crate::model::{ProfileName, RecordState, clean};
+use crate::pipeline::sender::LaneState;
 use crate::service::event::Part;
-use crate::service::reply::{ChainView, Failure, HealthLevel, LifeLine, PartHealth, SiteView};
+use crate::service::reply::{ChainView, Failure, GasView, HealthLevel, LifeLine, PartHealth, QueueView, SiteView};
+
+/// The most transactions that the gas per record is taken over.
+const GAS_OVER: u64 = 100;
 
 impl Site {
     /// Health, counts, robots and open profiles.
@@ -19,7 +23,14 @@ impl Site {
         };
         let profiles = self.all_owners().iter().map(|owner| owner.profile.clone()).collect();
         let health = vec![self.ros_health(), self.chain_health(), self.vault_health(), self.gateway_health()];
-        Ok(SiteView { health, life: block_in_place(|| self.life_line(profile))?, robots, profiles })
+        let life = block_in_place(|| self.life_line(profile))?;
+        Ok(SiteView { health, life, robots, profiles, queue: self.queue_view(), tasks: self.task_views() })
+    }
+
+    fn queue_view(&self) -> QueueView {
+        let (messages, bytes) = self.rings.depth();
+        let count = |number: usize| u64::try_from(number).unwrap_or(u64::MAX);
+        QueueView { messages: count(messages), bytes: count(bytes), capacity: count(self.rings.capacity()) }
     }
 
     fn ros_health(&self) -> PartHealth {
@@ -67,10 +78,13 @@ impl Site {
     fn gateway_health(&self) -> PartHealth {
         let served = self.served_gateway.lock().unwrap_or_else(PoisonError::into_inner);
         match &*served {
-            Some(view) => part(
+            Some(serving) => part(
                 "gateway",
                 HealthLevel::Ok,
-                &format!("{}, fingerprint {}, anchors as {}", view.address, view.fingerprint, view.account),
+                &format!(
+                    "{}, fingerprint {}, anchors as {}",
+                    serving.view.address, serving.view.fingerprint, serving.view.account
+                ),
             ),
             None => part("gateway", HealthLevel::Absent, "none here; authros gateway serve"),
         }
@@ -150,12 +164,28 @@ impl Site {
             balance: status.balance.unwrap_or_else(|| "0".to_owned()),
             nonce: status.nonce.unwrap_or(0),
             pending,
+            gas: block_in_place(|| self.gas_of(&lanes))?,
             lanes,
             client: clean(&status.client, 100),
             through: self.remote.as_ref().map(|remote| clean(&remote.chain_text(), 300)),
             administration: self.network_now().map(|network| self.administration_view(&network)).unwrap_or_default(),
             sealing: chain.sealing().await?,
         })
+    }
+}
+
+impl Site {
+    /// What anchoring costs, over the newest transactions of these lanes.
+    fn gas_of(&self, lanes: &[LaneState]) -> Result<GasView, Failure> {
+        let mut view = GasView::default();
+        for lane in lanes {
+            let left = GAS_OVER.saturating_sub(view.transactions);
+            let (transactions, gas, records) = self.plant.ledger.anchoring_gas(lane.account, left)?;
+            view.transactions += transactions;
+            view.gas += gas;
+            view.records += records;
+        }
+        Ok(view)
     }
 }
 

@@ -1,7 +1,7 @@
 //! Topics of the graph: listed with their rates, watched and unwatched.
 
 use std::collections::{HashMap, HashSet};
-use std::sync::Arc;
+use std::sync::{Arc, PoisonError};
 
 use tokio::task::block_in_place;
 
@@ -28,8 +28,9 @@ impl Site {
                 self.topic_row(&info.name, info.type_name.as_deref(), publishers, simulated, now)
             })
             .collect();
+        let published: HashSet<String> = rows.iter().map(|row| row.topic.clone()).collect();
         for (topic, type_name) in &watches {
-            if !rows.iter().any(|row| row.topic == topic.as_str()) {
+            if !published.contains(topic.as_str()) {
                 rows.push(self.topic_row(
                     topic.as_str(),
                     type_name.as_ref().map(TypeName::as_str),
@@ -41,13 +42,19 @@ impl Site {
         }
         let captured = self.captured_by_topic(profile)?;
         let alarms = self.alarmed_topics(profile)?;
+        let pins = self.pinned_names(profile)?;
+        let watched: HashSet<&str> = watches.iter().map(|(topic, _)| topic.as_str()).collect();
         for row in &mut rows {
+            if let Some(pinned) = pins.get(&row.topic) {
+                row.pins = pinned.len() as u64;
+                row.unpinned = row.publishers.iter().filter(|name| !pinned.contains(*name)).cloned().collect();
+            }
             if let Some(counts) = captured.get(&row.topic) {
                 (row.messages, row.quarantined) = (counts.captured, counts.quarantined);
                 (row.lost_in_transport, row.lost_in_recorder) = (counts.missed, counts.lost);
             }
             row.alarm = alarms.contains(&row.topic);
-            row.watched = watches.iter().any(|(topic, _)| topic.as_str() == row.topic);
+            row.watched = watched.contains(row.topic.as_str());
         }
         rows.sort_by(|one, other| one.topic.cmp(&other.topic));
         Ok(rows)
@@ -74,6 +81,8 @@ impl Site {
             lost_in_transport: 0,
             lost_in_recorder: 0,
             last_message: rate.and_then(|rate| rate.last),
+            pins: 0,
+            unpinned: Vec::new(),
             quarantined: 0,
             alarm: false,
         }
@@ -88,9 +97,22 @@ impl Site {
 
     /// Topics with an open alarm about a publisher.
     fn alarmed_topics(&self, profile: &ProfileName) -> Result<HashSet<String>, Failure> {
-        let Some(owner) = self.owner(profile) else { return Ok(HashSet::new()) };
-        let alarms = block_in_place(|| self.plant.ledger.alarms(owner.address, None))?;
+        let Ok(owner) = self.address_of(profile) else { return Ok(HashSet::new()) };
+        let alarms = block_in_place(|| self.plant.ledger.alarms(owner, None))?;
         Ok(alarms.into_iter().filter(|alarm| alarm.open).map(|alarm| alarm.topic).collect())
+    }
+
+    /// Node names pinned to each topic, by the operator, by first sight or by the settings.
+    fn pinned_names(&self, profile: &ProfileName) -> Result<HashMap<String, HashSet<String>>, Failure> {
+        let Ok(owner) = self.address_of(profile) else { return Ok(HashMap::new()) };
+        let kept = block_in_place(|| self.plant.ledger.pins(owner, None))?;
+        let kept = kept.into_iter().map(|row| (row.topic, row.publisher.caller_id));
+        let listed = self.pins.all_listed().map(|(topic, publisher)| (topic.clone(), publisher.caller_id.clone()));
+        let mut names: HashMap<String, HashSet<String>> = HashMap::new();
+        for (topic, caller_id) in kept.chain(listed) {
+            names.entry(clean(&topic, 255)).or_default().insert(clean(&caller_id, 255));
+        }
+        Ok(names)
     }
 
     fn watches(&self, profile: &ProfileName) -> Result<Watches, Failure> {
@@ -98,9 +120,15 @@ impl Site {
         Ok(text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default())
     }
 
-    fn save_watches(&self, profile: &ProfileName, watches: &Watches) -> Result<(), Failure> {
-        let text = serde_json::to_string(watches).unwrap_or_default();
-        Ok(self.plant.ledger.put_setting(&key(profile), &text)?)
+    /// Reads, changes and keeps a watch list; of several changes at once none is lost.
+    fn change_watches(&self, profile: &ProfileName, change: impl FnOnce(&mut Watches)) -> Result<(), Failure> {
+        block_in_place(|| {
+            let _one_at_a_time = self.watching.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut watches = self.watches(profile)?;
+            change(&mut watches);
+            let text = serde_json::to_string(&watches).unwrap_or_default();
+            Ok(self.plant.ledger.put_setting(&key(profile), &text)?)
+        })
     }
 
     /// Captures a topic until it is unwatched, over restarts.
@@ -110,11 +138,9 @@ impl Site {
         topic: TopicName,
         type_name: Option<TypeName>,
     ) -> Result<Reply, Failure> {
-        block_in_place(|| {
-            let mut watches = self.watches(profile)?;
+        self.change_watches(profile, |watches| {
             watches.retain(|(watched, _)| *watched != topic);
             watches.push((topic.clone(), type_name.clone()));
-            self.save_watches(profile, &watches)
         })?;
         self.record_audit(profile, "watch", topic.as_str(), "done").await?;
         if let Some(owner) = self.owner(profile) {
@@ -133,11 +159,7 @@ impl Site {
         profile: &ProfileName,
         topic: &TopicName,
     ) -> Result<Reply, Failure> {
-        block_in_place(|| {
-            let mut watches = self.watches(profile)?;
-            watches.retain(|(watched, _)| watched != topic);
-            self.save_watches(profile, &watches)
-        })?;
+        self.change_watches(profile, |watches| watches.retain(|(watched, _)| watched != topic))?;
         self.record_audit(profile, "unwatch", topic.as_str(), "done").await?;
         if let Some(owner) = self.owner(profile) {
             self.recorder.unwatch(topic.as_str(), &owner.author);

@@ -6,13 +6,14 @@ use super::Site;
 use super::view::{record_page, record_query, record_view};
 use crate::crypto::{keyfile, read_public, record};
 use crate::model::bytes::hex;
-use crate::model::{Address, ProfileName, RecordState};
+use crate::model::{Address, FilterId, ProfileName, RecordState};
+use crate::pipeline::epoch::tag_filter;
 use crate::pipeline::reader::Reader;
 use crate::pipeline::{Owner, PipelineError};
 use crate::service::command::UploadQuery;
 use crate::service::failure::{input, internal, refused};
 use crate::service::reply::{ExportedFile, Failure, Provenance, RecordPage};
-use crate::store::{BatchPlace, RecordRow};
+use crate::store::{BatchPlace, RecordQuery, RecordRow};
 
 impl Site {
     pub(super) fn address_of(&self, profile: &ProfileName) -> Result<Address, Failure> {
@@ -35,13 +36,44 @@ impl Site {
         query: UploadQuery,
     ) -> Result<RecordPage, Failure> {
         let owner = self.address_of(profile)?;
-        if let (Some(reader), Some(network)) = (self.owner(profile), self.network_now()) {
+        if let (Some(reader), Some(network)) =
+            (self.owner(profile).filter(|owner| !owner.is_locked()), self.network_now())
+        {
             let reader = Reader { plant: &self.plant, network: &network, reader: &reader };
             self.learn_names(&reader, owner).await?;
         }
-        let query = crate::store::RecordQuery { owner: Some(owner), ..record_query(query) };
+        let filters = self.own_tag_filters(profile, &query.tags)?;
+        let query = RecordQuery { owner: Some(owner), filters, ..record_query(query) };
         let page = self.blocking(move |site| Ok(site.plant.ledger.list(&query)?)).await?;
         Ok(record_page(page, false))
+    }
+
+    /// Records of all profiles of the home, each with its owner; needs no passphrase.
+    pub(super) async fn list_all_uploads(self: &Arc<Self>, query: UploadQuery) -> Result<RecordPage, Failure> {
+        let page = self
+            .blocking(move |site| {
+                let owners = Some(site.accounts());
+                Ok(site.plant.ledger.list(&RecordQuery { owners, owner: None, ..record_query(query) })?)
+            })
+            .await?;
+        let mut page = record_page(page, true);
+        let names = self.names();
+        for record in &mut page.records {
+            record.owner_name = record.owner.and_then(|owner| names.get(&owner).cloned());
+        }
+        Ok(page)
+    }
+
+    /// The ids by which a profile's own records are found by their tags; they follow from IK.
+    fn own_tag_filters(&self, profile: &ProfileName, tags: &[(String, String)]) -> Result<Vec<FilterId>, Failure> {
+        if tags.is_empty() {
+            return Ok(Vec::new());
+        }
+        // IK stays in memory while the keyring is locked: records are sealed with it.
+        let index = self
+            .owner(profile)
+            .map_or_else(|| self.unlocked(profile).map(|owner| owner.index()), |owner| Ok(owner.index()))?;
+        Ok(tags.iter().map(|(name, value)| tag_filter(&index, name, value)).collect())
     }
 
     /// A record by its id, whoever owns it.
@@ -63,14 +95,18 @@ impl Site {
     pub(super) async fn provenance(self: &Arc<Self>, profile: &ProfileName, id: &str) -> Result<Provenance, Failure> {
         let row = self.own_record(profile, id).await?;
         let step = |word: &str, text: String| (word.to_owned(), text);
+        let of = if row.is_named() { row.topic.as_str() } else { "a topic whose name is not known here" };
         let mut steps = vec![
-            step("message", format!("{} bytes captured {}", row.bytes, row.captured_at)),
-            step("sealed", format!("epoch {}, seq {}, acknowledged {}", row.epoch, row.seq, row.acknowledged_at)),
-            step("digest", row.digest.to_hex()),
-            step("signature", row.signature.to_hex()),
+            step("message", format!("{} bytes of {of}, captured {}", row.bytes, row.captured_at)),
+            step(
+                "record",
+                format!("sealed under epoch {}, seq {}, on disk {}", row.epoch, row.seq, row.acknowledged_at),
+            ),
+            step("digest", format!("SM3 {}", row.digest)),
+            step("signature", format!("SM2 by signer {}", row.signer)),
         ];
         if row.state >= RecordState::Stored {
-            steps.push(step("stored", self.plant.vault.name().to_owned()));
+            steps.push(step("vault", format!("its ciphertext lies there ({})", self.plant.vault.name())));
         }
         let digest = row.digest;
         let place = self.blocking(move |site| Ok(site.plant.ledger.batch_place(digest)?)).await?;
@@ -90,13 +126,14 @@ impl Site {
             steps.push(step("block", format!("{block} {hash}")));
             // A run without a chain has seen no block.
             let head = *self.scanned.borrow();
-            steps.extend((head >= block).then(|| step("confirmations", format!("{}", head + 1 - block))));
+            let (deep, wanted) = (head + 1 - block.min(head + 1), self.config.confirmations);
+            steps.extend((head >= block).then(|| step("confirmations", format!("{deep} of {wanted} wanted"))));
         }
         if let Some(earlier) = self.blocking(move |site| Ok(site.plant.ledger.earlier_anchor(digest)?)).await? {
             let (block, domain) = (earlier.block, earlier.domain);
             steps.push(step("earlier chain", format!("anchored in block {block} of domain {domain}, which was left")));
         }
-        steps.push(step("state", row.state.word().to_owned()));
+        steps.push(step(row.state.word(), standing(row.state).to_owned()));
         if let Some(retained) = self.blocking(move |site| Ok(site.plant.ledger.retained(digest)?)).await? {
             let done = retained.deleted_at.map_or("to be deleted".to_owned(), |at| format!("ciphertext deleted {at}"));
             steps.push(step("retention", format!("{done}; named in retention record {}", retained.report)));
@@ -162,6 +199,22 @@ impl Site {
             file("message.bin", signed),
             file("proof.json", proof),
         ])
+    }
+}
+
+/// What a record's state means, for whoever wonders what is still to come.
+fn standing(state: RecordState) -> &'static str {
+    match state {
+        RecordState::Captured | RecordState::Sealed => "sealed on this disk; the vault is next",
+        RecordState::Stored => "in the vault; waits to be anchored",
+        RecordState::Batched => "in a closed batch; its root waits to be sent",
+        RecordState::Submitted => "its transaction is sent; waits for a block",
+        RecordState::Mined => "in a block; waits for confirmations",
+        RecordState::Confirmed => "deep enough; is about to be read back from the vault",
+        RecordState::Verified => "read back from the vault: digest equal to the chain or its proof, signature valid",
+        RecordState::Quarantined => "held back: sent by a node that is not the pinned publisher",
+        RecordState::Dropped => "given up, and counted",
+        RecordState::Tampered => "the stored bytes are not the ones that were anchored and signed",
     }
 }
 

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use super::{Needs, Site};
+use super::{Needs, RosState, Site};
 use crate::chain::ChainError;
 use crate::model::{Address, Domain};
 use crate::pipeline::adoption::{self, Word};
@@ -13,48 +13,48 @@ use crate::pipeline::sealer::Sealer;
 use crate::pipeline::stages::Stage;
 use crate::pipeline::{Network, Owner, PipelineError, storer, verifier, watcher};
 use crate::service::event::{NoticeLevel, Part};
-use crate::service::failure::internal;
 use crate::service::reply::Failure;
 
 /// The longest pause between two attempts to send what the chain is owed.
-const LONGEST_REST: Duration = Duration::from_secs(60);
+const LONGEST_REST: Duration = Duration::from_secs(8);
 
 /// Starts all tasks that the run needs.
 pub(super) fn start(site: &Arc<Site>, needs: Needs) -> Result<(), Failure> {
-    tokio::spawn(Arc::clone(&site.hub).run());
-    tokio::spawn(Arc::clone(site).keep_audit());
-    tokio::spawn(Arc::clone(site).keep_quarantine());
-    tokio::spawn(Arc::clone(site).keep_room());
+    site.supervise("news", |site| Arc::clone(&site.hub).run());
+    site.supervise("audit", Site::keep_audit);
+    site.supervise("quarantine", Site::keep_quarantine);
+    site.supervise("room", Site::keep_room);
+    site.supervise("retention", Site::keep_retention);
     tokio::spawn(Arc::clone(site).check_after_crash());
-    tokio::spawn(Arc::clone(site).keep_retention());
     if needs.ros {
         start_sealer(site)?;
-        let task = tokio::spawn(Arc::clone(site).keep_ros());
+        let here = |site: &Arc<Site>| !matches!(*site.ros.borrow(), RosState::Off);
+        let task = site.supervise_while("ros", here, Site::keep_ros);
         *site.ros_task.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = Some(task);
     }
     if needs.chain {
         if !site.plant.vault.durable() {
             start_storer(site)?;
         }
-        tokio::spawn(Arc::clone(site).keep_connected());
-        tokio::spawn(watch(Arc::clone(site)));
-        tokio::spawn(verify(Arc::clone(site)));
-        tokio::spawn(Arc::clone(site).expire_grants());
-        tokio::spawn(Arc::clone(site).keep_parties_known());
+        site.supervise("chain", Site::keep_connected);
+        site.supervise("watcher", watch);
+        site.supervise("verifier", verify);
+        site.supervise("expiry", Site::expire_grants);
+        site.supervise("parties", Site::keep_parties_known);
+        site.supervise("scrubber", Site::keep_scrubbing);
     }
     Ok(())
 }
 
-fn thread(name: &str, work: impl FnOnce() + Send + 'static) -> Result<std::thread::JoinHandle<()>, Failure> {
-    let spawned = std::thread::Builder::new().name(name.to_owned()).spawn(work);
-    spawned.map_err(|error| internal(format!("thread {name} cannot be started: {error}")))
-}
-
 fn start_sealer(site: &Arc<Site>) -> Result<(), Failure> {
-    let (sessions, losses) = (Arc::clone(&site.hub.sessions), Arc::clone(&site.losses));
-    let mut sealer = Sealer::new(site.plant.clone(), sessions, losses, site.config.vault_backlog);
-    let (rings, hub) = (Arc::clone(&site.rings), Arc::clone(&site.hub));
-    let handle = thread("sealer", move || sealer.run(&rings, &|| hub.stored.notify_waiters()))?;
+    let (plant, hub, losses) = (site.plant.clone(), Arc::clone(&site.hub), Arc::clone(&site.losses));
+    let (rings, backlog) = (Arc::clone(&site.rings), site.config.vault_backlog);
+    let compression = site.config.compression;
+    let handle = site.supervise_thread("sealer", move || {
+        let sealer = Sealer::new(plant.clone(), Arc::clone(&hub.sessions), Arc::clone(&losses), backlog);
+        let mut sealer = if compression { sealer } else { sealer.without_compression() };
+        sealer.run(&rings, &|| hub.stored.notify_waiters());
+    })?;
     *site.sealer.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = Some(handle);
     Ok(())
 }
@@ -62,7 +62,7 @@ fn start_sealer(site: &Arc<Site>) -> Result<(), Failure> {
 fn start_storer(site: &Arc<Site>) -> Result<(), Failure> {
     let (plant, hub, weak) = (site.plant.clone(), Arc::clone(&site.hub), Arc::downgrade(site));
     let stopped = move || weak.upgrade().is_none_or(|site| site.is_stopping());
-    thread("storer", move || {
+    site.supervise_thread("storer", move || {
         storer::run(&plant, &stopped, &|pause| std::thread::sleep(pause.min(Duration::from_secs(1))), &|| {
             hub.stored.notify_waiters()
         });
@@ -128,9 +128,17 @@ async fn verify(site: Arc<Site>) {
                     tokio::time::sleep(Duration::from_secs(1)).await;
                     break;
                 }
-                Err(_) => return,
+                // A panic is the supervisor's to tell and to heal.
+                Err(error) => return pass_on(error),
             }
         }
+    }
+}
+
+/// Lets a panic of a part be the panic of the whole task.
+fn pass_on(error: tokio::task::JoinError) {
+    if let Ok(panic) = error.try_into_panic() {
+        std::panic::resume_unwind(panic);
     }
 }
 
@@ -152,8 +160,30 @@ async fn anchor_round(
     Ok(anchorer.round(&site.plant, network, &site.sender, owner, &lanes).await?)
 }
 
+impl Site {
+    /// Begins what is done for each open owner, until the owner is closed or the site ends.
+    pub(super) fn work_for(self: &Arc<Self>, owner: &Arc<Owner>) {
+        let open = |owner: &Arc<Owner>| {
+            let owner = Arc::clone(owner);
+            move |site: &Arc<Site>| site.owner(&owner.profile).is_some_and(|other| Arc::ptr_eq(&other, &owner))
+        };
+        let (name, given) = (&owner.profile, Arc::clone(owner));
+        self.supervise_while(&format!("anchorer {name}"), open(owner), move |site| anchor(site, Arc::clone(&given)));
+        if self.config.lanes > 1 {
+            let given = Arc::clone(owner);
+            let work = move |site: Arc<Site>| site.keep_witnesses(Arc::clone(&given));
+            self.supervise_while(&format!("witnesses {name}"), open(owner), work);
+        }
+        if self.remote.is_some() {
+            let given = Arc::clone(owner);
+            let work = move |site: Arc<Site>| site.mirror(Arc::clone(&given));
+            self.supervise_while(&format!("mirror {name}"), open(owner), work);
+        }
+    }
+}
+
 /// Anchors the records of one owner until the owner is closed or the site ends.
-pub(super) async fn anchor(site: Arc<Site>, owner: Arc<Owner>) {
+async fn anchor(site: Arc<Site>, owner: Arc<Owner>) {
     let mut pause = Duration::from_millis(250);
     let mut anchorer = Anchorer::new(site.config.anchor_mode);
     let mut spoken = None;
@@ -190,7 +220,7 @@ pub(super) async fn anchor(site: Arc<Site>, owner: Arc<Owner>) {
                     &format!("records of {} wait to be anchored: {}", owner.profile, error.message),
                 );
                 tokio::time::sleep(pause).await;
-                pause = (pause * 2).min(Duration::from_secs(10));
+                pause = (pause * 2).min(Duration::from_secs(5));
             }
         }
     }
@@ -206,7 +236,8 @@ impl Site {
                 () = self.stopped() => return,
             }
             let Some(network) = self.network_now() else { continue };
-            for owner in self.all_owners() {
+            // What is overdue needs keys that a locked keyring does not have; keys sealed ahead hold without them.
+            for owner in self.all_owners().into_iter().filter(|owner| !owner.is_locked()) {
                 if resting.get(&owner.address).is_some_and(|(until, _)| Instant::now() < *until) {
                     continue;
                 }

@@ -89,6 +89,18 @@ impl Ledger {
         })
     }
 
+    /// Every name that is bound, with its account, by name.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn bound_names(&self) -> Result<Vec<(String, Address)>, StoreError> {
+        self.read(|connection| {
+            let mut statement = connection.prepare_cached("SELECT name, account FROM bindings ORDER BY name")?;
+            let rows = statement.query_map([], |row| Ok((row.get(0)?, Address(row.get(1)?))))?;
+            Ok(rows.collect::<Result<_, _>>()?)
+        })
+    }
+
     /// Remembers what a pseudonym (lower-case hex of a topic id, or of a type's filter id) stands for.
     ///
     /// # Errors

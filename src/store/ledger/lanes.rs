@@ -60,6 +60,27 @@ impl Ledger {
         })
     }
 
+    /// What the newest `most` anchoring transactions of an account in blocks cost: how many they are, their gas, and
+    /// the records that they anchored. Read off an index, whatever the number of transactions.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn anchoring_gas(&self, account: Address, most: u64) -> Result<(u64, u64, u64), StoreError> {
+        let most = whole("transactions", most)?;
+        self.read(|connection| {
+            let sql = "SELECT count(*), coalesce(sum(gas_used), 0), coalesce(sum(records), 0) FROM (
+                SELECT gas_used, CASE WHEN batch IS NULL THEN length(digests) / 32
+                    ELSE (SELECT count FROM batches WHERE root = batch) END AS records
+                FROM transactions WHERE account = ?1 AND state = 1 AND gas_used IS NOT NULL
+                    AND (batch IS NOT NULL OR length(digests) > 0)
+                ORDER BY nonce DESC LIMIT ?2)";
+            let figures = connection.prepare_cached(sql)?.query_row(params![account.0, most], |row| {
+                Ok((unsigned(row, 0)?, unsigned(row, 1)?, unsigned(row, 2)?))
+            })?;
+            Ok(figures)
+        })
+    }
+
     /// The open transactions of an account by nonce, without their bytes.
     ///
     /// # Errors

@@ -11,7 +11,7 @@ use rusqlite::{CachedStatement, Connection, OptionalExtension as _, params};
 use serde::{Deserialize, Serialize};
 
 use super::rows::{self, ID_LENGTH, RecordRow, Stream};
-use super::{Ledger, database::whole};
+use super::{Ledger, database::whole, recent};
 use crate::model::{Address, Digest, FilterId, RecordKind, RecordState, Timestamp, TopicId, clean};
 use crate::store::StoreError;
 
@@ -31,6 +31,8 @@ pub struct RecordQuery {
     pub topic_ids: Option<Vec<TopicId>>,
     /// With all of these ids among its own.
     pub filters: Vec<FilterId>,
+    /// Of this message type.
+    pub type_name: Option<String>,
     /// Of this kind.
     pub kind: Option<RecordKind>,
     /// In this state.
@@ -55,6 +57,7 @@ impl Default for RecordQuery {
             topic: None,
             topic_ids: None,
             filters: Vec::new(),
+            type_name: None,
             kind: None,
             state: None,
             since: None,
@@ -72,6 +75,7 @@ impl RecordQuery {
             && self.owners.as_ref().is_none_or(|owners| owners.contains(&stream.owner))
             && self.topic.as_ref().is_none_or(|topic| *topic == stream.topic)
             && self.topic_ids.as_ref().is_none_or(|ids| ids.contains(&stream.topic_id))
+            && self.type_name.as_ref().is_none_or(|name| *name == stream.type_name)
             && self.kind.is_none_or(|kind| kind == stream.kind)
     }
 }
@@ -96,7 +100,12 @@ impl Ledger {
         self.read(|connection| {
             let streams = rows::streams(connection)?;
             let wanted: Vec<i64> = streams.iter().filter(|stream| query.wants(stream)).map(|s| s.key).collect();
-            let mut keys = Merge::new(connection, &wanted, query, range, limit + 1)?.take(limit + 1)?;
+            let plain = query.state.is_none() && query.filters.is_empty();
+            let recent = if plain { recent::keys(connection, &wanted, range, limit + 1)? } else { None };
+            let mut keys = match recent {
+                Some(keys) => keys,
+                None => Merge::new(connection, &wanted, query, range, limit + 1)?.take(limit + 1)?,
+            };
             let more = keys.len() > limit;
             keys.truncate(limit);
             let next = keys.last().filter(|_| more).map(|key| key.cursor());
@@ -173,9 +182,9 @@ fn fetch(connection: &Connection, keys: &[Key], streams: Vec<Stream>) -> Result<
 
 /// Where a record stands in the order of capture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-struct Key {
-    captured_at: i64,
-    n: i64,
+pub(super) struct Key {
+    pub captured_at: i64,
+    pub n: i64,
 }
 
 impl Key {
@@ -192,10 +201,10 @@ impl Key {
 
 /// Keys strictly between two, read in one direction.
 #[derive(Debug, Clone, Copy)]
-struct Range {
-    low: Key,
-    high: Key,
-    newest_first: bool,
+pub(super) struct Range {
+    pub low: Key,
+    pub high: Key,
+    pub newest_first: bool,
 }
 
 impl Range {

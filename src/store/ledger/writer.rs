@@ -2,6 +2,7 @@
 //! once, then answers everybody. Each piece of work has a savepoint, so that a failing one leaves its
 //! neighbours alone.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 use std::sync::mpsc::{self, Receiver, Sender, SyncSender};
 use std::sync::{Mutex, PoisonError};
@@ -10,6 +11,7 @@ use std::thread::{self, JoinHandle};
 use rusqlite::Connection;
 
 use super::append::Names;
+use crate::crypto::fault;
 use crate::store::StoreError;
 
 /// The most pieces of work in one transaction.
@@ -171,7 +173,9 @@ fn attempt(connection: &Connection, names: &mut Names, job: &mut dyn Job) -> Res
         run(connection, "BEGIN IMMEDIATE")?;
     }
     run(connection, "SAVEPOINT job")?;
-    if job.run(&mut Session { connection, names }) {
+    // A fault of one piece of work must end neither this thread nor its neighbours' work.
+    let done = catch_unwind(AssertUnwindSafe(|| job.run(&mut Session { connection, names })));
+    if done.as_ref().is_ok_and(|done| *done) {
         run(connection, "RELEASE job")?;
         return Ok(true);
     }
@@ -180,11 +184,18 @@ fn attempt(connection: &Connection, names: &mut Names, job: &mut dyn Job) -> Res
         run(connection, "ROLLBACK TO job")?;
         run(connection, "RELEASE job")?;
     }
-    Ok(false)
+    done.map_err(|_| failed_job())
+}
+
+fn failed_job() -> StoreError {
+    let detail = "a write failed by a fault of the program and was taken back; please report it".to_owned();
+    StoreError::Database { file: std::path::PathBuf::new(), detail }
 }
 
 fn end(connection: &Connection) -> Result<(), StoreError> {
+    fault::point("commit-begun");
     let result = run(connection, "COMMIT");
+    fault::point("committed");
     if result.is_err() && !connection.is_autocommit() {
         run(connection, "ROLLBACK")?;
     }

@@ -75,6 +75,14 @@ impl Vault for EmbeddedVault {
         })
     }
 
+    fn get_many(&self, digests: &[Digest]) -> Result<Vec<Option<Vec<u8>>>, StoreError> {
+        self.on(&self.reader, |connection| {
+            let page = connection.transaction()?;
+            let mut statement = page.prepare_cached("SELECT bytes FROM blobs WHERE digest = ?1")?;
+            digests.iter().map(|digest| Ok(statement.query_row([digest.0], |row| row.get(0)).optional()?)).collect()
+        })
+    }
+
     fn delete(&self, digest: Digest) -> Result<bool, StoreError> {
         self.on(&self.writer, |connection| {
             Ok(connection.prepare_cached("DELETE FROM blobs WHERE digest = ?1")?.execute([digest.0])? > 0)

@@ -1,11 +1,11 @@
-//! What was asked for by id: provenance of a record, an opened record.
+//! What was asked for by id: provenance of a record.
 
 use ratatui::layout::Rect;
 
 use super::framed;
 use crate::app::popup::Lookup;
 use crate::model::{Verdict, clean};
-use crate::service::reply::{OpenedView, Provenance, RecordView};
+use crate::service::reply::{Provenance, RecordView};
 use crate::ui::canvas::{Canvas, columns, right_of, row};
 use crate::ui::records::state_role;
 use crate::ui::theme::Role;
@@ -16,7 +16,7 @@ const STEP: u16 = 14;
 /// The widest a view of a record grows.
 const WIDEST: u16 = 110;
 
-type Piece = (String, Role);
+pub(super) type Piece = (String, Role);
 
 /// Draws where a record comes from and where it stands.
 pub fn draw_provenance(canvas: &mut Canvas, area: Rect, lookup: &Lookup<Provenance>) {
@@ -24,7 +24,7 @@ pub fn draw_provenance(canvas: &mut Canvas, area: Rect, lookup: &Lookup<Provenan
         let mut lines = record_lines(&view.record);
         lines.push(Vec::new());
         for (word, evidence) in &view.steps {
-            let role = state_role(word);
+            let role = step_role(word);
             let pieces = wrap(&clean(evidence, 500), width.saturating_sub(STEP));
             for (index, piece) in pieces.into_iter().enumerate() {
                 let label = if index == 0 { clean(word, 13) } else { String::new() };
@@ -35,30 +35,23 @@ pub fn draw_provenance(canvas: &mut Canvas, area: Rect, lookup: &Lookup<Provenan
     });
 }
 
-/// Draws an opened record: verdict, tags, fields.
-pub fn draw_record(canvas: &mut Canvas, area: Rect, lookup: &Lookup<OpenedView>) {
-    draw(canvas, area, lookup, "Record", |view, width| {
-        let mut lines = vec![verdict_line(view.verdict)];
-        lines.extend(record_lines(&view.record));
-        if !view.caller_id.is_empty() {
-            lines.push(labelled("sent by", view.caller_id.clone(), Role::Body));
-        }
-        let tags: Vec<String> = view.tags.iter().map(|(name, value)| format!("{name}={value}")).collect();
-        if !tags.is_empty() {
-            lines.push(labelled("tags", tags.join("  "), Role::Dim));
-        }
-        if let Some(picture) = &view.picture {
-            let text = format!("{}; W writes it to a file", size(length(picture)));
-            lines.push(labelled("picture", text, Role::Accent));
-        }
-        lines.push(Vec::new());
-        let widest = view.fields.iter().map(|(path, _)| columns(path)).max().unwrap_or(0);
-        let label = (widest + 2).min(width / 2);
-        lines.extend(
-            view.fields.iter().map(|(path, value)| vec![(pad(path, label), Role::Dim), (value.clone(), Role::Body)]),
-        );
-        lines
-    });
+/// A step that is done, or the state that a record is in.
+fn step_role(word: &str) -> Role {
+    const DONE: [&str; 12] = [
+        "message",
+        "record",
+        "digest",
+        "signature",
+        "vault",
+        "batch",
+        "proof",
+        "witness",
+        "transaction",
+        "block",
+        "confirmations",
+        "earlier chain",
+    ];
+    if DONE.contains(&word) { Role::Accent } else { state_role(word) }
 }
 
 fn draw<T>(
@@ -91,7 +84,7 @@ fn draw<T>(
     }
 }
 
-fn record_lines(record: &RecordView) -> Vec<Vec<Piece>> {
+pub(super) fn record_lines(record: &RecordView) -> Vec<Vec<Piece>> {
     let mut type_name = labelled("type", record.type_name.clone(), Role::Body);
     if record.simulated {
         type_name.extend([("  ".to_owned(), Role::Body), ("SIMULATED".to_owned(), Role::Badge)]);
@@ -105,7 +98,7 @@ fn record_lines(record: &RecordView) -> Vec<Vec<Piece>> {
     lines
 }
 
-fn verdict_line(verdict: Verdict) -> Vec<Piece> {
+pub(super) fn verdict_line(verdict: Verdict) -> Vec<Piece> {
     let (text, role) = match verdict {
         Verdict::Verified => ("verified: equal to the chain's digest, signature valid", Role::Good),
         Verdict::Unanchored => ("unanchored: signature valid, but the digest is not on the chain yet", Role::Warning),
@@ -117,15 +110,11 @@ fn verdict_line(verdict: Verdict) -> Vec<Piece> {
     vec![(text.to_owned(), role)]
 }
 
-fn labelled(label: &str, value: String, role: Role) -> Vec<Piece> {
+pub(super) fn labelled(label: &str, value: String, role: Role) -> Vec<Piece> {
     vec![(pad(label, 10), Role::Dim), (value, role)]
 }
 
-fn pad(text: &str, width: u16) -> String {
+pub(super) fn pad(text: &str, width: u16) -> String {
     let missing = usize::from(width.saturating_sub(columns(text)));
     format!("{text}{}", " ".repeat(missing))
-}
-
-fn length(bytes: &[u8]) -> u64 {
-    u64::try_from(bytes.len()).unwrap_or(u64::MAX)
 }

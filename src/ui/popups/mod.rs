@@ -1,9 +1,14 @@
 //! What lies over a screen: a frame in its middle, one file per popup.
 
+mod browse;
+mod chord;
 mod form;
 mod help;
 mod lookup;
 mod palette;
+mod record;
+mod situation;
+mod themes;
 
 use ratatui::layout::Rect;
 
@@ -22,7 +27,13 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, popup: &Popup) {
         Popup::Confirm(confirm) => draw_confirm(canvas, area, confirm),
         Popup::Form(_, form) => form::draw(canvas, area, form),
         Popup::Provenance(lookup) => lookup::draw_provenance(canvas, area, lookup),
-        Popup::Record(lookup) => lookup::draw_record(canvas, area, lookup),
+        Popup::Record(opening) => record::draw(canvas, area, opening),
+        Popup::Chord(pressed) => chord::draw(canvas, area, state, pressed),
+        Popup::Themes(choice) => themes::draw(canvas, area, state, choice),
+        Popup::Publishers(lookup) => situation::draw_publishers(canvas, area, state, lookup),
+        Popup::Readers(topics) => situation::draw_readers(canvas, area, state, topics),
+        Popup::Tasks => situation::draw_tasks(canvas, area, state),
+        Popup::Browse(browse) => browse::draw(canvas, area, state, browse),
         Popup::Quit { waiting } => draw_quit(canvas, area, state, *waiting),
     }
 }
@@ -51,6 +62,13 @@ fn draw_text(canvas: &mut Canvas, area: Rect, title: &str, lines: &[String], ans
 }
 
 fn draw_confirm(canvas: &mut Canvas, area: Rect, confirm: &Confirm) {
+    if let Some(typed) = &confirm.typed {
+        let wanted = clean(&typed.wanted, 255);
+        let mut lines = confirm.lines.clone();
+        lines.push(format!("Type {wanted} and enter to {}; esc for no.", confirm.yes));
+        let shown = typed.field.shown();
+        return draw_text(canvas, area, &confirm.title, &lines, &[("› ", Role::Key), (&shown, Role::Warning)]);
+    }
     let answer =
         [("y", Role::Key), (" ", Role::Body), (confirm.yes, Role::Warning), ("    any other key: no", Role::Dim)];
     draw_text(canvas, area, &confirm.title, &confirm.lines, &answer);

@@ -37,7 +37,7 @@ fn draw_entry(canvas: &mut Canvas, area: Rect, state: &State, entry: &Entry, her
     let role = if reason.is_some() { Role::Dim } else { Role::Body };
     canvas.put(area, if here { "▌" } else { " " }, Role::Accent);
     canvas.put(right_of(area, 1), entry.name, if here { Role::Selection } else { role });
-    let key = entry.keys.first().map(|key| key.label()).unwrap_or_default();
+    let key = state.settings.keymap.label(entry, state.screen);
     canvas.put(Rect { width: 9, ..right_of(area, NAME) }, &key, Role::Key);
     let text = reason.map_or_else(|| entry.help.to_owned(), |reason| format!("({reason}) {}", entry.help));
     canvas.put(right_of(area, NAME + 10), &text, role);

@@ -133,3 +133,27 @@ proptest! {
         prop_assert!(body::parse(&plain[..at]).is_err());
     }
 }
+
+#[test]
+fn a_stripped_keyring_keeps_what_seals_and_never_takes_the_files_place() {
+    let home = tempfile::tempdir().expect("temporary directory");
+    let path = home.path().join("profiles/a/keyring");
+    let passphrase = Passphrase::new("a long passphrase".to_owned()).expect("long enough");
+    let domain = crate::model::Domain([1; 32]);
+    let mut keyring = Keyring::generate(provider(ProviderName::RustCrypto)).expect("generates");
+    keyring.start_epoch(&domain).expect("starts");
+    let mut unlocked = UnlockedKeyring::create(keyring.clone(), &path, &passphrase).expect("written");
+    let before = std::fs::read(&path).expect("a file");
+
+    unlocked.strip(provider(ProviderName::RustCrypto)).expect("stripped");
+    let left = &unlocked.keyring;
+    assert_eq!((&left.eoa, &left.signing, &left.index), (&keyring.eoa, &keyring.signing, &keyring.index));
+    assert_ne!(left.envelope.secret, keyring.envelope.secret, "d_E is gone");
+    assert_eq!(left.envelope.public, keyring.envelope.public);
+    assert!(left.sm4 != keyring.sm4 && left.networks[&domain].epochs.is_empty(), "K_C and the epochs are gone");
+    assert!(matches!(unlocked.save(), Err(CryptoError::Locked(_))));
+    assert!(matches!(unlocked.change_passphrase(&passphrase), Err(CryptoError::Locked(_))));
+    assert!(matches!(unlocked.duplicate().save(), Err(CryptoError::Locked(_))));
+    assert_eq!(std::fs::read(&path).expect("a file"), before);
+    assert_eq!(UnlockedKeyring::open(&path, &passphrase).expect("opens").keyring, keyring);
+}

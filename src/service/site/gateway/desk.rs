@@ -36,7 +36,7 @@ impl GatewayDesk {
 
     pub(super) fn share(&self) -> Arc<Self> {
         let (site, keeper) = (Arc::clone(&self.site), Arc::clone(&self.keeper));
-        Arc::new(Self { site, keeper, domain: self.domain })
+        Arc::new(Self { site, keeper, envelope: self.envelope.clone(), domain: self.domain })
     }
 
     async fn audit(&self, caller: &Caller, action: &str, subject: &str) -> Result<(), Refusal> {
@@ -125,7 +125,7 @@ impl Desk for GatewayDesk {
         self.blocking(move |desk| {
             let internal = Refusal::because(Code::Internal);
             let Some(kept) = desk.site.plant.ledger.binding(&name).map_err(&internal)? else { return Ok(None) };
-            let (provider, keeper) = (desk.site.plant.provider, desk.keeper.envelope().secret);
+            let (provider, keeper) = (desk.site.plant.provider, desk.envelope.secret.clone());
             let key = open_transport_key(provider, &keeper, name.as_str(), &kept.sealed_key);
             let key = key.map_err(Refusal::because(Code::Internal))?;
             Ok(Some(Binding { account: kept.account, key, signing: kept.signing, envelope: kept.envelope }))
@@ -143,7 +143,7 @@ impl Desk for GatewayDesk {
         audited.map_err(|failure| Refusal::new(Code::Internal, failure.message))?;
         let name = name.clone();
         self.blocking(move |desk| {
-            let (provider, keeper) = (desk.site.plant.provider, desk.keeper.envelope().secret);
+            let (provider, keeper) = (desk.site.plant.provider, desk.envelope.secret.clone());
             let sealed_key = seal_transport_key(provider, &keeper, name.as_str(), &binding.key);
             let sealed_key = sealed_key.map_err(Refusal::because(Code::Internal))?;
             let Binding { account, signing, envelope, .. } = binding;

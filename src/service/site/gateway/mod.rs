@@ -7,14 +7,15 @@ mod reading;
 mod standing;
 
 use std::net::SocketAddr;
-use std::sync::{Arc, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use tokio::sync::oneshot;
+use tokio::sync::{oneshot, watch};
 use tokio::task::block_in_place;
 
 use super::Site;
-use crate::crypto::Fingerprint;
+use super::operating::Serving;
+use crate::crypto::{Fingerprint, SmKeyPair};
 use crate::gateway::{Cabinet, Context, Limits, Schedule, Server};
 use crate::model::{AnchorMode, Domain, Timestamp};
 use crate::pipeline::Owner;
@@ -25,11 +26,39 @@ use crate::service::reply::{Failure, GatewayView};
 /// How long requests under way may take when the gateway ends.
 const FAREWELL: Duration = Duration::from_secs(3);
 
+/// Where a gateway listens, and for whom.
+struct Place {
+    keeper: Arc<Owner>,
+    domain: Domain,
+    address: SocketAddr,
+}
+
+/// Serves with the server that is there, or with a new one at the same place; returns early where it breaks.
+async fn serve_until(site: Arc<Site>, place: Place, server: Option<Server>, mut over: watch::Receiver<bool>) {
+    let server = match server {
+        Some(server) => Ok(server),
+        None => site.listen(&place.keeper, &place.domain, place.address).await,
+    };
+    let mut server = match server {
+        Ok(server) => server,
+        Err(failure) => return site.hub.notice(NoticeLevel::Error, &failure.message),
+    };
+    tokio::select! {
+        () = site.stopped() => {}
+        // A dropped sender says the same.
+        _ = over.wait_for(|over| *over) => {}
+        () = server.broken() => return,
+    }
+    server.stop(FAREWELL).await;
+}
+
 /// What a gateway does with commands; one profile of the site keeps it.
 pub(super) struct GatewayDesk {
     site: Arc<Site>,
     /// Whose account anchors, and whose SM2 key is the gateway's identity.
     keeper: Arc<Owner>,
+    /// The keeper's d_E, under which transport keys lie at rest: robots connect also while the keyring is locked.
+    envelope: SmKeyPair,
     domain: Domain,
 }
 
@@ -65,20 +94,41 @@ impl Site {
         };
         self.record_audit(&keeper.profile, "gateway", &view.address, "serving").await?;
         self.hub.notice(NoticeLevel::Info, &format!("the gateway listens at {}", view.address));
-        *self.served_gateway.lock().unwrap_or_else(PoisonError::into_inner) = Some(view.clone());
+        *self.served_gateway.lock().unwrap_or_else(PoisonError::into_inner) =
+            Some(Serving { view: view.clone(), watch: server.watch() });
         self.changed(Part::Health);
+        self.keep_gateway(keeper, network.domain, server, ended);
+        Ok(view)
+    }
+
+    /// Keeps the gateway open at its address until `ended`, or the site's end.
+    fn keep_gateway(
+        self: &Arc<Self>,
+        keeper: &Arc<Owner>,
+        domain: Domain,
+        server: Server,
+        ended: oneshot::Receiver<()>,
+    ) {
+        let (over, is_over) = watch::channel(false);
         let site = Arc::clone(self);
         tokio::spawn(async move {
-            tokio::select! {
-                () = site.stopped() => {}
-                // A dropped sender says the same.
-                _ = ended => {}
-            }
+            // A dropped sender says the same.
+            drop(ended.await);
+            over.send_replace(true);
             *site.served_gateway.lock().unwrap_or_else(PoisonError::into_inner) = None;
             site.changed(Part::Health);
-            server.stop(FAREWELL).await;
         });
-        Ok(view)
+        let (keeper, address, first) = (Arc::clone(keeper), server.address(), Mutex::new(Some(server)));
+        let over = is_over.clone();
+        self.supervise_while(
+            "gateway",
+            move |_| !*is_over.borrow(),
+            move |site| {
+                let first = first.lock().unwrap_or_else(PoisonError::into_inner).take();
+                let place = Place { keeper: Arc::clone(&keeper), domain, address };
+                serve_until(site, place, first, over.clone())
+            },
+        );
     }
 
     async fn listen(
@@ -92,7 +142,12 @@ impl Site {
             let (directory, identity) = (self.home.gateway(), keeper.signing());
             Cabinet::open(&directory, provider, *domain, identity, Schedule::default(), Timestamp::now())
         })?;
-        let desk = Arc::new(GatewayDesk { site: Arc::clone(self), keeper: Arc::clone(keeper), domain: *domain });
+        let desk = Arc::new(GatewayDesk {
+            site: Arc::clone(self),
+            keeper: Arc::clone(keeper),
+            envelope: keeper.envelope(),
+            domain: *domain,
+        });
         let context = Context { provider, domain: *domain };
         Server::start(address, desk, context, cabinet, Limits::default())
             .await

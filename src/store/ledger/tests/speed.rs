@@ -80,6 +80,7 @@ fn every_query_uses_an_index() {
     let plans = [
         format!("SELECT captured_at, n FROM records WHERE stream = 1 AND {range}"),
         format!("SELECT captured_at, n FROM records WHERE state = 1 AND stream = 1 AND {range}"),
+        format!("SELECT captured_at, n, stream FROM records WHERE {range}"),
         "SELECT max(seq) FROM records WHERE topic = 1".to_owned(),
         "SELECT n FROM records WHERE digest BETWEEN x'00' AND x'01'".to_owned(),
         "SELECT * FROM transactions WHERE state = 0 AND account = x'00' ORDER BY nonce".to_owned(),

@@ -1,0 +1,167 @@
+//! What the contract's administrator does from the console: a form or a question for each act, and its command.
+
+use super::action::{Errand, Tag};
+use super::confirm;
+use super::field::Field;
+use super::form::{Form, Line};
+use super::popup::{Confirm, Popup, Purpose};
+use super::state::State;
+use crate::model::Party;
+use crate::service::Command;
+use crate::service::command::Administration;
+
+/// An act of the administrator, before its account is named.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Act {
+    /// Lets an account register.
+    Admit,
+    /// Stops an account's changes.
+    Suspend,
+    /// Frees a suspended account.
+    Restore,
+    /// Lets anyone register.
+    Open,
+    /// Lets only those register who are admitted.
+    Close,
+    /// Stops all changes but revokes.
+    Pause,
+    /// Lets changes go on.
+    Continue,
+    /// Names who continues for a lost account.
+    Succeed,
+    /// Names the next administrator.
+    HandOver,
+    /// Takes over, having been named.
+    Accept,
+    /// Puts the contract on the chain.
+    Deploy,
+    /// Goes on with another chain than the pinned one.
+    Adopt,
+}
+
+impl Act {
+    fn title(self) -> &'static str {
+        match self {
+            Self::Admit => "Admit an account",
+            Self::Suspend => "Suspend an account",
+            Self::Restore => "Free a suspended account",
+            Self::Open => "Open registration?",
+            Self::Close => "Close registration?",
+            Self::Pause => "Stop all changes?",
+            Self::Continue => "Let changes go on?",
+            Self::Succeed => "Name who continues for a lost account",
+            Self::HandOver => "Name the next administrator",
+            Self::Accept => "Take over as administrator?",
+            Self::Deploy => "Deploy the contract?",
+            Self::Adopt => "Adopt the chain that is there now?",
+        }
+    }
+
+    fn meaning(self) -> &'static [&'static str] {
+        match self {
+            Self::Admit => &["While registration is closed, only admitted accounts can register."],
+            Self::Suspend => &[
+                "Its changes are refused by the contract, except those that take rights away.",
+                "What it shared stays readable to whoever has the keys. `restore` frees it again.",
+            ],
+            Self::Restore => &["Its changes are taken by the contract again."],
+            Self::Open => &["Anyone with an account on this chain may register then."],
+            Self::Close => &["Only accounts that you admit may register then."],
+            Self::Pause => &["Nobody registers, grants or anchors any more; revokes and reads still work."],
+            Self::Continue => &["Registrations, grants and anchors are taken again."],
+            Self::Succeed => &["The chain then says who continues for the lost account. It cannot be taken back."],
+            Self::HandOver => &["Once that account accepts, you are no longer the administrator."],
+            Self::Accept => &["You were named by the administrator; from then on these acts are yours."],
+            Self::Deploy => &["Your account becomes the contract's administrator, and this home is bound to it."],
+            Self::Adopt => &[
+                "The pinned chain is given up. Verified records keep their proof on it and open as `unanchored`;",
+                "all others are anchored anew. A signed adoption record says so first. It cannot be taken back.",
+            ],
+        }
+    }
+
+    /// Whether it needs an account to be named.
+    fn names(self) -> bool {
+        matches!(self, Self::Admit | Self::Suspend | Self::Restore | Self::Succeed | Self::HandOver)
+    }
+
+    /// Whether its name must be typed, for it cannot simply be undone.
+    fn is_grave(self) -> bool {
+        matches!(self, Self::Suspend | Self::Succeed | Self::HandOver | Self::Adopt | Self::Pause)
+    }
+
+    fn word(self) -> &'static str {
+        match self {
+            Self::Admit => "admit",
+            Self::Suspend => "suspend",
+            Self::Restore => "restore",
+            Self::Open => "open",
+            Self::Close => "close",
+            Self::Pause => "pause",
+            Self::Continue => "continue",
+            Self::Succeed => "succeed",
+            Self::HandOver => "hand over",
+            Self::Accept => "accept",
+            Self::Deploy => "deploy",
+            Self::Adopt => "adopt",
+        }
+    }
+}
+
+/// Opens the form or the question of an act.
+pub fn begin(state: &mut State, act: Act) {
+    if act.names() {
+        state.popups.push(Popup::Form(Purpose::Administer(act), form(act)));
+        return;
+    }
+    let command = match act {
+        Act::Deploy => Command::DeployContract,
+        Act::Adopt => Command::AdoptChain,
+        Act::Open | Act::Close => Command::Administer(Administration::Open { open: act == Act::Open }),
+        Act::Pause | Act::Continue => Command::Administer(Administration::Pause { paused: act == Act::Pause }),
+        _ => Command::Administer(Administration::Accept),
+    };
+    state.popups.push(Popup::Confirm(question(act, Vec::new(), command)));
+}
+
+fn form(act: Act) -> Form {
+    let hint = "0x and 40 hex, or a name of the address book";
+    let mut lines = vec![Line::text(if act == Act::Succeed { "Lost" } else { "Account" }, hint, Field::default())];
+    if act == Act::Succeed {
+        lines.push(Line::text("Successor", hint, Field::default()));
+    }
+    Form::new(act.title(), act.meaning().iter().map(|line| (*line).to_owned()).collect(), lines)
+}
+
+/// The question after a filled form.
+///
+/// # Errors
+/// The line that is wrong, and why.
+pub fn read(act: Act, form: &Form) -> Result<Confirm, (usize, String)> {
+    let party = |line: usize| -> Result<Party, (usize, String)> {
+        form.text(line).trim().parse().map_err(|error| (line, format!("{error}")))
+    };
+    let account = party(0)?;
+    let mut lines = vec![format!("Account  {account}")];
+    let administration = match act {
+        Act::Admit => Administration::Admit { account },
+        Act::Suspend => Administration::Suspend { account },
+        Act::Restore => Administration::Restore { account },
+        Act::HandOver => Administration::HandOver { account },
+        _ => {
+            let successor = party(1)?;
+            lines.push(format!("Successor  {successor}"));
+            Administration::Succeed { lost: account, successor }
+        }
+    };
+    Ok(question(act, lines, Command::Administer(administration)))
+}
+
+fn question(act: Act, mut lines: Vec<String>, command: Command) -> Confirm {
+    lines.extend(act.meaning().iter().map(|line| (*line).to_owned()));
+    lines.push("It is a transaction of your account.".to_owned());
+    let errand = Errand { command, tag: Tag::Administer(act.word()) };
+    let title = if act.names() { format!("{}?", act.title()) } else { act.title().to_owned() };
+    let typed = act.is_grave().then(|| confirm::Typed::new(act.word()));
+    Confirm { title, lines, yes: act.word(), typed, errand }
+}

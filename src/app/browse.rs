@@ -1,0 +1,77 @@
+//! Browsing what others share: who shares, then their topics and types; choosing writes the filter of the list.
+
+use super::action::Effect;
+use super::cursor;
+use super::key::Key;
+use super::popup::Popup;
+use super::screens::grants::{end, is_active, is_given, scope};
+use super::state::State;
+
+/// One thing to choose.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Choice {
+    /// What is shown.
+    pub text: String,
+    /// What is told beside it.
+    pub note: String,
+    /// The filter that it writes.
+    pub filter: String,
+}
+
+/// A list to choose from.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Browse {
+    /// Which line.
+    pub selected: usize,
+}
+
+/// All that can be chosen now: everything, each owner who shares, topics, types.
+pub fn choices(state: &State) -> Vec<Choice> {
+    let choice = |text: &str, note: String, filter: String| Choice { text: text.to_owned(), note, filter };
+    let mut all = vec![choice("everything", "no filter".to_owned(), String::new())];
+    let received = state.grants.rows.iter().filter(|row| !is_given(row) && is_active(row));
+    for row in received {
+        let word = row.name.clone().unwrap_or_else(|| row.owner.to_string());
+        let note = format!("shares {}, {}", scope(&row.topics), end(row.expires));
+        all.push(choice(&row.name.clone().unwrap_or_else(|| row.owner.short()), note, format!("owner:{word}")));
+        let topics = row.topics.iter().map(|topic| {
+            choice(&format!("  {topic}"), "one of the topics shared".to_owned(), format!("owner:{word} {topic}"))
+        });
+        all.extend(topics);
+    }
+    let mut seen: Vec<Choice> = Vec::new();
+    for row in &state.shared.rows {
+        seen.push(choice(&row.topic, "a topic on this page".to_owned(), row.topic.clone()));
+        seen.push(choice(&row.type_name, "a type on this page".to_owned(), format!("type:{}", row.type_name)));
+    }
+    seen.sort_by(|one, other| one.filter.cmp(&other.filter));
+    seen.dedup();
+    all.extend(seen.into_iter().filter(|choice| !choice.text.is_empty()));
+    all.push(choice("the last hour", "by time of capture".to_owned(), "since:1h".to_owned()));
+    all.push(choice("the last day", "by time of capture".to_owned(), "since:1d".to_owned()));
+    all
+}
+
+/// A key while the list is open.
+pub fn key(state: &mut State, mut browse: Browse, key: Key) -> Vec<Effect> {
+    let choices = choices(state);
+    let last = choices.len().saturating_sub(1);
+    match key {
+        Key::Escape | Key::Char('q') => return Vec::new(),
+        Key::Enter => {
+            if let Some(choice) = choices.get(browse.selected.min(last)) {
+                state.shared.table.filter.clear();
+                state.shared.table.filter.insert(&choice.filter);
+                cursor::restart_records(state);
+            }
+            return Vec::new();
+        }
+        Key::Up | Key::Char('k') => browse.selected = browse.selected.min(last).saturating_sub(1),
+        Key::Down | Key::Char('j') => browse.selected = (browse.selected + 1).min(last),
+        Key::Home => browse.selected = 0,
+        Key::End => browse.selected = last,
+        _ => {}
+    }
+    state.popups.push(Popup::Browse(browse));
+    Vec::new()
+}

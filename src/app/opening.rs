@@ -1,0 +1,211 @@
+//! An opened record over the screen: its faces (readable, plot, picture, fields, bytes), their keys, its files.
+
+use zeroize::Zeroizing;
+
+use super::action::{Contents, Effect, Errand, Tag};
+use super::key::Key;
+use super::perform::copy;
+use super::popup::{Lookup, Popup};
+use super::popup_keys::scrolled;
+use super::state::State;
+use crate::service::command::Viewing;
+use crate::service::reply::{OpenedView, PathView};
+use crate::service::{Command, Failure, Reply};
+
+/// Records of a path that the console asks for.
+const PATH: usize = 200;
+
+/// Bytes on a line in hex.
+pub const BYTES_A_LINE: usize = 16;
+
+/// A way to look at a message.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Face {
+    /// Numbers and tables of well-known types.
+    Readable,
+    /// Points of a plane, or the path over the topic's records.
+    Plot,
+    /// A small form of a picture.
+    Picture,
+    /// Every field.
+    Fields,
+    /// The message's first bytes.
+    Bytes,
+}
+
+impl Face {
+    /// As written over the view.
+    pub fn title(self) -> &'static str {
+        match self {
+            Self::Readable => "Values",
+            Self::Plot => "Plot",
+            Self::Picture => "Picture",
+            Self::Fields => "Fields",
+            Self::Bytes => "Bytes",
+        }
+    }
+
+    /// The faces that a record has; the first is shown first.
+    pub fn of(view: &OpenedView) -> Vec<Self> {
+        let readable = view.readable.as_ref();
+        let has = |found: bool, face| found.then_some(face);
+        let faces = [
+            has(readable.is_some_and(|readable| readable.picture.is_some()), Self::Picture),
+            has(readable.is_some(), Self::Readable),
+            has(readable.is_some_and(|readable| readable.plot.is_some()), Self::Plot),
+            has(true, Self::Fields),
+            has(!view.beginning.is_empty(), Self::Bytes),
+        ];
+        faces.into_iter().flatten().collect()
+    }
+}
+
+/// An opened record over the screen.
+#[derive(Debug)]
+pub struct Opening {
+    /// The record, when it came.
+    pub lookup: Lookup<OpenedView>,
+    /// Which of its faces.
+    pub face: usize,
+    /// The path over its topic, once asked for.
+    pub path: Option<Lookup<PathView>>,
+}
+
+impl Opening {
+    /// Asked for, not yet here.
+    pub fn new(id: &str) -> Self {
+        Self { lookup: Lookup::new(id), face: 0, path: None }
+    }
+
+    /// The face in view.
+    pub fn shown(&self) -> Face {
+        let faces = self.lookup.found().map(Face::of).unwrap_or_default();
+        faces.get(self.face).copied().unwrap_or(Face::Fields)
+    }
+
+    /// Its keys, for the bottom bar.
+    pub fn hints(&self) -> Vec<(&'static str, &'static str)> {
+        let Some(view) = self.lookup.found() else { return vec![("q", "close")] };
+        let mut hints = vec![("tab", "other view"), ("up down", "scroll")];
+        if writable(view).is_some() {
+            hints.extend([("W", "write to file"), ("y", "copy digest")]);
+        }
+        hints.push(("q", "close"));
+        hints
+    }
+
+    fn turn(&mut self, by: usize) {
+        let count = self.lookup.found().map_or(1, |view| Face::of(view).len());
+        self.face = (self.face + by) % count;
+        self.lookup.scroll = 0;
+    }
+
+    /// The path is asked for when it is to be seen, once.
+    fn wants_path(&mut self) -> Option<Errand> {
+        let plot = self.lookup.found()?.readable.as_ref()?.plot.as_ref()?;
+        if self.shown() != Face::Plot || !plot.path || plot.points.len() > 1 || self.path.is_some() {
+            return None;
+        }
+        let id = self.lookup.id.clone();
+        self.path = Some(Lookup::new(&id));
+        let command = Command::View(Viewing::Path { id: id.clone(), records: PATH });
+        Some(Errand { command, tag: Tag::Path(id) })
+    }
+
+    fn lines(&self) -> usize {
+        let Some(view) = self.lookup.found() else { return 0 };
+        match self.shown() {
+            Face::Readable => view.readable.as_ref().map_or(0, |readable| {
+                readable.lines.len() + readable.tables.iter().map(|table| table.rows.len() + 3).sum::<usize>()
+            }),
+            Face::Fields => view.fields.len() + 8,
+            Face::Bytes => view.beginning.len().div_ceil(BYTES_A_LINE),
+            Face::Plot | Face::Picture => 0,
+        }
+    }
+}
+
+/// Gives a key to the record in view.
+pub fn key(state: &mut State, mut opening: Opening, key: Key) -> Vec<Effect> {
+    let mut effects = Vec::new();
+    match key {
+        Key::Tab | Key::Right => opening.turn(1),
+        Key::BackTab | Key::Left => {
+            let count = opening.lookup.found().map_or(1, |view| Face::of(view).len());
+            opening.turn(count - 1);
+        }
+        Key::Char('W') => match opening.lookup.found().map(writable) {
+            Some(Some(file)) => effects.push(Effect::WriteFiles { directory: None, files: vec![file] }),
+            Some(None) => {
+                state.inform(format!("too long for here: authros shared open {} --out FILE", opening.lookup.id))
+            }
+            None => {}
+        },
+        Key::Char('y') => {
+            let digest = opening.lookup.found().map(|view| view.record.digest.to_hex());
+            effects.extend(digest.map(|digest| copy(state, digest)));
+        }
+        _ => match scrolled(opening.lookup.scroll, key, state.page_rows()) {
+            Some(scroll) => opening.lookup.scroll = scroll.min(opening.lines()),
+            None => return effects,
+        },
+    }
+    let path = opening.wants_path();
+    state.popups.push(Popup::Record(opening));
+    effects.extend(path.map(|errand| state.send(errand)));
+    effects
+}
+
+/// Takes the answer about a record.
+pub fn opened(state: &mut State, id: &str, result: Result<Reply, Failure>) -> Vec<Effect> {
+    let answer = match result {
+        Ok(Reply::Opened(view)) => Ok(view),
+        Ok(_) => return Vec::new(),
+        Err(failure) => Err(failure),
+    };
+    let Some(opening) = find(state, id) else { return Vec::new() };
+    opening.lookup.answer = Some(answer);
+    let path = opening.wants_path();
+    path.map(|errand| state.send(errand)).into_iter().collect()
+}
+
+/// Takes the answer about a path.
+pub fn path_found(state: &mut State, id: &str, result: Result<Reply, Failure>) {
+    let answer = match result {
+        Ok(Reply::Path(view)) => Ok(Box::new(view)),
+        Ok(_) => return,
+        Err(failure) => Err(failure),
+    };
+    if let Some(path) = find(state, id).and_then(|opening| opening.path.as_mut()) {
+        path.answer = Some(answer);
+    }
+}
+
+fn find<'a>(state: &'a mut State, id: &str) -> Option<&'a mut Opening> {
+    state.popups.iter_mut().find_map(|popup| match popup {
+        Popup::Record(opening) if opening.lookup.id == id => Some(opening),
+        _ => None,
+    })
+}
+
+/// What `W` writes of an opened record: its picture, else its bytes, else its fields; `None` where it is too long.
+fn writable(view: &OpenedView) -> Option<Contents> {
+    let stem: String = view.record.topic.trim_matches('/').chars().map(file_character).collect();
+    let named = |extension: &str, bytes: &[u8]| Contents {
+        name: format!("{stem}-{}.{extension}", view.record.seq),
+        bytes: Zeroizing::new(bytes.to_vec()),
+    };
+    if let Some(picture) = &view.picture {
+        let extension = if picture.starts_with(b"\x89PNG") { "png" } else { "jpg" };
+        return Some(named(extension, picture));
+    }
+    match &view.body {
+        Some(body) => Some(named("bin", body)),
+        None if view.message.is_null() || view.record.bytes > 4 << 20 => None,
+        None => Some(named("json", view.message.to_string().as_bytes())),
+    }
+}
+
+fn file_character(character: char) -> char {
+    if character.is_ascii_alphanumeric() { character } else { '_' }
+}

@@ -1,0 +1,84 @@
+//! What a console remembers of its last run: screen, filters, orders. Kept in the home, read back at the next start.
+
+use serde::{Deserialize, Serialize};
+
+use super::field::Field;
+use super::screen::Screen;
+use super::screens::{gateway, grants, topics};
+use super::state::State;
+use super::table::Table;
+use crate::service::NoticeLevel;
+
+/// One table's filter and order.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct KeptTable {
+    /// Text of the filter.
+    pub filter: String,
+    /// Which column sorts.
+    pub sort: usize,
+}
+
+/// What is remembered.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Kept {
+    /// Title of the screen in view.
+    pub screen: String,
+    /// Tables of Topics, Uploads, Shared, Grants, Gateway, Log.
+    pub tables: Vec<KeptTable>,
+    /// The least urgent level of the log: 0 to 2.
+    pub level: u8,
+    /// Whether local times stand beside UTC.
+    pub local_time: bool,
+}
+
+fn keep(table: &Table) -> KeptTable {
+    KeptTable { filter: table.filter.text().to_owned(), sort: table.sort }
+}
+
+/// What the next run should know.
+pub fn kept(state: &State) -> Kept {
+    let tables = [
+        &state.topics.table,
+        &state.uploads.table,
+        &state.shared.table,
+        &state.grants.table,
+        &state.gateway.table,
+        &state.log.table,
+    ];
+    Kept {
+        screen: state.screen.title().to_owned(),
+        tables: tables.into_iter().map(keep).collect(),
+        level: match state.log.least {
+            NoticeLevel::Info => 0,
+            NoticeLevel::Warning => 1,
+            NoticeLevel::Error => 2,
+        },
+        local_time: state.local_time,
+    }
+}
+
+/// Takes up where the last run was left; what makes no sense here is left as it is.
+pub fn recall(state: &mut State, kept: &Kept) {
+    if let Some(screen) = Screen::ALL.into_iter().find(|screen| screen.title() == kept.screen) {
+        state.screen = screen;
+    }
+    let tables = [
+        (&mut state.topics.table, topics::SORTS.len()),
+        (&mut state.uploads.table, 2),
+        (&mut state.shared.table, 2),
+        (&mut state.grants.table, grants::SORTS.len()),
+        (&mut state.gateway.table, gateway::SORTS.len()),
+        (&mut state.log.table, 1),
+    ];
+    for ((table, orders), kept) in tables.into_iter().zip(&kept.tables) {
+        table.filter = Field::with(&kept.filter);
+        table.sort = if kept.sort < orders { kept.sort } else { 0 };
+    }
+    state.log.least = match kept.level {
+        1 => NoticeLevel::Warning,
+        2 => NoticeLevel::Error,
+        _ => NoticeLevel::Info,
+    };
+    state.local_time = kept.local_time;
+}

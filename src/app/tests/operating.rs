@@ -1,0 +1,183 @@
+//! Locking, undoing, deciding about what is held, browsing, acting on marked rows, coming back to where one left.
+
+use super::*;
+use crate::app::confirm::Typed;
+use crate::app::resume::{kept, recall};
+use crate::model::Timestamp;
+use crate::service::reply::TopicRow;
+use crate::service::{Operation, UploadQuery};
+
+const MINUTE: u64 = 60_000_000_000;
+
+fn guarded() -> Robot {
+    let mut robot = Robot::opens(Settings { lock_after: Some(15 * MINUTE), ..Settings::default() });
+    robot.site_answers(true);
+    robot.waits(0);
+    robot
+}
+
+/// Answers pulls with the fixtures, but the identity as one that is locked.
+fn answers_locked(robot: &mut Robot) {
+    robot.is_answered(&Tag::Lock, Ok(Reply::Identity(fixtures::identity(true, false, true))));
+    let tag = robot.sent.iter().find(|(_, tag)| matches!(tag, Tag::Feed(super::super::feed::Feed::Identity, _)));
+    let tag = tag.map(|(_, tag)| tag.clone()).expect("the identity is asked for anew");
+    robot.is_answered(&tag, Ok(Reply::Identity(fixtures::identity(true, false, true))));
+}
+
+#[test]
+fn a_quarter_of_an_hour_without_a_key_locks_and_takes_what_was_opened_off_the_screen() {
+    let mut robot = guarded();
+    robot.types("4");
+    robot.site_answers(true);
+    robot.types("o");
+    let id = "00000000000003e8".to_owned();
+    robot.is_answered(&Tag::Open(id), Ok(Reply::Opened(Box::new(fixtures::opened(1_000, false)))));
+    assert!(record_shown(&robot.state).is_some());
+    robot.waits(14 * 60);
+    robot.presses(Key::Down);
+    robot.waits(14 * 60);
+    assert!(robot.work().is_empty(), "a key was pressed in time");
+    robot.waits(61);
+    assert_eq!(robot.work(), [Tag::Lock]);
+    assert!(record_shown(&robot.state).is_none(), "nothing decrypted stays on the screen");
+    answers_locked(&mut robot);
+    assert!(robot.message().contains("capture"), "{}", robot.message());
+    assert_eq!(crate::app::lock::due(&robot.state), None, "a locked keyring is not locked again");
+    robot.presses(Key::Escape);
+    robot.types("u");
+    assert!(matches!(robot.state.popups.last(), Some(Popup::Form(..))), "it asks for the passphrase");
+}
+
+#[test]
+fn lock_is_a_command_of_the_palette_and_never_waits_for_its_key_to_be_pressed_twice() {
+    let mut robot = guarded();
+    robot.types(":lock");
+    robot.presses(Key::Enter);
+    assert!(matches!(robot.sent.last(), Some((Command::Operate(Operation::Lock), Tag::Lock))));
+    robot.types("zx");
+    assert_eq!(robot.work().len(), 1);
+}
+
+fn held() -> Robot {
+    let mut robot = Robot::at_work(true);
+    robot.types("2");
+    robot.site_answers(true);
+    robot.state.topics.set(vec![TopicRow { quarantined: 7, ..fixtures::topic("/robot1/odom", 20.0) }], fixtures::NOW);
+    robot
+}
+
+#[test]
+fn discarding_wants_the_topic_typed_and_releasing_a_y() {
+    let mut robot = held();
+    robot.types("D");
+    robot.types("y");
+    robot.presses(Key::Enter);
+    assert!(robot.work().is_empty(), "y alone discards nothing");
+    robot.presses(Key::Backspace);
+    robot.types("/robot1/odom");
+    robot.presses(Key::Enter);
+    assert_eq!(robot.work(), [Tag::Discard("/robot1/odom".to_owned())]);
+    let mut robot = held();
+    robot.types("rr");
+    assert!(robot.work().is_empty(), "the key that opened the question does not answer it");
+    robot.types("ry");
+    assert_eq!(robot.work(), [Tag::Release("/robot1/odom".to_owned())]);
+    assert!(!Typed::new("word").is_done());
+}
+
+#[test]
+fn a_watch_is_undone_truly_and_a_grant_only_by_another_transaction() {
+    let mut robot = Robot::at_work(true);
+    robot.types("2");
+    robot.site_answers(true);
+    robot.types("U");
+    assert!(robot.message().contains("nothing to undo"));
+    robot.presses(Key::Home);
+    robot.types("w");
+    let tag = robot.work().first().cloned().expect("something is watched or not");
+    robot.is_answered(&tag, Ok(Reply::Done));
+    robot.types("U");
+    let (Tag::Watch(one) | Tag::Unwatch(one)) = &tag else { panic!("{tag:?}") };
+    let back = robot.work();
+    assert!(back == [Tag::Unwatch(one.clone())] || back == [Tag::Watch(one.clone())], "{back:?}");
+    assert_ne!(back[0], tag);
+
+    let mut robot = Robot::at_work(true);
+    robot.state.undo = Some(crate::app::undo::Undo::Granted(fixtures::OTHER.to_string()));
+    robot.types("U");
+    let Some(Popup::Confirm(question)) = robot.state.popups.last() else { panic!("it asks") };
+    assert!(question.lines.iter().any(|line| line.contains("cannot be recalled")));
+}
+
+#[test]
+fn commands_act_on_the_marked_records() {
+    let mut robot = Robot::at_work(true);
+    robot.types("3");
+    robot.site_answers(true);
+    robot.types("  c");
+    assert_eq!(robot.work().len(), 2, "two were marked");
+    assert!(robot.work().iter().all(|tag| matches!(tag, Tag::Check(_))));
+    assert!(robot.state.uploads.table.marks.is_empty());
+}
+
+fn asked(robot: &Robot) -> UploadQuery {
+    let found = robot.sent.iter().rev().find_map(|(command, _)| match command {
+        Command::ListShared(query) => Some(query.clone()),
+        _ => None,
+    });
+    found.expect("the list is asked for")
+}
+
+#[test]
+fn what_others_share_is_browsed_by_owner_type_tag_and_time() {
+    let mut robot = Robot::at_work(true);
+    robot.types("4");
+    robot.site_answers(true);
+    robot.types("b");
+    robot.presses(Key::Down);
+    robot.presses(Key::Enter);
+    assert_eq!(asked(&robot).owner.and_then(|owner| owner.address()), Some(crate::model::Address([0xab; 20])));
+    robot.types("/");
+    robot.types(" type:nav_msgs/Odometry tag:mission=harbour since:2h");
+    let query = asked(&robot);
+    assert_eq!(query.type_name.map(|name| name.to_string()).as_deref(), Some("nav_msgs/Odometry"));
+    assert_eq!(query.tags, [("mission".to_owned(), "harbour".to_owned())]);
+    let since = query.since.expect("a time");
+    assert!(since < robot.state.now && since.0.is_multiple_of(MINUTE), "the same page until the minute is over");
+    assert_eq!(since.0 / MINUTE, (fixtures::NOW.0 - 120 * MINUTE) / MINUTE);
+}
+
+#[test]
+fn a_new_console_begins_where_the_last_was_left() {
+    let mut robot = Robot::at_work(true);
+    robot.types("2");
+    robot.site_answers(true);
+    robot.types("s/robot1");
+    robot.presses(Key::Enter);
+    robot.types("zl");
+    let left = kept(&robot.state);
+    let text = serde_json::to_string(&left).expect("json");
+    let mut state = State::new(Settings::default());
+    recall(&mut state, &serde_json::from_str(&text).expect("reads"));
+    assert_eq!((state.screen, state.topics.table.sort, state.local_time), (Screen::Topics, 1, true));
+    assert_eq!(state.topics.table.filter.text(), "robot1");
+    recall(
+        &mut state,
+        &serde_json::from_str(r#"{"screen":"Nowhere","tables":[{"filter":"x","sort":99}]}"#).expect("reads"),
+    );
+    assert_eq!((state.screen, state.topics.table.sort), (Screen::Topics, 0), "what makes no sense is left out");
+    assert_eq!(state.clock(Timestamp::from_seconds(0)), "00:00:00", "without a zone UTC stands alone");
+}
+
+#[test]
+fn read_only_hides_and_refuses_what_changes() {
+    let mut robot = Robot::opens(Settings { read_only: true, ..Settings::default() });
+    robot.site_answers(true);
+    robot.types("2");
+    robot.site_answers(true);
+    robot.types("pPrDw");
+    assert!(robot.work().is_empty() && robot.state.popups.is_empty());
+    robot.types(":suspend");
+    let Some(Popup::Palette(palette)) = robot.state.popups.last() else { panic!("no palette") };
+    assert!(!palette.matches(&robot.state).iter().any(|entry| entry.changes));
+}

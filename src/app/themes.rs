@@ -1,0 +1,44 @@
+//! Choosing a theme: each is shown as the cursor comes to it, and Esc brings the old one back.
+
+use super::action::Effect;
+use super::key::Key;
+use super::popup::Popup;
+use super::state::State;
+
+/// A theme being chosen.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ThemeChoice {
+    /// Which of the names.
+    pub selected: usize,
+    /// The theme before, which Esc brings back.
+    pub before: String,
+}
+
+/// Opens the choice, on the theme in use.
+pub fn choose(state: &mut State) -> Vec<Effect> {
+    let before = state.theme.clone();
+    let selected = state.settings.themes.iter().position(|name| *name == before).unwrap_or(0);
+    state.popups.push(Popup::Themes(ThemeChoice { selected, before }));
+    Vec::new()
+}
+
+/// A key while a theme is chosen.
+pub fn key(state: &mut State, mut choice: ThemeChoice, key: Key) -> Vec<Effect> {
+    let last = state.settings.themes.len().saturating_sub(1);
+    match key {
+        Key::Escape | Key::Char('q') => return vec![Effect::ShowTheme(choice.before)],
+        Key::Enter => {
+            let kept = state.settings.themes.get(choice.selected).cloned().unwrap_or(choice.before);
+            state.inform(format!("theme: {kept}; console.theme in config.toml keeps it for good"));
+            return Vec::new();
+        }
+        Key::Up | Key::BackTab | Key::Char('k') => choice.selected = choice.selected.saturating_sub(1),
+        Key::Down | Key::Tab | Key::Char('j' | 'T') => choice.selected = (choice.selected + 1).min(last),
+        Key::Home => choice.selected = 0,
+        Key::End => choice.selected = last,
+        _ => {}
+    }
+    let seen = state.settings.themes.get(choice.selected).cloned().map(Effect::ShowTheme);
+    state.popups.push(Popup::Themes(choice));
+    seen.into_iter().collect()
+}

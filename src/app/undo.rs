@@ -1,0 +1,65 @@
+//! Taking the last act back, where that is true; where it would be another transaction, or where nothing can bring
+//! it back, that is said instead.
+
+use super::action::{Effect, Errand, Tag};
+use super::confirm;
+use super::popup::Popup;
+use super::state::State;
+use crate::model::TopicName;
+use crate::service::Command;
+
+/// What was done last, as far as undoing goes.
+#[derive(Debug, Clone)]
+pub enum Undo {
+    /// This takes it back, wholly.
+    By(Errand),
+    /// A grant: revoking it is another transaction, and nothing that was read meanwhile comes back.
+    Granted(String),
+    /// Nothing takes it back: why.
+    Never(&'static str),
+}
+
+/// Notes what a command did that was asked for under `tag`.
+pub fn note(state: &mut State, tag: &Tag) {
+    let topic = |name: &String| name.parse::<TopicName>().ok();
+    let undo = match tag {
+        Tag::Watch(name) => topic(name).map(|topic| {
+            Undo::By(Errand { command: Command::UnwatchTopic { topic }, tag: Tag::Unwatch(name.clone()) })
+        }),
+        Tag::Unwatch(name) => topic(name).map(|topic| {
+            let command = Command::WatchTopic { topic, type_name: None };
+            Undo::By(Errand { command, tag: Tag::Watch(name.clone()) })
+        }),
+        Tag::Grant(grantee) => Some(Undo::Granted(grantee.to_string())),
+        Tag::Revoke(_) => Some(Undo::Never("a revoke is a transaction: to share again, make a new grant (5, then g)")),
+        Tag::Rotate => Some(Undo::Never("an epoch that has begun stays; the one before is over")),
+        Tag::LoadKey(_) => Some(Undo::Never("the key that was replaced is gone from the keyring; load its file again")),
+        Tag::Release(_) => Some(Undo::Never("released messages go on to be anchored; they keep their tag")),
+        Tag::Discard(_) => Some(Undo::Never("discarded messages are deleted; their count stands on the chain")),
+        Tag::Administer(_) => Some(Undo::Never("it is a transaction; the opposite act is another one (7, then :)")),
+        _ => None,
+    };
+    if undo.is_some() {
+        state.undo = undo;
+    }
+}
+
+/// Takes the last act back, or says why that cannot be.
+pub fn undo(state: &mut State) -> Vec<Effect> {
+    match state.undo.take() {
+        Some(Undo::By(errand)) => return vec![state.send(errand)],
+        Some(Undo::Granted(grantee)) => {
+            let row = state.grants.rows.iter().find(|row| {
+                let is_it = row.grantee.to_string() == grantee || row.name.as_deref() == Some(grantee.as_str());
+                is_it && super::screens::grants::is_given(row) && super::screens::grants::is_active(row)
+            });
+            match row.map(|row| confirm::revoke(state, row)) {
+                Some(question) => state.popups.push(Popup::Confirm(question)),
+                None => state.inform("that grant is not active any more"),
+            }
+        }
+        Some(Undo::Never(why)) => state.inform(format!("cannot be undone: {why}")),
+        None => state.inform("nothing to undo"),
+    }
+    Vec::new()
+}

@@ -1,0 +1,203 @@
+//! `doctor`, `verify`, `backup`, `restore` and the audit of records: what their arguments mean, results for people.
+
+use std::path::{Path, PathBuf};
+
+use super::args::Global;
+use super::connect::{Connection, Context};
+use super::output::{Output, table};
+use super::verbs::NEITHER;
+use super::{parse, passphrase};
+use crate::model::{ErrorKind, Timestamp};
+use crate::service::command::{SecretText, StoreCommand, UploadQuery};
+use crate::service::reply::{BackupView, CheckStatus, DoctorView, RecordAudit, SiteView};
+use crate::service::verification::{self, FolderCheck};
+use crate::service::{Command, Failure, Needs, Reply, doctor, restoring, socket};
+use crate::store::SiteLock;
+
+/// The command of `audit` without a verb of its own.
+pub fn audit_command(deep: bool, since: Option<Timestamp>) -> Command {
+    Command::OfStore(StoreCommand::AuditRecords { deep, since })
+}
+
+/// `uploads list`: of the profile that is named, else of all profiles of the home.
+pub fn list_uploads(context: &Context, query: UploadQuery) -> Command {
+    match context.global.profile {
+        Some(_) => Command::ListUploads(query),
+        // The ids of tags follow from each profile's own key.
+        None if !query.tags.is_empty() => Command::ListUploads(query),
+        None if context.home.profiles().len() < 2 => Command::ListUploads(query),
+        None => Command::OfStore(StoreCommand::ListUploads(query)),
+    }
+}
+
+/// What an audit of records needs: the chain where the home is bound to one.
+pub fn audit_needs(context: &Context) -> Needs {
+    Needs { ros: false, chain: context.home.pin().exists() }
+}
+
+fn rounded(value: f64) -> String {
+    if value < 10.0 { format!("{value:.1}") } else { format!("{value:.0}") }
+}
+
+/// What an audit found, for people.
+pub fn audit(audit: &RecordAudit) -> String {
+    let how = if audit.deep { "re-hashed, signatures checked" } else { "compared (rows, proofs, chain)" };
+    let megabytes = rounded(audit.megabytes_per_second);
+    let mut lines = vec![
+        format!("{} records {how}, {} bytes, in {:.1} s", audit.records, audit.bytes, audit.seconds),
+        format!(
+            "{} records/s, {megabytes} MB/s on {} threads; SM3 alone does {} MB/s on as many",
+            rounded(audit.records_per_second),
+            audit.threads,
+            rounded(audit.sm3_megabytes_per_second)
+        ),
+        format!("{} batches against the chain, {} lines of the audit log", audit.batches, audit.audit_lines),
+    ];
+    let counted = [
+        (audit.pending, "on no chain yet"),
+        (audit.given_up, "given up on purpose"),
+        (audit.unchecked, "signed by keys that are not known here"),
+    ];
+    lines.extend(counted.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} records {what}")));
+    lines.extend(audit.notes.iter().map(|note| format!("note: {note}")));
+    let find = |finding: &crate::service::reply::RecordFinding| {
+        format!("{}: {}: {}", finding.kind.word().to_uppercase(), finding.subject, finding.text)
+    };
+    lines.extend(audit.findings.iter().map(find));
+    if audit.findings_left_out > 0 {
+        lines.push(format!("and {} more", audit.findings_left_out));
+    }
+    let (missing, tampered, gaps) = (audit.missing, audit.tampered, audit.gaps);
+    lines.push(match audit.ok {
+        true => "nothing is missing, nothing was tampered with".to_owned(),
+        false => format!("{missing} missing, {tampered} tampered, {gaps} numbers not there; keep a copy of the home"),
+    });
+    lines.join("\n")
+}
+
+/// The exit code of an audit.
+pub fn audit_code(audit: &RecordAudit) -> u8 {
+    audit.worst().map_or(0, ErrorKind::exit_code)
+}
+
+/// A back-up or what was restored, for people.
+pub fn backed_up(view: &BackupView) -> String {
+    let profiles = if view.profiles.is_empty() { "no profile".to_owned() } else { view.profiles.join(", ") };
+    let mut lines = vec![format!("{}: {} files, {} bytes, keyrings of {profiles}", view.file, view.files, view.bytes)];
+    lines.extend(view.notes.iter().map(|note| format!("note: {note}")));
+    lines.join("\n")
+}
+
+/// `doctor`.
+///
+/// # Errors
+/// Where nothing can be looked at.
+pub async fn run_doctor(context: Context, output: &Output) -> Result<u8, Failure> {
+    let site = running_site(&context).await;
+    let view = doctor::examine(&context.home, &context.config, site).await;
+    output.result(&view, || doctor_text(&view));
+    Ok(if view.ok { 0 } else { ErrorKind::Incomplete.exit_code() })
+}
+
+/// What a running site says; `None` where none runs.
+async fn running_site(context: &Context) -> Option<Result<SiteView, String>> {
+    if !context.home.site_lock().exists() || matches!(SiteLock::acquire(&context.home.site_lock()), Ok(Some(_))) {
+        return None;
+    }
+    let joined = match socket::join(&context.home, context.profile.clone()).await {
+        Ok(Some((client, _))) => client.request(Command::SiteStatus).await,
+        Ok(None) => return Some(Err("its socket is not there".to_owned())),
+        Err(failure) => return Some(Err(failure.message)),
+    };
+    Some(match joined {
+        Ok(Reply::Site(view)) => Ok(view),
+        Ok(_) => Err(super::connect::unexpected().message),
+        Err(failure) => Err(failure.message),
+    })
+}
+
+fn doctor_text(view: &DoctorView) -> String {
+    let mut lines = Vec::new();
+    let width = view.checks.iter().map(|check| check.name.len()).max().unwrap_or(0);
+    for check in &view.checks {
+        let word = match check.status {
+            CheckStatus::Ok => "ok  ",
+            CheckStatus::Warn => "warn",
+            CheckStatus::Fail => "FAIL",
+        };
+        lines.push(format!("{word}  {:width$}  {}", check.name, check.detail));
+        if !check.advice.is_empty() {
+            lines.push(format!("      {:width$}  -> {}", "", check.advice));
+        }
+    }
+    lines.join("\n")
+}
+
+/// `verify DIR`.
+///
+/// # Errors
+/// Where the folder is none, or a flag cannot be used.
+pub async fn run_verify(global: &Global, folder: &Path, output: &Output) -> Result<u8, Failure> {
+    let set = |name: &str| std::env::var(name).ok().filter(|value| !value.is_empty());
+    let url = global.chain.clone().or_else(|| set("AUTHROS_CHAIN"));
+    let contract = global.contract.as_deref().map(parse::value).transpose()?;
+    let check = verification::verify(folder, url.as_deref(), contract).await?;
+    output.result(&check, || verify_text(&check));
+    Ok(check.worst.map_or(0, ErrorKind::exit_code))
+}
+
+fn verify_text(check: &FolderCheck) -> String {
+    let row = |step: &crate::pipeline::export_folder::VerifyStep| {
+        let word = match step.ok {
+            Some(true) => "holds",
+            Some(false) => "DOES NOT HOLD",
+            None => "not asked",
+        };
+        vec![step.name.clone(), word.to_owned(), step.text.clone()]
+    };
+    let steps = table(&["step", "", ""], &check.steps.iter().map(row).collect::<Vec<_>>());
+    let verdict = match check.worst {
+        None => "VERIFIED: unaltered, anchored, and signed with a key that was its owner's or lent by them",
+        Some(ErrorKind::Tampered) => "NOT VERIFIED: do not trust this record",
+        Some(_) => "NOT VERIFIED: the chain was not asked for all of it",
+    };
+    format!("{steps}\n{verdict}")
+}
+
+/// The passphrase of a back-up: given, never the home's own.
+fn backup_passphrase(global: &Global) -> Result<SecretText, Failure> {
+    passphrase::of_file(global, Path::new(""))?.ok_or_else(|| {
+        Failure::new(
+            ErrorKind::Usage,
+            "a back-up has a passphrase of its own: give --passphrase-file or --passphrase-fd",
+        )
+    })
+}
+
+/// `backup FILE`.
+///
+/// # Errors
+/// What the site says.
+pub async fn run_backup(context: Context, file: &Path, output: &Output) -> Result<u8, Failure> {
+    let passphrase = backup_passphrase(&context.global)?;
+    let file = absolute(file)?;
+    let Connection { client, site } = context.connect(NEITHER).await?;
+    let answer = client.request(Command::OfStore(StoreCommand::BackUp { file, passphrase })).await;
+    Connection { client, site }.close().await;
+    super::show::show(answer?, None, output)
+}
+
+/// `restore FILE`.
+///
+/// # Errors
+/// Where the home is not empty, or the file is no back-up.
+pub fn run_restore(context: &Context, file: &Path, output: &Output) -> Result<u8, Failure> {
+    let passphrase = backup_passphrase(&context.global)?;
+    let view = restoring::restore(file, &context.home, &passphrase)?;
+    output.result(&view, || backed_up(&view));
+    Ok(0)
+}
+
+fn absolute(path: &Path) -> Result<PathBuf, Failure> {
+    std::path::absolute(path).map_err(|error| Failure::new(ErrorKind::Input, format!("{}: {error}", path.display())))
+}

@@ -1,0 +1,158 @@
+//! What is printed and needs no home: defaults to write one's own files from, completions, the manual page.
+
+use std::fmt::Write as _;
+
+use clap::CommandFactory;
+
+use super::args::{Arguments, PrintArguments, Verb};
+use super::twins::{TWINS, Twin};
+use crate::app::keymap;
+use crate::config::DEFINITIONS;
+use crate::model::{ErrorKind, clean};
+use crate::service::Failure;
+use crate::ui::theme;
+
+/// The text that was asked for; `None` where something is to be done instead.
+///
+/// # Errors
+/// Where a theme is asked for that is not embedded.
+pub fn text(arguments: &Arguments) -> Result<Option<String>, Failure> {
+    match &arguments.verb {
+        Some(Verb::Completions { shell }) => return Ok(Some(completions(*shell))),
+        Some(Verb::Man) => return manual().map(Some),
+        _ => {}
+    }
+    match &arguments.print {
+        PrintArguments { default_config: true, .. } => Ok(Some(config())),
+        PrintArguments { default_keymap: true, .. } => Ok(Some(keymap::preset_text())),
+        PrintArguments { default_theme: Some(name), .. } => {
+            let text = theme::embedded_text(name).map(str::to_owned);
+            let unknown =
+                || format!("there is no embedded theme '{}'; choose night, day, contrast or mono", clean(name, 40));
+            text.ok_or_else(|| Failure::new(ErrorKind::Usage, unknown())).map(Some)
+        }
+        _ => Ok(None),
+    }
+}
+
+/// Every setting with its default, as a `config.toml` in which nothing is set.
+fn config() -> String {
+    let mut text =
+        "# Settings of AuthROS: a flag goes before the environment, that before this file (config.toml in the home).\n\
+                    # Nothing set means embedded. Take the # away from what you set.\n"
+            .to_owned();
+    let mut tables: Vec<&str> = Vec::new();
+    let plain = DEFINITIONS.iter().filter(|definition| !definition.name.contains('.'));
+    let named = DEFINITIONS.iter().filter(|definition| definition.name.contains('.'));
+    for definition in plain.chain(named) {
+        let (table, key) = definition.name.split_once('.').unwrap_or(("", definition.name));
+        if !table.is_empty() && !tables.contains(&table) {
+            tables.push(table);
+        }
+        if table.is_empty() {
+            setting(&mut text, key, definition.default, definition.text, definition.variable);
+        }
+    }
+    for table in tables {
+        // Writing to a string cannot fail.
+        let _ = write!(text, "\n[{table}]");
+        for definition in DEFINITIONS {
+            if let Some((_, key)) = definition.name.split_once('.').filter(|(name, _)| *name == table) {
+                setting(&mut text, key, definition.default, definition.text, definition.variable);
+            }
+        }
+    }
+    text
+}
+
+fn setting(text: &mut String, key: &str, default: &str, help: &str, variable: &str) {
+    let value = toml::Value::String(default.to_owned());
+    let _ = writeln!(text, "\n# {help} ({variable})\n#{key} = {value}");
+}
+
+fn completions(shell: clap_complete::Shell) -> String {
+    let mut bytes = Vec::new();
+    clap_complete::generate(shell, &mut Arguments::command(), "authros", &mut bytes);
+    String::from_utf8_lossy(&bytes).into_owned()
+}
+
+/// The page of the program, and behind it one section per command.
+fn manual() -> Result<String, Failure> {
+    let failed = |error: std::io::Error| Failure::new(ErrorKind::Internal, format!("the manual page: {error}"));
+    let mut bytes = Vec::new();
+    let command = Arguments::command();
+    clap_mangen::Man::new(command.clone()).render(&mut bytes).map_err(failed)?;
+    let mut command = command;
+    command.build();
+    let mut text = String::from_utf8_lossy(&bytes).into_owned();
+    commands(&mut text, &command, "authros");
+    text.push_str(".SH THE CONSOLE\'S COMMANDS WITHOUT IT\n");
+    for (name, twin) in TWINS {
+        if let Twin::Runs(line) = twin {
+            let _ = write!(text, ".TP\n\\fB{}\\fR\nauthros {}\n", roff(name), roff(line));
+        }
+    }
+    Ok(text)
+}
+
+fn commands(text: &mut String, command: &clap::Command, path: &str) {
+    for verb in command.get_subcommands().filter(|verb| verb.get_name() != "help") {
+        let path = format!("{path} {}", verb.get_name());
+        let about = verb.get_about().map(ToString::to_string).unwrap_or_default();
+        let _ = write!(text, ".SH {}\n{}\n", roff(&path.to_uppercase()), roff(&about));
+        for argument in verb.get_arguments().filter(|argument| !argument.is_global_set()) {
+            let long = argument.get_long().map(|long| format!("--{long} "));
+            let value = argument.get_value_names().unwrap_or_default().join(" ");
+            let help = argument.get_help().map(ToString::to_string).unwrap_or_default();
+            if long.is_some() || argument.is_positional() {
+                let name = format!("{}{value}", long.unwrap_or_default());
+                let _ = write!(text, ".TP\n\\fB{}\\fR\n{}\n", roff(name.trim()), roff(&help));
+            }
+        }
+        commands(text, verb, &path);
+    }
+}
+
+/// Text that roff takes as text.
+fn roff(text: &str) -> String {
+    let text = text.replace('\\', "\\e").replace('-', "\\-").replace('\n', " ");
+    if text.starts_with(['.', '\'']) { format!("\\&{text}") } else { text }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    fn printed(arguments: &[&str]) -> String {
+        let arguments = Arguments::try_parse_from(["authros"].iter().chain(arguments)).expect("parses");
+        text(&arguments).expect("printed").expect("a text")
+    }
+
+    #[test]
+    fn what_is_printed_can_be_read_back() {
+        let config = printed(&["--print-default-config"]);
+        for definition in DEFINITIONS {
+            assert!(config.contains(definition.text) && config.contains(definition.variable), "{}", definition.name);
+        }
+        let set = config.replace("\n#robots", "\nrobots").replace("\n#confirmations", "\nconfirmations");
+        let none = |_: &str| None;
+        let read = |text: &str| crate::config::Config::resolve(&none, &none, Some((std::path::Path::new("c"), text)));
+        assert_eq!((read(&config).expect("reads").robots, read(&set).expect("reads").robots), (4, 4));
+        assert!(printed(&["--print-default-theme"]).contains("name = \"night\""));
+        assert!(printed(&["--print-default-theme=day"]).contains("name = \"day\""));
+        assert!(crate::app::Keymap::with_file("k", &printed(&["--print-default-keymap"])).is_ok());
+    }
+
+    #[test]
+    fn completions_and_manual_know_every_command() {
+        let manual = printed(&["man"]);
+        for shell in ["bash", "zsh", "fish", "elvish", "powershell"] {
+            let script = printed(&["completions", shell]);
+            assert!(Arguments::command().get_subcommands().all(|verb| script.contains(verb.get_name())), "{shell}");
+        }
+        for verb in Arguments::command().get_subcommands() {
+            assert!(manual.contains(&format!("AUTHROS {}", verb.get_name().to_uppercase())), "{}", verb.get_name());
+        }
+    }
+}

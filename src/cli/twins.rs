@@ -1,0 +1,104 @@
+//! The headless twin of every command of the console's palette: what a script runs for the same. The manual
+//! page lists them; a test fails where a command of the palette has none.
+
+/// What does the same without a console.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Twin {
+    /// This command line, with placeholders in capitals.
+    Runs(&'static str),
+    /// It only changes how the console shows things.
+    OnlyLooks,
+}
+
+use Twin::{OnlyLooks, Runs};
+
+/// The twin of each command of the palette, by its name there.
+pub const TWINS: &[(&str, Twin)] = &[
+    ("mark", OnlyLooks),
+    ("mark-all", OnlyLooks),
+    ("watch", Runs("topics watch TOPIC")),
+    ("provenance", Runs("uploads show ID")),
+    ("open", Runs("shared open ID")),
+    ("check", Runs("shared check ID")),
+    ("export", Runs("uploads export ID --dir DIR")),
+    ("browse", Runs("shared list --owner ADDRESS --topic TOPIC")),
+    ("readers", Runs("grants list")),
+    ("publishers", Runs("topics pins --topic TOPIC")),
+    ("pin", Runs("topics pin TOPIC")),
+    ("unpin", Runs("topics unpin TOPIC CALLER_ID")),
+    ("release", Runs("quarantine release --topic TOPIC")),
+    ("discard", Runs("quarantine discard --topic TOPIC")),
+    ("grant", Runs("grant ADDRESS")),
+    ("revoke", Runs("revoke ADDRESS")),
+    ("create-identity", Runs("identity create")),
+    ("unlock", Runs("keys list --passphrase-file FILE")),
+    ("register", Runs("register")),
+    ("load-key", Runs("keys load --sm4 FILE")),
+    ("rotate-keys", Runs("keys rotate")),
+    ("export-key", Runs("keys export sm4 --out FILE")),
+    ("back-up-keys", Runs("keys backup --out FILE")),
+    ("lock", Runs("identity lock")),
+    ("deploy", Runs("chain deploy")),
+    ("admit", Runs("chain admit ADDRESS")),
+    ("suspend", Runs("chain suspend ADDRESS")),
+    ("restore", Runs("chain restore ADDRESS")),
+    ("open-registration", Runs("chain open")),
+    ("close-registration", Runs("chain close")),
+    ("pause-changes", Runs("chain pause")),
+    ("continue-changes", Runs("chain resume")),
+    ("succeed", Runs("chain succeed ADDRESS ADDRESS")),
+    ("hand-over", Runs("chain hand-over ADDRESS")),
+    ("accept-administration", Runs("chain accept")),
+    ("adopt-chain", Runs("chain adopt")),
+    ("undo", Runs("topics unwatch TOPIC")),
+    ("tasks", Runs("status")),
+    ("log-level", Runs("audit list")),
+    ("filter", Runs("uploads list --topic TOPIC")),
+    ("sort", Runs("uploads list --newest")),
+    ("copy", Runs("uploads list")),
+    ("write-file", Runs("uploads list")),
+    ("local-time", OnlyLooks),
+    ("freeze", OnlyLooks),
+    ("help", Runs("man")),
+    ("quit", OnlyLooks),
+    ("next-screen", OnlyLooks),
+    ("previous-screen", OnlyLooks),
+    ("go-overview", Runs("status")),
+    ("go-topics", Runs("topics list")),
+    ("go-uploads", Runs("uploads list")),
+    ("go-shared", Runs("shared list")),
+    ("go-grants", Runs("grants list")),
+    ("go-keys", Runs("keys list")),
+    ("go-chain", Runs("chain status")),
+    ("go-gateway", Runs("gateway status")),
+    ("go-log", Runs("audit list")),
+    ("dismiss", OnlyLooks),
+    ("theme", OnlyLooks),
+    ("ascii", OnlyLooks),
+    ("mouse", OnlyLooks),
+    ("redraw", OnlyLooks),
+    ("shell", OnlyLooks),
+];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::app::verb::VERBS;
+    use crate::cli::args::Arguments;
+    use clap::Parser;
+
+    #[test]
+    fn every_command_of_the_palette_has_a_twin_that_parses() {
+        for entry in VERBS.iter().filter(|entry| entry.palette) {
+            let twin = TWINS.iter().find(|(name, _)| *name == entry.name).map(|(_, twin)| twin);
+            let twin = twin.unwrap_or_else(|| panic!("'{}' has no twin on the command line", entry.name));
+            assert!(!entry.changes || *twin != OnlyLooks, "'{}' changes something", entry.name);
+        }
+        for (name, twin) in TWINS {
+            assert!(VERBS.iter().any(|entry| entry.name == *name), "there is no command '{name}'");
+            let Runs(line) = twin else { continue };
+            let parsed = Arguments::try_parse_from(["authros"].into_iter().chain(line.split(' ')));
+            assert!(parsed.is_ok(), "{line}: {}", parsed.expect_err("wrong"));
+        }
+    }
+}

@@ -1,0 +1,81 @@
+//! Opened records on the command line: their readable form, their fields, their path; the files they become.
+
+use std::path::Path;
+
+use super::output::table;
+use crate::ros::readable::{Plot, Readable, Table, file_of};
+use crate::service::Command;
+use crate::service::command::Viewing;
+use crate::service::reply::{OpenedView, PathView};
+
+/// Opens a record; where a file is wanted, as what the file's name asks for.
+pub fn open(id: String, out: Option<&Path>) -> Command {
+    match out {
+        None => Command::OpenShared { id },
+        Some(path) => {
+            let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+            Command::View(Viewing::File { id, kind: file_of(&name) })
+        }
+    }
+}
+
+/// Takes out what is for screens alone or for files.
+pub fn without_bytes(view: &mut OpenedView) {
+    view.body = None;
+    view.picture = None;
+    view.file = None;
+    view.beginning = Vec::new();
+    if let Some(readable) = &mut view.readable {
+        readable.picture = None;
+    }
+}
+
+/// An opened record: what it is, its readable form, every field.
+pub fn opened(view: &OpenedView) -> String {
+    let record = &view.record;
+    let mut lines = vec![
+        format!("{}  {}  seq {}  {}", record.id, record.topic, record.seq, view.verdict.word().to_uppercase()),
+        format!("{} from {} captured {}", record.type_name, view.caller_id, record.captured_at),
+        format!("{} bytes, sealed as {} ({})", record.bytes, view.stored, compressed(&view.compression)),
+    ];
+    lines.extend(view.tags.iter().map(|(key, value)| format!("tag {key} = {value}")));
+    if let Some(readable) = &view.readable {
+        lines.push(String::new());
+        lines.push(self::readable(readable));
+        lines.push(String::new());
+    }
+    lines.extend(view.fields.iter().map(|(path, text)| format!("  {path}: {text}")));
+    lines.join("\n")
+}
+
+fn compressed(word: &str) -> String {
+    match word {
+        "none" | "" => String::from("not compressed"),
+        word => format!("compressed: {word}"),
+    }
+}
+
+fn readable(view: &Readable) -> String {
+    let width = view.lines.iter().map(|(label, _)| label.chars().count()).max().unwrap_or(0);
+    let mut parts: Vec<String> = view.lines.iter().map(|(label, value)| format!("{label:width$}  {value}")).collect();
+    parts.extend(view.tables.iter().map(tabled));
+    if let Some(plot) = &view.plot {
+        parts.push(format!("{}: {} points ({}; {})", plot.title, plot.points.len(), plot.axes.0, plot.axes.1));
+    }
+    parts.join("\n")
+}
+
+fn tabled(view: &Table) -> String {
+    let columns = view.rows.iter().map(Vec::len).chain([view.head.len()]).max().unwrap_or(0);
+    let head: Vec<&str> = (0..columns).map(|at| view.head.get(at).map_or("", String::as_str)).collect();
+    format!("{}\n{}", view.title, table(&head, &view.rows))
+}
+
+/// A path, point by point.
+pub fn path(view: &PathView) -> String {
+    let unread = if view.unread > 0 { format!(", {} could not be read", view.unread) } else { String::new() };
+    let head = format!("{}: {} records{unread}", view.topic, view.records);
+    let Some(Plot { axes, points, .. }) = &view.plot else { return head };
+    let rows: Vec<Vec<String>> = points.iter().map(|(x, y)| vec![format!("{x:.4}"), format!("{y:.4}")]).collect();
+    format!("{head}\n{}", table(&[&axes.0, &axes.1], &rows))
+}

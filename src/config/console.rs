@@ -1,0 +1,48 @@
+//! How the console looks, as far as settings say.
+
+use super::error::ConfigError;
+use super::read::{Values, number, value, wrong};
+
+/// What the settings say about the console.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct ConsoleSettings {
+    /// A theme's name; `None` = chosen by the terminal's colours.
+    pub theme: Option<String>,
+    /// ASCII characters only; `None` = decided by the locale.
+    pub ascii: Option<bool>,
+    /// Whether the console takes the mouse.
+    pub mouse: bool,
+    /// The most bytes a second drawn because data changed.
+    pub bytes_per_second: Option<u32>,
+    /// Nanoseconds without a key after which the keyring locks; `None` = never.
+    pub lock_after: Option<u64>,
+}
+
+impl ConsoleSettings {
+    pub(super) fn read(values: &Values) -> Result<Self, ConfigError> {
+        let ascii = match value(values, "console.ascii") {
+            Some("yes") => Some(true),
+            Some("no") => Some(false),
+            Some("auto") | None => None,
+            Some(_) => return Err(wrong(values, "console.ascii", "write yes, no or auto")),
+        };
+        let mouse = match value(values, "console.mouse") {
+            Some("yes") => true,
+            Some("no") | None => false,
+            Some(_) => return Err(wrong(values, "console.mouse", "write yes or no")),
+        };
+        let bytes_per_second = match value(values, "console.bytes_per_second") {
+            Some(_) => u32::try_from(number(values, "console.bytes_per_second", 500, 100_000_000)?).ok(),
+            None => None,
+        };
+        let minutes = number(values, "console.lock_after", 0, 10_080)?;
+        let lock_after = (minutes > 0).then(|| minutes * 60_000_000_000);
+        Ok(Self {
+            lock_after,
+            theme: value(values, "console.theme").map(str::to_owned),
+            ascii,
+            mouse,
+            bytes_per_second,
+        })
+    }
+}

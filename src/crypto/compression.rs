@@ -1,0 +1,73 @@
+//! Lossless compression of a message before it is sealed, each message by itself, and its bounded reverse.
+//! Which messages are worth it is decided in `pipeline`; how a message's matrix lies in it, in `ros`.
+
+mod filter;
+mod matrix;
+
+pub use matrix::{MOST_CHANNELS, Matrix};
+
+use crate::model::head::Compression;
+use crate::model::wire::WireError;
+
+/// Messages shorter than this are left alone, bytes.
+pub const SHORTEST: usize = 128;
+
+/// The most that LZ4 makes out of one byte.
+const MOST_PER_BYTE: usize = 255;
+
+/// Bytes looked at to see whether a long message is worth it.
+const PROBE: usize = 16 * 1024;
+
+/// A compressed message.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Packed {
+    /// How.
+    pub compression: Compression,
+    /// What is sealed.
+    pub bytes: Vec<u8>,
+}
+
+/// Compresses `body` where that saves at least an eighth of it.
+pub fn pack(body: &[u8], matrix: Option<&Matrix>) -> Option<Packed> {
+    if body.len() < SHORTEST {
+        return None;
+    }
+    if let Some(bytes) = matrix.and_then(|matrix| matrix::pack(body, matrix)).filter(|bytes| pays(bytes, body)) {
+        return Some(Packed { compression: Compression::Matrix, bytes });
+    }
+    if body.len() > 4 * PROBE && !pays(&lz4_flex::block::compress(middle(body)), middle(body)) {
+        return None;
+    }
+    let bytes = lz4_flex::block::compress(body);
+    pays(&bytes, body).then_some(Packed { compression: Compression::Lz4, bytes })
+}
+
+fn middle(body: &[u8]) -> &[u8] {
+    let start = (body.len() - PROBE) / 2;
+    &body[start..start + PROBE]
+}
+
+fn pays(packed: &[u8], body: &[u8]) -> bool {
+    packed.len() <= body.len() - body.len() / 8
+}
+
+/// Restores a message of `length` bytes, which the caller has bounded. No more than that is allocated.
+///
+/// # Errors
+/// [`WireError`] where `packed` is not what [`pack`] makes of a message of that length.
+pub fn unpack(compression: Compression, packed: &[u8], length: usize) -> Result<Vec<u8>, WireError> {
+    let damaged = WireError::Value("compressed body");
+    match compression {
+        Compression::None if packed.len() == length => Ok(packed.to_vec()),
+        Compression::None => Err(damaged),
+        Compression::Matrix => matrix::unpack(packed, length),
+        Compression::Lz4 if length / MOST_PER_BYTE > packed.len() => Err(damaged),
+        Compression::Lz4 => {
+            let plain = lz4_flex::block::decompress(packed, length).map_err(|_| damaged)?;
+            if plain.len() == length { Ok(plain) } else { Err(damaged) }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

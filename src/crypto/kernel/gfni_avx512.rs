@@ -1,0 +1,186 @@
+//! SM4 in 64 blocks at once: GFNI and AVX-512. Four groups of 16 blocks hide the latency of the S-box.
+//!
+//! Safety: the intrinsics need only the features that [`super::Sm4Kernel`] has checked before it calls; the
+//! single access to memory goes through references to whole arrays of 64 bytes, unaligned.
+#![allow(unsafe_code, reason = "vector loads and stores, see above")]
+
+use std::arch::x86_64::{
+    __m512i, _mm512_add_epi32, _mm512_cvtsi512_si32, _mm512_gf2p8affine_epi64_epi8, _mm512_gf2p8affineinv_epi64_epi8,
+    _mm512_loadu_si512, _mm512_mask_set1_epi32, _mm512_rol_epi32, _mm512_set1_epi32, _mm512_set1_epi64,
+    _mm512_setr_epi32, _mm512_setzero_si512, _mm512_shuffle_epi8, _mm512_storeu_si512, _mm512_ternarylogic_epi32,
+    _mm512_unpackhi_epi32, _mm512_unpackhi_epi64, _mm512_unpacklo_epi32, _mm512_unpacklo_epi64, _mm512_xor_si512,
+};
+
+use zeroize::Zeroizing;
+
+use super::Counter;
+use super::sbox::{CONSTANT_AFTER, CONSTANT_BEFORE, MATRIX_AFTER, MATRIX_BEFORE, round_keys};
+
+/// Of three operands, the XOR.
+const XOR: i32 = 0x96;
+/// Bytes of one group: 16 blocks.
+const GROUP: usize = 256;
+
+/// Words of 16 blocks, word by word.
+type Group = [__m512i; 4];
+
+#[inline]
+#[target_feature(enable = "avx512f,avx512bw,gfni")]
+fn substituted(bytes: __m512i) -> __m512i {
+    let before = _mm512_set1_epi64(MATRIX_BEFORE.cast_signed());
+    let after = _mm512_set1_epi64(MATRIX_AFTER.cast_signed());
+    let mapped = _mm512_gf2p8affine_epi64_epi8::<{ CONSTANT_BEFORE as i32 }>(bytes, before);
+    _mm512_gf2p8affineinv_epi64_epi8::<{ CONSTANT_AFTER as i32 }>(mapped, after)
+}
+
+/// One round of one group: the word that is replaced, and the three others.
+#[inline]
+#[target_feature(enable = "avx512f,avx512bw,gfni")]
+fn round(word: __m512i, others: [__m512i; 3], key: __m512i) -> __m512i {
+    let mixed = _mm512_ternarylogic_epi32::<XOR>(others[0], others[1], others[2]);
+    let bytes = substituted(_mm512_xor_si512(mixed, key));
+    let two = _mm512_ternarylogic_epi32::<XOR>(word, bytes, _mm512_rol_epi32::<2>(bytes));
+    let four = _mm512_ternarylogic_epi32::<XOR>(
+        _mm512_rol_epi32::<10>(bytes),
+        _mm512_rol_epi32::<18>(bytes),
+        _mm512_rol_epi32::<24>(bytes),
+    );
+    _mm512_xor_si512(two, four)
+}
+
+#[inline]
+#[target_feature(enable = "avx512f,avx512bw,gfni")]
+fn rounds<const N: usize>(keys: &[u32; 32], groups: &mut [Group; N]) {
+    for keys in keys.as_chunks::<4>().0 {
+        for (at, key) in keys.iter().enumerate() {
+            let key = _mm512_set1_epi32(key.cast_signed());
+            for group in groups.iter_mut() {
+                let others = [group[(at + 1) % 4], group[(at + 2) % 4], group[(at + 3) % 4]];
+                group[at] = round(group[at], others, key);
+            }
+        }
+    }
+}
+
+/// The blocks of a group in their order, big endian; the counters were dealt out so that this transposition
+/// within lanes is all it takes.
+#[inline]
+#[target_feature(enable = "avx512f,avx512bw")]
+fn blocks(group: &Group) -> [__m512i; 4] {
+    let swap = _mm512_setr_epi32(
+        0x0001_0203,
+        0x0405_0607,
+        0x0809_0a0b,
+        0x0c0d_0e0f,
+        0x0001_0203,
+        0x0405_0607,
+        0x0809_0a0b,
+        0x0c0d_0e0f,
+        0x0001_0203,
+        0x0405_0607,
+        0x0809_0a0b,
+        0x0c0d_0e0f,
+        0x0001_0203,
+        0x0405_0607,
+        0x0809_0a0b,
+        0x0c0d_0e0f,
+    );
+    // The last word of the state is the first of the block.
+    let (first, second) = (_mm512_unpacklo_epi32(group[3], group[2]), _mm512_unpacklo_epi32(group[1], group[0]));
+    let (third, fourth) = (_mm512_unpackhi_epi32(group[3], group[2]), _mm512_unpackhi_epi32(group[1], group[0]));
+    [
+        _mm512_shuffle_epi8(_mm512_unpacklo_epi64(first, second), swap),
+        _mm512_shuffle_epi8(_mm512_unpackhi_epi64(first, second), swap),
+        _mm512_shuffle_epi8(_mm512_unpacklo_epi64(third, fourth), swap),
+        _mm512_shuffle_epi8(_mm512_unpackhi_epi64(third, fourth), swap),
+    ]
+}
+
+/// 16 counter blocks from `number` on.
+#[inline]
+#[target_feature(enable = "avx512f")]
+fn counters(nonce: [u32; 3], number: u32) -> Group {
+    let dealt = _mm512_setr_epi32(0, 4, 8, 12, 1, 5, 9, 13, 2, 6, 10, 14, 3, 7, 11, 15);
+    let [first, second, third] = nonce.map(|word| _mm512_set1_epi32(word.cast_signed()));
+    [first, second, third, _mm512_add_epi32(_mm512_set1_epi32(number.cast_signed()), dealt)]
+}
+
+#[inline]
+#[target_feature(enable = "avx512f")]
+fn add(vector: __m512i, part: &mut [u8; 64]) {
+    let place = part.as_mut_ptr();
+    // SAFETY: `part` is 64 bytes, borrowed alone; both accesses are unaligned ones.
+    unsafe {
+        let text = _mm512_loadu_si512(place.cast_const().cast());
+        _mm512_storeu_si512(place.cast(), _mm512_xor_si512(text, vector));
+    }
+}
+
+#[inline]
+#[target_feature(enable = "avx512f,avx512bw")]
+fn add_group(group: &Group, text: &mut [u8]) {
+    let stream = blocks(group);
+    for (vector, part) in stream.into_iter().zip(text.as_chunks_mut::<64>().0) {
+        add(vector, part);
+    }
+}
+
+/// XORs the stream into `text`, `N` groups (`BYTES`) at once, and returns what is left.
+#[inline]
+#[target_feature(enable = "avx512f,avx512bw,gfni")]
+fn sweep<'a, const N: usize, const BYTES: usize>(
+    keys: &[u32; 32],
+    counter: &mut Counter,
+    text: &'a mut [u8],
+) -> &'a mut [u8] {
+    let (batches, rest) = text.as_chunks_mut::<BYTES>();
+    for batch in batches {
+        let mut groups = [[_mm512_setzero_si512(); 4]; N];
+        for group in &mut groups {
+            *group = counters(counter.nonce, counter.number);
+            counter.number = counter.number.wrapping_add(16);
+        }
+        rounds(keys, &mut groups);
+        for (group, part) in groups.iter().zip(batch.as_chunks_mut::<GROUP>().0) {
+            add_group(group, part);
+        }
+    }
+    rest
+}
+
+/// XORs the stream from `counter` on into `text`.
+#[target_feature(enable = "avx512f,avx512bw,gfni")]
+pub(super) fn apply(keys: &[u32; 32], mut counter: Counter, text: &mut [u8]) {
+    let rest = sweep::<4, { 4 * GROUP }>(keys, &mut counter, text);
+    let rest = sweep::<2, { 2 * GROUP }>(keys, &mut counter, rest);
+    let rest = sweep::<1, GROUP>(keys, &mut counter, rest);
+    if !rest.is_empty() {
+        let mut last = Zeroizing::new([0; GROUP]);
+        last[..rest.len()].copy_from_slice(rest);
+        sweep::<1, GROUP>(keys, &mut counter, &mut *last);
+        rest.copy_from_slice(&last[..rest.len()]);
+    }
+}
+
+/// The first 16 blocks of a nonce: E(0), E(J0), then the stream.
+#[target_feature(enable = "avx512f,avx512bw,gfni")]
+pub(super) fn first(keys: &[u32; 32], nonce: [u32; 3]) -> [u8; GROUP] {
+    let mut group = counters(nonce, 0);
+    for word in &mut group[..3] {
+        *word = _mm512_mask_set1_epi32(*word, 1, 0);
+    }
+    let mut groups = [group];
+    rounds(keys, &mut groups);
+    let mut out = [0; GROUP];
+    add_group(&groups[0], &mut out);
+    out
+}
+
+/// The round keys of a key.
+#[target_feature(enable = "avx512f,avx512bw,gfni")]
+pub(super) fn expand(key: &[u8; 16]) -> [u32; 32] {
+    round_keys(key, |word| {
+        let word = substituted(_mm512_set1_epi32(word.cast_signed()));
+        _mm512_cvtsi512_si32(word).cast_unsigned()
+    })
+}

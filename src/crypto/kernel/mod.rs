@@ -1,0 +1,228 @@
+//! SM4 in counter mode, GHASH and SM3 by the vector instructions of the processor at hand. Which are used is
+//! decided once, at run time; all of them, the portable one too, take the same time for all keys and data.
+//! The files below hold the only `unsafe` of the program, and each says why it is sound: functions that need
+//! features of the processor are called with an [`Available`] alone, which exists only where they were found.
+#![allow(unsafe_code, reason = "calls of functions that need features of the processor, which were asked for")]
+
+use std::fmt;
+use std::str::FromStr;
+use std::sync::OnceLock;
+
+use zeroize::Zeroizing;
+
+use crate::model::clean;
+
+#[cfg(target_arch = "x86_64")]
+mod aesni_avx2;
+#[cfg(target_arch = "x86_64")]
+mod avx2;
+#[cfg(target_arch = "x86_64")]
+mod gfni_avx2;
+#[cfg(target_arch = "x86_64")]
+mod gfni_avx512;
+mod ghash;
+#[cfg(target_arch = "x86_64")]
+mod ghash_avx512;
+#[cfg(target_arch = "x86_64")]
+mod ghash_pclmul;
+mod portable;
+mod sbox;
+#[cfg(target_arch = "x86_64")]
+mod sm3_avx2;
+#[cfg(target_arch = "x86_64")]
+mod sm3_avx512;
+mod sm3_lanes;
+
+#[cfg(test)]
+mod tests;
+
+pub(super) use ghash::Ghash;
+pub(super) use sm3_lanes::digest_many;
+
+/// What SM4 and GHASH are computed with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kernel {
+    /// GFNI, AVX-512 and VPCLMULQDQ: 64 blocks at once.
+    GfniAvx512,
+    /// GFNI, AVX2 and PCLMULQDQ: 16 blocks at once.
+    GfniAvx2,
+    /// AES-NI, AVX2 and PCLMULQDQ: 16 blocks at once.
+    AesniAvx2,
+    /// Any processor: bitsliced, 64 blocks at once; GHASH by the `ghash` crate.
+    Portable,
+}
+
+/// Why a kernel cannot be had.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum KernelError {
+    /// No such kernel.
+    #[error(
+        "'{0}' is no SM4 kernel; set AUTHROS_SM4_KERNEL to gfni-avx512, gfni-avx2, aesni-avx2 or portable, or unset it"
+    )]
+    Unknown(String),
+    /// Instructions are missing.
+    #[error(
+        "this processor cannot run the SM4 kernel {0}; unset AUTHROS_SM4_KERNEL, and the best that it can run is taken"
+    )]
+    Unavailable(Kernel),
+    /// Another one is at work.
+    #[error("the SM4 kernel {0} is in use already; choose one before anything is sealed or opened")]
+    Decided(Kernel),
+}
+
+impl Kernel {
+    /// All of them, the fastest first.
+    pub const ALL: [Self; 4] = [Self::GfniAvx512, Self::GfniAvx2, Self::AesniAvx2, Self::Portable];
+
+    /// The kernel, if this processor has what it needs.
+    pub fn available(self) -> Option<Available> {
+        self.has_features().then_some(Available(self))
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    fn has_features(self) -> bool {
+        let multiplies = is_x86_feature_detected!("pclmulqdq") && is_x86_feature_detected!("avx2");
+        let gfni = is_x86_feature_detected!("gfni");
+        match self {
+            Self::GfniAvx512 => {
+                let wide = is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512bw");
+                multiplies && gfni && wide && is_x86_feature_detected!("vpclmulqdq")
+            }
+            Self::GfniAvx2 => multiplies && gfni,
+            Self::AesniAvx2 => multiplies && is_x86_feature_detected!("aes"),
+            Self::Portable => true,
+        }
+    }
+
+    #[cfg(not(target_arch = "x86_64"))]
+    fn has_features(self) -> bool {
+        self == Self::Portable
+    }
+
+    /// Has this one used by the whole process, for tests and measurements.
+    ///
+    /// # Errors
+    /// [`KernelError::Unavailable`], or [`KernelError::Decided`] where another one was used before.
+    pub fn force(self) -> Result<(), KernelError> {
+        let available = self.available().ok_or(KernelError::Unavailable(self))?;
+        let decided = DECIDED.get_or_init(|| available);
+        if decided.0 == self { Ok(()) } else { Err(KernelError::Decided(decided.0)) }
+    }
+}
+
+impl fmt::Display for Kernel {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(match self {
+            Self::GfniAvx512 => "gfni-avx512",
+            Self::GfniAvx2 => "gfni-avx2",
+            Self::AesniAvx2 => "aesni-avx2",
+            Self::Portable => "portable",
+        })
+    }
+}
+
+impl FromStr for Kernel {
+    type Err = KernelError;
+
+    fn from_str(text: &str) -> Result<Self, KernelError> {
+        let known = Self::ALL.into_iter().find(|kernel| kernel.to_string() == text);
+        known.ok_or_else(|| KernelError::Unknown(clean(text, 40)))
+    }
+}
+
+/// The kernel that this process uses.
+static DECIDED: OnceLock<Available> = OnceLock::new();
+
+/// A kernel that this processor can run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Available(Kernel);
+
+impl Available {
+    /// The one that this process uses: the forced one, else the fastest.
+    pub fn decided() -> Self {
+        let fastest = || Kernel::ALL.into_iter().find_map(Kernel::available);
+        *DECIDED.get_or_init(|| fastest().unwrap_or(Self(Kernel::Portable)))
+    }
+
+    /// Its name.
+    pub fn kernel(self) -> Kernel {
+        self.0
+    }
+}
+
+/// Where a counter stands: the nonce's three words and the number of the next block.
+#[derive(Debug, Clone, Copy)]
+struct Counter {
+    nonce: [u32; 3],
+    number: u32,
+}
+
+/// Bytes of the first blocks of a nonce.
+pub(super) const FIRST: usize = 256;
+
+fn words(nonce: &[u8; 12]) -> [u32; 3] {
+    let mut words = [0; 3];
+    for (word, bytes) in words.iter_mut().zip(nonce.as_chunks::<4>().0) {
+        *word = u32::from_be_bytes(*bytes);
+    }
+    words
+}
+
+/// One SM4 key, ready to encrypt.
+pub(super) struct Sm4 {
+    kernel: Available,
+    keys: Zeroizing<[u32; 32]>,
+}
+
+impl Sm4 {
+    /// For a key.
+    pub fn new(kernel: Available, key: &[u8; 16]) -> Self {
+        let keys = match kernel.0 {
+            // SAFETY: `kernel` exists, so its features do.
+            #[cfg(target_arch = "x86_64")]
+            Kernel::GfniAvx512 => unsafe { gfni_avx512::expand(key) },
+            // SAFETY: as above.
+            #[cfg(target_arch = "x86_64")]
+            Kernel::GfniAvx2 => unsafe { gfni_avx2::expand(key) },
+            // SAFETY: as above.
+            #[cfg(target_arch = "x86_64")]
+            Kernel::AesniAvx2 => unsafe { aesni_avx2::expand(key) },
+            _ => portable::expand(key),
+        };
+        Self { kernel, keys: Zeroizing::new(keys) }
+    }
+
+    /// XORs `text` with the encrypted blocks nonce || number, nonce || number + 1, ... (modulo 2^32).
+    pub fn apply(&self, nonce: &[u8; 12], number: u32, text: &mut [u8]) {
+        let counter = Counter { nonce: words(nonce), number };
+        match self.kernel.0 {
+            // SAFETY: `kernel` exists, so its features do.
+            #[cfg(target_arch = "x86_64")]
+            Kernel::GfniAvx512 => unsafe { gfni_avx512::apply(&self.keys, counter, text) },
+            // SAFETY: as above.
+            #[cfg(target_arch = "x86_64")]
+            Kernel::GfniAvx2 => unsafe { gfni_avx2::apply(&self.keys, counter, text) },
+            // SAFETY: as above.
+            #[cfg(target_arch = "x86_64")]
+            Kernel::AesniAvx2 => unsafe { aesni_avx2::apply(&self.keys, counter, text) },
+            _ => portable::apply(&self.keys, counter, text),
+        }
+    }
+
+    /// All that GCM needs beside the text, in one batch: E(0), E(nonce || 1), and the stream of 2 to 15.
+    pub fn first(&self, nonce: &[u8; 12]) -> Zeroizing<[u8; FIRST]> {
+        let nonce = words(nonce);
+        Zeroizing::new(match self.kernel.0 {
+            // SAFETY: `kernel` exists, so its features do.
+            #[cfg(target_arch = "x86_64")]
+            Kernel::GfniAvx512 => unsafe { gfni_avx512::first(&self.keys, nonce) },
+            // SAFETY: as above.
+            #[cfg(target_arch = "x86_64")]
+            Kernel::GfniAvx2 => unsafe { gfni_avx2::first(&self.keys, nonce) },
+            // SAFETY: as above.
+            #[cfg(target_arch = "x86_64")]
+            Kernel::AesniAvx2 => unsafe { aesni_avx2::first(&self.keys, nonce) },
+            _ => portable::first(&self.keys, nonce),
+        })
+    }
+}

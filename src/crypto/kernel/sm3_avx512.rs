@@ -1,0 +1,131 @@
+//! The compression function of SM3 (GB/T 32905-2016, 5.3) on 16 messages side by side, with AVX-512.
+//!
+//! Safety: the features are checked before [`super`] calls; loads and stores are unaligned ones of whole arrays.
+#![allow(unsafe_code, reason = "vector loads and stores, see above")]
+#![allow(clippy::many_single_char_names, reason = "the standard's names: A to H")]
+
+use std::arch::x86_64::{
+    __m512i, _mm_set_epi64x, _mm512_add_epi32, _mm512_broadcast_i32x4, _mm512_loadu_si512, _mm512_rol_epi32,
+    _mm512_set1_epi32, _mm512_setzero_si512, _mm512_shuffle_epi8, _mm512_shuffle_i32x4, _mm512_storeu_si512,
+    _mm512_ternarylogic_epi32, _mm512_unpackhi_epi32, _mm512_unpackhi_epi64, _mm512_unpacklo_epi32,
+    _mm512_unpacklo_epi64, _mm512_xor_si512,
+};
+
+use super::sm3_lanes::{BLOCK, CONSTANTS, States};
+
+/// Blocks side by side.
+pub(super) const LANES: usize = 16;
+/// Of three operands: the XOR, the majority, the second where the first is set, else the third.
+const XOR: i32 = 0x96;
+const MAJORITY: i32 = 0xe8;
+const CHOICE: i32 = 0xca;
+
+#[inline]
+#[target_feature(enable = "avx512f")]
+fn load<T: Copy>(array: &[T]) -> __m512i {
+    assert!(size_of_val(array) == 64, "a vector has 64 bytes");
+    // SAFETY: 64 bytes of plain numbers (all callers are below), unaligned.
+    unsafe { _mm512_loadu_si512(array.as_ptr().cast()) }
+}
+
+#[inline]
+#[target_feature(enable = "avx512f")]
+fn store(array: &mut [u32; LANES], vector: __m512i) {
+    // SAFETY: 64 bytes, borrowed alone, unaligned.
+    unsafe { _mm512_storeu_si512(array.as_mut_ptr().cast(), vector) }
+}
+
+/// Rows to columns.
+#[inline]
+#[target_feature(enable = "avx512f")]
+fn transposed(rows: &[__m512i; LANES]) -> [__m512i; LANES] {
+    let mut pairs = *rows;
+    for at in (0..16).step_by(2) {
+        pairs[at] = _mm512_unpacklo_epi32(rows[at], rows[at + 1]);
+        pairs[at + 1] = _mm512_unpackhi_epi32(rows[at], rows[at + 1]);
+    }
+    let mut fours = pairs;
+    for at in (0..16).step_by(4) {
+        fours[at] = _mm512_unpacklo_epi64(pairs[at], pairs[at + 2]);
+        fours[at + 1] = _mm512_unpackhi_epi64(pairs[at], pairs[at + 2]);
+        fours[at + 2] = _mm512_unpacklo_epi64(pairs[at + 1], pairs[at + 3]);
+        fours[at + 3] = _mm512_unpackhi_epi64(pairs[at + 1], pairs[at + 3]);
+    }
+    let mut columns = fours;
+    for at in 0..4 {
+        let (one, other) = (
+            [
+                _mm512_shuffle_i32x4::<0x88>(fours[at], fours[at + 4]),
+                _mm512_shuffle_i32x4::<0xdd>(fours[at], fours[at + 4]),
+            ],
+            [
+                _mm512_shuffle_i32x4::<0x88>(fours[at + 8], fours[at + 12]),
+                _mm512_shuffle_i32x4::<0xdd>(fours[at + 8], fours[at + 12]),
+            ],
+        );
+        columns[at] = _mm512_shuffle_i32x4::<0x88>(one[0], other[0]);
+        columns[at + 4] = _mm512_shuffle_i32x4::<0x88>(one[1], other[1]);
+        columns[at + 8] = _mm512_shuffle_i32x4::<0xdd>(one[0], other[0]);
+        columns[at + 12] = _mm512_shuffle_i32x4::<0xdd>(one[1], other[1]);
+    }
+    columns
+}
+
+/// The first 16 words of each block, a block to a lane.
+#[inline]
+#[target_feature(enable = "avx512f,avx512bw")]
+fn words(blocks: &[&[u8; BLOCK]; LANES]) -> [__m512i; LANES] {
+    let swap = _mm512_broadcast_i32x4(_mm_set_epi64x(0x0c0d_0e0f_0809_0a0b, 0x0405_0607_0001_0203));
+    let mut rows = [_mm512_setzero_si512(); LANES];
+    for (row, block) in rows.iter_mut().zip(blocks) {
+        *row = _mm512_shuffle_epi8(load(&block[..]), swap);
+    }
+    transposed(&rows)
+}
+
+/// The word that follows 16 words; `w[at % 16]` is the eldest and gives way.
+#[inline]
+#[target_feature(enable = "avx512f")]
+fn next(w: &mut [__m512i; LANES], at: usize) -> __m512i {
+    let sum = _mm512_ternarylogic_epi32::<XOR>(w[at % 16], w[(at + 7) % 16], _mm512_rol_epi32::<15>(w[(at + 13) % 16]));
+    let mixed = _mm512_ternarylogic_epi32::<XOR>(sum, _mm512_rol_epi32::<15>(sum), _mm512_rol_epi32::<23>(sum));
+    let turned = _mm512_rol_epi32::<7>(w[(at + 3) % 16]);
+    w[at % 16] = _mm512_ternarylogic_epi32::<XOR>(mixed, turned, w[(at + 10) % 16]);
+    w[at % 16]
+}
+
+/// Takes one block of each of 16 messages into their states.
+#[target_feature(enable = "avx512f,avx512bw")]
+pub(super) fn compress(state: &mut States<LANES>, blocks: &[&[u8; BLOCK]; LANES]) {
+    let mut w = words(blocks);
+    let mut before = [_mm512_setzero_si512(); 8];
+    for (vector, words) in before.iter_mut().zip(state.iter()) {
+        *vector = load(words);
+    }
+    let [mut a, mut b, mut c, mut d, mut e, mut f, mut g, mut h] = before;
+    for round in 0..64 {
+        let eldest = w[round % 16];
+        if round >= 12 {
+            next(&mut w, round + 4);
+        }
+        let mixed = _mm512_xor_si512(eldest, w[(round + 4) % 16]);
+        let turned = _mm512_rol_epi32::<12>(a);
+        let key = _mm512_add_epi32(_mm512_set1_epi32(CONSTANTS[round].cast_signed()), e);
+        let one = _mm512_rol_epi32::<7>(_mm512_add_epi32(turned, key));
+        let two = _mm512_xor_si512(one, turned);
+        let (ff, gg) = if round < 16 {
+            (_mm512_ternarylogic_epi32::<XOR>(a, b, c), _mm512_ternarylogic_epi32::<XOR>(e, f, g))
+        } else {
+            (_mm512_ternarylogic_epi32::<MAJORITY>(a, b, c), _mm512_ternarylogic_epi32::<CHOICE>(e, f, g))
+        };
+        let first = _mm512_add_epi32(_mm512_add_epi32(ff, d), _mm512_add_epi32(two, mixed));
+        let second = _mm512_add_epi32(_mm512_add_epi32(gg, h), _mm512_add_epi32(one, eldest));
+        let second =
+            _mm512_ternarylogic_epi32::<XOR>(second, _mm512_rol_epi32::<9>(second), _mm512_rol_epi32::<17>(second));
+        (a, b, c, d) = (first, a, _mm512_rol_epi32::<9>(b), c);
+        (e, f, g, h) = (second, e, _mm512_rol_epi32::<19>(f), g);
+    }
+    for ((words, old), new) in state.iter_mut().zip(before).zip([a, b, c, d, e, f, g, h]) {
+        store(words, _mm512_xor_si512(old, new));
+    }
+}

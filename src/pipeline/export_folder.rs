@@ -1,0 +1,312 @@
+//! A folder of `uploads export`, as somebody gets it who trusts nobody: read with bounds, and checked as far as that
+//! goes without a chain. What the chain has to say is asked elsewhere.
+
+use std::fs::File;
+use std::io::Read as _;
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use crate::chain::merkle::{Inclusion, LONGEST_PATH, Leaf};
+use crate::crypto::{Provider, keyfile, record, signature_from_der, signer_id};
+use crate::model::header::{LARGEST_BODY, LARGEST_HEAD};
+use crate::model::{Address, Digest, Domain, Hash, Header, PublicKey, RecorderId, Signature, SignerId, TopicId, clean};
+
+/// What `proof.json` begins with.
+const FORMAT: &str = "authros-proof/1";
+/// The longest of the small files, bytes.
+const LONGEST_SMALL: u64 = 64 * 1024;
+/// The longest header of a record, bytes, generously.
+const LONGEST_HEADER: u64 = 1024;
+
+/// Why a folder cannot be looked at.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{file}: {why}; ask whoever gave you the folder for `authros uploads export` anew")]
+pub struct FolderError {
+    /// Which file.
+    pub file: String,
+    /// What is wrong with it, cleaned.
+    pub why: String,
+}
+
+impl FolderError {
+    fn new(file: &str, why: &str) -> Self {
+        Self { file: clean(file, 200), why: clean(why, 200) }
+    }
+}
+
+/// How a record was anchored.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum AnchorWord {
+    /// Its digest by itself.
+    Each,
+    /// The root of its batch.
+    Batch,
+}
+
+/// Where `proof.json` says that the record is anchored.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ClaimedAnchor {
+    /// How.
+    pub mode: AnchorWord,
+    /// Its leaf's hash.
+    #[serde(default)]
+    pub leaf: Option<Hash>,
+    /// Its place.
+    #[serde(default)]
+    pub index: Option<u64>,
+    /// Leaves of the batch.
+    #[serde(default)]
+    pub count: Option<u64>,
+    /// Hashes from the leaf up.
+    #[serde(default)]
+    pub path: Option<Vec<Hash>>,
+    /// The batch's root.
+    #[serde(default)]
+    pub root: Option<Hash>,
+    /// The transaction.
+    #[serde(default)]
+    pub transaction: Option<Hash>,
+    /// Its block.
+    #[serde(default)]
+    pub block: Option<u64>,
+    /// That block's hash.
+    #[serde(default)]
+    pub block_hash: Option<Hash>,
+}
+
+/// What `proof.json` claims.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ClaimedProof {
+    /// Names this format.
+    pub format: String,
+    /// SM3 of the record.
+    pub digest: Digest,
+    /// SM3 of the signer's key.
+    pub signer: SignerId,
+    /// The epoch that seals it.
+    pub epoch: u64,
+    /// The ledger that numbered it.
+    pub recorder: RecorderId,
+    /// Its topic's pseudonym.
+    pub topic_id: TopicId,
+    /// Its number.
+    pub seq: u64,
+    /// The network it is bound to.
+    pub domain: Domain,
+    /// The chain's id.
+    pub chain_id: u64,
+    /// Hash of block 0.
+    pub genesis: Hash,
+    /// The contract.
+    #[serde(default)]
+    pub contract: Option<Address>,
+    /// Where it is anchored.
+    pub anchor: ClaimedAnchor,
+}
+
+impl ClaimedProof {
+    /// From the text of `proof.json`.
+    ///
+    /// # Errors
+    /// What is wrong with it, in words.
+    pub fn parse(text: &[u8]) -> Result<Self, FolderError> {
+        let wrong = |why: &str| FolderError::new("proof.json", why);
+        let proof: Self = serde_json::from_slice(text).map_err(|error| wrong(&error.to_string()))?;
+        if proof.format != FORMAT {
+            return Err(wrong(&format!("its format is '{}', not {FORMAT}", clean(&proof.format, 40))));
+        }
+        if proof.anchor.path.as_ref().is_some_and(|path| path.len() > LONGEST_PATH) {
+            return Err(wrong("its path is longer than any batch has"));
+        }
+        Ok(proof)
+    }
+
+    /// The path, where the record is in a batch and the claim is complete.
+    pub fn inclusion(&self) -> Option<Inclusion> {
+        let anchor = &self.anchor;
+        Some(Inclusion { index: anchor.index?, count: anchor.count?, path: anchor.path.clone()?, root: anchor.root? })
+    }
+}
+
+/// One step of a check.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct VerifyStep {
+    /// What was checked.
+    pub name: String,
+    /// Whether it holds; `None` = it could not be asked.
+    pub ok: Option<bool>,
+    /// In words, cleaned.
+    pub text: String,
+}
+
+impl VerifyStep {
+    /// A step that holds or does not.
+    pub fn new(name: &str, ok: bool, text: &str) -> Self {
+        Self { name: name.to_owned(), ok: Some(ok), text: clean(text, 400) }
+    }
+
+    /// A step that could not be done.
+    pub fn open(name: &str, text: &str) -> Self {
+        Self { name: name.to_owned(), ok: None, text: clean(text, 400) }
+    }
+}
+
+/// The files of a folder, each within its bounds and of its form.
+#[derive(Debug, Clone)]
+pub struct ExportFolder {
+    /// The record as it is stored.
+    pub record: Vec<u8>,
+    /// Its header.
+    pub header: Header,
+    /// What is signed, as the folder has it.
+    pub message: Vec<u8>,
+    /// The signature.
+    pub signature: Signature,
+    /// The key in `signer.pem`.
+    pub signer: PublicKey,
+    /// What `proof.json` claims.
+    pub proof: ClaimedProof,
+}
+
+impl ExportFolder {
+    /// Reads a folder; links and anything that is no plain file are refused.
+    ///
+    /// # Errors
+    /// [`FolderError`] with the file and what is wrong with it.
+    pub fn read(folder: &Path) -> Result<Self, FolderError> {
+        let record = read(folder, "record.bin", LARGEST_BODY + u64::from(LARGEST_HEAD) + LONGEST_HEADER)?;
+        let small = |name: &str| read(folder, name, LONGEST_SMALL);
+        let (message, signature) = (small("message.bin")?, small("signature.bin")?);
+        Self::parse(record, message, &signature, &small("signer.pem")?, &small("proof.json")?)
+    }
+
+    /// From the files' bytes.
+    ///
+    /// # Errors
+    /// As [`ExportFolder::read`].
+    pub fn parse(
+        record: Vec<u8>,
+        message: Vec<u8>,
+        signature: &[u8],
+        signer: &[u8],
+        proof: &[u8],
+    ) -> Result<Self, FolderError> {
+        let (header, length) = Header::parse(&record)
+            .map_err(|error| FolderError::new("record.bin", &format!("is no record: {error}")))?;
+        let sealed = u64::from(header.head_length).saturating_add(header.body_length);
+        if u64::try_from(record.len() - length.min(record.len())).ok() != Some(sealed) {
+            return Err(FolderError::new("record.bin", "is not as long as its header says"));
+        }
+        let signature =
+            signature_from_der(signature).map_err(|error| FolderError::new("signature.bin", &error.to_string()))?;
+        let signer = std::str::from_utf8(signer).ok().and_then(|text| keyfile::sm2_public_from_pem(text).ok());
+        let signer = signer.ok_or_else(|| FolderError::new("signer.pem", "holds no SM2 public key"))?;
+        Ok(Self { record, header, message, signature, signer, proof: ClaimedProof::parse(proof)? })
+    }
+
+    /// SM3 of the record.
+    pub fn digest(&self, provider: &dyn Provider) -> Digest {
+        Digest(provider.sm3(&[&self.record]))
+    }
+
+    /// What its batch binds.
+    pub fn leaf(&self, digest: Digest) -> Leaf {
+        let Header { owner, recorder, topic_id, seq, .. } = self.header;
+        Leaf { owner, recorder, topic_id, seq, digest }
+    }
+
+    /// Everything that can be checked without a chain.
+    pub fn check(&self, provider: &dyn Provider) -> Vec<VerifyStep> {
+        let digest = self.digest(provider);
+        let mut steps = vec![
+            VerifyStep::new("digest", digest == self.proof.digest, &format!("SM3 of record.bin is {digest}")),
+            self.compare_header(),
+        ];
+        let signed = record::signed_bytes(&self.header.domain, &digest);
+        let text = "message.bin is label, network and this digest";
+        steps.push(VerifyStep::new("message", self.message == signed, text));
+        let named = signer_id(&self.signer) == self.header.signer;
+        let valid = provider.verify(&self.signer, &signed, &self.signature).is_ok();
+        let text = format!("SM2 by the key in signer.pem, which is {}", self.header.signer);
+        steps.push(VerifyStep::new("signature", named && valid, &text));
+        steps.extend(self.check_path(digest));
+        steps
+    }
+
+    fn compare_header(&self) -> VerifyStep {
+        let (header, proof) = (&self.header, &self.proof);
+        let fields = [
+            ("signer", header.signer == proof.signer),
+            ("epoch", header.epoch == proof.epoch),
+            ("recorder", header.recorder == proof.recorder),
+            ("topic", header.topic_id == proof.topic_id),
+            ("number", header.seq == proof.seq),
+            ("network", header.domain == proof.domain),
+        ];
+        match fields.iter().find(|(_, same)| !same) {
+            Some((field, _)) => {
+                VerifyStep::new("header", false, &format!("record.bin and proof.json differ in their {field}"))
+            }
+            None => {
+                let text = format!("of {}, number {}, captured {}", header.owner, header.seq, header.captured_at);
+                VerifyStep::new("header", true, &text)
+            }
+        }
+    }
+
+    fn check_path(&self, digest: Digest) -> Option<VerifyStep> {
+        if self.proof.anchor.mode == AnchorWord::Each {
+            return None;
+        }
+        let Some(inclusion) = self.proof.inclusion() else {
+            return Some(VerifyStep::new(
+                "proof",
+                false,
+                "proof.json names a batch and not the whole path to its root",
+            ));
+        };
+        let leaf = self.leaf(digest);
+        let named = self.proof.anchor.leaf.is_none_or(|claimed| claimed == leaf.hash());
+        let text =
+            format!("leaf {} of {}, root {}", inclusion.index.saturating_add(1), inclusion.count, inclusion.root);
+        Some(VerifyStep::new("proof", named && inclusion.proves(&leaf), &text))
+    }
+}
+
+fn read(folder: &Path, name: &str, most: u64) -> Result<Vec<u8>, FolderError> {
+    let path = folder.join(name);
+    let failed = |error: std::io::Error| FolderError::new(name, &format!("cannot be read: {error}"));
+    // Looked at before it is opened, since opening a pipe would wait for its writer.
+    if !path.symlink_metadata().map_err(failed)?.is_file() {
+        return Err(FolderError::new(name, "is no plain file"));
+    }
+    let file = File::open(&path).map_err(failed)?;
+    if file.metadata().map_err(failed)?.len() > most {
+        return Err(FolderError::new(name, &format!("is longer than {most} bytes")));
+    }
+    let mut bytes = Vec::new();
+    file.take(most).read_to_end(&mut bytes).map_err(failed)?;
+    Ok(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn links_long_files_and_wrong_json_are_told_by_their_names() {
+        let folder = tempfile::tempdir().expect("directory");
+        let read = |name: &str| read(folder.path(), name, 10).expect_err("refused").to_string();
+        assert!(read("record.bin").contains("record.bin"));
+        std::os::unix::fs::symlink("/etc/hostname", folder.path().join("link")).expect("linked");
+        std::fs::create_dir(folder.path().join("folder")).expect("made");
+        std::fs::write(folder.path().join("long"), [0; 11]).expect("written");
+        assert!(read("link").contains("no plain file") && read("folder").contains("no plain file"));
+        assert!(read("long").contains("longer"));
+        for text in ["", "{}", "[]", "{\"format\":1}", "\u{0}", &"[".repeat(100_000)] {
+            assert!(ClaimedProof::parse(text.as_bytes()).is_err());
+        }
+    }
+}

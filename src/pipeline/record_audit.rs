@@ -1,0 +1,86 @@
+//! The audit of records: ledger rows against proofs and chain, batches against the chain's events, numbers without
+//! holes, the audit log's hashes; `deep` also re-hashes every stored ciphertext and checks its signature.
+//!
+//! Pages come from the ledger one snapshot each, workers share them: memory does not grow with the store.
+
+mod batches;
+mod bound;
+mod records;
+mod report;
+mod scrub;
+mod sequences;
+
+use std::time::Instant;
+
+use tokio::runtime::Handle;
+
+use crate::model::{Address, Timestamp};
+use crate::store::{AuditLog, StoreError};
+
+pub use report::{FindingKind, RecordAudit, RecordFinding};
+pub use scrub::{Scrubbed, scrub_round};
+
+use self::report::Tally;
+use super::{Network, Plant, audit_head};
+
+/// What is to be audited.
+#[derive(Debug, Clone, Default)]
+pub struct Scope {
+    /// Also every stored byte and every signature.
+    pub deep: bool,
+    /// Only records captured then or later; batches, numbers and the audit log are looked at whole.
+    pub since: Timestamp,
+    /// Accounts of the home's profiles.
+    pub accounts: Vec<Address>,
+}
+
+/// Audits the store. `chain` is what the rows are compared with, or why it cannot be asked (then the rest is done all
+/// the same); `None` in a home that never met a chain. Blocks for as long as it takes; to be called where that is
+/// allowed, on a thread that may wait for the runtime.
+///
+/// # Errors
+/// Of ledger and vault where they do not answer at all; what is wrong in them is told in the answer.
+pub fn audit(
+    plant: &Plant,
+    chain: Option<Result<&Network, String>>,
+    log: &AuditLog,
+    scope: &Scope,
+    runtime: &Handle,
+) -> Result<RecordAudit, StoreError> {
+    let begun = Instant::now();
+    let mut tally = Tally::default();
+    let network = match &chain {
+        Some(Ok(network)) => Some(*network),
+        Some(Err(reason)) => {
+            tally.find(FindingKind::Unreachable, "chain", &format!("nothing could be compared with it: {reason}"));
+            None
+        }
+        None => {
+            tally.note("this home never met a chain, so nothing was compared with one");
+            None
+        }
+    };
+    let left_out = chain.is_some() && network.is_none();
+    batches::compare(plant, network, scope, runtime, &mut tally)?;
+    let reading = records::compare(plant, network, left_out, scope, runtime, &mut tally)?;
+    sequences::compare(plant, scope, &mut tally)?;
+    log_of(plant, log, scope, &mut tally)?;
+    let seconds = begun.elapsed().as_secs_f64();
+    let hashed = bound::sm3_rate(plant.provider, reading.threads);
+    Ok(tally.report(scope.deep, seconds, reading, hashed))
+}
+
+/// The audit log's own chain, and the heads that the home's profiles noted when they were sealed.
+fn log_of(plant: &Plant, log: &AuditLog, scope: &Scope, tally: &mut Tally) -> Result<(), StoreError> {
+    match log.verify() {
+        Ok(lines) => tally.lines = lines,
+        Err(fault) => tally.find(FindingKind::Tampered, "audit log", &fault.to_string()),
+    }
+    for account in &scope.accounts {
+        let Some(head) = audit_head::noted(&plant.ledger, *account)? else { continue };
+        if let Err(fault) = log.compare(&[head]) {
+            tally.find(FindingKind::Tampered, "audit log", &fault.to_string());
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,205 @@
+//! Batches against the chain, both ways: what the ledger says of each must stand there, and what this home's accounts
+//! anchored there must lie in the ledger, chained root to root.
+
+use std::collections::{HashMap, HashSet};
+
+use tokio::runtime::Handle;
+use tokio::task::JoinSet;
+
+use super::report::{FindingKind, Tally};
+use super::{Network, Plant, Scope};
+use crate::chain::{ChainError, Event, EventAt};
+use crate::model::{Address, Digest, Hash};
+use crate::store::{AuditedBatch, Ledger, StoreError};
+
+/// Batches asked for at once.
+const PAGE: usize = 16;
+/// Blocks whose events are read at a time.
+const STRIDE: u64 = 2000;
+/// Nodes forget receipts of blocks further below the head than this.
+const RECEIPTS_KEPT: u64 = 100_000;
+
+/// Compares all batches.
+pub(super) fn compare(
+    plant: &Plant,
+    network: Option<&Network>,
+    scope: &Scope,
+    runtime: &Handle,
+    tally: &mut Tally,
+) -> Result<(), StoreError> {
+    let ledger = &plant.ledger;
+    let mut asked = network;
+    let mut after = 0;
+    loop {
+        let page = ledger.audit_batches(after, PAGE)?;
+        let Some(last) = page.last() else { break };
+        after = last.key;
+        tally.batches += u64::try_from(page.len()).unwrap_or(0);
+        for batch in page.iter().filter(|batch| batch.held != batch.count) {
+            let text = format!("{} of its {} records are in the ledger", batch.held, batch.count);
+            tally.find(FindingKind::Missing, &name(&batch.root), &text);
+        }
+        if let Some(network) = asked
+            && let Err(error) = runtime.block_on(compare_page(ledger, network, page, tally))?
+        {
+            tally.find(FindingKind::Unreachable, "chain", &format!("batches were not all compared: {error}"));
+            asked = None;
+        }
+    }
+    if let Some(network) = asked
+        && let Err(error) = runtime.block_on(walk(ledger, network, scope, tally))?
+    {
+        tally.find(FindingKind::Unreachable, "chain", &format!("its events were not all read: {error}"));
+    }
+    Ok(())
+}
+
+fn name(root: &Hash) -> String {
+    format!("batch {root}")
+}
+
+async fn compare_page(
+    ledger: &Ledger,
+    network: &Network,
+    page: Vec<AuditedBatch>,
+    tally: &mut Tally,
+) -> Result<Result<(), ChainError>, StoreError> {
+    let mut answers = JoinSet::new();
+    for batch in page.into_iter().filter(|batch| batch.block.is_some()) {
+        let network = network.clone();
+        answers.spawn(async move { (differs(&network, &batch).await, batch) });
+    }
+    while let Some(answer) = answers.join_next().await {
+        let Ok((answer, batch)) = answer else { continue };
+        let text = match answer {
+            Ok(None) => continue,
+            Ok(Some(text)) => text,
+            Err(error) => return Ok(Err(error)),
+        };
+        // The chain may have been replaced below the look: what the ledger says now counts.
+        let now = ledger.audit_batches(batch.key - 1, 1)?.pop().filter(|now| now.key == batch.key);
+        if let Some(now) = now.filter(|now| *now != batch) {
+            match differs(network, &now).await {
+                Ok(None) => continue,
+                Ok(Some(text)) => tally.find(FindingKind::Tampered, &name(&now.root), &text),
+                Err(error) => return Ok(Err(error)),
+            }
+        } else {
+            tally.find(FindingKind::Tampered, &name(&batch.root), &text);
+        }
+    }
+    Ok(Ok(()))
+}
+
+/// What the chain says otherwise about a batch that the ledger has in a block.
+async fn differs(network: &Network, batch: &AuditedBatch) -> Result<Option<String>, ChainError> {
+    let chain = &network.chain;
+    let (Some(block), Some(account)) = (batch.block, batch.account) else {
+        return Ok(Some("the ledger has it in a block and does not say who anchored it".to_owned()));
+    };
+    match chain.root_anchored(account, batch.root).await? {
+        None => return Ok(Some(format!("{account} never anchored this root on the chain"))),
+        Some((_, count)) if count != batch.count => {
+            return Ok(Some(format!("the chain has it over {count} records, the ledger over {}", batch.count)));
+        }
+        Some((found, _)) if found != block => {
+            return Ok(Some(format!("the chain has it in block {found}, the ledger in block {block}")));
+        }
+        Some(_) => {}
+    }
+    let Some(found) = chain.block(block).await? else {
+        return Ok(Some(format!("the chain has no block {block}")));
+    };
+    if batch.block_hash.is_some_and(|hash| hash != found.hash) {
+        return Ok(Some(format!("block {block} has another hash on the chain than in the ledger")));
+    }
+    let Some(transaction) = batch.transaction else { return Ok(Some("the ledger names no transaction".to_owned())) };
+    match chain.receipt(transaction).await? {
+        Some(receipt) if receipt.block == block => Ok(None),
+        None if chain.head().await?.number.saturating_sub(block) > RECEIPTS_KEPT => Ok(None),
+        _ => Ok(Some(format!("transaction {transaction} is not in block {block}"))),
+    }
+}
+
+/// Reads the chain's events for what this home's accounts anchored.
+async fn walk(
+    ledger: &Ledger,
+    network: &Network,
+    scope: &Scope,
+    tally: &mut Tally,
+) -> Result<Result<(), ChainError>, StoreError> {
+    let mut own: HashSet<Address> = scope.accounts.iter().copied().collect();
+    own.extend(ledger.signing_accounts()?);
+    let mut walk = Walk { own, previous: HashMap::new(), copied_at: ledger.copied_at()?, elsewhere: 0 };
+    let head = match network.chain.head().await {
+        Ok(head) => head.number,
+        Err(error) => return Ok(Err(error)),
+    };
+    let mut from = network.chain.pin().map_or(0, |pin| pin.deployed_at);
+    while from <= head {
+        let to = head.min(from + STRIDE - 1);
+        match network.chain.events(from, to).await {
+            Ok(events) => walk.take(ledger, &events, tally)?,
+            Err(error) => return Ok(Err(error)),
+        }
+        from = to + 1;
+    }
+    if walk.elsewhere > 0 {
+        tally.note(&format!(
+            "{} batches or records of these accounts were anchored by another home since this one was restored from a back-up",
+            walk.elsewhere
+        ));
+    }
+    Ok(Ok(()))
+}
+
+/// What is kept between two stretches of the chain.
+struct Walk {
+    own: HashSet<Address>,
+    previous: HashMap<Address, Hash>,
+    /// The last block that a back-up knew which this ledger was restored from.
+    copied_at: Option<u64>,
+    elsewhere: u64,
+}
+
+impl Walk {
+    fn take(&mut self, ledger: &Ledger, events: &[EventAt], tally: &mut Tally) -> Result<(), StoreError> {
+        let (mut roots, mut digests): (Vec<Hash>, Vec<Digest>) = (Vec::new(), Vec::new());
+        let mut blocks = HashMap::new();
+        for at in events {
+            match at.event {
+                Event::Anchored { account, root, previous, .. } if self.own.contains(&account) => {
+                    let expected = self.previous.insert(account, root).unwrap_or(Hash([0; 32]));
+                    if expected != previous {
+                        let text = format!("{account} anchored it behind {previous} instead of behind {expected}");
+                        tally.find(FindingKind::Tampered, &name(&root), &text);
+                    }
+                    blocks.insert(root.0, at.block);
+                    roots.push(root);
+                }
+                Event::DataUploaded { owner, digest, .. } if self.own.contains(&owner) => {
+                    blocks.insert(digest.0, at.block);
+                    digests.push(digest);
+                }
+                _ => {}
+            }
+        }
+        for root in ledger.unknown_roots(&roots)? {
+            self.unknown(&name(&root), blocks.get(&root.0).copied(), tally);
+        }
+        for digest in ledger.unknown_digests(&digests)? {
+            self.unknown(&format!("record {digest}"), blocks.get(&digest.0).copied(), tally);
+        }
+        Ok(())
+    }
+
+    fn unknown(&mut self, subject: &str, block: Option<u64>, tally: &mut Tally) {
+        if self.copied_at.zip(block).is_some_and(|(copied, block)| block > copied) {
+            self.elsewhere += 1;
+            return;
+        }
+        let block = block.map_or_else(String::new, |block| format!(" in block {block}"));
+        let text = format!("this home's account anchored it{block}, and the ledger does not hold it");
+        tally.find(FindingKind::Missing, subject, &text);
+    }
+}

@@ -1,0 +1,230 @@
+//! What an audit found, as it is counted and as it is told.
+
+use serde::{Deserialize, Serialize};
+
+use crate::model::{ErrorKind, clean};
+
+/// Findings told one by one; the rest is counted.
+const MOST_TOLD: usize = 100;
+/// Widest text of a finding, characters.
+const WIDEST: usize = 400;
+
+/// What sort of finding it is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FindingKind {
+    /// Something is there and is not what was written, anchored or signed.
+    Tampered,
+    /// Something that must be there is gone.
+    Missing,
+    /// Numbers of a topic are not there.
+    Gap,
+    /// A peer could not be asked.
+    Unreachable,
+}
+
+impl FindingKind {
+    /// The word shown.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Tampered => "tampered",
+            Self::Missing => "missing",
+            Self::Gap => "gap",
+            Self::Unreachable => "unreachable",
+        }
+    }
+}
+
+/// One thing that is wrong.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RecordFinding {
+    /// What sort.
+    pub kind: FindingKind,
+    /// About what: a record's id, a batch's root, a topic, `audit log`, `chain`.
+    pub subject: String,
+    /// What is wrong, cleaned.
+    pub text: String,
+}
+
+/// The answer to an audit.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RecordAudit {
+    /// Whether nothing is wrong.
+    pub ok: bool,
+    /// Whether stored bytes and signatures were checked too.
+    pub deep: bool,
+    /// Records looked at.
+    pub records: u64,
+    /// Stored bytes hashed (deep), or bytes of the messages.
+    pub bytes: u64,
+    /// Things that are gone: stored bytes, rows, batches.
+    pub missing: u64,
+    /// Things that are not what was written, anchored or signed.
+    pub tampered: u64,
+    /// Numbers of topics that are not there.
+    pub gaps: u64,
+    /// Batches compared.
+    pub batches: u64,
+    /// Lines of the audit log whose hashes hold.
+    pub audit_lines: u64,
+    /// Records that are on no chain yet.
+    pub pending: u64,
+    /// Records whose bytes were given up on purpose, with their word for it: discarded out of quarantine, deleted by
+    /// retention, handed over to a gateway.
+    pub given_up: u64,
+    /// Records whose signature could not be checked: the signer's key is on no chain known here (deep).
+    pub unchecked: u64,
+    /// How long it took.
+    pub seconds: f64,
+    /// Records a second, while records were looked at.
+    pub records_per_second: f64,
+    /// Megabytes (10^6) a second, while records were looked at.
+    pub megabytes_per_second: f64,
+    /// What SM3 alone does on as many threads, megabytes a second, measured in this run.
+    pub sm3_megabytes_per_second: f64,
+    /// Threads that looked.
+    pub threads: usize,
+    /// What is wrong, the first hundred.
+    pub findings: Vec<RecordFinding>,
+    /// Further findings.
+    pub findings_left_out: u64,
+    /// What was left out of the audit, and why that is no finding.
+    pub notes: Vec<String>,
+}
+
+impl RecordAudit {
+    /// The worst that was found, as a kind of error; `None` where nothing was.
+    pub fn worst(&self) -> Option<ErrorKind> {
+        if self.tampered + self.missing + self.gaps > 0 {
+            Some(ErrorKind::Tampered)
+        } else if self.ok {
+            None
+        } else {
+            Some(ErrorKind::Unreachable)
+        }
+    }
+}
+
+/// What is counted while an audit runs.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Tally {
+    pub records: u64,
+    pub bytes: u64,
+    pub gaps: u64,
+    pub batches: u64,
+    pub lines: u64,
+    pub pending: u64,
+    pub given_up: u64,
+    pub unchecked: u64,
+    tampered: u64,
+    missing: u64,
+    found: u64,
+    findings: Vec<RecordFinding>,
+    notes: Vec<String>,
+}
+
+/// How long reading the records took, and how many threads did it.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Reading {
+    pub seconds: f64,
+    pub threads: usize,
+}
+
+impl Tally {
+    /// Counts a finding, and tells it while there is room.
+    pub fn find(&mut self, kind: FindingKind, subject: &str, text: &str) {
+        match kind {
+            FindingKind::Tampered => self.tampered += 1,
+            FindingKind::Missing => self.missing += 1,
+            FindingKind::Gap | FindingKind::Unreachable => {}
+        }
+        self.found += 1;
+        if self.findings.len() < MOST_TOLD {
+            self.findings.push(RecordFinding { kind, subject: clean(subject, 120), text: clean(text, WIDEST) });
+        }
+    }
+
+    /// Says what was left out.
+    pub fn note(&mut self, text: &str) {
+        self.notes.push(clean(text, WIDEST));
+    }
+
+    /// Adds what another thread counted.
+    pub fn join(&mut self, other: Self) {
+        self.records += other.records;
+        self.bytes += other.bytes;
+        self.gaps += other.gaps;
+        self.batches += other.batches;
+        self.pending += other.pending;
+        self.given_up += other.given_up;
+        self.unchecked += other.unchecked;
+        self.tampered += other.tampered;
+        self.missing += other.missing;
+        self.found += other.found;
+        let room = MOST_TOLD.saturating_sub(self.findings.len());
+        self.findings.extend(other.findings.into_iter().take(room));
+        self.notes.extend(other.notes);
+    }
+
+    /// What was found, for the console's scrubber and the report.
+    pub fn findings(&self) -> &[RecordFinding] {
+        &self.findings
+    }
+
+    /// The answer.
+    pub fn report(self, deep: bool, seconds: f64, reading: Reading, sm3: f64) -> RecordAudit {
+        let rate = |count: u64| {
+            #[expect(clippy::cast_precision_loss, reason = "a rate for people")]
+            let count = count as f64;
+            if reading.seconds > 0.0 { count / reading.seconds } else { 0.0 }
+        };
+        let told = u64::try_from(self.findings.len()).unwrap_or(u64::MAX);
+        RecordAudit {
+            ok: self.found == 0,
+            deep,
+            records: self.records,
+            bytes: self.bytes,
+            missing: self.missing,
+            tampered: self.tampered,
+            gaps: self.gaps,
+            batches: self.batches,
+            audit_lines: self.lines,
+            pending: self.pending,
+            given_up: self.given_up,
+            unchecked: self.unchecked,
+            seconds,
+            records_per_second: rate(self.records),
+            megabytes_per_second: rate(self.bytes) / 1e6,
+            sm3_megabytes_per_second: sm3,
+            threads: reading.threads,
+            findings: self.findings,
+            findings_left_out: self.found.saturating_sub(told),
+            notes: self.notes,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn findings_are_told_up_to_a_bound_and_counted_beyond() {
+        let mut tally = Tally::default();
+        let mut other = Tally::default();
+        for number in 0..80 {
+            tally.find(FindingKind::Missing, "a", &number.to_string());
+            other.find(FindingKind::Tampered, "b", "\u{202e}x");
+        }
+        tally.join(other);
+        let report = tally.report(true, 1.0, Reading { seconds: 0.0, threads: 1 }, 1.0);
+        assert_eq!((report.findings.len(), report.findings_left_out), (100, 60));
+        assert_eq!((report.missing, report.tampered, report.ok), (80, 80, false));
+        assert_eq!(report.worst(), Some(ErrorKind::Tampered));
+        assert!(report.findings.iter().all(|finding| !finding.text.contains('\u{202e}')));
+        let mut silent = Tally::default();
+        silent.find(FindingKind::Unreachable, "chain", "no answer");
+        let report = silent.report(false, 1.0, Reading { seconds: 1.0, threads: 1 }, 1.0);
+        assert_eq!((report.ok, report.worst()), (false, Some(ErrorKind::Unreachable)));
+    }
+}

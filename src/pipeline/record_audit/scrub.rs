@@ -1,0 +1,70 @@
+//! The scrubber: some records at a time are re-hashed as a deep audit would, from a cursor that the ledger keeps;
+//! what is found becomes `tampered` and is told.
+
+use super::records::{Bench, look};
+use super::report::Tally;
+use super::{Network, Plant};
+use crate::model::{Digest, RecordState, Timestamp};
+use crate::store::{AuditedRecord, StoreError};
+
+/// The row behind which the next round begins.
+const CURSOR: &str = "scrub-cursor";
+
+/// What a round did.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Scrubbed {
+    /// Records re-hashed.
+    pub records: u64,
+    /// Their bytes.
+    pub bytes: u64,
+    /// Records that are tampered or gone.
+    pub bad: u64,
+}
+
+/// Re-hashes up to `most` verified records behind the cursor, and moves it; at the end it begins anew.
+///
+/// # Errors
+/// Of ledger and vault: then the cursor stays.
+pub fn scrub_round(plant: &Plant, network: &Network, most: usize) -> Result<Scrubbed, StoreError> {
+    let after = plant.ledger.setting(CURSOR)?.and_then(|text| text.parse().ok()).unwrap_or(0);
+    let page = plant.ledger.audit_page(after, Timestamp(0), most)?;
+    let mut done = Scrubbed::default();
+    let mut bad = Vec::new();
+    // A row that cannot be read is the audit's to tell: it has no digest to mark.
+    for record in page.records.into_iter().flatten().filter(|record| record.row.state == RecordState::Verified) {
+        if let Some(digest) = scrub(plant, network, record, &mut done)? {
+            bad.push(digest);
+        }
+    }
+    if !bad.is_empty() {
+        mark(plant, &bad)?;
+    }
+    done.bad = u64::try_from(bad.len()).unwrap_or(u64::MAX);
+    plant.ledger.put_setting(CURSOR, &page.next.unwrap_or(0).to_string())?;
+    Ok(done)
+}
+
+fn scrub(
+    plant: &Plant,
+    network: &Network,
+    record: AuditedRecord,
+    done: &mut Scrubbed,
+) -> Result<Option<Digest>, StoreError> {
+    let digest = record.row.digest;
+    let mut tally = Tally::default();
+    look(Bench { plant, network: Some(network), blind: false, deep: true }, &[(record, None)], &mut tally)?;
+    done.records += 1;
+    done.bytes += tally.bytes;
+    let Some(finding) = tally.findings().first() else { return Ok(None) };
+    plant
+        .observer
+        .alert(true, format!("{}: {}; `authros audit --deep` looks at all records", finding.subject, finding.text));
+    Ok(Some(digest))
+}
+
+fn mark(plant: &Plant, bad: &[Digest]) -> Result<(), StoreError> {
+    plant.ledger.advance(bad, RecordState::Verified, RecordState::Tampered)?;
+    plant.observer.tampered(bad);
+    plant.observer.records_changed();
+    Ok(())
+}

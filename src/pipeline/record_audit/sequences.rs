@@ -1,0 +1,35 @@
+//! Numbers of topics: from 1, without holes, wherever this home gave them or anchors them.
+
+use super::report::{FindingKind, Tally};
+use super::{Plant, Scope};
+use crate::store::StoreError;
+
+/// Holes told of one topic.
+const MOST_HOLES: usize = 5;
+
+/// Looks for numbers that are not there. Records that a gateway shows this home are only those that it may see, so
+/// their numbers have holes by right.
+pub(super) fn compare(plant: &Plant, scope: &Scope, tally: &mut Tally) -> Result<(), StoreError> {
+    for sequence in plant.ledger.sequences()? {
+        let complete = sequence.keeper.is_none_or(|keeper| scope.accounts.contains(&keeper));
+        let lost = sequence.last.saturating_sub(sequence.count);
+        if !complete || lost == 0 {
+            continue;
+        }
+        tally.gaps += lost;
+        let holes = plant.ledger.holes(&sequence, MOST_HOLES)?;
+        let words: Vec<String> = holes.iter().take(MOST_HOLES).map(|(from, to)| span(*from, *to)).collect();
+        let text = format!(
+            "{lost} of the numbers 1 to {} of {} are not in the ledger: {}",
+            sequence.last,
+            sequence.owner,
+            words.join(", ")
+        );
+        tally.find(FindingKind::Gap, &sequence.name, &text);
+    }
+    Ok(())
+}
+
+fn span(from: u64, to: u64) -> String {
+    if from == to { from.to_string() } else { format!("{from} to {to}") }
+}

@@ -1,0 +1,145 @@
+//! The whole message as JSON, written while it is read: nothing is left out and nothing is kept in memory.
+//! Every text is whole; characters that a terminal must not see are escaped.
+
+use std::io::Write;
+
+use super::decode::{Failure, Walk};
+use super::definition::{Definition, Field, Kind, Layout, element_size};
+use super::line::{Arity, Primitive};
+use super::value::Value;
+use crate::model::clean;
+use crate::ros::RosError;
+
+impl Definition {
+    /// Writes the whole message as JSON, fields in their order, numbers as they are, numbers that JSON lacks as
+    /// text (`NaN`, `inf`), times as `{secs, nsecs}`, arrays of bytes as arrays of numbers. A body of n bytes
+    /// becomes at most about 40 n bytes of text; no memory is used beside.
+    ///
+    /// # Errors
+    /// [`RosError::Body`] where the body does not fit the definition, or `out` cannot be written.
+    pub fn write_json(&self, body: &[u8], out: &mut dyn Write) -> Result<(), RosError> {
+        let failed = |failure: Failure| RosError::body(self.type_name(), failure.to_string());
+        let root = self.root().ok_or_else(|| RosError::body("", "the definition is empty"))?;
+        let steps = body.len().saturating_mul(2).saturating_add(100_000);
+        let mut export = Export { walk: Walk::new(&self.layouts, body, steps), out };
+        export.message(root).map_err(failed)?;
+        export.walk.end().map_err(failed)
+    }
+}
+
+struct Export<'a> {
+    walk: Walk<'a>,
+    out: &'a mut dyn Write,
+}
+
+impl<'a> Export<'a> {
+    fn text(&mut self, text: &str) -> Result<(), Failure> {
+        self.out.write_all(text.as_bytes()).map_err(|_| Failure::Written)
+    }
+
+    fn message(&mut self, layout: &'a Layout) -> Result<(), Failure> {
+        self.text("{")?;
+        for (place, field) in layout.fields.iter().enumerate() {
+            self.text(if place > 0 { ",\"" } else { "\"" })?;
+            self.text(&field.name)?;
+            self.text("\":")?;
+            self.field(field)?;
+        }
+        self.text("}")
+    }
+
+    fn field(&mut self, field: &'a Field) -> Result<(), Failure> {
+        let count = match field.arity {
+            Arity::One => return self.element(field.kind),
+            Arity::Fixed(count) => count,
+            Arity::Variable => self.walk.count()?,
+        };
+        let (size, _) = element_size(self.walk.layouts(), field.kind);
+        self.walk.claim(size, count, &field.written)?;
+        self.text("[")?;
+        for place in 0..count {
+            if place > 0 {
+                self.text(",")?;
+            }
+            self.element(field.kind)?;
+        }
+        self.text("]")
+    }
+
+    fn element(&mut self, kind: Kind) -> Result<(), Failure> {
+        self.walk.spend()?;
+        match kind {
+            Kind::Primitive(Primitive::Text) => {
+                let bytes = self.walk.text()?;
+                let escaped = escaped(&String::from_utf8_lossy(bytes));
+                self.text(&escaped)
+            }
+            Kind::Primitive(primitive) => {
+                let value = self.walk.primitive(primitive)?;
+                self.plain(&value)
+            }
+            Kind::Message(index) => match self.walk.layouts().get(index) {
+                Some(layout) => self.message(layout),
+                None => Err(Failure::Costly),
+            },
+        }
+    }
+
+    fn plain(&mut self, value: &Value) -> Result<(), Failure> {
+        serde_json::to_writer(&mut *self.out, value).map_err(|_| Failure::Written)
+    }
+}
+
+/// A text as JSON: what may not be shown, as `\uXXXX`.
+fn escaped(text: &str) -> String {
+    let plain = serde_json::Value::from(text).to_string();
+    if plain.is_ascii() {
+        return plain;
+    }
+    let mut out = String::with_capacity(plain.len() + 16);
+    for character in plain.chars() {
+        if character.is_ascii() || clean(character.encode_utf8(&mut [0; 4]), 1) != "\u{fffd}" {
+            out.push(character);
+        } else {
+            let mut units = [0; 2];
+            out.extend(character.encode_utf16(&mut units).iter().map(|unit| format!("\\u{unit:04x}")));
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn json(text: &str, body: &[u8]) -> Option<String> {
+        let mut out = Vec::new();
+        Definition::parse("a/Root", text).expect("definition").write_json(body, &mut out).ok()?;
+        Some(String::from_utf8(out).expect("UTF-8"))
+    }
+
+    #[test]
+    fn nothing_is_left_out_and_the_order_is_kept() {
+        let mut body = 3000u32.to_le_bytes().to_vec();
+        body.extend(vec![7; 3000]);
+        body.extend(f32::NAN.to_le_bytes());
+        body.extend([1, 0, 0, 0, 2, 0, 0, 0]);
+        let whole = json("uint8[] z\nfloat32 b\ntime a", &body).expect("fits");
+        assert!(whole.starts_with("{\"z\":[7,7,7"), "{whole}");
+        assert!(whole.ends_with("7],\"b\":\"NaN\",\"a\":{\"secs\":1,\"nsecs\":2}}"), "{whole}");
+        assert_eq!(whole.matches(",7").count(), 2999);
+        assert_eq!(json("uint8[] z", &u32::MAX.to_le_bytes()), None);
+        assert_eq!(json("uint8 z", &[1, 2]), None);
+    }
+
+    #[test]
+    fn texts_are_whole_and_harmless() {
+        let text = "a\u{1b}[2J\u{202e}b\u{e0041}\"é机";
+        let mut body = u32::try_from(text.len()).expect("short").to_le_bytes().to_vec();
+        body.extend(text.bytes());
+        let json = json("string t", &body).expect("fits");
+        assert!(!json.contains(['\u{1b}', '\u{202e}', '\u{e0041}']), "{json}");
+        let back: serde_json::Value = serde_json::from_str(&json).expect("JSON");
+        assert_eq!(back["t"], text);
+    }
+}

@@ -1,0 +1,85 @@
+//! The doctor: looks at everything a home depends on and says how it is and what to do. Needs no passphrase, changes
+//! nothing, starts no robots; a part that is embedded and not running is as it should be.
+
+mod chain;
+mod files;
+mod peers;
+
+use crate::config::Config;
+use crate::model::clean;
+use crate::paths::Home;
+use crate::service::reply::{CheckStatus, DoctorCheck, DoctorView, HealthLevel, SiteView};
+use crate::store::SiteLock;
+
+/// Looks at all of it. `site` is what a running site of this home says of its parts, or why it says nothing; `None`
+/// where none runs.
+pub async fn examine(home: &Home, config: &Config, site: Option<Result<SiteView, String>>) -> DoctorView {
+    let mut sheet = Sheet::default();
+    let runs = site.is_some();
+    // Held so that no site begins while its files are looked at.
+    let lock = if runs { None } else { SiteLock::acquire(&home.site_lock()).ok().flatten() };
+    tokio::task::block_in_place(|| {
+        files::home(home, &mut sheet);
+        files::keys(home, &mut sheet);
+        files::ledger(home, &mut sheet);
+        files::disk(home, &mut sheet);
+        peers::vault(home, config, &mut sheet);
+        peers::ros(config, &mut sheet);
+    });
+    chain::look(home, config, runs, &mut sheet).await;
+    drop(lock);
+    match site {
+        Some(Ok(view)) => of_site(&view, &mut sheet),
+        Some(Err(reason)) => {
+            let advice = "end the process that holds site.lock, then start the site again";
+            sheet.fail("site", &format!("it does not answer: {reason}"), advice);
+        }
+        None => sheet.ok("site", "none runs; `authros serve` or the console starts one"),
+    }
+    sheet.view()
+}
+
+fn of_site(site: &SiteView, sheet: &mut Sheet) {
+    let failed: Vec<_> = site.health.iter().filter(|part| part.level == HealthLevel::Failed).collect();
+    for part in &failed {
+        sheet.fail(&format!("site {}", part.part), &part.text, "mend what it names; the site goes on by itself then");
+    }
+    for part in site.health.iter().filter(|part| part.level == HealthLevel::Waiting) {
+        sheet.warn(&format!("site {}", part.part), &part.text, "look again in a moment");
+    }
+    if failed.is_empty() {
+        let life = &site.life;
+        sheet
+            .ok("site", &format!("runs; {} records of this profile verified, {} pending", life.verified, life.pending));
+    }
+}
+
+/// What was found so far.
+#[derive(Debug, Default)]
+struct Sheet {
+    checks: Vec<DoctorCheck>,
+}
+
+impl Sheet {
+    fn add(&mut self, name: &str, status: CheckStatus, detail: &str, advice: &str) {
+        let check =
+            DoctorCheck { name: clean(name, 60), status, detail: clean(detail, 400), advice: clean(advice, 300) };
+        self.checks.push(check);
+    }
+
+    fn ok(&mut self, name: &str, detail: &str) {
+        self.add(name, CheckStatus::Ok, detail, "");
+    }
+
+    fn warn(&mut self, name: &str, detail: &str, advice: &str) {
+        self.add(name, CheckStatus::Warn, detail, advice);
+    }
+
+    fn fail(&mut self, name: &str, detail: &str, advice: &str) {
+        self.add(name, CheckStatus::Fail, detail, advice);
+    }
+
+    fn view(self) -> DoctorView {
+        DoctorView { ok: self.checks.iter().all(|check| check.status != CheckStatus::Fail), checks: self.checks }
+    }
+}

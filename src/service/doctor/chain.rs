@@ -1,0 +1,99 @@
+//! The chain: does it answer, is it the pinned one, is the contract's code what was pinned, and do the clocks agree.
+
+use super::Sheet;
+use crate::chain::{Chain, ChainOptions, Endpoint, Pin};
+use crate::config::{Config, without_password};
+use crate::model::Timestamp;
+use crate::paths::Home;
+
+/// Seconds that a block may be ahead of this clock.
+const AHEAD: u64 = 15;
+/// Seconds that break things: grants begin and end by the chain's time.
+const FAR_AHEAD: u64 = 120;
+
+/// Looks at it.
+pub(super) async fn look(home: &Home, config: &Config, site_runs: bool, sheet: &mut Sheet) {
+    let pinned = match pin(home) {
+        Ok(pinned) => pinned,
+        Err(reason) => return sheet.fail("chain", &reason, "restore chain-pin.json from a back-up"),
+    };
+    if let Some(site) = &config.site {
+        return remote(&site.address, sheet).await;
+    }
+    let (endpoint, name) = match &config.chain_url {
+        Some(url) => (Endpoint::Node { url: url.clone() }, without_password(url)),
+        None if site_runs => return sheet.ok("chain", "embedded; the running site has it open"),
+        None if !home.chain().join("chain.db").exists() => {
+            return match pinned {
+                None => sheet.ok("chain", "embedded; begins with the first registration"),
+                Some(_) => sheet.fail(
+                    "chain",
+                    "the embedded chain that this home is pinned to is gone",
+                    "restore it: authros restore FILE, or begin a new one: authros chain adopt",
+                ),
+            };
+        }
+        None => {
+            let endpoint = Endpoint::Embedded { directory: home.chain(), consensus: config.consensus };
+            (endpoint, "embedded".to_owned())
+        }
+    };
+    let has_pin = pinned.is_some();
+    let options = ChainOptions { endpoint, contract: config.contract, pinned, confirmations: config.confirmations };
+    match Chain::connect(options).await {
+        Ok(chain) => answered(&chain, &name, has_pin, sheet).await,
+        Err(error) => {
+            let text = error.to_string();
+            let (text, advice) = text.split_once(';').unwrap_or((&text, "start the node, or correct chain.url"));
+            sheet.fail("chain", text.trim(), advice.trim());
+        }
+    }
+}
+
+async fn answered(chain: &Chain, name: &str, has_pin: bool, sheet: &mut Sheet) {
+    let head = match chain.head().await {
+        Ok(head) => head,
+        Err(error) => return sheet.fail("chain", &error.to_string(), "look at the node"),
+    };
+    sheet.ok("chain", &format!("{name}, chain id {}, block {}", chain.chain_id(), head.number));
+    match chain.pin() {
+        Some(pin) if has_pin => {
+            sheet.ok("contract", &format!("{}, its code has the pinned hash {}", pin.contract, pin.code_hash));
+        }
+        Some(pin) => sheet.ok("contract", &format!("{}, its code is this program's", pin.contract)),
+        None => sheet.ok("contract", "none yet; `authros register` or `authros chain deploy` puts it there"),
+    }
+    let now = Timestamp::now().seconds();
+    let ahead = head.timestamp.saturating_sub(now);
+    let advice = "set this machine's clock (timedatectl set-ntp true), or that of the chain's sealers";
+    match ahead {
+        FAR_AHEAD.. => sheet.fail("clock", &format!("the newest block is {ahead} s in this clock's future"), advice),
+        AHEAD.. => sheet.warn("clock", &format!("the newest block is {ahead} s in this clock's future"), advice),
+        _ => {
+            let age = now.saturating_sub(head.timestamp);
+            sheet.ok("clock", &format!("the newest block is {age} s old by this clock, none is in its future"));
+        }
+    }
+}
+
+async fn remote(address: &str, sheet: &mut Sheet) {
+    let patience = std::time::Duration::from_secs(3);
+    match tokio::time::timeout(patience, tokio::net::TcpStream::connect(address)).await {
+        Ok(Ok(_)) => sheet.ok("chain", &format!("through the gateway at {address}, which answers")),
+        Ok(Err(error)) => {
+            sheet.fail("chain", &format!("the gateway at {address}: {error}"), "start it, or correct site.address");
+        }
+        Err(_) => {
+            let text = format!("the gateway at {address} does not answer within {} s", patience.as_secs());
+            sheet.fail("chain", &text, "start it, or correct site.address");
+        }
+    }
+}
+
+fn pin(home: &Home) -> Result<Option<Pin>, String> {
+    match std::fs::read(home.pin()) {
+        Ok(bytes) => serde_json::from_slice(&bytes).map(Some).map_err(|_| "chain-pin.json is damaged".to_owned()),
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(format!("chain-pin.json cannot be read: {error}")),
+    }
+}

@@ -1,0 +1,72 @@
+//! The peers of the settings: Redis, the ROS master and host names.
+
+use super::{Sheet, files};
+use crate::config::{Config, without_password};
+use crate::paths::Home;
+use crate::ros::Graph;
+use crate::store::vault::policy::{self, Gravity};
+
+/// The vault: the embedded file, or Redis with its policy and persistence.
+pub(super) fn vault(home: &Home, config: &Config, sheet: &mut Sheet) {
+    let Some(url) = &config.vault_url else {
+        return files::database("vault", &home.vault().join("vault.db"), sheet);
+    };
+    match policy::examine(Some(url)) {
+        Ok(findings) => {
+            if findings.is_empty() {
+                let text = format!("{} answers, evicts nothing and keeps an append-only file", without_password(url));
+                sheet.ok("vault", &text);
+            }
+            for finding in findings {
+                let text = format!("Redis at {} {}", finding.server, finding.text);
+                match finding.gravity {
+                    Gravity::Warning => sheet.warn("vault", &text, &finding.advice),
+                    Gravity::Refused => sheet.fail("vault", &text, &finding.advice),
+                }
+            }
+        }
+        Err(error) => {
+            let text = error.to_string();
+            let (text, advice) = text.split_once(';').unwrap_or((&text, "start it, or correct vault.url"));
+            sheet.fail("vault", text.trim(), advice.trim());
+        }
+    }
+}
+
+/// The master, this machine's name and the names that publishers gave.
+pub(super) fn ros(config: &Config, sheet: &mut Sheet) {
+    if config.site.is_some() {
+        return sheet.ok("ros", "is where the gateway is");
+    }
+    let Some(master) = &config.ros_master else {
+        return sheet.ok("ros", "embedded master, starts with the site");
+    };
+    let shown = without_password(master);
+    let graph = match Graph::new(master, "/authros_doctor") {
+        Ok(graph) => graph,
+        Err(error) => return sheet.fail("ros", &error.to_string(), "correct ros.master"),
+    };
+    match graph.ping() {
+        Ok(()) => sheet.ok("ros", &format!("the master at {shown} answers")),
+        Err(error) => return sheet.fail("ros", &error.to_string(), "start roscore, or correct ros.master"),
+    }
+    match graph.own_name(config.ros_host.as_deref()) {
+        Ok(host) => sheet.ok("ros host", &format!("other nodes are told to find this machine as {host}")),
+        Err((host, reason)) => {
+            let advice = "set ROS_HOSTNAME (or ros.host) to a name or address by which robots reach this machine";
+            sheet.fail("ros host", &format!("{host} {reason}"), advice);
+        }
+    }
+    match graph.unreached() {
+        Ok((tried, unreached)) if unreached.is_empty() => {
+            sheet.ok("ros nodes", &format!("all {tried} publishers answer at the addresses they gave"));
+        }
+        Ok((tried, unreached)) => {
+            let one = |node: &crate::ros::graph::Unreached| format!("{} at {}: {}", node.node, node.place, node.reason);
+            let texts: Vec<String> = unreached.iter().map(one).collect();
+            let advice = "on that machine set ROS_HOSTNAME or ROS_IP to what resolves here, or remove the dead node: rosnode cleanup";
+            sheet.warn("ros nodes", &format!("{} of {tried}: {}", unreached.len(), texts.join("; ")), advice);
+        }
+        Err(error) => sheet.warn("ros nodes", &error.to_string(), "look at `rosnode list`"),
+    }
+}

@@ -1,0 +1,20 @@
+//! A path over the records of a topic.
+
+use serde::{Deserialize, Serialize};
+
+use crate::ros::readable::Plot;
+
+/// A path over the records of a topic.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PathView {
+    /// The record it leads to.
+    pub id: String,
+    /// Its topic, cleaned.
+    pub topic: String,
+    /// Records that told a place.
+    pub records: usize,
+    /// Records that could not be opened or decoded.
+    pub unread: usize,
+    /// The path; `None` where no record told a place.
+    pub plot: Option<Plot>,
+}

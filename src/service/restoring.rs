@@ -1,0 +1,88 @@
+//! A home out of a back-up: only where none is, whole or not at all, and with a recorder of its own.
+
+use std::fs::{self, File};
+use std::io;
+use std::os::unix::fs::PermissionsExt as _;
+use std::path::Path;
+
+use super::command::SecretText;
+use super::failure::{input, refused};
+use super::reply::{BackupView, Failure};
+use crate::crypto::Passphrase;
+use crate::crypto::sealed_stream::SealedReader;
+use crate::model::{ErrorKind, clean};
+use crate::paths::Home;
+use crate::store::{archive, snapshot};
+
+/// Restores a back-up as the home, which must be empty or not there.
+///
+/// # Errors
+/// `Refused` where the home is not empty or the passphrase is another one, `Tampered` where the file is damaged,
+/// `Input` and `Home` where a file cannot be read or made. The home is then as it was.
+pub fn restore(file: &Path, home: &Home, secret: &SecretText) -> Result<BackupView, Failure> {
+    let passphrase = Passphrase::new(secret.expose().to_owned())?;
+    let root = std::path::absolute(home.root()).map_err(|error| unmade(home.root(), &error))?;
+    is_free(&root)?;
+    let parent = root.parent().ok_or_else(|| input("a home cannot be the root directory; choose another --home"))?;
+    fs::create_dir_all(parent).map_err(|error| unmade(parent, &error))?;
+    let opened = File::open(file).map_err(|error| unread(file, &error))?;
+    let mut sealed =
+        SealedReader::open(io::BufReader::new(opened), &passphrase).map_err(|error| unread(file, &error))?;
+    let folder = tempfile::Builder::new()
+        .prefix(".restoring-")
+        .permissions(fs::Permissions::from_mode(0o700))
+        .tempdir_in(parent)
+        .map_err(|error| unmade(parent, &error))?;
+    let unpacked = archive::unpack(&mut sealed, folder.path()).map_err(|error| unread(file, &error))?;
+    let copied = Home::new(folder.path().to_owned());
+    if !copied.ledger().exists() {
+        return Err(Failure::new(ErrorKind::Tampered, format!("{} holds no ledger, so it is no back-up", shown(file))));
+    }
+    snapshot::renew_ledger(&copied.ledger())?;
+    let profiles = copied.profiles().iter().map(ToString::to_string).collect();
+    is_free(&root)?;
+    // Over an empty directory or nothing; anything else makes this fail.
+    fs::rename(folder.path(), &root).map_err(|error| unmade(&root, &error))?;
+    File::open(parent).and_then(|parent| parent.sync_all()).map_err(|error| unmade(parent, &error))?;
+    let files = u64::try_from(unpacked.names.len()).unwrap_or(u64::MAX);
+    let notes = vec![
+        "new records are numbered anew under a new recorder; nonces are read from the chain".to_owned(),
+        "do not run this home and the one it was copied from side by side on one chain".to_owned(),
+    ];
+    Ok(BackupView { file: shown(file), files, bytes: unpacked.bytes, profiles, notes })
+}
+
+fn is_free(root: &Path) -> Result<(), Failure> {
+    let occupied = match fs::read_dir(root) {
+        Ok(mut entries) => entries.next().is_some(),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => false,
+        Err(error) => return Err(unmade(root, &error)),
+    };
+    if !occupied {
+        return Ok(());
+    }
+    let advice = "move it away, or restore into another --home";
+    Err(refused(format!("{} is not empty, and nothing is restored over it; {advice}", shown(root))))
+}
+
+fn shown(path: &Path) -> String {
+    clean(&path.display().to_string(), 200)
+}
+
+fn unmade(path: &Path, error: &io::Error) -> Failure {
+    Failure::new(ErrorKind::Home, format!("{} cannot be made: {error}; nothing was restored", shown(path)))
+}
+
+fn unread(file: &Path, error: &io::Error) -> Failure {
+    let file = shown(file);
+    match error.kind() {
+        io::ErrorKind::PermissionDenied if error.get_ref().is_some() => {
+            refused(format!("the passphrase does not open {file}; give the one that it was backed up with"))
+        }
+        io::ErrorKind::InvalidData | io::ErrorKind::UnexpectedEof => Failure::new(
+            ErrorKind::Tampered,
+            format!("{file} is damaged or no back-up ({error}); nothing was restored, use another copy"),
+        ),
+        _ => input(format!("{file} cannot be restored: {error}; nothing was restored")),
+    }
+}

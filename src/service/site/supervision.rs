@@ -1,0 +1,218 @@
+//! Keeps the background tasks of a site at work: one that panics, or ends although it is still wanted, is begun again
+//! after a pause that doubles to eight seconds. The operator is told, and `SiteStatus` shows every task.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::time::{Duration, Instant};
+
+use tokio::task::JoinHandle;
+
+use super::Site;
+use crate::crypto::fault;
+use crate::model::clean;
+use crate::service::event::{NoticeLevel, Part};
+use crate::service::failure::internal;
+use crate::service::reply::{Failure, TaskState, TaskView};
+
+/// The first pause before a task is begun again, and the longest.
+const PAUSES: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(8));
+/// A task that worked so long fails with the first pause again.
+const STEADY: Duration = Duration::from_secs(60);
+/// How often a resting thread looks whether the site ends.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// The tasks of a site, in the order in which they were begun.
+#[derive(Default)]
+pub(super) struct Tasks(Mutex<Vec<Arc<Task>>>);
+
+/// One task, for as long as it is wanted.
+struct Task {
+    name: String,
+    standing: Mutex<Standing>,
+}
+
+struct Standing {
+    begun: Instant,
+    restarts: u64,
+    pause: Duration,
+    resumes: Option<Instant>,
+    reason: Option<String>,
+}
+
+impl Tasks {
+    fn add(&self, name: String) -> Arc<Task> {
+        let standing = Standing { begun: Instant::now(), restarts: 0, pause: PAUSES.0, resumes: None, reason: None };
+        let task = Arc::new(Task { name, standing: Mutex::new(standing) });
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).push(Arc::clone(&task));
+        task
+    }
+
+    fn remove(&self, task: &Arc<Task>) {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).retain(|other| !Arc::ptr_eq(other, task));
+    }
+
+    /// How they all are.
+    pub fn views(&self) -> Vec<TaskView> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).iter().map(|task| task.view()).collect()
+    }
+}
+
+impl Task {
+    fn view(&self) -> TaskView {
+        let standing = self.standing.lock().unwrap_or_else(PoisonError::into_inner);
+        TaskView {
+            name: clean(&self.name, 80),
+            state: if standing.resumes.is_some() { TaskState::Resting } else { TaskState::Running },
+            restarts: standing.restarts,
+            next_try: standing.resumes.map(|at| at.saturating_duration_since(Instant::now()).as_secs()),
+            reason: standing.reason.clone(),
+        }
+    }
+
+    /// Notes that it ended; how long it rests.
+    fn ended(&self, reason: &str) -> Duration {
+        let mut standing = self.standing.lock().unwrap_or_else(PoisonError::into_inner);
+        let pause = if standing.begun.elapsed() >= STEADY { PAUSES.0 } else { standing.pause };
+        standing.pause = (pause * 2).min(PAUSES.1);
+        standing.resumes = Some(Instant::now() + pause);
+        standing.reason = Some(clean(reason, 200));
+        pause
+    }
+
+    fn begins_again(&self) {
+        let mut standing = self.standing.lock().unwrap_or_else(PoisonError::into_inner);
+        standing.begun = Instant::now();
+        standing.restarts += 1;
+        standing.resumes = None;
+    }
+}
+
+impl Site {
+    /// How the background tasks are.
+    pub(super) fn task_views(&self) -> Vec<TaskView> {
+        self.tasks.views()
+    }
+
+    /// Keeps a task at work until the site ends; aborting the handle ends the task.
+    pub(crate) fn supervise<Work, Run>(self: &Arc<Self>, name: &str, work: Work) -> JoinHandle<()>
+    where
+        Work: Fn(Arc<Site>) -> Run + Send + 'static,
+        Run: Future<Output = ()> + Send + 'static,
+    {
+        self.supervise_while(name, |_| true, work)
+    }
+
+    /// Keeps a task at work for as long as it is wanted and the site does not end.
+    pub(super) fn supervise_while<Wanted, Work, Run>(
+        self: &Arc<Self>,
+        name: &str,
+        wanted: Wanted,
+        work: Work,
+    ) -> JoinHandle<()>
+    where
+        Wanted: Fn(&Arc<Site>) -> bool + Send + 'static,
+        Work: Fn(Arc<Site>) -> Run + Send + 'static,
+        Run: Future<Output = ()> + Send + 'static,
+    {
+        let (site, task) = (Arc::clone(self), self.tasks.add(name.to_owned()));
+        tokio::spawn(async move {
+            loop {
+                let (run, name) = (work(Arc::clone(&site)), task.name.clone());
+                let mut running = Aborted(tokio::spawn(async move {
+                    tokio::select! {
+                        () = run => {}
+                        () = fault::task_fails(&name) => {}
+                    }
+                }));
+                let ended = (&mut running.0).await;
+                if site.is_ending() || !wanted(&site) {
+                    break;
+                }
+                let reason = ended.err().map_or_else(|| "it ended too early".to_owned(), |error| reason_of(error));
+                let pause = site.tell_ended(&task, &reason);
+                tokio::select! {
+                    () = tokio::time::sleep(pause) => {}
+                    () = site.stopped() => break,
+                }
+                task.begins_again();
+                site.changed(Part::Health);
+            }
+            site.tasks.remove(&task);
+        })
+    }
+
+    /// Keeps the work of a thread going until it ends by itself: only a panic begins it again.
+    ///
+    /// # Errors
+    /// Where the thread cannot be started.
+    pub(super) fn supervise_thread(
+        self: &Arc<Self>,
+        name: &'static str,
+        mut work: impl FnMut() + Send + 'static,
+    ) -> Result<std::thread::JoinHandle<()>, Failure> {
+        let (site, task) = (Arc::downgrade(self), self.tasks.add(name.to_owned()));
+        let run = move || {
+            while let Err(panic) = catch_unwind(AssertUnwindSafe(&mut work)) {
+                if !rest(&site, &task, &words(&*panic)) {
+                    break;
+                }
+            }
+            if let Some(site) = site.upgrade() {
+                site.tasks.remove(&task);
+            }
+        };
+        let spawned = std::thread::Builder::new().name(name.to_owned()).spawn(run);
+        spawned.map_err(|error| internal(format!("thread {name} cannot be started: {error}")))
+    }
+
+    fn tell_ended(&self, task: &Task, reason: &str) -> Duration {
+        let pause = task.ended(reason);
+        self.hub.notice(
+            NoticeLevel::Error,
+            &format!(
+                "the task '{}' of this site failed and is begun again in {:.1} s, nothing acknowledged is lost: {reason}",
+                task.name,
+                pause.as_secs_f32()
+            ),
+        );
+        self.changed(Part::Health);
+        pause
+    }
+}
+
+/// Ends a task where it is dropped.
+pub(super) struct Aborted(pub JoinHandle<()>);
+
+impl Drop for Aborted {
+    fn drop(&mut self) {
+        self.0.abort();
+    }
+}
+
+/// Rests a thread that panicked; whether it is still wanted then. What it holds must be worked off even while the
+/// site ends, so an end only shortens the rest.
+fn rest(site: &Weak<Site>, task: &Task, reason: &str) -> bool {
+    let Some(pause) = site.upgrade().map(|site| site.tell_ended(task, reason)) else { return false };
+    let resumes = Instant::now() + pause;
+    while Instant::now() < resumes && site.upgrade().is_some_and(|site| !site.is_ending()) {
+        std::thread::sleep(LOOK);
+    }
+    task.begins_again();
+    site.upgrade().is_some_and(|site| {
+        site.changed(Part::Health);
+        !site.is_stopping()
+    })
+}
+
+fn reason_of(error: tokio::task::JoinError) -> String {
+    match error.try_into_panic() {
+        Ok(panic) => words(&*panic),
+        Err(_) => "it was cancelled".to_owned(),
+    }
+}
+
+/// What a panic said.
+fn words(panic: &(dyn std::any::Any + Send)) -> String {
+    let text = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
+    clean(text.unwrap_or("a fault of the program; please report it"), 200)
+}

@@ -1,0 +1,180 @@
+//! Opened records for the eye: fields, readable form, files, and the path over a topic's records.
+
+use std::sync::Arc;
+
+use tokio::task::block_in_place;
+
+use super::Site;
+use super::statements;
+use super::view::record_view;
+use crate::crypto::OpenedRecord;
+use crate::model::{ErrorKind, RecordKind, RecordState, clean};
+use crate::pipeline::Owner;
+use crate::pipeline::reader::Reader;
+use crate::ros::readable::{self, Exported};
+use crate::ros::{Definition, Limits};
+use crate::service::command::{LONGEST_PATH, Viewing};
+use crate::service::reply::{Failure, OpenedView, PathView, Reply};
+use crate::store::{RecordQuery, RecordRow};
+
+/// Messages up to this length come with their bytes when they are looked at; longer ones as files only.
+const WHOLE: usize = 4 << 20;
+
+/// Bytes that a view shows in hex.
+const SHOWN: usize = 16 << 10;
+
+/// Rows of fields in a view.
+const MOST_FIELDS: usize = 5_000;
+
+/// An opened record with what decodes it.
+struct Opened {
+    row: RecordRow,
+    record: OpenedRecord,
+    definition: Option<Definition>,
+}
+
+impl Site {
+    /// Answers what is asked about opened records.
+    pub(super) async fn handle_viewing(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        viewing: Viewing,
+    ) -> Result<Reply, Failure> {
+        match viewing {
+            Viewing::File { id, kind } => {
+                self.file_of(owner, &id, kind).await.map(|view| Reply::Opened(Box::new(view)))
+            }
+            Viewing::Path { id, records } => self.path_to(owner, &id, records).await.map(Reply::Path),
+        }
+    }
+
+    /// Checks, decrypts and decodes one record, shared or own.
+    pub(super) async fn open_record(self: &Arc<Self>, owner: &Arc<Owner>, id: &str) -> Result<OpenedView, Failure> {
+        let opened = self.opened(owner, id, "decrypt").await?;
+        Ok(block_in_place(|| {
+            let mut view = view_of(&opened, owner);
+            if opened.record.body.len() <= WHOLE {
+                view.picture = own_picture(&opened);
+                view.body = Some(opened.record.body);
+            }
+            view
+        }))
+    }
+
+    async fn file_of(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        id: &str,
+        kind: Option<Exported>,
+    ) -> Result<OpenedView, Failure> {
+        let opened = self.opened(owner, id, "export message").await?;
+        block_in_place(|| {
+            let mut view = view_of(&opened, owner);
+            view.file = Some(match (kind, &opened.definition) {
+                (Some(Exported::Bin), _) => opened.record.body,
+                (None, _) => own_picture(&opened).unwrap_or(opened.record.body),
+                (Some(kind), Some(definition)) => readable::export(kind, definition, &opened.record.body)
+                    .map_err(|error| Failure::new(error.kind(), error.to_string()))?,
+                (Some(_), None) => return Err(without_definition(&opened.row)),
+            });
+            Ok(view)
+        })
+    }
+
+    async fn opened(self: &Arc<Self>, owner: &Arc<Owner>, id: &str, deed: &str) -> Result<Opened, Failure> {
+        let row = self.find_record(id).await?;
+        let network = self.network().await?;
+        let reader = Reader { plant: &self.plant, network: &network, reader: owner };
+        let allowed = reader.authorise(&row);
+        self.count_refusal(owner, &allowed);
+        allowed?;
+        self.audit_first(owner, deed, &row.id).await?;
+        let record = reader.open(&row).await?;
+        let definition = reader.definition(&row, &record).await?;
+        Ok(Opened { row, record, definition })
+    }
+
+    async fn path_to(self: &Arc<Self>, owner: &Arc<Owner>, id: &str, records: usize) -> Result<PathView, Failure> {
+        let records = records.clamp(2, LONGEST_PATH);
+        let row = self.find_record(id).await?;
+        let network = self.network().await?;
+        let reader = Reader { plant: &self.plant, network: &network, reader: owner };
+        let allowed = reader.authorise(&row);
+        self.count_refusal(owner, &allowed);
+        allowed?;
+        self.audit_first(owner, "decrypt", &format!("{} and up to {records} records before it", row.id)).await?;
+        let last = reader.open(&row).await?;
+        let definition = reader.definition(&row, &last).await?.ok_or_else(|| without_definition(&row))?;
+        let here = readable::place(&definition, &last.body).ok_or_else(|| {
+            let kind = clean(definition.type_name(), 120);
+            Failure::new(ErrorKind::Usage, format!("messages of {kind} tell no place, so there is no path over them"))
+        })?;
+        let (mut places, mut unread) = (vec![here], 0);
+        for earlier in self.before(&row, records - 1).await? {
+            let opened = if reader.authorise(&earlier).is_ok() { reader.open(&earlier).await.ok() } else { None };
+            match opened.and_then(|opened| readable::place(&definition, &opened.body)) {
+                Some(place) => places.push(place),
+                None => unread += 1,
+            }
+        }
+        places.reverse();
+        let topic = clean(&row.topic, 255);
+        let plot = readable::track(&format!("Path over {} records", places.len()), &places, Some(here));
+        Ok(PathView { id: row.id, topic, records: places.len(), unread, plot })
+    }
+
+    /// Messages of the record's stream that were captured before it, newest first.
+    async fn before(self: &Arc<Self>, row: &RecordRow, most: usize) -> Result<Vec<RecordRow>, Failure> {
+        let query = RecordQuery {
+            owner: Some(row.owner),
+            topic_ids: Some(vec![row.topic_id]),
+            kind: Some(RecordKind::Data),
+            until: Some(row.captured_at),
+            limit: most,
+            newest_first: true,
+            ..RecordQuery::default()
+        };
+        let mut page = self.blocking(move |site| Ok(site.plant.ledger.list(&query)?)).await?;
+        page.rows.retain(|earlier| earlier.state != RecordState::Dropped);
+        Ok(page.rows)
+    }
+}
+
+fn without_definition(row: &RecordRow) -> Failure {
+    let text = format!("the definition of {}'s type was not found, so it can only be written as .bin", row.id);
+    Failure::new(ErrorKind::Input, text)
+}
+
+/// A picture's own bytes, where the message is one.
+fn own_picture(opened: &Opened) -> Option<Vec<u8>> {
+    let picture = opened.definition.as_ref()?.compressed_image(&opened.record.body)?;
+    let bytes = opened.record.body.get(picture.data).map(<[u8]>::to_vec);
+    bytes.filter(|_| !crate::crypto::fault::is_off("restore"))
+}
+
+fn view_of(opened: &Opened, owner: &Owner) -> OpenedView {
+    let (row, record, definition) = (&opened.row, &opened.record, opened.definition.as_ref());
+    let decoded = definition.and_then(|definition| definition.decode(&record.body, Limits::default()).ok());
+    let fields = decoded.as_ref().map(|value| value.flatten()).unwrap_or_default();
+    let stated = statements::view(row.kind, &record.body);
+    let fields = stated.as_ref().map_or(fields, statements::fields);
+    OpenedView {
+        record: record_view(row, row.owner != owner.address),
+        verdict: record.verdict,
+        caller_id: clean(&record.head.caller_id, 255),
+        tags: record.head.tags.iter().map(|(key, value)| (clean(key, 64), clean(value, 200))).collect(),
+        compression: record.head.compression.word().to_owned(),
+        stored: record.header.body_length,
+        fields: fields
+            .into_iter()
+            .take(MOST_FIELDS)
+            .map(|(path, text)| (clean(&path, 200), clean(&text, 400)))
+            .collect(),
+        message: stated.or_else(|| decoded.map(|value| value.to_json())).unwrap_or_default(),
+        readable: definition.and_then(|definition| readable::read(definition, &record.body)),
+        beginning: record.body.get(..SHOWN.min(record.body.len())).unwrap_or_default().to_vec(),
+        body: None,
+        picture: None,
+        file: None,
+    }
+}

@@ -1,0 +1,310 @@
+//! What an audit reads: records with their places in batches, batches, sequences; page by page, each page one
+//! snapshot, so that memory stays flat. A row that cannot be read is told, it does not end the walk.
+
+use std::collections::HashMap;
+
+use rusqlite::{Connection, Row, params};
+
+use super::rows::{self, RecordRow, Stream, unsigned};
+use super::{Ledger, database::whole};
+use crate::chain::merkle::Inclusion;
+use crate::model::{Address, Digest, Hash, Timestamp, clean};
+use crate::store::StoreError;
+
+/// The setting that says where a restored ledger's back-up stood.
+pub(super) const COPIED_AT: &str = "copied-at";
+/// Columns of a record, in the order of [`rows::record`].
+const RECORD_COLUMNS: usize = 14;
+
+/// A record's place in a batch, as an audit compares it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct AuditedPlace {
+    /// Index, count, path and root; `None` where the batch is gone.
+    pub inclusion: Option<Inclusion>,
+    /// The transaction of the batch.
+    pub transaction: Option<Hash>,
+    /// Its block.
+    pub block: Option<u64>,
+    /// That block's hash.
+    pub block_hash: Option<Hash>,
+}
+
+/// A record with all that an audit holds against it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct AuditedRecord {
+    /// The record.
+    pub row: RecordRow,
+    /// Its place in a batch.
+    pub place: Option<AuditedPlace>,
+    /// Whether the ledger holds its bytes until the vault has them durably.
+    pub has_copy: bool,
+    /// Whether it was anchored on a chain that was left.
+    pub anchored_earlier: bool,
+    /// Whether its row names the topic that its stream names.
+    pub in_its_topic: bool,
+}
+
+/// A page of records, in the order they were acknowledged.
+#[derive(Debug, Default)]
+pub struct AuditPage {
+    /// The records; of a row that cannot be read, its number and why.
+    pub records: Vec<Result<AuditedRecord, (u64, String)>>,
+    /// Where the next page begins; `None` at the end.
+    pub next: Option<u64>,
+}
+
+/// A batch as an audit compares it with the chain.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct AuditedBatch {
+    /// Its number.
+    pub key: u64,
+    /// Merkle root.
+    pub root: Hash,
+    /// Leaves that it was closed with.
+    pub count: u64,
+    /// Leaves that the ledger still has with their records.
+    pub held: u64,
+    /// Who anchored it, or tries to.
+    pub account: Option<Address>,
+    /// The transaction.
+    pub transaction: Option<Hash>,
+    /// Its block.
+    pub block: Option<u64>,
+    /// That block's hash.
+    pub block_hash: Option<Hash>,
+}
+
+/// How far the numbers of one topic reach.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Sequence {
+    /// The ledger's own number of the topic.
+    pub key: i64,
+    /// Whose it is.
+    pub owner: Address,
+    /// Its name, or its pseudonym where that is not known.
+    pub name: String,
+    /// Who anchors it in its owner's place.
+    pub keeper: Option<Address>,
+    /// Records.
+    pub count: u64,
+    /// Lowest number.
+    pub first: u64,
+    /// Highest number.
+    pub last: u64,
+}
+
+impl Ledger {
+    /// The records behind row `after`, captured at `since` or later, `limit` at most.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn audit_page(&self, after: u64, since: Timestamp, limit: usize) -> Result<AuditPage, StoreError> {
+        let (after, since) = (whole("row", after)?, whole("time", since.0)?);
+        let limit = i64::try_from(limit).unwrap_or(i64::MAX);
+        self.read(|connection| {
+            let streams: HashMap<i64, Stream> =
+                rows::streams(connection)?.into_iter().map(|stream| (stream.key, stream)).collect();
+            let columns: Vec<String> =
+                rows::COLUMNS.split(',').map(|name| format!("records.{}", name.trim())).collect();
+            let sql = format!(
+                "SELECT {}, n, leaves.batch, leaf, path, root, batches.count, batches.tx, batches.block,
+                 batches.block_hash, EXISTS (SELECT 1 FROM copies WHERE record = n),
+                 EXISTS (SELECT 1 FROM earlier_anchors WHERE record = n),
+                 records.topic = (SELECT topic FROM streams WHERE streams.key = stream)
+                 FROM records LEFT JOIN leaves ON record = n LEFT JOIN batches ON key = leaves.batch
+                 WHERE n > ?1 AND captured_at >= ?2 ORDER BY n LIMIT ?3",
+                columns.join(", ")
+            );
+            let mut statement = connection.prepare_cached(&sql)?;
+            let mut found = statement.query(params![after, since, limit])?;
+            let mut page = AuditPage::default();
+            let mut last = 0;
+            while let Some(row) = found.next()? {
+                last = unsigned(row, RECORD_COLUMNS)?;
+                let record = audited(row, &streams);
+                page.records.push(record.map_err(|error| (last, clean(&error.to_string(), 160))));
+            }
+            page.next = (i64::try_from(page.records.len()).unwrap_or(i64::MAX) >= limit).then_some(last);
+            Ok(page)
+        })
+    }
+
+    /// The batches behind number `after`, `limit` at most.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin, also where a batch cannot be read.
+    pub fn audit_batches(&self, after: u64, limit: usize) -> Result<Vec<AuditedBatch>, StoreError> {
+        let after = whole("batch", after)?;
+        let limit = i64::try_from(limit).unwrap_or(i64::MAX);
+        self.read(|connection| {
+            let sql =
+                "SELECT key, root, count, (SELECT count(*) FROM leaves JOIN records ON n = record WHERE batch = key),
+                       account, tx, block, block_hash FROM batches WHERE key > ?1 ORDER BY key LIMIT ?2";
+            let mut statement = connection.prepare_cached(sql)?;
+            let rows = statement.query_map(params![after, limit], batch)?;
+            Ok(rows.collect::<Result<_, _>>()?)
+        })
+    }
+
+    /// Which of these roots belong to no batch of this ledger.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn unknown_roots(&self, roots: &[Hash]) -> Result<Vec<Hash>, StoreError> {
+        let find = "SELECT 1 FROM batches WHERE root = ?1";
+        self.read(|connection| absent(connection, find, roots.iter().map(|root| root.0)).map(hashes))
+    }
+
+    /// Which of these digests belong to no record of this ledger.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn unknown_digests(&self, digests: &[Digest]) -> Result<Vec<Digest>, StoreError> {
+        let find = "SELECT 1 FROM records WHERE digest = ?1";
+        let found = self.read(|connection| absent(connection, find, digests.iter().map(|digest| digest.0)))?;
+        Ok(found.into_iter().map(Digest).collect())
+    }
+
+    /// The newest block that the back-up knew which this ledger was restored from; `None` where it never was.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn copied_at(&self) -> Result<Option<u64>, StoreError> {
+        Ok(self.setting(COPIED_AT)?.and_then(|text| text.parse().ok()))
+    }
+
+    /// Records of any kind and state.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn size(&self) -> Result<u64, StoreError> {
+        self.read(|connection| {
+            let sql = "SELECT coalesce(sum(records), 0) FROM counters";
+            Ok(connection.prepare_cached(sql)?.query_row([], |row| unsigned(row, 0))?)
+        })
+    }
+
+    /// The accounts that this ledger ever signed for.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn signing_accounts(&self) -> Result<Vec<Address>, StoreError> {
+        self.read(|connection| {
+            let mut statement = connection.prepare_cached("SELECT DISTINCT account FROM transactions")?;
+            let rows = statement.query_map([], |row| row.get(0).map(Address))?;
+            Ok(rows.collect::<Result<_, _>>()?)
+        })
+    }
+
+    /// Every topic with the reach of its numbers.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn sequences(&self) -> Result<Vec<Sequence>, StoreError> {
+        self.read(|connection| {
+            let sql = "SELECT topics.key, owner, coalesce(nullif(name, ''), lower(hex(topic_id))), keeper, held, low, high
+                       FROM (SELECT topic, count(*) AS held, min(seq) AS low, max(seq) AS high FROM records GROUP BY topic)
+                       JOIN topics ON topics.key = topic ORDER BY topics.key";
+            let mut statement = connection.prepare_cached(sql)?;
+            let rows = statement.query_map([], |row| {
+                Ok(Sequence {
+                    key: row.get(0)?,
+                    owner: Address(row.get(1)?),
+                    name: row.get(2)?,
+                    keeper: row.get::<_, Option<_>>(3)?.map(Address),
+                    count: unsigned(row, 4)?,
+                    first: unsigned(row, 5)?,
+                    last: unsigned(row, 6)?,
+                })
+            })?;
+            Ok(rows.collect::<Result<_, _>>()?)
+        })
+    }
+
+    /// The first `limit` holes of a topic's numbers: first and last number that is missing.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn holes(&self, sequence: &Sequence, limit: usize) -> Result<Vec<(u64, u64)>, StoreError> {
+        let limit = i64::try_from(limit).unwrap_or(i64::MAX);
+        self.read(|connection| {
+            let mut holes = Vec::new();
+            if sequence.first > 1 {
+                holes.push((1, sequence.first - 1));
+            }
+            let sql = "SELECT seq + 1, next - 1 FROM
+                       (SELECT seq, lead(seq) OVER (ORDER BY seq) AS next FROM records WHERE topic = ?1)
+                       WHERE next > seq + 1 LIMIT ?2";
+            let mut statement = connection.prepare_cached(sql)?;
+            let rows =
+                statement.query_map(params![sequence.key, limit], |row| Ok((unsigned(row, 0)?, unsigned(row, 1)?)))?;
+            for hole in rows {
+                holes.push(hole?);
+            }
+            Ok(holes)
+        })
+    }
+}
+
+fn audited(row: &Row<'_>, streams: &HashMap<i64, Stream>) -> rusqlite::Result<AuditedRecord> {
+    Ok(AuditedRecord {
+        row: rows::record(row, streams)?,
+        place: place(row)?,
+        has_copy: row.get(RECORD_COLUMNS + 9)?,
+        anchored_earlier: row.get(RECORD_COLUMNS + 10)?,
+        in_its_topic: row.get::<_, Option<bool>>(RECORD_COLUMNS + 11)?.unwrap_or(false),
+    })
+}
+
+fn place(row: &Row<'_>) -> rusqlite::Result<Option<AuditedPlace>> {
+    let column = |number: usize| RECORD_COLUMNS + number;
+    if row.get::<_, Option<i64>>(column(1))?.is_none() {
+        return Ok(None);
+    }
+    let inclusion = match row.get::<_, Option<_>>(column(4))?.map(Hash) {
+        Some(root) => {
+            let path: Vec<u8> = row.get(column(3))?;
+            let path = path.chunks(Hash::LENGTH).map(|step| Hash::from_slice(step).unwrap_or(Hash([0; 32]))).collect();
+            Some(Inclusion { index: unsigned(row, column(2))?, count: unsigned(row, column(5))?, path, root })
+        }
+        None => None,
+    };
+    Ok(Some(AuditedPlace {
+        inclusion,
+        transaction: row.get::<_, Option<_>>(column(6))?.map(Hash),
+        block: row.get::<_, Option<i64>>(column(7))?.map(i64::cast_unsigned),
+        block_hash: row.get::<_, Option<_>>(column(8))?.map(Hash),
+    }))
+}
+
+fn batch(row: &Row<'_>) -> rusqlite::Result<AuditedBatch> {
+    Ok(AuditedBatch {
+        key: unsigned(row, 0)?,
+        root: Hash(row.get(1)?),
+        count: unsigned(row, 2)?,
+        held: unsigned(row, 3)?,
+        account: row.get::<_, Option<_>>(4)?.map(Address),
+        transaction: row.get::<_, Option<_>>(5)?.map(Hash),
+        block: row.get::<_, Option<i64>>(6)?.map(i64::cast_unsigned),
+        block_hash: row.get::<_, Option<_>>(7)?.map(Hash),
+    })
+}
+
+fn absent(
+    connection: &Connection,
+    find: &str,
+    values: impl Iterator<Item = [u8; 32]>,
+) -> Result<Vec<[u8; 32]>, StoreError> {
+    let mut statement = connection.prepare_cached(find)?;
+    let mut missing = Vec::new();
+    for value in values {
+        if !statement.exists([value])? {
+            missing.push(value);
+        }
+    }
+    Ok(missing)
+}
+
+fn hashes(found: Vec<[u8; 32]>) -> Vec<Hash> {
+    found.into_iter().map(Hash).collect()
+}

@@ -1,0 +1,92 @@
+//! Copies of SQLite files as of one moment, while others write: a read transaction holds the moment, SQLite's online
+//! back-up copies it. And what a copied ledger needs before it may be used beside its original.
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use rusqlite::Connection;
+use rusqlite::backup::{Backup, StepResult};
+
+use super::{Ledger, StoreError, database, files};
+
+/// One moment of an SQLite file.
+pub struct Snapshot {
+    path: PathBuf,
+    connection: Connection,
+}
+
+impl Snapshot {
+    /// From now on; the file must exist.
+    ///
+    /// # Errors
+    /// [`StoreError::Home`], [`StoreError::Corrupt`] and the like.
+    pub fn begin(path: &Path) -> Result<Self, StoreError> {
+        let connection = database::open_reader(path)?;
+        connection
+            .execute_batch("BEGIN; SELECT count(*) FROM sqlite_schema;")
+            .map_err(|error| StoreError::from(error).in_file(path))?;
+        Ok(Self { path: path.to_owned(), connection })
+    }
+
+    /// Writes the file as it was at the moment to a new private file.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like.
+    pub fn copy_to(&self, file: &Path) -> Result<(), StoreError> {
+        copy(&self.connection, file).map_err(|error| error.in_file(&self.path))
+    }
+}
+
+/// Copies what a connection sees to a new private file.
+///
+/// # Errors
+/// [`StoreError::DiskFull`] and the like.
+pub fn copy(from: &Connection, file: &Path) -> Result<(), StoreError> {
+    drop(files::open_private(file)?);
+    let mut to = Connection::open(file)?;
+    let backup = Backup::new(from, &mut to)?;
+    loop {
+        match backup.step(-1)? {
+            StepResult::Done => break,
+            StepResult::More => {}
+            _ => std::thread::sleep(Duration::from_millis(20)),
+        }
+    }
+    drop(backup);
+    to.close().map_err(|(_, error)| error)?;
+    files::open_private(file)?.sync_all().map_err(|error| StoreError::home(file, &error))
+}
+
+impl Ledger {
+    /// A moment of the ledger, and what `also` does while nothing is written to it: so a moment of another file that
+    /// is written before the ledger is (the vault, the chain) holds all that this moment of the ledger names.
+    ///
+    /// # Errors
+    /// Of the ledger, or those of `also`.
+    pub fn snapshot_with<T: Send + 'static>(
+        &self,
+        also: impl FnOnce() -> Result<T, StoreError> + Send + 'static,
+    ) -> Result<(Snapshot, T), StoreError> {
+        let path = self.path().to_owned();
+        self.write(move |_| Ok((Snapshot::begin(&path)?, also()?)))
+    }
+}
+
+/// Whether a database file is well-formed (SQLite's `quick_check`), and its size in bytes.
+///
+/// # Errors
+/// [`StoreError::Corrupt`] with the first fault, [`StoreError::Home`] and the like.
+pub fn examine(path: &Path) -> Result<u64, StoreError> {
+    database::quick_check(&database::open_reader(path)?, path)?;
+    let about = std::fs::metadata(path).map_err(|error| StoreError::home(path, &error))?;
+    Ok(about.len())
+}
+
+/// Makes a copied ledger one of its own: a new recorder, so that no number is given twice, and a note of how far the
+/// chain was known.
+///
+/// # Errors
+/// [`StoreError::Corrupt`] and the like.
+pub fn renew_ledger(path: &Path) -> Result<(), StoreError> {
+    super::ledger::renew(path)
+}

@@ -1,0 +1,84 @@
+//! What full screen and line mode have in common: asking the site, hearing it, writing files,
+//! and the one channel on which everything reaches the updating thread.
+
+use std::path::PathBuf;
+use std::sync::mpsc::Sender;
+
+use tokio::runtime::Handle;
+use tokio::sync::broadcast::error::RecvError;
+use zeroize::Zeroizing;
+
+use super::files;
+use crate::app::{Action, Contents, Tag};
+use crate::service::client::site_gone;
+use crate::service::{Client, Command};
+
+/// What reaches the updating thread.
+pub enum Heard {
+    /// Something for `app::update`.
+    Act(Action),
+    /// A signal.
+    Signal(i32),
+    /// The terminal takes no more bytes.
+    TerminalFailed,
+    /// A thread of the console panicked.
+    Broken(String),
+    /// A line was typed (line mode).
+    Line(Zeroizing<String>),
+    /// No more lines come (line mode).
+    NoMoreLines,
+}
+
+/// The site and the files.
+pub struct Outside {
+    /// Speaks with the site.
+    pub client: Client,
+    /// Runs what waits.
+    pub handle: Handle,
+    /// To the updating thread.
+    pub mouth: Sender<Heard>,
+    /// Where files are written.
+    pub directory: PathBuf,
+}
+
+impl Outside {
+    /// Forwards what the site tells.
+    pub fn listen(&self) {
+        let mut events = self.client.events();
+        let say = sender(&self.mouth, Heard::Act);
+        self.handle.spawn(async move {
+            loop {
+                match events.recv().await {
+                    Ok(event) => say(Action::Told(event)),
+                    Err(RecvError::Lagged(_)) => say(Action::Missed),
+                    Err(RecvError::Closed) => return,
+                }
+            }
+        });
+    }
+
+    /// Sends a command; its answer comes as an action.
+    pub fn ask(&self, command: Command, tag: Tag) {
+        let answer = self.client.send(command);
+        let say = sender(&self.mouth, Heard::Act);
+        self.handle.spawn(async move {
+            let result = answer.await.unwrap_or_else(|_| Err(site_gone()));
+            say(Action::Answered { tag, result: Box::new(result) });
+        });
+    }
+
+    /// Writes files; where they are now comes as an action.
+    pub fn write(&self, directory: Option<String>, contents: Vec<Contents>) {
+        let (base, say) = (self.directory.clone(), sender(&self.mouth, Heard::Act));
+        self.handle.spawn_blocking(move || {
+            say(Action::FilesWritten(files::write_all(&base, directory.as_deref(), &contents)));
+        });
+    }
+}
+
+/// Sends things to the updating thread, each wrapped.
+pub fn sender<T, W: Fn(T) -> Heard>(mouth: &Sender<Heard>, wrap: W) -> impl Fn(T) + use<T, W> {
+    let mouth = mouth.clone();
+    // After the end nobody listens, and nothing is lost by it.
+    move |thing| drop(mouth.send(wrap(thing)))
+}

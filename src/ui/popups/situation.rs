@@ -1,0 +1,209 @@
+//! What is so at this moment: who can read, who publishes a topic, what is under way.
+
+use ratatui::layout::Rect;
+
+use super::framed;
+use crate::app::confirm::readers;
+use crate::app::feed::Feed;
+use crate::app::popup::Lookup;
+use crate::app::screens::grants::{end, is_active, is_given, scope};
+use crate::app::{State, Tag};
+use crate::model::clean;
+use crate::pipeline::sender::LaneState;
+use crate::service::reply::{AlarmView, GrantRow, PinView, PinsView};
+use crate::ui::canvas::{Canvas, row};
+use crate::ui::theme::Role;
+use crate::ui::words;
+
+type Line = (String, Role);
+
+/// Draws lines in a frame, from the `scroll`-th on.
+fn draw_lines(canvas: &mut Canvas, area: Rect, title: &str, lines: &[Line], scroll: usize) {
+    let width = area.width.saturating_sub(6).min(100);
+    let wrapped: Vec<Line> = lines
+        .iter()
+        .flat_map(|(text, role)| words::wrap(&clean(text, 1_000), width).into_iter().map(|line| (line, *role)))
+        .collect();
+    let widest = wrapped.iter().map(|(line, _)| crate::ui::canvas::columns(line)).max().unwrap_or(0);
+    let height = u16::try_from(wrapped.len()).unwrap_or(u16::MAX);
+    let inner = framed(canvas, area, title, widest.max(40), height);
+    let first = scroll.min(wrapped.len().saturating_sub(usize::from(inner.height)));
+    for (place, (line, role)) in (0..inner.height).zip(wrapped.iter().skip(first)) {
+        canvas.put(row(inner, place), line, *role);
+    }
+}
+
+/// Draws who can read topics now; no topic = all of them.
+pub fn draw_readers(canvas: &mut Canvas, area: Rect, state: &State, topics: &[String]) {
+    if topics.is_empty() {
+        let lines: Vec<Line> =
+            readers(state, "New records of all topics:", None).into_iter().map(|line| (line, Role::Body)).collect();
+        return draw_lines(canvas, area, "Who can read this now?", &with_words(lines), 0);
+    }
+    let mut lines = Vec::new();
+    let given: Vec<&GrantRow> = state.grants.rows.iter().filter(|row| is_given(row) && is_active(row)).collect();
+    for topic in topics.iter().take(8) {
+        lines.push((topic.clone(), Role::Accent));
+        lines.push(("  you, while your keyring is unlocked".to_owned(), Role::Body));
+        let may = given.iter().filter(|row| row.topics.is_empty() || row.topics.contains(topic));
+        lines.extend(may.map(|row| (reader(row), Role::Body)));
+    }
+    if topics.len() > 8 {
+        lines.push((format!("and {} more topics", topics.len() - 8), Role::Dim));
+    }
+    if state.awaits(Feed::Grants) {
+        lines.push(("(the list of grants has not arrived yet)".to_owned(), Role::Warning));
+    }
+    draw_lines(canvas, area, "Who can read this now?", &with_words(lines), 0);
+}
+
+fn with_words(mut lines: Vec<Line>) -> Vec<Line> {
+    lines.push((String::new(), Role::Body));
+    let text = "Whoever read something before may have kept it: a revoke cannot recall that.";
+    lines.push((text.to_owned(), Role::Dim));
+    lines
+}
+
+fn reader(row: &GrantRow) -> String {
+    let name = row.name.as_deref().map_or_else(|| row.grantee.to_string(), |name| format!("{name} {}", row.grantee));
+    format!("  {name}, {}, {}", scope(&row.topics), end(row.expires))
+}
+
+/// Draws who publishes a topic: pinned, doubted.
+pub fn draw_publishers(canvas: &mut Canvas, area: Rect, state: &State, lookup: &Lookup<PinsView>) {
+    let lines = match &lookup.answer {
+        None => vec![("Asking…".to_owned(), Role::Dim)],
+        Some(Err(failure)) => vec![(failure.message.clone(), Role::Bad)],
+        Some(Ok(view)) => publishers(state, &lookup.id, view),
+    };
+    draw_lines(canvas, area, &format!("Publishers of {}", lookup.id), &lines, lookup.scroll);
+}
+
+fn publishers(state: &State, topic: &str, view: &PinsView) -> Vec<Line> {
+    let mut lines = Vec::new();
+    let row = state.topics.rows.iter().find(|row| row.topic == topic);
+    let now = row.map_or_else(String::new, |row| row.publishers.join(" "));
+    lines.push((format!("now   {}", if now.is_empty() { "nobody" } else { &now }), Role::Body));
+    if view.pins.is_empty() {
+        lines.push(("no publisher is pinned: the first that is captured will be".to_owned(), Role::Dim));
+    }
+    lines.extend(view.pins.iter().flat_map(|pin| pinned(pin, &now)));
+    lines.extend(view.alarms.iter().flat_map(alarm));
+    if let Some(held) = row.map(|row| row.quarantined).filter(|held| *held > 0) {
+        lines.push((format!("{held} messages are held back: r releases, D discards (on the screen)"), Role::Warning));
+    }
+    lines
+}
+
+fn pinned(pin: &PinView, now: &str) -> [Line; 2] {
+    let publisher = &pin.publisher;
+    let there = if now.split(' ').any(|name| name == publisher.caller_id) { "publishes now" } else { "not there now" };
+    let since = pin.at.map_or_else(String::new, |at| format!(" since {at}"));
+    [
+        (format!("pinned  {} at {}, {there}", publisher.caller_id, publisher.host), Role::Good),
+        (format!("        {} {}, by {}{since}", publisher.type_name, publisher.md5sum, pin.source), Role::Dim),
+    ]
+}
+
+fn alarm(alarm: &AlarmView) -> [Line; 2] {
+    let (word, role) = if alarm.open { ("ALARM", Role::Bad) } else { ("decided", Role::Dim) };
+    [
+        (format!("{word}  {}: {}", alarm.publisher, reason(&alarm.reason)), role),
+        (format!("        raised {}", alarm.at), Role::Dim),
+    ]
+}
+
+fn reason(word: &str) -> &str {
+    match word {
+        "new" => "not among the pinned publishers",
+        "host" => "a pinned name on another host",
+        "type" => "a pinned name with another type",
+        "replaced" => "took over the name of a publisher that lived",
+        "undecided" => "restart or rival: cannot be told",
+        "unconfirmed" => "the master does not confirm it",
+        other => other,
+    }
+}
+
+/// Draws what is under way, what waits, and for how long.
+pub fn draw_tasks(canvas: &mut Canvas, area: Rect, state: &State) {
+    let mut lines: Vec<Line> = state.work.iter().map(Tag::words).map(|words| (words, Role::Accent)).collect();
+    if lines.is_empty() {
+        lines.push(("nothing was asked that is not done".to_owned(), Role::Dim));
+    }
+    lines.extend(records_on_their_way(state));
+    if let Some(chain) = &state.chain {
+        let pending = format!("{:<15} {} of your account not in a block", "transactions", chain.pending);
+        lines.push((pending, if chain.pending > 0 { Role::Warning } else { Role::Body }));
+        lines.extend(chain.lanes.iter().filter_map(paused));
+    }
+    for feed in Feed::ALL {
+        let slot = state.feeds.slot(feed);
+        if let (Some(failure), Some(at)) = (&slot.failure, slot.retry_at) {
+            let seconds = at.0.saturating_sub(state.now.0) / 1_000_000_000;
+            lines.push((format!("retry in {seconds} s  {feed:?}: {}", failure.message), Role::Warning));
+        }
+    }
+    draw_lines(canvas, area, "Tasks", &lines, 0);
+}
+
+fn records_on_their_way(state: &State) -> Vec<Line> {
+    let Some(site) = &state.site else { return vec![("the site is starting…".to_owned(), Role::Dim)] };
+    let life = &site.life;
+    let queue = &site.queue;
+    let full = if queue.capacity == 0 { 0 } else { queue.bytes.saturating_mul(100) / queue.capacity };
+    let mut lines = vec![(
+        format!(
+            "{:<15} {} messages, {} ({full} % of the ring)",
+            "to be sealed",
+            words::count(queue.messages),
+            words::size(queue.bytes)
+        ),
+        if full >= 80 { Role::Bad } else { Role::Body },
+    )];
+    let stations = [
+        ("to be stored", life.sealed.saturating_sub(life.stored)),
+        ("to be anchored", life.stored.saturating_sub(life.anchored)),
+        ("to be confirmed", life.anchored.saturating_sub(life.confirmed)),
+        ("to be verified", life.confirmed.saturating_sub(life.verified + life.tampered)),
+    ];
+    lines.extend(stations.into_iter().map(|(what, count)| (format!("{what:<15} {}", words::count(count)), Role::Body)));
+    lines.push((left(life.pending, state.rates.captured(), state.rates.verified()), Role::Accent));
+    lines
+}
+
+/// How long what is pending takes at the present rates.
+fn left(pending: u64, captured: f64, verified: f64) -> String {
+    if pending == 0 {
+        return "all that was captured is verified, held back or counted".to_owned();
+    }
+    let count = words::count(pending);
+    if verified < 0.1 {
+        return format!("{count} records pending; nothing is being verified at this moment");
+    }
+    let records = f64::from(u32::try_from(pending).unwrap_or(u32::MAX));
+    let net = verified - captured;
+    if captured > 0.1 && net <= 0.1 {
+        let behind = records / verified;
+        return format!("{count} records pending, about {behind:.0} s behind; new ones come as fast as old ones go");
+    }
+    format!("{count} records pending, done in about {:.0} s", records / net.max(0.1))
+}
+
+fn paused(lane: &LaneState) -> Option<Line> {
+    let cause = lane.paused.as_ref()?.cause(lane.account);
+    Some((format!("paused  {cause}"), Role::Bad))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_time_left_is_told_as_far_as_it_can_be() {
+        assert!(left(0, 0.0, 0.0).starts_with("all"));
+        assert!(left(45, 20.0, 0.0).contains("nothing is being verified"));
+        assert!(left(45, 20.0, 20.0).contains("about 2 s behind"));
+        assert!(left(45, 0.0, 15.0).contains("done in about 3 s"));
+    }
+}

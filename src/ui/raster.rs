@@ -1,0 +1,118 @@
+//! Small pictures in cells: half-blocks where there are colours (dithered where there are sixteen), characters by
+//! their brightness where there are none.
+
+use ratatui::layout::Rect;
+use ratatui::style::{Color, Style};
+
+use super::canvas::Canvas;
+use super::palette::{Rgb, SIXTEEN, distance};
+use super::theme::Shades;
+use crate::ros::readable::Raster;
+
+/// Characters from dark to bright.
+const RAMP: &[u8] = b" .:-=+*#%@";
+
+/// Thresholds of ordered dithering, 0 to 15.
+const BAYER: [[i16; 4]; 4] = [[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]];
+
+/// Draws a picture into the upper left of `area`, as large as it fits with its shape kept.
+pub fn draw(canvas: &mut Canvas, area: Rect, raster: &Raster) {
+    let cells = (usize::from(area.width), usize::from(area.height));
+    let shades = canvas.shades();
+    if shades == Shades::None {
+        // A cell is about twice as high as wide.
+        let fitted = raster.fit((cells.0, cells.1 * 2));
+        each(area, (fitted.width, fitted.height.div_ceil(2)), |x, y, cell| {
+            let bright = (brightness(fitted.pixel(x, y * 2)) + brightness(fitted.pixel(x, y * 2 + 1))) / 2;
+            let letter = RAMP.get(bright * RAMP.len() / 256).copied().unwrap_or(b'@');
+            canvas.paint(cell, char::from(letter), Style::default());
+        });
+        return;
+    }
+    let fitted = raster.fit((cells.0, cells.1 * 2));
+    each(area, (fitted.width, fitted.height.div_ceil(2)), |x, y, cell| {
+        let colour = |y: usize| coloured(fitted.pixel(x, y), (x, y), shades);
+        let style = Style::default().fg(colour(y * 2)).bg(colour(y * 2 + 1));
+        canvas.paint(cell, '▀', style);
+    });
+}
+
+fn each(area: Rect, size: (usize, usize), mut paint: impl FnMut(usize, usize, Rect)) {
+    for y in 0..size.1 {
+        for x in 0..size.0 {
+            let (Ok(right), Ok(down)) = (u16::try_from(x), u16::try_from(y)) else { continue };
+            paint(x, y, Rect { x: area.x + right, y: area.y + down, width: 1, height: 1 });
+        }
+    }
+}
+
+fn brightness(pixel: [u8; 3]) -> usize {
+    let [red, green, blue] = pixel.map(usize::from);
+    (red * 299 + green * 587 + blue * 114) / 1000
+}
+
+fn coloured(pixel: [u8; 3], place: (usize, usize), shades: Shades) -> Color {
+    let (red, green, blue) = match shades {
+        Shades::Sixteen => dithered(pixel, place),
+        // Fewer steps make more neighbours alike, and what is alike is not sent again.
+        _ => (pixel[0] & 0xf8, pixel[1] & 0xf8, pixel[2] & 0xf8),
+    };
+    Color::Rgb(red, green, blue)
+}
+
+/// One of the sixteen colours, which one by the place: an area of them comes near to the colour.
+fn dithered(pixel: [u8; 3], place: (usize, usize)) -> Rgb {
+    let shift = (BAYER[place.1 % 4][place.0 % 4] - 8) * 6;
+    let part = |part: u8| u8::try_from((i16::from(part) + shift).clamp(0, 255)).unwrap_or(part);
+    let wanted = (part(pixel[0]), part(pixel[1]), part(pixel[2]));
+    SIXTEEN.into_iter().min_by_key(|colour| distance(wanted, *colour)).unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ui::Theme;
+    use ratatui::buffer::Buffer;
+
+    fn drawn(raster: &Raster, shades: Shades, ascii: bool) -> Buffer {
+        let theme = Theme::named("night").expect("embedded").with_ascii(ascii).with_shades(shades);
+        let area = Rect::new(0, 0, 12, 6);
+        let mut buffer = Buffer::empty(area);
+        draw(&mut Canvas::new(&mut buffer, &theme), area, raster);
+        buffer
+    }
+
+    fn ramp() -> Raster {
+        let rgb = (0..24).flat_map(|_| (0u8..24).flat_map(|x| [x * 10; 3])).collect();
+        Raster { width: 24, height: 24, rgb }
+    }
+
+    #[test]
+    fn half_blocks_carry_two_pixels_each() {
+        let buffer = drawn(&ramp(), Shades::All, false);
+        assert_eq!(buffer[(0, 0)].symbol(), "▀");
+        assert!(matches!(buffer[(11, 5)].bg, Color::Rgb(224.., 224.., 224..)), "{:?}", buffer[(11, 5)]);
+    }
+
+    #[test]
+    fn sixteen_colours_are_dithered() {
+        let grey = Raster { width: 12, height: 12, rgb: vec![145; 432] };
+        let buffer = drawn(&grey, Shades::Sixteen, false);
+        let kinds: std::collections::BTreeSet<String> =
+            buffer.content().iter().map(|cell| format!("{:?}", cell.fg)).collect();
+        assert!(kinds.len() > 1, "a grey between two is mixed of both: {kinds:?}");
+        assert!(
+            buffer.content().iter().all(|cell| matches!(cell.fg, Color::Rgb(r, g, b) if SIXTEEN.contains(&(r, g, b))))
+        );
+    }
+
+    #[test]
+    fn without_colours_it_is_characters() {
+        for (shades, ascii) in [(Shades::None, false), (Shades::All, true)] {
+            let buffer = drawn(&ramp(), shades, ascii);
+            let row: String = (0..12).map(|x| buffer[(x, 2)].symbol()).collect();
+            assert!(row.starts_with(' ') && row.ends_with('%') && row.is_ascii(), "{row}");
+            assert!(buffer.content().iter().all(|cell| cell.fg == Color::Reset));
+        }
+    }
+}

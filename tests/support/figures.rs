@@ -1,0 +1,242 @@
+//! How a program behaves in a terminal, measured from outside: bytes, times, CPU, what it leaves behind.
+//! The same for `authros`, `htop` and `btop`, so that they can stand side by side.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use super::console::{Console, Terminal};
+use super::process::{Running, signal};
+use super::{Authros, Home, poll};
+
+/// The end of a frame that is shown all at once.
+const END_FRAME: &[u8] = b"\x1b[?2026l";
+
+/// A program in a terminal, started the same way each time.
+pub struct Subject {
+    /// Its name in the table.
+    pub name: &'static str,
+    words: Vec<String>,
+    variables: Vec<(String, String)>,
+    _home: Home,
+}
+
+impl Subject {
+    /// The console, with so many simulated robots.
+    pub fn authros(robots: u32, variables: &[(&str, &str)]) -> Self {
+        let home = Home::new();
+        let robots = robots.to_string();
+        let authros = home.authros().with(&["--robots", &robots]);
+        let authros = variables.iter().fold(authros, |authros, (name, value)| authros.with_variable(name, value));
+        Self::of(home, &authros)
+    }
+
+    /// The console as it is given.
+    pub fn of(home: Home, authros: &Authros) -> Self {
+        let program = authros.program().to_str().expect("UTF-8").to_owned();
+        let words = [vec![program], authros.arguments(&[])].concat();
+        Self { name: "authros", words, variables: authros.variables(), _home: home }
+    }
+
+    /// A program of the machine; nothing where it is not installed.
+    pub fn installed(name: &'static str) -> Option<Self> {
+        let path = std::env::var("PATH").unwrap_or_default();
+        std::env::split_paths(&path).find(|directory| directory.join(name).is_file())?;
+        let home = Home::new();
+        let root = home.root().to_str().expect("UTF-8").to_owned();
+        let variables = [("PATH", path), ("HOME", root), ("LANG", "C.UTF-8".to_owned())];
+        let variables = variables.into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
+        Some(Self { name, words: vec![name.to_owned()], variables, _home: home })
+    }
+
+    /// Starts it in a terminal.
+    pub fn start(&self, terminal: &Terminal) -> Console {
+        Console::run(terminal, &self.words, &self.variables)
+    }
+}
+
+/// The first frame.
+#[derive(Debug, Clone, Copy)]
+pub struct FirstFrame {
+    /// From the start of the process, milliseconds.
+    pub milliseconds: f64,
+    /// Bytes until then.
+    pub bytes: u64,
+}
+
+/// Starts it and waits for its first frame: a screen more than five lines of which hold text.
+pub fn first_frame(subject: &Subject) -> FirstFrame {
+    let begin = Instant::now();
+    let console = subject.start(&Terminal::of(80, 24));
+    let lines = |console: &Console| console.shown().lines().filter(|line| !line.trim().is_empty()).count();
+    let bytes = tight(30, || (lines(&console) > 5).then(|| console.bytes())).expect("a first frame");
+    let milliseconds = begin.elapsed().as_secs_f64() * 1000.0;
+    let raw = console.raw();
+    let end = raw.windows(END_FRAME.len()).position(|window| window == END_FRAME);
+    let whole = end.map_or(bytes, |end| u64::try_from(end + END_FRAME.len()).expect("few bytes"));
+    FirstFrame { milliseconds, bytes: whole }
+}
+
+/// What it costs while nobody does anything.
+#[derive(Debug, Clone, Copy)]
+pub struct Idle {
+    /// Bytes a second.
+    pub bytes: f64,
+    /// CPU of the whole process, percent of one core.
+    pub cpu: f64,
+}
+
+/// Waits until it is up, then looks on for so long.
+pub fn idle(subject: &Subject, terminal: &Terminal, settle: Duration, watch: Duration) -> Idle {
+    let console = subject.start(terminal);
+    std::thread::sleep(settle);
+    let (bytes, cpu, begin) = (console.bytes(), cpu_seconds(console.id()), Instant::now());
+    std::thread::sleep(watch);
+    let seconds = begin.elapsed().as_secs_f64();
+    let bytes = console.bytes() - bytes;
+    Idle {
+        bytes: f64::from(u32::try_from(bytes).unwrap_or(u32::MAX)) / seconds,
+        cpu: (cpu_seconds(console.id()) - cpu) / seconds * 100.0,
+    }
+}
+
+/// Bytes that one press of a cursor key costs, the mean of `presses`; `before` are pressed first, and one more
+/// round is made before the counting begins.
+pub fn bytes_per_key(subject: &Subject, before: &[&str], keys: &[&str], presses: u32) -> f64 {
+    let mut console = subject.start(&Terminal::of(80, 24));
+    std::thread::sleep(Duration::from_secs(2));
+    for key in before {
+        console.press(key);
+        quiet(&console);
+    }
+    let press = |console: &mut Console, count: u32| {
+        for key in keys.iter().cycle().take(count as usize) {
+            console.press(key);
+            quiet(console);
+        }
+    };
+    press(&mut console, 2);
+    let begin = console.bytes();
+    press(&mut console, presses);
+    f64::from(u32::try_from(console.bytes() - begin).unwrap_or(u32::MAX)) / f64::from(presses)
+}
+
+/// Seconds from each key to the moment its text stands on a terminal that takes `rate` bytes a second.
+pub fn key_to_frame(console: &mut Console, keys: &[(&str, &str)]) -> Vec<f64> {
+    keys.iter()
+        .map(|(key, text)| {
+            // A moment in which data has drawn since the last key.
+            std::thread::sleep(Duration::from_millis(1500));
+            let begin = Instant::now();
+            console.press(key);
+            let shown = tight(30, || Some(()).filter(|()| console.shown().contains(text)));
+            assert!(shown.is_some(), "no '{text}' after {key:?}:\n{}", console.shown());
+            begin.elapsed().as_secs_f64()
+        })
+        .collect()
+}
+
+/// Ends it by a signal: whether the terminal is as it was before.
+pub fn restores(subject: &Subject, name: &str) -> bool {
+    let mut console = subject.start(&Terminal::of(80, 24));
+    std::thread::sleep(Duration::from_secs(2));
+    console.signal(name);
+    let ended = poll(20, || Some(()).filter(|()| !console.is_running())).is_some();
+    ended && console.is_restored()
+}
+
+/// How it takes the loss of its terminal.
+#[derive(Debug, Clone)]
+pub struct Lost {
+    /// Seconds until its end; nothing where it stays.
+    pub ended_after: Option<f64>,
+    /// CPU while it was still there, percent.
+    pub cpu: f64,
+    /// Its exit code, where it ended.
+    pub code: Option<i32>,
+}
+
+/// Takes the terminal away, with the signal that comes with it (`hung_up`) or without it.
+pub fn lost(subject: &Subject, directory: &Path, hung_up: bool) -> Lost {
+    let (running, process) = in_script(subject, directory, hung_up);
+    std::thread::sleep(Duration::from_secs(2));
+    let (before, begin) = (cpu_seconds(process), Instant::now());
+    signal("KILL", &running.id().to_string());
+    let alive = || is_alive(process);
+    let mut last = before;
+    let ended_after = tight(10, || {
+        last = last.max(cpu_seconds(process));
+        (!alive()).then(|| begin.elapsed().as_secs_f64())
+    });
+    let seconds = begin.elapsed().as_secs_f64();
+    if ended_after.is_none() {
+        signal("KILL", &process.to_string());
+    }
+    let code = poll(5, || fs::read_to_string(directory.join("code")).ok()?.trim().parse().ok());
+    Lost { ended_after, cpu: (last - before) / seconds * 100.0, code: code.filter(|_| ended_after.is_some()) }
+}
+
+/// Runs it in the terminal of `script`, whose end takes the terminal away; gives `script` and the program's id.
+fn in_script(subject: &Subject, directory: &Path, hung_up: bool) -> (Running, u32) {
+    let quoted: Vec<String> = subject.words.iter().map(|word| format!("'{word}'")).collect();
+    let (id, code) = (directory.join("id"), directory.join("code"));
+    for file in [&id, &code] {
+        drop(fs::remove_file(file));
+    }
+    let path = |path: &PathBuf| path.to_str().expect("UTF-8").to_owned();
+    // The shell outlives the terminal to note the exit code. Without a controlling terminal no SIGHUP comes.
+    let own_session = if hung_up { "" } else { "setsid -w " };
+    let inner = format!(
+        "trap '' HUP; stty rows 24 cols 80; {own_session}sh -c 'echo $$ > \"$0\"; exec \"$@\"' '{}' {}; echo $? > '{}'",
+        path(&id),
+        quoted.join(" "),
+        path(&code)
+    );
+    let mut command = std::process::Command::new("script");
+    command.args(["-qfc", &inner, "/dev/null"]).env_clear().envs(subject.variables.iter().cloned());
+    command.env("TERM", "xterm-256color").current_dir(directory);
+    let running = Running::start(command);
+    let process = poll(20, || fs::read_to_string(&id).ok()?.trim().parse().ok()).expect("the program starts");
+    (running, process)
+}
+
+/// CPU that all threads of a process have used, seconds; 0 where it is gone.
+pub fn cpu_seconds(process: u32) -> f64 {
+    let threads = fs::read_dir(format!("/proc/{process}/task")).into_iter().flatten().flatten();
+    let nanoseconds = |thread: fs::DirEntry| -> Option<f64> {
+        fs::read_to_string(thread.path().join("schedstat")).ok()?.split(' ').next()?.parse().ok()
+    };
+    threads.filter_map(nanoseconds).sum::<f64>() / 1e9
+}
+
+fn is_alive(process: u32) -> bool {
+    let state = fs::read_to_string(format!("/proc/{process}/stat")).unwrap_or_default();
+    let state = state.rsplit(')').next().unwrap_or_default().trim_start().chars().next();
+    state.is_some_and(|state| state != 'Z')
+}
+
+/// Waits until nothing has come for a while.
+fn quiet(console: &Console) {
+    let mut last = (console.bytes(), Instant::now());
+    poll(3, || {
+        let bytes = console.bytes();
+        if bytes != last.0 {
+            last = (bytes, Instant::now());
+        }
+        Some(()).filter(|()| last.1.elapsed() > Duration::from_millis(150))
+    });
+}
+
+/// [`poll`] with a finer step, for measuring.
+fn tight<T>(seconds: u64, mut probe: impl FnMut() -> Option<T>) -> Option<T> {
+    let end = Instant::now() + Duration::from_secs(seconds);
+    loop {
+        if let Some(found) = probe() {
+            return Some(found);
+        }
+        if Instant::now() > end {
+            return None;
+        }
+        std::thread::sleep(Duration::from_millis(2));
+    }
+}
