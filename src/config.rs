@@ -7,6 +7,7 @@ mod read;
 mod source;
 #[cfg(test)]
 mod tests;
+mod topic_rules;
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -19,7 +20,9 @@ pub use self::read::without_password;
 use self::read::{Values, bytes, find, number, parsed, read_file, span, switch, url, value, wrong};
 pub use self::source::{SettingView, Source};
 use crate::crypto::{Kernel, ProviderName};
-use crate::model::{Address, AnchorMode, Consensus, ListedPublishers, PinMode, RetentionRules, SignerId, clean};
+use crate::model::{
+    Address, AnchorMode, Consensus, ListedPublishers, PinMode, RetentionRules, SignerId, TopicRules, clean,
+};
 
 /// How the URL of a vault begins.
 const VAULTS: &[&str] = &["redis://", "redis+unix://", "unix://", "redis+cluster://", "redis+sentinel://"];
@@ -87,6 +90,8 @@ pub struct Config {
     pub confirmations: u64,
     /// The gateway of the remote site that this one joins.
     pub site: Option<RemoteSite>,
+    /// Rules for topics (`[[topic]]` tables of the file).
+    pub topic_rules: TopicRules,
     /// How the console looks.
     pub console: ConsoleSettings,
 }
@@ -113,12 +118,12 @@ impl Config {
         environment: &dyn Fn(&str) -> Option<String>,
         file: Option<(&Path, &str)>,
     ) -> Result<Self, ConfigError> {
-        let from_file = file.map(|(path, text)| read_file(path, text)).transpose()?.unwrap_or_default();
+        let (from_file, topic_rules) = file.map(|(path, text)| read_file(path, text)).transpose()?.unwrap_or_default();
         let mut values = BTreeMap::new();
         for definition in DEFINITIONS {
             values.insert(definition.name, find(definition, flags, environment, &from_file));
         }
-        Self::typed(values)
+        Ok(Self { topic_rules, ..Self::typed(values)? })
     }
 
     fn typed(values: BTreeMap<&'static str, (String, Source)>) -> Result<Self, ConfigError> {
@@ -160,6 +165,7 @@ impl Config {
             scrub_percent: number(&values, "audit.scrub", 0, 1_000_000)?,
             confirmations: number(&values, "confirmations", 1, 1000)?,
             site: remote_site(&values)?,
+            topic_rules: TopicRules::default(),
             console: ConsoleSettings::read(&values)?,
             values,
         })

@@ -209,6 +209,30 @@ fn the_outbox_outlives_gateway_and_agent() {
 }
 
 #[test]
+fn a_gateway_that_comes_back_is_found_by_a_working_agent() {
+    let _alone = heavy();
+    let mut gateway = Gateway::new();
+    let alice = gateway.owner("alice");
+    let address = format!("127.0.0.1:{}", gateway.port);
+    let robot = Robot::enrol(&gateway, &alice, &address, "scout", &["/robot1/odom"]);
+    let agent = robot.run(&["--robots", "1"]);
+    let with = |what: &str, test: &dyn Fn(&Value) -> bool| {
+        wait_until(90, what, || figures(&agent).filter(|figures| test(figures)))
+    };
+    with("the gateway takes records", &|figures| count(figures, "accepted") > 0);
+    gateway.kill();
+    let pending = |figures: &Value| count(figures, "pending") >= 60;
+    let accepted = count(&with("the outbox grows", &pending), "accepted");
+    gateway.start();
+    let begun = std::time::Instant::now();
+    with("it takes records again", &|figures| count(figures, "accepted") > accepted);
+    // Ten seconds are the promise; a busy machine is given more.
+    println!("the gateway is back: first record accepted after {:?}", begun.elapsed());
+    with("nothing waits any more but the newest", &|figures| count(figures, "pending") < 60);
+    agent.stop("TERM", 10).expect_code(0);
+}
+
+#[test]
 fn a_recalled_device_and_a_topic_without_a_key_are_refused() {
     let gateway = Gateway::new();
     let alice = gateway.owner("alice");

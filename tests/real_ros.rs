@@ -5,6 +5,7 @@ mod support;
 
 use std::fs;
 use std::path::Path;
+use std::time::Instant;
 
 use serde_json::Value;
 use support::{
@@ -179,6 +180,8 @@ fn a_capture_survives_a_new_master() {
     assert!(poll(60, || arrived(1.0)).is_some(), "the first publisher is captured");
     drop(first);
     roscore.restart();
+    let begun = Instant::now();
     let _second = roscore.publish("/beat", "std_msgs/UInt32", "data: 2", 10);
     assert!(poll(60, || arrived(2.0)).is_some(), "what the new master knows is captured");
+    println!("the master is back: its publisher is captured and opened after {:?}", begun.elapsed());
 }

@@ -5,14 +5,14 @@
 use std::path::Path;
 use std::{fs, io};
 
-use authros_fuzz::{Sample, backup, decoder, export_folder, frame, key_allocation, picture, proof, record};
+use authros_fuzz::{Sample, backup, decoder, export_folder, frame, key_allocation, picture, proof, record, recording};
 
 /// Name, valid encodings, what is done with them.
 type Target = (&'static str, Vec<Sample>, fn(&[u8]) -> bool);
 
 fn main() -> io::Result<()> {
     let write = std::env::args().nth(1).is_some_and(|word| word == "write");
-    let targets: [Target; 6] = [
+    let targets: [Target; 10] = [
         ("frame", frame::samples(), frame::run),
         ("key_allocation", key_allocation::samples(), key_allocation::run),
         ("record", record::samples(), record::run),
@@ -21,6 +21,8 @@ fn main() -> io::Result<()> {
         ("backup", backup::samples(), backup::run),
         ("decoder", decoder::samples(), decoder::run),
         ("picture", picture::samples(), picture::run),
+        ("bag", recording::bags(), recording::bag),
+        ("mcap", recording::mcaps(), recording::mcap),
     ];
     let corpus = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpus");
     for (target, samples, run) in targets {

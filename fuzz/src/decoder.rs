@@ -108,8 +108,8 @@ fn known(bytes: &[u8]) -> bool {
     tried(&definition, body);
     place(&definition, body);
     let Some(readable) = read(&definition, body) else { return false };
-    let cells = readable.tables.iter().flat_map(|table| table.rows.iter().flatten());
-    assert!(readable.lines.iter().all(|(_, value)| is_clean(value)) && cells.into_iter().all(|cell| is_clean(cell)));
+    let mut cells = readable.tables.iter().flat_map(|table| table.rows.iter().flatten());
+    assert!(readable.lines.iter().all(|(_, value)| is_clean(value)) && cells.all(|cell| is_clean(cell)));
     let points = readable.plot.map(|plot| plot.points).unwrap_or_default();
     assert!(points.len() <= authros::ros::readable::MOST_POINTS && points.iter().all(|point| point.0.is_finite()));
     true

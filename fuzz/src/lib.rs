@@ -9,6 +9,7 @@ pub mod key_allocation;
 pub mod picture;
 pub mod proof;
 pub mod record;
+pub mod recording;
 
 mod cast;
 mod messages;

@@ -143,8 +143,14 @@ impl State {
 
     /// When time alone changes something; `None` = never.
     pub fn deadline(&self) -> Option<Timestamp> {
-        let moments =
-            [self.toasts.next_expiry(), self.feeds.next_retry(), self.rates.still_at(), super::lock::due(self)];
+        let ages = Some(()).filter(|()| self.screen == Screen::Topics && !self.paused);
+        let moments = [
+            self.toasts.next_expiry(),
+            self.feeds.next_retry(),
+            self.rates.still_at(),
+            super::lock::due(self),
+            ages.and_then(|()| self.topics.older_at(self.now)),
+        ];
         moments.into_iter().flatten().min()
     }
 

@@ -55,6 +55,9 @@ pub enum Verb {
     Quarantine(super::quarantine::QuarantineVerb),
     /// Capture topics; ends when all captured is verified
     Capture(CaptureArguments),
+    /// Recordings (bag, MCAP): import
+    #[command(subcommand)]
+    Bag(super::recordings::BagVerb),
     /// Own records: list, show, export
     #[command(subcommand)]
     Uploads(UploadsVerb),
@@ -68,7 +71,7 @@ pub enum Verb {
     /// Grants given and received
     #[command(subcommand)]
     Grants(GrantsVerb),
-    /// Records shared with this profile: list, check, open
+    /// Records shared with this profile: list, check, open, export
     #[command(subcommand)]
     Shared(SharedVerb),
     /// Devices that may sign: lend, recall, list

@@ -26,7 +26,7 @@ pub async fn serve(context: Context, listen: SocketAddr, output: &Output) -> Res
         drop(crate::chain::serve::listen(listen).await?);
     }
     let connection = context.connect(Needs { ros: true, chain: true }).await?;
-    let joined = connection.site.is_none();
+    let (joined, events) = (connection.site.is_none(), connection.client.events());
     let end = site::asked_to_end();
     tokio::pin!(end);
     let served = tokio::select! {
@@ -48,7 +48,7 @@ pub async fn serve(context: Context, listen: SocketAddr, output: &Output) -> Res
         format!("chain {} at {}, by {place}; end it with Ctrl-C", served.chain_id, served.url)
     });
     let ended = tokio::select! {
-        () = site::follow(&connection.client, output, end) => Ok(0),
+        () = site::follow(events, output, end) => Ok(0),
         failure = lost(&connection.client) => Err(failure),
     };
     connection.end().await;

@@ -15,7 +15,7 @@ use crate::service::{Command, Failure, Needs, Reply};
 /// Where the profile cannot be opened or registered, or the address is not free.
 pub async fn serve(context: Context, listen: SocketAddr, output: &Output) -> Result<u8, Failure> {
     let connection = context.connect(Needs { ros: false, chain: true }).await?;
-    let joined = connection.site.is_none();
+    let (joined, events) = (connection.site.is_none(), connection.client.events());
     let end = site::asked_to_end();
     tokio::pin!(end);
     let begun = tokio::select! {
@@ -39,7 +39,7 @@ pub async fn serve(context: Context, listen: SocketAddr, output: &Output) -> Res
         )
     });
     let ended = tokio::select! {
-        () = site::follow(&connection.client, output, end) => Ok(0),
+        () = site::follow(events, output, end) => Ok(0),
         failure = super::chain::lost(&connection.client) => Err(failure),
     };
     connection.end().await;

@@ -85,13 +85,14 @@ pub fn topics(rows: &[TopicRow]) -> String {
             row.type_name.clone().unwrap_or_else(|| "-".to_owned()),
             row.publishers.join(" "),
             row.hz.map_or_else(|| "-".to_owned(), |hz| format!("{hz:.1}")),
+            if row.left_out > 0 { format!("{} left out", row.left_out) } else { String::new() },
             if row.watched { "watched" } else { "" }.to_owned(),
             if row.alarm { "ALARM" } else { "" }.to_owned(),
             if row.simulated { "SIMULATED" } else { "" }.to_owned(),
         ]
     };
     let rows: Vec<Vec<String>> = rows.iter().map(row).collect();
-    table(&["topic", "type", "publishers", "Hz", "", "", ""], &rows)
+    table(&["topic", "type", "publishers", "Hz", "", "", "", ""], &rows)
 }
 
 /// A page of records.

@@ -23,8 +23,10 @@ mod parse;
 mod parties;
 mod passphrase;
 mod plans;
+mod policy;
 mod printed;
 mod quarantine;
+mod recordings;
 mod serve;
 mod show;
 mod status;
@@ -109,6 +111,10 @@ fn run(runtime: &tokio::runtime::Runtime, arguments: Arguments, output: &Output)
         Some(Verb::Backup { file }) => runtime.block_on(check::run_backup(context, &file, output)),
         Some(Verb::Restore { file }) => check::run_restore(&context, &file, output),
         Some(Verb::Capture(capture)) => runtime.block_on(capture::run(context, capture, output)),
+        Some(Verb::Bag(recordings::BagVerb::Import(import))) => {
+            runtime.block_on(recordings::import(context, import, output))
+        }
+        Some(Verb::Shared(SharedVerb::Export(export))) => runtime.block_on(recordings::export(context, export, output)),
         Some(Verb::Uploads(UploadsVerb::List(list))) if list.follow => {
             runtime.block_on(follow::run(context, follow::Which::Uploads, parse::query(&list)?, output))
         }

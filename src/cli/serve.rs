@@ -3,6 +3,7 @@
 use std::sync::OnceLock;
 
 use tokio::signal::unix::{SignalKind, signal};
+use tokio::sync::broadcast;
 
 use super::connect::{Context, ProfileNeed};
 use super::output::Output;
@@ -68,6 +69,8 @@ pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
             format!("a site of {root} runs already; commands join it by themselves"),
         ));
     }
+    // What goes wrong while it begins is shown too.
+    let events = connection.client.events();
     // One that worked here before needs no chain to begin.
     let known = context.home.pin().exists() && context.home.keyring(&context.profile).exists();
     let prepared = async {
@@ -98,22 +101,22 @@ pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
     output.result(&ready, || {
         format!("serving {} for profile '{}'; end it with Ctrl-C", context.home.root().display(), context.profile)
     });
-    follow(&connection.client, output, end).await;
+    follow(events, output, end).await;
     connection.end().await;
     Ok(0)
 }
 
-/// Shows the site's warnings until `end`, or the site's end.
-pub async fn follow(client: &crate::service::Client, output: &Output, end: impl Future<Output = Ending>) {
-    let mut events = client.events();
+/// Shows the site's warnings until `end`, or the site's end. What was told since `events` were listened to is shown
+/// as well.
+pub async fn follow(mut events: broadcast::Receiver<Event>, output: &Output, end: impl Future<Output = Ending>) {
     tokio::pin!(end);
     loop {
         tokio::select! {
             _ = &mut end => return,
             event = events.recv() => match event {
                 Ok(Event::Notice { at, level, text }) if level >= NoticeLevel::Warning => output.note(&format!("{at} {text}")),
-                Ok(_) | Err(tokio::sync::broadcast::error::RecvError::Lagged(_)) => {}
-                Err(tokio::sync::broadcast::error::RecvError::Closed) => return,
+                Ok(_) | Err(broadcast::error::RecvError::Lagged(_)) => {}
+                Err(broadcast::error::RecvError::Closed) => return,
             },
         }
     }

@@ -82,6 +82,8 @@ pub fn show(reply: Reply, out: Option<&Path>, output: &Output) -> Result<u8, Fai
                 format!("written to {} (0600)", path.display())
             });
         }
+        Reply::Policy(view) => super::policy::show(&view, output),
+        Reply::Recording(_) => return Err(super::connect::unexpected()),
         Reply::Enrolled(_) | Reply::Captured(_) | Reply::Served(_) | Reply::Gateway(_) => {
             return Err(super::connect::unexpected());
         }

@@ -2,15 +2,12 @@
 
 use std::path::PathBuf;
 
-use super::args::{
-    ChainVerb, ConfigVerb, GatewayVerb, GrantsVerb, IdentityVerb, SharedVerb, TopicsVerb, UploadsVerb, Verb,
-};
+use super::args::{ChainVerb, ConfigVerb, GatewayVerb, GrantsVerb, IdentityVerb, TopicsVerb, UploadsVerb, Verb};
 use super::connect::{Context, ProfileNeed};
 use super::output::Output;
 use super::plans::{audit, grant, keys};
 use super::quarantine::{self, QuarantineVerb};
 use super::{check, lists, parse, parties, passphrase, show};
-use crate::service::command::Viewing;
 use crate::service::{Command, Failure, Needs, Operation};
 
 /// The chain alone.
@@ -101,6 +98,7 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
             let topic = topic.as_deref().map(parse::value).transpose()?;
             Plan::new(NEITHER, NoProfile, Command::ListPins { topic })
         }
+        Verb::Topics(TopicsVerb::Policy(policy)) => Plan::new(ROS, NoProfile, policy.command()?),
         Verb::Topics(TopicsVerb::Unpin { topic, caller_id }) => {
             Plan::new(NEITHER, NoProfile, Command::UnpinTopic { topic: parse::value(&topic)?, caller_id })
         }
@@ -119,15 +117,7 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
         Verb::Grant(arguments) => Plan::new(CHAIN, Unlocked, grant(&arguments)?),
         Verb::Revoke { address } => Plan::new(CHAIN, Unlocked, Command::Revoke { grantee: parse::value(&address)? }),
         Verb::Grants(GrantsVerb::List) => Plan::new(CHAIN, Unlocked, Command::ListGrants),
-        Verb::Shared(SharedVerb::List(list)) => Plan::new(CHAIN, Unlocked, Command::ListShared(parse::query(&list)?)),
-        Verb::Shared(SharedVerb::Check { id }) => Plan::new(CHAIN, Unlocked, Command::CheckShared { id }),
-        Verb::Shared(SharedVerb::Open { id, out }) => {
-            let command = super::viewing::open(id, out.as_deref());
-            Plan { out, ..Plan::new(CHAIN, Unlocked, command) }
-        }
-        Verb::Shared(SharedVerb::Path { id, records }) => {
-            Plan::new(CHAIN, Unlocked, Command::View(Viewing::Path { id, records }))
-        }
+        Verb::Shared(verb) => super::viewing::plan(verb)?,
         Verb::Chain(ChainVerb::Status) => Plan::new(CHAIN, NoProfile, Command::ChainStatus),
         Verb::Chain(ChainVerb::Adopt) => Plan::new(CHAIN, Unlocked, Command::AdoptChain),
         Verb::Devices(verb) => Plan::new(CHAIN, Unlocked, super::adopt::command(&verb)?),
@@ -137,21 +127,6 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
             let command = parties::act(&verb)?.ok_or_else(super::connect::unexpected)?;
             Plan::new(CHAIN, Unlocked, command)
         }
-        Verb::Agent(_)
-        | Verb::Config(_)
-        | Verb::Capture(_)
-        | Verb::Serve
-        | Verb::Doctor
-        | Verb::Verify { .. }
-        | Verb::Backup { .. }
-        | Verb::Restore { .. }
-        | Verb::Gateway(_)
-        | Verb::Demo(_)
-        | Verb::Bench(_)
-        | Verb::Console(_)
-        | Verb::Completions { .. }
-        | Verb::Man => {
-            return Err(super::connect::unexpected());
-        }
+        _ => return Err(super::connect::unexpected()),
     })
 }

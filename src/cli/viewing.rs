@@ -2,14 +2,36 @@
 
 use std::path::Path;
 
+use super::args::SharedVerb;
+use super::connect::ProfileNeed;
 use super::output::table;
+use super::parse;
+use super::verbs::{CHAIN, Plan};
 use crate::ros::readable::{Plot, Readable, Table, file_of};
-use crate::service::Command;
 use crate::service::command::Viewing;
 use crate::service::reply::{OpenedView, PathView};
+use crate::service::{Command, Failure};
+
+/// `shared …`
+///
+/// # Errors
+/// A filter that cannot be read.
+pub fn plan(verb: SharedVerb) -> Result<Plan, Failure> {
+    let plan = |command| Plan::new(CHAIN, ProfileNeed::Unlocked, command);
+    Ok(match verb {
+        SharedVerb::List(list) => plan(Command::ListShared(parse::query(&list)?)),
+        SharedVerb::Check { id } => plan(Command::CheckShared { id }),
+        SharedVerb::Export(_) => return Err(super::connect::unexpected()),
+        SharedVerb::Open { id, out } => {
+            let command = open(id, out.as_deref());
+            Plan { out, ..plan(command) }
+        }
+        SharedVerb::Path { id, records } => plan(Command::View(Viewing::Path { id, records })),
+    })
+}
 
 /// Opens a record; where a file is wanted, as what the file's name asks for.
-pub fn open(id: String, out: Option<&Path>) -> Command {
+fn open(id: String, out: Option<&Path>) -> Command {
     match out {
         None => Command::OpenShared { id },
         Some(path) => {

@@ -23,6 +23,16 @@ pub enum ConfigError {
         /// The key.
         name: String,
     },
+    /// A rule for topics that cannot be used.
+    #[error("{file} line {line}: this rule cannot be used: {what}")]
+    Rule {
+        /// The file.
+        file: String,
+        /// Line, from 1.
+        line: usize,
+        /// What is wrong.
+        what: String,
+    },
     /// A value that its setting does not take.
     #[error("{name} = '{value}' (from {source_name}) is not usable: {what}")]
     Value {

@@ -6,8 +6,8 @@ use std::path::Path;
 use std::str::FromStr;
 use std::time::Duration;
 
-use super::{ConfigError, DEFINITIONS, Definition, Source};
-use crate::model::{ByteSize, clean, time_span};
+use super::{ConfigError, DEFINITIONS, Definition, Source, topic_rules};
+use crate::model::{ByteSize, TopicRules, clean, time_span};
 
 /// A URL with any `user:password@` hidden.
 pub fn without_password(url: &str) -> String {
@@ -41,12 +41,14 @@ pub(super) fn find(
     )
 }
 
-pub(super) fn read_file(path: &Path, text: &str) -> Result<FileValues, ConfigError> {
+pub(super) fn read_file(path: &Path, text: &str) -> Result<(FileValues, TopicRules), ConfigError> {
     let file = clean(&path.display().to_string(), 200);
-    let document: toml::Table = text.parse().map_err(|error: toml::de::Error| ConfigError::Syntax {
+    let mut document: toml::Table = text.parse().map_err(|error: toml::de::Error| ConfigError::Syntax {
         file: file.clone(),
         what: clean(&error.to_string().replace('\n', " "), 300),
     })?;
+    let rules = document.remove(topic_rules::TABLE).map(|tables| topic_rules::read(&tables, text)).transpose();
+    let rules = rules.map_err(|fault| ConfigError::Rule { file: file.clone(), line: fault.line, what: fault.what })?;
     let mut values = FileValues::new();
     flatten("", &toml::Value::Table(document), &mut |name, value| {
         let line = line_of(text, name);
@@ -57,7 +59,7 @@ pub(super) fn read_file(path: &Path, text: &str) -> Result<FileValues, ConfigErr
         values.insert(name.to_owned(), (value, line));
         Ok(())
     })?;
-    Ok(values)
+    Ok((values, rules.unwrap_or_default()))
 }
 
 pub(super) fn flatten(
@@ -107,6 +109,15 @@ pub(super) fn bytes(values: &Values, name: &'static str, least: u64) -> Result<u
     size.map(|size| size.0).ok_or_else(|| wrong(values, name, &format!("write a size from {} on", ByteSize(least))))
 }
 
+/// One of two words; the first means yes.
+pub(super) fn switch(values: &Values, name: &'static str, words: (&str, &str)) -> Result<bool, ConfigError> {
+    match value(values, name) {
+        Some(word) if word == words.0 => Ok(true),
+        Some(word) if word == words.1 => Ok(false),
+        _ => Err(wrong(values, name, &format!("write {} or {}", words.0, words.1))),
+    }
+}
+
 /// A length of time, or `None` for the word that stands for no end.
 pub(super) fn span(values: &Values, name: &'static str, endless: &str) -> Result<Option<Duration>, ConfigError> {
     match value(values, name) {
@@ -115,15 +126,6 @@ pub(super) fn span(values: &Values, name: &'static str, endless: &str) -> Result
             let wrong = || wrong(values, name, &format!("write {endless}, or a time as 0s, 12h, 30d"));
             text.and_then(time_span).map(Some).ok_or_else(wrong)
         }
-    }
-}
-
-/// One of two words; the first means yes.
-pub(super) fn switch(values: &Values, name: &'static str, words: (&str, &str)) -> Result<bool, ConfigError> {
-    match value(values, name) {
-        Some(word) if word == words.0 => Ok(true),
-        Some(word) if word == words.1 => Ok(false),
-        _ => Err(wrong(values, name, &format!("write {} or {}", words.0, words.1))),
     }
 }
 

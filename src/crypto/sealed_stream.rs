@@ -104,10 +104,13 @@ impl<W: Write> SealedWriter<W> {
     ///
     /// # Errors
     /// What writing the header or deriving the key says.
-    pub fn new(mut inner: W, passphrase: &Passphrase) -> io::Result<Self> {
-        let key = FileKey::new(passphrase).map_err(other)?;
+    pub fn new(inner: W, passphrase: &Passphrase) -> io::Result<Self> {
+        Self::with(inner, &FileKey::new(passphrase).map_err(other)?)
+    }
+
+    fn with(mut inner: W, key: &FileKey) -> io::Result<Self> {
         let save_salt = random_bytes().map_err(other)?;
-        let keys = SaveKeys::derive(&key, &save_salt, LABEL);
+        let keys = SaveKeys::derive(key, &save_salt, LABEL);
         let header = StreamHeader { work: key.work, salt: key.salt, save_salt, commit: keys.commit }.encode();
         inner.write_all(&header)?;
         let waiting = Zeroizing::new(Vec::with_capacity(CHUNK));
@@ -173,14 +176,18 @@ impl<R: Read> SealedReader<R> {
     /// # Errors
     /// [`io::ErrorKind::InvalidData`] where it is no such stream, [`io::ErrorKind::PermissionDenied`] where the
     /// passphrase is another one, or what reading says.
-    pub fn open(mut inner: R, passphrase: &Passphrase) -> io::Result<Self> {
+    pub fn open(inner: R, passphrase: &Passphrase) -> io::Result<Self> {
+        Self::with(inner, |header| FileKey::with(passphrase, header.work, header.salt))
+    }
+
+    fn with(mut inner: R, key: impl FnOnce(&StreamHeader) -> Result<FileKey, CryptoError>) -> io::Result<Self> {
         let mut header = vec![0; HEADER];
         inner.read_exact(&mut header).map_err(|error| match error.kind() {
             io::ErrorKind::UnexpectedEof => damaged("it is shorter than a header"),
             _ => error,
         })?;
         let parsed = StreamHeader::parse(&header).map_err(|_| damaged("it does not begin as a back-up"))?;
-        let key = FileKey::with(passphrase, parsed.work, parsed.salt).map_err(other)?;
+        let key = key(&parsed).map_err(other)?;
         let keys = SaveKeys::derive(&key, &parsed.save_salt, LABEL);
         if !bool::from(keys.commit.ct_eq(&parsed.commit)) {
             return Err(io::Error::new(io::ErrorKind::PermissionDenied, "the passphrase is another one"));
@@ -238,19 +245,23 @@ impl<R: Read> Read for SealedReader<R> {
 mod tests {
     use super::*;
 
-    fn passphrase() -> Passphrase {
-        Passphrase::new("correct horse".to_owned()).expect("long enough")
+    /// Cheap, since it is derived again and again.
+    const WORK: Work = Work { log_n: 4, r: 8, p: 1 };
+
+    fn key(passphrase: &str, salt: [u8; 32]) -> Result<FileKey, CryptoError> {
+        FileKey::with(&Passphrase::new(passphrase.to_owned()).expect("long enough"), WORK, salt)
     }
 
     fn sealed(plain: &[u8]) -> Vec<u8> {
-        let mut writer = SealedWriter::new(Vec::new(), &passphrase()).expect("begins");
+        let mut writer =
+            SealedWriter::with(Vec::new(), &key("correct horse", [9; 32]).expect("a key")).expect("begins");
         writer.write_all(plain).expect("taken");
         writer.finish().expect("ends")
     }
 
     fn opened(bytes: &[u8]) -> io::Result<Vec<u8>> {
         let mut plain = Vec::new();
-        SealedReader::open(bytes, &passphrase())?.read_to_end(&mut plain)?;
+        SealedReader::with(bytes, |header| key("correct horse", header.salt))?.read_to_end(&mut plain)?;
         Ok(plain)
     }
 
@@ -260,8 +271,8 @@ mod tests {
             let plain: Vec<u8> = (0..length).map(|at| u8::try_from(at % 251).expect("small")).collect();
             assert_eq!(opened(&sealed(&plain)).expect("opens"), plain);
         }
-        let other = Passphrase::new("another horse".to_owned()).expect("long enough");
-        let refused = SealedReader::open(&sealed(b"x")[..], &other).err().expect("refused");
+        let other = |header: &StreamHeader| key("another horse", header.salt);
+        let refused = SealedReader::with(&sealed(b"x")[..], other).err().expect("refused");
         assert_eq!(refused.kind(), io::ErrorKind::PermissionDenied);
     }
 

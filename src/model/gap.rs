@@ -149,7 +149,7 @@ mod tests {
             assert_eq!(LossReason::from_code(reason.code()), Some(reason));
             assert_eq!(LossReason::from_word(reason.word()), Some(reason));
         }
-        assert_eq!((LossReason::from_code(0), LossReason::from_code(7)), (None, None));
+        assert_eq!((LossReason::from_code(0), LossReason::from_code(200)), (None, None));
     }
 
     proptest! {

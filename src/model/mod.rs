@@ -26,6 +26,7 @@ pub mod quarantine;
 pub mod retention;
 pub mod state;
 pub mod topic;
+pub mod topic_rule;
 pub mod wire;
 
 pub use address::{Address, redact_addresses};
@@ -51,3 +52,4 @@ pub use quarantine::QuarantineReport;
 pub use retention::{RetentionReport, RetentionRule, RetentionRules, time_span};
 pub use state::{RecordState, Verdict};
 pub use topic::{TopicName, TypeName};
+pub use topic_rule::{TopicPattern, TopicRule, TopicRules};

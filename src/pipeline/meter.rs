@@ -33,6 +33,7 @@ struct Track {
     buckets: [Bucket; 8],
     first_second: u64,
     messages: u64,
+    largest: u64,
     last: Option<Timestamp>,
 }
 
@@ -58,7 +59,13 @@ impl Meter {
         slot.messages += 1;
         slot.bytes += bytes as u64;
         track.messages += 1;
+        track.largest = track.largest.max(bytes as u64);
         track.last = Some(at);
+    }
+
+    /// Bytes of the largest message of `topic`; `None` where it was never seen.
+    pub fn largest(&self, topic: &str) -> Option<u64> {
+        self.tracks.lock().unwrap_or_else(PoisonError::into_inner).get(topic).map(|track| track.largest)
     }
 
     /// The rate of `topic` over the whole seconds before `now`; `None` where it was never seen.

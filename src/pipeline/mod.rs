@@ -14,6 +14,7 @@ pub mod export_folder;
 #[cfg(test)]
 mod fixture;
 pub mod forwarder;
+pub mod importer;
 pub mod losses;
 pub mod meter;
 pub mod mirror;
@@ -29,6 +30,7 @@ pub mod record_audit;
 pub mod recorder;
 pub mod retention;
 pub mod ring;
+mod sampler;
 pub mod sealer;
 pub mod sender;
 pub mod session;

@@ -207,6 +207,19 @@ impl Reader<'_> {
         row: &RecordRow,
         opened: &OpenedRecord,
     ) -> Result<Option<Definition>, PipelineError> {
+        let text = self.definition_text(row, opened).await?;
+        Ok(text.and_then(|text| Definition::parse(&opened.head.type_name, &text).ok()))
+    }
+
+    /// The text of that definition, as its publisher gave it.
+    ///
+    /// # Errors
+    /// Of the ledger. `None` where no readable record holds it.
+    pub async fn definition_text(
+        &self,
+        row: &RecordRow,
+        opened: &OpenedRecord,
+    ) -> Result<Option<String>, PipelineError> {
         let query = RecordQuery {
             owner: Some(row.owner),
             topic_ids: Some(vec![row.topic_id]),
@@ -219,8 +232,7 @@ impl Reader<'_> {
         for candidate in page.rows.iter().filter(|candidate| candidate.epoch == row.epoch) {
             let Ok(found) = self.open(candidate).await else { continue };
             if Digest(self.plant.provider.sm3(&[&found.body])) == opened.head.definition {
-                let text = String::from_utf8_lossy(&found.body);
-                return Ok(Definition::parse(&opened.head.type_name, &text).ok());
+                return Ok(Some(String::from_utf8_lossy(&found.body).into_owned()));
             }
         }
         Ok(None)

@@ -3,14 +3,15 @@
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, PoisonError, RwLock};
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
 
-use crate::model::{Doubt, LossReason, Timestamp, TypeName, clean};
+use crate::model::{Doubt, LossReason, Timestamp, TopicRule, TopicRules, TypeName, clean};
 use crate::ros::{CaptureNotice, Message, MessageSink, Origin};
 
 use super::losses::{Losses, Lost};
 use super::meter::Meter;
 use super::ring::{Rings, Weighted};
+use super::sampler::Sampler;
 use super::{Author, CaptureSession, Observer, Pins};
 
 /// One message for one author, on its way to the sealer.
@@ -25,6 +26,8 @@ pub struct CapturedMessage {
     pub sessions: Vec<Arc<CaptureSession>>,
     /// Why it must be held back.
     pub doubt: Option<Doubt>,
+    /// The rule of its topic, whose tags it gets.
+    pub rule: Option<Arc<TopicRule>>,
 }
 
 impl Weighted for CapturedMessage {
@@ -38,11 +41,20 @@ struct Interest {
     watched: bool,
     type_name: Option<TypeName>,
     sessions: Vec<Arc<CaptureSession>>,
+    rule: Option<Arc<TopicRule>>,
+    sampler: Mutex<Sampler>,
 }
 
 impl Interest {
     fn wants(&self, type_name: &str) -> bool {
-        self.type_name.as_ref().is_none_or(|wanted| wanted.as_str() == type_name)
+        let by_rule = self.rule.as_ref().and_then(|rule| rule.type_name.as_ref());
+        self.type_name.as_ref().or(by_rule).is_none_or(|wanted| wanted.as_str() == type_name)
+    }
+
+    /// Whether the topic's rule lets this message of an undoubted publisher through.
+    fn takes(&self, at: Timestamp) -> bool {
+        let Some(rule) = &self.rule else { return true };
+        self.sampler.lock().unwrap_or_else(PoisonError::into_inner).takes(rule, at)
     }
 }
 
@@ -56,6 +68,9 @@ pub struct Recorder {
     simulated: RwLock<Vec<String>>,
     observer: Arc<dyn Observer>,
     pins: Option<Arc<Pins>>,
+    rules: TopicRules,
+    /// Messages left out by the topics' rules.
+    left_out: Mutex<HashMap<String, u64>>,
 }
 
 impl Recorder {
@@ -70,7 +85,14 @@ impl Recorder {
             simulated: RwLock::default(),
             observer,
             pins: None,
+            rules: TopicRules::default(),
+            left_out: Mutex::default(),
         }
+    }
+
+    /// Messages are taken as the rules of their topics say.
+    pub fn with_rules(self, rules: TopicRules) -> Self {
+        Self { rules, ..self }
     }
 
     /// Messages of publishers that are not pinned are held back.
@@ -103,7 +125,9 @@ impl Recorder {
         let mut interests = self.interests.write().unwrap_or_else(PoisonError::into_inner);
         let list = interests.entry(topic.to_owned()).or_default();
         if !list.iter().any(|interest| interest.author.address == author.address) {
-            list.push(Interest { author: Arc::clone(author), watched: false, type_name: None, sessions: Vec::new() });
+            let rule = self.rules.of(topic).cloned();
+            let (author, sampler) = (Arc::clone(author), Mutex::default());
+            list.push(Interest { author, watched: false, type_name: None, sessions: Vec::new(), rule, sampler });
         }
         if let Some(interest) = list.iter_mut().find(|interest| interest.author.address == author.address) {
             change(interest);
@@ -154,11 +178,22 @@ impl Recorder {
         interests.iter().filter(|(_, list)| wants(list)).map(|(topic, _)| topic.clone()).collect()
     }
 
+    /// Messages of a topic that its rule left out since the site began; they are not lost.
+    pub fn left_out(&self, topic: &str) -> u64 {
+        self.left_out.lock().unwrap_or_else(PoisonError::into_inner).get(topic).copied().unwrap_or_default()
+    }
+
     fn offer(&self, interest: &Interest, message: &Arc<Message>, simulated: bool) {
         if !interest.wants(&message.type_name) {
             return;
         }
         let doubt = self.doubt(interest, &message.topic, &message.origin);
+        // A doubted publisher neither uses up what the rule leaves to the others, nor is anything of it left out.
+        if doubt.is_none() && !interest.takes(message.captured_at) {
+            let mut left_out = self.left_out.lock().unwrap_or_else(PoisonError::into_inner);
+            *left_out.entry(message.topic.to_string()).or_default() += 1;
+            return;
+        }
         let takes = |session: &&Arc<CaptureSession>| match doubt {
             None => session.take(&message.topic, &message.type_name),
             Some(_) => session.hold(&message.topic),
@@ -168,7 +203,8 @@ impl Recorder {
             return;
         }
         let author = Arc::clone(&interest.author);
-        let item = CapturedMessage { author, message: Arc::clone(message), simulated, sessions, doubt };
+        let rule = interest.rule.clone();
+        let item = CapturedMessage { author, message: Arc::clone(message), simulated, sessions, doubt, rule };
         if let Err(refused) = self.rings.push(&message.topic, item) {
             self.losses.note(&refused.author, Lost::message(message), self.losses.cause());
             refused.sessions.iter().for_each(|session| session.dropped(&message.topic, refused.doubt.is_some()));

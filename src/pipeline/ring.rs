@@ -39,11 +39,26 @@ impl<T> Default for Inner<T> {
     }
 }
 
+impl<T> Inner<T> {
+    fn append(&mut self, topic: &Arc<str>, item: T, weight: usize) {
+        let new = || Ring { items: VecDeque::new(), held: 0 };
+        let ring = self.rings.entry(Arc::clone(topic)).or_insert_with(new);
+        if ring.items.is_empty() {
+            self.turns.push_back(Arc::clone(topic));
+        }
+        ring.items.push_back(item);
+        ring.held += weight;
+        self.held += weight;
+        self.waiting += 1;
+    }
+}
+
 /// Queues of all topics under one budget of bytes.
 #[derive(Debug)]
 pub struct Rings<T> {
     inner: Mutex<Inner<T>>,
     filled: Condvar,
+    emptied: Condvar,
     capacity: usize,
 }
 
@@ -75,13 +90,15 @@ impl<T> Drop for Taken<'_, T> {
                 inner.rings.remove(topic);
             }
         }
+        drop(inner);
+        self.rings.emptied.notify_all();
     }
 }
 
 impl<T: Weighted> Rings<T> {
     /// Empty rings for at most `capacity` bytes together.
     pub fn new(capacity: usize) -> Self {
-        Self { inner: Mutex::default(), filled: Condvar::new(), capacity }
+        Self { inner: Mutex::default(), filled: Condvar::new(), emptied: Condvar::new(), capacity }
     }
 
     fn lock(&self) -> MutexGuard<'_, Inner<T>> {
@@ -99,19 +116,30 @@ impl<T: Weighted> Rings<T> {
         let free = self.capacity.saturating_sub(inner.held);
         let own = inner.rings.get(topic).map_or(0, |ring| ring.held);
         // Half of the budget for one topic alone, a third each for two, and always room for a first message.
-        if inner.closed || weight > free || own > 0 && own + weight > free {
+        if inner.closed || weight > free || own > 0 && own + weight > free - weight {
             return Err(item);
         }
-        let new = || Ring { items: VecDeque::new(), held: 0 };
-        let ring = inner.rings.entry(Arc::clone(topic)).or_insert_with(new);
-        if ring.items.is_empty() {
-            inner.turns.push_back(Arc::clone(topic));
-        }
-        ring.items.push_back(item);
-        ring.held += weight;
-        inner.held += weight;
-        inner.waiting += 1;
+        inner.append(topic, item, weight);
         drop(guard);
+        self.filled.notify_one();
+        Ok(())
+    }
+
+    /// Appends `item` once all rings together hold at most `limit` bytes with it, or nothing; waits up to `patience`
+    /// for that. So what can wait leaves the rest of the budget to what cannot.
+    ///
+    /// # Errors
+    /// The item itself, where there was no room or all is closed.
+    pub fn push_within(&self, topic: &Arc<str>, item: T, limit: usize, patience: Duration) -> Result<(), T> {
+        let (inner, weight) = (self.lock(), item.weight());
+        let full = |inner: &mut Inner<T>| !inner.closed && inner.held > 0 && inner.held + weight > limit;
+        let waited = self.emptied.wait_timeout_while(inner, patience, full);
+        let mut inner = waited.unwrap_or_else(PoisonError::into_inner).0;
+        if inner.closed || full(&mut inner) {
+            return Err(item);
+        }
+        inner.append(topic, item, weight);
+        drop(inner);
         self.filled.notify_one();
         Ok(())
     }
@@ -150,6 +178,7 @@ impl<T: Weighted> Rings<T> {
     pub fn close(&self) {
         self.lock().closed = true;
         self.filled.notify_all();
+        self.emptied.notify_all();
     }
 
     /// Whether further items are refused for good.
@@ -211,6 +240,21 @@ mod tests {
         let hand = rings.take(8, 1000, Duration::ZERO).expect("open");
         let of_calm = hand.weights.iter().filter(|(topic, _)| **topic == *calm).count();
         assert_eq!((hand.len(), of_calm), (8, 4));
+    }
+
+    #[test]
+    fn what_can_wait_leaves_room_and_is_never_dropped() {
+        let (rings, a) = (Rings::new(100), topic("a"));
+        assert_eq!(rings.push_within(&a, 30, 20, Duration::ZERO), Ok(()), "alone");
+        assert_eq!(rings.push_within(&a, 1, 20, Duration::ZERO), Err(1));
+        assert_eq!(rings.push(&topic("live"), 60), Ok(()), "what cannot wait has the rest");
+        std::thread::scope(|scope| {
+            let waiting = scope.spawn(|| rings.push_within(&a, 2, 20, Duration::from_secs(60)));
+            assert_eq!(taken(&rings, 2), [30, 60]);
+            assert_eq!(waiting.join().expect("joined"), Ok(()));
+        });
+        rings.close();
+        assert_eq!(rings.push_within(&a, 1, 20, Duration::ZERO), Err(1));
     }
 
     #[test]

@@ -423,6 +423,9 @@ fn covered(keys: &EpochKeys, topic: &str) -> Result<Arc<TopicKeys>, PipelineErro
 fn tags(item: &CapturedMessage) -> BTreeMap<String, String> {
     let mut tags: BTreeMap<String, String> =
         item.sessions.iter().flat_map(|session| session.tags().iter().cloned()).collect();
+    if let Some(rule) = &item.rule {
+        tags.extend(rule.all_tags());
+    }
     if item.simulated {
         tags.insert(SIMULATED.0.to_owned(), SIMULATED.1.to_owned());
     }

@@ -74,6 +74,9 @@ pub enum RosError {
         /// What is wrong.
         reason: String,
     },
+    /// A recording that cannot be read or written.
+    #[error("the recording cannot be used: {0}")]
+    Recording(String),
     /// A message body that does not fit its definition.
     #[error("a message of {type_name} does not fit its definition: {reason}; show its raw bytes instead")]
     Body {
@@ -91,9 +94,11 @@ impl RosError {
             Self::Unreachable { .. } => ErrorKind::Unreachable,
             Self::Refused { .. } => ErrorKind::Refused,
             Self::Address(_) | Self::Robots(_) | Self::Rate(_) => ErrorKind::Usage,
-            Self::OwnHost { .. } | Self::Protocol { .. } | Self::Definition { .. } | Self::Body { .. } => {
-                ErrorKind::Input
-            }
+            Self::OwnHost { .. }
+            | Self::Protocol { .. }
+            | Self::Definition { .. }
+            | Self::Recording(_)
+            | Self::Body { .. } => ErrorKind::Input,
             Self::EmbeddedMaster(_) | Self::System { .. } => ErrorKind::Internal,
         }
     }
@@ -108,6 +113,18 @@ impl RosError {
 
     pub(super) fn definition(type_name: &str, reason: impl AsRef<str>) -> Self {
         Self::Definition { type_name: clean(type_name, 120), reason: clean(reason.as_ref(), 200) }
+    }
+
+    pub(super) fn recording(reason: &str) -> Self {
+        Self::Recording(clean(reason, 300))
+    }
+
+    pub(super) fn unreadable(error: &std::io::Error) -> Self {
+        Self::recording(&format!("it cannot be read ({error})"))
+    }
+
+    pub(super) fn unwritable(error: &std::io::Error) -> Self {
+        Self::recording(&format!("it cannot be written ({error})"))
     }
 
     pub(super) fn body(type_name: &str, reason: impl AsRef<str>) -> Self {

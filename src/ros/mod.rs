@@ -1,15 +1,18 @@
-//! ROS 1: the embedded master, the graph, simulated robots, capture of topics, decoding of messages.
+//! ROS 1: the embedded master, the graph, simulated robots, capture of topics, decoding of messages, recordings.
 //!
 //! All network code talks XML-RPC and TCPROS with timeouts and caps; what peers send is untrusted.
 //! No crypto, no storage and no screens here: captured messages leave through [`MessageSink`].
 
 mod address;
+pub mod bag;
 pub mod capture;
 mod error;
 pub mod graph;
 pub mod master;
+pub mod mcap;
 pub mod message;
 pub mod readable;
+pub mod recording;
 pub mod robot;
 mod slave;
 mod tcpros;

@@ -4,6 +4,7 @@ mod administration;
 mod check;
 mod choices;
 mod operate;
+mod recordings;
 mod secret;
 mod viewing;
 
@@ -13,6 +14,7 @@ pub use self::administration::Administration;
 pub use self::check::StoreCommand;
 pub use self::choices::{Epochs, Held, KeyKind, UploadQuery};
 pub use self::operate::Operation;
+pub use self::recordings::{ExportWishes, ImportWishes, PolicyCommand, RecordingCommand};
 pub use self::secret::{SecretBytes, SecretText};
 pub use self::viewing::{LONGEST_PATH, Viewing};
 use crate::model::{Address, ContactName, Party, ProfileName, Publisher, SignerId, Timestamp, TopicName, TypeName};
@@ -119,8 +121,18 @@ pub enum Command {
         /// Tags for the sealed head.
         tags: Vec<(String, String)>,
     },
-    /// End the running captures of this profile now (their answers follow).
+    /// End the running captures and imports of this profile now (their answers follow).
     StopCapture,
+    /// Recordings: bags and MCAP.
+    Recording {
+        /// What with them.
+        with: RecordingCommand,
+    },
+    /// Rules for topics.
+    Policy {
+        /// What with them.
+        with: PolicyCommand,
+    },
     /// Own records.
     ListUploads(UploadQuery),
     /// One own record with its provenance.

@@ -7,6 +7,7 @@ mod forging;
 mod identity;
 mod operate;
 mod parties;
+mod recordings;
 mod records;
 mod site;
 mod tasks;
@@ -22,6 +23,9 @@ pub use self::forging::{AlarmView, DecidedView, HeldView, PinView, PinsView, Qua
 pub use self::identity::{EnrolledView, EpochView, IdentityView, KeysView, TransactionView};
 pub use self::operate::{GatewayStatusView, RefusedView, SenderView, SystemKeyView};
 pub use self::parties::{AdministrationView, CompareView, ContactRow, DeviceRow, GrantRow, SuccessionView};
+pub use self::recordings::{
+    ExportView, ExportedTopic, ImportView, ImportedTopic, PolicyRow, PolicyView, ProgressView, RecordingReply, Refused,
+};
 pub use self::records::{CheckView, ExportedFile, OpenedView, Provenance, RecordPage, RecordView};
 pub use self::site::{HealthLevel, LifeLine, PartHealth, QueueView, SiteView};
 pub use self::tasks::{TaskState, TaskView};
@@ -63,6 +67,10 @@ pub enum Reply {
     Topics(Vec<TopicRow>),
     /// To `Capture`.
     Captured(CaptureSummary),
+    /// To `Recording`.
+    Recording(RecordingReply),
+    /// To `Policy`.
+    Policy(PolicyView),
     /// To lists of records.
     Records(RecordPage),
     /// To `ShowUpload`.

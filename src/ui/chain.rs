@@ -95,7 +95,7 @@ fn gas(view: &GasView) -> String {
 
 fn administrator(state: &State, decided: &AdministrationView) -> String {
     let Some(administrator) = decided.administrator else { return "not known yet".to_owned() };
-    let whose = if Some(administrator) == state.address() { "you: : lists what you may do" } else { "not you" };
+    let whose = if Some(administrator) == state.address() { "you; the palette has your acts" } else { "not you" };
     let registration = if decided.open { "anyone may register" } else { "only admitted accounts register" };
     format!("{} ({whose}), {registration}", administrator.short())
 }

@@ -59,17 +59,17 @@ fn draw_about(canvas: &mut Canvas, area: Rect, view: &GatewayStatusView) -> u16 
         return 4;
     };
     line(canvas, row(area, 1), "Listens", &format!("{}, {} connections", served.address, view.connections), Role::Good);
-    line(
-        canvas,
-        row(area, 2),
-        "Fingerprint",
-        &format!("{} (robots and operators pin it)", served.fingerprint),
-        Role::Body,
-    );
+    line(canvas, row(area, 2), "Fingerprint", &format!("{} (to be pinned)", served.fingerprint), Role::Body);
     line(canvas, row(area, 3), "Anchors as", &served.account.to_string(), Role::Body);
     let mut place = 4;
     for key in &view.keys {
-        line(canvas, row(area, place), if key.current { "System key" } else { "next" }, &system_key(key), Role::Body);
+        line(
+            canvas,
+            row(area, place),
+            if key.current { "System key" } else { "Next key" },
+            &system_key(key),
+            Role::Body,
+        );
         place += 1;
     }
     if let Some(expires) = view.list_expires {

@@ -105,8 +105,11 @@ fn draw_law(canvas: &mut Canvas, area: Rect, life: &LifeLine) {
         (life.tampered, "tampered", Role::Bad),
     ];
     let sum: u64 = parts.iter().map(|(count, ..)| count).sum();
-    let (verdict, role) =
-        if sum == life.captured { ("● holds: ", Role::Good) } else { ("✖ does not add up: ", Role::Bad) };
+    let (verdict, role) = if sum == life.captured && life.conserved {
+        ("● holds: ", Role::Good)
+    } else {
+        ("✖ does not add up: ", Role::Bad)
+    };
     let mut rest =
         canvas.puts(area, &[(verdict, role), (&words::count(life.captured), Role::Accent), (" = ", Role::Dim)]);
     // What is out of the ordinary is named where there is any; figures grow, and the line is short.
@@ -116,7 +119,7 @@ fn draw_law(canvas: &mut Canvas, area: Rect, life: &LifeLine) {
         rest = canvas.puts(rest, &[(plus, Role::Dim), (&words::count(count), role), (" ", role), (name, Role::Dim)]);
     }
     if life.quarantined + life.dropped + life.tampered == 0 {
-        canvas.put(rest, ", none quarantined, dropped, tampered", Role::Dim);
+        canvas.put(rest, ", none held, dropped, tampered", Role::Dim);
     }
 }
 

@@ -2,7 +2,7 @@
 
 use ratatui::layout::Rect;
 
-use super::canvas::{Canvas, below, columns, row};
+use super::canvas::{Canvas, below, row};
 use super::theme::Role;
 use crate::ros::readable::Plot;
 
@@ -89,7 +89,6 @@ fn ends(canvas: &mut Canvas, area: Rect, plot: &Plot, window: &Window) {
     let text =
         format!("{} {:.2} to {right:.2}   {} {:.2} to {top:.2}", plot.axes.0, window.left, plot.axes.1, window.bottom);
     canvas.put(area, &text, Role::Dim);
-    debug_assert!(columns(&text) > 0);
 }
 
 /// The Braille pattern of each cell, row by row.

@@ -49,6 +49,7 @@ fn compare(name: &str, text: &str) {
 fn situations(add: &mut dyn FnMut(&'static str, Screen, &dyn Fn(&mut Robot))) {
     add("readers", Screen::Topics, &|robot| robot.types("i"));
     add("publishers", Screen::Topics, &|robot| {
+        robot.presses(Key::Down);
         robot.presses(Key::Enter);
         let topic = robot.state.topics.selected().map(|row| row.topic.clone()).expect("a topic");
         robot.is_answered(&Tag::Publishers(topic.clone()), Ok(Reply::Pins(fixtures::pins(&topic))));
@@ -151,7 +152,14 @@ fn in_trouble() -> Robot {
     let mut robot = Robot::at_work(true);
     robot.hears_of(Part::Health);
     let mut site = SiteView {
-        life: LifeLine { pending: 45, tampered: 1, dropped: 12, lost_in_transport: 3, ..fixtures::site().life },
+        life: LifeLine {
+            captured: 12_403,
+            pending: 45,
+            tampered: 1,
+            dropped: 12,
+            lost_in_transport: 3,
+            ..fixtures::site().life
+        },
         ..fixtures::site()
     };
     site.health[1].level = HealthLevel::Waiting;

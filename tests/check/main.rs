@@ -1,6 +1,11 @@
 //! The store as a whole: its audit finds every kind of damage, the doctor says what to do, an exported record is checked
 //! by a stranger, a back-up becomes a home again.
-#![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
+#![allow(
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "a test fails by panicking, the long form prints its figures"
+)]
 
 #[path = "../support/mod.rs"]
 mod support;

@@ -105,7 +105,7 @@ impl Model {
 
 /// The bytes of record `number`; of a length that fills some pages and not others.
 fn blob(number: usize) -> Vec<u8> {
-    let length = 200 + (number * 37) % 6_000;
+    let length = 200 + (number * 37) % 1_300;
     (0..length).map(|place| u8::try_from((number + place * 7) % 251).expect("small")).collect()
 }
 

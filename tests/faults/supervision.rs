@@ -12,10 +12,11 @@ use crate::support::{Anvil, Authros, Conservation, Home, Running, long, poll, sk
 
 const TOPICS: [&str; 2] = ["/robot1/odom", "/robot1/camera/compressed"];
 /// Every task of a site with one open profile and several lanes, but those that are threads.
-const TASKS: [&str; 11] = [
+const TASKS: [&str; 12] = [
     "news",
     "audit",
     "quarantine",
+    "room",
     "ros",
     "chain",
     "watcher",

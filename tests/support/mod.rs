@@ -31,7 +31,7 @@ pub use console::{Console, Terminal};
 pub use process::{Outcome, Running};
 pub use proxy::{Proxy, Spoil};
 pub use redis::Redis;
-pub use ros::{Roscore, read_bag};
+pub use ros::{Roscore, list_bag, read_bag, write_bag};
 use serde_json::Value;
 pub use wire::Wire;
 

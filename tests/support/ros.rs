@@ -71,6 +71,16 @@ impl Roscore {
         Running::start(command)
     }
 
+    /// Plays a bag, and gives what a real subscriber of its topics heard: per topic the messages in hex.
+    pub fn play_to_subscriber(&self, bag: &Path, rate: u32, count: usize, topics: &[&str]) -> Value {
+        let mut command = self.command("python3");
+        command.args([BAG_SCRIPT, "hear", &count.to_string()]).args(topics);
+        let mut ear = Running::start(command);
+        ear.wait_for_text("listening", 60);
+        self.play(bag, rate).wait(240).expect_code(0);
+        ear.wait(120).expect_code(0).document()
+    }
+
     /// Publishes one message again and again, `hz` times a second.
     pub fn publish(&self, topic: &str, type_name: &str, message: &str, hz: u32) -> Running {
         let mut command = self.command("rostopic");
@@ -106,6 +116,20 @@ impl Drop for Roscore {
     fn drop(&mut self) {
         self.end();
     }
+}
+
+const BAG_SCRIPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/support/bag.py");
+
+/// Writes a bag of several topics with ROS's own library.
+pub fn write_bag(bag: &Path, compression: &str, count: usize) {
+    let bag = bag.to_str().expect("UTF-8");
+    super::process::output_of("/usr/bin/python3", &[BAG_SCRIPT, "write", bag, compression, &count.to_string()]);
+}
+
+/// All messages of a bag by ROS's own library: topic, type, md5sum, caller id, definition, nanoseconds, hex.
+pub fn list_bag(bag: &Path) -> Vec<Value> {
+    let output = super::process::output_of("/usr/bin/python3", &[BAG_SCRIPT, "list", bag.to_str().expect("UTF-8")]);
+    serde_json::from_str(&output).expect("a list as JSON")
 }
 
 /// What a bag holds, by ROS's own library: per topic its type, `bodies` in hex and `messages` as fields.

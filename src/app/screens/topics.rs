@@ -123,6 +123,18 @@ impl Topics {
         rows
     }
 
+    /// When the youngest age shown changes, though nothing arrives; `None` = no age is shown.
+    pub fn older_at(&self, now: Timestamp) -> Option<Timestamp> {
+        const SECOND: u64 = 1_000_000_000;
+        let youngest = self.rows.iter().filter_map(|row| row.last_message).max()?;
+        let step = match now.0.saturating_sub(youngest.0) / SECOND {
+            0..60 => SECOND,
+            60..3_600 => 60 * SECOND,
+            _ => 3_600 * SECOND,
+        };
+        Some(Timestamp((now.0 / step + 1).saturating_mul(step)))
+    }
+
     /// The row of the cursor.
     pub fn selected(&self) -> Option<&TopicRow> {
         let rows = self.visible();

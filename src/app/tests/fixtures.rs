@@ -84,10 +84,10 @@ pub fn site() -> SiteView {
         life: LifeLine {
             captured: 12_345,
             sealed: 12_345,
-            stored: 12_340,
-            anchored: 12_320,
-            confirmed: 12_310,
-            verified: 12_300,
+            stored: 12_345,
+            anchored: 12_345,
+            confirmed: 12_345,
+            verified: 12_345,
             conserved: true,
             ..LifeLine::default()
         },
@@ -112,6 +112,7 @@ pub fn topic(name: &str, hz: f64) -> TopicRow {
         messages: 0,
         lost_in_transport: 0,
         lost_in_recorder: 0,
+        left_out: 0,
         last_message: Some(NOW),
         pins: u64::from(!camera),
         unpinned: Vec::new(),

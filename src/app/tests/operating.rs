@@ -92,7 +92,8 @@ fn a_watch_is_undone_truly_and_a_grant_only_by_another_transaction() {
     robot.site_answers(true);
     robot.types("U");
     assert!(robot.message().contains("nothing to undo"));
-    robot.presses(Key::Home);
+    // The first row is a hostile name, which nothing can be done with.
+    robot.presses(Key::Down);
     robot.types("w");
     let tag = robot.work().first().cloned().expect("something is watched or not");
     robot.is_answered(&tag, Ok(Reply::Done));
@@ -167,6 +168,22 @@ fn a_new_console_begins_where_the_last_was_left() {
     );
     assert_eq!((state.screen, state.topics.table.sort), (Screen::Topics, 0), "what makes no sense is left out");
     assert_eq!(state.clock(Timestamp::from_seconds(0)), "00:00:00", "without a zone UTC stands alone");
+}
+
+#[test]
+fn an_age_goes_on_where_nothing_arrives_any_more() {
+    let mut robot = Robot::at_work(true);
+    robot.types("2");
+    robot.site_answers(true);
+    robot.waits(5);
+    let second = 1_000_000_000;
+    assert!(robot.state.deadline().is_some_and(|at| at.0 <= robot.state.now.0 + second), "each second at first");
+    robot.waits(600);
+    assert!(robot.state.deadline().is_some_and(|at| at.0 > robot.state.now.0), "then each minute");
+    robot.types("7");
+    robot.site_answers(true);
+    robot.waits(10);
+    assert_eq!(robot.state.deadline(), None, "and on other screens never");
 }
 
 #[test]

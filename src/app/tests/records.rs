@@ -72,7 +72,7 @@ fn enter_shows_provenance_at_once_and_fills_it_when_it_comes() {
     let tag = Tag::Show("00000000000003e8".into());
     robot.is_answered(&tag, Ok(Reply::Provenance(fixtures::provenance(1_000))));
     let Some(Popup::Provenance(lookup)) = robot.state.popups.last() else { panic!("no popup") };
-    assert_eq!(lookup.found().map(|found| found.steps.len()), Some(7));
+    assert_eq!(lookup.found().map(|found| found.steps.len()), Some(11));
     robot.hears_of(Part::Uploads);
     assert!(robot.work().is_empty(), "a verified record is not asked for again");
     robot.types("q");

@@ -30,6 +30,8 @@ pub enum TopicsVerb {
         #[arg(long, value_name = "TOPIC")]
         topic: Option<String>,
     },
+    /// The rule of each topic; --learn drafts rules from the live graph
+    Policy(crate::cli::policy::PolicyArguments),
     /// No longer accept a publisher of a topic
     Unpin {
         /// Topic
@@ -133,6 +135,8 @@ pub enum SharedVerb {
         /// Record id
         id: String,
     },
+    /// Write what this profile may read as a bag or MCAP, each record checked and verified first
+    Export(crate::cli::recordings::ExportArguments),
     /// Check, decrypt, decode
     Open {
         /// Record id

@@ -1,7 +1,8 @@
 //! Each check of the opening order proved alone: a forgery that only this one check can refuse.
 
 use crate::crypto::{Anchor, CryptoError, Expected, Provider, SealRequest, SmKeyPair, TopicKey, open, record, seal};
-use crate::model::{Digest, Signature};
+use crate::model::head::Compression;
+use crate::model::{Digest, Head, Signature};
 use crate::pipeline::reader::Reader;
 use crate::pipeline::{Network, Owner, Plant};
 use crate::service::Failure;
@@ -102,6 +103,7 @@ pub fn never_anchored(plant: &Plant, one: &Genuine) -> Result<(RecordRow, Vec<u8
         &one.key,
         &one.expected,
     )?;
+    let head = Head { compression: Compression::None, ..opened.head.clone() };
     let request = SealRequest {
         domain: header.domain,
         owner: header.owner,
@@ -114,7 +116,7 @@ pub fn never_anchored(plant: &Plant, one: &Genuine) -> Result<(RecordRow, Vec<u8
         kind: header.kind,
         filters: header.filters,
         captured_at: header.captured_at,
-        head: &opened.head,
+        head: &head,
         body: &opened.body,
     };
     let sealed = seal(plant.provider, &request)?;

@@ -66,13 +66,14 @@ async fn answered(chain: &Chain, name: &str, has_pin: bool, sheet: &mut Sheet) {
     let now = Timestamp::now().seconds();
     let ahead = head.timestamp.saturating_sub(now);
     let advice = "set this machine's clock (timedatectl set-ntp true), or that of the chain's sealers";
-    match ahead {
-        FAR_AHEAD.. => sheet.fail("clock", &format!("the newest block is {ahead} s in this clock's future"), advice),
-        AHEAD.. => sheet.warn("clock", &format!("the newest block is {ahead} s in this clock's future"), advice),
-        _ => {
-            let age = now.saturating_sub(head.timestamp);
-            sheet.ok("clock", &format!("the newest block is {age} s old by this clock, none is in its future"));
-        }
+    let text = format!("the newest block is {ahead} s in this clock's future");
+    if ahead >= FAR_AHEAD {
+        sheet.fail("clock", &text, advice);
+    } else if ahead >= AHEAD {
+        sheet.warn("clock", &text, advice);
+    } else {
+        let age = now.saturating_sub(head.timestamp);
+        sheet.ok("clock", &format!("the newest block is {age} s old by this clock, none is in its future"));
     }
 }
 

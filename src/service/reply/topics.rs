@@ -28,6 +28,9 @@ pub struct TopicRow {
     pub lost_in_transport: u64,
     /// Dropped by the recorder.
     pub lost_in_recorder: u64,
+    /// Left out by the rate or sampling of the topic's rule; these are not lost.
+    #[serde(default)]
+    pub left_out: u64,
     /// Arrival of the last message.
     pub last_message: Option<Timestamp>,
     /// Publishers that are pinned to it; 0 = none yet.

@@ -134,13 +134,12 @@ impl Site {
             let last = entry.file_name();
             let is_left_out = LEFT_OUT.iter().any(|begin| last.to_string_lossy().starts_with(begin));
             let kind = entry.file_type()?;
-            if is_database || is_left_out {
-                continue;
-            } else if kind.is_dir() {
+            let is_taken_elsewhere = is_database || is_left_out;
+            if !is_taken_elsewhere && kind.is_dir() {
                 self.add_small(sealed, &path, view)?;
-            } else if kind.is_file() && archive::is_plain(name) {
+            } else if !is_taken_elsewhere && kind.is_file() && archive::is_plain(name) {
                 add(sealed, name, &path, view)?;
-            } else {
+            } else if !is_taken_elsewhere {
                 view.notes.push(format!("{} is no plain file and is left out", clean(name, 100)));
             }
         }

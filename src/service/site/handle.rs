@@ -53,6 +53,7 @@ impl Site {
             Command::ListQuarantine { topic, limit } => {
                 self.quarantine_view(&profile, topic, limit).await.map(Reply::Quarantine)
             }
+            Command::Policy { with } => self.policy(&profile, with).await.map(Reply::Policy),
             Command::StopCapture => Ok(self.stop_captures(&profile)),
             Command::ServeChain { address } => {
                 let (end, ended) = oneshot::channel();
@@ -117,6 +118,7 @@ impl Site {
             Command::Capture { topics, type_name, count, milliseconds, tags } => {
                 self.capture(&owner, &topics, type_name, count, milliseconds, tags).await.map(Reply::Captured)
             }
+            Command::Recording { with } => self.recording(&owner, with).await.map(Reply::Recording),
             Command::ReleaseHeld { held } => self.release_held(&owner, held).await.map(Reply::Decided),
             Command::DiscardHeld { held } => self.discard_held(&owner, held).await.map(Reply::Decided),
             Command::ExportUpload { id, addresses } => {

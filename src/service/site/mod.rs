@@ -28,8 +28,10 @@ mod operating;
 mod overdue;
 mod owners;
 mod pins;
+mod policy;
 mod quarantine;
 mod record_audit;
+mod recordings;
 mod refusals;
 mod remote;
 mod retaining;
@@ -116,6 +118,9 @@ pub struct Site {
     owners: RwLock<BTreeMap<ProfileName, Arc<Owner>>>,
     consoles: Mutex<HashSet<ProfileName>>,
     captures: Mutex<Vec<(ProfileName, Arc<CaptureSession>)>>,
+    recordings: recordings::Runs,
+    /// How many look at every topic of the graph now.
+    learning: AtomicUsize,
     network: watch::Sender<NetworkState>,
     scanned: watch::Sender<u64>,
     ros: watch::Sender<RosState>,
@@ -167,8 +172,9 @@ impl Site {
         let states = disk::working_reserve(&home, config.disk_reserve);
         let rules = PinRules { mode: config.pin_mode, listed: config.publishers.clone() };
         let pins = Arc::new(Pins::new(ledger.clone(), hub.clone(), rules));
+        let recorder = recorder.with_pins(Arc::clone(&pins)).with_rules(config.topic_rules.clone());
         let site = Arc::new(Self {
-            recorder: Arc::new(recorder.with_pins(Arc::clone(&pins))),
+            recorder: Arc::new(recorder),
             pins,
             reporting: tokio::sync::Mutex::default(),
             sender: Arc::new(Sender::new(ledger, hub.clone(), Policy { cap: config.max_fee })),
@@ -188,6 +194,8 @@ impl Site {
             owners: RwLock::default(),
             consoles: Mutex::default(),
             captures: Mutex::default(),
+            recordings: Mutex::default(),
+            learning: AtomicUsize::new(0),
             network: watch::channel(if needs.chain { NetworkState::Connecting } else { NetworkState::Off }).0,
             scanned: watch::channel(0).0,
             ros: watch::channel(if needs.ros { RosState::Starting } else { RosState::Off }).0,

@@ -102,7 +102,10 @@ impl Site {
         }
     }
 
-    async fn readable_topics(self: &Arc<Self>, scopes: &HashMap<Address, Scope>) -> Result<Vec<TopicId>, Failure> {
+    pub(super) async fn readable_topics(
+        self: &Arc<Self>,
+        scopes: &HashMap<Address, Scope>,
+    ) -> Result<Vec<TopicId>, Failure> {
         let mut ids = Vec::new();
         for (owner, scope) in scopes {
             match scope {

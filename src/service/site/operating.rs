@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, PoisonError};
+use std::time::Duration;
 
 use tokio::task::block_in_place;
 
@@ -15,6 +16,9 @@ use crate::service::failure::{input, internal};
 use crate::service::reply::{
     Failure, GatewayStatusView, GatewayView, IdentityView, RefusedView, Reply, SenderView, SystemKeyView,
 };
+
+/// How long a change under way may hold up the locking.
+const PATIENCE: Duration = Duration::from_secs(10);
 
 /// A gateway at work: what is told of it, and a look at its server.
 pub(super) struct Serving {
@@ -38,12 +42,13 @@ impl Site {
         }
     }
 
-    /// Wipes what decrypts, grants and revokes. A change of epochs or grants under way is waited for: half of one
-    /// could not be finished without its keys.
+    /// Wipes what decrypts, grants and revokes. A change of epochs or grants under way is waited for a moment: without
+    /// its keys it could not be finished.
     async fn lock_profile(self: &Arc<Self>, profile: &ProfileName) -> Result<IdentityView, Failure> {
         if let Some(owner) = self.owner(profile).filter(|owner| !owner.is_locked()) {
             {
-                let _one_at_a_time = owner.changes.lock().await;
+                // One that hangs is cut: what it leaves open is taken up at the next unlock.
+                let _one_at_a_time = tokio::time::timeout(PATIENCE, owner.changes.lock()).await.ok();
                 if let Some(network) = self.network_now() {
                     block_in_place(|| self.foresee_locked(&owner, &network))?;
                 }

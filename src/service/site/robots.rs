@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use tokio::task::block_in_place;
@@ -195,7 +196,7 @@ impl Site {
     fn follow_wishes(&self, link: &RosLink) {
         let mut wanted: BTreeSet<TopicName> =
             self.recorder.wanted().iter().filter_map(|topic| topic.parse().ok()).collect();
-        if self.config.meter == MeterMode::All {
+        if self.config.meter == MeterMode::All || self.learning.load(Ordering::Acquire) > 0 {
             wanted.extend(link.topics().iter().filter_map(|topic| topic.name.parse::<TopicName>().ok()));
         }
         let watched: BTreeSet<TopicName> = link.capture.watched().into_iter().map(|(topic, _)| topic).collect();

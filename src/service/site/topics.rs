@@ -80,6 +80,7 @@ impl Site {
             messages: 0,
             lost_in_transport: 0,
             lost_in_recorder: 0,
+            left_out: self.recorder.left_out(topic),
             last_message: rate.and_then(|rate| rate.last),
             pins: 0,
             unpinned: Vec::new(),

@@ -24,8 +24,8 @@ pub(super) fn start(site: &Arc<Site>, needs: Needs) -> Result<(), Failure> {
     site.supervise("audit", Site::keep_audit);
     site.supervise("quarantine", Site::keep_quarantine);
     site.supervise("room", Site::keep_room);
-    site.supervise("retention", Site::keep_retention);
     tokio::spawn(Arc::clone(site).check_after_crash());
+    site.supervise("retention", Site::keep_retention);
     if needs.ros {
         start_sealer(site)?;
         let here = |site: &Arc<Site>| !matches!(*site.ros.borrow(), RosState::Off);
@@ -39,9 +39,9 @@ pub(super) fn start(site: &Arc<Site>, needs: Needs) -> Result<(), Failure> {
         site.supervise("chain", Site::keep_connected);
         site.supervise("watcher", watch);
         site.supervise("verifier", verify);
+        site.supervise("scrubber", Site::keep_scrubbing);
         site.supervise("expiry", Site::expire_grants);
         site.supervise("parties", Site::keep_parties_known);
-        site.supervise("scrubber", Site::keep_scrubbing);
     }
     Ok(())
 }

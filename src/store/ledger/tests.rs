@@ -213,11 +213,11 @@ fn all_files_are_private() {
 }
 
 #[test]
-fn a_panic_in_the_writer_is_an_error_to_callers() {
+fn a_panic_in_the_writer_is_an_error_to_its_caller_alone() {
     let (_home, ledger) = open();
     let answer: Result<(), _> = ledger.write(|_| panic!("on purpose"));
-    assert_eq!(answer, Err(StoreError::Closed));
-    assert_eq!(ledger.append(vec![record(1, 1, 1)]), Err(StoreError::Closed));
+    assert!(answer.is_err(), "{answer:?}");
+    ledger.append(vec![record(1, 1, 1)]).expect("the writer goes on");
 }
 
 fn confirmed(ledger: &Ledger, block: u64) -> usize {

@@ -243,6 +243,20 @@ impl Vault for RedisVault {
         self.with(digest, |connection| cmd("GET").arg(key(digest)).query(connection))
     }
 
+    fn get_many(&self, digests: &[Digest]) -> Result<Vec<Option<Vec<u8>>>, StoreError> {
+        if digests.len() < 2 || !self.is_one() {
+            return digests.iter().map(|digest| self.get(*digest)).collect();
+        }
+        let found = self.on(&Server::One, |connection| {
+            let mut pipeline = pipe();
+            for digest in digests {
+                pipeline.cmd("GET").arg(key(*digest));
+            }
+            pipeline.query(connection)
+        });
+        found.map_err(|failure| failure.error)
+    }
+
     fn delete(&self, digest: Digest) -> Result<bool, StoreError> {
         self.with(digest, |connection| cmd("DEL").arg(key(digest)).query(connection))
     }

@@ -99,8 +99,12 @@ fn faces(canvas: &mut Canvas, area: Rect, opening: &Opening, view: &OpenedView) 
 fn draw_plot(canvas: &mut Canvas, area: Rect, opening: &Opening, view: &OpenedView) {
     let own = view.readable.as_ref().and_then(|readable| readable.plot.as_ref());
     match opening.path.as_ref().map(|path| &path.answer) {
-        Some(None) => drop(canvas.put(row(area, 0), "Reading the records that lead here…", Role::Dim)),
-        Some(Some(Err(failure))) => drop(canvas.put(row(area, 0), &clean(&failure.message, 300), Role::Bad)),
+        Some(None) => {
+            canvas.put(row(area, 0), "Reading the records that lead here…", Role::Dim);
+        }
+        Some(Some(Err(failure))) => {
+            canvas.put(row(area, 0), &clean(&failure.message, 300), Role::Bad);
+        }
         Some(Some(Ok(path))) => {
             if let Some(found) = &path.plot {
                 plot::draw(canvas, area, found);

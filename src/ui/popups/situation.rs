@@ -10,7 +10,7 @@ use crate::app::screens::grants::{end, is_active, is_given, scope};
 use crate::app::{State, Tag};
 use crate::model::clean;
 use crate::pipeline::sender::LaneState;
-use crate::service::reply::{AlarmView, GrantRow, PinView, PinsView};
+use crate::service::reply::{AlarmView, GrantRow, PinView, PinsView, TaskState, TaskView};
 use crate::ui::canvas::{Canvas, row};
 use crate::ui::theme::Role;
 use crate::ui::words;
@@ -132,6 +132,7 @@ pub fn draw_tasks(canvas: &mut Canvas, area: Rect, state: &State) {
         lines.push(("nothing was asked that is not done".to_owned(), Role::Dim));
     }
     lines.extend(records_on_their_way(state));
+    lines.extend(workers(state));
     if let Some(chain) = &state.chain {
         let pending = format!("{:<15} {} of your account not in a block", "transactions", chain.pending);
         lines.push((pending, if chain.pending > 0 { Role::Warning } else { Role::Body }));
@@ -145,6 +146,23 @@ pub fn draw_tasks(canvas: &mut Canvas, area: Rect, state: &State) {
         }
     }
     draw_lines(canvas, area, "Tasks", &lines, 0);
+}
+
+/// The site's background tasks: how many are at work, and each that is not or had to be begun again.
+fn workers(state: &State) -> Vec<Line> {
+    let tasks: &[TaskView] = state.site.as_ref().map_or(&[], |site| &site.tasks);
+    let running = tasks.iter().filter(|task| task.state == TaskState::Running).count();
+    let mut lines = Vec::new();
+    if !tasks.is_empty() {
+        lines.push((format!("{:<15} {running} of {} at work", "site's tasks", tasks.len()), Role::Body));
+    }
+    for task in tasks.iter().filter(|task| task.state != TaskState::Running || task.restarts > 0) {
+        let next = task.next_try.map_or_else(String::new, |seconds| format!(", retry in {seconds} s"));
+        let why = task.reason.as_deref().map_or_else(String::new, |reason| format!(": {reason}"));
+        let text = format!("{:<15} begun again {} times{next}{why}", task.name, task.restarts);
+        lines.push((text, if task.state == TaskState::Running { Role::Warning } else { Role::Bad }));
+    }
+    lines
 }
 
 fn records_on_their_way(state: &State) -> Vec<Line> {

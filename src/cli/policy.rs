@@ -1,0 +1,182 @@
+//! `topics policy`: the rule of each topic, and a draft of rules learned from the live graph.
+
+use std::collections::BTreeMap;
+
+use clap::Args;
+
+use super::output::{Output, table};
+use super::parse;
+use crate::model::TopicRule;
+use crate::service::command::PolicyCommand;
+use crate::service::reply::{PolicyRow, PolicyView};
+use crate::service::{Command, Failure};
+
+/// From so many bytes a second on a rate is suggested.
+const HEAVY: f64 = 500_000.0;
+/// From so many messages a second on sampling is suggested.
+const FAST: f64 = 50.0;
+/// The rate suggested for heavy topics, messages a second.
+const CALM: f64 = 5.0;
+
+/// `topics policy …`
+#[derive(Debug, Args)]
+pub struct PolicyArguments {
+    /// Look at the live topics for a while and print a draft of rules for config.toml
+    #[arg(long)]
+    pub learn: bool,
+    /// How long to look, as 5s, 1m
+    #[arg(long = "for", value_name = "TIME", default_value = "5s", requires = "learn")]
+    pub duration: String,
+}
+
+impl PolicyArguments {
+    /// The command.
+    ///
+    /// # Errors
+    /// Where the time is none.
+    pub fn command(&self) -> Result<Command, Failure> {
+        let milliseconds = u64::try_from(parse::duration(&self.duration)?.as_millis()).unwrap_or(u64::MAX);
+        let with = if self.learn { PolicyCommand::Learn { milliseconds } } else { PolicyCommand::Show };
+        Ok(Command::Policy { with })
+    }
+}
+
+/// Prints the rules, or the draft.
+pub fn show(view: &PolicyView, output: &Output) {
+    if view.learned {
+        let draft = draft(&view.topics);
+        output.result(&serde_json::json!({ "draft": draft, "topics": view.topics }), || draft.clone());
+    } else {
+        output.result(view, || text(view));
+    }
+}
+
+fn text(view: &PolicyView) -> String {
+    let row = |row: &PolicyRow| {
+        let rule = row.rule.as_ref();
+        vec![
+            row.topic.clone(),
+            rule.map_or_else(|| "-".to_owned(), |rule| format!("{} (line {})", rule.pattern, rule.line)),
+            rule.map_or_else(|| "everything".to_owned(), terms),
+            if row.watched { "watched" } else { "" }.to_owned(),
+            row.left_out.to_string(),
+        ]
+    };
+    let rows: Vec<Vec<String>> = view.topics.iter().map(row).collect();
+    let mut text = table(&["topic", "rule", "is taken", "", "left out"], &rows);
+    for rule in &view.idle {
+        text.push_str(&format!("\nno topic now: {} (line {})", rule.pattern, rule.line));
+    }
+    text
+}
+
+/// What a rule says, in a line.
+fn terms(rule: &TopicRule) -> String {
+    let mut terms = Vec::new();
+    terms.extend(rule.type_name.as_ref().map(|name| format!("only {name}")));
+    terms.extend(rule.every.map(|every| format!("every {every}.")));
+    terms.extend(rule.rate.map(|rate| format!("at most {}/s", thousandths(rate))));
+    terms.extend(rule.tags.iter().map(|(key, value)| format!("{key}={value}")));
+    terms.extend(rule.retention.map(|seconds| format!("kept {}", span(seconds))));
+    if terms.is_empty() { "everything".to_owned() } else { terms.join(", ") }
+}
+
+fn thousandths(rate: u64) -> String {
+    let text = format!("{}.{:03}", rate / 1000, rate % 1000);
+    text.trim_end_matches('0').trim_end_matches('.').to_owned()
+}
+
+fn span(seconds: u64) -> String {
+    match seconds {
+        whole if whole % 86_400 == 0 => format!("{} d", whole / 86_400),
+        whole if whole % 3_600 == 0 => format!("{} h", whole / 3_600),
+        other => format!("{} min", other / 60),
+    }
+}
+
+/// A draft of rules: topics that differ by numbers alone share one.
+fn draft(topics: &[PolicyRow]) -> String {
+    let mut groups: BTreeMap<(String, Option<&str>), Vec<&PolicyRow>> = BTreeMap::new();
+    for row in topics {
+        groups.entry((without_numbers(&row.topic), row.type_name.as_deref())).or_default().push(row);
+    }
+    let mut draft = String::from("# A draft, learned from the live topics: take what fits into config.toml.\n");
+    for ((pattern, type_name), rows) in groups {
+        let pattern = if let [only] = rows[..] { &only.topic } else { &pattern };
+        if pattern.parse::<crate::model::TopicPattern>().is_err() {
+            continue;
+        }
+        draft.push('\n');
+        rows.iter().for_each(|row| draft.push_str(&observed(row)));
+        draft.push_str(&format!("[[topic]]\nmatch = \"{pattern}\"\n"));
+        if let Some(name) = type_name.filter(|name| name.parse::<crate::model::TypeName>().is_ok()) {
+            draft.push_str(&format!("type = \"{name}\"\n"));
+        }
+        draft.push_str(&suggestions(&rows));
+    }
+    draft
+}
+
+fn observed(row: &PolicyRow) -> String {
+    let (Some(hz), Some(bytes)) = (row.hz, row.bytes_per_second) else {
+        return format!("# {}: nothing arrived\n", row.topic);
+    };
+    let largest = row.largest.map_or_else(|| "-".to_owned(), |largest| largest.to_string());
+    format!("# {}: {hz:.1} messages/s, {:.1} KB/s, largest {largest} bytes\n", row.topic, bytes / 1000.0)
+}
+
+fn suggestions(rows: &[&PolicyRow]) -> String {
+    let most = |each: fn(&PolicyRow) -> Option<f64>| rows.iter().filter_map(|row| each(row)).fold(0.0, f64::max);
+    let (hz, bytes) = (most(|row| row.hz), most(|row| row.bytes_per_second));
+    if bytes >= HEAVY && hz > CALM {
+        format!("rate = {CALM:.1} # heavy\n")
+    } else if hz >= FAST {
+        format!("# every = {} # fast: about 10 messages/s would be left\n", (hz / 10.0).round().max(2.0))
+    } else {
+        String::new()
+    }
+}
+
+/// Digits replaced by a star.
+fn without_numbers(topic: &str) -> String {
+    let mut pattern = String::with_capacity(topic.len());
+    for letter in topic.chars() {
+        match letter {
+            '0'..='9' if pattern.ends_with('*') => {}
+            '0'..='9' => pattern.push('*'),
+            other => pattern.push(other),
+        }
+    }
+    pattern
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn row(topic: &str, hz: f64, bytes: f64) -> PolicyRow {
+        PolicyRow {
+            topic: topic.into(),
+            type_name: Some("sensor_msgs/Imu".into()),
+            watched: false,
+            rule: None,
+            left_out: 0,
+            hz: Some(hz),
+            bytes_per_second: Some(bytes),
+            largest: Some(320),
+        }
+    }
+
+    #[test]
+    fn a_draft_is_a_file_that_can_be_used() {
+        let hostile = row("/evil\"\n[x]", 1.0, 1.0);
+        let text = draft(&[row("/robot1/imu", 100.0, 30_000.0), row("/robot2/imu", 99.0, 30_000.0), hostile]);
+        let text = format!("{text}{}", draft(&[row("/scan", 40.0, 900_000.0)]));
+        let file = Some((std::path::Path::new("config.toml"), text.as_str()));
+        let config = crate::config::Config::resolve(&|_| None, &|_| None, file).expect(&text);
+        let rule = config.topic_rules.of("/robot7/imu").expect("a rule");
+        assert_eq!((rule.pattern.as_str(), rule.rate), ("/robot*/imu", None));
+        assert_eq!(config.topic_rules.of("/scan").expect("a rule").rate, Some(5_000));
+        assert_eq!(config.topic_rules.0.len(), 2, "{text}");
+    }
+}

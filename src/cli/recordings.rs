@@ -1,0 +1,274 @@
+//! `bag import` and `shared export`: recordings in and out, with progress on stderr.
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use clap::{Args, Subcommand};
+
+use super::connect::{Context, ProfileNeed, unexpected};
+use super::output::{Output, table};
+use super::parse;
+use super::serve::Ending;
+use crate::model::ErrorKind;
+use crate::ros::recording::{ChunkCompression, RecordingFormat};
+use crate::service::command::{ExportWishes, ImportWishes, RecordingCommand};
+use crate::service::reply::{ExportView, ImportView, ProgressView, RecordingReply};
+use crate::service::{Client, Command, Failure, Needs, Reply};
+
+/// Between two looks at the progress.
+const LOOK: Duration = Duration::from_secs(1);
+
+/// `bag …`
+#[derive(Debug, Subcommand)]
+pub enum BagVerb {
+    /// Seal the messages of a bag or MCAP file as records, with their own times
+    Import(ImportArguments),
+}
+
+/// `bag import …`
+#[derive(Debug, Args)]
+pub struct ImportArguments {
+    /// A bag (rosbag 2.0) or MCAP file
+    #[arg(value_name = "FILE")]
+    pub file: PathBuf,
+    /// Only topics of this pattern, as /robot*/odom; may be repeated [default: all topics]
+    #[arg(long = "topic", value_name = "PATTERN")]
+    pub topics: Vec<String>,
+    /// Tag for the sealed head, as mission=harbour; may be repeated
+    #[arg(long = "tag", value_name = "KEY=VALUE")]
+    pub tags: Vec<String>,
+    /// Seal once more what an earlier import of the same file sealed
+    #[arg(long)]
+    pub again: bool,
+}
+
+/// `shared export …`
+#[derive(Debug, Args)]
+#[command(group(clap::ArgGroup::new("format").required(true).multiple(false)))]
+pub struct ExportArguments {
+    /// Write a bag (rosbag 2.0)
+    #[arg(long, value_name = "FILE", group = "format")]
+    pub bag: Option<PathBuf>,
+    /// Write MCAP
+    #[arg(long, value_name = "FILE", group = "format")]
+    pub mcap: Option<PathBuf>,
+    /// Only of this owner, or of that name [default: own and granted ones]
+    #[arg(long, value_name = "ADDRESS_OR_NAME")]
+    pub owner: Option<String>,
+    /// Only topics of this pattern; may be repeated
+    #[arg(long = "topic", value_name = "PATTERN")]
+    pub topics: Vec<String>,
+    /// Captured at or after, RFC 3339
+    #[arg(long, value_name = "TIME")]
+    pub since: Option<String>,
+    /// Captured before, RFC 3339
+    #[arg(long, value_name = "TIME")]
+    pub until: Option<String>,
+    /// none, bz2 (bag), lz4, zstd (MCAP)
+    #[arg(long, value_name = "HOW", default_value = "none")]
+    pub compression: String,
+    /// Also records that are not confirmed on the chain; all other checks hold
+    #[arg(long)]
+    pub unanchored: bool,
+}
+
+impl ImportArguments {
+    fn command(&self) -> Result<RecordingCommand, Failure> {
+        let tags: Result<Vec<_>, Failure> = self.tags.iter().map(|text| parse::tag(text)).collect();
+        let topics = parse::values(&self.topics)?;
+        Ok(RecordingCommand::Import(ImportWishes {
+            path: absolute(&self.file)?,
+            topics,
+            tags: tags?,
+            again: self.again,
+        }))
+    }
+}
+
+impl ExportArguments {
+    fn command(&self) -> Result<RecordingCommand, Failure> {
+        let (path, format) = match (&self.bag, &self.mcap) {
+            (Some(path), _) => (path, RecordingFormat::Bag),
+            (None, Some(path)) => (path, RecordingFormat::Mcap),
+            (None, None) => return Err(Failure::new(ErrorKind::Usage, "name the file with --bag or --mcap")),
+        };
+        Ok(RecordingCommand::Export(ExportWishes {
+            path: absolute(path)?,
+            format,
+            compression: parse::value::<ChunkCompression>(&self.compression)?,
+            owner: self.owner.as_deref().map(parse::value).transpose()?,
+            topics: parse::values(&self.topics)?,
+            since: self.since.as_deref().map(parse::moment).transpose()?,
+            until: self.until.as_deref().map(parse::moment).transpose()?,
+            unanchored: self.unanchored,
+        }))
+    }
+}
+
+fn absolute(path: &Path) -> Result<PathBuf, Failure> {
+    std::path::absolute(path).map_err(|error| Failure::new(ErrorKind::Input, format!("{}: {error}", path.display())))
+}
+
+/// Runs an import; Ctrl-C ends it early, a second one leaves at once.
+///
+/// # Errors
+/// What the site or the arguments say.
+pub async fn import(context: Context, arguments: ImportArguments, output: &Output) -> Result<u8, Failure> {
+    match run(context, arguments.command()?, ProfileNeed::Made, output).await? {
+        RecordingReply::Imported(view) => {
+            output.result(&view, || imported(&view));
+            Ok(import_code(&view, output))
+        }
+        _ => Err(unexpected()),
+    }
+}
+
+/// Runs an export.
+///
+/// # Errors
+/// What the site or the arguments say.
+pub async fn export(context: Context, arguments: ExportArguments, output: &Output) -> Result<u8, Failure> {
+    match run(context, arguments.command()?, ProfileNeed::Unlocked, output).await? {
+        RecordingReply::Exported(view) => {
+            output.result(&view, || exported(&view));
+            Ok(export_code(&view, output))
+        }
+        _ => Err(unexpected()),
+    }
+}
+
+async fn run(
+    context: Context,
+    with: RecordingCommand,
+    need: ProfileNeed,
+    output: &Output,
+) -> Result<RecordingReply, Failure> {
+    let connection = context.connect(Needs { ros: false, chain: true }).await?;
+    let result = async {
+        context.prepare(&connection.client, need, output).await?;
+        until_done(&connection.client, Command::Recording { with }, output).await
+    };
+    let result = result.await;
+    connection.close().await;
+    result
+}
+
+async fn until_done(client: &Client, command: Command, output: &Output) -> Result<RecordingReply, Failure> {
+    let answer = client.request(command);
+    tokio::pin!(answer);
+    let (mut asked, mut told) = (false, String::new());
+    loop {
+        tokio::select! {
+            reply = &mut answer => {
+                return match reply? {
+                    Reply::Recording(reply) => Ok(reply),
+                    _ => Err(unexpected()),
+                };
+            }
+            () = tokio::time::sleep(LOOK) => tell_progress(client, &mut told, output).await,
+            ending = crate::cli::serve::asked_to_end() => {
+                if asked || ending == Ending::Ordered {
+                    return Err(Failure::new(ErrorKind::Incomplete, "left before all was done; what is sealed is stored, repeat the command to go on"));
+                }
+                asked = true;
+                output.note("ending; what is sealed is verified first (again to leave at once)");
+                client.request(Command::StopCapture).await?;
+            }
+        }
+    }
+}
+
+async fn tell_progress(client: &Client, told: &mut String, output: &Output) {
+    let progress = client.request(Command::Recording { with: RecordingCommand::Progress }).await;
+    let Ok(Reply::Recording(RecordingReply::Progress(runs))) = progress else { return };
+    for line in runs.iter().map(progress_line).filter(|line| *line != *told).collect::<Vec<_>>() {
+        output.note(&line);
+        *told = line;
+    }
+}
+
+fn progress_line(run: &ProgressView) -> String {
+    let share = match run.of {
+        0 => String::new(),
+        of => format!(" {} %", run.done.saturating_mul(100) / of),
+    };
+    format!("{} {}:{share} {} messages", run.step, run.file, run.messages)
+}
+
+fn imported(view: &ImportView) -> String {
+    let rows: Vec<Vec<String>> = view
+        .topics
+        .iter()
+        .map(|topic| {
+            vec![topic.topic.clone(), topic.imported.to_string(), topic.verified.to_string(), topic.already.to_string()]
+        })
+        .collect();
+    let mut text = table(&["topic", "imported", "verified", "there before"], &rows);
+    for damage in &view.damages {
+        text.push_str(&format!("\nbyte {}: {}", damage.position, damage.text));
+    }
+    text
+}
+
+fn import_code(view: &ImportView, output: &Output) -> u8 {
+    if view.verified < view.imported {
+        output.note(
+            "authros: some records differ from what was anchored; `authros uploads list --state tampered` names them",
+        );
+        return ErrorKind::Tampered.exit_code();
+    }
+    let damages = view.damages.len() as u64 + view.more_damages;
+    if damages > 0 {
+        output.note(&format!("authros: the recording is damaged in {damages} places; what could be read was imported"));
+    }
+    if view.skipped > 0 {
+        output.note(&format!("authros: {} messages cannot be used and were skipped", view.skipped));
+    }
+    if view.ended_early {
+        output.note("authros: ended before the end of the recording; repeat the command to go on");
+    }
+    if view.imported == 0 && view.already > 0 && !view.ended_early {
+        output
+            .note("authros: this recording is imported already, nothing was sealed twice (--again seals it once more)");
+    }
+    let whole = damages == 0 && view.skipped == 0 && view.lost == 0 && !view.ended_early;
+    let nothing = view.imported == 0 && view.already == 0;
+    if nothing {
+        output.note("authros: the recording holds no message of these topics");
+    }
+    if whole && !nothing { 0 } else { ErrorKind::Incomplete.exit_code() }
+}
+
+fn exported(view: &ExportView) -> String {
+    let rows: Vec<Vec<String>> = view
+        .topics
+        .iter()
+        .map(|topic| vec![topic.topic.clone(), topic.type_name.clone(), topic.messages.to_string()])
+        .collect();
+    let list = table(&["topic", "type", "messages"], &rows);
+    match &view.file {
+        Some(file) => format!("{list}\n{} messages written to {file}", view.messages),
+        None => "nothing to write: no readable record matches".to_owned(),
+    }
+}
+
+fn export_code(view: &ExportView, output: &Output) -> u8 {
+    let refused = view.refused;
+    let words = [
+        (refused.tampered, "differ from what was anchored"),
+        (refused.missing, "are gone from the vault"),
+        (refused.unanchored, "are not confirmed on the chain yet (--unanchored writes them too)"),
+        (refused.no_key, "are opened by no key of this profile"),
+        (refused.held, "are in quarantine or given up"),
+        (refused.no_definition, "have no readable definition of their type"),
+        (refused.unsuitable, "do not go into this format"),
+    ];
+    for (count, why) in words.into_iter().filter(|(count, _)| *count > 0) {
+        output.note(&format!("authros: {count} records {why}: not written"));
+    }
+    if refused.tampered + refused.missing > 0 {
+        return ErrorKind::Tampered.exit_code();
+    }
+    let left = refused.unanchored + refused.no_key + refused.no_definition + refused.unsuitable;
+    if left > 0 || view.file.is_none() { ErrorKind::Incomplete.exit_code() } else { 0 }
+}

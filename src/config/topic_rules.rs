@@ -1,0 +1,185 @@
+//! `[[topic]]` tables of `config.toml`: rules for the topics of a pattern, in the order of the file.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use crate::model::{TopicRule, TopicRules, TypeName, clean};
+
+/// The name of the tables.
+pub const TABLE: &str = "topic";
+
+/// The most rules.
+const MOST_RULES: usize = 1000;
+/// The most tags of a rule.
+const MOST_TAGS: usize = 16;
+/// The fastest rate that limits anything, messages a second.
+const FASTEST: f64 = 100_000.0;
+/// The longest retention, seconds: a hundred years.
+const LONGEST: u64 = 100 * 366 * 86_400;
+
+/// Why a rule cannot be used: the line, from 1, and what is wrong.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct RuleFault {
+    /// The line of the file.
+    pub line: usize,
+    /// What is wrong, cleaned.
+    pub what: String,
+}
+
+/// Reads the rules out of the value of `topic`; `text` is the file, for its lines.
+///
+/// # Errors
+/// [`RuleFault`] for the first rule that cannot be used.
+pub fn read(value: &toml::Value, text: &str) -> Result<TopicRules, RuleFault> {
+    let starts = starts(text);
+    let fault = |line: usize, what: &str| RuleFault { line, what: clean(what, 300) };
+    let first = starts.first().copied().unwrap_or(1);
+    let tables = value.as_array().ok_or_else(|| fault(first, "rules for topics are written as [[topic]] tables"))?;
+    if tables.len() > MOST_RULES {
+        return Err(fault(first, &format!("there are more than {MOST_RULES} rules")));
+    }
+    let mut rules = Vec::with_capacity(tables.len());
+    for (index, table) in tables.iter().enumerate() {
+        let line = starts.get(index).copied().unwrap_or(first);
+        let table = table.as_table().ok_or_else(|| fault(line, "rules are written as [[topic]] tables"))?;
+        let rule = rule(table, line).map_err(|(key, what)| fault(line_of(text, line, key), &what))?;
+        rules.push(Arc::new(rule));
+    }
+    Ok(TopicRules(rules))
+}
+
+/// Lines on which the tables begin.
+fn starts(text: &str) -> Vec<usize> {
+    let begins = |line: &str| line.replace([' ', '\t', '"', '\''], "").starts_with("[[topic]]");
+    text.lines().enumerate().filter(|(_, line)| begins(line)).map(|(index, _)| index + 1).collect()
+}
+
+/// The line of a key behind the beginning of its table; that beginning where it is not found.
+fn line_of(text: &str, start: usize, key: &str) -> usize {
+    let behind = text.lines().enumerate().skip(start).take_while(|(_, line)| !line.trim_start().starts_with("[["));
+    let has = |line: &str| {
+        let line = line.trim_start().trim_start_matches(['"', '\'', '[']);
+        line.starts_with(key) || line.starts_with("topic.")
+    };
+    behind.into_iter().find(|(_, line)| has(line)).map_or(start, |(index, _)| index + 1)
+}
+
+type Wrong<'a> = (&'a str, String);
+
+fn rule(table: &toml::Table, line: usize) -> Result<TopicRule, Wrong<'_>> {
+    let known = ["match", "type", "rate", "every", "tags", "retention"];
+    if let Some(key) = table.keys().find(|key| !known.contains(&key.as_str())) {
+        return Err((key, format!("a rule has no '{key}'; it has {}", known.join(", "))));
+    }
+    let pattern = table.get("match").and_then(toml::Value::as_str);
+    let pattern =
+        pattern.ok_or(("match", "a rule says which topics it is for: match = \"/robot*/odom\"".to_owned()))?;
+    Ok(TopicRule {
+        pattern: pattern
+            .parse()
+            .map_err(|error: crate::model::topic_rule::PatternError| ("match", error.to_string()))?,
+        line,
+        type_name: table.get("type").map(type_name).transpose()?,
+        rate: table.get("rate").map(rate).transpose()?,
+        every: table.get("every").map(every).transpose()?,
+        tags: table.get("tags").map(tags).transpose()?.unwrap_or_default(),
+        retention: table.get("retention").map(retention).transpose()?,
+    })
+}
+
+fn type_name(value: &toml::Value) -> Result<TypeName, Wrong<'static>> {
+    let wrong = |text: String| ("type", text);
+    let text = value.as_str().ok_or_else(|| wrong("write type = \"package/Type\"".to_owned()))?;
+    text.parse().map_err(|error: crate::model::topic::NameError| wrong(error.to_string()))
+}
+
+fn rate(value: &toml::Value) -> Result<u64, Wrong<'static>> {
+    let rate =
+        value.as_float().or_else(|| value.as_integer().and_then(|whole| i32::try_from(whole).ok()).map(f64::from));
+    let usable = rate.filter(|rate| (0.001..=FASTEST).contains(rate));
+    let rate = usable.ok_or(("rate", format!("write rate as messages a second, 0.001 to {FASTEST}")))?;
+    let in_thousand_seconds = (rate * 1000.0).round();
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "between 1 and 10^8")]
+    Ok(in_thousand_seconds as u64)
+}
+
+fn every(value: &toml::Value) -> Result<u64, Wrong<'static>> {
+    let every =
+        value.as_integer().and_then(|every| u64::try_from(every).ok()).filter(|every| (1..=1 << 32).contains(every));
+    every.ok_or(("every", "write every as a whole number: 10 keeps one message of ten".to_owned()))
+}
+
+fn tags(value: &toml::Value) -> Result<BTreeMap<String, String>, Wrong<'static>> {
+    let wrong = || ("tags", "write tags = { mission = \"harbour\" }, keys of letters, digits, - and _".to_owned());
+    let table = value.as_table().filter(|table| table.len() <= MOST_TAGS).ok_or_else(wrong)?;
+    let usable = |key: &str| {
+        !key.is_empty() && key.len() <= 64 && key.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'_' || b == b'-')
+    };
+    let tag = |(key, value): (&String, &toml::Value)| {
+        let value = value.as_str().filter(|value| value.len() <= 1024 && usable(key)).ok_or_else(wrong)?;
+        Ok((key.clone(), value.to_owned()))
+    };
+    table.iter().map(tag).collect()
+}
+
+/// A number and `m`, `h` or `d`.
+fn retention(value: &toml::Value) -> Result<u64, Wrong<'static>> {
+    let wrong = || ("retention", "write retention as a number and m, h or d, as \"30d\"".to_owned());
+    let text = value.as_str().ok_or_else(wrong)?;
+    let factor = match text.chars().next_back() {
+        Some('m') => 60,
+        Some('h') => 3_600,
+        Some('d') => 86_400,
+        _ => return Err(wrong()),
+    };
+    let count = text.get(..text.len() - 1).and_then(|digits| digits.parse::<u64>().ok());
+    count
+        .and_then(|count| count.checked_mul(factor))
+        .filter(|seconds| (60..=LONGEST).contains(seconds))
+        .ok_or_else(wrong)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rules(text: &str) -> Result<TopicRules, RuleFault> {
+        let table: toml::Table = text.parse().expect("TOML");
+        read(&table["topic"], text)
+    }
+
+    #[test]
+    fn a_full_rule_and_the_first_that_fits() {
+        let text = "robots = 1\n[[topic]]\nmatch = \"/robot*/camera/**\"\ntype = \"sensor_msgs/CompressedImage\"\n\
+                    rate = 2.5\nevery = 3\ntags = { mission = \"harbour\" }\nretention = \"30d\"\n\n\
+                    [[topic]]\nmatch = \"**\"\nrate = 10\n";
+        let rules = rules(text).expect("rules");
+        let camera = rules.of("/robot1/camera/image").expect("a rule");
+        assert_eq!(
+            (camera.line, camera.rate, camera.every, camera.retention),
+            (2, Some(2500), Some(3), Some(2_592_000))
+        );
+        assert_eq!(camera.tags["mission"], "harbour");
+        assert_eq!(rules.of("/odom").map(|rule| (rule.line, rule.rate)), Some((10, Some(10_000))));
+    }
+
+    #[test]
+    fn faults_name_their_line() {
+        let first = "[[topic]]\nmatch = \"/a\"\n\n";
+        for (line, table) in [
+            (6, "match = \"/b\"\nrate = -1\n"),
+            (6, "match = \"/b\"\nrate = \"fast\"\n"),
+            (6, "match = \"/b\"\nevery = 0\n"),
+            (6, "match = \"/b\"\ntags = { \"a b\" = \"c\" }\n"),
+            (6, "match = \"/b\"\nretention = \"soon\"\n"),
+            (6, "match = \"/b\"\ntype = \"Odometry\"\n"),
+            (6, "match = \"/b\"\nrates = 1\n"),
+            (5, "match = \"b\"\n"),
+            (4, "rate = 1\n"),
+        ] {
+            let fault = rules(&format!("{first}[[topic]]\n{table}")).expect_err(table);
+            assert_eq!(fault.line, line, "{table}: {fault:?}");
+        }
+        assert!(rules("topic = 3\n").is_err());
+    }
+}

@@ -1,0 +1,181 @@
+//! Rules for topics: which type, how many messages, which tags, how long they are kept.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::str::FromStr;
+use std::sync::Arc;
+
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+use super::topic::{LONGEST_NAME, TypeName};
+
+/// Why a text is no pattern.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "'{0}' is no pattern of topics; it begins with /, * stands for any letters of one part, ** for any parts, \
+     ? for one letter, as in /robot*/odom"
+)]
+pub struct PatternError(String);
+
+/// A pattern of topic names: `*` within a part, `**` over parts, `?` for one letter.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct TopicPattern(String);
+
+impl TopicPattern {
+    /// As it was written.
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+
+    /// Whether it is a name itself, not a pattern of many.
+    pub fn is_plain(&self) -> bool {
+        !self.0.contains(['*', '?'])
+    }
+
+    /// Whether the topic's name is of this pattern. Takes time as the product of both lengths, at most.
+    pub fn matches(&self, topic: &str) -> bool {
+        let (pattern, text) = (self.0.as_bytes(), topic.as_bytes());
+        // Which prefixes of the text the pattern so far can stand for.
+        let mut reached = vec![false; text.len() + 1];
+        if let Some(first) = reached.first_mut() {
+            *first = true;
+        }
+        let mut at = 0;
+        while let Some(&letter) = pattern.get(at) {
+            let over_parts = letter == b'*' && pattern.get(at + 1) == Some(&b'*');
+            reached = match letter {
+                b'*' => spread(&reached, text, over_parts),
+                _ => step(&reached, text, letter),
+            };
+            at += if over_parts { 2 } else { 1 };
+        }
+        reached.last().copied().unwrap_or(false)
+    }
+}
+
+/// One letter further.
+fn step(reached: &[bool], text: &[u8], letter: u8) -> Vec<bool> {
+    let is_it = |byte: u8| byte == letter || letter == b'?' && byte != b'/';
+    let moved = reached.iter().zip(text).map(|(&here, &byte)| here && is_it(byte));
+    std::iter::once(false).chain(moved).collect()
+}
+
+/// Any number of letters further, over `/` or not.
+fn spread(reached: &[bool], text: &[u8], over_parts: bool) -> Vec<bool> {
+    let mut going = false;
+    let mut spread = Vec::with_capacity(reached.len());
+    for (index, &here) in reached.iter().enumerate() {
+        let before = index.checked_sub(1).and_then(|index| text.get(index));
+        going = here || going && (over_parts || before != Some(&b'/'));
+        spread.push(going);
+    }
+    spread
+}
+
+impl FromStr for TopicPattern {
+    type Err = PatternError;
+
+    fn from_str(text: &str) -> Result<Self, PatternError> {
+        let usable = |byte: u8| byte.is_ascii_alphanumeric() || b"_/*?".contains(&byte);
+        let begins = text.starts_with('/') || text.starts_with("**");
+        if begins && text.len() <= LONGEST_NAME && text.bytes().all(usable) {
+            return Ok(Self(text.to_owned()));
+        }
+        Err(PatternError(super::clean(text, 80)))
+    }
+}
+
+impl fmt::Display for TopicPattern {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(&self.0)
+    }
+}
+
+impl Serialize for TopicPattern {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(&self.0)
+    }
+}
+
+impl<'de> Deserialize<'de> for TopicPattern {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        String::deserialize(deserializer)?.parse().map_err(serde::de::Error::custom)
+    }
+}
+
+/// What holds for the topics of a pattern.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TopicRule {
+    /// Which topics.
+    pub pattern: TopicPattern,
+    /// Where it stands: the line of the settings file, from 1.
+    pub line: usize,
+    /// Messages of other types are not captured.
+    pub type_name: Option<TypeName>,
+    /// At most so many messages in 1,000 seconds.
+    pub rate: Option<u64>,
+    /// Only every so-manieth message, from 2.
+    pub every: Option<u64>,
+    /// Go into the sealed head of every message.
+    pub tags: BTreeMap<String, String>,
+    /// How long ciphertext is kept, seconds.
+    pub retention: Option<u64>,
+}
+
+/// The tag by which a rule says how long a record is kept.
+pub const RETENTION_TAG: &str = "retention";
+
+impl TopicRule {
+    /// Its tags, and its retention as one, in seconds: `retention=2592000s`.
+    pub fn all_tags(&self) -> impl Iterator<Item = (String, String)> {
+        let retention = self.retention.map(|seconds| (RETENTION_TAG.to_owned(), format!("{seconds}s")));
+        self.tags.clone().into_iter().chain(retention)
+    }
+}
+
+/// All rules, in their order: of several that fit a topic the first counts.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct TopicRules(pub Vec<Arc<TopicRule>>);
+
+impl TopicRules {
+    /// The rule for a topic.
+    pub fn of(&self, topic: &str) -> Option<&Arc<TopicRule>> {
+        self.0.iter().find(|rule| rule.pattern.matches(topic))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn matches(pattern: &str, topic: &str) -> bool {
+        pattern.parse::<TopicPattern>().expect(pattern).matches(topic)
+    }
+
+    #[test]
+    fn stars_stay_in_a_part_and_double_ones_do_not() {
+        assert!(matches("/robot*/odom", "/robot12/odom") && matches("/robot*/odom", "/robot/odom"));
+        assert!(!matches("/robot*/odom", "/robot1/base/odom") && !matches("/robot*/odom", "/robot1/odom2"));
+        assert!(matches("/robot1/**", "/robot1/camera/image") && !matches("/robot1/**", "/robot10/odom"));
+        assert!(matches("**/odom", "/a/b/odom") && matches("**", "/x") && matches("/**/odom", "/a/odom"));
+        assert!(matches("/a?c", "/abc") && !matches("/a?c", "/a/c") && matches("/a", "/a") && !matches("/a", "/ab"));
+        for bad in ["", "odom", "*", "/a b", "/a[1]", "/\u{202e}"] {
+            assert!(bad.parse::<TopicPattern>().is_err(), "{bad}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn hostile_patterns_take_no_time(stars in 1..80_usize, length in 1..200_usize) {
+            let pattern = format!("/{}b", "*a".repeat(stars));
+            let matched = matches(&pattern, &format!("/{}", "a".repeat(length)));
+            prop_assert!(!matched);
+        }
+
+        #[test]
+        fn a_name_matches_itself_and_everything(name in "/[a-z]{1,9}(/[a-z]{1,9}){0,3}") {
+            prop_assert!(matches(&name, &name) && matches("**", &name));
+        }
+    }
+}

@@ -1,0 +1,182 @@
+//! Puts the messages of a recording into the ring, as they were recorded. It waits for room and leaves most of the
+//! ring to live capture; nothing is ever dropped here.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use super::recorder::CapturedMessage;
+use super::ring::Rings;
+use super::session::TopicFigures;
+use super::{Author, CaptureSession};
+use crate::model::topic::LONGEST_NAME;
+use crate::model::{TopicName, TopicRules};
+use crate::ros::recording::{Channel, Encoding, RecordedMessage};
+use crate::ros::{Message, Origin};
+
+/// Bytes of the ring that imports may fill.
+const SHARE: usize = 32 * 1024 * 1024;
+
+/// Imported messages whose verification is waited for, at most.
+const MOST_IN_FLIGHT: u64 = 50_000;
+
+/// How long to wait before looking again whether to go on.
+const TICK: Duration = Duration::from_millis(100);
+
+/// The longest md5sum taken.
+const LONGEST_MD5: usize = 64;
+
+/// Tag of everything that was imported, and its value.
+pub const SOURCE: (&str, &str) = ("source", "bag");
+/// Tag of messages that are no ROS 1 messages: how they are serialised.
+pub const ENCODING: &str = "encoding";
+/// Tag of messages of a latching publisher.
+pub const LATCHING: &str = "latching";
+
+/// Why a channel cannot be imported; `None` where it can.
+pub fn fault(channel: &Channel) -> Option<&'static str> {
+    if channel.topic.parse::<TopicName>().is_err() {
+        return Some("its topic is no topic name");
+    }
+    let long = channel.type_name.len() > LONGEST_NAME || channel.caller_id.len() > LONGEST_NAME;
+    if long || channel.md5sum.len() > LONGEST_MD5 {
+        return Some("its type, md5sum or publisher is no name");
+    }
+    channel.type_name.is_empty().then_some("it has no type")
+}
+
+/// The encoding that a record's tags tell of.
+pub fn encoding(tags: &std::collections::BTreeMap<String, String>) -> Encoding {
+    match tags.get(ENCODING).map(String::as_str) {
+        Some("cdr") => Encoding::Cdr { idl: false },
+        Some("cdr-idl") => Encoding::Cdr { idl: true },
+        _ => Encoding::Ros1,
+    }
+}
+
+/// Takes in one recording for one author.
+pub struct Importer<'a> {
+    rings: &'a Rings<CapturedMessage>,
+    author: Arc<Author>,
+    rules: &'a TopicRules,
+    tags: Vec<(String, String)>,
+    /// One session per channel: its tags are the channel's, its figures too.
+    sessions: HashMap<Arc<Channel>, Stream>,
+    offered: u64,
+}
+
+struct Stream {
+    session: Arc<CaptureSession>,
+    origin: Arc<Origin>,
+}
+
+impl<'a> Importer<'a> {
+    /// Takes in for `author`; every message gets the tags.
+    pub fn new(
+        rings: &'a Rings<CapturedMessage>,
+        author: Arc<Author>,
+        rules: &'a TopicRules,
+        tags: Vec<(String, String)>,
+    ) -> Self {
+        Self { rings, author, rules, tags, sessions: HashMap::new(), offered: 0 }
+    }
+
+    fn stream(&mut self, channel: &Arc<Channel>) -> &Stream {
+        let tags = &self.tags;
+        self.sessions.entry(Arc::clone(channel)).or_insert_with(|| {
+            let mut tags = tags.clone();
+            tags.push((SOURCE.0.to_owned(), SOURCE.1.to_owned()));
+            match channel.encoding {
+                Encoding::Ros1 => {}
+                Encoding::Cdr { idl: false } => tags.push((ENCODING.to_owned(), "cdr".to_owned())),
+                Encoding::Cdr { idl: true } => tags.push((ENCODING.to_owned(), "cdr-idl".to_owned())),
+            }
+            if channel.latching {
+                tags.push((LATCHING.to_owned(), "1".to_owned()));
+            }
+            Stream {
+                session: Arc::new(CaptureSession::new(&[channel.topic.to_string()], None, tags)),
+                origin: Arc::new(Origin {
+                    number: 0,
+                    caller_id: Arc::clone(&channel.caller_id),
+                    host: String::new(),
+                    uri: String::new(),
+                    type_name: Arc::clone(&channel.type_name),
+                    md5sum: Arc::clone(&channel.md5sum),
+                    listed_at: Instant::now(),
+                    rival: None,
+                }),
+            }
+        })
+    }
+
+    /// Takes one message in, as soon as there is room. `false` where the import is to end.
+    pub fn take(&mut self, message: RecordedMessage, goes_on: &dyn Fn() -> bool) -> bool {
+        if self.offered.is_multiple_of(1024) && !self.wait_for_the_chain(goes_on) {
+            return false;
+        }
+        let RecordedMessage { channel, time, body } = message;
+        let rule = self.rules.of(&channel.topic).cloned();
+        let author = Arc::clone(&self.author);
+        let stream = self.stream(&channel);
+        let (session, origin) = (Arc::clone(&stream.session), Arc::clone(&stream.origin));
+        session.take(&channel.topic, &channel.type_name);
+        let message = Message {
+            topic: Arc::clone(&channel.topic),
+            type_name: Arc::clone(&channel.type_name),
+            md5sum: Arc::clone(&channel.md5sum),
+            definition: Arc::clone(&channel.definition),
+            caller_id: Arc::clone(&channel.caller_id),
+            origin,
+            captured_at: time,
+            header_seq: None,
+            body,
+        };
+        let message = Arc::new(message);
+        let mut item =
+            CapturedMessage { author, message, simulated: false, sessions: vec![session], doubt: None, rule };
+        let share = SHARE.min(self.rings.capacity() / 4);
+        loop {
+            match self.rings.push_within(&channel.topic, item, share, TICK) {
+                Ok(()) => break,
+                Err(refused) if !self.rings.is_closed() && goes_on() => item = refused,
+                Err(refused) => {
+                    refused.sessions.iter().for_each(|session| session.dropped(&channel.topic, false));
+                    return false;
+                }
+            }
+        }
+        self.offered += 1;
+        true
+    }
+
+    /// Memory per message that is not verified yet is small, but not nothing.
+    fn wait_for_the_chain(&self, goes_on: &dyn Fn() -> bool) -> bool {
+        loop {
+            let settled: u64 = self.figures().iter().map(|topic| topic.verified + topic.tampered).sum();
+            if self.offered.saturating_sub(settled) < MOST_IN_FLIGHT {
+                return goes_on();
+            }
+            if !goes_on() {
+                return false;
+            }
+            std::thread::sleep(TICK);
+        }
+    }
+
+    /// Messages given to the sealer.
+    pub fn offered(&self) -> u64 {
+        self.offered
+    }
+
+    fn figures(&self) -> Vec<TopicFigures> {
+        self.sessions.values().flat_map(|stream| stream.session.figures()).collect()
+    }
+
+    /// No further messages: the sessions, closed, whose end is still to come.
+    pub fn finish(self) -> Vec<Arc<CaptureSession>> {
+        let sessions: Vec<_> = self.sessions.into_values().map(|stream| stream.session).collect();
+        sessions.iter().for_each(|session| session.close());
+        sessions
+    }
+}

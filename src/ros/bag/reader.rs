@@ -1,0 +1,351 @@
+//! Reads a bag chunk by chunk, in the order of the file. A chunk is unpacked and its checksum compared before any of
+//! its messages is given out; one that is damaged is skipped as a whole.
+
+use std::collections::HashMap;
+use std::io::{BufRead, Read, Seek, SeekFrom};
+use std::sync::Arc;
+
+use super::MAGIC;
+use super::record::{Fields, LONGEST_CONNECTION, LONGEST_HEADER, Op, connection, sized};
+use super::search::{chunk_compression, next_chunk};
+use crate::ros::RosError;
+use crate::ros::recording::{
+    Channel, ChunkCompression, Findings, LARGEST_CHUNK, MOST_CHANNEL_BYTES, MOST_CHANNELS, RecordedMessage, unpack,
+};
+use crate::ros::tcpros::LONGEST_MESSAGE;
+
+/// A chunk that is being read.
+#[derive(Debug, Default)]
+struct Chunk {
+    bytes: Vec<u8>,
+    at: usize,
+    /// Where it begins in the file.
+    position: u64,
+    /// Whether its end is missing, which was noted already.
+    cut: bool,
+}
+
+/// What stands at a position of the file.
+enum Found {
+    /// A record: the end of its header, and the length of its data.
+    Record {
+        header: Vec<u8>,
+        data: u64,
+        length: u64,
+    },
+    End,
+    Damage(&'static str),
+}
+
+/// Reads a bag of version 2.0. `R` is best buffered.
+#[derive(Debug)]
+pub struct BagReader<R> {
+    file: R,
+    length: u64,
+    /// Where the next record begins.
+    position: u64,
+    chunk: Chunk,
+    connections: HashMap<u32, Arc<Channel>>,
+    connection_bytes: usize,
+    findings: Findings,
+    ended: bool,
+}
+
+impl<R: BufRead + Seek> BagReader<R> {
+    /// Begins to read a bag.
+    ///
+    /// # Errors
+    /// [`RosError::Recording`] where it cannot be read, is no bag of version 2.0, or is encrypted.
+    pub fn open(mut file: R) -> Result<Self, RosError> {
+        let length = file.seek(SeekFrom::End(0)).map_err(|error| RosError::unreadable(&error))?;
+        file.seek(SeekFrom::Start(0)).map_err(|error| RosError::unreadable(&error))?;
+        let mut magic = Vec::new();
+        let read = file.by_ref().take(MAGIC.len() as u64).read_to_end(&mut magic);
+        read.map_err(|error| RosError::unreadable(&error))?;
+        if magic != MAGIC {
+            return Err(RosError::recording("it does not begin as a bag of version 2.0 does"));
+        }
+        let mut reader = Self {
+            file,
+            length,
+            position: MAGIC.len() as u64,
+            chunk: Chunk::default(),
+            connections: HashMap::new(),
+            connection_bytes: 0,
+            findings: Findings::default(),
+            ended: false,
+        };
+        reader.read_index()?;
+        Ok(reader)
+    }
+
+    /// What was skipped so far.
+    pub fn findings(&self) -> &Findings {
+        &self.findings
+    }
+
+    /// Bytes of the file that were read so far, and all of them.
+    pub fn progress(&self) -> (u64, u64) {
+        (self.position.min(self.length), self.length)
+    }
+
+    /// The next message that can be read; `None` at the end.
+    ///
+    /// # Errors
+    /// [`RosError::Recording`] where the file itself cannot be read.
+    pub fn next_message(&mut self) -> Result<Option<RecordedMessage>, RosError> {
+        loop {
+            if let Some(message) = self.next_in_chunk() {
+                return Ok(Some(message));
+            }
+            if self.ended {
+                return Ok(None);
+            }
+            if let Some(message) = self.advance().map_err(|error| RosError::unreadable(&error))? {
+                return Ok(Some(message));
+            }
+        }
+    }
+
+    /// The connections that the index at the end names: a damaged chunk may have held the only other copy.
+    fn read_index(&mut self) -> Result<(), RosError> {
+        let unreadable = |error: std::io::Error| RosError::unreadable(&error);
+        let Found::Record { header, .. } = self.look(self.position).map_err(unreadable)? else { return Ok(()) };
+        let Some(fields) = Fields::parse(&header).filter(|fields| fields.op() == Some(Op::BagHeader)) else {
+            return Ok(());
+        };
+        if fields.bytes("encryptor").is_some_and(|name| !name.is_empty()) {
+            return Err(RosError::recording("it is encrypted; decrypt it with `rosbag decrypt` first"));
+        }
+        let Some(mut at) = fields.u64("index_pos").filter(|at| *at > 0) else { return Ok(()) };
+        if at >= self.length {
+            self.findings.note(self.length, &format!("the bag is cut off: its index should begin at byte {at}"));
+        }
+        while let Found::Record { header, data, length } = self.look(at).map_err(unreadable)? {
+            let Some(fields) = Fields::parse(&header).filter(|fields| fields.op() == Some(Op::Connection)) else {
+                break;
+            };
+            let bytes = self.read_at(data, length.min(LONGEST_CONNECTION as u64 + 1)).map_err(unreadable)?;
+            self.learn(&fields, &bytes);
+            at = data + length;
+        }
+        Ok(())
+    }
+
+    /// Takes a connection in; of one number the last counts, as in rosbag.
+    fn learn(&mut self, fields: &Fields<'_>, data: &[u8]) -> bool {
+        let Some((number, channel)) = connection(fields, data).filter(|_| data.len() <= LONGEST_CONNECTION) else {
+            return false;
+        };
+        if self.connections.get(&number).is_some_and(|known| **known == channel) {
+            return true;
+        }
+        self.connection_bytes += channel.size();
+        if self.connections.len() >= MOST_CHANNELS || self.connection_bytes > MOST_CHANNEL_BYTES {
+            return false;
+        }
+        self.connections.insert(number, Arc::new(channel));
+        true
+    }
+
+    /// The record at a position, without its data.
+    fn look(&mut self, at: u64) -> std::io::Result<Found> {
+        let left = self.length.saturating_sub(at);
+        if left == 0 {
+            return Ok(Found::End);
+        }
+        let Some(header_length) = self.length_at(at)? else {
+            return Ok(Found::Damage("it ends in the middle of a record"));
+        };
+        if header_length > LONGEST_HEADER as u64 || header_length + 8 > left {
+            return Ok(Found::Damage("what stands there is no record of a bag"));
+        }
+        let header = self.read_at(at + 4, header_length)?;
+        if Fields::parse(&header).and_then(|fields| fields.op()).is_none() {
+            return Ok(Found::Damage("what stands there is no record of a bag"));
+        }
+        let data = at + 4 + header_length + 4;
+        let length = self.length_at(at + 4 + header_length)?.unwrap_or(0);
+        Ok(Found::Record { header, data, length })
+    }
+
+    fn length_at(&mut self, at: u64) -> std::io::Result<Option<u64>> {
+        let bytes = self.read_at(at, 4)?;
+        Ok(bytes.first_chunk().map(|bytes| u64::from(u32::from_le_bytes(*bytes))))
+    }
+
+    fn read_at(&mut self, at: u64, length: u64) -> std::io::Result<Vec<u8>> {
+        self.go_to(at)?;
+        let mut bytes = Vec::new();
+        self.file.by_ref().take(length).read_to_end(&mut bytes)?;
+        Ok(bytes)
+    }
+
+    fn go_to(&mut self, at: u64) -> std::io::Result<()> {
+        let here = self.file.stream_position()?;
+        // What was read ahead is kept.
+        let step = i64::try_from(at).and_then(|at| i64::try_from(here).map(|here| at - here));
+        self.file.seek_relative(step.unwrap_or(i64::MAX))
+    }
+
+    /// Reads the next record of the file: fills the chunk, or gives a message that stands outside of chunks.
+    fn advance(&mut self) -> std::io::Result<Option<RecordedMessage>> {
+        let start = self.position;
+        let (header, data, length) = match self.look(start)? {
+            Found::End => {
+                self.ended = true;
+                return Ok(None);
+            }
+            Found::Damage(why) => {
+                self.search(start, start + 1, why)?;
+                return Ok(None);
+            }
+            Found::Record { header, data, length } => (header, data, length),
+        };
+        let Some(fields) = Fields::parse(&header) else { return Ok(None) };
+        self.position = data + length;
+        match fields.op() {
+            Some(Op::Chunk) => self.read_chunk(&fields, start, data, length)?,
+            Some(Op::Index) if fields.u32("ver") == Some(1) => {
+                // Some recorders wrote a wrong length here; rosbag goes by the count.
+                self.position = data + u64::from(fields.u32("count").unwrap_or(0)) * 12;
+            }
+            Some(Op::Connection) if length <= LONGEST_CONNECTION as u64 => {
+                let bytes = self.read_at(data, length)?;
+                if !self.learn(&fields, &bytes) {
+                    self.findings.note(start, "a connection record that cannot be used was skipped");
+                }
+            }
+            Some(Op::Message) if length <= LONGEST_MESSAGE as u64 && self.position <= self.length => {
+                let body = self.read_at(data, length)?;
+                return Ok(self.message(&fields, body));
+            }
+            Some(Op::Message | Op::Connection) => self.search(start, data, "it is cut off or damaged here")?,
+            _ if self.position > self.length => self.search(start, data, "it is cut off or damaged here")?,
+            _ => {}
+        }
+        Ok(None)
+    }
+
+    fn message(&mut self, fields: &Fields<'_>, body: Vec<u8>) -> Option<RecordedMessage> {
+        let channel = fields.u32("conn").and_then(|number| self.connections.get(&number));
+        let message = channel.zip(fields.time("time"));
+        let message = message.map(|(channel, time)| RecordedMessage { channel: Arc::clone(channel), time, body });
+        if message.is_none() {
+            self.findings.messages_skipped += 1;
+        }
+        message
+    }
+
+    /// Goes on at the next chunk behind `from`; what lies between is noted as skipped.
+    fn search(&mut self, damaged: u64, from: u64, why: &str) -> std::io::Result<()> {
+        let next = next_chunk(&mut self.file, from)?;
+        let end = next.unwrap_or(self.length);
+        let skipped = end.saturating_sub(damaged);
+        self.findings.note(damaged, &format!("{why}: {skipped} bytes were skipped"));
+        self.position = end;
+        self.ended = next.is_none();
+        Ok(())
+    }
+
+    fn read_chunk(&mut self, fields: &Fields<'_>, start: u64, data: u64, length: u64) -> std::io::Result<()> {
+        let size = fields.u32("size").map_or(0, u64::from);
+        let Some(compression) = chunk_compression(fields) else {
+            self.findings.note(start, "a chunk of an unknown compression was skipped");
+            return Ok(());
+        };
+        let unfinished = size == 0 && length == 0;
+        if unfinished && compression == ChunkCompression::None {
+            // A recorder that was killed: the chunk's records follow, only its length was never written.
+            self.position = data;
+            return Ok(());
+        }
+        let (limit, length) =
+            if unfinished { (LARGEST_CHUNK as u64, self.length.saturating_sub(data)) } else { (size, length) };
+        if limit > LARGEST_CHUNK as u64 {
+            self.findings.note(start, &format!("a chunk of {size} bytes was skipped, it is beyond {LARGEST_CHUNK}"));
+            return Ok(());
+        }
+        self.go_to(data)?;
+        let mut bytes = std::mem::take(&mut self.chunk.bytes);
+        bytes.clear();
+        let limit = usize::try_from(limit).unwrap_or(usize::MAX);
+        let unpacked = unpack(compression, self.file.by_ref().take(length), limit, &mut bytes);
+        let missing = unfinished || data + length > self.length;
+        let whole = unpacked.is_ok() && (bytes.len() as u64 == size || unfinished);
+        self.chunk = Chunk { bytes, at: 0, position: data, cut: missing && !whole };
+        if whole && !missing {
+            return Ok(());
+        }
+        if missing && !self.is_followed(data)? {
+            self.findings.note(start, "the bag ends in the middle of a chunk: what came before its end was read");
+            self.position = self.length;
+            return Ok(());
+        }
+        let why = unpacked.err().unwrap_or_else(|| format!("it unpacks to another length than {size}"));
+        self.chunk.bytes.clear();
+        self.skip_chunk(start, data, &why)
+    }
+
+    /// Whether another chunk begins behind `from`, so that the length read there is not to be believed.
+    fn is_followed(&mut self, from: u64) -> std::io::Result<bool> {
+        next_chunk(&mut self.file, from).map(|next| next.is_some())
+    }
+
+    /// A damaged chunk: goes on behind it where a record begins there, else at the next chunk to be found.
+    fn skip_chunk(&mut self, start: u64, data: u64, why: &str) -> std::io::Result<()> {
+        if self.position <= self.length && !matches!(self.look(self.position)?, Found::Damage(_)) {
+            let skipped = self.position - start;
+            self.findings.note(start, &format!("a chunk of {skipped} bytes was skipped, it is damaged: {why}"));
+            return Ok(());
+        }
+        self.search(start, data, &format!("a chunk is damaged ({why})"))
+    }
+
+    fn next_in_chunk(&mut self) -> Option<RecordedMessage> {
+        while self.chunk.at < self.chunk.bytes.len() {
+            let chunk = std::mem::take(&mut self.chunk);
+            let record = chunk.bytes.get(chunk.at..).and_then(record_in);
+            let Some((header, data, used)) = record else {
+                self.end_chunk(chunk);
+                return None;
+            };
+            let found = match Fields::parse(header).map(|fields| (fields.op(), fields)) {
+                Some((Some(Op::Message), fields)) if data.len() <= LONGEST_MESSAGE => {
+                    Some(self.message(&fields, data.to_vec()))
+                }
+                Some((Some(Op::Connection), fields)) if self.learn(&fields, data) => Some(None),
+                _ => None,
+            };
+            let at = chunk.at + used;
+            let Some(message) = found else {
+                self.end_chunk(chunk);
+                return None;
+            };
+            self.chunk = Chunk { at, ..chunk };
+            if message.is_some() {
+                return message;
+            }
+        }
+        None
+    }
+
+    /// The rest of a chunk cannot be read.
+    fn end_chunk(&mut self, mut chunk: Chunk) {
+        if !chunk.cut {
+            let left = chunk.bytes.len() - chunk.at;
+            let text = format!("the last {left} bytes of a chunk were skipped: they are no records of a bag");
+            self.findings.note(chunk.position, &text);
+        }
+        // The memory is kept for the next one.
+        chunk.bytes.clear();
+        self.chunk = Chunk { bytes: chunk.bytes, ..Chunk::default() };
+    }
+}
+
+/// Header, data and length of the record at the beginning of the bytes.
+fn record_in(bytes: &[u8]) -> Option<(&[u8], &[u8], usize)> {
+    let (header, rest) = sized(bytes)?;
+    let (data, rest) = sized(rest)?;
+    Some((header, data, bytes.len() - rest.len()))
+}

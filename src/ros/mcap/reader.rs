@@ -1,0 +1,352 @@
+//! Reads MCAP chunk by chunk, in the order of the file. A chunk is unpacked and its checksum compared before any of
+//! its messages is given out; one that is damaged is skipped as a whole.
+
+use std::collections::{BTreeSet, HashMap};
+use std::io::{BufRead, Read, Seek, SeekFrom};
+use std::sync::Arc;
+
+use super::MAGIC;
+use super::record::{ChannelRecord, Code, Fields, Schema, schema};
+use crate::model::Timestamp;
+use crate::ros::RosError;
+use crate::ros::recording::{
+    Channel, ChunkCompression, Findings, LARGEST_CHUNK, MOST_CHANNEL_BYTES, MOST_CHANNELS, RecordedMessage, unpack,
+};
+use crate::ros::tcpros::LONGEST_MESSAGE;
+
+/// The longest record that is no message and no chunk, bytes: it may hold a definition.
+const LONGEST_RECORD: u64 = 2 << 20;
+
+/// Bytes of a record's code and length.
+const LEAD: u64 = 9;
+
+/// The longest head of a chunk (times, sizes, checksum, the name of a compression), bytes.
+const LONGEST_CHUNK_HEAD: u64 = 128;
+
+/// The most chunks whose place is remembered from the summary, to go on behind damage.
+const MOST_PLACES: usize = 1 << 20;
+
+/// The latest time of a record, nanoseconds.
+const LATEST: u64 = i64::MAX as u64;
+
+/// A chunk that is being read.
+#[derive(Debug, Default)]
+struct Chunk {
+    bytes: Vec<u8>,
+    at: usize,
+    position: u64,
+    cut: bool,
+}
+
+/// What a chunk's head says.
+struct ChunkHead {
+    size: u64,
+    checksum: u32,
+    compression: Option<ChunkCompression>,
+    /// Where the compressed records begin, and their length.
+    data: u64,
+    length: u64,
+}
+
+/// Reads an MCAP file. `R` is best buffered.
+#[derive(Debug)]
+pub struct McapReader<R> {
+    file: R,
+    length: u64,
+    position: u64,
+    chunk: Chunk,
+    schemas: HashMap<u16, Schema>,
+    channels: HashMap<u16, Option<Arc<Channel>>>,
+    texts: usize,
+    /// Where chunks begin, by the summary.
+    places: BTreeSet<u64>,
+    findings: Findings,
+    ended: bool,
+}
+
+impl<R: BufRead + Seek> McapReader<R> {
+    /// Begins to read a file.
+    ///
+    /// # Errors
+    /// [`RosError::Recording`] where it cannot be read or is no MCAP.
+    pub fn open(mut file: R) -> Result<Self, RosError> {
+        let unreadable = |error: std::io::Error| RosError::unreadable(&error);
+        let length = file.seek(SeekFrom::End(0)).map_err(unreadable)?;
+        let position = MAGIC.len() as u64;
+        let mut reader = Self {
+            file,
+            length,
+            position,
+            chunk: Chunk::default(),
+            schemas: HashMap::new(),
+            channels: HashMap::new(),
+            texts: 0,
+            places: BTreeSet::new(),
+            findings: Findings::default(),
+            ended: false,
+        };
+        if reader.read_at(0, position).map_err(unreadable)? != MAGIC {
+            return Err(RosError::recording("it does not begin as MCAP does"));
+        }
+        reader.read_summary().map_err(unreadable)?;
+        Ok(reader)
+    }
+
+    /// What was skipped so far.
+    pub fn findings(&self) -> &Findings {
+        &self.findings
+    }
+
+    /// Bytes of the file that were read so far, and all of them.
+    pub fn progress(&self) -> (u64, u64) {
+        (self.position.min(self.length), self.length)
+    }
+
+    /// The next message that can be read; `None` at the end.
+    ///
+    /// # Errors
+    /// [`RosError::Recording`] where the file itself cannot be read.
+    pub fn next_message(&mut self) -> Result<Option<RecordedMessage>, RosError> {
+        loop {
+            if let Some(message) = self.next_in_chunk() {
+                return Ok(Some(message));
+            }
+            if self.ended {
+                return Ok(None);
+            }
+            if let Some(message) = self.advance().map_err(|error| RosError::unreadable(&error))? {
+                return Ok(Some(message));
+            }
+        }
+    }
+
+    fn read_at(&mut self, at: u64, length: u64) -> std::io::Result<Vec<u8>> {
+        self.go_to(at)?;
+        let mut bytes = Vec::new();
+        self.file.by_ref().take(length).read_to_end(&mut bytes)?;
+        Ok(bytes)
+    }
+
+    fn go_to(&mut self, at: u64) -> std::io::Result<()> {
+        let here = self.file.stream_position()?;
+        let step = i64::try_from(at).and_then(|at| i64::try_from(here).map(|here| at - here));
+        self.file.seek_relative(step.unwrap_or(i64::MAX))
+    }
+
+    /// Code and length of the record at a position.
+    fn look(&mut self, at: u64) -> std::io::Result<Option<(u8, u64)>> {
+        let lead = self.read_at(at, LEAD)?;
+        let mut fields = Fields(&lead);
+        Ok(fields.u8().zip(fields.u64()))
+    }
+
+    /// Schemas, channels and places of chunks from the summary at the end, if there is one.
+    fn read_summary(&mut self) -> std::io::Result<()> {
+        const TAIL: u64 = LEAD + 20 + 8;
+        let Some(footer) = self.length.checked_sub(TAIL).filter(|footer| *footer >= MAGIC.len() as u64) else {
+            return Ok(());
+        };
+        let tail = self.read_at(footer, TAIL)?;
+        let mut fields = Fields(&tail);
+        let start = match fields.record() {
+            Some((code, content)) if code == Code::Footer as u8 && fields.0 == MAGIC => Fields(content).u64(),
+            _ => None,
+        };
+        let Some(mut at) = start.filter(|start| *start > 0) else { return Ok(()) };
+        while at < footer {
+            let Some((code, length)) = self.look(at)? else { break };
+            if length > LONGEST_RECORD {
+                break;
+            }
+            let content = self.read_at(at + LEAD, length)?;
+            if Code::from_byte(code) == Some(Code::ChunkIndex) {
+                let mut fields = Fields(&content);
+                let place = fields.u64().and(fields.u64()).and(fields.u64());
+                self.places.extend(place.filter(|_| self.places.len() < MOST_PLACES));
+            } else {
+                self.learn(code, &content);
+            }
+            at += LEAD + length;
+        }
+        Ok(())
+    }
+
+    /// Takes a schema or a channel in; `false` where it is damaged. Of one number the first counts.
+    fn learn(&mut self, code: u8, content: &[u8]) -> bool {
+        self.texts += content.len();
+        if self.texts > MOST_CHANNEL_BYTES && code <= Code::Channel as u8 {
+            return false;
+        }
+        match Code::from_byte(code) {
+            Some(Code::Schema) => match schema(Fields(content)) {
+                Some((number, schema)) => {
+                    self.schemas.entry(number).or_insert(schema);
+                    true
+                }
+                None => false,
+            },
+            Some(Code::Channel) => match ChannelRecord::parse(Fields(content)) {
+                Some(record) if self.channels.len() < MOST_CHANNELS => {
+                    let number = record.number;
+                    if !self.channels.contains_key(&number) {
+                        let channel = self.schemas.get(&record.schema).and_then(|schema| record.with(schema));
+                        self.channels.insert(number, channel.map(Arc::new));
+                    }
+                    true
+                }
+                _ => false,
+            },
+            _ => true,
+        }
+    }
+
+    /// Reads the next record of the file: fills the chunk, or gives a message that stands outside of chunks.
+    fn advance(&mut self) -> std::io::Result<Option<RecordedMessage>> {
+        let start = self.position;
+        let Some((code, length)) = self.look(start)? else {
+            let text = if start >= self.length { "the file has no end record" } else { "the file ends in a record" };
+            self.findings.note(start, &format!("{text}: the recorder did not close it, or it is cut off"));
+            self.ended = true;
+            return Ok(None);
+        };
+        let data = start + LEAD;
+        let end = data.checked_add(length);
+        let code = Code::from_byte(code);
+        let missing = end.is_none_or(|end| end > self.length);
+        if missing && code != Some(Code::Chunk) || code.is_none() && length > self.length {
+            self.skip(start, "no record can be read here")?;
+            return Ok(None);
+        }
+        self.position = end.unwrap_or(self.length).min(self.length);
+        match code {
+            Some(Code::Chunk) => self.read_chunk(start, missing)?,
+            Some(Code::Footer | Code::DataEnd) => self.ended = true,
+            Some(Code::Message) if length <= LONGEST_MESSAGE as u64 + 64 => {
+                let content = self.read_at(data, length)?;
+                return Ok(self.message(Fields(&content)));
+            }
+            Some(Code::Schema | Code::Channel) if length <= LONGEST_RECORD => {
+                let content = self.read_at(data, length)?;
+                if !self.learn(code.map_or(0, |code| code as u8), &content) {
+                    self.findings.note(start, "a schema or channel that cannot be used was skipped");
+                }
+            }
+            Some(Code::Message | Code::Schema | Code::Channel) => {
+                self.findings.note(start, &format!("a record of {length} bytes was skipped, it is too large"));
+            }
+            _ => {}
+        }
+        Ok(None)
+    }
+
+    fn message(&mut self, mut fields: Fields<'_>) -> Option<RecordedMessage> {
+        let channel = fields.u16().and_then(|number| self.channels.get(&number).cloned().flatten());
+        let time = fields.u32().and(fields.u64()).filter(|time| *time <= LATEST);
+        let message = channel.zip(time).zip(fields.u64());
+        if message.is_none() {
+            self.findings.messages_skipped += 1;
+        }
+        message.map(|((channel, time), _)| RecordedMessage { channel, time: Timestamp(time), body: fields.0.to_vec() })
+    }
+
+    /// Goes on at the next chunk that the summary knows; what lies between is noted as skipped.
+    fn skip(&mut self, damaged: u64, why: &str) -> std::io::Result<()> {
+        let next = self.places.range(damaged + 1..).next().copied().filter(|next| *next < self.length);
+        let end = next.unwrap_or(self.length);
+        self.findings.note(damaged, &format!("{why}: {} bytes were skipped", end.saturating_sub(damaged)));
+        self.position = end;
+        self.ended = next.is_none();
+        Ok(())
+    }
+
+    fn chunk_head(&mut self, start: u64) -> std::io::Result<Option<ChunkHead>> {
+        let bytes = self.read_at(start + LEAD, LONGEST_CHUNK_HEAD)?;
+        let mut fields = Fields(&bytes);
+        let mut head = || {
+            let (size, checksum) = (fields.u64().and(fields.u64()).and(fields.u64())?, fields.u32()?);
+            let compression = match &*fields.text()? {
+                "" => Some(ChunkCompression::None),
+                "lz4" => Some(ChunkCompression::Lz4),
+                "zstd" => Some(ChunkCompression::Zstd),
+                _ => None,
+            };
+            let length = fields.u64()?;
+            let data = start + LEAD + (bytes.len() - fields.0.len()) as u64;
+            Some(ChunkHead { size, checksum, compression, data, length })
+        };
+        Ok(head())
+    }
+
+    fn read_chunk(&mut self, start: u64, missing: bool) -> std::io::Result<()> {
+        let Some(head) = self.chunk_head(start)? else {
+            return self.skip(start, "the head of a chunk cannot be read");
+        };
+        let Some(compression) = head.compression else {
+            self.findings.note(start, "a chunk of an unknown compression was skipped");
+            return Ok(());
+        };
+        if head.size > LARGEST_CHUNK as u64 {
+            let text = format!("a chunk of {} bytes was skipped, it is beyond {LARGEST_CHUNK}", head.size);
+            self.findings.note(start, &text);
+            return Ok(());
+        }
+        self.go_to(head.data)?;
+        let mut bytes = std::mem::take(&mut self.chunk.bytes);
+        bytes.clear();
+        let limit = usize::try_from(head.size).unwrap_or(usize::MAX);
+        let unpacked = unpack(compression, self.file.by_ref().take(head.length), limit, &mut bytes);
+        let sound = head.checksum == 0 || crc32fast::hash(&bytes) == head.checksum;
+        let whole = unpacked.is_ok() && bytes.len() as u64 == head.size && sound;
+        let followed = self.places.range(start + 1..).next().is_some_and(|next| *next < self.length);
+        self.chunk = Chunk { bytes, at: 0, position: head.data, cut: missing && !whole };
+        if whole && !missing {
+            return Ok(());
+        }
+        if missing && !followed {
+            self.findings.note(start, "the file ends in the middle of a chunk: what came before its end was read");
+            self.position = self.length;
+            return Ok(());
+        }
+        self.chunk.bytes.clear();
+        let why = unpacked.err().unwrap_or_else(|| String::from("its checksum or length is another one"));
+        if missing {
+            return self.skip(start, &format!("a chunk is damaged ({why})"));
+        }
+        let skipped = self.position - start;
+        self.findings.note(start, &format!("a chunk of {skipped} bytes was skipped, it is damaged: {why}"));
+        Ok(())
+    }
+
+    fn next_in_chunk(&mut self) -> Option<RecordedMessage> {
+        while self.chunk.at < self.chunk.bytes.len() {
+            let chunk = std::mem::take(&mut self.chunk);
+            let mut fields = Fields(chunk.bytes.get(chunk.at..).unwrap_or_default());
+            let message = match fields.record() {
+                Some((code, content)) if code == Code::Message as u8 => Some(self.message(Fields(content))),
+                Some((code, content)) if self.learn(code, content) => Some(None),
+                _ => None,
+            };
+            let at = chunk.bytes.len() - fields.0.len();
+            let Some(message) = message else {
+                self.end_chunk(chunk);
+                return None;
+            };
+            self.chunk = Chunk { at, ..chunk };
+            if message.is_some() {
+                return message;
+            }
+        }
+        None
+    }
+
+    /// The rest of a chunk cannot be read.
+    fn end_chunk(&mut self, mut chunk: Chunk) {
+        if !chunk.cut {
+            let left = chunk.bytes.len() - chunk.at;
+            let text = format!("the last {left} bytes of a chunk were skipped: they are no records of MCAP");
+            self.findings.note(chunk.position, &text);
+        }
+        chunk.bytes.clear();
+        self.chunk = Chunk { bytes: chunk.bytes, ..Chunk::default() };
+    }
+}

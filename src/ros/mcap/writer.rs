@@ -1,0 +1,284 @@
+//! Writes MCAP: chunks of about 768 KiB with their message indexes and checksums, then a summary.
+
+use std::collections::{BTreeMap, HashMap};
+use std::io::{Seek, Write};
+use std::sync::Arc;
+
+use super::MAGIC;
+use super::record::{Code, put_channel, put_length, put_record, put_schema, put_text, schema_encoding};
+use crate::model::Timestamp;
+use crate::ros::RosError;
+use crate::ros::recording::{
+    CHUNK_THRESHOLD, Channel, ChunkCompression, Encoding, MOST_CHANNELS, RecordingFormat, pack,
+};
+use crate::ros::tcpros::LONGEST_MESSAGE;
+
+/// A chunk's line in the summary.
+#[derive(Debug)]
+struct ChunkIndex {
+    span: (Timestamp, Timestamp),
+    position: u64,
+    length: u64,
+    /// Where the message index of each channel lies.
+    indexes: Vec<(u16, u64)>,
+    index_length: u64,
+    packed: u64,
+    size: u64,
+}
+
+/// Writes an MCAP file.
+#[derive(Debug)]
+pub struct McapWriter<W> {
+    out: W,
+    position: u64,
+    compression: ChunkCompression,
+    channels: Vec<(u16, Arc<Channel>)>,
+    numbers: HashMap<Arc<Channel>, u16>,
+    schemas: HashMap<(Arc<str>, &'static str, Arc<str>), u16>,
+    counts: BTreeMap<u16, u64>,
+    sequence: u32,
+    chunk: Vec<u8>,
+    span: Option<(Timestamp, Timestamp)>,
+    all: Option<(Timestamp, Timestamp)>,
+    index: BTreeMap<u16, Vec<(Timestamp, u64)>>,
+    chunks: Vec<ChunkIndex>,
+    begun: bool,
+}
+
+impl<W: Write + Seek> McapWriter<W> {
+    /// Begins a file.
+    ///
+    /// # Errors
+    /// [`RosError::Recording`] where it cannot be written, or MCAP is never compressed so.
+    pub fn begin(out: W, compression: ChunkCompression) -> Result<Self, RosError> {
+        if !RecordingFormat::Mcap.takes(compression) {
+            return Err(RosError::recording(&format!("MCAP is never compressed with {compression}")));
+        }
+        let mut writer = Self {
+            out,
+            position: 0,
+            compression,
+            channels: Vec::new(),
+            numbers: HashMap::new(),
+            schemas: HashMap::new(),
+            counts: BTreeMap::new(),
+            sequence: 0,
+            chunk: Vec::new(),
+            span: None,
+            all: None,
+            index: BTreeMap::new(),
+            chunks: Vec::new(),
+            begun: false,
+        };
+        writer.put(MAGIC)?;
+        Ok(writer)
+    }
+
+    fn put(&mut self, bytes: &[u8]) -> Result<(), RosError> {
+        self.out.write_all(bytes).map_err(|error| RosError::unwritable(&error))?;
+        self.position += bytes.len() as u64;
+        Ok(())
+    }
+
+    /// The header names the profile, which the first message decides.
+    fn put_header(&mut self, profile: &str) -> Result<(), RosError> {
+        if std::mem::replace(&mut self.begun, true) {
+            return Ok(());
+        }
+        let mut header = Vec::new();
+        put_record(&mut header, Code::Header, |out| {
+            put_text(out, profile);
+            put_text(out, concat!("authros ", env!("CARGO_PKG_VERSION")));
+        });
+        self.put(&header)
+    }
+
+    /// Writes one message.
+    ///
+    /// # Errors
+    /// [`RosError::Recording`] where it cannot be written or is too large.
+    pub fn write(&mut self, channel: &Arc<Channel>, time: Timestamp, body: &[u8]) -> Result<(), RosError> {
+        if body.len() > LONGEST_MESSAGE {
+            return Err(RosError::recording("a message is too large"));
+        }
+        self.put_header(if channel.encoding == Encoding::Ros1 { "ros1" } else { "ros2" })?;
+        let number = self.number(channel)?;
+        self.index.entry(number).or_default().push((time, self.chunk.len() as u64));
+        let wider = |(first, last): (Timestamp, Timestamp)| (first.min(time), last.max(time));
+        self.span = Some(wider(self.span.unwrap_or((time, time))));
+        self.all = Some(wider(self.all.unwrap_or((time, time))));
+        *self.counts.entry(number).or_default() += 1;
+        self.sequence = self.sequence.wrapping_add(1);
+        let sequence = self.sequence;
+        put_record(&mut self.chunk, Code::Message, |out| {
+            out.extend_from_slice(&number.to_le_bytes());
+            out.extend_from_slice(&sequence.to_le_bytes());
+            out.extend_from_slice(&time.0.to_le_bytes());
+            out.extend_from_slice(&time.0.to_le_bytes());
+            out.extend_from_slice(body);
+        });
+        if self.chunk.len() >= CHUNK_THRESHOLD { self.end_chunk() } else { Ok(()) }
+    }
+
+    /// The number of a channel; a new one and its schema go into the chunk first.
+    fn number(&mut self, channel: &Arc<Channel>) -> Result<u16, RosError> {
+        if let Some(number) = self.numbers.get(channel) {
+            return Ok(*number);
+        }
+        if self.channels.len() >= MOST_CHANNELS {
+            return Err(RosError::recording(&format!("more than {MOST_CHANNELS} channels do not go into one file")));
+        }
+        let key = (Arc::clone(&channel.type_name), schema_encoding(channel.encoding), Arc::clone(&channel.definition));
+        let next = u16::try_from(self.schemas.len() + 1).unwrap_or(u16::MAX);
+        let schema = *self.schemas.entry(key).or_insert(next);
+        if schema == next {
+            put_schema(&mut self.chunk, schema, channel);
+        }
+        let number = u16::try_from(self.channels.len()).unwrap_or(u16::MAX);
+        put_channel(&mut self.chunk, number, schema, channel);
+        self.numbers.insert(Arc::clone(channel), number);
+        self.channels.push((schema, Arc::clone(channel)));
+        Ok(number)
+    }
+
+    fn end_chunk(&mut self) -> Result<(), RosError> {
+        let Some(span) = self.span.take() else { return Ok(()) };
+        let packed = pack(self.compression, &self.chunk).map_err(|error| RosError::recording(&error))?;
+        let (position, size) = (self.position, self.chunk.len() as u64);
+        let mut record = Vec::with_capacity(packed.len() + 64);
+        put_record(&mut record, Code::Chunk, |out| {
+            out.extend_from_slice(&span.0.0.to_le_bytes());
+            out.extend_from_slice(&span.1.0.to_le_bytes());
+            out.extend_from_slice(&size.to_le_bytes());
+            out.extend_from_slice(&crc32fast::hash(&self.chunk).to_le_bytes());
+            put_text(out, self.compression_word());
+            out.extend_from_slice(&(packed.len() as u64).to_le_bytes());
+            out.extend_from_slice(&packed);
+        });
+        self.put(&record)?;
+        let (length, index_start) = (record.len() as u64, self.position);
+        let mut indexes = Vec::new();
+        for (number, entries) in std::mem::take(&mut self.index) {
+            indexes.push((number, self.position));
+            let mut record = Vec::with_capacity(32 + entries.len() * 16);
+            put_record(&mut record, Code::MessageIndex, |out| {
+                out.extend_from_slice(&number.to_le_bytes());
+                put_length(out, entries.len() * 16);
+                for (time, offset) in &entries {
+                    out.extend_from_slice(&time.0.to_le_bytes());
+                    out.extend_from_slice(&offset.to_le_bytes());
+                }
+            });
+            self.put(&record)?;
+        }
+        let index_length = self.position - index_start;
+        let packed = packed.len() as u64;
+        self.chunks.push(ChunkIndex { span, position, length, indexes, index_length, packed, size });
+        self.chunk.clear();
+        Ok(())
+    }
+
+    fn compression_word(&self) -> &'static str {
+        if self.compression == ChunkCompression::None { "" } else { self.compression.word() }
+    }
+
+    /// Writes the last chunk and the summary, and gives the file back.
+    ///
+    /// # Errors
+    /// [`RosError::Recording`] where it cannot be written.
+    pub fn finish(mut self) -> Result<W, RosError> {
+        self.put_header("ros1")?;
+        self.end_chunk()?;
+        let mut end = Vec::new();
+        put_record(&mut end, Code::DataEnd, |out| out.extend_from_slice(&[0; 4]));
+        self.put(&end)?;
+        let start = self.position;
+        let mut summary = Vec::new();
+        let mut groups = Vec::new();
+        for code in [Code::Schema, Code::Channel, Code::Statistics, Code::ChunkIndex] {
+            let at = summary.len();
+            self.put_group(&mut summary, code);
+            groups.push((code, start + at as u64, (summary.len() - at) as u64));
+        }
+        let offsets = start + summary.len() as u64;
+        for (code, at, length) in groups.into_iter().filter(|(_, _, length)| *length > 0) {
+            put_record(&mut summary, Code::SummaryOffset, |out| {
+                out.push(code as u8);
+                out.extend_from_slice(&at.to_le_bytes());
+                out.extend_from_slice(&length.to_le_bytes());
+            });
+        }
+        put_record(&mut summary, Code::Footer, |out| {
+            out.extend_from_slice(&start.to_le_bytes());
+            out.extend_from_slice(&offsets.to_le_bytes());
+        });
+        // The checksum covers the footer too, which has its length only now: the checksum's own bytes included.
+        let footer = summary.len() - 24;
+        if let Some(place) = summary.get_mut(footer..footer + 8) {
+            place.copy_from_slice(&20_u64.to_le_bytes());
+        }
+        let checksum = crc32fast::hash(&summary);
+        summary.extend_from_slice(&checksum.to_le_bytes());
+        self.put(&summary)?;
+        self.put(MAGIC)?;
+        self.out.flush().map_err(|error| RosError::unwritable(&error))?;
+        Ok(self.out)
+    }
+
+    fn put_group(&self, out: &mut Vec<u8>, code: Code) {
+        match code {
+            Code::Schema => {
+                let mut last = 0;
+                for (schema, channel) in &self.channels {
+                    if *schema > last {
+                        put_schema(out, *schema, channel);
+                        last = *schema;
+                    }
+                }
+            }
+            Code::Channel => {
+                for (number, (schema, channel)) in self.channels.iter().enumerate() {
+                    put_channel(out, u16::try_from(number).unwrap_or(u16::MAX), *schema, channel);
+                }
+            }
+            Code::Statistics => self.put_statistics(out),
+            _ => self.chunks.iter().for_each(|chunk| put_chunk_index(out, chunk, self.compression_word())),
+        }
+    }
+
+    fn put_statistics(&self, out: &mut Vec<u8>) {
+        let count = |count: usize| u32::try_from(count).unwrap_or(u32::MAX).to_le_bytes();
+        let (first, last) = self.all.unwrap_or((Timestamp(0), Timestamp(0)));
+        put_record(out, Code::Statistics, |out| {
+            out.extend_from_slice(&self.counts.values().sum::<u64>().to_le_bytes());
+            out.extend_from_slice(&u16::try_from(self.schemas.len()).unwrap_or(u16::MAX).to_le_bytes());
+            out.extend_from_slice(&count(self.channels.len()));
+            out.extend_from_slice(&[0; 8]);
+            out.extend_from_slice(&count(self.chunks.len()));
+            out.extend_from_slice(&first.0.to_le_bytes());
+            out.extend_from_slice(&last.0.to_le_bytes());
+            put_length(out, self.counts.len() * 10);
+            for (number, messages) in &self.counts {
+                out.extend_from_slice(&number.to_le_bytes());
+                out.extend_from_slice(&messages.to_le_bytes());
+            }
+        });
+    }
+}
+
+fn put_chunk_index(out: &mut Vec<u8>, chunk: &ChunkIndex, compression: &str) {
+    put_record(out, Code::ChunkIndex, |out| {
+        for number in [chunk.span.0.0, chunk.span.1.0, chunk.position, chunk.length] {
+            out.extend_from_slice(&number.to_le_bytes());
+        }
+        put_length(out, chunk.indexes.len() * 10);
+        for (number, position) in &chunk.indexes {
+            out.extend_from_slice(&number.to_le_bytes());
+            out.extend_from_slice(&position.to_le_bytes());
+        }
+        out.extend_from_slice(&chunk.index_length.to_le_bytes());
+        put_text(out, compression);
+        out.extend_from_slice(&chunk.packed.to_le_bytes());
+        out.extend_from_slice(&chunk.size.to_le_bytes());
+    });
+}

@@ -1,0 +1,83 @@
+//! Recordings: files that hold messages with their times, as `rosbag record` and MCAP writers make them.
+//!
+//! What both formats share lives here: channels, messages, chunks' compression, and what a reader says of damage.
+//! Files are taken for hostile: every length is checked, memory is bounded by [`LARGEST_CHUNK`].
+
+mod compression;
+mod damage;
+mod open;
+
+use std::sync::Arc;
+
+pub use compression::ChunkCompression;
+pub(super) use compression::{pack, unpack};
+pub use damage::{Damage, Findings};
+pub use open::{Recording, RecordingFormat, RecordingWriter};
+
+use super::tcpros::LONGEST_MESSAGE;
+use crate::model::Timestamp;
+
+/// The most bytes of a chunk, unpacked: a message of the largest size and what lay in its chunk before it.
+pub const LARGEST_CHUNK: usize = LONGEST_MESSAGE + (64 << 20);
+
+/// A chunk is closed when it holds so many bytes, as `rosbag record` does it.
+pub(super) const CHUNK_THRESHOLD: usize = 768 * 1024;
+
+/// The most channels of a recording.
+pub(super) const MOST_CHANNELS: usize = 16_384;
+
+/// The most bytes of all channels' texts together.
+pub(super) const MOST_CHANNEL_BYTES: usize = 64 << 20;
+
+/// How the bodies of a channel are serialised.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Encoding {
+    /// As ROS 1 does it.
+    Ros1,
+    /// CDR, as ROS 2 does it; with the schema's encoding in MCAP's words (`ros2msg`, `ros2idl`).
+    Cdr {
+        /// Whether the schema is IDL.
+        idl: bool,
+    },
+}
+
+/// What a recording says of the messages of one publisher on one topic.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+pub struct Channel {
+    /// Topic name, as it was written.
+    pub topic: Arc<str>,
+    /// Type, `package/Type`; of ROS 2 `package/msg/Type`.
+    pub type_name: Arc<str>,
+    /// The type's md5sum, 32 hex characters; `*` where the recording has none.
+    pub md5sum: Arc<str>,
+    /// The full text of the type's definition.
+    pub definition: Arc<str>,
+    /// The publisher's node name; empty where the recording has none.
+    pub caller_id: Arc<str>,
+    /// Whether the last message is kept for those who subscribe later.
+    pub latching: bool,
+    /// How bodies are serialised.
+    pub encoding: Encoding,
+}
+
+impl Channel {
+    /// Bytes of its texts.
+    pub(super) fn size(&self) -> usize {
+        let texts = [&self.topic, &self.type_name, &self.md5sum, &self.definition, &self.caller_id];
+        texts.iter().map(|text| text.len()).sum::<usize>() + 128
+    }
+}
+
+/// One message of a recording.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct RecordedMessage {
+    /// Topic, type, publisher.
+    pub channel: Arc<Channel>,
+    /// When it was recorded.
+    pub time: Timestamp,
+    /// The serialised message.
+    pub body: Vec<u8>,
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,162 @@
+//! A recording by its file: which format it has, and one reader and one writer for both.
+
+use std::fs::File;
+use std::io::{BufReader, BufWriter, Read, Seek, SeekFrom};
+use std::path::Path;
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+
+use super::{Channel, ChunkCompression, Encoding, Findings, RecordedMessage};
+use crate::model::Timestamp;
+use crate::ros::RosError;
+use crate::ros::bag::{self, BagReader, BagWriter};
+use crate::ros::mcap::{self, McapReader, McapWriter};
+
+/// Bytes read ahead.
+const BUFFER: usize = 256 * 1024;
+
+/// The formats.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RecordingFormat {
+    /// rosbag 2.0.
+    Bag,
+    /// MCAP.
+    Mcap,
+}
+
+impl RecordingFormat {
+    /// Its word.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Bag => "bag",
+            Self::Mcap => "mcap",
+        }
+    }
+
+    /// Whether chunks of this format may be compressed so.
+    pub fn takes(self, compression: ChunkCompression) -> bool {
+        match self {
+            Self::Bag => compression != ChunkCompression::Zstd,
+            Self::Mcap => compression != ChunkCompression::Bz2,
+        }
+    }
+
+    /// Whether messages of this encoding can be written in this format.
+    pub fn holds(self, encoding: Encoding) -> bool {
+        self == Self::Mcap || encoding == Encoding::Ros1
+    }
+}
+
+/// A recording that is being read, message by message in the order of the file.
+pub enum Recording {
+    /// A bag.
+    Bag(BagReader<BufReader<File>>),
+    /// MCAP.
+    Mcap(McapReader<BufReader<File>>),
+}
+
+impl Recording {
+    /// Opens a file of either format.
+    ///
+    /// # Errors
+    /// [`RosError::Recording`] where it cannot be read or is no recording.
+    pub fn open(path: &Path) -> Result<Self, RosError> {
+        let unreadable = |error: std::io::Error| RosError::recording(&format!("{}: {error}", path.display()));
+        let mut file = BufReader::with_capacity(BUFFER, File::open(path).map_err(unreadable)?);
+        let mut magic = Vec::new();
+        file.by_ref().take(16).read_to_end(&mut magic).map_err(unreadable)?;
+        file.seek(SeekFrom::Start(0)).map_err(unreadable)?;
+        if magic.starts_with(mcap::MAGIC) {
+            return McapReader::open(file).map(Self::Mcap);
+        }
+        if magic.starts_with(bag::MAGIC) {
+            return BagReader::open(file).map(Self::Bag);
+        }
+        let what =
+            if magic.starts_with(b"#ROSBAG V") { "a bag of another version than 2.0" } else { "no bag and no MCAP" };
+        Err(RosError::recording(&format!("{} is {what}", path.display())))
+    }
+
+    /// Which format it has.
+    pub fn format(&self) -> RecordingFormat {
+        match self {
+            Self::Bag(_) => RecordingFormat::Bag,
+            Self::Mcap(_) => RecordingFormat::Mcap,
+        }
+    }
+
+    /// The next message that can be read; `None` at the end. Damage is no error: see [`Self::findings`].
+    ///
+    /// # Errors
+    /// [`RosError::Recording`] where the file itself cannot be read.
+    pub fn next_message(&mut self) -> Result<Option<RecordedMessage>, RosError> {
+        match self {
+            Self::Bag(reader) => reader.next_message(),
+            Self::Mcap(reader) => reader.next_message(),
+        }
+    }
+
+    /// What was skipped so far.
+    pub fn findings(&self) -> &Findings {
+        match self {
+            Self::Bag(reader) => reader.findings(),
+            Self::Mcap(reader) => reader.findings(),
+        }
+    }
+
+    /// Bytes of the file that were read so far, and all of them.
+    pub fn progress(&self) -> (u64, u64) {
+        match self {
+            Self::Bag(reader) => reader.progress(),
+            Self::Mcap(reader) => reader.progress(),
+        }
+    }
+}
+
+/// A recording that is being written.
+pub enum RecordingWriter {
+    /// A bag.
+    Bag(Box<BagWriter<BufWriter<File>>>),
+    /// MCAP.
+    Mcap(Box<McapWriter<BufWriter<File>>>),
+}
+
+impl RecordingWriter {
+    /// Begins a recording in an empty file.
+    ///
+    /// # Errors
+    /// [`RosError::Recording`] where it cannot be written.
+    pub fn begin(format: RecordingFormat, compression: ChunkCompression, file: File) -> Result<Self, RosError> {
+        let out = BufWriter::with_capacity(BUFFER, file);
+        Ok(match format {
+            RecordingFormat::Bag => Self::Bag(Box::new(BagWriter::begin(out, compression)?)),
+            RecordingFormat::Mcap => Self::Mcap(Box::new(McapWriter::begin(out, compression)?)),
+        })
+    }
+
+    /// Writes one message.
+    ///
+    /// # Errors
+    /// [`RosError::Recording`] where it cannot be written, or the format cannot hold it.
+    pub fn write(&mut self, channel: &Arc<Channel>, time: Timestamp, body: &[u8]) -> Result<(), RosError> {
+        match self {
+            Self::Bag(writer) => writer.write(channel, time, body),
+            Self::Mcap(writer) => writer.write(channel, time, body),
+        }
+    }
+
+    /// Writes the index; the file is then on the disk.
+    ///
+    /// # Errors
+    /// [`RosError::Recording`] where it cannot be written.
+    pub fn finish(self) -> Result<(), RosError> {
+        let out = match self {
+            Self::Bag(writer) => writer.finish()?,
+            Self::Mcap(writer) => writer.finish()?,
+        };
+        let file = out.into_inner().map_err(|error| RosError::unwritable(error.error()))?;
+        file.sync_all().map_err(|error| RosError::unwritable(&error))
+    }
+}

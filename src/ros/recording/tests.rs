@@ -1,0 +1,261 @@
+//! What both formats promise: what was written is read, damage is skipped and told, nothing panics.
+
+use std::io::Cursor;
+use std::sync::Arc;
+
+use proptest::prelude::*;
+
+use super::*;
+use crate::ros::RosError;
+use crate::ros::bag::{BagReader, BagWriter};
+use crate::ros::mcap::{McapReader, McapWriter};
+
+const DEFINITION: &str = "uint32 data\n";
+
+fn channel(topic: &str, caller_id: &str) -> Arc<Channel> {
+    Arc::new(Channel {
+        topic: topic.into(),
+        type_name: "std_msgs/UInt32".into(),
+        md5sum: "304a39449588c7f8ce2df6e8001c5fce".into(),
+        definition: DEFINITION.into(),
+        caller_id: caller_id.into(),
+        latching: caller_id.len() % 2 == 1,
+        encoding: Encoding::Ros1,
+    })
+}
+
+fn message(channel: &Arc<Channel>, time: u64, body: &[u8]) -> RecordedMessage {
+    RecordedMessage { channel: Arc::clone(channel), time: Timestamp(time), body: body.to_vec() }
+}
+
+fn write(format: RecordingFormat, compression: ChunkCompression, messages: &[RecordedMessage]) -> Vec<u8> {
+    let out = Cursor::new(Vec::new());
+    let each = |write: &mut dyn FnMut(&RecordedMessage) -> Result<(), RosError>| {
+        messages.iter().for_each(|message| write(message).expect("written"));
+    };
+    match format {
+        RecordingFormat::Bag => {
+            let mut writer = BagWriter::begin(out, compression).expect("begun");
+            each(&mut |message| writer.write(&message.channel, message.time, &message.body));
+            writer.finish().expect("finished").into_inner()
+        }
+        RecordingFormat::Mcap => {
+            let mut writer = McapWriter::begin(out, compression).expect("begun");
+            each(&mut |message| writer.write(&message.channel, message.time, &message.body));
+            writer.finish().expect("finished").into_inner()
+        }
+    }
+}
+
+fn read(format: RecordingFormat, bytes: &[u8]) -> Result<(Vec<RecordedMessage>, Findings), RosError> {
+    let mut messages = Vec::new();
+    let file = Cursor::new(bytes);
+    match format {
+        RecordingFormat::Bag => {
+            let mut reader = BagReader::open(file)?;
+            while let Some(message) = reader.next_message()? {
+                messages.push(message);
+            }
+            Ok((messages, reader.findings().clone()))
+        }
+        RecordingFormat::Mcap => {
+            let mut reader = McapReader::open(file)?;
+            while let Some(message) = reader.next_message()? {
+                messages.push(message);
+            }
+            Ok((messages, reader.findings().clone()))
+        }
+    }
+}
+
+const WAYS: [(RecordingFormat, ChunkCompression); 6] = [
+    (RecordingFormat::Bag, ChunkCompression::None),
+    (RecordingFormat::Bag, ChunkCompression::Bz2),
+    (RecordingFormat::Bag, ChunkCompression::Lz4),
+    (RecordingFormat::Mcap, ChunkCompression::None),
+    (RecordingFormat::Mcap, ChunkCompression::Lz4),
+    (RecordingFormat::Mcap, ChunkCompression::Zstd),
+];
+
+/// Three chunks and a bit, of two publishers.
+fn several_chunks() -> Vec<RecordedMessage> {
+    let (odometry, picture) = (channel("/odom", "/base"), channel("/camera", "/lens"));
+    let large: Vec<u8> = (0..300_000_u32).map(|index| u8::try_from(index * index % 251).expect("a byte")).collect();
+    let mut messages = Vec::new();
+    for number in 0..10_u8 {
+        messages.push(message(&odometry, 1_000_000_007 + u64::from(number) * 50, &[number; 4]));
+        messages.push(message(&picture, 1_000_000_011 + u64::from(number) * 50, &[&[number], &large[..]].concat()));
+    }
+    messages
+}
+
+#[test]
+fn what_is_written_is_read_in_every_way() {
+    let messages = several_chunks();
+    for (format, compression) in WAYS {
+        let bytes = write(format, compression, &messages);
+        let (found, findings) = read(format, &bytes).expect("read");
+        assert!(found == messages && findings.is_whole(), "{format:?} {compression} {findings:?}");
+    }
+    for (format, compression) in WAYS {
+        assert_eq!(read(format, &write(format, compression, &[])).expect("empty").0, []);
+    }
+}
+
+#[test]
+fn a_bag_without_index_is_read_whole() {
+    let messages = several_chunks();
+    for (format, compression) in WAYS {
+        let bytes = write(format, compression, &messages);
+        // The end of the last chunk's indexes: what follows is the summary.
+        let (found, findings) = read(format, &bytes[..bytes.len() - 300]).expect("read");
+        assert!(found == messages, "{format:?} {compression} {findings:?}");
+    }
+    let mut bytes = write(RecordingFormat::Bag, ChunkCompression::Lz4, &messages);
+    let place = bytes.windows(10).position(|at| at == b"index_pos=").expect("a header") + 10;
+    bytes[place..place + 8].fill(0);
+    assert!(read(RecordingFormat::Bag, &bytes).expect("read").0 == messages);
+}
+
+#[test]
+fn a_damaged_chunk_is_skipped_and_told_and_the_others_are_read() {
+    let messages = several_chunks();
+    for (format, compression) in WAYS {
+        let good = write(format, compression, &messages);
+        let mut bytes = good.clone();
+        let middle = bytes.len() / 2;
+        bytes[middle] ^= 0x10;
+        let (found, findings) = read(format, &bytes).expect("read");
+        if (format, compression) == (RecordingFormat::Bag, ChunkCompression::None) {
+            // Nothing in the format tells of it: there is no checksum.
+            assert_eq!(found.len(), messages.len());
+            continue;
+        }
+        assert_eq!(findings.damages.len(), 1, "{format:?} {compression} {findings:?}");
+        assert!(found.len() >= 10 && found.len() < messages.len(), "{format:?} {compression}: {}", found.len());
+        assert!(found.iter().all(|message| messages.contains(message)), "what is given out was written");
+    }
+}
+
+#[test]
+fn a_wrong_length_is_gone_around() {
+    let messages = several_chunks();
+    for compression in [ChunkCompression::None, ChunkCompression::Bz2, ChunkCompression::Lz4] {
+        let mut bytes = write(RecordingFormat::Bag, compression, &messages);
+        // The first chunk begins behind the padded header; its data's length is claimed 1 GiB longer.
+        let size = bytes.windows(5).position(|at| at == b"size=").expect("a chunk") + 5;
+        bytes[size + 7] ^= 0x40;
+        let (found, findings) = read(RecordingFormat::Bag, &bytes).expect("read");
+        assert_eq!(findings.damages.len(), 1, "{findings:?}");
+        assert!(found.len() >= 10 && found.iter().all(|message| messages.contains(message)), "{}", found.len());
+    }
+}
+
+#[test]
+fn the_recording_of_a_killed_recorder_is_read_to_its_end() {
+    let messages = several_chunks();
+    for compression in [ChunkCompression::None, ChunkCompression::Bz2, ChunkCompression::Lz4] {
+        let mut bytes = write(RecordingFormat::Bag, compression, &messages[..4]);
+        let size = bytes.windows(5).position(|at| at == b"size=").expect("a chunk") + 5;
+        // Neither length of the only chunk was written yet, and no index.
+        let end = size
+            + 8
+            + usize::try_from(u32::from_le_bytes(bytes[size + 4..size + 8].try_into().expect("4"))).expect("usize");
+        bytes.truncate(end);
+        bytes[size..size + 8].fill(0);
+        let (found, _) = read(RecordingFormat::Bag, &bytes).expect("read");
+        assert!(found == messages[..4], "{compression}: {}", found.len());
+    }
+}
+
+#[test]
+fn cut_off_anywhere_the_beginning_is_read() {
+    let channel = channel("/odom", "/base");
+    let messages: Vec<_> = (0..20_u8).map(|number| message(&channel, u64::from(number), &[number; 30])).collect();
+    for (format, compression) in WAYS {
+        let bytes = write(format, compression, &messages);
+        // The first 4 KiB of a bag are padding.
+        for length in (0..bytes.len()).filter(|length| length % 64 == 0 || *length > 4000) {
+            let Ok((found, _)) = read(format, &bytes[..length]) else { continue };
+            assert!(found == messages[..found.len()], "{format:?} {compression} cut at {length}");
+        }
+    }
+}
+
+#[test]
+fn no_flipped_byte_is_taken_for_another_message_where_there_is_a_checksum() {
+    let channel = channel("/odom", "/base");
+    let messages: Vec<_> = (0..20_u8).map(|number| message(&channel, u64::from(number), &[number; 30])).collect();
+    for (format, compression) in WAYS {
+        let good = write(format, compression, &messages);
+        for place in (0..good.len()).filter(|place| place % 64 == 0 || *place < 100 || *place > 4000) {
+            let mut bytes = good.clone();
+            bytes[place] ^= 0x55;
+            let Ok((found, _)) = read(format, &bytes) else { continue };
+            let same = |message: &RecordedMessage| {
+                messages.iter().any(|known| known.body == message.body && known.time == message.time)
+            };
+            let unguarded = (format, compression) == (RecordingFormat::Bag, ChunkCompression::None);
+            assert!(unguarded || found.iter().all(same), "{format:?} {compression} flipped at {place}");
+        }
+    }
+}
+
+#[test]
+fn lies_about_lengths_cost_no_memory() {
+    // A chunk that claims 4 GiB, one that unpacks to more than it says, a connection of 4 GiB.
+    let mut bag = write(RecordingFormat::Bag, ChunkCompression::Lz4, &several_chunks());
+    let size = bag.windows(5).position(|at| at == b"size=").expect("a chunk") + 5;
+    bag[size..size + 4].copy_from_slice(&u32::MAX.to_le_bytes());
+    assert_eq!(read(RecordingFormat::Bag, &bag).expect("read").1.damages.len(), 1);
+    bag[size..size + 4].copy_from_slice(&10_u32.to_le_bytes());
+    assert_eq!(read(RecordingFormat::Bag, &bag).expect("read").1.damages.len(), 1);
+}
+
+#[test]
+fn ros_2_is_kept_as_cdr_and_goes_into_no_bag() {
+    let cdr = Arc::new(Channel {
+        type_name: "std_msgs/msg/UInt32".into(),
+        md5sum: "*".into(),
+        encoding: Encoding::Cdr { idl: false },
+        ..(*channel("/count", "")).clone()
+    });
+    let messages = [message(&cdr, 5, &[0, 1, 0, 0, 7, 0, 0, 0])];
+    let bytes = write(RecordingFormat::Mcap, ChunkCompression::Zstd, &messages);
+    assert_eq!(read(RecordingFormat::Mcap, &bytes).expect("read").0, messages);
+    let mut bag = BagWriter::begin(Cursor::new(Vec::new()), ChunkCompression::None).expect("begun");
+    assert!(bag.write(&cdr, Timestamp(5), &[]).is_err());
+}
+
+fn any_messages() -> impl Strategy<Value = Vec<RecordedMessage>> {
+    let any_channel = ("/[a-z]{1,6}", "(/[a-z]{1,6})?").prop_map(|(topic, caller)| channel(&topic, &caller));
+    let channels = prop::collection::vec(any_channel, 1..4);
+    let times = 0..u64::from(u32::MAX) * 1_000_000_000;
+    let rest =
+        prop::collection::vec((any::<prop::sample::Index>(), times, prop::collection::vec(any::<u8>(), 0..300)), 0..40);
+    (channels, rest).prop_map(|(channels, rest)| {
+        rest.into_iter().map(|(index, time, body)| message(index.get(&channels), time, &body)).collect()
+    })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn reader_of_writer_is_the_same(messages in any_messages(), way in 0..WAYS.len()) {
+        let (format, compression) = WAYS[way];
+        let (found, findings) = read(format, &write(format, compression, &messages)).expect("read");
+        prop_assert_eq!(found, messages);
+        prop_assert!(findings.is_whole());
+    }
+
+    #[test]
+    fn noise_never_panics(noise in prop::collection::vec(any::<u8>(), 0..600), format in 0..2_u8) {
+        let (format, magic) = if format == 0 {
+            (RecordingFormat::Bag, &b"#ROSBAG V2.0\n"[..])
+        } else {
+            (RecordingFormat::Mcap, &b"\x89MCAP0\r\n"[..])
+        };
+        drop(read(format, &[magic, &noise].concat()));
+    }
+}

@@ -1,0 +1,67 @@
+//! What can be asked about recordings and about the rules for topics.
+
+use std::path::PathBuf;
+
+use serde::{Deserialize, Serialize};
+
+use crate::model::{Party, Timestamp, TopicPattern};
+use crate::ros::recording::{ChunkCompression, RecordingFormat};
+
+/// A recording to take in.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ImportWishes {
+    /// The file, absolute; read by the site, which is of the same user.
+    pub path: PathBuf,
+    /// Only topics of any of these patterns; empty = all.
+    pub topics: Vec<TopicPattern>,
+    /// Tags for the sealed heads.
+    pub tags: Vec<(String, String)>,
+    /// Take in once more what was taken in before.
+    pub again: bool,
+}
+
+/// A recording to write of records.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ExportWishes {
+    /// The file, absolute, which does not exist yet; written by the site, which is of the same user.
+    pub path: PathBuf,
+    /// In which format.
+    pub format: RecordingFormat,
+    /// How chunks are compressed.
+    pub compression: ChunkCompression,
+    /// Only records of this owner.
+    pub owner: Option<Party>,
+    /// Only topics of any of these patterns; empty = all.
+    pub topics: Vec<TopicPattern>,
+    /// Captured at or after.
+    pub since: Option<Timestamp>,
+    /// Captured before.
+    pub until: Option<Timestamp>,
+    /// Also records that are not confirmed on the chain.
+    pub unanchored: bool,
+}
+
+/// Commands about recordings.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RecordingCommand {
+    /// Seal the messages of a recording as records; answers when all are verified.
+    Import(ImportWishes),
+    /// Write records that this profile may read as a recording.
+    Export(ExportWishes),
+    /// How far the profile's imports and exports are.
+    Progress,
+}
+
+/// Commands about the rules for topics.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PolicyCommand {
+    /// The rule of each topic.
+    Show,
+    /// What each topic of the graph does over so many milliseconds.
+    Learn {
+        /// How long to look.
+        milliseconds: u64,
+    },
+}

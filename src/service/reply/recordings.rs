@@ -1,0 +1,156 @@
+//! What imports, exports and rules for topics answer.
+
+use serde::{Deserialize, Serialize};
+
+use crate::model::{Digest, TopicRule};
+use crate::ros::recording::{Damage, RecordingFormat};
+
+/// Figures of one topic of an import.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct ImportedTopic {
+    /// Topic, cleaned.
+    pub topic: String,
+    /// Messages sealed now.
+    pub imported: u64,
+    /// Of these verified.
+    pub verified: u64,
+    /// Messages that were taken in before.
+    pub already: u64,
+}
+
+/// What an import did.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct ImportView {
+    /// The file, cleaned.
+    pub file: String,
+    /// SM3 of the file.
+    pub digest: Option<Digest>,
+    /// Messages sealed now.
+    pub imported: u64,
+    /// Of these verified: re-read from the vault, digest equal to the chain, signature valid.
+    pub verified: u64,
+    /// Messages that an earlier import of the same file took in; they are not sealed twice.
+    pub already: u64,
+    /// Messages that were given up, their profile having no keys in force.
+    pub lost: u64,
+    /// Messages that cannot be used: of a channel that is described nowhere, without a usable name, or damaged.
+    pub skipped: u64,
+    /// What could not be read, and why.
+    pub damages: Vec<Damage>,
+    /// Further places of damage.
+    pub more_damages: u64,
+    /// Whether it was ended before the end of the file.
+    pub ended_early: bool,
+    /// Per topic.
+    pub topics: Vec<ImportedTopic>,
+}
+
+/// Figures of one topic of an export.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct ExportedTopic {
+    /// Topic, cleaned.
+    pub topic: String,
+    /// Type, cleaned.
+    #[serde(rename = "type")]
+    pub type_name: String,
+    /// Messages written.
+    pub messages: u64,
+}
+
+/// Records that were not written, by reason.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct Refused {
+    /// They differ from what was anchored, or their signature does not hold.
+    pub tampered: u64,
+    /// Their ciphertext is gone from the vault.
+    pub missing: u64,
+    /// Not confirmed on the chain.
+    pub unanchored: u64,
+    /// No key of this profile opens them.
+    pub no_key: u64,
+    /// Own ones in quarantine, or given up.
+    pub held: u64,
+    /// No readable record holds the definition of their type.
+    pub no_definition: u64,
+    /// The format cannot hold them (messages of ROS 2 in a bag).
+    pub unsuitable: u64,
+}
+
+/// What an export did.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ExportView {
+    /// The file, cleaned; `None` where nothing was to be written.
+    pub file: Option<String>,
+    /// Its format.
+    pub format: RecordingFormat,
+    /// Messages written.
+    pub messages: u64,
+    /// Bytes of their bodies.
+    pub bytes: u64,
+    /// Records not written.
+    pub refused: Refused,
+    /// Ids of those that are tampered with or missing; the first 100.
+    pub suspicious: Vec<String>,
+    /// Per topic.
+    pub topics: Vec<ExportedTopic>,
+}
+
+/// How far an import or export is.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ProgressView {
+    /// What it does: `hashing`, `importing`, `verifying`, `exporting`.
+    pub step: String,
+    /// The file, cleaned.
+    pub file: String,
+    /// Bytes (import) or records (export) done.
+    pub done: u64,
+    /// Of so many; 0 where it is not known.
+    pub of: u64,
+    /// Messages sealed or written.
+    pub messages: u64,
+}
+
+/// Answers about recordings.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RecordingReply {
+    /// To `Import`.
+    Imported(ImportView),
+    /// To `Export`.
+    Exported(ExportView),
+    /// To `Progress`.
+    Progress(Vec<ProgressView>),
+}
+
+/// The rule of one topic, and what the topic does.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PolicyRow {
+    /// Topic, cleaned.
+    pub topic: String,
+    /// Its type, cleaned, where known.
+    #[serde(rename = "type")]
+    pub type_name: Option<String>,
+    /// Whether this profile watches it.
+    pub watched: bool,
+    /// The rule in force.
+    pub rule: Option<TopicRule>,
+    /// Messages left out by it since the site began.
+    pub left_out: u64,
+    /// Messages a second.
+    pub hz: Option<f64>,
+    /// Bytes a second.
+    pub bytes_per_second: Option<f64>,
+    /// Bytes of the largest message seen.
+    pub largest: Option<u64>,
+}
+
+/// The rules for topics.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PolicyView {
+    /// Every topic of the graph and those watched.
+    pub topics: Vec<PolicyRow>,
+    /// Rules that no topic follows now.
+    pub idle: Vec<TopicRule>,
+    /// Whether the topics were looked at for a while.
+    pub learned: bool,
+}

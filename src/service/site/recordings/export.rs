@@ -1,0 +1,256 @@
+//! An export: what this profile may read, each record checked and verified before it is written.
+
+use std::collections::{BTreeMap, HashMap};
+use std::sync::Arc;
+
+use tokio::task::block_in_place;
+
+use super::writing::Draft;
+use super::{Run, Site};
+use crate::crypto::OpenedRecord;
+use crate::model::{Address, Digest, ErrorKind, RecordKind, Scope, Timestamp, TopicPattern, Verdict, clean};
+use crate::pipeline::reader::{Reader, is_held};
+use crate::pipeline::{Network, Owner, PipelineError, importer};
+use crate::ros::recording::{Channel, RecordingFormat, RecordingWriter};
+use crate::service::command::ExportWishes;
+use crate::service::failure::{input, internal};
+use crate::service::reply::{ExportView, ExportedTopic, Failure, Refused};
+use crate::store::{RecordQuery, RecordRow};
+
+/// Records asked of the ledger at a time.
+const PAGE: usize = 500;
+
+/// The most suspicious records that are named.
+const MOST_NAMED: usize = 100;
+
+/// The most definitions kept in memory.
+const MOST_DEFINITIONS: usize = 1024;
+
+/// An export under way.
+struct Export<'a> {
+    wishes: &'a ExportWishes,
+    writer: RecordingWriter,
+    channels: HashMap<Channel, Arc<Channel>>,
+    definitions: HashMap<(Address, Digest), Option<Arc<str>>>,
+    topics: BTreeMap<(String, String), u64>,
+    view: ExportView,
+}
+
+impl Site {
+    pub(super) async fn export_recording(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        wishes: ExportWishes,
+    ) -> Result<ExportView, Failure> {
+        if !wishes.format.takes(wishes.compression) {
+            let (format, compression) = (wishes.format.word(), wishes.compression);
+            return Err(input(format!(
+                "chunks of {format} are never compressed with {compression}; choose another one"
+            )));
+        }
+        let network = self.network().await?;
+        let scopes = self.readable_scopes(owner, &network, &wishes)?;
+        let file = clean(&wishes.path.display().to_string(), 300);
+        self.audit_first(owner, "export recording", &file).await?;
+        let running = self.begin_run(&owner.profile, &wishes.path, "exporting");
+        let written = self.write_recording(owner, &network, &scopes, &wishes, &running.run).await;
+        self.audit_end(owner, "export recording", &file, written).await
+    }
+
+    /// Whose records are asked for, and what of them.
+    fn readable_scopes(
+        &self,
+        owner: &Owner,
+        network: &Network,
+        wishes: &ExportWishes,
+    ) -> Result<HashMap<Address, Scope>, Failure> {
+        let (me, now) = (owner.address, Timestamp::now());
+        let wanted = wishes.owner.as_ref().map(|party| self.resolve(party)).transpose()?;
+        let is_wanted = |address: Address| wanted.is_none_or(|wanted| wanted == address);
+        let grants = network.directory.grants(|grant| grant.terms.grantee == me && grant.is_active(now));
+        let granted = grants.into_iter().map(|grant| (grant.terms.owner, grant.terms.scope));
+        let mut scopes: HashMap<Address, Scope> = granted.filter(|(address, _)| is_wanted(*address)).collect();
+        if is_wanted(me) {
+            scopes.insert(me, Scope::All);
+        }
+        if let (true, Some(other)) = (scopes.is_empty(), wanted) {
+            let what = "its records".to_owned();
+            return Err(PipelineError::NotGranted { owner: other, reader: me, what }.into());
+        }
+        Ok(scopes)
+    }
+
+    async fn write_recording(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        network: &Network,
+        scopes: &HashMap<Address, Scope>,
+        wishes: &ExportWishes,
+        run: &Run,
+    ) -> Result<ExportView, Failure> {
+        let reader = Reader { plant: &self.plant, network, reader: owner };
+        for address in scopes.keys() {
+            self.learn_names(&reader, *address).await?;
+        }
+        let mut query = RecordQuery {
+            owners: Some(scopes.keys().copied().collect()),
+            topic_ids: Some(self.readable_topics(scopes).await?),
+            kind: Some(RecordKind::Data),
+            since: wishes.since,
+            until: wishes.until,
+            limit: PAGE,
+            ..RecordQuery::default()
+        };
+        let (draft, file) = block_in_place(|| Draft::begin(&wishes.path))?;
+        let mut export = Export::begin(wishes, RecordingWriter::begin(wishes.format, wishes.compression, file)?);
+        let mut seen = 0;
+        loop {
+            let asked = query.clone();
+            let page = self.blocking(move |site| Ok(site.plant.ledger.list(&asked)?)).await?;
+            for row in &page.rows {
+                export.take(&reader, row).await?;
+                seen += 1;
+                run.at(seen, 0, export.view.messages);
+            }
+            if self.is_stopping() {
+                return Err(internal("the site ended before the recording was whole; repeat the command"));
+            }
+            match page.next {
+                Some(next) => query.after = Some(next),
+                None => break,
+            }
+        }
+        block_in_place(|| export.finish(draft))
+    }
+}
+
+impl<'a> Export<'a> {
+    fn begin(wishes: &'a ExportWishes, writer: RecordingWriter) -> Self {
+        let view = ExportView {
+            file: None,
+            format: wishes.format,
+            messages: 0,
+            bytes: 0,
+            refused: Refused::default(),
+            suspicious: Vec::new(),
+            topics: Vec::new(),
+        };
+        let (channels, definitions, topics) = (HashMap::new(), HashMap::new(), BTreeMap::new());
+        Self { wishes, writer, channels, definitions, topics, view }
+    }
+
+    fn is_wanted(&self, topic: &str) -> bool {
+        let patterns: &[TopicPattern] = &self.wishes.topics;
+        patterns.is_empty() || patterns.iter().any(|pattern| pattern.matches(topic))
+    }
+
+    /// Opens one record, and writes it where every check holds.
+    async fn take(&mut self, reader: &Reader<'_>, row: &RecordRow) -> Result<(), Failure> {
+        if row.is_named() && !self.is_wanted(&row.topic) {
+            return Ok(());
+        }
+        if is_held(row) {
+            self.view.refused.held += u64::from(row.owner == reader.reader.address);
+            return Ok(());
+        }
+        let opened = match reader.open(row).await {
+            Ok(opened) => opened,
+            Err(error) => return self.refuse(row, error),
+        };
+        if !self.is_wanted(&opened.head.topic) {
+            return Ok(());
+        }
+        if opened.verdict != Verdict::Verified && !(self.wishes.unanchored && opened.verdict == Verdict::Unanchored) {
+            self.view.refused.unanchored += 1;
+            return Ok(());
+        }
+        let encoding = importer::encoding(&opened.head.tags);
+        if !self.wishes.format.holds(encoding) || !fits(self.wishes.format, row) {
+            self.view.refused.unsuitable += 1;
+            return Ok(());
+        }
+        let Some(definition) = self.definition(reader, row, &opened).await? else {
+            self.view.refused.no_definition += 1;
+            return Ok(());
+        };
+        let head = &opened.head;
+        let channel = self.channel(Channel {
+            topic: head.topic.as_str().into(),
+            type_name: head.type_name.as_str().into(),
+            md5sum: head.md5sum.as_str().into(),
+            definition,
+            caller_id: head.caller_id.as_str().into(),
+            latching: head.tags.contains_key(importer::LATCHING),
+            encoding,
+        });
+        block_in_place(|| self.writer.write(&channel, row.captured_at, &opened.body))?;
+        self.view.messages += 1;
+        self.view.bytes += opened.body.len() as u64;
+        *self.topics.entry((head.topic.clone(), head.type_name.clone())).or_default() += 1;
+        Ok(())
+    }
+
+    fn channel(&mut self, channel: Channel) -> Arc<Channel> {
+        let shared = Arc::new(channel.clone());
+        Arc::clone(self.channels.entry(channel).or_insert(shared))
+    }
+
+    /// A record that does not open is counted by why; what is no fault of the record ends the export.
+    fn refuse(&mut self, row: &RecordRow, error: PipelineError) -> Result<(), Failure> {
+        match (&error, error.kind()) {
+            (PipelineError::Missing(_), _) => self.view.refused.missing += 1,
+            (_, ErrorKind::Tampered) => self.view.refused.tampered += 1,
+            (_, ErrorKind::Refused) => {
+                self.view.refused.no_key += 1;
+                return Ok(());
+            }
+            _ => return Err(error.into()),
+        }
+        if self.view.suspicious.len() < MOST_NAMED {
+            self.view.suspicious.push(row.id.clone());
+        }
+        Ok(())
+    }
+
+    async fn definition(
+        &mut self,
+        reader: &Reader<'_>,
+        row: &RecordRow,
+        opened: &OpenedRecord,
+    ) -> Result<Option<Arc<str>>, Failure> {
+        let key = (row.owner, opened.head.definition);
+        if let Some(known) = self.definitions.get(&key) {
+            return Ok(known.clone());
+        }
+        let text: Option<Arc<str>> = reader.definition_text(row, opened).await?.map(Arc::from);
+        if self.definitions.len() >= MOST_DEFINITIONS {
+            self.definitions.clear();
+        }
+        // Another epoch's record may hold what is not readable in this one, so only what was found is kept.
+        if text.is_some() {
+            self.definitions.insert(key, text.clone());
+        }
+        Ok(text)
+    }
+
+    fn finish(mut self, draft: Draft) -> Result<ExportView, Failure> {
+        let topic = |((topic, type_name), messages): ((String, String), u64)| ExportedTopic {
+            topic: clean(&topic, 255),
+            type_name: clean(&type_name, 255),
+            messages,
+        };
+        self.view.topics = std::mem::take(&mut self.topics).into_iter().map(topic).collect();
+        if self.view.messages == 0 {
+            return Ok(self.view);
+        }
+        self.writer.finish()?;
+        draft.place()?;
+        self.view.file = Some(clean(&self.wishes.path.display().to_string(), 300));
+        Ok(self.view)
+    }
+}
+
+/// Whether the format has room for the record's time.
+fn fits(format: RecordingFormat, row: &RecordRow) -> bool {
+    format == RecordingFormat::Mcap || row.captured_at.seconds() <= u64::from(u32::MAX)
+}

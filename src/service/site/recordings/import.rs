@@ -1,0 +1,238 @@
+//! An import: every message of a recording sealed as a record with its own time.
+//!
+//! The file is known by its SM3. Which of its topics were begun and which are whole lies in the ledger, so that a second
+//! import of the file seals nothing twice, and one that was cut goes on where it was.
+
+use std::collections::{BTreeMap, HashMap};
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+use std::sync::{Arc, PoisonError};
+
+use serde::{Deserialize, Serialize};
+
+use super::{Run, Site};
+use crate::crypto::Sm3Hasher;
+use crate::model::{Address, Digest, ErrorKind, RecordKind, Timestamp, TopicPattern, clean};
+use crate::pipeline::importer::{Importer, fault};
+use crate::pipeline::{CaptureSession, Owner};
+use crate::ros::recording::{RecordedMessage, Recording};
+use crate::service::command::ImportWishes;
+use crate::service::event::NoticeLevel;
+use crate::service::failure::input;
+use crate::service::reply::{Failure, ImportView, ImportedTopic};
+use crate::store::RecordQuery;
+
+/// Tags that a person may give: with the importer's own they stay far below what a head takes.
+const MOST_TAGS: usize = 24;
+
+/// The tag that names the file by the beginning of its digest.
+const RECORDING: &str = "recording";
+
+/// How far a topic of a file is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum Standing {
+    /// Some messages may be sealed.
+    Begun,
+    /// All messages are sealed.
+    Whole,
+}
+
+type Standings = BTreeMap<String, Standing>;
+
+/// What reading the file came to.
+struct ReadOut {
+    view: ImportView,
+    sessions: Vec<Arc<CaptureSession>>,
+    standings: Standings,
+}
+
+/// Topic, time and length of messages met on topics that were begun before, and how many there were.
+type Met = HashMap<(String, Timestamp, usize), u64>;
+
+impl Site {
+    pub(super) async fn import_recording(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        wishes: ImportWishes,
+    ) -> Result<ImportView, Failure> {
+        if wishes.tags.len() > MOST_TAGS {
+            return Err(input(format!("more than {MOST_TAGS} tags are too many for an import")));
+        }
+        if owner.sealing().is_none() {
+            self.register(owner).await?;
+        }
+        let file = clean(&wishes.path.display().to_string(), 300);
+        self.audit_first(owner, "import recording", &file).await?;
+        let running = self.begin_run(&owner.profile, &wishes.path, "hashing");
+        // Ends the import as a capture is ended: by the same command.
+        let control = Arc::new(CaptureSession::new(&[], None, Vec::new()));
+        let control_of = (owner.profile.clone(), Arc::clone(&control));
+        self.captures.lock().unwrap_or_else(PoisonError::into_inner).push(control_of);
+        let (run, author) = (Arc::clone(&running.run), Arc::clone(owner));
+        let (stop, again) = (Arc::clone(&control), wishes.again);
+        let read = self.blocking(move |site| site.read_recording(&author, &wishes, &run, &stop)).await;
+        let imported = self.audit_end(owner, "import recording", &file, read).await;
+        let ended = match imported {
+            Ok(read) => self.settle_import(owner, read, &running.run, again).await,
+            Err(failure) => Err(failure),
+        };
+        let mut captures = self.captures.lock().unwrap_or_else(PoisonError::into_inner);
+        captures.retain(|(_, other)| !Arc::ptr_eq(other, &control));
+        ended
+    }
+
+    /// Waits until what was sealed is verified; the topics are then whole.
+    async fn settle_import(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        read: ReadOut,
+        run: &Run,
+        again: bool,
+    ) -> Result<ImportView, Failure> {
+        let ReadOut { mut view, sessions, mut standings } = read;
+        run.step("verifying");
+        let mut topics: BTreeMap<String, ImportedTopic> =
+            std::mem::take(&mut view.topics).into_iter().map(|topic| (topic.topic.clone(), topic)).collect();
+        for session in sessions {
+            session.settled().await;
+            for figures in session.figures() {
+                let topic = topics.entry(figures.topic.clone()).or_default();
+                topic.topic = figures.topic;
+                topic.imported += figures.captured;
+                topic.verified += figures.verified;
+                view.lost += figures.lost;
+            }
+        }
+        view.topics = topics.into_values().collect();
+        view.imported = view.topics.iter().map(|topic| topic.imported).sum();
+        view.verified = view.topics.iter().map(|topic| topic.verified).sum();
+        if let Some(digest) = view.digest.filter(|_| !view.ended_early && view.lost == 0 && !again) {
+            standings.values_mut().for_each(|standing| *standing = Standing::Whole);
+            let address = owner.address;
+            self.blocking(move |site| site.put_standings(address, digest, &standings)).await?;
+        }
+        let text = format!("{}: {} messages imported, {} there before", view.file, view.imported, view.already);
+        self.hub.notice(NoticeLevel::Info, &text);
+        Ok(view)
+    }
+
+    fn standings(&self, owner: Address, digest: Digest) -> Result<Standings, Failure> {
+        let text = self.plant.ledger.setting(&key(owner, digest))?;
+        Ok(text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default())
+    }
+
+    fn put_standings(&self, owner: Address, digest: Digest, standings: &Standings) -> Result<(), Failure> {
+        let text = serde_json::to_string(standings).unwrap_or_default();
+        Ok(self.plant.ledger.put_setting(&key(owner, digest), &text)?)
+    }
+
+    /// Reads the file to its end and gives every message that is wanted to the sealer.
+    fn read_recording(
+        &self,
+        owner: &Arc<Owner>,
+        wishes: &ImportWishes,
+        run: &Run,
+        control: &CaptureSession,
+    ) -> Result<ReadOut, Failure> {
+        let mut recording = Recording::open(&wishes.path)?;
+        let goes_on = || !control.is_closed() && !self.is_stopping();
+        let digest = digest_of(&wishes.path, run, &goes_on)?;
+        let mut standings = if wishes.again { Standings::new() } else { self.standings(owner.address, digest)? };
+        let before = standings.clone();
+        let mut tags = wishes.tags.clone();
+        tags.push((RECORDING.to_owned(), digest.to_hex().chars().take(16).collect()));
+        run.step("importing");
+        let mut importer = Importer::new(&self.rings, Arc::clone(&owner.author), &self.config.topic_rules, tags);
+        let (mut view, mut already, mut met) = (ImportView::default(), BTreeMap::<String, u64>::new(), Met::new());
+        while let Some(message) = recording.next_message()? {
+            let topic = &message.channel.topic;
+            if !is_wanted(&wishes.topics, topic) {
+                continue;
+            }
+            if fault(&message.channel).is_some() {
+                view.skipped += 1;
+                continue;
+            }
+            let known = match before.get(&**topic) {
+                Some(Standing::Whole) => true,
+                Some(Standing::Begun) => self.is_sealed(owner.address, &message, &mut met)?,
+                None => false,
+            };
+            if known {
+                *already.entry(topic.to_string()).or_default() += 1;
+                continue;
+            }
+            if !standings.contains_key(&**topic) {
+                standings.insert(topic.to_string(), Standing::Begun);
+                if !wishes.again {
+                    self.put_standings(owner.address, digest, &standings)?;
+                }
+            }
+            if !importer.take(message, &goes_on) {
+                view.ended_early = true;
+                break;
+            }
+            let (done, of) = recording.progress();
+            run.at(done, of, importer.offered());
+        }
+        let findings = recording.findings();
+        view.file = clean(&wishes.path.display().to_string(), 300);
+        view.digest = Some(digest);
+        view.skipped += findings.messages_skipped;
+        view.damages.clone_from(&findings.damages);
+        view.more_damages = findings.more_damages;
+        view.already = already.values().sum();
+        let topic = |(topic, already)| ImportedTopic { topic, already, ..ImportedTopic::default() };
+        view.topics = already.into_iter().map(topic).collect();
+        Ok(ReadOut { view, sessions: importer.finish(), standings })
+    }
+
+    /// Whether a message of an import that was cut is sealed already: as many of its topic, time and length are there
+    /// as were met.
+    fn is_sealed(&self, owner: Address, message: &RecordedMessage, met: &mut Met) -> Result<bool, Failure> {
+        let query = RecordQuery {
+            owner: Some(owner),
+            topic: Some(message.channel.topic.to_string()),
+            kind: Some(RecordKind::Data),
+            since: Some(message.time),
+            until: Some(Timestamp(message.time.0.saturating_add(1))),
+            limit: 1000,
+            ..RecordQuery::default()
+        };
+        let rows = self.plant.ledger.list(&query)?.rows;
+        let there = rows.iter().filter(|row| row.bytes == message.body.len() as u64).count() as u64;
+        let seen = met.entry((message.channel.topic.to_string(), message.time, message.body.len())).or_default();
+        *seen += 1;
+        Ok(there >= *seen)
+    }
+}
+
+fn key(owner: Address, digest: Digest) -> String {
+    format!("import:{owner}:{digest}")
+}
+
+fn is_wanted(patterns: &[TopicPattern], topic: &str) -> bool {
+    patterns.is_empty() || patterns.iter().any(|pattern| pattern.matches(topic))
+}
+
+fn digest_of(path: &Path, run: &Run, goes_on: &dyn Fn() -> bool) -> Result<Digest, Failure> {
+    let unreadable = |error: std::io::Error| input(format!("{} cannot be read: {error}", path.display()));
+    let mut file = File::open(path).map_err(unreadable)?;
+    let of = file.metadata().map_err(unreadable)?.len();
+    let (mut hasher, mut buffer, mut done) = (Sm3Hasher::new(), vec![0; 256 * 1024], 0);
+    loop {
+        let read = file.read(&mut buffer).map_err(unreadable)?;
+        let bytes = buffer.get(..read).unwrap_or_default();
+        if bytes.is_empty() {
+            return Ok(Digest(hasher.finish()));
+        }
+        if !goes_on() {
+            return Err(Failure::new(ErrorKind::Incomplete, "ended before anything was imported; repeat the command"));
+        }
+        hasher.update(bytes);
+        done += read as u64;
+        run.at(done, of, 0);
+    }
+}

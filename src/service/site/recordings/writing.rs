@@ -1,0 +1,57 @@
+//! The file of an export: private, written beside its place, and put there only when it is whole.
+
+use std::fs::{File, OpenOptions};
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::{Path, PathBuf};
+
+use crate::crypto::random_bytes;
+use crate::model::bytes::hex;
+use crate::service::failure::input;
+use crate::service::reply::Failure;
+
+/// A file on its way; it is removed unless it is put in its place.
+pub(super) struct Draft {
+    target: PathBuf,
+    path: PathBuf,
+    placed: bool,
+}
+
+impl Draft {
+    /// A new file (0600) beside `target`, which must not exist.
+    pub fn begin(target: &Path) -> Result<(Self, File), Failure> {
+        let taken = || input(format!("{} exists; name a file that does not", target.display()));
+        if target.symlink_metadata().is_ok() {
+            return Err(taken());
+        }
+        let name = target.file_name().ok_or_else(|| input(format!("{} is no file", target.display())))?;
+        let part = format!(".{}.{}.part", name.to_string_lossy(), hex(&random_bytes::<4>()?));
+        let path = target.with_file_name(part);
+        let file = OpenOptions::new().write(true).read(true).create_new(true).mode(0o600).open(&path);
+        let file = file.map_err(|error| input(format!("{} cannot be written: {error}", path.display())))?;
+        Ok((Self { target: target.to_owned(), path, placed: false }, file))
+    }
+
+    /// Puts the file in its place; one that came to be there meanwhile is not replaced.
+    pub fn place(mut self) -> Result<(), Failure> {
+        let failed = |error: std::io::Error| input(format!("{} cannot be written: {error}", self.target.display()));
+        match std::fs::hard_link(&self.path, &self.target) {
+            Ok(()) => Ok(()),
+            // Not every file system has links.
+            Err(error) if error.kind() != std::io::ErrorKind::AlreadyExists => {
+                let moved = std::fs::rename(&self.path, &self.target).map_err(failed);
+                self.placed = moved.is_ok();
+                moved
+            }
+            Err(error) => Err(failed(error)),
+        }
+    }
+}
+
+impl Drop for Draft {
+    fn drop(&mut self) {
+        if !self.placed {
+            // Gone already is as good.
+            drop(std::fs::remove_file(&self.path));
+        }
+    }
+}
