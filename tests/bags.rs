@@ -93,7 +93,7 @@ fn bags_of_every_compression_come_back_as_they_were() {
     }
     let two = two_profiles();
     for compression in ["none", "bz2", "lz4"] {
-        let (bag, again) = (two.path(&format!("{compression}.bag")), two.path(&format!("again-{compression}.bag")));
+        let bag = two.path(&format!("{compression}.bag"));
         write_bag(&bag, compression, 60);
         let tag = format!("mission={compression}");
         let summary = two.alice.json_within(240, &["bag", "import", utf8(&bag), "--tag", &tag, "--again"]);
@@ -186,13 +186,13 @@ fn an_import_that_is_cut_goes_on_where_it_was() {
     let cut = two.alice.with(&["--json"]).spawn(&["bag", "import", utf8(&bag)]);
     let sealed = || two.alice.records(&["uploads", "list", "--topic", "/odom"]).len();
     wait_until(60, "the first messages are sealed", || (sealed() > 0).then_some(()));
+    let exported = two.path("exported.bag");
     two.site.stop("KILL", 60);
     cut.wait(60);
     let _site = two.home.authros().with(&["--robots", "0"]).serve(&two.home);
     let summary = import(&two.alice, &bag);
     let (imported, already) = (count(&summary, "imported"), count(&summary, "already"));
     assert_eq!(imported + already, 4200, "{summary}");
-    let exported = two.path("exported.bag");
     wait_until(120, "all is verified", || {
         let verified = two.alice.records(&["uploads", "list", "--state", "verified"]).len();
         (verified == 4200).then_some(())
