@@ -37,7 +37,7 @@ fn compared(home: &Home, made: &str) -> (u64, u64) {
         let body = unhex(&text(&record, "body")).expect("hex");
         definition.write_json(&body, &mut ours).expect("fits");
         ours.push(b'\n');
-        for end in (0..body.len()).step_by(body.len() / 40 + 1) {
+        for end in (0..body.len()).step_by(body.len() / 20 + 1) {
             assert!(definition.decode(&body[..end], Limits::default()).is_err(), "cut at {end}: {}", record["type"]);
             assert!(read(&definition, &body[..end]).is_none() && definition.matrix(&body[..end]).is_none());
         }

@@ -1,5 +1,5 @@
-//! Faults of everything around and inside the product: kills, failing disks, failing tasks, slow and absent peers, clocks.
-//! Whatever happens, nothing acknowledged is lost, nothing is anchored twice, and the conservation law holds.
+//! Faults around and inside the product: kills, failing disks, failing tasks, slow and absent peers, clocks. Whatever
+//! happens, nothing acknowledged is lost, nothing is anchored twice, and the conservation law holds.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 #[path = "../support/mod.rs"]

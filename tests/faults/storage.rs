@@ -181,10 +181,11 @@ fn check(place: &Path, operations: usize, done: usize, what: &str) {
     store.ledger.close().expect("closes");
 }
 
-/// Where the fault falls: at `every` place in the long form, else at the first writes, which make the files, and then at
-/// a stride.
-fn points(total: usize, few: usize, every: usize) -> Vec<usize> {
+/// Where the fault falls: at every tenth write in the long form, at every one with `AUTHROS_LONG=all` (hours), else at
+/// the first writes, which make the files, and then at a stride.
+fn points(total: usize, few: usize) -> Vec<usize> {
     if long() {
+        let every = if std::env::var("AUTHROS_LONG").is_ok_and(|word| word == "all") { 1 } else { 10 };
         return (1..=total).step_by(every).collect();
     }
     let step = (total / few).max(1);
@@ -192,10 +193,10 @@ fn points(total: usize, few: usize, every: usize) -> Vec<usize> {
     opening.chain((25..=total).step_by(step)).collect()
 }
 
-fn every_point(mode: Mode, few: usize, every: usize) {
+fn every_point(mode: Mode, few: usize) {
     let Some(shim) = Shim::compile() else { skipped!("no C compiler") };
     let total = shim.count(OPERATIONS);
-    let points = points(total, few, every);
+    let points = points(total, few);
     let (next, least) = (AtomicUsize::new(0), Mutex::new(usize::MAX));
     let workers = if long() { 2 } else { 1 };
     std::thread::scope(|scope| {
@@ -214,20 +215,20 @@ fn every_point(mode: Mode, few: usize, every: usize) {
 
 #[test]
 fn a_write_or_sync_that_fails_once_loses_nothing() {
-    every_point(Mode::Fail, 10, 1);
+    every_point(Mode::Fail, 10);
 }
 
 #[test]
 fn a_disk_that_dies_at_a_write_or_sync_keeps_what_was_acknowledged() {
-    every_point(Mode::Dead, 5, 10);
+    every_point(Mode::Dead, 5);
 }
 
 #[test]
 fn a_disk_that_hangs_at_a_write_or_sync_keeps_what_was_acknowledged() {
-    every_point(Mode::Freeze, 10, 1);
+    every_point(Mode::Freeze, 10);
 }
 
 #[test]
 fn a_write_that_is_torn_is_never_taken_for_whole() {
-    every_point(Mode::Torn, 5, 10);
+    every_point(Mode::Torn, 5);
 }

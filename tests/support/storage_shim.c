@@ -1,7 +1,8 @@
 /* Between a program and its files: counts what it writes and syncs below the directory SHIM_DIR, and at number SHIM_AT
  * refuses (SHIM_MODE=fail, from there on always with SHIM_MODE=dead), hangs for ever (freeze), or hangs after half of
- * the bytes (torn); SHIM_MODE=often refuses each SHIM_AT-th one for as long as the file SHIM_SWITCH exists. The file descriptor SHIM_TELL hears of a hang; SHIM_COUNT names the file for the count at the end.
- * Preloaded by tests/storage_faults.rs, which compiles it. */
+ * the bytes (torn); SHIM_MODE=often refuses each SHIM_AT-th one for as long as the file SHIM_SWITCH exists. The file
+ * descriptor SHIM_TELL hears of a hang; SHIM_COUNT names the file for the count at the end.
+ * Preloaded by tests/faults, which compile it. */
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <errno.h>
