@@ -107,7 +107,7 @@ fn a_grant_reaches_a_second_console_that_opens_a_record_and_a_revoke_ends_it() {
     bob.presses("4").sees(ODOMETRY).presses("b").sees("everything").presses("\u{1b}[B\r").sees("of 0x");
     bob.presses("/").presses(" tag:mission=elsewhere\r").no_longer_sees(ODOMETRY);
     bob.presses("\u{1b}").sees(ODOMETRY).presses("/tag:mission=harbour type:nav_msgs/Odometry\r").sees("tag mission");
-    bob.presses("\r").sees("equal to the chain's digest").sees("pose").presses("q");
+    bob.presses("\r").sees("equal to the chain's digest").sees("nav_msgs/Odometry").presses("q");
 
     alice.presses("x").sees("cannot be recalled").presses("x").no_longer_sees("cannot be recalled");
     alice.presses("x").sees("cannot be recalled").presses("y").sees("0 can read new records now");

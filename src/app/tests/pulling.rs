@@ -73,5 +73,7 @@ fn nothing_is_due_when_nothing_happens() {
     robot.types("3y");
     assert!(robot.state.deadline().is_some(), "a toast goes by itself");
     robot.waits(3);
+    // The topics' ages go on by themselves, there alone.
+    robot.types("1");
     assert_eq!(robot.state.deadline(), None);
 }
