@@ -21,6 +21,7 @@ struct Two {
     home: Home,
     site: Running,
     alice: Authros,
+    alice_address: String,
     bob: Authros,
     bob_address: String,
 }
@@ -29,9 +30,8 @@ fn two_profiles() -> Two {
     let home = Home::new();
     let site = home.authros().with(&["--robots", "0"]).serve(&home);
     let (alice, bob) = (home.profile("alice"), home.profile("bob"));
-    alice.enrol();
-    let bob_address = bob.enrol();
-    Two { home, site, alice, bob, bob_address }
+    let (alice_address, bob_address) = (alice.enrol(), bob.enrol());
+    Two { home, site, alice, alice_address, bob, bob_address }
 }
 
 impl Two {
@@ -142,8 +142,10 @@ fn damaged_bags_are_read_as_far_as_they_are_readable_and_nothing_twice() {
         (code, outcome.document())
     };
     let (code, summary) = damaged("flipped.bag", &|bytes| {
-        let middle = bytes.len() / 2;
-        bytes[middle] ^= 4;
+        // In the data of a chunk: between the chunks lie indexes, which nobody needs.
+        let chunks: Vec<usize> =
+            (0..bytes.len() - 15).filter(|at| bytes[*at..].starts_with(b"compression=lz4")).collect();
+        bytes[chunks[chunks.len() / 2] + 200] ^= 4;
     });
     assert_eq!((code, list(&summary, "damages").len()), (Some(INCOMPLETE), 1), "{summary}");
     assert!((100..630).contains(&count(&summary, "verified")), "{summary}");
@@ -207,7 +209,7 @@ fn what_was_tampered_with_or_is_not_shared_is_never_exported() {
     let recording = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus/mcap/foreign_lz4");
     let summary = import(&two.alice, &recording);
     assert_eq!((count(&summary, "imported"), count(&summary, "verified")), (12, 12), "{summary}");
-    two.bob.fails(5, &["shared", "export", "--mcap", utf8(&two.path("b.mcap")), "--owner", &two.alice.enrol()]);
+    two.bob.fails(5, &["shared", "export", "--mcap", utf8(&two.path("b.mcap")), "--owner", &two.alice_address]);
     let nothing = two.bob.with(&["--json"]).run(&["shared", "export", "--mcap", utf8(&two.path("b.mcap"))]);
     assert_eq!(count(&nothing.expect_code(INCOMPLETE).document(), "messages"), 0);
 
@@ -274,7 +276,7 @@ fn rules_thin_out_topics_and_say_so() {
     };
     let topics = alice.json(&["topics", "list"]);
     let (left_out, lost) = (count(&row(&topics), "left_out"), count(&row(&topics), "lost_in_recorder"));
-    assert!((27..=40).contains(&left_out) && lost == 0, "three of four, and not lost: {left_out}");
+    assert!((36..=200).contains(&left_out) && lost == 0, "three of four, and not lost: {left_out}");
     let sealed = alice.records(&["uploads", "list"]);
     let seqs: Vec<f64> = sealed
         .iter()

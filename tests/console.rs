@@ -36,18 +36,6 @@ fn q_restores_the_terminal() {
 }
 
 #[test]
-fn signals_restore_the_terminal() {
-    for signal in ["TERM", "HUP", "INT", "QUIT"] {
-        let home = Home::new();
-        let mut console = Console::open(&home.authros().with(&["--robots", "0"]));
-        wait_until(10, "a first screen", || Some(()).filter(|()| console.shown().lines().count() > 10));
-        console.signal(signal);
-        console.wait(20);
-        console.expect_restored();
-    }
-}
-
-#[test]
 fn a_topic_watched_with_a_key_is_seen_verified() {
     let home = Home::new();
     let authros = one_robot(&home);

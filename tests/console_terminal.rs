@@ -6,7 +6,8 @@ mod support;
 use std::io::{Read as _, Write as _};
 use std::net::{TcpListener, TcpStream};
 
-use authros::app::popup::{Lookup, Popup};
+use authros::app::opening::Opening;
+use authros::app::popup::Popup;
 use authros::app::{Screen, Settings, State};
 use authros::service::reply::{OpenedView, RecordView, TopicRow};
 use authros::term::colour::Depth;
@@ -299,8 +300,21 @@ fn opened(hostile: &mut Hostile) -> OpenedView {
     let fields = (0..30).map(|_| (hostile.text(), hostile.text())).collect();
     let tags = vec![(hostile.text(), hostile.text())];
     let verdict = authros::model::Verdict::Unanchored;
-    let caller_id = hostile.text();
-    OpenedView { record, verdict, caller_id, tags, fields, message: serde_json::Value::Null, body: None, picture: None }
+    OpenedView {
+        record,
+        verdict,
+        caller_id: hostile.text(),
+        tags,
+        compression: hostile.text(),
+        stored: 7,
+        fields,
+        message: serde_json::Value::Null,
+        readable: None,
+        beginning: hostile.text().into_bytes(),
+        body: None,
+        picture: None,
+        file: None,
+    }
 }
 
 #[test]
@@ -321,9 +335,9 @@ fn of_a_million_hostile_strings_no_control_byte_reaches_the_terminal() {
         assert_eq!(foreign(frame.as_bytes()), None);
         let view = opened(&mut hostile);
         strings += 30 * 2 + 7;
-        let mut lookup = Lookup::new(&hostile.text());
-        lookup.answer = Some(Ok(Box::new(view)));
-        scene.state.popups.push(Popup::Record(lookup));
+        let mut opening = Opening::new(&hostile.text());
+        opening.lookup.answer = Some(Ok(Box::new(view)));
+        scene.state.popups.push(Popup::Record(opening));
         scene.state.complain(hostile.text());
         let frame = painter.paint(&mut scene);
         assert!(!frame.is_empty());

@@ -37,7 +37,7 @@ fn compared(home: &Home, made: &str) -> (u64, u64) {
         let body = unhex(&text(&record, "body")).expect("hex");
         definition.write_json(&body, &mut ours).expect("fits");
         ours.push(b'\n');
-        for end in (0..body.len()).step_by(body.len() / 40 + 1) {
+        for end in (0..body.len()).step_by(body.len() / 20 + 1) {
             assert!(definition.decode(&body[..end], Limits::default()).is_err(), "cut at {end}: {}", record["type"]);
             assert!(read(&definition, &body[..end]).is_none() && definition.matrix(&body[..end]).is_none());
         }
@@ -302,16 +302,16 @@ fn bomb(width: u32, height: u32) -> Vec<u8> {
     let mut encoder = png::Encoder::new(&mut out, width, height);
     encoder.set_color(png::ColorType::Grayscale);
     encoder.set_depth(png::BitDepth::One);
-    let mut writer = encoder.write_header().expect("a header");
-    if height <= 10_000 {
-        let mut rows = writer.stream_writer().expect("a writer");
-        let row = vec![0; usize::try_from(width.div_ceil(8)).expect("fits")];
-        for _ in 0..height {
-            std::io::Write::write_all(&mut rows, &row).expect("written");
+    {
+        let mut writer = encoder.write_header().expect("a header");
+        if height <= 10_000 {
+            let mut rows = writer.stream_writer().expect("a writer");
+            let row = vec![0; usize::try_from(width.div_ceil(8)).expect("fits")];
+            for _ in 0..height {
+                std::io::Write::write_all(&mut rows, &row).expect("written");
+            }
+            rows.finish().expect("written");
         }
-        rows.finish().expect("written");
-    } else {
-        drop(writer);
     }
     out
 }

@@ -127,22 +127,6 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
             let command = parties::act(&verb)?.ok_or_else(super::connect::unexpected)?;
             Plan::new(CHAIN, Unlocked, command)
         }
-        Verb::Agent(_)
-        | Verb::Bag(_)
-        | Verb::Config(_)
-        | Verb::Capture(_)
-        | Verb::Serve
-        | Verb::Doctor
-        | Verb::Verify { .. }
-        | Verb::Backup { .. }
-        | Verb::Restore { .. }
-        | Verb::Gateway(_)
-        | Verb::Demo(_)
-        | Verb::Bench(_)
-        | Verb::Console(_)
-        | Verb::Completions { .. }
-        | Verb::Man => {
-            return Err(super::connect::unexpected());
-        }
+        _ => return Err(super::connect::unexpected()),
     })
 }

@@ -224,9 +224,9 @@ mod tests {
         assert!(
             RetentionRules::default().is_empty() && "/a=ever".parse::<RetentionRules>().expect("a rule").is_empty()
         );
-        for bad in ["/a", "=1d", "/a=", "/a=1", "/a=1d+2d", "/a=1d+2", "/a=x", "/a b=1d", "/a=-1d", "/a=99999w"] {
+        for bad in ["/a", "=1d", "/a=", "/a=1d+2d", "/a=x", "/a b=1d", "/a=-1d", "/a=99999w"] {
             let read = bad.parse::<RetentionRules>();
-            assert!(read.is_err() || bad == "/a=1", "{bad}: {read:?}");
+            assert!(read.is_err(), "{bad}: {read:?}");
         }
     }
 

@@ -103,6 +103,7 @@ impl Encoder {
         }
         let (row, column) = (to.y + 1, to.x + 1);
         let sequence = match self.pen {
+            Some(pen) if pen.y == to.y && pen.x + 1 == to.x => "\x1b[C".to_owned(),
             Some(pen) if pen.y == to.y && pen.x < to.x => format!("\x1b[{}C", to.x - pen.x),
             _ if column == 1 => format!("\x1b[{row}H"),
             _ => format!("\x1b[{row};{column}H"),

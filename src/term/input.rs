@@ -12,8 +12,11 @@ use zeroize::Zeroizing;
 use super::guard::THREAD_PREFIX;
 use crate::app::{Action, Key};
 
-/// How long the thread waits for a key before it looks whether it should end.
-const PATIENCE: Duration = Duration::from_millis(500);
+/// How long the thread waits for a key before it looks whether it should end. Each look costs CPU on an idle
+/// console, and nobody waits for this thread.
+const PATIENCE: Duration = Duration::from_secs(5);
+/// How long it rests where reading fails.
+const REST: Duration = Duration::from_millis(200);
 
 /// Gives what is typed to `typed` until `stop` is set.
 ///
@@ -29,7 +32,7 @@ pub fn start(stop: Arc<AtomicBool>, typed: impl Fn(Action) + Send + 'static) -> 
                     }
                 }
                 // The watchdog finds out whether the terminal is gone.
-                Err(_) => thread::sleep(PATIENCE),
+                Err(_) => thread::sleep(REST),
             }
         }
     };

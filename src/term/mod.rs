@@ -139,7 +139,7 @@ pub fn is_interactive() -> bool {
 /// Runs the console until it ends; the first frame is drawn before `client` is asked anything.
 ///
 /// It claims the profile itself (`OpenConsole`). The thread that reads keys may linger for
-/// half a second afterwards, and for good when the terminal is gone: the caller should end
+/// some seconds afterwards, and for good when the terminal is gone: the caller should end
 /// the process soon.
 ///
 /// # Errors

@@ -12,7 +12,7 @@ use crate::service::reply::{EpochView, IdentityView, KeysView};
 const LABEL: u16 = 12;
 
 /// What a locked keyring can and cannot do, for what is watched goes on all the same.
-const LOCKED: &str = "locked: u unlocks it; capture and anchoring go on with the keys they need";
+const LOCKED: &str = "locked (u unlocks it); capture and anchoring go on";
 
 /// Draws a label and its value.
 pub fn line(canvas: &mut Canvas, area: Rect, label: &str, value: &str, role: Role) {
@@ -46,15 +46,16 @@ fn draw_identity(canvas: &mut Canvas, area: Rect, state: &State, identity: &Iden
     line(canvas, row(area, 1), "Keyring", keyring, keyring_role);
     line(canvas, row(area, 2), "On chain", chain, chain_role);
     line(canvas, row(area, 3), "Address", &address, Role::Accent);
-    canvas.put(
-        right_of(row(area, 4), LABEL),
-        "y copies it; give it to whoever shall share with you. b backs the keyring up.",
-        Role::Dim,
-    );
+    canvas.put(right_of(row(area, 4), LABEL), "y copies it: for whoever shall share with you; b backs up", Role::Dim);
     let rest = below(area, 6);
     if let Some(keys) = &state.keys {
         draw_keys(canvas, rest, keys);
     } else {
+        let locked = "Fingerprints and epochs are read from the keyring: u unlocks it.";
+        if !identity.unlocked {
+            canvas.put(rest, locked, Role::Dim);
+            return;
+        }
         let failure = state.feeds.slot(Feed::Keys).failure.as_ref();
         canvas.put(rest, failure.map_or("Asking for the keys…", |failure| &failure.message), Role::Dim);
     }

@@ -112,7 +112,7 @@ fn in_rows(home: &Home, authros: &Authros) {
         ("state = 2", true),
         ("epoch = epoch + 1", false),
         ("signature = zeroblob(64)", false),
-        ("bytes = bytes + 1", false),
+        ("bytes = 1", false),
         ("captured_at = captured_at + 1", false),
         ("stream = (SELECT min(key) FROM streams)", true),
     ];

@@ -150,9 +150,11 @@ def image(width, height, path):
     rows = []
     for y in range(height):
         noise = RANDOM.getrandbits(width * 24).to_bytes(width * 3, "little")
-        base = [60 + (x * 120 // width) + (y * 60 // height) for x in range(width)]
+        base = [40 + (x * 120 // width) + (y * 60 // height) for x in range(width)]
         rows.append(bytes(base[i // 3] + 10 * (i % 3) + (noise[i] & 3) for i in range(width * 3)))
     picture = Image(height=height, width=width, encoding="rgb8", step=width * 3, data=b"".join(rows))
+    # An empty one would be filled in by rospy.
+    picture.header.frame_id = "camera"
     with open(path, "wb") as out:
         out.write(serialised(picture))
 

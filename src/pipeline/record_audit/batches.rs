@@ -80,8 +80,7 @@ async fn compare_page(
         let now = ledger.audit_batches(batch.key - 1, 1)?.pop().filter(|now| now.key == batch.key);
         if let Some(now) = now.filter(|now| *now != batch) {
             match differs(network, &now).await {
-                Ok(None) => continue,
-                Ok(Some(text)) => tally.find(FindingKind::Tampered, &name(&now.root), &text),
+                Ok(text) => text.iter().for_each(|text| tally.find(FindingKind::Tampered, &name(&now.root), text)),
                 Err(error) => return Ok(Err(error)),
             }
         } else {

@@ -1,7 +1,7 @@
 //! The scrubber: some records at a time are re-hashed as a deep audit would, from a cursor that the ledger keeps;
 //! what is found becomes `tampered` and is told.
 
-use super::records::{Bench, look};
+use super::records::{Bench, Uploaded, look};
 use super::report::Tally;
 use super::{Network, Plant};
 use crate::model::{Digest, RecordState, Timestamp};
@@ -52,7 +52,11 @@ fn scrub(
 ) -> Result<Option<Digest>, StoreError> {
     let digest = record.row.digest;
     let mut tally = Tally::default();
-    look(Bench { plant, network: Some(network), blind: false, deep: true }, &[(record, None)], &mut tally)?;
+    look(
+        Bench { plant, network: Some(network), blind: false, deep: true },
+        &[(record, Uploaded::NotAsked)],
+        &mut tally,
+    )?;
     done.records += 1;
     done.bytes += tally.bytes;
     let Some(finding) = tally.findings().first() else { return Ok(None) };

@@ -117,9 +117,10 @@ impl<R: BufRead + Seek> BagReader<R> {
         if fields.bytes("encryptor").is_some_and(|name| !name.is_empty()) {
             return Err(RosError::recording("it is encrypted; decrypt it with `rosbag decrypt` first"));
         }
-        let Some(mut at) = fields.u64("index_pos").filter(|at| *at > 0 && *at < self.length) else {
-            return Ok(());
-        };
+        let Some(mut at) = fields.u64("index_pos").filter(|at| *at > 0) else { return Ok(()) };
+        if at >= self.length {
+            self.findings.note(self.length, &format!("the bag is cut off: its index should begin at byte {at}"));
+        }
         while let Found::Record { header, data, length } = self.look(at).map_err(unreadable)? {
             let Some(fields) = Fields::parse(&header).filter(|fields| fields.op() == Some(Op::Connection)) else {
                 break;

@@ -6,7 +6,7 @@ use super::Site;
 use super::view::{record_page, record_query, record_view};
 use crate::crypto::{keyfile, read_public, record};
 use crate::model::bytes::hex;
-use crate::model::{Address, FilterId, ProfileName, RecordState};
+use crate::model::{Address, FilterId, ProfileName, RecordState, Timestamp};
 use crate::pipeline::epoch::tag_filter;
 use crate::pipeline::reader::Reader;
 use crate::pipeline::{Owner, PipelineError};
@@ -97,11 +97,8 @@ impl Site {
         let step = |word: &str, text: String| (word.to_owned(), text);
         let of = if row.is_named() { row.topic.as_str() } else { "a topic whose name is not known here" };
         let mut steps = vec![
-            step("message", format!("{} bytes of {of}, captured {}", row.bytes, row.captured_at)),
-            step(
-                "record",
-                format!("sealed under epoch {}, seq {}, on disk {}", row.epoch, row.seq, row.acknowledged_at),
-            ),
+            step("message", format!("{} bytes of {of}, captured {}", row.bytes, moment(row.captured_at))),
+            step("record", format!("epoch {}, seq {}, on disk {}", row.epoch, row.seq, moment(row.acknowledged_at))),
             step("digest", format!("SM3 {}", row.digest)),
             step("signature", format!("SM2 by signer {}", row.signer)),
         ];
@@ -112,7 +109,7 @@ impl Site {
         let place = self.blocking(move |site| Ok(site.plant.ledger.batch_place(digest)?)).await?;
         if let Some(place) = &place {
             let inclusion = &place.inclusion;
-            steps.push(step("batch", format!("root {}, closed {}", inclusion.root, place.closed_at)));
+            steps.push(step("batch", format!("root {}, closed {}", inclusion.root, moment(place.closed_at))));
             let (index, count, hashes) = (inclusion.index + 1, inclusion.count, inclusion.path.len());
             steps.push(step("proof", format!("leaf {index} of {count}, {hashes} hashes to the root")));
         }
@@ -200,6 +197,12 @@ impl Site {
             file("proof.json", proof),
         ])
     }
+}
+
+/// A moment to the millisecond.
+fn moment(at: Timestamp) -> String {
+    let text = at.to_string();
+    text.get(..23).map_or_else(|| text.clone(), |head| format!("{}Z", head.trim_end_matches('Z')))
 }
 
 /// What a record's state means, for whoever wonders what is still to come.

@@ -14,7 +14,7 @@ use crate::store::StoreError;
 /// The setting that says where a restored ledger's back-up stood.
 pub(super) const COPIED_AT: &str = "copied-at";
 /// Columns of a record, in the order of [`rows::record`].
-const RECORD_COLUMNS: usize = 13;
+const RECORD_COLUMNS: usize = 14;
 
 /// A record's place in a batch, as an audit compares it.
 #[derive(Debug, Clone, PartialEq, Eq)]

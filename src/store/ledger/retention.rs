@@ -151,7 +151,7 @@ impl Ledger {
             let mut statement = connection.prepare_cached(
                 "SELECT one.digest FROM retained INDEXED BY retained_due CROSS JOIN records one ON one.n = record
                  JOIN topics ON topics.key = one.topic JOIN records told ON told.digest = report
-                 WHERE deleted_at IS NULL AND owner = ?1 AND told.state IN (?2, ?3) ORDER BY record LIMIT ?4",
+                 WHERE retained.deleted_at IS NULL AND owner = ?1 AND told.state IN (?2, ?3) ORDER BY record LIMIT ?4",
             )?;
             let (confirmed, verified) = (RecordState::Confirmed.code(), RecordState::Verified.code());
             let values = params![owner.0, confirmed, verified, i64::try_from(limit).unwrap_or(i64::MAX)];
@@ -172,6 +172,7 @@ impl Ledger {
                 for sql in [
                     "UPDATE retained SET deleted_at = coalesce(deleted_at, ?2)
                      WHERE record = (SELECT n FROM records WHERE digest = ?1)",
+                    "UPDATE records SET deleted_at = coalesce(deleted_at, ?2) WHERE digest = ?1",
                     "DELETE FROM copies WHERE record = (SELECT n FROM records WHERE digest = ?1) AND ?2 > 0",
                 ] {
                     session.connection.prepare_cached(sql)?.execute(params![digest.0, now])?;
@@ -189,7 +190,7 @@ impl Ledger {
         self.read(|connection| {
             let found = connection
                 .prepare_cached(
-                    "SELECT report, told.state IN (?2, ?3), header, deleted_at FROM records one
+                    "SELECT report, told.state IN (?2, ?3), header, retained.deleted_at FROM records one
                      JOIN retained ON record = one.n JOIN records told ON told.digest = report WHERE one.digest = ?1",
                 )?
                 .query_row(params![digest.0, RecordState::Confirmed.code(), RecordState::Verified.code()], |row| {

@@ -172,7 +172,7 @@ impl RecordRow {
 
 /// Columns of [`record`], in order.
 pub(super) const COLUMNS: &str = "stream, digest, seq, epoch, signature, bytes, captured_at, acknowledged_at,
-    simulated, state, tx, block, block_hash, (SELECT deleted_at FROM retained WHERE record = n)";
+    simulated, state, tx, block, block_hash, deleted_at";
 
 /// The record of a row with [`COLUMNS`].
 pub(super) fn record(row: &Row<'_>, streams: &HashMap<i64, Stream>) -> rusqlite::Result<RecordRow> {

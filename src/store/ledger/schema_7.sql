@@ -23,6 +23,8 @@ CREATE TABLE retained (
     record INTEGER PRIMARY KEY, report BLOB NOT NULL, header BLOB NOT NULL, deleted_at INTEGER
 );
 CREATE INDEX retained_due ON retained (record) WHERE deleted_at IS NULL;
+-- The same on the record itself, for lists.
+ALTER TABLE records ADD COLUMN deleted_at INTEGER;
 -- What was given up of each topic so far.
 CREATE TABLE retained_topics (topic INTEGER PRIMARY KEY, records INTEGER NOT NULL, bytes INTEGER NOT NULL);
 

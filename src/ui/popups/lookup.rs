@@ -21,11 +21,13 @@ pub(super) type Piece = (String, Role);
 /// Draws where a record comes from and where it stands.
 pub fn draw_provenance(canvas: &mut Canvas, area: Rect, lookup: &Lookup<Provenance>) {
     draw(canvas, area, lookup, "Provenance of record", |view, width| {
-        let mut lines = record_lines(&view.record);
+        // What the steps say themselves is not said before them: all of it should fit on a screen.
+        let mut lines: Vec<Vec<Piece>> = record_lines(&view.record).into_iter().take(2).collect();
         lines.push(Vec::new());
+        let width = width.saturating_sub(STEP);
         for (word, evidence) in &view.steps {
             let role = step_role(word);
-            let pieces = wrap(&clean(evidence, 500), width.saturating_sub(STEP));
+            let pieces = wrap(&fitted(&clean(evidence, 500), width), width);
             for (index, piece) in pieces.into_iter().enumerate() {
                 let label = if index == 0 { clean(word, 13) } else { String::new() };
                 lines.push(vec![(pad(&label, STEP), role), (piece, Role::Body)]);
@@ -33,6 +35,19 @@ pub fn draw_provenance(canvas: &mut Canvas, area: Rect, lookup: &Lookup<Provenan
         }
         lines
     });
+}
+
+/// Evidence in its width: where it does not fit, hashes are told by their ends (`authros uploads show` has all).
+fn fitted(evidence: &str, width: u16) -> String {
+    const WHOLE: usize = 40;
+    if columns(evidence) <= width {
+        return evidence.to_owned();
+    }
+    let ends = |word: &str| match (word.get(..24), word.get(word.len().saturating_sub(8)..)) {
+        (Some(head), Some(tail)) if word.len() > WHOLE && word.is_ascii() => format!("{head}…{tail}"),
+        _ => word.to_owned(),
+    };
+    evidence.split(' ').map(ends).collect::<Vec<_>>().join(" ")
 }
 
 /// A step that is done, or the state that a record is in.
