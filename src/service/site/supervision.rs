@@ -128,7 +128,7 @@ impl Site {
                 if site.is_ending() || !wanted(&site) {
                     break;
                 }
-                let reason = ended.err().map_or_else(|| "it ended too early".to_owned(), |error| reason_of(error));
+                let reason = ended.err().map_or_else(|| "it ended too early".to_owned(), reason_of);
                 let pause = site.tell_ended(&task, &reason);
                 tokio::select! {
                     () = tokio::time::sleep(pause) => {}
