@@ -8,7 +8,7 @@ use std::net::{TcpListener, TcpStream};
 
 use authros::app::popup::{Lookup, Popup};
 use authros::app::{Screen, Settings, State};
-use authros::service::reply::{OpenedView, RecordView, TopicRow};
+use authros::service::reply::{OpenedView, TopicRow};
 use authros::term::colour::Depth;
 use authros::term::renderer::Painter;
 use authros::term::stage::{Scene, Wish};
@@ -290,17 +290,14 @@ fn topic(hostile: &mut Hostile) -> TopicRow {
 }
 
 fn opened(hostile: &mut Hostile) -> OpenedView {
-    let record: RecordView = serde_json::from_value(serde_json::json!({
+    let fields: Vec<(String, String)> = (0..30).map(|_| (hostile.text(), hostile.text())).collect();
+    serde_json::from_value(serde_json::json!({
         "id": "00000000000003e8", "seq": 1, "topic": hostile.text(), "type": hostile.text(), "kind": hostile.text(),
         "state": hostile.text(), "digest": "00".repeat(32), "bytes": 7, "captured_at": "2026-01-01T00:00:00Z", "epoch": 1,
-        "simulated": false, "transaction": null, "block": null,
+        "simulated": false, "transaction": null, "block": null, "verdict": "unanchored", "caller_id": hostile.text(),
+        "tags": [[hostile.text(), hostile.text()]], "fields": fields, "message": null,
     }))
-    .expect("a record");
-    let fields = (0..30).map(|_| (hostile.text(), hostile.text())).collect();
-    let tags = vec![(hostile.text(), hostile.text())];
-    let verdict = authros::model::Verdict::Unanchored;
-    let caller_id = hostile.text();
-    OpenedView { record, verdict, caller_id, tags, fields, message: serde_json::Value::Null, body: None, picture: None }
+    .expect("an opened record")
 }
 
 #[test]
