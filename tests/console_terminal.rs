@@ -240,7 +240,7 @@ fn keys_and_theme_of_ones_own_and_errors_by_line() {
 fn lines_for_screen_readers_do_the_same_work() {
     let home = Home::new();
     let authros = one_robot(&home);
-    let script = "create-identity\ncorrect horse\ncorrect horse\ntopics\nfilter odom\nrow 1\nwatch\nstatus\nquit\ny\n";
+    let script = "create-identity\ncorrect horse\ncorrect horse\ntopics\nfilter odom\nrow 1\nshow\nwatch\nstatus\nquit\ny\n";
     let file = home.file("script", script, 0o600);
     let program = authros.program().to_str().expect("UTF-8").to_owned();
     let line = [vec![program], authros.arguments(&["console", "--plain"])].concat();
