@@ -9,7 +9,7 @@ use std::net::{TcpListener, TcpStream};
 use authros::app::opening::Opening;
 use authros::app::popup::Popup;
 use authros::app::{Screen, Settings, State};
-use authros::service::reply::{OpenedView, RecordView, TopicRow};
+use authros::service::reply::{OpenedView, TopicRow};
 use authros::term::colour::Depth;
 use authros::term::renderer::Painter;
 use authros::term::stage::{Scene, Wish};
@@ -241,7 +241,8 @@ fn keys_and_theme_of_ones_own_and_errors_by_line() {
 fn lines_for_screen_readers_do_the_same_work() {
     let home = Home::new();
     let authros = one_robot(&home);
-    let script = "create-identity\ncorrect horse\ncorrect horse\ntopics\nfilter odom\nrow 1\nwatch\nstatus\nquit\ny\n";
+    let script =
+        "create-identity\ncorrect horse\ncorrect horse\ntopics\nfilter odom\nrow 1\nshow\nwatch\nstatus\nquit\ny\n";
     let file = home.file("script", script, 0o600);
     let program = authros.program().to_str().expect("UTF-8").to_owned();
     let line = [vec![program], authros.arguments(&["console", "--plain"])].concat();
@@ -291,30 +292,14 @@ fn topic(hostile: &mut Hostile) -> TopicRow {
 }
 
 fn opened(hostile: &mut Hostile) -> OpenedView {
-    let record: RecordView = serde_json::from_value(serde_json::json!({
+    let fields: Vec<(String, String)> = (0..30).map(|_| (hostile.text(), hostile.text())).collect();
+    serde_json::from_value(serde_json::json!({
         "id": "00000000000003e8", "seq": 1, "topic": hostile.text(), "type": hostile.text(), "kind": hostile.text(),
         "state": hostile.text(), "digest": "00".repeat(32), "bytes": 7, "captured_at": "2026-01-01T00:00:00Z", "epoch": 1,
-        "simulated": false, "transaction": null, "block": null,
+        "simulated": false, "transaction": null, "block": null, "verdict": "unanchored", "caller_id": hostile.text(),
+        "tags": [[hostile.text(), hostile.text()]], "fields": fields, "message": null,
     }))
-    .expect("a record");
-    let fields = (0..30).map(|_| (hostile.text(), hostile.text())).collect();
-    let tags = vec![(hostile.text(), hostile.text())];
-    let verdict = authros::model::Verdict::Unanchored;
-    OpenedView {
-        record,
-        verdict,
-        caller_id: hostile.text(),
-        tags,
-        compression: hostile.text(),
-        stored: 7,
-        fields,
-        message: serde_json::Value::Null,
-        readable: None,
-        beginning: hostile.text().into_bytes(),
-        body: None,
-        picture: None,
-        file: None,
-    }
+    .expect("an opened record")
 }
 
 #[test]

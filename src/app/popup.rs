@@ -18,6 +18,7 @@ use crate::service::reply::{PinsView, Provenance};
 
 /// Something over the screen.
 #[derive(Debug)]
+#[allow(clippy::large_enum_variant, reason = "a handful at a time, and rarely moved")]
 pub enum Popup {
     /// Every command by name.
     Palette(Palette),

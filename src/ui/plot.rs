@@ -40,7 +40,7 @@ impl Window {
         }
         let dot =
             ((right - left).max(LEAST) / f64::from(dots.0 - 1)).max((top - bottom).max(LEAST) / f64::from(dots.1 - 1));
-        let centred = |low: f64, high: f64, dots: u16| (low + high) / 2.0 - dot * f64::from(dots - 1) / 2.0;
+        let centred = |low: f64, high: f64, dots: u16| f64::midpoint(low, high) - dot * f64::from(dots - 1) / 2.0;
         let window = Self { left: centred(left, right, dots.0), bottom: centred(bottom, top, dots.1), dot, dots };
         (dot.is_finite() && window.left.is_finite() && window.bottom.is_finite()).then_some(window)
     }

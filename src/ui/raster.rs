@@ -23,7 +23,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, raster: &Raster) {
         // A cell is about twice as high as wide.
         let fitted = raster.fit((cells.0, cells.1 * 2));
         each(area, (fitted.width, fitted.height.div_ceil(2)), |x, y, cell| {
-            let bright = (brightness(fitted.pixel(x, y * 2)) + brightness(fitted.pixel(x, y * 2 + 1))) / 2;
+            let bright = usize::midpoint(brightness(fitted.pixel(x, y * 2)), brightness(fitted.pixel(x, y * 2 + 1)));
             let letter = RAMP.get(bright * RAMP.len() / 256).copied().unwrap_or(b'@');
             canvas.paint(cell, char::from(letter), Style::default());
         });

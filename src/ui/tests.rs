@@ -46,7 +46,10 @@ fn compare(name: &str, text: &str) {
 }
 
 /// Who can read, who publishes, what is under way, what is shared, and a question that wants a word.
-fn situations(add: &mut dyn FnMut(&'static str, Screen, &dyn Fn(&mut Robot))) {
+/// Takes the name of a situation, its screen, and what brings it about.
+type Situations<'a> = dyn FnMut(&'static str, Screen, &dyn Fn(&mut Robot)) + 'a;
+
+fn situations(add: &mut Situations<'_>) {
     add("readers", Screen::Topics, &|robot| robot.types("i"));
     add("publishers", Screen::Topics, &|robot| {
         robot.presses(Key::Down);

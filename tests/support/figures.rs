@@ -187,7 +187,7 @@ fn in_script(subject: &Subject, directory: &Path, hung_up: bool) -> (Running, u3
     // The shell outlives the terminal to note the exit code. Without a controlling terminal no SIGHUP comes.
     let own_session = if hung_up { "" } else { "setsid -w " };
     let inner = format!(
-        "trap '' HUP; stty rows 24 cols 80; {own_session}sh -c 'echo $$ > \"$0\"; exec \"$@\"' '{}' {}; echo $? > '{}'",
+        "trap : HUP; stty rows 24 cols 80; {own_session}sh -c 'echo $$ > \"$0\"; exec \"$@\"' '{}' {}; echo $? > '{}'",
         path(&id),
         quoted.join(" "),
         path(&code)

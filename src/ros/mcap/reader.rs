@@ -214,7 +214,7 @@ impl<R: BufRead + Seek> McapReader<R> {
         let code = Code::from_byte(code);
         let missing = end.is_none_or(|end| end > self.length);
         if missing && code != Some(Code::Chunk) || code.is_none() && length > self.length {
-            self.skip(start, "no record can be read here")?;
+            self.skip(start, "no record can be read here");
             return Ok(None);
         }
         self.position = end.unwrap_or(self.length).min(self.length);
@@ -250,13 +250,12 @@ impl<R: BufRead + Seek> McapReader<R> {
     }
 
     /// Goes on at the next chunk that the summary knows; what lies between is noted as skipped.
-    fn skip(&mut self, damaged: u64, why: &str) -> std::io::Result<()> {
+    fn skip(&mut self, damaged: u64, why: &str) {
         let next = self.places.range(damaged + 1..).next().copied().filter(|next| *next < self.length);
         let end = next.unwrap_or(self.length);
         self.findings.note(damaged, &format!("{why}: {} bytes were skipped", end.saturating_sub(damaged)));
         self.position = end;
         self.ended = next.is_none();
-        Ok(())
     }
 
     fn chunk_head(&mut self, start: u64) -> std::io::Result<Option<ChunkHead>> {
@@ -279,7 +278,8 @@ impl<R: BufRead + Seek> McapReader<R> {
 
     fn read_chunk(&mut self, start: u64, missing: bool) -> std::io::Result<()> {
         let Some(head) = self.chunk_head(start)? else {
-            return self.skip(start, "the head of a chunk cannot be read");
+            self.skip(start, "the head of a chunk cannot be read");
+            return Ok(());
         };
         let Some(compression) = head.compression else {
             self.findings.note(start, "a chunk of an unknown compression was skipped");
@@ -310,7 +310,8 @@ impl<R: BufRead + Seek> McapReader<R> {
         self.chunk.bytes.clear();
         let why = unpacked.err().unwrap_or_else(|| String::from("its checksum or length is another one"));
         if missing {
-            return self.skip(start, &format!("a chunk is damaged ({why})"));
+            self.skip(start, &format!("a chunk is damaged ({why})"));
+            return Ok(());
         }
         let skipped = self.position - start;
         self.findings.note(start, &format!("a chunk of {skipped} bytes was skipped, it is damaged: {why}"));

@@ -97,7 +97,7 @@ mod tests {
 
     #[test]
     fn pixels_are_averaged() {
-        let chequered = |x: usize, y: usize| if (x + y) % 2 == 0 { [200, 0, 100] } else { [0, 0, 0] };
+        let chequered = |x: usize, y: usize| if (x + y).is_multiple_of(2) { [200, 0, 100] } else { [0, 0, 0] };
         let raster = Raster::of((8, 8), (2, 2), &chequered);
         assert_eq!((raster.width, raster.height, raster.rgb.len()), (2, 2, 12));
         assert_eq!(raster.pixel(1, 1), [100, 0, 50]);

@@ -148,7 +148,7 @@ fn command(state: &State, line: &str) -> Meaning {
     if let Some(screen) = screen {
         return Meaning::Actions(vec![Action::Do(Verb::Go(screen))]);
     }
-    verb(&word).map_or_else(|said| Meaning::Unknown(said), |verb| Meaning::Actions(vec![Action::Do(verb)]))
+    verb(&word).map_or_else(Meaning::Unknown, |verb| Meaning::Actions(vec![Action::Do(verb)]))
 }
 
 /// A verb by its whole name, or by the beginning of just one name.

@@ -169,7 +169,7 @@ fn records_on_their_way(state: &State) -> Vec<Line> {
     let Some(site) = &state.site else { return vec![("the site is starting…".to_owned(), Role::Dim)] };
     let life = &site.life;
     let queue = &site.queue;
-    let full = if queue.capacity == 0 { 0 } else { queue.bytes.saturating_mul(100) / queue.capacity };
+    let full = queue.bytes.saturating_mul(100).checked_div(queue.capacity).unwrap_or(0);
     let mut lines = vec![(
         format!(
             "{:<15} {} messages, {} ({full} % of the ring)",

@@ -252,5 +252,5 @@ impl<'a> Export<'a> {
 
 /// Whether the format has room for the record's time.
 fn fits(format: RecordingFormat, row: &RecordRow) -> bool {
-    format == RecordingFormat::Mcap || row.captured_at.seconds() <= u64::from(u32::MAX)
+    format == RecordingFormat::Mcap || u32::try_from(row.captured_at.seconds()).is_ok()
 }
