@@ -38,7 +38,7 @@ fn inside(bytes: &[u8]) -> bool {
     let Ok(unpacked) = read else { return false };
     assert_eq!(unpacked.bytes, given as u64);
     let mut again = Vec::new();
-    let mut rest = &bytes[..];
+    let mut rest = bytes;
     let packed =
         archive::read(&mut rest, |name, length, file| archive::put(&mut again, name, length, &mut file.take(length)));
     assert!(packed.is_ok());

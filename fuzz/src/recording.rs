@@ -21,9 +21,9 @@ pub fn bag(bytes: &[u8]) -> bool {
         return !messages.is_empty();
     };
     let mut writer = BagWriter::begin(Cursor::new(Vec::new()), compression).expect("begun");
-    messages.iter().for_each(|message| {
+    for message in &messages {
         writer.write(&message.channel, message.time, &message.body).expect("what a bag held, a bag holds");
-    });
+    }
     let file = writer.finish().expect("finished").into_inner();
     let mut reader = BagReader::open(Cursor::new(&file)).expect("our own");
     assert!(all(|| reader.next_message().expect("reading from memory")) == messages && reader.findings().is_whole());
@@ -38,9 +38,9 @@ pub fn mcap(bytes: &[u8]) -> bool {
         return !messages.is_empty();
     };
     let mut writer = McapWriter::begin(Cursor::new(Vec::new()), compression).expect("begun");
-    messages.iter().for_each(|message| {
+    for message in &messages {
         writer.write(&message.channel, message.time, &message.body).expect("what MCAP held, MCAP holds");
-    });
+    }
     let file = writer.finish().expect("finished").into_inner();
     let mut reader = McapReader::open(Cursor::new(&file)).expect("our own");
     assert!(all(|| reader.next_message().expect("reading from memory")) == messages && reader.findings().is_whole());
@@ -54,12 +54,12 @@ fn all(mut next: impl FnMut() -> Option<RecordedMessage>) -> Vec<RecordedMessage
 /// How to write the messages again: not all, for that costs time; and nanoseconds beyond a second are another time.
 fn rewrites(messages: &[RecordedMessage], bytes: &[u8], ways: [ChunkCompression; 2]) -> Option<ChunkCompression> {
     let small = messages.iter().map(|message| message.body.len()).sum::<usize>() < 1 << 20;
-    let plain = messages.iter().all(|message| message.time.0 / 1_000_000_000 <= u64::from(u32::MAX));
+    let plain = messages.iter().all(|message| u32::try_from(message.time.0 / 1_000_000_000).is_ok());
     // An IDL schema has two names, of which one is written; a schema's number 0 is none.
     (!messages.is_empty() && small && plain).then(|| ways[usize::from(bytes.last().is_some_and(|last| last & 1 == 1))])
 }
 
-fn samples_of(write: fn(&[RecordedMessage]) -> Vec<(&'static str, Vec<u8>)>) -> Vec<Sample> {
+fn samples_of(write: fn(&[RecordedMessage]) -> Vec<Sample>) -> Vec<Sample> {
     let channel = |topic: &str, caller_id: &str| {
         Arc::new(Channel {
             topic: topic.into(),
@@ -86,9 +86,9 @@ pub fn bags() -> Vec<Sample> {
         let ways = [("none", ChunkCompression::None), ("bz2", ChunkCompression::Bz2), ("lz4", ChunkCompression::Lz4)];
         ways.map(|(name, compression)| {
             let mut writer = BagWriter::begin(Cursor::new(Vec::new()), compression).expect("begun");
-            messages.iter().for_each(|message| {
+            for message in messages {
                 writer.write(&message.channel, message.time, &message.body).expect("written");
-            });
+            }
             (name, writer.finish().expect("finished").into_inner())
         })
         .into()
@@ -101,9 +101,9 @@ pub fn mcaps() -> Vec<Sample> {
         let ways = [("none", ChunkCompression::None), ("lz4", ChunkCompression::Lz4), ("zstd", ChunkCompression::Zstd)];
         ways.map(|(name, compression)| {
             let mut writer = McapWriter::begin(Cursor::new(Vec::new()), compression).expect("begun");
-            messages.iter().for_each(|message| {
+            for message in messages {
                 writer.write(&message.channel, message.time, &message.body).expect("written");
-            });
+            }
             (name, writer.finish().expect("finished").into_inner())
         })
         .into()

@@ -118,7 +118,7 @@ impl<R: BufRead + Seek> BagReader<R> {
             return Err(RosError::recording("it is encrypted; decrypt it with `rosbag decrypt` first"));
         }
         let Some(mut at) = fields.u64("index_pos").filter(|at| *at > 0) else { return Ok(()) };
-        if at >= self.length {
+        if at > self.length {
             self.findings.note(self.length, &format!("the bag is cut off: its index should begin at byte {at}"));
         }
         while let Found::Record { header, data, length } = self.look(at).map_err(unreadable)? {
