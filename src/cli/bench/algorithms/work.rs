@@ -5,7 +5,8 @@ use std::hint::black_box;
 
 use super::Algorithm;
 use crate::crypto::{
-    Provider, ProviderName, SealRequest, SmKeyPair, TopicKey, provider, random_bytes, seal, seal_by_crates, sm3_many,
+    Provider, ProviderName, SealRequest, SmKeyPair, TopicKey, provider, random_bytes, seal, seal_by_crates,
+    seal_by_libsm, sm3_many,
 };
 use crate::model::head::Compression;
 use crate::model::{Address, Digest, Domain, Head, RecordKind, RecorderId, Signature, Timestamp, TopicId};
@@ -78,7 +79,7 @@ impl Bench {
             Algorithm::Sm3 => self.sm3(both),
             Algorithm::Sm4 => {
                 let mut pieces: Vec<_> = both.into_iter().flat_map(|(by, provider)| self.sm4(by, provider)).collect();
-                pieces.extend([self.by_crates(), self.record(), self.digest("authros", self.ours)]);
+                pieces.extend([self.by_crates(), self.by_libsm(), self.record(), self.digest("authros", self.ours)]);
                 pieces
             }
         }
@@ -122,6 +123,11 @@ impl Bench {
             text
         });
         Piece { work: "seal", by: "crates", messages: 1, prepare, run: Box::new(run) }
+    }
+
+    /// libsm as it comes, with its own GCM.
+    fn by_libsm(&self) -> Piece<'_> {
+        piece("seal", "libsm-gcm", || Ok(seal_by_libsm(&self.key, &[0; 16], &AAD, &self.text)?))
     }
 
     /// A whole record: keys derived, head and body sealed, digest and signature.
