@@ -55,6 +55,7 @@ pub use kdf::{hkdf_sm3, hmac_sm3};
 pub use kept_key::{open_transport_key, seal_transport_key};
 pub use kernel::{Kernel, KernelError};
 pub use keyring::{EpochSecret, EpochState, Keyring, NetworkKeys, PublicIdentity, UnlockedKeyring, read_public};
+pub use libsm_provider::seal_by_libsm;
 pub use passphrase::Passphrase;
 pub use provider::{Provider, ProviderName, provider};
 pub use random::random_bytes;

@@ -10,7 +10,7 @@ pub(super) const NOTES: [&str; 6] = [
     "digest: SM3. seal, open: SM4-GCM with key set-up, 32 bytes of additional data and the tag. record: a whole record \
      with its keys, sealed head and body, SM3 and SM2 signature.",
     "authros: the chosen provider (SM3 by the crate sm3, SM4 by the kernel named above); authros-many: 16 messages side \
-     by side; crates: sm4, ctr and ghash; libsm: behind our GCM, as it has no 12-byte nonce of its own.",
+     by side; crates: sm4, ctr and ghash; libsm: its SM4 behind our GCM, as the program uses it; libsm-gcm: its own GCM.",
     "outliers: values more than a quarter above the median, and the three greatest.",
     "The paper gives 6.19 to 6.34 ms for SM3 of 800 KB (section V, figure 17). Of SM4 (figure 16) it gives no numbers.",
     "Judge on a machine that does nothing else.",
