@@ -299,10 +299,16 @@ fn hostile() {
 /// A black PNG, written row by row in as little memory as it is small.
 fn bomb(width: u32, height: u32) -> Vec<u8> {
     let mut out = Vec::new();
-    let mut encoder = png::Encoder::new(&mut out, width, height);
+    write_black(&mut out, width, height);
+    out
+}
+
+fn write_black(out: &mut Vec<u8>, width: u32, height: u32) {
+    let mut encoder = png::Encoder::new(out, width, height);
     encoder.set_color(png::ColorType::Grayscale);
     encoder.set_depth(png::BitDepth::One);
     let mut writer = encoder.write_header().expect("a header");
+    // The largest is nothing but its claim.
     if height <= 10_000 {
         let mut rows = writer.stream_writer().expect("a writer");
         let row = vec![0; usize::try_from(width.div_ceil(8)).expect("fits")];
@@ -310,8 +316,5 @@ fn bomb(width: u32, height: u32) -> Vec<u8> {
             std::io::Write::write_all(&mut rows, &row).expect("written");
         }
         rows.finish().expect("written");
-    } else {
-        drop(writer);
     }
-    out
 }
