@@ -135,7 +135,12 @@ fn frames(ledger: &Ledger) -> Vec<(&'static str, f64)> {
     for (name, screen) in [("overview", Screen::Overview), ("topics", Screen::Topics), ("uploads", Screen::Uploads)] {
         let mut state = console(ledger, screen);
         let mut terminal = Terminal::new(TestBackend::new(200, 50)).expect("a terminal");
-        figures.push((name, median(|| drop(terminal.draw(|frame| draw(frame, &state, &theme)).expect("drawn")))));
+        figures.push((
+            name,
+            median(|| {
+                terminal.draw(|frame| draw(frame, &state, &theme)).expect("drawn");
+            }),
+        ));
         if screen == Screen::Topics {
             figures.push(("key", median(|| drop(update(&mut state, Action::Key(Key::Down))))));
             let rows = topics();
@@ -157,7 +162,9 @@ fn frames(ledger: &Ledger) -> Vec<(&'static str, f64)> {
             ));
             figures.push((
                 "filtered",
-                median(|| drop(terminal.draw(|frame| draw(frame, &state, &theme)).expect("drawn"))),
+                median(|| {
+                    terminal.draw(|frame| draw(frame, &state, &theme)).expect("drawn");
+                }),
             ));
         }
     }

@@ -1,4 +1,5 @@
 //! Recordings: imported with their own times, shared, exported, played by real rosbag; damaged ones; rules for topics.
+#![allow(clippy::print_stdout, reason = "figures that the run shows")]
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 mod support;
