@@ -101,6 +101,11 @@ fn control_z_gives_the_terminal_to_the_shell_and_fg_brings_it_back() {
     shell.wait_for("nav_msgs/Odometry", 30);
     shell.press("q");
     shell.wait_for("ready>", 30);
+    // Keys typed before the process has ended are its own.
+    wait_until(30, "the shell reads again", || {
+        shell.press("echo again=$((1+1))\r");
+        poll(2, || Some(()).filter(|()| shell.shown().contains("again=2")))
+    });
     shell.press("exit\r");
     shell.wait(30);
     assert!(shell.is_restored());
@@ -113,9 +118,9 @@ fn inside(name: &str, outer: &[&str], home: &Home, variables: &[(&str, String)])
     let mut environment = authros.variables();
     environment.extend(variables.iter().map(|(name, value)| ((*name).to_owned(), value.clone())));
     let mut console = Console::run(&Terminal::of(80, 24), &line, &environment);
-    console.wait_for(TOPIC, 60);
+    console.wait_for("captured", 60);
     console.press("2");
-    console.wait_for("Watched", 30);
+    console.wait_for(TOPIC, 60);
     console.resize(30, 100);
     console.wait_for("nav_msgs/Odometry", 30);
     console.press("?");

@@ -19,10 +19,14 @@ struct Look {
     modifier: Modifier,
 }
 
-/// Turns cells into bytes and remembers where the terminal's pen stands.
+/// The longest gap between changed cells that is written again instead of stepped over; a step takes as many bytes.
+const SHORT_GAP: u16 = 3;
+
+/// Turns cells into bytes and remembers where the terminal's pen stands, and what it shows.
 #[derive(Debug)]
 pub struct Encoder {
     depth: Depth,
+    shown: Vec<Vec<Option<(char, Look)>>>,
     look: Look,
     pen: Option<Position>,
     cursor: Option<Position>,
@@ -32,17 +36,20 @@ pub struct Encoder {
 impl Encoder {
     /// For a terminal in its first state: no style, cursor hidden.
     pub fn new(depth: Depth) -> Self {
-        Self { depth, look: Look::default(), pen: None, cursor: None, out: String::new() }
+        Self { depth, shown: Vec::new(), look: Look::default(), pen: None, cursor: None, out: String::new() }
     }
 
     /// Writes one changed cell.
     pub fn cell(&mut self, x: u16, y: u16, cell: &Cell) {
         self.begin();
-        self.move_to(Position { x, y });
+        if !self.bridge(x, y) {
+            self.move_to(Position { x, y });
+        }
         let look =
             Look { foreground: self.depth.map(cell.fg), background: self.depth.map(cell.bg), modifier: cell.modifier };
         self.set_look(look);
         self.out.push_str(cell.symbol());
+        self.remember(x, y, cell.symbol(), look);
         // Terminals differ on the width of what is not one column wide.
         let narrow = cell.symbol().width() == 1;
         self.pen = narrow.then_some(Position { x: x + 1, y });
@@ -53,6 +60,7 @@ impl Encoder {
         self.begin();
         self.set_look(Look::default());
         self.out.push_str("\x1b[2J");
+        self.shown.clear();
         self.pen = None;
     }
 
@@ -89,6 +97,41 @@ impl Encoder {
     /// The terminal was used by others: nothing about it is known any more.
     pub fn forget(&mut self) {
         *self = Self::new(self.depth);
+    }
+
+    fn known(&self, x: u16, y: u16) -> Option<(char, Look)> {
+        *self.shown.get(usize::from(y))?.get(usize::from(x))?
+    }
+
+    /// Only what is surely one column wide is written again.
+    fn remember(&mut self, x: u16, y: u16, symbol: &str, look: Look) {
+        let (x, y) = (usize::from(x), usize::from(y));
+        if self.shown.len() <= y {
+            self.shown.resize_with(y + 1, Vec::new);
+        }
+        let Some(row) = self.shown.get_mut(y) else { return };
+        if row.len() <= x {
+            row.resize(x + 1, None);
+        }
+        if let Some(cell) = row.get_mut(x) {
+            *cell = match symbol.as_bytes() {
+                [plain @ b' '..=b'~'] => Some((char::from(*plain), look)),
+                _ => None,
+            };
+        }
+    }
+
+    /// Reaches a cell a little further right by writing what stands in between once more; only where all of that is
+    /// plain, known, and looks as the pen does.
+    fn bridge(&mut self, x: u16, y: u16) -> bool {
+        let Some(pen) = self.pen.filter(|pen| pen.y == y && pen.x < x && x - pen.x <= SHORT_GAP) else { return false };
+        let between = (pen.x..x).map(|column| self.known(column, y).filter(|(_, look)| *look == self.look));
+        let Some(text) = between.map(|cell| cell.map(|(character, _)| character)).collect::<Option<String>>() else {
+            return false;
+        };
+        self.out.push_str(&text);
+        self.pen = Some(Position { x, y });
+        true
     }
 
     fn begin(&mut self) {
@@ -174,6 +217,22 @@ mod tests {
         encoder.cell(5, 0, &cell("c", Style::default()));
         encoder.cell(7, 3, &cell("d", Style::default()));
         assert_eq!(encoder.take_frame(), "\x1b[?2026h\x1b[1H\x1b[0;1;38;5;196mab\x1b[3C\x1b[mc\x1b[4;8Hd\x1b[?2026l");
+    }
+
+    #[test]
+    fn a_short_gap_of_known_cells_is_written_again() {
+        let mut encoder = Encoder::new(Depth::True);
+        for (x, letter) in (0u16..).zip(["a", "b", "c", "d", "e", "f", "g"]) {
+            encoder.cell(x, 0, &cell(letter, Style::default()));
+        }
+        encoder.take_frame();
+        encoder.cell(0, 0, &cell("A", Style::default()));
+        encoder.cell(2, 0, &cell("C", Style::default()));
+        encoder.cell(6, 0, &cell("G", Style::default()));
+        assert_eq!(encoder.take_frame(), "\x1b[?2026h\x1b[1HAbCdefG\x1b[?2026l");
+        encoder.cell(0, 0, &cell("x", Style::default().bold()));
+        encoder.cell(2, 0, &cell("y", Style::default().bold()));
+        assert_eq!(encoder.take_frame(), "\x1b[?2026h\x1b[1H\x1b[0;1mx\x1b[Cy\x1b[m\x1b[?2026l");
     }
 
     #[test]
