@@ -68,7 +68,7 @@ fn every_task_that_panics_is_begun_again_and_nothing_is_lost() {
         let again =
             |name: &&str| seen.restarts.get(*name).is_some_and(|times| *times >= 2) && seen.running.contains(*name);
         let sealer = seen.restarts.get("sealer") == Some(&1) && seen.running.contains("sealer");
-        (TASKS.iter().all(|name| again(name)) && sealer).then_some(())
+        (TASKS.iter().all(again) && sealer).then_some(())
     };
     let healed = poll(60, all);
     assert!(healed.is_some(), "{:?}", *observer.seen());
