@@ -61,11 +61,11 @@ impl Site {
         if wishes.tags.len() > MOST_TAGS {
             return Err(input(format!("more than {MOST_TAGS} tags are too many for an import")));
         }
-        // Without a chain nothing would ever be verified.
-        self.network().await?;
         if owner.sealing().is_none() {
             self.register(owner).await?;
         }
+        // Without a chain nothing would ever be verified.
+        self.network().await?;
         workers::seal_here(self)?;
         let file = clean(&wishes.path.display().to_string(), 300);
         if self.is_running(&owner.profile, &file) {
