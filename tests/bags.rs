@@ -204,6 +204,17 @@ fn an_import_that_is_cut_goes_on_where_it_was() {
 }
 
 #[test]
+fn an_import_needs_no_running_site() {
+    let _alone = heavy();
+    let home = Home::new();
+    let recording = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus/mcap/foreign_none");
+    let summary = import(&home.authros(), &recording);
+    assert_eq!((count(&summary, "imported"), count(&summary, "verified")), (12, 12), "{summary}");
+    let exported = home.root().join("out.mcap");
+    assert_eq!(count(&export(&home.authros(), &exported, &["--compression", "lz4"]), "messages"), 12);
+}
+
+#[test]
 fn what_was_tampered_with_or_is_not_shared_is_never_exported() {
     let _alone = heavy();
     let two = two_profiles();
@@ -277,7 +288,7 @@ fn rules_thin_out_topics_and_say_so() {
     };
     let topics = alice.json(&["topics", "list"]);
     let (left_out, lost) = (count(&row(&topics), "left_out"), count(&row(&topics), "lost_in_recorder"));
-    assert!((36..=200).contains(&left_out) && lost == 0, "three of four, and not lost: {left_out}");
+    assert!((27..=200).contains(&left_out) && lost == 0, "three of four, and not lost: {left_out}");
     let sealed = alice.records(&["uploads", "list"]);
     let seqs: Vec<f64> = sealed
         .iter()

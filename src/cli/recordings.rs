@@ -16,7 +16,7 @@ use crate::service::reply::{ExportView, ImportView, ProgressView, RecordingReply
 use crate::service::{Client, Command, Failure, Needs, Reply};
 
 /// Between two looks at the progress.
-const LOOK: Duration = Duration::from_secs(1);
+const LOOK: Duration = Duration::from_secs(3);
 
 /// `bag …`
 #[derive(Debug, Subcommand)]

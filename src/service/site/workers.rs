@@ -27,7 +27,7 @@ pub(super) fn start(site: &Arc<Site>, needs: Needs) -> Result<(), Failure> {
     tokio::spawn(Arc::clone(site).check_after_crash());
     site.supervise("retention", Site::keep_retention);
     if needs.ros {
-        start_sealer(site)?;
+        seal_here(site)?;
         let here = |site: &Arc<Site>| !matches!(*site.ros.borrow(), RosState::Off);
         let task = site.supervise_while("ros", here, Site::keep_ros);
         *site.ros_task.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = Some(task);
@@ -46,17 +46,24 @@ pub(super) fn start(site: &Arc<Site>, needs: Needs) -> Result<(), Failure> {
     Ok(())
 }
 
-fn start_sealer(site: &Arc<Site>) -> Result<(), Failure> {
+/// Starts the sealer where this run has none yet: one that captures nothing still may import.
+pub(super) fn seal_here(site: &Arc<Site>) -> Result<(), Failure> {
+    let mut sealer = site.sealer.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+    if sealer.is_none() && !site.rings.is_closed() {
+        *sealer = Some(start_sealer(site)?);
+    }
+    Ok(())
+}
+
+fn start_sealer(site: &Arc<Site>) -> Result<std::thread::JoinHandle<()>, Failure> {
     let (plant, hub, losses) = (site.plant.clone(), Arc::clone(&site.hub), Arc::clone(&site.losses));
     let (rings, backlog) = (Arc::clone(&site.rings), site.config.vault_backlog);
     let compression = site.config.compression;
-    let handle = site.supervise_thread("sealer", move || {
+    site.supervise_thread("sealer", move || {
         let sealer = Sealer::new(plant.clone(), Arc::clone(&hub.sessions), Arc::clone(&losses), backlog);
         let mut sealer = if compression { sealer } else { sealer.without_compression() };
         sealer.run(&rings, &|| hub.stored.notify_waiters());
-    })?;
-    *site.sealer.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = Some(handle);
-    Ok(())
+    })
 }
 
 fn start_storer(site: &Arc<Site>) -> Result<(), Failure> {

@@ -11,6 +11,7 @@ use std::sync::{Arc, PoisonError};
 
 use serde::{Deserialize, Serialize};
 
+use super::super::workers;
 use super::{Run, Site};
 use crate::crypto::Sm3Hasher;
 use crate::model::{Address, Digest, ErrorKind, RecordKind, Timestamp, TopicPattern, clean};
@@ -19,7 +20,7 @@ use crate::pipeline::{CaptureSession, Owner};
 use crate::ros::recording::{RecordedMessage, Recording};
 use crate::service::command::ImportWishes;
 use crate::service::event::NoticeLevel;
-use crate::service::failure::input;
+use crate::service::failure::{input, refused};
 use crate::service::reply::{Failure, ImportView, ImportedTopic};
 use crate::store::RecordQuery;
 
@@ -60,10 +61,16 @@ impl Site {
         if wishes.tags.len() > MOST_TAGS {
             return Err(input(format!("more than {MOST_TAGS} tags are too many for an import")));
         }
+        // Without a chain nothing would ever be verified.
+        self.network().await?;
         if owner.sealing().is_none() {
             self.register(owner).await?;
         }
+        workers::seal_here(self)?;
         let file = clean(&wishes.path.display().to_string(), 300);
+        if self.is_running(&owner.profile, &file) {
+            return Err(refused(format!("{file} is being imported already; wait for that to end")));
+        }
         self.audit_first(owner, "import recording", &file).await?;
         let running = self.begin_run(&owner.profile, &wishes.path, "hashing");
         // Ends the import as a capture is ended: by the same command.

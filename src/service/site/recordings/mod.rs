@@ -76,6 +76,12 @@ impl Site {
         Running { site: self, run }
     }
 
+    /// Whether this file is being read or written for the profile.
+    fn is_running(&self, profile: &ProfileName, file: &str) -> bool {
+        let runs = self.recordings.lock().unwrap_or_else(PoisonError::into_inner);
+        runs.iter().any(|run| run.profile == *profile && run.file == file)
+    }
+
     /// Answers a command about recordings.
     pub(super) async fn recording(
         self: &Arc<Self>,
