@@ -181,7 +181,7 @@ fn on_small_disk(home: &Home) -> Option<(Running, Authros)> {
     let mount = "mount -t tmpfs -o size=40m,mode=0700 none \"$0\" 2>/dev/null || exit 99; exec \"$@\"";
     let mut command = Command::new(unshare);
     command.args(["-m", "sh", "-c", mount]).arg(home.path()).arg(env!("CARGO_BIN_EXE_authros"));
-    let authros = home.authros().with(&["--robots", "1"]);
+    let authros = home.authros().with(&["--robots", "1"]).with_variable("AUTHROS_DISK_RESERVE", "0");
     command.args(authros.arguments(&["serve"])).env_clear().envs(authros.variables()).current_dir(home.root());
     let mut site = Running::start(command);
     support::poll(60, || {

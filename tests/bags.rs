@@ -258,7 +258,7 @@ fn what_was_tampered_with_or_is_not_shared_is_never_exported() {
 
 /// Changes one byte of a record's ciphertext in the vault.
 fn spoil(home: &Home, digest: &str) {
-    let vault = home.path().join("vault/vault.db");
+    let vault = home.path().join("vault").join("vault.db");
     let script = "import sqlite3, sys\n\
                   vault = sqlite3.connect(sys.argv[1], timeout=30)\n\
                   key = bytes.fromhex(sys.argv[2])\n\
