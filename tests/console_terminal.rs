@@ -69,7 +69,8 @@ fn a_lost_terminal_ends_it_with_129() {
         let home = Home::new();
         let authros = one_robot(&home);
         let directory = home.root().to_owned();
-        let lost = figures::lost(&Subject::of(home, &authros), &directory, hung_up);
+        let subject = Subject::of(home, &authros);
+        let lost = figures::lost(&subject, &directory, hung_up);
         assert!(lost.ended_after.is_some(), "it stays, hung up: {hung_up}: {lost:?}");
         assert_eq!(lost.code, Some(129), "hung up: {hung_up}: {lost:?}");
         let dumped = std::fs::read_dir(&directory).expect("readable").flatten();
