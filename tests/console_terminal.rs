@@ -319,9 +319,11 @@ fn of_a_million_hostile_strings_no_control_byte_reaches_the_terminal() {
     while strings < wanted {
         scene.state.popups.clear();
         scene.state.screen = Screen::Topics;
-        scene.state.topics.rows = (0..44).map(|_| topic(&mut hostile)).collect();
+        let now = scene.state.now;
+        scene.state.topics.set((0..44).map(|_| topic(&mut hostile)).collect(), now);
         strings += 44 * 3;
         let frame = painter.paint(&mut scene);
+        assert!(frame.len() > 2_000, "the names are drawn: {}", frame.len());
         assert_eq!(foreign(frame.as_bytes()), None);
         let view = opened(&mut hostile);
         strings += 30 * 2 + 7;
