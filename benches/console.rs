@@ -160,7 +160,8 @@ fn drawing(rows: &mut Vec<Row>) {
     };
     drop(update(&mut state, Action::Resize { columns: 200, rows: 50 }));
     drop(update(&mut state, Action::Do(Verb::Go(authros::app::Screen::Topics))));
-    state.topics.rows = (0..2_000).map(row).collect();
+    let now = state.now;
+    state.topics.set((0..2_000).map(row).collect(), now);
     let theme = Theme::named("night").expect("embedded");
     let mut scene =
         Scene { state, theme, wish: Wish::Now, anew: true, extra: String::new(), suspended: false, over: false };

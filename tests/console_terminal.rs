@@ -70,7 +70,8 @@ fn a_lost_terminal_ends_it_with_129() {
         let home = Home::new();
         let authros = one_robot(&home);
         let directory = home.root().to_owned();
-        let lost = figures::lost(&Subject::of(home, &authros), &directory, hung_up);
+        let subject = Subject::of(home, &authros);
+        let lost = figures::lost(&subject, &directory, hung_up);
         assert!(lost.ended_after.is_some(), "it stays, hung up: {hung_up}: {lost:?}");
         assert_eq!(lost.code, Some(129), "hung up: {hung_up}: {lost:?}");
         let dumped = std::fs::read_dir(&directory).expect("readable").flatten();
@@ -319,9 +320,11 @@ fn of_a_million_hostile_strings_no_control_byte_reaches_the_terminal() {
     while strings < wanted {
         scene.state.popups.clear();
         scene.state.screen = Screen::Topics;
-        scene.state.topics.rows = (0..44).map(|_| topic(&mut hostile)).collect();
+        let now = scene.state.now;
+        scene.state.topics.set((0..44).map(|_| topic(&mut hostile)).collect(), now);
         strings += 44 * 3;
         let frame = painter.paint(&mut scene);
+        assert!(frame.len() > 2_000, "the names are drawn: {}", frame.len());
         assert_eq!(foreign(frame.as_bytes()), None);
         let view = opened(&mut hostile);
         strings += 30 * 2 + 7;
