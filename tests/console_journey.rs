@@ -3,6 +3,8 @@
 
 mod support;
 
+use std::time::{Duration, Instant};
+
 use support::{Authros, Console, Home, Terminal, heavy, text, wait_until};
 
 const ODOMETRY: &str = "/robot1/odom";
@@ -143,7 +145,15 @@ fn a_locked_console_captures_on_and_opens_nothing_until_it_is_unlocked() {
     authros.run(&["topics", "watch", ODOMETRY]).expect_code(0);
     operator.presses("3").sees("verified");
 
-    operator.presses(":lock\r").sees("locked:");
+    // An answer about the keyring that was under way while it was unlocked may hold the verb back for a moment.
+    let mut tried: Option<Instant> = None;
+    wait_until(PATIENCE, "the keyring to be locked", || {
+        if !operator.0.shown().contains("locked:") && tried.is_none_or(|at| at.elapsed() > Duration::from_secs(4)) {
+            operator.presses(":lock\r");
+            tried = Some(Instant::now());
+        }
+        Some(()).filter(|()| operator.0.shown().contains("locked:"))
+    });
     operator.presses("6").sees("capture and anchoring go on");
     let verified = || {
         let records = authros.records(&["uploads", "list", "--state", "verified"]);
