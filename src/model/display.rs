@@ -8,7 +8,7 @@ const MOST_MARKS: usize = 4;
 ///
 /// What is taken out is replaced by `�`, so that a hostile name cannot pose as a clean one.
 pub fn clean(text: &str, width: usize) -> String {
-    let mut out = String::with_capacity(text.len().min(width * 4));
+    let mut out = String::with_capacity(text.len().min(width.saturating_mul(4)));
     let mut marks = 0;
     for (count, character) in text.chars().enumerate() {
         if count == width {
