@@ -93,12 +93,12 @@ impl<'a> Export<'a> {
 /// A text as JSON: what may not be shown, as `\uXXXX`.
 fn escaped(text: &str) -> String {
     let plain = serde_json::Value::from(text).to_string();
-    if plain.is_ascii() {
+    if plain.bytes().all(|byte| byte.is_ascii() && byte != 0x7f) {
         return plain;
     }
     let mut out = String::with_capacity(plain.len() + 16);
     for character in plain.chars() {
-        if character.is_ascii() || clean(character.encode_utf8(&mut [0; 4]), 1) != "\u{fffd}" {
+        if character.is_ascii() && character != '\u{7f}' || clean(character.encode_utf8(&mut [0; 4]), 1) != "\u{fffd}" {
             out.push(character);
         } else {
             let mut units = [0; 2];
