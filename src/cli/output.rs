@@ -4,7 +4,7 @@ use std::io::Write as _;
 
 use serde::Serialize;
 
-use crate::model::{clean_lines, is_shown};
+use crate::model::{clean_lines, spelt_out};
 use crate::service::Failure;
 
 /// Widest line of text, characters.
@@ -25,7 +25,7 @@ impl Output {
     /// The result: `value` as one JSON document, or `text`.
     pub fn result<T: Serialize>(self, value: &T, text: impl FnOnce() -> String) {
         let line = if self.json {
-            escaped(&serde_json::to_string(value).unwrap_or_default())
+            spelt_out(&serde_json::to_string(value).unwrap_or_default()).into_owned()
         } else {
             clean_lines(&text(), WIDEST)
         };
@@ -56,19 +56,6 @@ impl Output {
     }
 }
 
-/// JSON whose strings spell out what a terminal must not get, should it have come this far.
-fn escaped(json: &str) -> String {
-    let mut out = String::with_capacity(json.len());
-    for character in json.chars() {
-        if is_shown(character) {
-            out.push(character);
-        } else {
-            character.encode_utf16(&mut [0; 2]).iter().for_each(|unit| out.push_str(&format!("\\u{unit:04x}")));
-        }
-    }
-    out
-}
-
 /// Columns of text, each as wide as its widest cell.
 pub fn table(head: &[&str], rows: &[Vec<String>]) -> String {
     let width = |column: usize| {
@@ -88,13 +75,15 @@ pub fn table(head: &[&str], rows: &[Vec<String>]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::model::is_shown;
 
     #[test]
     fn json_keeps_its_meaning_and_loses_what_terminals_act_on() {
         let hostile = "a\u{9b}2J\u{202e}b\u{200b}\u{e0041}\u{1b}";
-        let json = escaped(&serde_json::to_string(hostile).expect("a string"));
+        let plain = serde_json::to_string(hostile).expect("a string");
+        let json = spelt_out(&plain);
         assert!(json.chars().all(is_shown), "{json}");
         assert_eq!(serde_json::from_str::<String>(&json).expect("still JSON"), hostile);
-        assert_eq!(escaped("{\"a\":\"机é\"}"), "{\"a\":\"机é\"}");
+        assert_eq!(spelt_out("{\"a\":\"机é\"}"), "{\"a\":\"机é\"}");
     }
 }

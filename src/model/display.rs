@@ -1,5 +1,7 @@
 //! The one sanitiser: every untrusted text passes it before screen, log or JSON.
 
+use std::borrow::Cow;
+
 /// The most combining marks kept in a row; more only pile up over other cells.
 const MOST_MARKS: usize = 4;
 
@@ -9,17 +11,41 @@ const MOST_MARKS: usize = 4;
 /// What is taken out is replaced by `�`, so that a hostile name cannot pose as a clean one.
 pub fn clean(text: &str, width: usize) -> String {
     let mut out = String::with_capacity(text.len().min(width.saturating_mul(4)));
-    let mut marks = 0;
-    for (count, character) in text.chars().enumerate() {
+    for (count, (character, shown)) in judged(text).enumerate() {
         if count == width {
             out.pop();
             out.push('…');
             break;
         }
-        marks = if is_mark(character) { marks + 1 } else { 0 };
-        out.push(if is_shown(character) && marks <= MOST_MARKS { character } else { '\u{fffd}' });
+        out.push(if shown { character } else { '\u{fffd}' });
     }
     out
+}
+
+/// JSON in which what may not be shown stands as `\u` and four hex digits: it means the same, and a terminal gets none
+/// of it.
+pub fn spelt_out(json: &str) -> Cow<'_, str> {
+    if json.bytes().all(|byte| matches!(byte, b' '..=b'~')) {
+        return Cow::Borrowed(json);
+    }
+    let mut out = String::with_capacity(json.len() + 16);
+    for (character, shown) in judged(json) {
+        if shown {
+            out.push(character);
+        } else {
+            out.extend(character.encode_utf16(&mut [0; 2]).iter().map(|unit| format!("\\u{unit:04x}")));
+        }
+    }
+    Cow::Owned(out)
+}
+
+/// Each character of a text, and whether it may be shown where it stands.
+fn judged(text: &str) -> impl Iterator<Item = (char, bool)> {
+    let mut marks = 0;
+    text.chars().map(move |character| {
+        marks = if is_mark(character) { marks + 1 } else { 0 };
+        (character, is_shown(character) && marks <= MOST_MARKS)
+    })
 }
 
 /// [`clean`] for each line of a longer text; lines stay lines.
@@ -64,6 +90,16 @@ mod tests {
             prop_assert!(shown.chars().count() <= width);
             prop_assert!(!shown.chars().any(char::is_control));
             prop_assert_eq!(clean(&shown, width), shown);
+        }
+
+        #[test]
+        fn json_spelt_out_is_clean_and_means_the_same(text in any::<String>(), hostile in "[\u{300}-\u{36f}\u{7f}\u{9b}\u{202e}a]{0,20}") {
+            for text in [text, hostile] {
+                let json = serde_json::Value::from(text.clone()).to_string();
+                let told = spelt_out(&json);
+                prop_assert_eq!(clean(&told, usize::MAX), told.as_ref());
+                prop_assert_eq!(serde_json::from_str::<String>(&told).ok(), Some(text));
+            }
         }
     }
 }

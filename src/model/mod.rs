@@ -37,7 +37,7 @@ pub use bytes::{
     Commit, Digest, Domain, FilterId, Hash, PublicKey, RecorderId, Salt, Signature, SignerId, Token, TopicId,
 };
 pub use consensus::Consensus;
-pub use display::{clean, clean_lines, is_shown};
+pub use display::{clean, clean_lines, is_shown, spelt_out};
 pub use error_kind::ErrorKind;
 pub use gap::{GapReport, LossReason};
 pub use grant::{GrantTerms, Scope};

@@ -7,7 +7,7 @@ use super::decode::{Failure, Walk};
 use super::definition::{Definition, Field, Kind, Layout, element_size};
 use super::line::{Arity, Primitive};
 use super::value::Value;
-use crate::model::clean;
+use crate::model::spelt_out;
 use crate::ros::RosError;
 
 impl Definition {
@@ -71,8 +71,8 @@ impl<'a> Export<'a> {
         match kind {
             Kind::Primitive(Primitive::Text) => {
                 let bytes = self.walk.text()?;
-                let escaped = escaped(&String::from_utf8_lossy(bytes));
-                self.text(&escaped)
+                let text = serde_json::Value::from(String::from_utf8_lossy(bytes)).to_string();
+                self.text(&spelt_out(&text))
             }
             Kind::Primitive(primitive) => {
                 let value = self.walk.primitive(primitive)?;
@@ -88,24 +88,6 @@ impl<'a> Export<'a> {
     fn plain(&mut self, value: &Value) -> Result<(), Failure> {
         serde_json::to_writer(&mut *self.out, value).map_err(|_| Failure::Written)
     }
-}
-
-/// A text as JSON: what may not be shown, as `\uXXXX`.
-fn escaped(text: &str) -> String {
-    let plain = serde_json::Value::from(text).to_string();
-    if plain.bytes().all(|byte| byte.is_ascii() && byte != 0x7f) {
-        return plain;
-    }
-    let mut out = String::with_capacity(plain.len() + 16);
-    for character in plain.chars() {
-        if character.is_ascii() && character != '\u{7f}' || clean(character.encode_utf8(&mut [0; 4]), 1) != "\u{fffd}" {
-            out.push(character);
-        } else {
-            let mut units = [0; 2];
-            out.extend(character.encode_utf16(&mut units).iter().map(|unit| format!("\\u{unit:04x}")));
-        }
-    }
-    out
 }
 
 #[cfg(test)]
