@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use crate::model::{TopicRule, TopicRules, TypeName, clean};
+use crate::model::{TopicRule, TopicRules, TypeName, clean, time_span};
 
 /// The name of the tables.
 pub const TABLE: &str = "topic";
@@ -14,9 +14,6 @@ const MOST_RULES: usize = 1000;
 const MOST_TAGS: usize = 16;
 /// The fastest rate that limits anything, messages a second.
 const FASTEST: f64 = 100_000.0;
-/// The longest retention, seconds: a hundred years.
-const LONGEST: u64 = 100 * 366 * 86_400;
-
 /// Why a rule cannot be used: the line, from 1, and what is wrong.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RuleFault {
@@ -125,18 +122,8 @@ fn tags(value: &toml::Value) -> Result<BTreeMap<String, String>, Wrong<'static>>
 /// A number and `m`, `h` or `d`.
 fn retention(value: &toml::Value) -> Result<u64, Wrong<'static>> {
     let wrong = || ("retention", "write retention as a number and m, h or d, as \"30d\"".to_owned());
-    let text = value.as_str().ok_or_else(wrong)?;
-    let factor = match text.chars().next_back() {
-        Some('m') => 60,
-        Some('h') => 3_600,
-        Some('d') => 86_400,
-        _ => return Err(wrong()),
-    };
-    let count = text.get(..text.len() - 1).and_then(|digits| digits.parse::<u64>().ok());
-    count
-        .and_then(|count| count.checked_mul(factor))
-        .filter(|seconds| (60..=LONGEST).contains(seconds))
-        .ok_or_else(wrong)
+    let text = value.as_str().filter(|text| text.ends_with(['m', 'h', 'd'])).ok_or_else(wrong)?;
+    time_span(text).map(|span| span.as_secs()).filter(|seconds| *seconds >= 60).ok_or_else(wrong)
 }
 
 #[cfg(test)]

@@ -5,6 +5,7 @@ use std::fmt;
 use std::str::FromStr;
 use std::time::Duration;
 
+use super::topic_rule::fits;
 use super::wire::{Reader, WireError, put_text};
 use super::{ByteSize, Digest, TopicId, clean};
 
@@ -107,39 +108,6 @@ impl RetentionRules {
     /// Whether nothing is ever deleted.
     pub fn is_empty(&self) -> bool {
         self.0.iter().all(|rule| rule.age.is_none() && rule.bytes.is_none())
-    }
-}
-
-/// Whether a text fits a pattern, in a time that grows with the product of their lengths.
-fn fits(pattern: &[u8], text: &[u8]) -> bool {
-    // `reached[i]`: the part of the pattern before i fits the text so far.
-    let mut reached = vec![false; pattern.len() + 1];
-    reached[0] = true;
-    skip_stars(pattern, &mut reached);
-    for byte in text {
-        let mut next = vec![false; pattern.len() + 1];
-        for (index, token) in pattern.iter().enumerate().filter(|(index, _)| reached[*index]) {
-            let double =
-                *token == b'*' && (pattern.get(index + 1) == Some(&b'*') || index > 0 && pattern[index - 1] == b'*');
-            match token {
-                b'*' if double || *byte != b'/' => next[index] = true,
-                b'*' => {}
-                token if token == byte => next[index + 1] = true,
-                _ => {}
-            }
-        }
-        skip_stars(pattern, &mut next);
-        reached = next;
-    }
-    reached[pattern.len()]
-}
-
-/// A star may stand for nothing.
-fn skip_stars(pattern: &[u8], reached: &mut [bool]) {
-    for (index, token) in pattern.iter().enumerate() {
-        if *token == b'*' && reached[index] {
-            reached[index + 1] = true;
-        }
     }
 }
 

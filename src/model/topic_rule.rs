@@ -32,25 +32,29 @@ impl TopicPattern {
         !self.0.contains(['*', '?'])
     }
 
-    /// Whether the topic's name is of this pattern. Takes time as the product of both lengths, at most.
+    /// Whether the topic's name is of this pattern.
     pub fn matches(&self, topic: &str) -> bool {
-        let (pattern, text) = (self.0.as_bytes(), topic.as_bytes());
-        // Which prefixes of the text the pattern so far can stand for.
-        let mut reached = vec![false; text.len() + 1];
-        if let Some(first) = reached.first_mut() {
-            *first = true;
-        }
-        let mut at = 0;
-        while let Some(&letter) = pattern.get(at) {
-            let over_parts = letter == b'*' && pattern.get(at + 1) == Some(&b'*');
-            reached = match letter {
-                b'*' => spread(&reached, text, over_parts),
-                _ => step(&reached, text, letter),
-            };
-            at += if over_parts { 2 } else { 1 };
-        }
-        reached.last().copied().unwrap_or(false)
+        fits(self.0.as_bytes(), topic.as_bytes())
     }
+}
+
+/// Whether a text fits a pattern. Takes time as the product of both lengths, at most.
+pub(super) fn fits(pattern: &[u8], text: &[u8]) -> bool {
+    // Which prefixes of the text the pattern so far can stand for.
+    let mut reached = vec![false; text.len() + 1];
+    if let Some(first) = reached.first_mut() {
+        *first = true;
+    }
+    let mut at = 0;
+    while let Some(&letter) = pattern.get(at) {
+        let over_parts = letter == b'*' && pattern.get(at + 1) == Some(&b'*');
+        reached = match letter {
+            b'*' => spread(&reached, text, over_parts),
+            _ => step(&reached, text, letter),
+        };
+        at += if over_parts { 2 } else { 1 };
+    }
+    reached.last().copied().unwrap_or(false)
 }
 
 /// One letter further.
