@@ -1,10 +1,9 @@
 //! The last step: re-reads confirmed records from the vault and checks digest and signature.
 
-use std::collections::HashMap;
 use std::time::Instant;
 
 use crate::crypto::{Anchor, check, check_deleted, fault};
-use crate::model::{Digest, PublicKey, RecordState, Timestamp};
+use crate::model::{Digest, PublicKey, RecordState};
 use crate::store::{RecordQuery, RecordRow, StoreError};
 
 use super::stages::{Milestone, Stage};
@@ -33,7 +32,6 @@ pub fn verify_round(plant: &Plant, network: &Network) -> Result<usize, PipelineE
 
 fn verify_page(plant: &Plant, network: &Network, rows: &[RecordRow]) -> Result<usize, PipelineError> {
     let begun = Instant::now();
-    let captured: HashMap<Digest, Timestamp> = rows.iter().map(|row| (row.digest, row.captured_at)).collect();
     if !rows.is_empty() {
         fault::point("read-back");
     }
@@ -41,8 +39,8 @@ fn verify_page(plant: &Plant, network: &Network, rows: &[RecordRow]) -> Result<u
     let mut unreachable = None;
     for row in rows.iter().filter(|row| plant.vault.answers(row.digest)) {
         match put_back(plant, row).and_then(|()| is_sound(plant, network, row)) {
-            Ok(true) => good.push(row.digest),
-            Ok(false) => bad.push(row.digest),
+            Ok(true) => good.push(row),
+            Ok(false) => bad.push(row),
             Err(PipelineError::Store(error @ StoreError::Unreachable { .. })) if !plant.vault.is_one() => {
                 unreachable = Some(error);
             }
@@ -56,7 +54,7 @@ fn verify_page(plant: &Plant, network: &Network, rows: &[RecordRow]) -> Result<u
     settle(plant, &bad, RecordState::Tampered)?;
     if let Some(stages) = plant.observer.stages().filter(|_| !good.is_empty()) {
         stages.spent(Stage::Verify, begun.elapsed());
-        stages.reached(Milestone::Verified, good.iter().filter_map(|digest| captured.get(digest).copied()));
+        stages.reached(Milestone::Verified, good.iter().map(|row| row.captured_at));
     }
     if let Some(error) = unreachable {
         plant.observer.alert(true, format!("some records cannot be verified now, they wait: {error}"));
@@ -101,17 +99,18 @@ fn is_sound_without(
     Ok(same && proof::was_sighted(plant, row)?)
 }
 
-fn settle(plant: &Plant, digests: &[Digest], state: RecordState) -> Result<(), PipelineError> {
-    if digests.is_empty() {
+fn settle(plant: &Plant, rows: &[&RecordRow], state: RecordState) -> Result<(), PipelineError> {
+    if rows.is_empty() {
         return Ok(());
     }
-    plant.ledger.advance(digests, RecordState::Confirmed, state)?;
+    let digests: Vec<Digest> = rows.iter().map(|row| row.digest).collect();
+    plant.ledger.advance(&digests, RecordState::Confirmed, state)?;
     if state == RecordState::Verified {
         // Local copies beside a vault that is only a cache stay until retention says otherwise.
         fault::point("verified");
-        plant.observer.verified(digests);
+        plant.observer.verified(&digests);
     } else {
-        plant.observer.tampered(digests);
+        plant.observer.tampered(&digests);
         plant.observer.alert(
             true,
             format!("{} records differ from what was anchored, or are gone from the vault", digests.len()),
