@@ -14,7 +14,7 @@ use crate::pipeline::{Network, Owner};
 use crate::service::command::UploadQuery;
 use crate::service::failure::input;
 use crate::service::reply::{CheckView, Failure, RecordPage};
-use crate::store::RecordQuery;
+use crate::store::{RecordQuery, RecordRow};
 
 impl Site {
     /// Records of all owners with an active grant to this profile, within each grant's scope.
@@ -120,14 +120,24 @@ impl Site {
         Ok(ids)
     }
 
-    /// The paper's `Data_Check`: digest against the chain, signature; no key needed.
-    pub(super) async fn check_record(self: &Arc<Self>, owner: &Arc<Owner>, id: &str) -> Result<CheckView, Failure> {
+    /// A record that the owner may read at this moment, and the chain that says so; a refusal is counted.
+    pub(super) async fn authorised(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        id: &str,
+    ) -> Result<(RecordRow, Network), Failure> {
         let row = self.find_record(id).await?;
         let network = self.network().await?;
-        let reader = Reader { plant: &self.plant, network: &network, reader: owner };
-        let allowed = reader.authorise(&row);
+        let allowed = Reader { plant: &self.plant, network: &network, reader: owner }.authorise(&row);
         self.count_refusal(owner, &allowed);
         allowed?;
+        Ok((row, network))
+    }
+
+    /// The paper's `Data_Check`: digest against the chain, signature; no key needed.
+    pub(super) async fn check_record(self: &Arc<Self>, owner: &Arc<Owner>, id: &str) -> Result<CheckView, Failure> {
+        let (row, network) = self.authorised(owner, id).await?;
+        let reader = Reader { plant: &self.plant, network: &network, reader: owner };
         self.audit_first(owner, "check", &row.id).await?;
         let (verdict, digest) = reader.check(&row).await?;
         Ok(CheckView { id: row.id, verdict, digest, transaction: row.transaction, block: row.block })

@@ -82,12 +82,8 @@ impl Site {
     }
 
     async fn opened(self: &Arc<Self>, owner: &Arc<Owner>, id: &str, deed: &str) -> Result<Opened, Failure> {
-        let row = self.find_record(id).await?;
-        let network = self.network().await?;
+        let (row, network) = self.authorised(owner, id).await?;
         let reader = Reader { plant: &self.plant, network: &network, reader: owner };
-        let allowed = reader.authorise(&row);
-        self.count_refusal(owner, &allowed);
-        allowed?;
         self.audit_first(owner, deed, &row.id).await?;
         let record = reader.open(&row).await?;
         let definition = reader.definition(&row, &record).await?;
@@ -96,12 +92,8 @@ impl Site {
 
     async fn path_to(self: &Arc<Self>, owner: &Arc<Owner>, id: &str, records: usize) -> Result<PathView, Failure> {
         let records = records.clamp(2, LONGEST_PATH);
-        let row = self.find_record(id).await?;
-        let network = self.network().await?;
+        let (row, network) = self.authorised(owner, id).await?;
         let reader = Reader { plant: &self.plant, network: &network, reader: owner };
-        let allowed = reader.authorise(&row);
-        self.count_refusal(owner, &allowed);
-        allowed?;
         self.audit_first(owner, "decrypt", &format!("{} and up to {records} records before it", row.id)).await?;
         let last = reader.open(&row).await?;
         let definition = reader.definition(&row, &last).await?.ok_or_else(|| without_definition(&row))?;
