@@ -10,7 +10,8 @@ use super::record::{Fields, LONGEST_CONNECTION, LONGEST_HEADER, Op, connection, 
 use super::search::{chunk_compression, next_chunk};
 use crate::ros::RosError;
 use crate::ros::recording::{
-    Channel, ChunkCompression, Findings, LARGEST_CHUNK, MOST_CHANNEL_BYTES, MOST_CHANNELS, RecordedMessage, unpack,
+    Channel, ChunkCompression, Findings, LARGEST_CHUNK, MOST_CHANNEL_BYTES, MOST_CHANNELS, RecordedMessage, go_to,
+    read_at, unpack,
 };
 use crate::ros::tcpros::LONGEST_MESSAGE;
 
@@ -125,7 +126,7 @@ impl<R: BufRead + Seek> BagReader<R> {
             let Some(fields) = Fields::parse(&header).filter(|fields| fields.op() == Some(Op::Connection)) else {
                 break;
             };
-            let bytes = self.read_at(data, length.min(LONGEST_CONNECTION as u64 + 1)).map_err(unreadable)?;
+            let bytes = read_at(&mut self.file, data, length.min(LONGEST_CONNECTION as u64 + 1)).map_err(unreadable)?;
             self.learn(&fields, &bytes);
             at = data + length;
         }
@@ -160,7 +161,7 @@ impl<R: BufRead + Seek> BagReader<R> {
         if header_length > LONGEST_HEADER as u64 || header_length + 8 > left {
             return Ok(Found::Damage("what stands there is no record of a bag"));
         }
-        let header = self.read_at(at + 4, header_length)?;
+        let header = read_at(&mut self.file, at + 4, header_length)?;
         if Fields::parse(&header).and_then(|fields| fields.op()).is_none() {
             return Ok(Found::Damage("what stands there is no record of a bag"));
         }
@@ -170,22 +171,8 @@ impl<R: BufRead + Seek> BagReader<R> {
     }
 
     fn length_at(&mut self, at: u64) -> std::io::Result<Option<u64>> {
-        let bytes = self.read_at(at, 4)?;
+        let bytes = read_at(&mut self.file, at, 4)?;
         Ok(bytes.first_chunk().map(|bytes| u64::from(u32::from_le_bytes(*bytes))))
-    }
-
-    fn read_at(&mut self, at: u64, length: u64) -> std::io::Result<Vec<u8>> {
-        self.go_to(at)?;
-        let mut bytes = Vec::new();
-        self.file.by_ref().take(length).read_to_end(&mut bytes)?;
-        Ok(bytes)
-    }
-
-    fn go_to(&mut self, at: u64) -> std::io::Result<()> {
-        let here = self.file.stream_position()?;
-        // What was read ahead is kept.
-        let step = i64::try_from(at).and_then(|at| i64::try_from(here).map(|here| at - here));
-        self.file.seek_relative(step.unwrap_or(i64::MAX))
     }
 
     /// Reads the next record of the file: fills the chunk, or gives a message that stands outside of chunks.
@@ -211,13 +198,13 @@ impl<R: BufRead + Seek> BagReader<R> {
                 self.position = data + u64::from(fields.u32("count").unwrap_or(0)) * 12;
             }
             Some(Op::Connection) if length <= LONGEST_CONNECTION as u64 => {
-                let bytes = self.read_at(data, length)?;
+                let bytes = read_at(&mut self.file, data, length)?;
                 if !self.learn(&fields, &bytes) {
                     self.findings.note(start, "a connection record that cannot be used was skipped");
                 }
             }
             Some(Op::Message) if length <= LONGEST_MESSAGE as u64 && self.position <= self.length => {
-                let body = self.read_at(data, length)?;
+                let body = read_at(&mut self.file, data, length)?;
                 return Ok(self.message(&fields, body));
             }
             Some(Op::Message | Op::Connection) => self.search(start, data, "it is cut off or damaged here")?,
@@ -266,7 +253,7 @@ impl<R: BufRead + Seek> BagReader<R> {
             self.findings.note(start, &format!("a chunk of {size} bytes was skipped, it is beyond {LARGEST_CHUNK}"));
             return Ok(());
         }
-        self.go_to(data)?;
+        go_to(&mut self.file, data)?;
         let mut bytes = std::mem::take(&mut self.chunk.bytes);
         bytes.clear();
         let limit = usize::try_from(limit).unwrap_or(usize::MAX);

@@ -10,7 +10,8 @@ use super::record::{ChannelRecord, Code, Fields, Schema, schema};
 use crate::model::Timestamp;
 use crate::ros::RosError;
 use crate::ros::recording::{
-    Channel, ChunkCompression, Findings, LARGEST_CHUNK, MOST_CHANNEL_BYTES, MOST_CHANNELS, RecordedMessage, unpack,
+    Channel, ChunkCompression, Findings, LARGEST_CHUNK, MOST_CHANNEL_BYTES, MOST_CHANNELS, RecordedMessage, go_to,
+    read_at, unpack,
 };
 use crate::ros::tcpros::LONGEST_MESSAGE;
 
@@ -85,7 +86,7 @@ impl<R: BufRead + Seek> McapReader<R> {
             findings: Findings::default(),
             ended: false,
         };
-        if reader.read_at(0, position).map_err(unreadable)? != MAGIC {
+        if read_at(&mut reader.file, 0, position).map_err(unreadable)? != MAGIC {
             return Err(RosError::recording("it does not begin as MCAP does"));
         }
         reader.read_summary().map_err(unreadable)?;
@@ -120,22 +121,9 @@ impl<R: BufRead + Seek> McapReader<R> {
         }
     }
 
-    fn read_at(&mut self, at: u64, length: u64) -> std::io::Result<Vec<u8>> {
-        self.go_to(at)?;
-        let mut bytes = Vec::new();
-        self.file.by_ref().take(length).read_to_end(&mut bytes)?;
-        Ok(bytes)
-    }
-
-    fn go_to(&mut self, at: u64) -> std::io::Result<()> {
-        let here = self.file.stream_position()?;
-        let step = i64::try_from(at).and_then(|at| i64::try_from(here).map(|here| at - here));
-        self.file.seek_relative(step.unwrap_or(i64::MAX))
-    }
-
     /// Code and length of the record at a position.
     fn look(&mut self, at: u64) -> std::io::Result<Option<(u8, u64)>> {
-        let lead = self.read_at(at, LEAD)?;
+        let lead = read_at(&mut self.file, at, LEAD)?;
         let mut fields = Fields(&lead);
         Ok(fields.u8().zip(fields.u64()))
     }
@@ -146,7 +134,7 @@ impl<R: BufRead + Seek> McapReader<R> {
         let Some(footer) = self.length.checked_sub(TAIL).filter(|footer| *footer >= MAGIC.len() as u64) else {
             return Ok(());
         };
-        let tail = self.read_at(footer, TAIL)?;
+        let tail = read_at(&mut self.file, footer, TAIL)?;
         let mut fields = Fields(&tail);
         let start = match fields.record() {
             Some((code, content)) if code == Code::Footer as u8 && fields.0 == MAGIC => Fields(content).u64(),
@@ -158,7 +146,7 @@ impl<R: BufRead + Seek> McapReader<R> {
             if length > LONGEST_RECORD {
                 break;
             }
-            let content = self.read_at(at + LEAD, length)?;
+            let content = read_at(&mut self.file, at + LEAD, length)?;
             if Code::from_byte(code) == Some(Code::ChunkIndex) {
                 let mut fields = Fields(&content);
                 let place = fields.u64().and(fields.u64()).and(fields.u64());
@@ -222,11 +210,11 @@ impl<R: BufRead + Seek> McapReader<R> {
             Some(Code::Chunk) => self.read_chunk(start, missing)?,
             Some(Code::Footer | Code::DataEnd) => self.ended = true,
             Some(Code::Message) if length <= LONGEST_MESSAGE as u64 + 64 => {
-                let content = self.read_at(data, length)?;
+                let content = read_at(&mut self.file, data, length)?;
                 return Ok(self.message(Fields(&content)));
             }
             Some(Code::Schema | Code::Channel) if length <= LONGEST_RECORD => {
-                let content = self.read_at(data, length)?;
+                let content = read_at(&mut self.file, data, length)?;
                 if !self.learn(code.map_or(0, |code| code as u8), &content) {
                     self.findings.note(start, "a schema or channel that cannot be used was skipped");
                 }
@@ -259,7 +247,7 @@ impl<R: BufRead + Seek> McapReader<R> {
     }
 
     fn chunk_head(&mut self, start: u64) -> std::io::Result<Option<ChunkHead>> {
-        let bytes = self.read_at(start + LEAD, LONGEST_CHUNK_HEAD)?;
+        let bytes = read_at(&mut self.file, start + LEAD, LONGEST_CHUNK_HEAD)?;
         let mut fields = Fields(&bytes);
         let mut head = || {
             let (size, checksum) = (fields.u64().and(fields.u64()).and(fields.u64())?, fields.u32()?);
@@ -290,7 +278,7 @@ impl<R: BufRead + Seek> McapReader<R> {
             self.findings.note(start, &text);
             return Ok(());
         }
-        self.go_to(head.data)?;
+        go_to(&mut self.file, head.data)?;
         let mut bytes = std::mem::take(&mut self.chunk.bytes);
         bytes.clear();
         let limit = usize::try_from(head.size).unwrap_or(usize::MAX);

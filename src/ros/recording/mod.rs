@@ -6,6 +6,7 @@
 mod compression;
 mod damage;
 mod open;
+mod place;
 
 use std::sync::Arc;
 
@@ -13,6 +14,7 @@ pub use compression::ChunkCompression;
 pub(super) use compression::{pack, unpack};
 pub use damage::{Damage, Findings};
 pub use open::{Recording, RecordingFormat, RecordingWriter};
+pub(super) use place::{go_to, read_at};
 
 use super::tcpros::LONGEST_MESSAGE;
 use crate::model::Timestamp;
