@@ -19,6 +19,7 @@ mod report;
 mod spread;
 mod storer;
 mod uploads;
+mod usage;
 
 use self::algorithms::Algorithm;
 use super::args::{BenchArguments, BenchVerb, Global};

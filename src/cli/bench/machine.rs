@@ -45,13 +45,13 @@ impl Machine {
 }
 
 /// The value of the first line `name : value`.
-fn field(text: &str, name: &str) -> Option<String> {
+pub(super) fn field(text: &str, name: &str) -> Option<String> {
     let mut pairs = text.lines().filter_map(|line| line.split_once(':'));
     pairs.find(|(found, _)| found.trim() == name).map(|(_, value)| clean(value.trim(), LONGEST))
 }
 
 /// `16384 kB`, in bytes.
-fn kibibytes(text: &str) -> Option<u64> {
+pub(super) fn kibibytes(text: &str) -> Option<u64> {
     let number: u64 = text.split_whitespace().next()?.parse().ok()?;
     number.checked_mul(1024)
 }

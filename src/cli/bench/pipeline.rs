@@ -3,7 +3,6 @@
 
 mod host;
 mod run;
-mod usage;
 
 use serde::Serialize;
 use serde_json::{Map, json};

@@ -6,6 +6,7 @@ use super::Stage;
 use super::sender::Sender;
 use crate::cli::bench::network::Directory;
 use crate::cli::bench::progress::Progress;
+use crate::cli::bench::usage;
 use crate::service::Failure;
 use crate::service::failure::internal;
 
@@ -68,19 +69,13 @@ pub(super) async fn measure(sender: &Sender, asked: usize) -> Result<Idle, Failu
     Ok(Idle { asked, connections, resident, bytes_each, limited_by })
 }
 
-fn proc_line(file: &str, name: &str) -> Option<String> {
-    let text = std::fs::read_to_string(file).ok()?;
-    text.lines().find_map(|line| line.strip_prefix(name).map(str::to_owned))
-}
-
 /// The soft limit; `None` where there is none.
 fn most_files() -> Option<usize> {
-    proc_line("/proc/self/limits", "Max open files")?.split_whitespace().next()?.parse().ok()
+    let text = std::fs::read_to_string("/proc/self/limits").ok()?;
+    text.lines().find_map(|line| line.strip_prefix("Max open files"))?.split_whitespace().next()?.parse().ok()
 }
 
 /// Resident memory of this process, bytes.
 fn resident() -> Result<u64, Failure> {
-    let line = proc_line("/proc/self/status", "VmRSS:");
-    let found = line.and_then(|line| line.trim().trim_end_matches(" kB").parse::<u64>().ok());
-    found.map(|kibibytes| kibibytes * 1024).ok_or_else(|| internal("/proc/self/status does not tell the memory in use"))
+    usage::resident().ok_or_else(|| internal("/proc/self/status does not tell the memory in use"))
 }

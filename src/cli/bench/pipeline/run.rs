@@ -7,9 +7,9 @@ use serde::Serialize;
 use tokio::task::block_in_place;
 
 use super::host::Host;
-use super::usage::{processor_seconds, resident};
 use crate::cli::bench::progress::Progress;
 use crate::cli::bench::spread::{decimal, number};
+use crate::cli::bench::usage::{processor_seconds, resident};
 use crate::cli::parse;
 use crate::pipeline::stages::Stage;
 use crate::ros::robot::Load as Publishers;
@@ -97,7 +97,7 @@ pub async fn run(host: &Host, load: &Load, length: Duration) -> Result<Summary, 
     watch.until(host, load, length, Progress::new(load.name)).await?;
     block_in_place(|| publishers.end());
     let (seconds, processor) = (watch.begun.elapsed().as_secs_f64(), processor_seconds() - watch.processor);
-    let memory_end = resident();
+    let memory_end = resident().unwrap_or(0);
     let (published, overflowed) = publishers.published();
     let life = watch.settle(host, published - overflowed).await?;
     let stages = Stage::ALL.map(|stage| busy(host, stage, seconds, published)).into();
@@ -160,7 +160,7 @@ struct Watch {
 
 impl Watch {
     fn begin() -> Self {
-        let memory = resident();
+        let memory = resident().unwrap_or(0);
         Self {
             begun: Instant::now(),
             processor: processor_seconds(),
@@ -178,7 +178,7 @@ impl Watch {
         self.asked += 1;
         self.broken += u64::from(known != life.captured);
         self.most_pending = self.most_pending.max(life.pending);
-        self.memory_most = self.memory_most.max(resident());
+        self.memory_most = self.memory_most.max(resident().unwrap_or(0));
         Ok(life)
     }
 

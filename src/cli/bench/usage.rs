@@ -1,14 +1,12 @@
 //! What this process uses, as /proc tells it: resident memory and processor time.
 
+use super::machine::{field, kibibytes};
+
 /// Clock ticks a second in /proc, the same on every Linux that Rust runs on.
 const TICKS: f64 = 100.0;
-/// Bytes of a page, as /proc/self/statm counts them on x86-64 and most of aarch64.
-const PAGE: u64 = 4096;
-
-/// Resident bytes now; 0 where /proc does not tell.
-pub fn resident() -> u64 {
-    let text = std::fs::read_to_string("/proc/self/statm").unwrap_or_default();
-    text.split_whitespace().nth(1).and_then(|pages| pages.parse::<u64>().ok()).unwrap_or(0) * PAGE
+/// Resident bytes now; `None` where /proc does not tell.
+pub fn resident() -> Option<u64> {
+    kibibytes(&field(&std::fs::read_to_string("/proc/self/status").ok()?, "VmRSS")?)
 }
 
 /// Processor time of all threads so far, seconds; 0 where /proc does not tell.
@@ -26,7 +24,7 @@ mod tests {
 
     #[test]
     fn this_process_uses_something() {
-        assert!(resident() > 1 << 20, "{}", resident());
+        assert!(resident() > Some(1 << 20), "{:?}", resident());
         let before = processor_seconds();
         let mut sum = 0u64;
         while processor_seconds() < before + 0.02 {
