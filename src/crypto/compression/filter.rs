@@ -31,6 +31,11 @@ impl Shape {
             apart: matrix.apart,
         }
     }
+
+    /// Bytes, or else wider numbers, of a row of so many bytes.
+    fn widths(&self, row: usize) -> (usize, usize) {
+        if self.sample == 1 { (row, 0) } else { (0, row / self.sample) }
+    }
 }
 
 /// The rows above, the nearest first.
@@ -69,7 +74,7 @@ pub(super) struct Filter {
 impl Filter {
     pub fn new(matrix: &Matrix, green: bool) -> Self {
         let (shape, row) = (Shape::new(matrix, green), matrix.row());
-        let (bytes, numbers) = if shape.sample == 1 { (row, 0) } else { (0, row / shape.sample) };
+        let (bytes, numbers) = shape.widths(row);
         Self {
             bytes: Above::new(bytes, shape.apart),
             numbers: Above::new(numbers, shape.apart),
@@ -249,7 +254,7 @@ pub(super) struct Restorer {
 impl Restorer {
     pub fn new(matrix: &Matrix, green: bool) -> Self {
         let (shape, row) = (Shape::new(matrix, green), matrix.row());
-        let (bytes, numbers) = if shape.sample == 1 { (row, 0) } else { (0, row / shape.sample) };
+        let (bytes, numbers) = shape.widths(row);
         Self {
             bytes: Above::new(bytes, shape.apart),
             numbers: Above::new(numbers, shape.apart),

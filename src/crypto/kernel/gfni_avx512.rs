@@ -5,10 +5,11 @@
 #![allow(unsafe_code, reason = "vector loads and stores, see above")]
 
 use std::arch::x86_64::{
-    __m512i, _mm512_add_epi32, _mm512_cvtsi512_si32, _mm512_gf2p8affine_epi64_epi8, _mm512_gf2p8affineinv_epi64_epi8,
-    _mm512_loadu_si512, _mm512_mask_set1_epi32, _mm512_rol_epi32, _mm512_set1_epi32, _mm512_set1_epi64,
-    _mm512_setr_epi32, _mm512_setzero_si512, _mm512_shuffle_epi8, _mm512_storeu_si512, _mm512_ternarylogic_epi32,
-    _mm512_unpackhi_epi32, _mm512_unpackhi_epi64, _mm512_unpacklo_epi32, _mm512_unpacklo_epi64, _mm512_xor_si512,
+    __m512i, _mm_setr_epi32, _mm512_add_epi32, _mm512_broadcast_i32x4, _mm512_cvtsi512_si32,
+    _mm512_gf2p8affine_epi64_epi8, _mm512_gf2p8affineinv_epi64_epi8, _mm512_loadu_si512, _mm512_mask_set1_epi32,
+    _mm512_rol_epi32, _mm512_set1_epi32, _mm512_set1_epi64, _mm512_setr_epi32, _mm512_setzero_si512,
+    _mm512_shuffle_epi8, _mm512_storeu_si512, _mm512_ternarylogic_epi32, _mm512_unpackhi_epi32, _mm512_unpackhi_epi64,
+    _mm512_unpacklo_epi32, _mm512_unpacklo_epi64, _mm512_xor_si512,
 };
 
 use zeroize::Zeroizing;
@@ -67,24 +68,7 @@ fn rounds<const N: usize>(keys: &[u32; 32], groups: &mut [Group; N]) {
 #[inline]
 #[target_feature(enable = "avx512f,avx512bw")]
 fn blocks(group: &Group) -> [__m512i; 4] {
-    let swap = _mm512_setr_epi32(
-        0x0001_0203,
-        0x0405_0607,
-        0x0809_0a0b,
-        0x0c0d_0e0f,
-        0x0001_0203,
-        0x0405_0607,
-        0x0809_0a0b,
-        0x0c0d_0e0f,
-        0x0001_0203,
-        0x0405_0607,
-        0x0809_0a0b,
-        0x0c0d_0e0f,
-        0x0001_0203,
-        0x0405_0607,
-        0x0809_0a0b,
-        0x0c0d_0e0f,
-    );
+    let swap = _mm512_broadcast_i32x4(_mm_setr_epi32(0x0001_0203, 0x0405_0607, 0x0809_0a0b, 0x0c0d_0e0f));
     // The last word of the state is the first of the block.
     let (first, second) = (_mm512_unpacklo_epi32(group[3], group[2]), _mm512_unpacklo_epi32(group[1], group[0]));
     let (third, fourth) = (_mm512_unpackhi_epi32(group[3], group[2]), _mm512_unpackhi_epi32(group[1], group[0]));
