@@ -9,36 +9,16 @@ use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 use support::{
-    Authros, Home, Roscore, Running, count, heavy, hex, list, list_bag, read_bag, shared_data, skipped, system_program,
-    text, wait_until, write_bag,
+    Authros, Home, Roscore, Two, count, heavy, hex, list, list_bag, read_bag, shared_data, skipped, system_program,
+    text, two_profiles, wait_until, write_bag,
 };
 
 const NO_ROS: &str = "no roscore, rosbag and rostopic in /usr/bin";
 const INCOMPLETE: i32 = 8;
 const TAMPERED: i32 = 6;
 
-/// A site without robots, and two registered profiles.
-struct Two {
-    home: Home,
-    site: Running,
-    alice: Authros,
-    alice_address: String,
-    bob: Authros,
-    bob_address: String,
-}
-
-fn two_profiles() -> Two {
-    let home = Home::new();
-    let site = home.authros().with(&["--robots", "0"]).serve(&home);
-    let (alice, bob) = (home.profile("alice"), home.profile("bob"));
-    let (alice_address, bob_address) = (alice.enrol(), bob.enrol());
-    Two { home, site, alice, alice_address, bob, bob_address }
-}
-
-impl Two {
-    fn path(&self, name: &str) -> PathBuf {
-        self.home.root().join(name)
-    }
+fn path(two: &Two, name: &str) -> PathBuf {
+    two.home.root().join(name)
 }
 
 fn utf8(path: &Path) -> &str {
@@ -65,7 +45,7 @@ fn a_recorded_robot_is_imported_shared_exported_and_played_message_by_message() 
     let _alone = heavy();
     let Some(bag) = shared_data("jackal.bag") else { skipped!("no ../shared/data/jackal.bag") };
     let Some(roscore) = Roscore::start() else { skipped!(NO_ROS) };
-    let two = two_profiles();
+    let two = two_profiles(0);
     let summary = import(&two.alice, &bag);
     let held = read_bag(&bag);
     let topics = ["/imu/data", "/jackal_velocity_controller/odom"];
@@ -74,7 +54,7 @@ fn a_recorded_robot_is_imported_shared_exported_and_played_message_by_message() 
     assert_eq!(figures, [all as u64, all as u64, 0, 0], "{summary}");
 
     two.alice.json(&["grant", &two.bob_address]);
-    let exported = two.path("exported.bag");
+    let exported = path(&two, "exported.bag");
     let written = export(&two.bob, &exported, &["--compression", "lz4"]);
     assert_eq!(count(&written, "messages"), all as u64, "{written}");
     let (was, is) = (sorted(list_bag(&bag)), sorted(list_bag(&exported)));
@@ -92,22 +72,22 @@ fn bags_of_every_compression_come_back_as_they_were() {
     if system_program("rosbag").is_none() {
         skipped!(NO_ROS);
     }
-    let two = two_profiles();
+    let two = two_profiles(0);
     for compression in ["none", "bz2", "lz4"] {
-        let bag = two.path(&format!("{compression}.bag"));
+        let bag = path(&two, &format!("{compression}.bag"));
         write_bag(&bag, compression, 60);
         let tag = format!("mission={compression}");
         let summary = two.alice.json_within(240, &["bag", "import", utf8(&bag), "--tag", &tag, "--again"]);
         assert_eq!((count(&summary, "imported"), count(&summary, "verified")), (126, 126), "{summary}");
     }
     // One import after the other: the same messages three times over.
-    let all = two.path("all.bag");
+    let all = path(&two, "all.bag");
     let written = export(&two.alice, &all, &["--compression", "bz2"]);
     assert_eq!(count(&written, "messages"), 3 * 126, "{written}");
-    let expected = list_bag(&two.path("none.bag"));
+    let expected = list_bag(&path(&two, "none.bag"));
     let three = sorted([&expected[..], &expected[..], &expected[..]].concat());
     assert!(sorted(list_bag(&all)) == three, "every field of every message");
-    let words = two.path("words.bag");
+    let words = path(&two, "words.bag");
     let written = export(&two.alice, &words, &["--topic", "/w*", "--until", "2023-11-14T22:13:21Z"]);
     assert_eq!((count(&written, "messages"), list(&written, "topics").len()), (15, 1), "{written}");
     support::process::output_of("/usr/bin/rosbag", &["info", utf8(&words)]);
@@ -128,15 +108,15 @@ fn damaged_bags_are_read_as_far_as_they_are_readable_and_nothing_twice() {
     if system_program("rosbag").is_none() {
         skipped!(NO_ROS);
     }
-    let two = two_profiles();
-    let good = two.path("good.bag");
+    let two = two_profiles(0);
+    let good = path(&two, "good.bag");
     write_bag(&good, "lz4", 300);
     let bytes = fs::read(&good).expect("a bag");
     let known = list_bag(&good);
     let damaged = |name: &str, change: &dyn Fn(&mut Vec<u8>)| {
         let mut bytes = bytes.clone();
         change(&mut bytes);
-        let path = two.path(name);
+        let path = path(&two, name);
         fs::write(&path, bytes).expect("written");
         let outcome = two.alice.with(&["--json"]).spawn(&["bag", "import", utf8(&path)]).wait(240);
         let code = outcome.code;
@@ -154,9 +134,9 @@ fn damaged_bags_are_read_as_far_as_they_are_readable_and_nothing_twice() {
     assert_eq!(code, Some(INCOMPLETE), "{summary}");
     assert!((100..630).contains(&count(&summary, "verified")), "{summary}");
     // All that came out of the damaged ones is in the good one.
-    let part = two.path("part.mcap");
+    let part = path(&two, "part.mcap");
     export(&two.alice, &part, &["--compression", "zstd"]);
-    let back = two.path("back.bag");
+    let back = path(&two, "back.bag");
     let other = two.home.profile("carol");
     other.enrol();
     import(&other, &part);
@@ -169,7 +149,7 @@ fn damaged_bags_are_read_as_far_as_they_are_readable_and_nothing_twice() {
     });
     assert_eq!((code, count(&summary, "verified")), (Some(0), 630), "{summary}");
     // The very same file a second time.
-    let again = import(&two.alice, &two.path("unindexed.bag"));
+    let again = import(&two.alice, &path(&two, "unindexed.bag"));
     assert_eq!((count(&again, "imported"), count(&again, "already")), (0, 630), "{again}");
     let no_bag = two.home.file("no.bag", "#ROSBAG V1.2\n", 0o600);
     assert!(two.alice.fails(3, &["bag", "import", &no_bag]).contains("version"));
@@ -181,13 +161,13 @@ fn an_import_that_is_cut_goes_on_where_it_was() {
     if system_program("rosbag").is_none() {
         skipped!(NO_ROS);
     }
-    let two = two_profiles();
-    let bag = two.path("long.bag");
+    let two = two_profiles(0);
+    let bag = path(&two, "long.bag");
     write_bag(&bag, "none", 2000);
     let cut = two.alice.with(&["--json"]).spawn(&["bag", "import", utf8(&bag)]);
     let sealed = || two.alice.records(&["uploads", "list", "--topic", "/odom"]).len();
     wait_until(60, "the first messages are sealed", || (sealed() > 0).then_some(()));
-    let exported = two.path("exported.bag");
+    let exported = path(&two, "exported.bag");
     two.site.stop("KILL", 60);
     cut.wait(60);
     let _site = two.home.authros().with(&["--robots", "0"]).serve(&two.home);
@@ -217,18 +197,18 @@ fn an_import_needs_no_running_site() {
 #[test]
 fn what_was_tampered_with_or_is_not_shared_is_never_exported() {
     let _alone = heavy();
-    let two = two_profiles();
+    let two = two_profiles(0);
     let recording = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus/mcap/foreign_lz4");
     let summary = import(&two.alice, &recording);
     assert_eq!((count(&summary, "imported"), count(&summary, "verified")), (12, 12), "{summary}");
-    two.bob.fails(5, &["shared", "export", "--mcap", utf8(&two.path("b.mcap")), "--owner", &two.alice_address]);
-    let nothing = two.bob.with(&["--json"]).run(&["shared", "export", "--mcap", utf8(&two.path("b.mcap"))]);
+    two.bob.fails(5, &["shared", "export", "--mcap", utf8(&path(&two, "b.mcap")), "--owner", &two.alice_address]);
+    let nothing = two.bob.with(&["--json"]).run(&["shared", "export", "--mcap", utf8(&path(&two, "b.mcap"))]);
     assert_eq!(count(&nothing.expect_code(INCOMPLETE).document(), "messages"), 0);
 
     two.alice.json(&["grant", &two.bob_address, "--topic", "/count"]);
     let first = text(&two.alice.records(&["uploads", "list"])[0], "digest");
     spoil(&two.home, &first);
-    let spoiled = two.path("spoiled.mcap");
+    let spoiled = path(&two, "spoiled.mcap");
     let outcome = two.bob.with(&["--json"]).run(&["shared", "export", "--mcap", utf8(&spoiled)]);
     let document = outcome.expect_code(TAMPERED).document();
     assert_eq!((count(&document, "messages"), count(&document["refused"], "tampered")), (11, 1), "{document}");
@@ -244,9 +224,9 @@ fn what_was_tampered_with_or_is_not_shared_is_never_exported() {
     let dave = two.home.profile("dave");
     dave.enrol();
     assert_eq!(count(&import(&dave, &cdr), "verified"), 12);
-    let outcome = dave.with(&["--json"]).run(&["shared", "export", "--bag", utf8(&two.path("cdr.bag"))]);
+    let outcome = dave.with(&["--json"]).run(&["shared", "export", "--bag", utf8(&path(&two, "cdr.bag"))]);
     assert_eq!(count(&outcome.expect_code(INCOMPLETE).document()["refused"], "unsuitable"), 12);
-    let mcap = two.path("cdr.mcap");
+    let mcap = path(&two, "cdr.mcap");
     assert_eq!(count(&export(&dave, &mcap, &[]), "messages"), 12);
     let bytes = fs::read(&mcap).expect("written");
     assert!(

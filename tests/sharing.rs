@@ -7,27 +7,9 @@ use std::collections::BTreeSet;
 use std::fs;
 
 use serde_json::Value;
-use support::{Authros, Home, Running, at, list, text};
+use support::{Authros, at, list, text, two_profiles};
 
 const REFUSED: i32 = 5;
-
-/// One site with two robots, and two registered profiles that join it.
-struct Two {
-    home: Home,
-    _site: Running,
-    alice: Authros,
-    alice_address: String,
-    bob: Authros,
-    bob_address: String,
-}
-
-fn two_profiles() -> Two {
-    let home = Home::new();
-    let site = home.authros().with(&["--robots", "2"]).serve(&home);
-    let (alice, bob) = (home.profile("alice"), home.profile("bob"));
-    let (alice_address, bob_address) = (alice.enrol(), bob.enrol());
-    Two { home, _site: site, alice, alice_address, bob, bob_address }
-}
 
 fn ids(records: &[Value]) -> BTreeSet<String> {
     records.iter().map(|record| text(record, "id")).collect()
@@ -45,7 +27,7 @@ fn sequence(authros: &Authros, record: &Value) -> f64 {
 
 #[test]
 fn a_grantee_checks_and_opens_until_the_revoke_and_nothing_after_it() {
-    let two = two_profiles();
+    let two = two_profiles(2);
     two.alice.capture(&["/robot1/odom"], 5);
     assert!(two.bob.records(&["shared", "list"]).is_empty(), "nothing without a grant");
     let own = two.alice.records(&["uploads", "list"]);
@@ -81,7 +63,7 @@ fn a_grantee_checks_and_opens_until_the_revoke_and_nothing_after_it() {
 
 #[test]
 fn grants_are_listed_by_both_sides_with_their_state() {
-    let two = two_profiles();
+    let two = two_profiles(2);
     two.alice.json(&["grant", &two.bob_address, "--topic", "/robot1/odom", "--expires", "1h"]);
     let rows = |authros: &Authros| list(&authros.json(&["grants", "list"]), "grants");
     let (given, received) = (rows(&two.alice), rows(&two.bob));
@@ -101,7 +83,7 @@ fn grants_are_listed_by_both_sides_with_their_state() {
 
 #[test]
 fn a_grant_of_one_topic_opens_that_topic_alone() {
-    let two = two_profiles();
+    let two = two_profiles(2);
     two.alice.json(&["grant", &two.bob_address, "--topic", "/robot1/odom"]);
     two.alice.capture(&["/robot1/odom", "/robot2/odom"], 3);
     let own = two.alice.records(&["uploads", "list"]);
@@ -115,7 +97,7 @@ fn a_grant_of_one_topic_opens_that_topic_alone() {
 
 #[test]
 fn the_current_epoch_is_granted_unless_all_are_asked_for() {
-    let two = two_profiles();
+    let two = two_profiles(2);
     two.alice.capture(&["/robot1/odom"], 2);
     let early = ids(&two.alice.records(&["uploads", "list"]));
     two.alice.json(&["keys", "rotate"]);
@@ -137,7 +119,7 @@ fn the_current_epoch_is_granted_unless_all_are_asked_for() {
 
 #[test]
 fn who_is_left_reads_on_when_another_is_revoked() {
-    let two = two_profiles();
+    let two = two_profiles(2);
     let carol = two.home.profile("carol");
     let carol_address = carol.enrol();
     for grantee in [&two.bob_address, &carol_address] {
@@ -156,7 +138,7 @@ fn who_is_left_reads_on_when_another_is_revoked() {
 
 #[test]
 fn a_picture_is_restored_byte_by_byte() {
-    let two = two_profiles();
+    let two = two_profiles(2);
     two.alice.json(&["grant", &two.bob_address]);
     two.alice.capture(&["/robot1/camera/compressed"], 1);
     let id = text(&two.bob.records(&["shared", "list"])[0], "id");
@@ -173,7 +155,7 @@ fn a_picture_is_restored_byte_by_byte() {
 
 #[test]
 fn two_profiles_watch_one_topic_at_once_and_both_hold_every_message() {
-    let two = two_profiles();
+    let two = two_profiles(2);
     let capture = ["capture", "--topic", "/robot1/odom", "--for", "5s"];
     let running = [&two.alice, &two.bob].map(|authros| authros.with(&["--json"]).spawn(&capture));
     for summary in running.map(|running| running.wait(120).expect_code(0).document()) {
@@ -199,7 +181,7 @@ fn two_profiles_watch_one_topic_at_once_and_both_hold_every_message() {
 
 #[test]
 fn a_watched_topic_is_captured_until_it_is_unwatched() {
-    let two = two_profiles();
+    let two = two_profiles(2);
     let watched = |authros: &Authros| {
         let topics = list(&authros.json(&["topics", "list"]), "topics");
         topics.into_iter().any(|topic| topic["topic"] == "/robot1/odom" && topic["watched"] == true)
@@ -221,7 +203,7 @@ fn a_watched_topic_is_captured_until_it_is_unwatched() {
 
 #[test]
 fn a_followed_list_tells_each_change_of_state_on_a_line_of_its_own() {
-    let two = two_profiles();
+    let two = two_profiles(2);
     let follower = two.alice.with(&["--json"]).spawn(&["uploads", "list", "--follow"]);
     two.alice.capture(&["/robot1/odom"], 3);
     let verified = || follower.stdout().lines().filter(|line| line.contains("\"state\":\"verified\"")).count();

@@ -16,6 +16,7 @@ pub mod process;
 pub mod proxy;
 pub mod redis;
 pub mod ros;
+pub mod two;
 pub mod wire;
 
 use std::io::Write;
@@ -33,6 +34,7 @@ pub use proxy::{Proxy, Spoil};
 pub use redis::Redis;
 pub use ros::{Roscore, list_bag, read_bag, write_bag};
 use serde_json::Value;
+pub use two::{Two, two_profiles};
 pub use wire::Wire;
 
 /// Ends the test early and counts it as skipped: `skipped!("no redis-server")`.
