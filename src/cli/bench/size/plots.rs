@@ -55,7 +55,7 @@ fn response(name: &str, rows: &[&Row]) -> Plot {
         Bar::between(spread.p50 / 1e3, spread.min / 1e3, spread.p95 / 1e3)
     });
     Plot {
-        title: format!("{name}: response, median; whiskers from the least to the 95th of a hundred"),
+        title: format!("{name}: response, median; whiskers: least, p95"),
         across: sizes(),
         left: Axis::from_zero("response, s", series.iter().flat_map(Series::values)),
         right: None,

@@ -113,6 +113,18 @@ pub(super) fn width_of(words: &str, size: f64) -> f64 {
     super::super::spread::number(words.chars().count()) * size * 0.55
 }
 
+/// As much of a text as that width holds.
+pub(super) fn fitted(words: &str, size: f64, width: f64) -> String {
+    if width_of(words, size) <= width {
+        return words.to_owned();
+    }
+    let mut kept: String = words.to_owned();
+    while !kept.is_empty() && width_of(&kept, size) + size > width {
+        kept.pop();
+    }
+    format!("{}…", kept.trim_end())
+}
+
 /// For content and attributes; what XML cannot hold is gone.
 pub(super) fn escaped(text: &str) -> String {
     let mut out = String::with_capacity(text.len());

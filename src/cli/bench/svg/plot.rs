@@ -3,7 +3,7 @@
 use super::super::spread::number;
 use super::Area;
 use super::axis::{Axis, short};
-use super::canvas::{Anchor, Canvas, Text, width_of};
+use super::canvas::{Anchor, Canvas, Text, fitted, width_of};
 
 /// Height of title and of each row of the legend.
 const TITLE: f64 = 20.0;
@@ -20,7 +20,9 @@ const GROUP: f64 = 0.8;
 /// The widest bar.
 const WIDEST_BAR: f64 = 64.0;
 /// A narrower bar has no figure above it.
-const ROOM_FOR_FIGURE: f64 = 21.0;
+const ROOM_FOR_FIGURE: f64 = 18.0;
+/// Bold letters are so much wider.
+const BOLD: f64 = 1.18;
 const GREY: &str = "#666666";
 const PALE: &str = "#e4e4e4";
 
@@ -119,7 +121,7 @@ pub struct Plot {
 impl Plot {
     pub(super) fn draw(&self, canvas: &mut Canvas, area: Area) {
         let look = Text { size: 13.0, bold: true, ..Text::default() };
-        canvas.text(area.x, area.y + 12.0, &self.title, look);
+        canvas.text(area.x, area.y + 12.0, &fitted(&self.title, 13.0 * BOLD, area.width), look);
         let rows = self.legend(canvas, area);
         let lines = self.across.ticks.iter().map(|(_, words)| words.lines().count()).max().unwrap_or(1);
         let top = TITLE + LEGEND * rows + 6.0;

@@ -60,7 +60,8 @@ fn a_page_is_well_formed_whatever_is_in_it() {
 fn what_is_drawn_lies_on_the_page() {
     let document = page().draw();
     let numbers = |name: &str| {
-        let found = document.split(&format!(" {name}=\"")).skip(1).filter_map(|rest| rest.split('"').next());
+        let begin = format!(" {name}=\"");
+        let found = document.split(&begin).skip(1).filter_map(|rest| rest.split('"').next());
         found.filter_map(|number| number.parse::<f64>().ok()).collect::<Vec<_>>()
     };
     let height = numbers("height")[0];
