@@ -35,7 +35,8 @@ const NOTES: [&str; 4] = [
      has, time: captured until a time); counts: records of all states.",
     "frame: the whole console at 200 x 50, without the terminal; key: the cursor moved; rows in: 2,000 topics taken \
      over; filter: a letter typed and deleted; encode: 2,000 topics as JSON.",
-    "Times are microseconds, medians of 21 (append: of at most 40 commits); ratio: the most records over the fewest.",
+    "Times are microseconds, medians of 21 (append: of at most 40 commits); ratio: the least time with the most records \
+     over the least with the fewest, which the rest of the machine's work disturbs least.",
     "The records are fed to the ledger as the pipeline feeds it, but nothing is sealed and no chain runs.",
 ];
 

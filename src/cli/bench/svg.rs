@@ -13,7 +13,7 @@ pub use plot::{Bar, Mark, Plot, Series, Side};
 use canvas::{Anchor, Canvas, Text};
 
 /// Colours that people who do not see all colours can tell apart; ours first.
-pub const COLOURS: [&str; 7] = ["#0072b2", "#56b4e9", "#009e73", "#e69f00", "#d55e00", "#cc79a7", "#5d4a9c"];
+pub const COLOURS: [&str; 8] = ["#0072b2", "#56b4e9", "#009e73", "#e69f00", "#d55e00", "#cc79a7", "#5d4a9c", "#6b6b00"];
 /// What the paper or its authors give.
 pub const PAPER: &str = "#8c8c8c";
 

@@ -109,8 +109,7 @@ enum Line {
 /// Where the run cannot begin, or the chain's count differs from the receipts; single uploads that fail
 /// are in the outcome.
 pub async fn run(network: &Arc<Network>, load: &Load) -> Result<Outcome, Failure> {
-    let what = format!("{}, {}, {} of {} bytes", network.name(), load.way.word(), load.uploaders, load.bytes);
-    let mut progress = Progress::new(what);
+    let mut progress = Progress::new(format!("{} {}, {} B", network.name(), load.way.word(), load.bytes));
     let gas = warm_up(network, load).await?;
     let counted = counted(network).await?;
     let stored = network.storer.entries()?;
