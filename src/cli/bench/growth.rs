@@ -129,7 +129,7 @@ fn works(rows: &[Row]) -> Vec<&'static str> {
 /// How many times as long each work takes with the most records as with the fewest.
 fn ratios(rows: &[Row]) -> Vec<(&'static str, f64)> {
     let of =
-        |work: &str| rows.iter().filter(|row| row.work == work).map(|row| row.measured.spread.p50).collect::<Vec<_>>();
+        |work: &str| rows.iter().filter(|row| row.work == work).map(|row| row.measured.spread.min).collect::<Vec<_>>();
     let ratio = |work| match of(work)[..] {
         [first, .., last] => last / first,
         _ => f64::NAN,
