@@ -116,6 +116,75 @@ fn uploaders_succeed_on_every_network() {
     }
 }
 
+/// Every page is XML, and holds what it must.
+fn expect_pages(directory: &Home, names: &[&str], words: &[&str]) {
+    let script = "import sys, xml.dom.minidom as x; print(x.parse(sys.argv[1]).documentElement.tagName)";
+    for name in names {
+        let path = directory.root().join(format!("{name}.svg"));
+        let page = std::fs::read_to_string(&path).expect("a page");
+        for word in words.iter().copied().chain(["</svg>", "cores"]) {
+            assert!(page.contains(word), "no {word} in {name}: {page}");
+        }
+        match std::process::Command::new("python3").args(["-c", script]).arg(&path).output() {
+            Ok(parsed) => assert_eq!(String::from_utf8_lossy(&parsed.stdout).trim(), "svg", "{parsed:?}"),
+            Err(_) => support::tell_skipped("bench::expect_pages (XML)", "no python3"),
+        }
+    }
+    let files = std::fs::read_dir(directory.root()).expect("readable").count();
+    assert_eq!(files, names.len(), "one file for each bench");
+}
+
+#[test]
+fn messages_of_all_sizes_are_uploaded_both_ways() {
+    let _alone = heavy();
+    let (home, plots) = (Home::new(), Home::new());
+    let node = Anvil::start(&["--gas-limit", "4294967295"]);
+    let directory = plots.root().to_str().expect("UTF-8");
+    let mut arguments = vec!["bench", "size", "--runs", "4", "--networks", "poa", "--svg", directory];
+    let url = node.as_ref().map(Anvil::http);
+    arguments.extend(url.iter().flat_map(|url| ["--node", url.as_str()]));
+    if node.is_none() {
+        support::tell_skipped("bench::messages_of_all_sizes_are_uploaded_both_ways (node)", NO_NODE);
+    }
+    let report = bare(&home).json_within(LIMIT, &arguments);
+    expect_shape(&report, "size", &home);
+    let rows = list(&report, "results");
+    assert_eq!(rows.len(), if node.is_some() { 24 } else { 12 });
+    for row in &rows {
+        assert_eq!((count(row, "uploads"), count(row, "succeeded")), (4, 4), "{row}");
+        assert!((number(row, "success") - 100.0).abs() < 1e-9 && number(row, "uploads_per_second") > 0.0, "{row}");
+        let (bytes, gas) = (number(row, "bytes"), number(row, "gas_per_upload"));
+        let on_chain = bytes / 32.0 * 20_000.0;
+        // What lies on the chain costs by its length; a digest and a root do not.
+        assert!(if row["way"] == "prototype" { gas > on_chain } else { gas < 120_000.0 }, "{row}");
+        let transactions = if row["mode"] == "each" { 4..=4 } else { 1..=4 };
+        assert!(transactions.contains(&count(row, "transactions")), "{row}");
+        let has_paper = row["consensus"] == "poa" && count(row, "bytes") == 1024;
+        assert_eq!(row["paper"].is_object(), has_paper, "{row}");
+    }
+    expect_pages(&plots, &["size"], &["embedded poa", "prototype&#39;s way", "authors, per request", "8 KB"]);
+}
+
+#[test]
+fn a_set_of_benches_gives_one_set_of_figures() {
+    let (home, plots) = (Home::new(), Home::new());
+    let directory = plots.root().to_str().expect("UTF-8");
+    let plan = bare(&home).json(&["bench", "all", "--plan", "--skip", "sm2"]);
+    let named: Vec<String> = list(&plan, "results").iter().map(|row| text(row, "bench")).collect();
+    for name in ["sm3", "sm4", "gas", "consensus", "size", "gateway", "pipeline", "pictures", "growth"] {
+        assert!(named.iter().any(|found| found == name), "{name}: {named:?}");
+    }
+    assert!(!named.iter().any(|found| found == "sm2"), "{named:?}");
+    bare(&home).fails(2, &["bench", "all", "--skip", "nothing"]);
+    let others = "sm2,sm3,sm4,consensus,size,gateway,pipeline,pictures,growth";
+    let report = bare(&home).json_within(LIMIT, &["bench", "all", "--skip", others, "--svg", directory]);
+    expect_shape(&report, "all", &home);
+    let rows = list(&report, "results");
+    assert!(rows.len() == 9 && rows.iter().all(|row| row["bench"] == "gas"), "{rows:?}");
+    assert_eq!((text(&report["benches"][0], "name"), count(&report["ran"][0], "code")), ("gas".to_owned(), 0));
+    expect_pages(&plots, &["gas"], &["batch", "prototype", "gas per record"]);
+}
+
 #[test]
 fn a_gateway_keeps_every_record_it_is_measured_with() {
     let _alone = heavy();

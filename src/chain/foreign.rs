@@ -5,7 +5,7 @@ use ethers::types::{H160, TransactionRequest};
 use serde::Deserialize;
 
 use super::sender::{sign_request, wallet};
-use super::{Chain, ChainError, SignedTransaction};
+use super::{Chain, ChainError, Offered, SignedTransaction};
 use crate::crypto::EoaSecret;
 use crate::model::{Address, bytes::unhex};
 
@@ -63,9 +63,32 @@ impl Chain {
         to: Option<Address>,
         data: Vec<u8>,
     ) -> Result<SignedTransaction, ChainError> {
-        let gas = self.estimate(eoa.address(), to, &data).await?;
+        let gas = self.gas_of_bytes(eoa.address(), to, &data).await?;
         let price = self.market().await?.offer();
-        let mut request = TransactionRequest::new().nonce(nonce).gas(gas).gas_price(price);
+        self.sign_bytes_at(eoa, nonce, to, data, Offered { price, gas })
+    }
+
+    /// Gas for such a call: the node's estimate and a quarter.
+    ///
+    /// # Errors
+    /// As [`Chain::sign_bytes`].
+    pub async fn gas_of_bytes(&self, from: Address, to: Option<Address>, data: &[u8]) -> Result<u64, ChainError> {
+        self.estimate(from, to, data).await
+    }
+
+    /// As [`Chain::sign_bytes`], at a price and with gas that are known. Nothing is asked or sent.
+    ///
+    /// # Errors
+    /// [`ChainError::Internal`] where it cannot be signed.
+    pub fn sign_bytes_at(
+        &self,
+        eoa: &EoaSecret,
+        nonce: u64,
+        to: Option<Address>,
+        data: Vec<u8>,
+        offered: Offered,
+    ) -> Result<SignedTransaction, ChainError> {
+        let mut request = TransactionRequest::new().nonce(nonce).gas(offered.gas).gas_price(offered.price);
         request = request.data(data).value(0u64).chain_id(self.chain_id());
         request.to = to.map(|to| H160(to.0).into());
         sign_request(&wallet(eoa)?, request)

@@ -13,7 +13,10 @@ use std::path::PathBuf;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
 pub use self::agent::{AgentVerb, EnrolArguments, RunArguments};
-pub use self::bench::{BenchArguments, BenchVerb, ConsensusArguments, GatewayArguments, LoadChoice, PipelineArguments};
+pub use self::bench::{
+    AlgorithmArguments, AllArguments, Bench, BenchArguments, BenchName, BenchVerb, ConsensusArguments,
+    GatewayArguments, GrowthArguments, LoadChoice, NetworkChoice, PipelineArguments, SizeArguments,
+};
 pub use self::chain::{ChainVerb, GenesisArguments};
 pub use self::gateway::GatewayVerb;
 pub use self::global::Global;

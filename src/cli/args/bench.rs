@@ -1,6 +1,10 @@
 //! Arguments of `authros bench`.
 
+use std::path::PathBuf;
+
 use clap::{Args, Subcommand, ValueEnum};
+
+use crate::chain::Consensus;
 
 /// `bench …`
 #[derive(Debug, Args)]
@@ -8,14 +12,27 @@ pub struct BenchArguments {
     /// Print one line per result, comma-separated, on stdout
     #[arg(long, global = true)]
     pub csv: bool,
+    /// Also draw plots: writes DIR/<bench>.svg
+    #[arg(long, global = true, value_name = "DIR")]
+    pub svg: Option<PathBuf>,
     /// What to measure
     #[command(subcommand)]
     pub verb: BenchVerb,
 }
 
-/// What can be measured.
+/// One bench, or all.
 #[derive(Debug, Subcommand)]
 pub enum BenchVerb {
+    /// One of them.
+    #[command(flatten)]
+    One(Bench),
+    /// All of them, one after the other, each short: some minutes together
+    All(AllArguments),
+}
+
+/// What can be measured.
+#[derive(Debug, Subcommand)]
+pub enum Bench {
     /// Signing, verifying and envelopes by SM2: ours and libsm
     Sm2(AlgorithmArguments),
     /// Digests by SM3 of 1 KB to 800 KB: ours, libsm and libgcrypt, beside the paper's
@@ -24,6 +41,8 @@ pub enum BenchVerb {
     Sm4(AlgorithmArguments),
     /// Concurrent uploads on the embedded chain (PoA, PoW) and a node, beside the paper's
     Consensus(ConsensusArguments),
+    /// Uploads of 1, 2, 4 and 8 KB: sealed, stored and anchored, and the prototype's way, all bytes on the chain
+    Size(SizeArguments),
     /// Gas per record: one by one, in batches, and the prototype's way
     Gas,
     /// Messages from publisher to verified at a held rate: losses, latency, memory, what each stage costs
@@ -32,6 +51,82 @@ pub enum BenchVerb {
     Gateway(GatewayArguments),
     /// Raw pictures, clouds and small messages compressed, sealed and restored, per codec
     Pictures,
+    /// What a record, a page of a list and a frame of the console cost while the ledger grows
+    Growth(GrowthArguments),
+}
+
+/// The benches by their names.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+#[allow(missing_docs, reason = "named as the benches are")]
+pub enum BenchName {
+    Sm2,
+    Sm3,
+    Sm4,
+    Consensus,
+    Size,
+    Gas,
+    Pipeline,
+    Gateway,
+    Pictures,
+    Growth,
+}
+
+/// `bench all …`
+#[derive(Debug, Args)]
+pub struct AllArguments {
+    /// Only tell what would be measured
+    #[arg(long)]
+    pub plan: bool,
+    /// Leave these out; several, with commas
+    #[arg(long, value_enum, value_name = "BENCH", value_delimiter = ',')]
+    pub skip: Vec<BenchName>,
+    /// How often sm2, sm3 and sm4 time each piece of work, and uploads of each size
+    #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    pub runs: u32,
+    /// Consensus and size also on this node
+    #[arg(long, value_name = "URL")]
+    pub node: Option<String>,
+}
+
+/// An embedded network.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum NetworkChoice {
+    /// Proof of authority
+    Poa,
+    /// Proof of work at the paper's difficulty
+    Pow,
+}
+
+impl From<NetworkChoice> for Consensus {
+    fn from(choice: NetworkChoice) -> Self {
+        match choice {
+            NetworkChoice::Poa => Self::POA,
+            NetworkChoice::Pow => Self::POW,
+        }
+    }
+}
+
+/// `bench size …`
+#[derive(Debug, Args)]
+pub struct SizeArguments {
+    /// Uploads of each size, all at once
+    #[arg(long, value_name = "N", default_value_t = 300, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    pub runs: u32,
+    /// Embedded networks to measure on; several, with commas
+    #[arg(long, value_enum, value_name = "NAME", value_delimiter = ',', default_values = ["poa", "pow"])]
+    pub networks: Vec<NetworkChoice>,
+    /// Also on this node, which must give ether to test accounts or ask no fees
+    #[arg(long, value_name = "URL")]
+    pub node: Option<String>,
+}
+
+/// `bench growth …`
+#[derive(Debug, Args)]
+pub struct GrowthArguments {
+    /// The most records; figures are taken at each power of ten from 1,000 on, and at the end
+    #[arg(long, value_name = "N", default_value_t = 100_000,
+          value_parser = clap::value_parser!(u64).range(1_000..=10_000_000))]
+    pub records: u64,
 }
 
 /// `bench sm2 …`, `bench sm3 …`, `bench sm4 …`

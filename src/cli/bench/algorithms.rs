@@ -1,6 +1,7 @@
 //! `authros bench sm2`, `sm3` and `sm4`: the paper's figures 16 and 17. Ours, libsm, the crates and libgcrypt
 //! take turns, so that what else the machine does falls on all alike; ratios are of the least times.
 
+mod plots;
 mod text;
 mod work;
 
@@ -12,10 +13,10 @@ use serde_json::{Map, Value, json};
 use self::work::{Bench, Piece};
 use super::libgcrypt::Libgcrypt;
 use super::machine::Machine;
+use super::outlet::Outlet;
 use super::progress::Progress;
 use super::report::{Measured, Report};
-use super::spread::{Spread, histogram, number};
-use crate::cli::output::Output;
+use super::spread::{Spread, number};
 use crate::crypto::{Kernel, Provider};
 use crate::model::ErrorKind;
 use crate::service::Failure;
@@ -27,6 +28,8 @@ const LARGEST: usize = 800_000;
 const SIZES: [usize; 5] = [1024, 2048, 4096, 8192, LARGEST];
 /// The paper's time for SM3 of 800 KB, microseconds: the most it names (section V).
 const PAPER_SM3: f64 = 6340.0;
+/// The least it names.
+const PAPER_SM3_LEAST: f64 = 6190.0;
 /// A value is an outlier where it is above the median by more than this share of it.
 const OUTLYING: f64 = 0.25;
 
@@ -66,9 +69,9 @@ struct Row {
     outliers: Vec<f64>,
     /// The paper's figure, in the same unit.
     paper: Option<f64>,
-    /// Bars, for people.
+    /// Every value.
     #[serde(skip)]
-    histogram: Vec<String>,
+    times: Vec<f64>,
 }
 
 /// A figure that must be reached.
@@ -88,8 +91,7 @@ pub async fn run(
     algorithm: Algorithm,
     runs: u32,
     provider: &'static dyn Provider,
-    csv: bool,
-    output: Output,
+    outlet: &Outlet,
 ) -> Result<u8, Failure> {
     if let Some(name) = std::env::var_os("AUTHROS_SM4_KERNEL").filter(|name| !name.is_empty()) {
         let kernel: Kernel = super::super::parse::value(&name.to_string_lossy())?;
@@ -101,7 +103,7 @@ pub async fn run(
     let ok = acceptance.iter().all(|one| one.ok);
     let about = about(&acceptance, &libgcrypt);
     let report = Report { name: algorithm.name(), machine: Machine::read(), about, results };
-    report.show(csv, output, || text::text(&report, &acceptance, &libgcrypt));
+    outlet.show(&report, || text::text(&report, &acceptance, &libgcrypt), || plots::page(&report, algorithm))?;
     Ok(if ok { 0 } else { ErrorKind::Internal.exit_code() })
 }
 
@@ -135,7 +137,7 @@ fn measure(algorithm: Algorithm, runs: u32, provider: &'static dyn Provider) -> 
         }
         let ours = pieces.iter().map(|piece| (piece.work, piece.by));
         let names = ours.chain(asked.iter().map(|(_, work)| (*work, "libgcrypt")));
-        rows.extend(names.zip(&times).map(|((work, by), times)| row(work, by, size, times)));
+        rows.extend(names.zip(times).map(|((work, by), times)| row(work, by, size, times)));
     }
     Ok((rows, words))
 }
@@ -151,16 +153,16 @@ fn timed(piece: &Piece<'_>) -> Result<f64, Failure> {
     Ok(gone / number(piece.messages))
 }
 
-fn row(work: &'static str, by: &'static str, bytes: usize, times: &[f64]) -> Row {
-    let spread = Spread::of(times);
-    let mut sorted = times.to_vec();
+fn row(work: &'static str, by: &'static str, bytes: usize, times: Vec<f64>) -> Row {
+    let spread = Spread::of(&times);
+    let mut sorted = times.clone();
     sorted.sort_by(f64::total_cmp);
     let p5 = sorted.get((times.len() * 5).div_ceil(100).saturating_sub(1)).copied().unwrap_or(f64::NAN);
     let far = spread.p50 * (1.0 + OUTLYING);
     let outliers = sorted.into_iter().rev().take_while(|time| *time > far).collect();
     let paper = (work == "digest" && bytes == LARGEST).then_some(PAPER_SM3);
     let measured = Measured { bytes: bytes as u64, runs: times.len() as u64, unit: "us", spread };
-    Row { work, by, measured, p5, outliers, paper, histogram: histogram(times, "us") }
+    Row { work, by, measured, p5, outliers, paper, times }
 }
 
 /// The row of a piece of work.

@@ -8,7 +8,7 @@ use tokio::sync::{mpsc, oneshot};
 use tokio::task::JoinSet;
 
 use super::account::Account;
-use super::lane::{Posted, post};
+use super::lane::{Deed, Posted, post};
 use super::mined::Mined;
 use super::network::Network;
 use crate::chain::Call;
@@ -140,7 +140,7 @@ impl Line {
     async fn close(&mut self, items: Vec<Item>, sending: &mut JoinSet<()>) {
         let Some(tree) = Tree::new(items.iter().map(|item| item.leaf.hash()).collect()) else { return };
         let call = Call::Anchor { root: tree.root(), count: items.len() as u64, previous: self.previous };
-        let posted = post(&self.network, &self.mined, &self.account, &call).await;
+        let posted = post(&self.network, &self.mined, &self.account, Deed::Call(&call)).await;
         if posted.is_ok() {
             self.previous = tree.root();
         }

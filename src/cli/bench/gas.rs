@@ -9,19 +9,21 @@ use serde_json::{Map, Value, json};
 use super::account::Account;
 use super::machine::Machine;
 use super::network::{Directory, Network, Place, join, settle};
+use super::outlet::Outlet;
 use super::progress::Progress;
+use super::prototype::Prototype;
 use super::report::{Measured, Report};
-use super::spread::{Spread, decimal, number};
+use super::spread::{Spread, bars, decimal, number};
+use super::svg::{Axis, Bar, COLOURS, Mark, Page, Plot, Series};
 use super::uploads::MESSAGE;
 use crate::chain::merkle::{Inclusion, Leaf, Tree};
-use crate::chain::{Call, Chain, Consensus, ForeignContract, created_address};
-use crate::cli::output::{Output, table};
+use crate::chain::{Call, Chain, Consensus};
+use crate::cli::output::table;
 use crate::crypto::{EoaSecret, Provider, random_bytes};
 use crate::model::{ErrorKind, Hash};
 use crate::service::Failure;
 use crate::service::failure::internal;
 
-const PROTOTYPE: &str = include_str!("../../../contracts/bench/Prototype.json");
 /// Leaves of a batch.
 const BATCHES: [usize; 4] = [1, 16, 256, 4096];
 /// Bytes that the prototype puts on the chain.
@@ -72,7 +74,7 @@ struct Acceptance {
 ///
 /// # Errors
 /// Where the chain cannot be made, or a transaction fails.
-pub async fn run(provider: &'static dyn Provider, csv: bool, output: Output) -> Result<u8, Failure> {
+pub async fn run(provider: &'static dyn Provider, outlet: &Outlet) -> Result<u8, Failure> {
     let consensus = Consensus::Poa { signers: 1, period: Duration::ZERO };
     let directory = Directory::new()?;
     let network = Network::open(&Place::Embedded(consensus), provider, directory.path()).await?;
@@ -98,7 +100,7 @@ pub async fn run(provider: &'static dyn Provider, csv: bool, output: Output) -> 
     let ok = acceptance.iter().all(|one| one.ok);
     let about = about(&acceptance, over_prototype(&results));
     let report = Report { name: "gas", machine: Machine::read(), about, results };
-    report.show(csv, output, || text(&report, &acceptance));
+    outlet.show(&report, || text(&report, &acceptance), || page(&report))?;
     Ok(if ok { 0 } else { ErrorKind::Internal.exit_code() })
 }
 
@@ -183,23 +185,14 @@ async fn check(chain: &Chain, account: &Account, tree: &Tree, leaves: &[Leaf]) -
 /// Whole ciphertexts of one size, by a contract and an account of their own.
 async fn prototype(network: &Network, size: usize) -> Result<Row, Failure> {
     let (chain, eoa) = (&network.chain, EoaSecret::generate()?);
-    let contract = ForeignContract::parse(PROTOTYPE)?;
-    let mut nonce = chain.nonce(eoa.address(), true).await?;
-    let address = created_address(eoa.address(), nonce);
-    settle(chain, chain.sign_bytes(&eoa, nonce, None, contract.creation().to_vec()).await?).await?;
-    // In the paper the token is the SM4 key: 16 bytes. This one opens nothing.
-    let token = random_bytes::<16>()?;
-    let register = contract.call("register", &[&token])?;
-    settle(chain, chain.sign_bytes(&eoa, nonce + 1, Some(address), register).await?).await?;
-    nonce += 2;
+    let nonce = chain.nonce(eoa.address(), true).await?;
+    let prototype = Prototype::deploy(chain, &eoa, nonce).await?;
+    prototype.register(chain, &eoa, nonce + 1).await?;
     let mut gas = Vec::new();
-    for _ in 0..RUNS {
-        let sealed = network.accounts[1].seal(&vec![0x5a; size])?;
-        let ciphertext = sealed.blob.get(sealed.blob.len().saturating_sub(size)..).unwrap_or_default();
-        let timestamp = sealed.captured_at.0.to_be_bytes();
-        let upload = contract.call("dataUpload", &[ciphertext, &token, &timestamp])?;
-        gas.push(settle(chain, chain.sign_bytes(&eoa, nonce, Some(address), upload).await?).await?.gas_used);
-        nonce += 1;
+    for nonce in (nonce + 2..).take(RUNS) {
+        let upload = prototype.upload(&network.accounts[1], &vec![0x5a; size])?;
+        let signed = chain.sign_bytes(&eoa, nonce, Some(prototype.address), upload).await?;
+        gas.push(settle(chain, signed).await?.gas_used);
     }
     Ok(row("prototype", 1, size, &gas))
 }
@@ -264,9 +257,44 @@ fn text(report: &Report<Row>, acceptance: &[Acceptance]) -> String {
         let answer = if one.ok { "yes" } else { "NO" };
         lines.push(format!("{} {}: {answer} ({})", one.what, decimal(one.limit), decimal(one.found)));
     }
+    lines.push("\ngas per record".to_owned());
+    lines.extend(bars(
+        &report.results.iter().map(|row| (name(row), row.measured.spread.p50)).collect::<Vec<_>>(),
+        "gas",
+    ));
     let over = over_prototype(&report.results);
     lines.push(format!("8 KB the prototype's way over a record in a batch of 256: {}", decimal(over)));
     lines.push(String::new());
     lines.extend(NOTES.map(str::to_owned));
     lines.join("\n")
+}
+
+fn name(row: &Row) -> String {
+    match row.way {
+        "batch" => format!("batch of {}", row.records),
+        way => format!("{way}, {} bytes", row.measured.bytes),
+    }
+}
+
+fn page(report: &Report<Row>) -> Page {
+    let of_way = |way: &'static str, colour: &'static str| {
+        let bar = |row: &Row| (row.way == way).then(|| Bar::plain(row.measured.spread.p50));
+        Series::new(way, colour, Mark::Bars(report.results.iter().map(bar).collect()))
+    };
+    let series = vec![of_way("batch", COLOURS[0]), of_way("each", COLOURS[1]), of_way("prototype", COLOURS[4])];
+    let names = report.results.iter().map(|row| name(row).replace(' ', "\n"));
+    let plot = Plot {
+        title: "Gas per record; a batch is one transaction whatever is in it".to_owned(),
+        across: Axis::places("", names),
+        left: Axis::decades("gas per record", series.iter().flat_map(Series::values)),
+        right: None,
+        series,
+    };
+    Page {
+        title: "Gas per record: ours and the prototype's way".to_owned(),
+        machine: report.machine.line(),
+        columns: 1,
+        plots: vec![plot],
+        notes: NOTES.map(str::to_owned).into(),
+    }
 }

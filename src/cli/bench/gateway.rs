@@ -3,6 +3,7 @@
 
 mod desk;
 mod idle;
+mod plots;
 mod sender;
 
 use std::path::Path;
@@ -17,11 +18,12 @@ use self::desk::BenchDesk;
 use self::sender::Sender;
 use super::machine::Machine;
 use super::network::Directory;
+use super::outlet::Outlet;
 use super::progress::Progress;
 use super::report::{Measured, Report};
-use super::spread::{Spread, decimal, number};
+use super::spread::{Spread, bars, decimal, number};
 use crate::cli::args::GatewayArguments;
-use crate::cli::output::{Output, table};
+use crate::cli::output::table;
 use crate::crypto::Provider;
 use crate::crypto::record::signed_bytes;
 use crate::gateway::{
@@ -78,12 +80,7 @@ struct Row {
 ///
 /// # Errors
 /// Where the gateway cannot be made, or refuses a record.
-pub async fn run(
-    arguments: GatewayArguments,
-    provider: &'static dyn Provider,
-    csv: bool,
-    output: Output,
-) -> Result<u8, Failure> {
+pub async fn run(arguments: GatewayArguments, provider: &'static dyn Provider, outlet: &Outlet) -> Result<u8, Failure> {
     let sender = Sender::new(provider)?;
     // First, while the allocator holds nothing that was freed.
     let idle = idle::measure(&sender, arguments.idle as usize).await?;
@@ -124,7 +121,7 @@ pub async fn run(
     about.insert("idle".to_owned(), json!(idle));
     about.insert("notes".to_owned(), json!(NOTES));
     let report = Report { name: "gateway", machine: Machine::read(), about, results };
-    report.show(csv, output, || text(&report, &idle));
+    outlet.show(&report, || text(&report, &idle), || plots::page(&report))?;
     Ok(0)
 }
 
@@ -351,7 +348,20 @@ fn text(report: &Report<Row>, idle: &idle::Idle) -> String {
     };
     let rows: Vec<Vec<String>> = report.results.iter().map(cells).collect();
     let mut lines = vec!["records accepted by a gateway".to_owned(), format!("machine: {}", report.machine.line())];
-    lines.extend([String::new(), table(&head, &rows), String::new(), idle.line(), String::new()]);
+    lines.extend([String::new(), table(&head, &rows)]);
+    for (bytes, _) in SIZES {
+        lines.push(format!("\nrecords of {bytes} bytes a second"));
+        let of_size = report.results.iter().filter(|row| row.measured.bytes == bytes as u64);
+        lines.extend(bars(&of_size.map(|row| (name(row), row.measured.spread.p50)).collect::<Vec<_>>(), "a second"));
+    }
+    lines.extend([String::new(), idle.line(), String::new()]);
     lines.extend(NOTES.map(str::to_owned));
     lines.join("\n")
+}
+
+fn name(row: &Row) -> String {
+    match row.kept {
+        Some(kept) => format!("{}, {kept}, {} connections", row.way, row.connections),
+        None => format!("{}, one core", row.way),
+    }
 }

@@ -8,8 +8,8 @@ use tokio::sync::oneshot;
 use super::account::Account;
 use super::mined::Mined;
 use super::network::Network;
-use crate::chain::{Call, Chain, ChainError, SignedTransaction};
-use crate::model::Hash;
+use crate::chain::{Call, Chain, ChainError, Offered, SignedTransaction};
+use crate::model::{Address, Hash};
 use crate::service::Failure;
 use crate::service::failure::internal;
 
@@ -17,6 +17,22 @@ use crate::service::failure::internal;
 const ATTEMPTS: u32 = 8;
 /// How long to wait in between.
 const PAUSE: Duration = Duration::from_millis(500);
+
+/// What a transaction does.
+#[derive(Debug, Clone, Copy)]
+pub enum Deed<'a> {
+    /// A call of our contract.
+    Call(&'a Call),
+    /// A call of another one, whose gas is known.
+    Foreign {
+        /// The contract.
+        to: Address,
+        /// Call data.
+        data: &'a [u8],
+        /// The most gas it may use.
+        gas: u64,
+    },
+}
 
 /// A transaction on its way.
 pub struct Posted {
@@ -32,21 +48,31 @@ pub struct Posted {
 ///
 /// # Errors
 /// The chain's.
-pub async fn post(network: &Network, mined: &Mined, account: &Account, call: &Call) -> Result<Posted, Failure> {
+pub async fn post(network: &Network, mined: &Mined, account: &Account, deed: Deed<'_>) -> Result<Posted, Failure> {
     let _turn = network.line.acquire().await.map_err(|_| internal("the line is closed"))?;
     let nonce = account.next_nonce();
-    let signed = sign(network, account, nonce, call).await?;
+    let signed = sign(network, account, nonce, deed).await?;
     let told = mined.expect(signed.hash);
     let sent = Instant::now();
     broadcast(&network.chain, &signed.raw).await?;
     Ok(Posted { hash: signed.hash, sent, told })
 }
 
-async fn sign(network: &Network, account: &Account, nonce: u64, call: &Call) -> Result<SignedTransaction, ChainError> {
+async fn sign(
+    network: &Network,
+    account: &Account,
+    nonce: u64,
+    deed: Deed<'_>,
+) -> Result<SignedTransaction, ChainError> {
     let mut attempt = 1;
     loop {
         let signed = match network.price().await {
-            Ok(price) => network.chain.sign_at(&account.eoa, nonce, call, price).await,
+            Ok(price) => match deed {
+                Deed::Call(call) => network.chain.sign_at(&account.eoa, nonce, call, price).await,
+                Deed::Foreign { to, data, gas } => {
+                    network.chain.sign_bytes_at(&account.eoa, nonce, Some(to), data.to_vec(), Offered { price, gas })
+                }
+            },
             Err(error) => Err(error),
         };
         match signed {

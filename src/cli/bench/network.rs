@@ -151,6 +151,19 @@ impl Network {
         self.kind == "embedded"
     }
 
+    /// What it is and how it is set, in one line.
+    pub fn preset(&self) -> String {
+        let sealing = match (self.sealing.period, &self.sealing.difficulty) {
+            (Some(period), _) => format!("block period at least {period} ms"),
+            (None, Some(difficulty)) => match difficulty.parse::<u64>() {
+                Ok(difficulty) => format!("difficulty {difficulty:#x}, no fixed period"),
+                Err(_) => format!("difficulty {difficulty}, no fixed period"),
+            },
+            (None, None) => "period as the node has it".to_owned(),
+        };
+        format!("{}: {}, {sealing}, gas limit {:#x}", self.name(), self.client, self.gas_limit)
+    }
+
     /// What to call it.
     pub fn name(&self) -> String {
         format!("{} {}", self.kind, self.consensus)

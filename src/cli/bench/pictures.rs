@@ -2,6 +2,7 @@
 //! beside none. What is measured is drawn here: smooth surfaces under sensor noise.
 
 mod drawn;
+mod plots;
 
 use std::time::Instant;
 
@@ -12,9 +13,11 @@ use serde_json::{Map, Value, json};
 
 use super::account::head;
 use super::machine::Machine;
+use super::outlet::Outlet;
+use super::progress::Progress;
 use super::report::{Measured, Report};
-use super::spread::{Spread, decimal, number};
-use crate::cli::output::{Output, table};
+use super::spread::{Spread, bars, decimal, number};
+use crate::cli::output::table;
 use crate::crypto::compression::{pack, unpack};
 use crate::crypto::{Anchor, Expected, Provider, SealRequest, SmKeyPair, TopicKey, open, random_bytes, seal};
 use crate::model::head::Compression;
@@ -116,17 +119,20 @@ struct Times {
 ///
 /// # Errors
 /// Where a message is not restored as it was, or the random source fails.
-pub fn run(provider: &'static dyn Provider, csv: bool, output: Output) -> Result<u8, Failure> {
+pub fn run(provider: &'static dyn Provider, outlet: &Outlet) -> Result<u8, Failure> {
     let bench = Bench { provider, signer: SmKeyPair::generate(provider)?, key: TopicKey::new(random_bytes()?) };
-    let mut results = Vec::new();
-    for message in drawn::all() {
-        for codec in &CODECS {
-            results.extend(bench.measure(&message, codec)?);
+    let (mut results, messages) = (Vec::new(), drawn::all());
+    let (mut progress, all) = (Progress::new("pictures"), messages.len() * CODECS.len());
+    for (turn, message) in messages.iter().enumerate() {
+        for (at, codec) in CODECS.iter().enumerate() {
+            results.extend(bench.measure(message, codec)?);
+            progress.at(turn * CODECS.len() + at + 1, all);
         }
     }
+    drop(progress);
     let about = Map::from_iter([("notes".to_owned(), json!(NOTES))]);
     let report = Report { name: "pictures", machine: Machine::read(), about, results };
-    report.show(csv, output, || text(&report));
+    outlet.show(&report, || text(&report), || plots::page(&report))?;
     Ok(0)
 }
 
@@ -213,5 +219,8 @@ fn text(report: &Report<Row>) -> String {
     let rows: Vec<Vec<String>> = report.results.iter().map(row).collect();
     let notes = report.about.get("notes").and_then(Value::as_array).cloned().unwrap_or_default();
     let notes: Vec<&str> = notes.iter().filter_map(Value::as_str).collect();
-    format!("{}\n{}\n{}", report.machine.line(), table(&head, &rows), notes.join("\n"))
+    let name = |row: &Row| format!("{}, {}", row.message, row.codec);
+    let total = report.results.iter().map(|row| (name(row), row.measured.spread.p50)).collect::<Vec<_>>();
+    let bars = bars(&total, "ms").join("\n");
+    format!("{}\n{}\n\ntotal\n{bars}\n\n{}", report.machine.line(), table(&head, &rows), notes.join("\n"))
 }

@@ -2,6 +2,7 @@
 //! TCPROS. ROS master, chain and vault are embedded, or those that --ros-master, --chain and --vault name.
 
 mod host;
+mod plots;
 mod run;
 
 use serde::Serialize;
@@ -9,10 +10,11 @@ use serde_json::{Map, json};
 
 use self::run::{Load, Summary};
 use super::machine::Machine;
+use super::outlet::Outlet;
 use super::report::{Measured, Report};
-use super::spread::{Spread, decimal};
+use super::spread::{Spread, bars, decimal};
 use crate::cli::args::{Global, LoadChoice, PipelineArguments};
-use crate::cli::output::{Output, table};
+use crate::cli::output::table;
 use crate::cli::parse;
 use crate::model::ErrorKind;
 use crate::pipeline::stages::{Milestone, Stages};
@@ -48,12 +50,12 @@ struct Row {
 ///
 /// # Errors
 /// Where the site cannot be opened, or a part that was named does not answer.
-pub async fn run(global: &Global, arguments: PipelineArguments, csv: bool, output: Output) -> Result<u8, Failure> {
+pub async fn run(global: &Global, arguments: PipelineArguments, outlet: &Outlet) -> Result<u8, Failure> {
     let length = parse::duration(&arguments.length)?;
     let mut results = Vec::new();
     let mut summaries = Vec::new();
     for load in loads(&arguments) {
-        let host = host::Host::open(global, &output).await?;
+        let host = host::Host::open(global, outlet.output()).await?;
         let ran = run::run(&host, &load, length).await;
         results.extend(Milestone::ALL.map(|milestone| row(&load, milestone, host.stages())));
         host.close().await;
@@ -63,7 +65,7 @@ pub async fn run(global: &Global, arguments: PipelineArguments, csv: bool, outpu
     about.insert("loads".to_owned(), json!(summaries));
     about.insert("notes".to_owned(), json!(NOTES));
     let report = Report { name: "pipeline", machine: Machine::read(), about, results };
-    report.show(csv, output, || text(&report, &summaries));
+    outlet.show(&report, || text(&report, &summaries), || plots::page(&report, &summaries))?;
     let whole = summaries.iter().all(|summary| summary.is_whole());
     Ok(if whole { 0 } else { ErrorKind::Incomplete.exit_code() })
 }
@@ -107,6 +109,10 @@ fn text(report: &Report<Row>, summaries: &[Summary]) -> String {
         "\nfrom capture, ms".to_owned(),
         table(&["load", "to", "messages", "min", "p50", "p95", "p99", "max"], &latencies),
     ];
+    lines.push("\nmedians".to_owned());
+    let name = |row: &Row| format!("{} {}", row.load, row.milestone);
+    lines
+        .extend(bars(&report.results.iter().map(|row| (name(row), row.measured.spread.p50)).collect::<Vec<_>>(), "ms"));
     for summary in summaries {
         lines.push(format!("\n{}: what is busy, share of the load's time", summary.load));
         lines.extend(summary.bars());

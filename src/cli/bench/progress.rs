@@ -7,6 +7,8 @@ use std::time::{Duration, Instant};
 const PAUSE: Duration = Duration::from_millis(100);
 /// Columns that the line may use.
 const WIDTH: usize = 78;
+/// Columns of the bar.
+const BAR: usize = 12;
 
 /// The line. It is wiped when dropped.
 #[derive(Debug)]
@@ -51,7 +53,9 @@ fn line(what: &str, done: usize, all: usize, gone: Duration) -> String {
         }
         _ => "waiting".to_owned(),
     };
-    format!("{what}: {done} of {all}, {:.0} s, {left}", gone.as_secs_f64())
+    let full = done.min(all).saturating_mul(BAR).checked_div(all).unwrap_or(0);
+    let bar = format!("{}{}", "#".repeat(full), ".".repeat(BAR - full));
+    format!("{what} [{bar}] {done} of {all}, {:.0} s, {left}", gone.as_secs_f64())
 }
 
 fn write(text: &str) {
@@ -68,7 +72,9 @@ mod tests {
 
     #[test]
     fn what_is_left_follows_from_what_was_done() {
-        assert_eq!(line("x", 0, 10, Duration::from_secs(3)), "x: 0 of 10, 3 s, waiting");
-        assert_eq!(line("x", 5, 20, Duration::from_secs(4)), "x: 5 of 20, 4 s, about 12 s left");
+        assert_eq!(line("x", 0, 10, Duration::from_secs(3)), "x [............] 0 of 10, 3 s, waiting");
+        assert!(line("x", 3, 0, Duration::ZERO).contains("[............]"));
+        assert!(line("x", 30, 20, Duration::ZERO).contains("[############]"));
+        assert_eq!(line("x", 5, 20, Duration::from_secs(4)), "x [###.........] 5 of 20, 4 s, about 12 s left");
     }
 }

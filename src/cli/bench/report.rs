@@ -5,7 +5,6 @@ use serde_json::{Map, Value};
 
 use super::machine::Machine;
 use super::spread::Spread;
-use crate::cli::output::Output;
 
 /// The outcome of a bench. `about` is more about the run, field by field beside the others.
 #[derive(Debug, Serialize)]
@@ -35,36 +34,25 @@ pub struct Measured {
     pub spread: Spread,
 }
 
-impl<R: Serialize> Report<R> {
-    /// Prints it.
-    pub fn show(&self, csv: bool, output: Output, text: impl FnOnce() -> String) {
-        if csv {
-            Output::new(false).result(&(), || self.csv());
-        } else {
-            output.result(self, text);
+/// One line of column names, one line for each result; fields of fields are named `outer.inner`.
+pub fn csv(results: &[Value]) -> String {
+    let rows: Vec<Vec<(String, String)>> = results.iter().map(row).collect();
+    let mut names: Vec<&str> = Vec::new();
+    for (name, _) in rows.iter().flatten() {
+        if !names.contains(&name.as_str()) {
+            names.push(name);
         }
     }
-
-    /// One line of column names, one line for each result; fields of fields are named `outer.inner`.
-    fn csv(&self) -> String {
-        let rows: Vec<Vec<(String, String)>> = self.results.iter().map(row).collect();
-        let mut names: Vec<&str> = Vec::new();
-        for (name, _) in rows.iter().flatten() {
-            if !names.contains(&name.as_str()) {
-                names.push(name);
-            }
-        }
-        let cell = |row: &Vec<(String, String)>, name: &str| {
-            row.iter().find(|(found, _)| found == name).map_or(String::new(), |(_, value)| quoted(value))
-        };
-        let line = |row: &Vec<(String, String)>| names.iter().map(|name| cell(row, name)).collect::<Vec<_>>().join(",");
-        std::iter::once(names.join(",")).chain(rows.iter().map(line)).collect::<Vec<_>>().join("\n")
-    }
+    let cell = |row: &Vec<(String, String)>, name: &str| {
+        row.iter().find(|(found, _)| found == name).map_or(String::new(), |(_, value)| quoted(value))
+    };
+    let line = |row: &Vec<(String, String)>| names.iter().map(|name| cell(row, name)).collect::<Vec<_>>().join(",");
+    std::iter::once(names.join(",")).chain(rows.iter().map(line)).collect::<Vec<_>>().join("\n")
 }
 
-fn row<R: Serialize>(result: &R) -> Vec<(String, String)> {
+fn row(result: &Value) -> Vec<(String, String)> {
     let mut cells = Vec::new();
-    flatten("", &serde_json::to_value(result).unwrap_or(Value::Null), &mut cells);
+    flatten("", result, &mut cells);
     cells
 }
 
@@ -96,7 +84,7 @@ mod tests {
     fn lines_have_the_columns_of_all_results() {
         let results = vec![json!({ "a": 1, "b": { "c": "x, \"y\"" } }), json!({ "a": 2, "d": null })];
         let report = Report { name: "test", machine: Machine::read(), about: Map::new(), results };
-        assert_eq!(report.csv(), "a,b.c,d\n1,\"x, \"\"y\"\"\",\n2,,");
+        assert_eq!(csv(&report.results), "a,b.c,d\n1,\"x, \"\"y\"\"\",\n2,,");
         let document = serde_json::to_value(&report).expect("JSON");
         assert!(document["machine"]["cores"].is_u64() && document["results"].is_array());
     }

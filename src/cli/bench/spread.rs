@@ -51,6 +51,22 @@ pub fn histogram(values: &[f64], unit: &str) -> Vec<String> {
     counts.iter().enumerate().map(line).collect()
 }
 
+/// A bar for each name, as long as its value; by its logarithm where they differ by more than a hundred times.
+pub fn bars(rows: &[(String, f64)], unit: &str) -> Vec<String> {
+    let known = || rows.iter().map(|(_, value)| *value).filter(|value| value.is_finite() && *value > 0.0);
+    let (least, most) = (known().fold(f64::INFINITY, f64::min), known().fold(0.0, f64::max));
+    let far = most > least * 100.0;
+    let width = rows.iter().map(|(name, _)| name.chars().count()).max().unwrap_or(0);
+    let share =
+        |value: f64| if far { (1.0 + (value / least).log10()) / (1.0 + (most / least).log10()) } else { value / most };
+    let line = |(name, value): &(String, f64)| {
+        let length = (1..=LONGEST_BAR).filter(|bar| share(*value) * number(LONGEST_BAR) >= number(*bar) - 0.5).count();
+        format!("  {name:<width$} |{:<LONGEST_BAR$} {} {unit}", "#".repeat(length), decimal(*value))
+    };
+    let scale = far.then(|| "  (a bar grows with the logarithm)".to_owned());
+    rows.iter().map(line).chain(scale).collect()
+}
+
 /// A count as a number to reckon with; exact up to 2^32, and no count here is larger.
 pub fn number(count: impl TryInto<u32>) -> f64 {
     f64::from(count.try_into().unwrap_or(u32::MAX))
@@ -72,6 +88,17 @@ mod tests {
         assert_eq!(Spread::of(&[7.0]), Spread { min: 7.0, p50: 7.0, p95: 7.0, max: 7.0 });
         let none = serde_json::to_value(Spread::of(&[])).expect("JSON");
         assert_eq!(none, serde_json::json!({ "min": null, "p50": null, "p95": null, "max": null }));
+    }
+
+    #[test]
+    fn bars_are_as_long_as_their_values() {
+        let of = |values: &[f64]| {
+            let rows: Vec<_> = values.iter().map(|value| ("x".to_owned(), *value)).collect();
+            bars(&rows, "ms").iter().map(|line| line.matches('#').count()).collect::<Vec<_>>()
+        };
+        assert_eq!(of(&[1.0, 2.0, 4.0, f64::NAN]), [10, 20, 40, 0]);
+        assert_eq!(of(&[1.0, 1000.0]), [10, 40, 0]);
+        assert_eq!(of(&[]), Vec::<usize>::new());
     }
 
     #[test]

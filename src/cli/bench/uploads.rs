@@ -1,5 +1,6 @@
-//! Many uploaders at once: each seals a message, stores the record, has it anchored, and waits for the
-//! receipt. `each` is one `dataUpload` per record; `batch` is one root over the records that wait.
+//! Many uploaders at once: each seals a message, stores the record, has it anchored, and waits for the receipt.
+//! `each` is one `dataUpload` per record; `batch` is one root over the records that wait; `prototype` stores nothing
+//! beside the chain and puts the ciphertext on it.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -7,15 +8,16 @@ use std::time::{Duration, Instant};
 
 use tokio::task::JoinSet;
 
-use super::account::Sealed;
+use super::account::{Account, Sealed};
 use super::batcher::{self, Batcher};
-use super::lane::{Posted, post};
+use super::lane::{Deed, Posted, post};
 use super::mined::Mined;
 use super::network::Network;
 use super::progress::Progress;
+use super::prototype::Prototype;
 use crate::chain::Call;
 use crate::crypto::random_bytes;
-use crate::model::{AnchorMode, ErrorKind};
+use crate::model::{Digest, ErrorKind, Timestamp};
 use crate::service::Failure;
 use crate::service::failure::internal;
 
@@ -23,6 +25,39 @@ use crate::service::failure::internal;
 pub const MESSAGE: usize = 1024;
 /// How often the progress line is renewed.
 const TICK: Duration = Duration::from_millis(200);
+
+/// How a record gets on the chain.
+#[derive(Debug, Clone)]
+pub enum Way {
+    /// Under a Merkle root with others.
+    Batch,
+    /// By a transaction of its own.
+    Each,
+    /// Whole, in the prototype's contract.
+    Prototype(Arc<Prototype>),
+}
+
+impl Way {
+    /// As in results.
+    pub fn word(&self) -> &'static str {
+        match self {
+            Self::Batch => "batch",
+            Self::Each => "each",
+            Self::Prototype(_) => "prototype",
+        }
+    }
+}
+
+/// What one run does.
+#[derive(Debug, Clone)]
+pub struct Load {
+    /// How.
+    pub way: Way,
+    /// Length of a message.
+    pub bytes: usize,
+    /// How many upload at once.
+    pub uploaders: usize,
+}
 
 /// What became of one run.
 pub struct Outcome {
@@ -56,59 +91,79 @@ struct Done {
 struct Run {
     network: Arc<Network>,
     mined: Arc<Mined>,
-    batchers: Option<[Batcher; 2]>,
+    bytes: usize,
+    line: Line,
 }
 
-/// Runs `uploaders` of them to the end.
+/// What stands between an uploader and the chain.
+enum Line {
+    Batch([Batcher; 2]),
+    Each,
+    /// With the gas that a call may use.
+    Prototype(Arc<Prototype>, u64),
+}
+
+/// Runs all of its uploaders to the end.
 ///
 /// # Errors
 /// Where the run cannot begin, or the chain's count differs from the receipts; single uploads that fail
 /// are in the outcome.
-pub async fn run(network: &Arc<Network>, mode: AnchorMode, uploaders: usize) -> Result<Outcome, Failure> {
-    let mut progress = Progress::new(format!("{}, {mode}, {uploaders} uploaders", network.name()));
-    warm_up(network, mode).await?;
+pub async fn run(network: &Arc<Network>, load: &Load) -> Result<Outcome, Failure> {
+    let mut progress = Progress::new(format!("{} {}, {} B", network.name(), load.way.word(), load.bytes));
+    let gas = warm_up(network, load).await?;
     let counted = counted(network).await?;
     let stored = network.storer.entries()?;
     let mut beside = JoinSet::new();
     let mined = Arc::new(Mined::default());
     let head = network.chain.head().await?.number;
     beside.spawn(Arc::clone(&mined).watch(network.chain.clone(), head, network.is_embedded()));
-    let (batchers, roots) = match mode {
-        AnchorMode::Each => (None, None),
-        AnchorMode::Batch => {
+    let (line, roots) = match &load.way {
+        Way::Each => (Line::Each, None),
+        Way::Prototype(prototype) => (Line::Prototype(Arc::clone(prototype), gas), None),
+        Way::Batch => {
             let (batchers, roots) = batcher::start(network, &mined, &mut beside).await?;
-            (Some(batchers), Some(roots))
+            (Line::Batch(batchers), Some(roots))
         }
     };
-    let run = Arc::new(Run { network: Arc::clone(network), mined, batchers });
+    let run = Arc::new(Run { network: Arc::clone(network), mined, bytes: load.bytes, line });
     let begun = Instant::now();
-    let done = all(&run, uploaders, begun, &mut progress).await;
+    let done = all(&run, load.uploaders, begun, &mut progress).await;
     beside.shutdown().await;
-    let mut outcome = outcome(uploaders, begun, run.mined.blocks(), done);
+    let mut outcome = outcome(load.uploaders, begun, run.mined.blocks(), done);
     if let Some(roots) = roots {
         let anchored = roots.confirmed(network).await?;
         (outcome.transactions, outcome.gas) = (anchored.transactions, anchored.gas);
         agree(anchored.leaves, &outcome)?;
-    } else {
+    } else if matches!(load.way, Way::Each) {
         agree(self::counted(network).await? - counted, &outcome)?;
     }
-    agree(network.storer.entries()? - stored, &outcome)?;
+    if !matches!(load.way, Way::Prototype(_)) {
+        agree(network.storer.entries()? - stored, &outcome)?;
+    }
     Ok(outcome)
 }
 
-/// The lanes begin where the chain stands, and the gas estimate is remembered per account, so that no uploader
-/// has to wait for it; nothing is sent.
-async fn warm_up(network: &Network, mode: AnchorMode) -> Result<(), Failure> {
+/// The lanes begin where the chain stands, and gas is estimated once, so that no uploader has to wait for it;
+/// nothing is sent. Returns the gas of the prototype's call.
+async fn warm_up(network: &Network, load: &Load) -> Result<u64, Failure> {
+    let mut most = 0;
     for account in &network.accounts {
         let nonce = network.chain.nonce(account.address, true).await?;
         account.begin_lane(nonce);
-        if mode == AnchorMode::Each {
-            let Sealed { leaf, captured_at, .. } = account.seal(&message()?)?;
-            let call = Call::DataUpload { digest: leaf.digest, token: account.token, timestamp: captured_at };
-            network.chain.sign(&account.eoa, nonce, &call).await?;
+        match &load.way {
+            Way::Batch => {}
+            Way::Each => {
+                let Sealed { leaf, captured_at, .. } = account.seal(&message(load.bytes)?)?;
+                let call = Call::DataUpload { digest: leaf.digest, token: account.token, timestamp: captured_at };
+                network.chain.sign(&account.eoa, nonce, &call).await?;
+            }
+            Way::Prototype(prototype) => {
+                let data = prototype.upload(account, &message(load.bytes)?)?;
+                most = most.max(network.chain.gas_of_bytes(account.address, Some(prototype.address), &data).await?);
+            }
         }
     }
-    Ok(())
+    Ok(most)
 }
 
 /// How many digests the contract counts for the accounts.
@@ -132,8 +187,14 @@ fn agree(found: u64, outcome: &Outcome) -> Result<(), Failure> {
     Err(Failure::new(ErrorKind::Refused, text))
 }
 
-fn message() -> Result<Vec<u8>, Failure> {
-    Ok(random_bytes::<MESSAGE>()?.to_vec())
+/// Random bytes: nothing in a message may be cheaper than in another.
+fn message(bytes: usize) -> Result<Vec<u8>, Failure> {
+    let mut message = Vec::with_capacity(bytes);
+    while message.len() < bytes {
+        let more = random_bytes::<MESSAGE>()?;
+        message.extend_from_slice(more.get(..bytes - message.len()).unwrap_or(&more));
+    }
+    Ok(message)
 }
 
 async fn all(run: &Arc<Run>, uploaders: usize, begun: Instant, progress: &mut Progress) -> Vec<Result<Done, Failure>> {
@@ -158,19 +219,43 @@ async fn all(run: &Arc<Run>, uploaders: usize, begun: Instant, progress: &mut Pr
 /// One uploader, on the account of that place. All begin at once, however late they get a thread.
 async fn upload(run: Arc<Run>, place: usize, begun: Instant) -> Result<Done, Failure> {
     let account = &run.network.accounts[place];
-    let sealed = account.seal(&message()?)?;
-    run.network.storer.put(sealed.leaf.digest, sealed.blob).await?;
-    let (sent, gas) = if let Some(batchers) = &run.batchers {
-        (batchers[place].anchor(sealed.leaf).await?, None)
+    let message = message(run.bytes)?;
+    let (sent, gas) = if let Line::Prototype(prototype, gas) = &run.line {
+        run.put_on_chain(account, &message, prototype, *gas).await?
     } else {
-        let timestamp = sealed.captured_at;
-        let call = Call::DataUpload { digest: sealed.leaf.digest, token: account.token, timestamp };
-        let Posted { hash, sent, told } = post(&run.network, &run.mined, account, &call).await?;
-        let receipt = run.mined.receipt(&run.network.chain, hash, told).await?;
-        (sent, Some(receipt.gas_used))
+        let sealed = account.seal(&message)?;
+        run.network.storer.put(sealed.leaf.digest, sealed.blob).await?;
+        match &run.line {
+            Line::Batch(batchers) => (batchers[place].anchor(sealed.leaf).await?, None),
+            _ => run.put_digest(account, sealed.leaf.digest, sealed.captured_at).await?,
+        }
     };
     let received = Instant::now();
     Ok(Done { response: received - begun, sent, received, gas })
+}
+
+/// When a transaction was sent, and its gas where it was for this record alone.
+type Settled = Result<(Instant, Option<u64>), Failure>;
+
+impl Run {
+    async fn put_digest(&self, account: &Account, digest: Digest, timestamp: Timestamp) -> Settled {
+        let call = Call::DataUpload { digest, token: account.token, timestamp };
+        self.settle(account, Deed::Call(&call)).await
+    }
+
+    async fn put_on_chain(&self, account: &Account, message: &[u8], prototype: &Prototype, gas: u64) -> Settled {
+        let data = prototype.upload(account, message)?;
+        let (sent, used) = self.settle(account, Deed::Foreign { to: prototype.address, data: &data, gas }).await?;
+        if used < Some(Prototype::least_gas(message.len())) {
+            return Err(internal("the prototype's contract used less gas than storing the message takes"));
+        }
+        Ok((sent, used))
+    }
+
+    async fn settle(&self, account: &Account, deed: Deed<'_>) -> Settled {
+        let Posted { hash, sent, told } = post(&self.network, &self.mined, account, deed).await?;
+        Ok((sent, Some(self.mined.receipt(&self.network.chain, hash, told).await?.gas_used)))
+    }
 }
 
 fn outcome(uploaders: usize, begun: Instant, blocks: Vec<Instant>, done: Vec<Result<Done, Failure>>) -> Outcome {

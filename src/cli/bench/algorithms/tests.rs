@@ -4,7 +4,7 @@ use super::*;
 use crate::crypto::{ProviderName, provider};
 
 fn example(work: &'static str, by: &'static str, bytes: usize, times: &[f64]) -> Row {
-    row(work, by, bytes, times)
+    row(work, by, bytes, times.to_vec())
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! The figures for people: a table, a histogram of the largest, what was promised.
 
 use super::super::report::Report;
+use super::super::spread::histogram;
 use super::{Acceptance, Row};
 use crate::cli::output::table;
 
@@ -27,10 +28,10 @@ pub(super) fn text(report: &Report<Row>, acceptance: &[Acceptance], libgcrypt: &
         String::new(),
         table(&head, &rows),
     ];
-    if let Some(row) = report.results.iter().rev().find(|row| row.by == "authros") {
-        lines.push(String::new());
-        lines.push(format!("{} of {} bytes by authros:", row.work, row.measured.bytes));
-        lines.extend(row.histogram.iter().cloned());
+    let largest = report.results.iter().map(|row| row.measured.bytes).max();
+    for row in report.results.iter().filter(|row| row.by == "authros" && Some(row.measured.bytes) == largest) {
+        lines.push(format!("\n{} of {} bytes by authros:", row.work, row.measured.bytes));
+        lines.extend(histogram(&row.times, "us"));
     }
     if !acceptance.is_empty() {
         lines.push(String::new());

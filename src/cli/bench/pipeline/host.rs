@@ -29,7 +29,7 @@ impl Host {
     ///
     /// # Errors
     /// Where a setting is not usable, nothing can be written, or a part that was named does not answer.
-    pub async fn open(global: &Global, output: &Output) -> Result<Self, Failure> {
+    pub async fn open(global: &Global, output: Output) -> Result<Self, Failure> {
         let directory = Directory::new()?;
         let home = Home::new(directory.path().join("home"));
         let flags = |name: &str| if name == "robots" { Some("0".to_owned()) } else { global.setting(name) };

@@ -231,6 +231,11 @@ fn whole(number: f64) -> usize {
 }
 
 impl Summary {
+    /// Each stage's word, and percent of the load's time that it was busy.
+    pub fn shares(&self) -> Vec<(&'static str, f64)> {
+        self.stages.iter().map(|busy| (busy.stage, busy.share * 100.0)).collect()
+    }
+
     /// Names of the columns.
     pub const COLUMNS: [&'static str; 11] = [
         "load",

@@ -1,0 +1,77 @@
+//! Records for a ledger, and how long a record more takes.
+
+use std::time::Instant;
+
+use crate::cli::bench::spread::number;
+use crate::model::{Address, Digest, RecordKind, RecordState, Signature, SignerId, Timestamp, TopicId};
+use crate::service::Failure;
+use crate::store::{Ledger, NewRecord};
+
+/// Whose records they are.
+pub(super) const OWNER: Address = Address([1; 20]);
+/// Topics that they are of.
+pub(super) const TOPICS: u64 = 2_000;
+/// Length of a message: an odometry's.
+pub(super) const MESSAGE: u64 = 728;
+/// When the first was captured; each is a millisecond after the one before it.
+pub(super) const BEGIN: u64 = 1_700_000_000_000_000_000;
+/// Records in a commit that is timed, as in the pipeline.
+const COMMIT: u64 = 256;
+/// Commits that are timed.
+const TIMED: u64 = 40;
+/// Records in a commit that is not.
+const BULK: u64 = 5_000;
+
+/// The record of that number.
+pub(super) fn record(number: u64) -> NewRecord {
+    let topic = number % TOPICS;
+    let mut digest = [0; 32];
+    digest[..8].copy_from_slice(&number.wrapping_mul(0x9e37_79b9_7f4a_7c15).to_be_bytes());
+    digest[24..].copy_from_slice(&number.to_be_bytes());
+    let mut topic_id = [0; 16];
+    topic_id[..8].copy_from_slice(&topic.to_be_bytes());
+    NewRecord {
+        digest: Digest(digest),
+        owner: OWNER,
+        topic_id: TopicId(topic_id),
+        seq: number / TOPICS + 1,
+        foreign: None,
+        epoch: 1,
+        kind: RecordKind::Data,
+        signer: SignerId([1; 32]),
+        signature: Signature([7; 64]),
+        filters: Vec::new(),
+        topic: format!("/robot{}/sensor{}/data", topic / 20, topic % 20),
+        type_name: if topic.is_multiple_of(20) { "nav_msgs/Odometry" } else { "sensor_msgs/LaserScan" }.to_owned(),
+        bytes: MESSAGE,
+        captured_at: Timestamp(BEGIN + number * 1_000_000),
+        simulated: true,
+        state: if number.is_multiple_of(1_000) { RecordState::Quarantined } else { RecordState::Stored },
+        local_copy: None,
+    }
+}
+
+/// Appends the records from `there` to `wanted`; returns what one of the last ones took, microseconds, commit by
+/// commit.
+pub(super) fn fill(
+    ledger: &Ledger,
+    mut there: u64,
+    wanted: u64,
+    mut done: impl FnMut(u64),
+) -> Result<Vec<f64>, Failure> {
+    let timed_from = wanted.saturating_sub(TIMED * COMMIT);
+    let mut times = Vec::new();
+    while there < wanted {
+        let is_timed = there >= timed_from;
+        let end = if is_timed { wanted.min(there + COMMIT) } else { timed_from.min(there + BULK) };
+        let records: Vec<NewRecord> = (there..end).map(record).collect();
+        let (count, begun) = (number(records.len()), Instant::now());
+        ledger.append(records)?;
+        if is_timed {
+            times.push(begun.elapsed().as_secs_f64() * 1e6 / count);
+        }
+        there = end;
+        done(there);
+    }
+    Ok(times)
+}
