@@ -15,6 +15,7 @@ mod network;
 mod pictures;
 mod pipeline;
 mod progress;
+mod record;
 mod report;
 mod spread;
 mod storer;
@@ -44,6 +45,7 @@ pub async fn run(global: &Global, arguments: BenchArguments, output: &Output) ->
             BenchVerb::Sm2(runs) => algorithms::run(Algorithm::Sm2, runs.runs, provider, csv, output).await,
             BenchVerb::Sm3(runs) => algorithms::run(Algorithm::Sm3, runs.runs, provider, csv, output).await,
             BenchVerb::Sm4(runs) => algorithms::run(Algorithm::Sm4, runs.runs, provider, csv, output).await,
+            BenchVerb::Record(runs) => record::run(runs.runs, provider, csv, output).await,
             BenchVerb::Consensus(consensus) => consensus::run(consensus, provider, csv, output).await,
             BenchVerb::Pictures => tokio::task::block_in_place(|| pictures::run(provider, csv, output)),
             BenchVerb::Gas => gas::run(provider, csv, output).await,

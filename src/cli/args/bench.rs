@@ -22,6 +22,8 @@ pub enum BenchVerb {
     Sm3(AlgorithmArguments),
     /// Sealing and opening by SM4-GCM, and whole records: ours, the crates, libsm and libgcrypt
     Sm4(AlgorithmArguments),
+    /// One record sealed, opened and verified on one core: what each step costs, messages and bytes a second
+    Record(AlgorithmArguments),
     /// Concurrent uploads on the embedded chain (PoA, PoW) and a node, beside the paper's
     Consensus(ConsensusArguments),
     /// Gas per record: one by one, in batches, and the prototype's way
@@ -34,7 +36,7 @@ pub enum BenchVerb {
     Pictures,
 }
 
-/// `bench sm2 …`, `bench sm3 …`, `bench sm4 …`
+/// `bench sm2 …`, `bench sm3 …`, `bench sm4 …`, `bench record …`
 #[derive(Debug, Args)]
 pub struct AlgorithmArguments {
     /// How often each piece of work is timed
