@@ -69,7 +69,7 @@ fn each_with<T: Sync, R: Send>(items: &[T], helpers: usize, work: impl Fn(&T) ->
     };
     let mut done = scope(|scope| {
         // Where a thread cannot be had, the others do its share.
-        let start = |_| Builder::new().name("records".to_owned()).spawn_scoped(scope, &share).ok();
+        let start = |_| Builder::new().name("records".to_owned()).spawn_scoped(scope, share).ok();
         let helpers: Vec<_> = (0..helpers).filter_map(start).collect();
         let mut done = share();
         for helper in helpers {
