@@ -21,7 +21,7 @@ use self::read::{Values, bytes, find, number, parsed, read_file, span, switch, u
 pub use self::source::{SettingView, Source};
 use crate::crypto::{Kernel, ProviderName};
 use crate::model::{
-    Address, AnchorMode, Consensus, ListedPublishers, PinMode, RetentionRules, SignerId, TopicRules, clean,
+    Address, AnchorMode, Consensus, Keeping, ListedPublishers, PinMode, RetentionRules, SignerId, TopicRules, clean,
 };
 
 /// How the URL of a vault begins.
@@ -70,7 +70,7 @@ pub struct Config {
     pub vault_backlog: u64,
     /// How long verified records stay on this disk beside a vault that is only a cache; `None` = always.
     pub vault_local: Option<Duration>,
-    /// What ciphertext is kept.
+    /// What the setting says of ciphertext that is kept; see [`Config::keeping`].
     pub retention: RetentionRules,
     /// Disk space that records leave free, bytes.
     pub disk_reserve: u64,
@@ -169,6 +169,11 @@ impl Config {
             console: ConsoleSettings::read(&values)?,
             values,
         })
+    }
+
+    /// What ciphertext is kept, by the setting and the rules of topics.
+    pub fn keeping(&self) -> Keeping {
+        Keeping::new(self.topic_rules.clone(), self.retention.clone())
     }
 
     /// All settings for people, passwords in URLs hidden.

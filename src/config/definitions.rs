@@ -105,7 +105,8 @@ pub const DEFINITIONS: &[Definition] = &[
         variable: "AUTHROS_RETENTION",
         default: "",
         text: "what ciphertext is kept of topics: PATTERN=TIME, =SIZE, =TIME+SIZE or =ever, separated by commas; the \
-               first fitting counts; * is any but /, ** any; empty = everything; digest and proof stay for ever",
+               first fitting counts; * is any but /, ** any; empty = everything; the time of a [[topic]] rule goes before; \
+               digest and proof stay for ever",
     },
     Definition {
         name: "disk.reserve",

@@ -119,11 +119,11 @@ fn tags(value: &toml::Value) -> Result<BTreeMap<String, String>, Wrong<'static>>
     table.iter().map(tag).collect()
 }
 
-/// A number and `m`, `h` or `d`.
+/// A number and `s`, `m`, `h`, `d` or `w`, as in the setting.
 fn retention(value: &toml::Value) -> Result<u64, Wrong<'static>> {
-    let wrong = || ("retention", "write retention as a number and m, h or d, as \"30d\"".to_owned());
-    let text = value.as_str().filter(|text| text.ends_with(['m', 'h', 'd'])).ok_or_else(wrong)?;
-    time_span(text).map(|span| span.as_secs()).filter(|seconds| *seconds >= 60).ok_or_else(wrong)
+    let wrong = || ("retention", "write retention as a time, as \"12h\" or \"30d\"".to_owned());
+    let span = value.as_str().and_then(time_span).filter(|span| !span.is_zero());
+    span.map(|span| span.as_secs()).ok_or_else(wrong)
 }
 
 #[cfg(test)]

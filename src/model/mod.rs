@@ -49,7 +49,7 @@ pub use party::{ContactName, Party};
 pub use profile::ProfileName;
 pub use publisher::{Doubt, ListedPublishers, PinMode, Publisher};
 pub use quarantine::QuarantineReport;
-pub use retention::{RetentionReport, RetentionRule, RetentionRules, time_span};
+pub use retention::{Keeping, RetentionReport, RetentionRule, RetentionRules, time_span};
 pub use state::{RecordState, Verdict};
 pub use topic::{TopicName, TypeName};
 pub use topic_rule::{TopicPattern, TopicRule, TopicRules};

@@ -5,7 +5,7 @@ use std::fmt;
 use std::str::FromStr;
 use std::time::Duration;
 
-use super::topic_rule::fits;
+use super::topic_rule::{TopicRules, fits};
 use super::wire::{Reader, WireError, put_text};
 use super::{ByteSize, Digest, TopicId, clean};
 
@@ -111,6 +111,39 @@ impl RetentionRules {
     }
 }
 
+/// What is kept of each topic: as long as its own rule says, or else the setting; a budget of bytes is always the
+/// setting's.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Keeping {
+    topics: TopicRules,
+    setting: RetentionRules,
+}
+
+impl Keeping {
+    /// By the rules of topics and the setting.
+    pub fn new(topics: TopicRules, setting: RetentionRules) -> Self {
+        Self { topics, setting }
+    }
+
+    /// The rule for a topic.
+    pub fn of(&self, topic: &str) -> Option<RetentionRule> {
+        let setting = self.setting.of(topic);
+        let own = self.topics.of(topic).and_then(|rule| Some((rule.pattern.as_str(), rule.retention?)));
+        own.map_or_else(
+            || setting.cloned(),
+            |(pattern, seconds)| {
+                let (pattern, age) = (pattern.to_owned(), Some(Duration::from_secs(seconds)));
+                Some(RetentionRule { pattern, age, bytes: setting.and_then(|rule| rule.bytes) })
+            },
+        )
+    }
+
+    /// Whether nothing is ever deleted.
+    pub fn is_empty(&self) -> bool {
+        self.setting.is_empty() && self.topics.0.iter().all(|rule| rule.retention.is_none())
+    }
+}
+
 /// `label (19) || topic id (16) || topic (2 + n) || rule (2 + n) || first seq (8) || last seq (8) || count (8) ||
 /// bytes (8) || rolling (32)`, big endian.
 ///
@@ -176,6 +209,7 @@ impl RetentionReport {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::model::TopicRule;
     use proptest::prelude::*;
 
     #[test]
@@ -196,6 +230,30 @@ mod tests {
             let read = bad.parse::<RetentionRules>();
             assert!(read.is_err(), "{bad}: {read:?}");
         }
+    }
+
+    #[test]
+    fn a_topics_own_rule_says_how_long_and_the_setting_how_much() {
+        let rule = |pattern: &str, retention| TopicRule {
+            pattern: pattern.parse().expect("a pattern"),
+            line: 1,
+            type_name: None,
+            rate: None,
+            every: None,
+            tags: std::collections::BTreeMap::default(),
+            retention,
+        };
+        let topics = |rules: Vec<TopicRule>| TopicRules(rules.into_iter().map(std::sync::Arc::new).collect());
+        let own = topics(vec![rule("/robot?/odom", Some(60)), rule("/scan", None)]);
+        let setting: RetentionRules = "/robot1/**=1h+1MiB, /scan=2h".parse().expect("rules");
+        let keeping = Keeping::new(own.clone(), setting);
+        let of = |topic: &str| keeping.of(topic).map(|rule| rule.to_string());
+        assert_eq!(of("/robot1/odom").as_deref(), Some("/robot?/odom=60s+1048576"));
+        assert_eq!(of("/robot2/odom").as_deref(), Some("/robot?/odom=60s"));
+        assert_eq!(of("/robot1/camera").as_deref(), Some("/robot1/**=3600s+1048576"));
+        assert_eq!((of("/scan").as_deref(), of("/tf")), (Some("/scan=7200s"), None));
+        assert!(!Keeping::new(own, RetentionRules::default()).is_empty());
+        assert!(Keeping::new(topics(vec![rule("/scan", None)]), RetentionRules::default()).is_empty());
     }
 
     proptest! {

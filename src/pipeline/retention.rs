@@ -4,7 +4,7 @@
 use std::collections::HashMap;
 
 use crate::model::{
-    Address, Digest, Domain, Header, RecordKind, RetentionReport, RetentionRule, RetentionRules, Timestamp, TopicId,
+    Address, Digest, Domain, Header, Keeping, RecordKind, RetentionReport, RetentionRule, Timestamp, TopicId,
 };
 use crate::store::{KeptTopic, OldRecord};
 
@@ -22,7 +22,7 @@ const ANEW: u32 = 600;
 
 /// The rules at work for the owners of a site.
 pub struct Retention {
-    rules: RetentionRules,
+    rules: Keeping,
     /// Where the oldest record of each topic is looked for.
     since: HashMap<(Address, i64), Timestamp>,
     rounds: u32,
@@ -39,7 +39,7 @@ pub struct Round {
 
 impl Retention {
     /// Rules that nothing was done by yet.
-    pub fn new(rules: RetentionRules) -> Self {
+    pub fn new(rules: Keeping) -> Self {
         Self { rules, since: HashMap::new(), rounds: 0 }
     }
 
@@ -55,7 +55,7 @@ impl Retention {
         }
         let mut done = Round { named: Vec::new(), deleted: delete(plant, owner)? };
         for topic in plant.ledger.kept_topics(owner.address)? {
-            let Some(rule) = self.rules.of(&topic.name).cloned() else { continue };
+            let Some(rule) = self.rules.of(&topic.name) else { continue };
             let named = self.name(plant, owner, &topic, &rule)?;
             done.named.extend((named > 0).then_some((topic.name, named)));
         }

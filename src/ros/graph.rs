@@ -16,6 +16,9 @@ pub use reach::Unreached;
 /// The longest any question takes.
 pub const PATIENCE: Duration = Duration::from_millis(2500);
 
+/// How long the types of an unchanged graph are not asked for again: a node may have come back with another type.
+const TYPES_HOLD: Duration = Duration::from_secs(5);
+
 /// A topic as the master knows it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct TopicInfo {
@@ -27,6 +30,27 @@ pub struct TopicInfo {
     pub publishers: Vec<String>,
     /// How many nodes subscribe to it.
     pub subscribers: usize,
+}
+
+/// What the master said at the last look, for [`Graph::topics_again`].
+#[derive(Debug, Default)]
+pub struct LastLook {
+    types: Option<Types>,
+}
+
+/// The types of all topics, and the graph they were asked for.
+#[derive(Debug)]
+struct Types {
+    state: Value,
+    value: Value,
+    asked: Instant,
+}
+
+impl Types {
+    /// Whether they need not be asked for again.
+    fn hold(&self, state: &Value) -> bool {
+        self.state == *state && self.asked.elapsed() < TYPES_HOLD
+    }
 }
 
 /// A ROS master, asked without a connection kept open.
@@ -59,16 +83,30 @@ impl Graph {
     /// # Errors
     /// As [`Graph::ping`], and [`RosError::Refused`] where the master says no.
     pub fn topics(&self) -> Result<Vec<TopicInfo>, RosError> {
+        self.topics_again(&mut LastLook::default())
+    }
+
+    /// [`Graph::topics`] for one who asks again and again: where the graph is as it was at the `last` look, and all types
+    /// were known, these are asked for only now and then.
+    ///
+    /// # Errors
+    /// As [`Graph::topics`].
+    pub fn topics_again(&self, last: &mut LastLook) -> Result<Vec<TopicInfo>, RosError> {
         let deadline = Instant::now() + PATIENCE;
         let state = self.ask("getSystemState", deadline)?;
-        let types = self.ask("getTopicTypes", deadline)?;
-        match state.as_array() {
-            Some([publishers, subscribers, ..]) => Ok(merge(publishers, subscribers, &types)),
-            _ => Err(RosError::Protocol {
+        let types = match last.types.take().filter(|types| types.hold(&state)) {
+            Some(types) => types,
+            None => Types { value: self.ask("getTopicTypes", deadline)?, state, asked: Instant::now() },
+        };
+        let Some([publishers, subscribers, ..]) = types.state.as_array() else {
+            return Err(RosError::Protocol {
                 uri: self.master.to_string(),
                 reason: "its system state has no publishers and subscribers".into(),
-            }),
-        }
+            });
+        };
+        let topics = merge(publishers, subscribers, &types.value);
+        last.types = Some(types).filter(|_| topics.iter().all(|topic| topic.type_name.is_some()));
+        Ok(topics)
     }
 
     fn ask(&self, method: &'static str, deadline: Instant) -> Result<Value, RosError> {
@@ -121,6 +159,17 @@ fn merge(publishers: &Value, subscribers: &Value, types: &Value) -> Vec<TopicInf
 mod tests {
     use super::*;
     use std::net::TcpListener;
+
+    #[test]
+    fn types_are_kept_while_the_graph_is_as_it_was_and_not_for_ever() {
+        let state = |name: &str| Value::Array(vec![name.into()]);
+        let now = Instant::now();
+        let types = Types { state: state("/a"), value: Value::Array(Vec::new()), asked: now };
+        assert!(types.hold(&state("/a")));
+        assert!(!types.hold(&state("/b")));
+        let old = Types { asked: now.checked_sub(TYPES_HOLD * 2).expect("the machine is up for longer"), ..types };
+        assert!(!old.hold(&state("/a")));
+    }
 
     #[test]
     fn state_and_types_are_merged() {

@@ -20,7 +20,7 @@ mod xmlrpc;
 
 pub use capture::{Capture, CaptureNotice, CaptureOptions, Message, MessageSink, Origin, Rival, TopicCapture};
 pub use error::RosError;
-pub use graph::{Graph, TopicInfo};
+pub use graph::{Graph, LastLook, TopicInfo};
 pub use master::EmbeddedMaster;
 pub use message::{Definition, Limits, Value, md5sum};
 pub use robot::{Fleet, FleetOptions, MOST_ROBOTS};

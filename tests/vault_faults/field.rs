@@ -21,7 +21,16 @@ pub struct Load {
 impl Load {
     /// Captures these topics into the vault that `options` name.
     pub fn start(options: &[&str], variables: &[(&str, &str)], topics: &[&str]) -> Self {
+        Self::start_with("", options, variables, topics)
+    }
+
+    /// As [`Load::start`], with a `config.toml`.
+    pub fn start_with(config: &str, options: &[&str], variables: &[(&str, &str)], topics: &[&str]) -> Self {
         let home = Home::new();
+        if !config.is_empty() {
+            std::fs::create_dir_all(home.path()).expect("a home");
+            std::fs::write(home.path().join("config.toml"), config).expect("written");
+        }
         let mut authros = home.authros().with(&["--robots", "1"]).with(options);
         for (name, value) in variables {
             authros = authros.with_variable(name, value);

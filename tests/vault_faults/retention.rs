@@ -16,8 +16,9 @@ fn kept_bytes(records: &[Value]) -> u64 {
 
 #[test]
 fn what_no_rule_keeps_is_named_on_the_chain_and_deleted_and_what_is_missing_besides_is_an_alarm() {
-    let rules = [("AUTHROS_RETENTION", "/robot1/odom=2s, /robot1/camera/**=300KiB")];
-    let load = Load::start(&[], &rules, &[ODOM, CAMERA]);
+    let rules = [("AUTHROS_RETENTION", "/robot1/odom=1d, /robot1/camera/**=300KiB")];
+    let own = "[[topic]]\nmatch = \"/robot?/odom\"\nretention = \"2s\"\n";
+    let load = Load::start_with(own, &[], &rules, &[ODOM, CAMERA]);
     load.until("ciphertext is deleted", 90, |life| count(life, "deleted") >= 30);
     let life = load.settle(&[ODOM, CAMERA]);
     assert_eq!(count(&life, "dropped"), 0, "{life}");

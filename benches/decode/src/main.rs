@@ -5,36 +5,28 @@
 #[path = "../../../src/model/mod.rs"]
 mod model;
 
+#[path = "../../../src/crypto"]
 mod crypto {
     pub mod compression {
-        #[path = "../../../../../src/crypto/compression/filter.rs"]
         mod filter;
-        #[path = "../../../../../src/crypto/compression/matrix.rs"]
         mod matrix;
         pub use matrix::{MOST_CHANNELS, Matrix};
     }
 }
 
+#[path = "../../../src/ros"]
 mod ros {
-    #[path = "../../../../src/ros/error.rs"]
     mod error;
     pub use error::RosError;
     pub const MOST_ROBOTS: u16 = 64;
 
     pub mod message {
-        #[path = "../../../../../src/ros/message/decode.rs"]
         mod decode;
-        #[path = "../../../../../src/ros/message/definition.rs"]
         mod definition;
-        #[path = "../../../../../src/ros/message/digest.rs"]
         mod digest;
-        #[path = "../../../../../src/ros/message/json.rs"]
         mod json;
-        #[path = "../../../../../src/ros/message/line.rs"]
         mod line;
-        #[path = "../../../../../src/ros/message/matrix.rs"]
         mod matrix;
-        #[path = "../../../../../src/ros/message/value.rs"]
         mod value;
         pub use decode::{Limits, Picture};
         pub use definition::{DEEPEST, Definition, LONGEST_DEFINITION};

@@ -67,8 +67,11 @@ impl Work {
                 self.register(urgent);
             } else {
                 let begun = Instant::now();
-                self.register(self.shared.topics());
-                next_round = Instant::now() + PERIOD.max(begun.elapsed() * REST);
+                let topics = self.shared.topics();
+                // A topic that is watched from now on is urgent: it does not wait for the round.
+                let period = if topics.is_empty() { PATIENCE } else { PERIOD };
+                self.register(topics);
+                next_round = Instant::now() + period.max(begun.elapsed() * REST);
             }
         }
     }

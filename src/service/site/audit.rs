@@ -14,7 +14,7 @@ use crate::service::reply::{AuditCheck, AuditView, ExportedFile, Failure};
 use crate::store::{AuditEntry, AuditLine, AuditQuery};
 
 /// How often it is looked whether something is to be written or anchored.
-const LOOK: Duration = Duration::from_millis(500);
+const LOOK: Duration = Duration::from_secs(1);
 /// How often a lost reserve is tried to be set aside again.
 const REFILL: Duration = Duration::from_secs(60);
 /// Lines exported at a time.
@@ -96,9 +96,8 @@ impl Site {
     pub(super) async fn keep_audit(self: Arc<Self>) {
         let mut refill = Instant::now();
         while !self.is_stopping() {
-            tokio::select! {
-                () = tokio::time::sleep(LOOK) => {}
-                () = self.stopped() => return,
+            if !self.beat(LOOK).await {
+                return;
             }
             self.write_counted(Some(Timestamp::now())).await;
             for owner in self.all_owners() {

@@ -122,6 +122,7 @@ impl Site {
         }
         self.network.send_replace(NetworkState::Bare(chain));
         self.changed(Part::Chain);
+        self.changed(Part::Health);
         Ok(())
     }
 

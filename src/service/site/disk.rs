@@ -12,8 +12,10 @@ use crate::service::reply::{Failure, HealthLevel};
 use crate::store::files::free_bytes;
 use crate::store::{Ledger, Reserve, StoreError};
 
-/// Between two looks at the disk.
-const LOOK: Duration = Duration::from_millis(250);
+/// Between two looks at the disk: the shortest time and the longest.
+const LOOKS: (Duration, Duration) = (Duration::from_millis(250), Duration::from_secs(2));
+/// Bytes a second at which a disk is taken to fill up at most.
+const FASTEST: u64 = 1 << 30;
 /// The most bytes set aside for states; each takes a few hundred.
 const MOST_FOR_STATES: u64 = 4 << 20;
 /// Less free than this, and what is set aside is given up.
@@ -38,14 +40,14 @@ pub(super) fn working_reserve(home: &Home, reserve: u64) -> Reserve {
 impl Site {
     /// Watches the room on the disk until the site ends.
     pub(super) async fn keep_room(self: Arc<Self>) {
-        let mut held = None;
+        let (mut held, mut pause) = (None, LOOKS.0);
         let reserve = self.config.disk_reserve;
         while !self.is_stopping() {
-            tokio::select! {
-                () = tokio::time::sleep(LOOK) => {}
-                () = self.stopped() => return,
+            if !self.beat(pause).await {
+                return;
             }
             let Ok(free) = self.blocking(|site| Ok(free_bytes(site.home.root())?)).await else { continue };
+            pause = if free.saturating_sub(reserve) / FASTEST > LOOKS.1.as_secs() { LOOKS.1 } else { LOOKS.0 };
             if free < reserve && held.is_none() {
                 held = Some(self.plant.ledger.hold_records());
                 self.tell_room(NoticeLevel::Error, &self.full_text(free));

@@ -103,9 +103,8 @@ impl Site {
                 let text = format!("a witness of {} is not ready to anchor: {}", owner.profile, failure.message);
                 self.hub.notice(NoticeLevel::Warning, &text);
             }
-            tokio::select! {
-                () = tokio::time::sleep(LOOK) => {}
-                () = self.stopped() => return,
+            if !self.beat(LOOK).await {
+                return;
             }
         }
     }

@@ -7,6 +7,7 @@ mod adoption;
 mod agent;
 mod audit;
 mod backing_up;
+mod beat;
 mod capture;
 mod chain_link;
 mod contacts;

@@ -18,6 +18,8 @@ use crate::store::{HeldQuery, HeldRow};
 
 /// How long a discard waits for the quarantine records to stand in a block.
 const PATIENCE: Duration = Duration::from_secs(60);
+/// Between two looks.
+const LOOK: Duration = Duration::from_secs(1);
 /// Records decided about in one command, at most.
 const MOST: usize = 100_000;
 
@@ -25,9 +27,8 @@ impl Site {
     /// Seals the quarantine records that are due, minute by minute, until the site ends.
     pub(super) async fn keep_quarantine(self: Arc<Self>) {
         while !self.is_stopping() {
-            tokio::select! {
-                () = tokio::time::sleep(Duration::from_secs(1)) => {}
-                () = self.stopped() => return,
+            if !self.beat(LOOK).await {
+                return;
             }
             for owner in self.all_owners() {
                 if let Err(failure) = self.report(&owner, quarantine::minute(Timestamp::now())).await {

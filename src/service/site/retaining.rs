@@ -18,14 +18,13 @@ const COPIES: usize = 1024;
 impl Site {
     /// Applies the rules until the site ends.
     pub(super) async fn keep_retention(self: Arc<Self>) {
-        let mut retention = Some(Retention::new(self.config.retention.clone()));
+        let mut retention = Some(Retention::new(self.config.keeping()));
         while !self.is_stopping() {
-            tokio::select! {
-                () = tokio::time::sleep(LOOK) => {}
-                () = self.stopped() => return,
+            if !self.beat(LOOK).await {
+                return;
             }
             self.drop_copies().await;
-            if self.config.retention.is_empty() {
+            if self.config.keeping().is_empty() {
                 continue;
             }
             for owner in self.all_owners() {
@@ -38,7 +37,7 @@ impl Site {
     }
 
     async fn apply(self: &Arc<Self>, owner: &Arc<Owner>, retention: &mut Option<Retention>) -> Result<(), Failure> {
-        let mut rules = retention.take().unwrap_or_else(|| Retention::new(self.config.retention.clone()));
+        let mut rules = retention.take().unwrap_or_else(|| Retention::new(self.config.keeping()));
         let asked = Arc::clone(owner);
         let (round, rules) = self
             .blocking(move |site| {

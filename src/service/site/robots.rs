@@ -12,7 +12,7 @@ use crate::config::MeterMode;
 use crate::crypto::random_bytes;
 use crate::model::TopicName;
 use crate::model::bytes::hex;
-use crate::ros::{Capture, CaptureOptions, EmbeddedMaster, Fleet, FleetOptions, Graph, TopicInfo};
+use crate::ros::{Capture, CaptureOptions, EmbeddedMaster, Fleet, FleetOptions, Graph, LastLook, TopicInfo};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::internal;
 use crate::service::reply::Failure;
@@ -51,6 +51,7 @@ pub struct RosLink {
     /// Simulated robots, counted.
     pub robots: u16,
     graph: Graph,
+    last_look: std::sync::Mutex<LastLook>,
     topics: std::sync::RwLock<Vec<TopicInfo>>,
     // Dropped last: nodes unregister at it.
     master: Option<EmbeddedMaster>,
@@ -68,7 +69,8 @@ impl RosLink {
     }
 
     fn look(&self) -> Result<bool, Failure> {
-        let mut found = self.graph.topics()?;
+        let mut last = self.last_look.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let mut found = self.graph.topics_again(&mut last)?;
         found.sort_by(|one, other| one.name.cmp(&other.name));
         let mut topics = self.topics.write().unwrap_or_else(std::sync::PoisonError::into_inner);
         let changed = *topics != found;
@@ -108,7 +110,7 @@ impl Site {
         self.changed(Part::Topics);
         loop {
             tokio::select! {
-                () = tokio::time::sleep(LOOK) => {}
+                _ = self.beat(LOOK) => {}
                 () = self.leaving() => break,
             }
             self.look_at_graph(&link).await;
@@ -161,6 +163,7 @@ impl Site {
             robots: if fleet.is_some() { robots } else { 0 },
             fleet,
             graph,
+            last_look: std::sync::Mutex::default(),
             topics: std::sync::RwLock::default(),
             master,
         };

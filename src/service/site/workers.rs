@@ -238,9 +238,8 @@ impl Site {
     async fn expire_grants(self: Arc<Self>) {
         let mut resting: HashMap<Address, (Instant, Duration)> = HashMap::new();
         while !self.is_stopping() {
-            tokio::select! {
-                () = tokio::time::sleep(Duration::from_secs(1)) => {}
-                () = self.stopped() => return,
+            if !self.beat(Duration::from_secs(1)).await {
+                return;
             }
             let Some(network) = self.network_now() else { continue };
             // What is overdue needs keys that a locked keyring does not have; keys sealed ahead hold without them.
