@@ -237,6 +237,24 @@ fn figures_come_as_comma_separated_lines_too() {
 }
 
 #[test]
+fn a_record_is_measured_step_by_step() {
+    let home = Home::new();
+    let report = bare(&home).json(&["bench", "record", "--runs", "3"]);
+    let rows = list(&report, "results");
+    for way in ["seal", "open"] {
+        for bytes in [1024, 59_392, 1_000_000] {
+            let of = |row: &&Value| row["way"] == way && count(row, "bytes") == bytes;
+            let (whole, steps): (Vec<_>, Vec<_>) = rows.iter().filter(of).partition(|row| row["step"] == "whole");
+            assert!(whole.len() == 1 && number(whole[0], "per_second") > 0.0, "{way} {bytes}: {whole:?}");
+            let shares: f64 = steps.iter().map(|row| number(row, "share")).sum();
+            assert!((shares - 1.0).abs() < 1e-6 && steps.iter().any(|row| row["step"] == "SM2"), "{steps:?}");
+        }
+    }
+    expect_nothing_left(&home);
+    assert!(bare(&home).run(&["bench", "record", "--runs", "1"]).expect_code(0).stdout.contains("messages/s"));
+}
+
+#[test]
 fn a_signal_ends_a_bench_and_leaves_nothing() {
     let _alone = heavy();
     let home = Home::new();

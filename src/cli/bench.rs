@@ -19,6 +19,7 @@ mod pictures;
 mod pipeline;
 mod progress;
 mod prototype;
+mod record;
 mod report;
 mod size;
 mod spread;
@@ -72,6 +73,7 @@ async fn measure(
         Bench::Sm2(runs) => algorithms::run(Algorithm::Sm2, runs.runs, provider, outlet).await,
         Bench::Sm3(runs) => algorithms::run(Algorithm::Sm3, runs.runs, provider, outlet).await,
         Bench::Sm4(runs) => algorithms::run(Algorithm::Sm4, runs.runs, provider, outlet).await,
+        Bench::Record(runs) => record::run(runs.runs, provider, outlet).await,
         Bench::Consensus(consensus) => consensus::run(consensus, provider, outlet).await,
         Bench::Size(size) => size::run(size, provider, outlet).await,
         Bench::Pictures => tokio::task::block_in_place(|| pictures::run(provider, outlet)),

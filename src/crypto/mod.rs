@@ -22,6 +22,7 @@ pub mod keyring;
 pub mod keystore;
 mod libsm_provider;
 pub mod passphrase;
+pub mod pool;
 pub mod private_file;
 pub mod provider;
 pub mod random;
@@ -59,7 +60,10 @@ pub use libsm_provider::seal_by_libsm;
 pub use passphrase::Passphrase;
 pub use provider::{Provider, ProviderName, provider};
 pub use random::random_bytes;
-pub use record::{Anchor, Expected, OpenedRecord, SealRequest, SealedRecord, check, check_deleted, open, seal};
+pub use record::{
+    Anchor, Expected, OpenedRecord, SealRequest, SealedRecord, Unchecked, check, check_alone, check_deleted,
+    check_many, open, seal,
+};
 pub use rustcrypto::seal_by_crates;
 pub use secret::{
     EoaSecret, EpochKey, EpochSalt, Fingerprint, FingerprintError, IndexKey, Sm4Key, SmKeyPair, SmSecret, TopicKey,

@@ -145,10 +145,13 @@ impl fmt::Display for ProviderName {
     }
 }
 
-/// The provider of that name. Choosing libsm starts a thread that builds its tables.
+/// The provider of that name. Choosing it the first time starts a thread that builds its tables of the curve.
 pub fn provider(name: ProviderName) -> &'static dyn Provider {
     match name {
-        ProviderName::RustCrypto => &RustCryptoProvider,
+        ProviderName::RustCrypto => {
+            super::rustcrypto::warm_up();
+            &RustCryptoProvider
+        }
         ProviderName::Libsm => {
             super::libsm_provider::warm_up();
             &LibsmProvider

@@ -14,9 +14,13 @@ use crate::model::{
 use super::kdf::{Info, derived};
 use super::{CryptoError, Provider, SmKeyPair, TopicKey, random_bytes, signer_id};
 
+mod many;
 mod opening;
+mod steps;
 
-pub use opening::{Anchor, Expected, OpenedRecord, check, check_deleted, open};
+pub use many::{Checked, Unchecked, check_alone, check_many};
+pub use opening::{Anchor, Expected, OpenedRecord, check, check_deleted, open, open_in_steps};
+pub use steps::Step;
 
 /// All that is sealed into one record.
 #[derive(Debug)]
@@ -66,16 +70,34 @@ pub struct SealedRecord {
 /// [`CryptoError::Length`] or [`CryptoError::Inconsistent`] where a field is out of bounds,
 /// [`CryptoError::Random`] where the random source fails.
 pub fn seal(provider: &dyn Provider, request: &SealRequest<'_>) -> Result<SealedRecord, CryptoError> {
+    seal_in_steps(provider, request, &mut |_| ())
+}
+
+/// As [`seal`], and `done` hears of each step that is done.
+///
+/// # Errors
+/// As [`seal`].
+pub fn seal_in_steps(
+    provider: &dyn Provider,
+    request: &SealRequest<'_>,
+    done: &mut impl FnMut(Step),
+) -> Result<SealedRecord, CryptoError> {
     let head = Zeroizing::new(request.head.encode());
     check_request(request, head.len())?;
+    done(Step::Fields);
     let (header, keys) = header(request, head.len())?;
+    done(Step::Keys);
     let prefix = header.encode();
     let mut blob = Vec::with_capacity(prefix.len() + head.len() + request.body.len() + 2 * TAG_LENGTH);
     blob.extend_from_slice(&prefix);
+    done(Step::Fields);
     append(provider, (&keys.head_key, &keys.head_nonce), &prefix, &head, &mut blob)?;
     append(provider, (&keys.body_key, &keys.body_nonce), &prefix, request.body, &mut blob)?;
+    done(Step::Cipher);
     let digest = Digest(provider.sm3(&[&blob]));
+    done(Step::Digest);
     let signature = provider.sign(&request.signer.secret, &signed_bytes(&request.domain, &digest))?;
+    done(Step::Signature);
     Ok(SealedRecord { blob, digest, signature })
 }
 

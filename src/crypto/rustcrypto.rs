@@ -2,6 +2,8 @@
 //! sm4, ctr and ghash make of it is kept beside, to be compared with: sm4 looks its S-box up in a table.
 //! Nonces of signatures are hedged: derived from key and message (RFC 6979) and fresh random bytes.
 
+use std::sync::Once;
+
 use ctr::cipher::{
     BlockCipherEncrypt as _, InnerIvInit as _, KeyInit as _, StreamCipher as _, StreamCipherCoreWrapper,
 };
@@ -29,6 +31,15 @@ pub(super) const DISTINGUISHED_ID: &str = "1234567812345678";
 /// The default provider.
 #[derive(Debug, Clone, Copy)]
 pub struct RustCryptoProvider;
+
+/// Starts, once, a thread that builds the crate's table of multiples of the generator.
+pub(super) fn warm_up() {
+    static STARTED: Once = Once::new();
+    STARTED.call_once(|| {
+        // Where no thread can be had the table is built by the first signature instead.
+        let _ = std::thread::Builder::new().name("sm2-tables".into()).spawn(|| signing_key(&[1; 32]).is_ok());
+    });
+}
 
 /// One SM4 key of the crate sm4.
 pub(super) struct Sm4Block(Sm4);

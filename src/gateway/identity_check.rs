@@ -1,8 +1,8 @@
 //! The identity check of a command, before anything changes: token, then signature, then account.
 //! Length, session, counter and tag have passed by then.
 
-use crate::crypto::record::check;
-use crate::crypto::{Anchor, SmSecret, check_identity};
+use crate::crypto::record::Checked;
+use crate::crypto::{Anchor, SmSecret, Unchecked, check_identity, check_many};
 use crate::model::{Digest, Header, ProfileName, PublicKey, Token};
 
 use super::allocation::{AllocationRequest, examine};
@@ -98,12 +98,17 @@ pub async fn check_records(
 }
 
 fn verify_all(context: Context, uploads: Vec<Upload>, signers: &[PublicKey]) -> Result<Vec<Received>, Refusal> {
-    let one = |(upload, signer): (Upload, &PublicKey)| {
-        let (header, digest, _) = check(context.provider, &upload.blob, &upload.signature, signer, Anchor::Unanchored)
-            .map_err(Refusal::because(Code::Signature))?;
+    let mut records = Vec::with_capacity(uploads.len());
+    for (upload, signer) in uploads.iter().zip(signers) {
+        let Upload { blob, signature, .. } = upload;
+        records.push(Unchecked { blob, signature, signer, anchor: Anchor::Unanchored });
+    }
+    let checked = check_many(context.provider, &records);
+    let one = |((upload, signer), checked): ((Upload, &PublicKey), Checked)| {
+        let (header, digest, _) = checked.map_err(Refusal::because(Code::Signature))?;
         Ok(Received { header, digest, signature: upload.signature, signer: *signer, blob: upload.blob })
     };
-    uploads.into_iter().zip(signers).map(one).collect()
+    uploads.into_iter().zip(signers).zip(checked).map(one).collect()
 }
 
 /// The proof of an identity that is to be registered.

@@ -29,23 +29,47 @@ pub struct Packing {
     definitions: HashMap<Arc<str>, Option<Arc<Definition>>>,
 }
 
-impl Packing {
+/// A message that is to be tried.
+#[derive(Debug)]
+pub struct Try {
+    definition: Option<Arc<Definition>>,
+}
+
+impl Try {
     /// The message compressed, where that pays.
-    pub fn pack(&mut self, message: &Message) -> Option<Packed> {
+    pub fn pack(&self, message: &Message) -> Option<Packed> {
+        let matrix = self.definition.as_ref().and_then(|definition| definition.matrix(&message.body));
+        pack(&message.body, matrix.as_ref())
+    }
+}
+
+impl Packing {
+    /// Whether the message is to be tried; what came of it is to be told to [`Self::learn`], topic by topic in the
+    /// order of messages.
+    pub fn decide(&mut self, message: &Message) -> Option<Try> {
         let habit = entry(&mut self.habits, &message.topic);
         if habit.waits > 0 {
             habit.waits -= 1;
             return None;
         }
+        if habit.pause > 0 {
+            // Until the outcome is known, as if it were the last one's: others of its round are not tried in vain.
+            habit.waits = next_pause(habit.pause);
+        }
         let parsed = || Definition::parse(&message.type_name, &message.definition).ok().map(Arc::new);
-        let definition = known(&mut self.definitions, &message.definition, parsed);
-        let matrix = definition.and_then(|definition| definition.matrix(&message.body));
-        let packed = pack(&message.body, matrix.as_ref());
-        let habit = entry(&mut self.habits, &message.topic);
-        habit.pause = if packed.is_some() { 0 } else { (habit.pause * 2).clamp(1, LONGEST_PAUSE) };
-        habit.waits = habit.pause;
-        packed
+        Some(Try { definition: known(&mut self.definitions, &message.definition, parsed) })
     }
+
+    /// Whether a try on a topic paid.
+    pub fn learn(&mut self, topic: &Arc<str>, paid: bool) {
+        let habit = entry(&mut self.habits, topic);
+        habit.pause = if paid { 0 } else { next_pause(habit.pause) };
+        habit.waits = habit.pause;
+    }
+}
+
+fn next_pause(pause: u32) -> u32 {
+    (pause * 2).clamp(1, LONGEST_PAUSE)
 }
 
 fn entry<'a>(habits: &'a mut HashMap<Arc<str>, Habit>, topic: &Arc<str>) -> &'a mut Habit {
@@ -98,6 +122,11 @@ mod tests {
     #[test]
     fn what_never_pays_is_tried_ever_more_rarely_and_what_pays_each_time() {
         let mut packing = Packing::default();
+        let mut pack = |message: Message| {
+            let packed = packing.decide(&message).map(|tried| tried.pack(&message));
+            packed.iter().for_each(|packed| packing.learn(&message.topic, packed.is_some()));
+            packed.flatten()
+        };
         let mut state = 7u32;
         let mut noise = || {
             state = state.wrapping_mul(747_796_405).wrapping_add(2_891_336_453);
@@ -105,12 +134,24 @@ mod tests {
         };
         let noise: Vec<u8> = (0..2000).map(|_| noise()).collect();
         for _ in 0..600 {
-            assert_eq!(packing.pack(&message("/noise", noise.clone())), None);
-            assert!(packing.pack(&message("/zeros", vec![0; 2000])).is_some_and(|packed| packed.bytes.len() < 100));
+            assert_eq!(pack(message("/noise", noise.clone())), None);
+            assert!(pack(message("/zeros", vec![0; 2000])).is_some_and(|packed| packed.bytes.len() < 100));
+        }
+        // Once it pays again, the next try finds it.
+        let found = (0..=LONGEST_PAUSE).filter(|_| pack(message("/noise", vec![0; 2000])).is_some()).count();
+        assert!(found > 0);
+        assert!((0..100).all(|_| pack(message("/noise", vec![0; 2000])).is_some()), "from then on each time");
+    }
+
+    #[test]
+    fn a_round_in_which_nothing_is_known_yet_tries_no_more_than_one_of_what_did_not_pay() {
+        let mut packing = Packing::default();
+        let one = message("/noise", vec![0; 200]);
+        for round in 0..8 {
+            let tried = (0..100).filter(|_| packing.decide(&one).is_some()).count();
+            assert!(if round == 0 { tried == 100 } else { tried <= 2 }, "{tried} in round {round}");
+            (0..tried).for_each(|_| packing.learn(&one.topic, false));
         }
         assert_eq!(packing.habits["/noise"].pause, LONGEST_PAUSE);
-        // Once it pays again, the next try finds it.
-        let found = (0..=LONGEST_PAUSE).filter(|_| packing.pack(&message("/noise", vec![0; 2000])).is_some()).count();
-        assert!(found > 0);
     }
 }

@@ -9,6 +9,7 @@ mod records;
 mod report;
 mod scrub;
 mod sequences;
+mod stored;
 
 use std::time::Instant;
 

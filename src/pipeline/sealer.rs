@@ -1,26 +1,27 @@
-//! Seals captured messages and acknowledges them: one thread, order per topic kept, one fsync
-//! for as many records as wait. What fails is kept and tried again; the rings fill meanwhile.
+//! Seals captured messages and acknowledges them: what a round becomes is settled in its order (`plan`), sealed on as
+//! many cores as it pays (`sealing`) and acknowledged in its order again, one fsync for as many records as wait. What
+//! fails is kept and tried again; the rings fill meanwhile.
 
-use std::collections::{BTreeMap, HashMap, HashSet};
+mod plan;
+mod sealing;
+
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use crate::crypto::compression::{Packed, pack};
-use crate::crypto::{SealRequest, SealedRecord, fault, seal};
-use crate::model::head::Compression;
-use crate::model::{Address, Digest, Head, LossReason, RecordKind, RecordState, Timestamp, TopicId, clean};
-use crate::ros::Message;
-use crate::store::{Hold, NewRecord, StoreError};
+use crate::crypto::fault;
+use crate::model::{LossReason, Timestamp};
+use crate::store::{NewRecord, StoreError};
 
-use super::epoch::{EpochKeys, SIMULATED, TopicKeys};
 use super::losses::{GATHERED, Losses, Lost};
-use super::packing::Packing;
 use super::recorder::CapturedMessage;
 use super::ring::Rings;
 use super::session::Sessions;
 use super::stages::{Milestone, Stage};
-use super::{PipelineError, Plant, quarantine};
+use super::{PipelineError, Plant};
+
+use self::plan::{Planner, Task};
+use self::sealing::{Ready, seal_all};
 
 /// Messages sealed at most before they are acknowledged together.
 const ROUND: usize = 256;
@@ -30,15 +31,6 @@ const ROUND_BYTES: usize = 8 * 1024 * 1024;
 const LOSSES_EVERY: Duration = Duration::from_secs(1);
 /// How long messages are tried to be stored once the program ends.
 const LAST_TRIES: Duration = Duration::from_secs(3);
-
-/// A sealed record on its way into vault and ledger.
-struct Ready {
-    sealed: SealedRecord,
-    row: NewRecord,
-    hold: Option<Hold>,
-    definition: Option<String>,
-    item: Option<usize>,
-}
 
 /// A round ended in a panic; what it was about is not acknowledged.
 struct Panicked;
@@ -52,37 +44,21 @@ pub struct Sealer {
     backlog: u64,
     losses_at: Instant,
     boot_id: [u8; 16],
-    seqs: HashMap<(Address, TopicId), u64>,
-    definitions: HashSet<String>,
-    hashes: HashMap<Arc<str>, Digest>,
-    /// `None` = messages are sealed as they are.
-    packing: Option<Packing>,
+    planner: Planner,
 }
-
-/// Definitions whose hash is remembered at most.
-const MOST_HASHES: usize = 1024;
 
 impl Sealer {
     /// A sealer over `plant`; `sessions` learn which records they wait for, `losses` what became none. Up to `backlog`
     /// bytes of records may wait in the ledger for a vault that does not take them.
     pub fn new(plant: Plant, sessions: Arc<Sessions>, losses: Arc<Losses>, backlog: u64) -> Self {
-        Self {
-            plant,
-            sessions,
-            losses,
-            backlog,
-            losses_at: Instant::now(),
-            boot_id: boot_id(),
-            seqs: HashMap::new(),
-            definitions: HashSet::new(),
-            hashes: HashMap::new(),
-            packing: Some(Packing::default()),
-        }
+        let (losses_at, planner) = (Instant::now(), Planner::new());
+        Self { plant, sessions, losses, backlog, losses_at, boot_id: boot_id(), planner }
     }
 
     /// Seals messages as they are, without compression.
-    pub fn without_compression(self) -> Self {
-        Self { packing: None, ..self }
+    pub fn without_compression(mut self) -> Self {
+        self.planner.packing = None;
+        self
     }
 
     /// Works until the rings are closed and empty. `acknowledged` is called after each round.
@@ -154,7 +130,7 @@ impl Sealer {
     fn note_definitions(&mut self, names: Vec<String>) {
         for name in names {
             match self.plant.ledger.put_setting(&name, "sent") {
-                Ok(()) => drop(self.definitions.insert(name)),
+                Ok(()) => drop(self.planner.definitions.insert(name)),
                 Err(error) => self.plant.observer.alert(false, format!("a definition is stored again: {error}")),
             }
         }
@@ -177,10 +153,10 @@ impl Sealer {
         let by = Timestamp(Timestamp::now().0.saturating_sub(age));
         let told = self.losses.write(&self.plant).map_err(PipelineError::from);
         match told.and_then(|()| self.losses.tell(&self.plant, by)) {
-            Ok(told) => self.seqs.extend(told.into_iter().map(|(owner, topic, seq)| ((owner, topic), seq))),
+            Ok(told) => self.planner.seqs.extend(told.into_iter().map(|(owner, topic, seq)| ((owner, topic), seq))),
             Err(error) => {
                 // Of a stream whose number was taken all the same the ledger knows.
-                self.seqs.clear();
+                self.planner.seqs.clear();
                 let text = format!("lost messages are counted, but not yet told of in gap records: {error}");
                 self.plant.observer.alert(true, text);
             }
@@ -190,185 +166,38 @@ impl Sealer {
     /// Seals and stores; the definitions that went with it.
     fn round(&mut self, items: &[CapturedMessage]) -> Result<Vec<String>, PipelineError> {
         let begun = Instant::now();
-        let mut seqs = HashMap::new();
-        let (mut ready, mut keyless) = (Vec::with_capacity(items.len()), Vec::new());
-        for (index, item) in items.iter().enumerate() {
-            let keys = item.author.sealing().filter(|keys| keys.topic(&item.message.topic).is_some());
-            let Some(keys) = keys else {
-                keyless.push(item);
-                continue;
-            };
-            self.seal_definition(item, &keys, &mut seqs, &mut ready)?;
-            let packed = self.packing.as_mut().and_then(|packing| packing.pack(&item.message));
-            let one = self.seal_one(item, &keys, RecordKind::Data, &item.message.body, packed, &mut seqs)?;
-            ready.push(Ready { item: Some(index), definition: None, ..one });
-        }
+        let plan = self.planner.plan(&self.plant, items)?;
+        let ready = seal_all(&self.plant, self.boot_id, &plan.tasks)?;
         self.spent(Stage::Seal, begun);
-        let mut names = Vec::new();
         if !ready.is_empty() {
             fault::point("sealed");
-            let captured: Vec<Timestamp> = ready
-                .iter()
-                .filter_map(|one| one.item.and_then(|index| items.get(index)))
-                .map(|item| item.message.captured_at)
-                .collect();
+            self.learn(&plan.tasks, &ready);
             let begun = Instant::now();
-            names = self.acknowledge(items, ready)?;
+            self.acknowledge(&plan.tasks, ready)?;
             self.spent(Stage::Commit, begun);
             if let Some(stages) = self.plant.observer.stages() {
-                stages.reached(Milestone::Durable, captured);
+                let messages = plan.tasks.iter().filter(|task| task.is_message());
+                stages.reached(Milestone::Durable, messages.map(|task| task.item.message.captured_at));
             }
         }
-        self.seqs.extend(seqs);
-        keyless.into_iter().for_each(|item| self.lose(item, LossReason::Key));
-        Ok(names)
+        self.planner.seqs.extend(plan.seqs);
+        plan.keyless.into_iter().for_each(|item| self.lose(item, LossReason::Key));
+        Ok(plan.tasks.into_iter().filter_map(Task::definition_name).collect())
+    }
+
+    /// What compression did for each message, in their order.
+    fn learn(&mut self, tasks: &[Task<'_>], ready: &[Ready]) {
+        let Some(packing) = &mut self.planner.packing else { return };
+        for (task, one) in tasks.iter().zip(ready) {
+            if let Some(paid) = one.paid {
+                packing.learn(&task.item.message.topic, paid);
+            }
+        }
     }
 
     fn spent(&self, stage: Stage, begun: Instant) {
         if let Some(stages) = self.plant.observer.stages() {
             stages.spent(stage, begun.elapsed());
-        }
-    }
-
-    fn seal_definition(
-        &mut self,
-        item: &CapturedMessage,
-        keys: &EpochKeys,
-        seqs: &mut HashMap<(Address, TopicId), u64>,
-        ready: &mut Vec<Ready>,
-    ) -> Result<(), PipelineError> {
-        let topic = covered(keys, &item.message.topic)?;
-        let digest = self.definition_digest(&item.message.definition);
-        // A quarantined definition is none for those who may never see it.
-        let held = if item.doubt.is_some() { ":quarantined" } else { "" };
-        let name =
-            format!("definition:{}:{}:{}:{}:{digest}{held}", keys.domain, item.author.address, keys.epoch, topic.id);
-        let waiting = ready.iter().any(|one| one.definition.as_ref() == Some(&name));
-        if waiting || self.definitions.contains(&name) {
-            return Ok(());
-        }
-        if self.plant.ledger.setting(&name)?.is_none() {
-            let body = item.message.definition.as_bytes();
-            let one = self.seal_one(item, keys, RecordKind::Definition, body, pack(body, None), seqs)?;
-            ready.push(Ready { item: None, definition: Some(name), ..one });
-        } else {
-            self.definitions.insert(name);
-        }
-        Ok(())
-    }
-
-    fn definition_digest(&mut self, definition: &Arc<str>) -> Digest {
-        if let Some(digest) = self.hashes.get(definition) {
-            return *digest;
-        }
-        if self.hashes.len() >= MOST_HASHES {
-            self.hashes.clear();
-        }
-        let digest = Digest(self.plant.provider.sm3(&[definition.as_bytes()]));
-        self.hashes.insert(Arc::clone(definition), digest);
-        digest
-    }
-
-    fn seal_one(
-        &self,
-        item: &CapturedMessage,
-        keys: &EpochKeys,
-        kind: RecordKind,
-        body: &[u8],
-        packed: Option<Packed>,
-        seqs: &mut HashMap<(Address, TopicId), u64>,
-    ) -> Result<Ready, PipelineError> {
-        let message = &*item.message;
-        let topic = covered(keys, &message.topic)?;
-        let tags = tags(item);
-        let compression = packed.as_ref().map_or(Compression::None, |packed| packed.compression);
-        let owner = item.author.address;
-        let seq = self.next_seq(owner, topic.id, seqs)?;
-        let request = SealRequest {
-            domain: keys.domain,
-            owner,
-            signer: &keys.signing,
-            epoch: keys.epoch,
-            topic_key: &topic.key,
-            recorder: self.plant.ledger.recorder(),
-            seq,
-            topic_id: topic.id,
-            kind,
-            filters: keys.filters(&message.type_name, &tags),
-            captured_at: message.captured_at,
-            head: &Head { compression, ..self.head(item, body.len(), tags) },
-            body: packed.as_ref().map_or(body, |packed| &packed.bytes),
-        };
-        let sealed = seal(self.plant.provider, &request)?;
-        seqs.insert((owner, topic.id), seq);
-        let row = self.row(message, item, &sealed, keys, kind, seq, topic.id, body.len());
-        let hold = item.doubt.map(|doubt| quarantine::hold(sealed.digest, doubt, &message.origin));
-        Ok(Ready { sealed, row, hold, definition: None, item: None })
-    }
-
-    fn next_seq(
-        &self,
-        owner: Address,
-        topic: TopicId,
-        seqs: &HashMap<(Address, TopicId), u64>,
-    ) -> Result<u64, PipelineError> {
-        let key = (owner, topic);
-        match seqs.get(&key).or_else(|| self.seqs.get(&key)) {
-            Some(last) => Ok(last + 1),
-            None => Ok(self.plant.ledger.next_seq(owner, topic)?),
-        }
-    }
-
-    fn head(&self, item: &CapturedMessage, length: usize, tags: BTreeMap<String, String>) -> Head {
-        let message = &*item.message;
-        Head {
-            topic: message.topic.to_string(),
-            type_name: message.type_name.to_string(),
-            md5sum: message.md5sum.to_string(),
-            definition: self.hashes.get(&message.definition).copied().unwrap_or(Digest([0; 32])),
-            caller_id: message.caller_id.to_string(),
-            boot_id: self.boot_id,
-            compression: Compression::None,
-            plain_length: length as u64,
-            tags,
-        }
-    }
-
-    #[allow(clippy::too_many_arguments, reason = "one column of the row each, used at one place")]
-    fn row(
-        &self,
-        message: &Message,
-        item: &CapturedMessage,
-        sealed: &SealedRecord,
-        keys: &EpochKeys,
-        kind: RecordKind,
-        seq: u64,
-        topic_id: TopicId,
-        length: usize,
-    ) -> NewRecord {
-        let durable = self.plant.vault.durable();
-        NewRecord {
-            digest: sealed.digest,
-            owner: item.author.address,
-            topic_id,
-            seq,
-            foreign: None,
-            epoch: keys.epoch,
-            kind,
-            signer: keys.signer,
-            signature: sealed.signature,
-            filters: keys.filters(&message.type_name, &tags(item)),
-            topic: message.topic.to_string(),
-            type_name: message.type_name.to_string(),
-            bytes: length as u64,
-            captured_at: message.captured_at,
-            simulated: item.simulated,
-            state: match item.doubt {
-                Some(_) => RecordState::Quarantined,
-                None if durable => RecordState::Stored,
-                None => RecordState::Sealed,
-            },
-            local_copy: (!durable).then(|| sealed.blob.clone()),
         }
     }
 
@@ -381,28 +210,25 @@ impl Sealer {
         if waiting <= self.backlog { Ok(()) } else { Err(StoreError::Backlog { waiting, limit: self.backlog }) }
     }
 
-    fn acknowledge(&self, items: &[CapturedMessage], ready: Vec<Ready>) -> Result<Vec<String>, PipelineError> {
+    fn acknowledge(&self, tasks: &[Task<'_>], ready: Vec<Ready>) -> Result<(), PipelineError> {
         self.plant.ledger.takes_records()?;
         self.keep_backlog()?;
-        if self.plant.vault.durable() {
+        let durable = self.plant.vault.durable();
+        if durable {
             let entries: Vec<_> = ready.iter().map(|one| (one.sealed.digest, one.sealed.blob.as_slice())).collect();
             self.plant.vault.put(&entries)?;
             fault::point("vault-put");
         }
         // Sessions wait before the append: verification may be quicker than this thread.
-        for one in &ready {
-            if let Some(item) = one.item.and_then(|index| items.get(index)).filter(|item| item.doubt.is_none()) {
-                self.sessions.wait(one.sealed.digest, &item.message.topic, &item.sessions);
-            }
+        for (task, one) in tasks.iter().zip(&ready).filter(|(task, _)| task.is_message() && task.item.doubt.is_none()) {
+            self.sessions.wait(one.sealed.digest, &task.item.message.topic, &task.item.sessions);
         }
-        let (mut rows, mut names, mut holds) = (Vec::with_capacity(ready.len()), Vec::new(), Vec::new());
+        let (mut rows, mut holds) = (Vec::with_capacity(ready.len()), Vec::new());
         for one in ready {
-            rows.push(one.row);
-            names.extend(one.definition);
+            rows.push(NewRecord { local_copy: (!durable).then_some(one.sealed.blob), ..one.row });
             holds.extend(one.hold);
         }
-        self.plant.ledger.append_held(rows, holds)?;
-        Ok(names)
+        Ok(self.plant.ledger.append_held(rows, holds)?)
     }
 }
 
@@ -415,28 +241,11 @@ fn cause(error: &PipelineError) -> LossReason {
     }
 }
 
-/// The keys of a topic that the round has found to be covered.
-fn covered(keys: &EpochKeys, topic: &str) -> Result<Arc<TopicKeys>, PipelineError> {
-    keys.topic(topic).ok_or_else(|| PipelineError::Uncovered(clean(topic, 255)))
-}
-
-fn tags(item: &CapturedMessage) -> BTreeMap<String, String> {
-    let mut tags: BTreeMap<String, String> =
-        item.sessions.iter().flat_map(|session| session.tags().iter().cloned()).collect();
-    if let Some(rule) = &item.rule {
-        tags.extend(rule.all_tags());
-    }
-    if item.simulated {
-        tags.insert(SIMULATED.0.to_owned(), SIMULATED.1.to_owned());
-    }
-    if let Some(doubt) = item.doubt {
-        tags.insert(quarantine::TAG.to_owned(), doubt.word().to_owned());
-    }
-    tags
-}
-
 fn boot_id() -> [u8; 16] {
     let text = std::fs::read_to_string("/proc/sys/kernel/random/boot_id").unwrap_or_default();
     let bytes = crate::model::bytes::unhex(&text.trim().replace('-', ""));
     bytes.and_then(|bytes| bytes.try_into().ok()).unwrap_or_default()
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,8 +1,9 @@
-//! The last step: re-reads confirmed records from the vault and checks digest and signature.
+//! The last step: re-reads confirmed records from the vault and checks digest and signature, some at a time on as many
+//! cores as it pays.
 
 use std::time::Instant;
 
-use crate::crypto::{Anchor, check, check_deleted, fault};
+use crate::crypto::{Anchor, Unchecked, check_deleted, check_many, fault};
 use crate::model::{Digest, PublicKey, RecordState};
 use crate::store::{RecordQuery, RecordRow, StoreError};
 
@@ -11,6 +12,25 @@ use super::{Network, PipelineError, Plant, proof, signers};
 
 /// Records a round.
 const ROUND: usize = 128;
+/// Bytes read before they are checked together, unless a single record is larger.
+const PIECE: u64 = 4 << 20;
+
+/// A record as it was read back.
+enum ReadBack {
+    /// Its stored bytes, and the key that could sign it.
+    Bytes(Vec<u8>, PublicKey),
+    /// Nothing is to be checked: whether that is as it should be.
+    Decided(bool),
+}
+
+/// What a page of records came to.
+#[derive(Default)]
+struct Outcome<'a> {
+    good: Vec<&'a RecordRow>,
+    bad: Vec<&'a RecordRow>,
+    /// Why some of them wait.
+    unreachable: Option<StoreError>,
+}
 
 /// Checks up to [`ROUND`] confirmed records; returns how many it decided about.
 ///
@@ -35,18 +55,18 @@ fn verify_page(plant: &Plant, network: &Network, rows: &[RecordRow]) -> Result<u
     if !rows.is_empty() {
         fault::point("read-back");
     }
-    let (mut good, mut bad) = (Vec::new(), Vec::new());
-    let mut unreachable = None;
+    let mut outcome = Outcome::default();
+    let (mut piece, mut bytes) = (Vec::new(), 0u64);
     for row in rows.iter().filter(|row| plant.vault.answers(row.digest)) {
-        match put_back(plant, row).and_then(|()| is_sound(plant, network, row)) {
-            Ok(true) => good.push(row),
-            Ok(false) => bad.push(row),
-            Err(PipelineError::Store(error @ StoreError::Unreachable { .. })) if !plant.vault.is_one() => {
-                unreachable = Some(error);
-            }
-            Err(error) => return Err(error),
+        bytes += row.bytes.min(PIECE);
+        if bytes > PIECE {
+            outcome.judge(plant, network, &std::mem::take(&mut piece))?;
+            bytes = row.bytes.min(PIECE);
         }
+        piece.push(row);
     }
+    outcome.judge(plant, network, &piece)?;
+    let Outcome { good, bad, unreachable } = outcome;
     if !rows.is_empty() {
         fault::point("checked");
     }
@@ -62,6 +82,54 @@ fn verify_page(plant: &Plant, network: &Network, rows: &[RecordRow]) -> Result<u
     Ok(good.len() + bad.len())
 }
 
+impl<'a> Outcome<'a> {
+    /// Reads some records and checks them together.
+    fn judge(&mut self, plant: &Plant, network: &Network, rows: &[&'a RecordRow]) -> Result<(), PipelineError> {
+        let mut read = Vec::with_capacity(rows.len());
+        for row in rows {
+            match read_back(plant, network, row) {
+                Ok(ReadBack::Bytes(blob, signer)) => read.push((*row, blob, signer)),
+                Ok(ReadBack::Decided(sound)) => self.note(plant, row, Ok(sound))?,
+                Err(error) => self.note(plant, row, Err(error))?,
+            }
+        }
+        let mut records = Vec::with_capacity(read.len());
+        for (row, blob, signer) in &read {
+            let (signature, anchor) = (&row.signature, Anchor::Chain(row.digest));
+            records.push(Unchecked { blob, signature, signer, anchor });
+        }
+        for ((row, ..), checked) in read.iter().zip(check_many(plant.provider, &records)) {
+            let same = checked.is_ok_and(|(header, digest, _)| {
+                digest == row.digest
+                    && header.owner == row.owner
+                    && header.seq == row.seq
+                    && network.accepts(&header.domain)
+            });
+            let sound = if same { proof::was_sighted(plant, row) } else { Ok(false) };
+            self.note(plant, row, sound)?;
+        }
+        Ok(())
+    }
+
+    /// Where only a part of the vault is gone, what lies there waits; any other failure ends the round.
+    fn note(
+        &mut self,
+        plant: &Plant,
+        row: &'a RecordRow,
+        sound: Result<bool, PipelineError>,
+    ) -> Result<(), PipelineError> {
+        match sound {
+            Ok(true) => self.good.push(row),
+            Ok(false) => self.bad.push(row),
+            Err(PipelineError::Store(error @ StoreError::Unreachable { .. })) if !plant.vault.is_one() => {
+                self.unreachable = Some(error);
+            }
+            Err(error) => return Err(error),
+        }
+        Ok(())
+    }
+}
+
 /// A vault that is only a cache may have forgotten the record; the ledger still has its copy.
 fn put_back(plant: &Plant, row: &RecordRow) -> Result<(), PipelineError> {
     if plant.vault.durable() || plant.vault.contains(row.digest)? {
@@ -74,14 +142,13 @@ fn put_back(plant: &Plant, row: &RecordRow) -> Result<(), PipelineError> {
     Ok(())
 }
 
-fn is_sound(plant: &Plant, network: &Network, row: &RecordRow) -> Result<bool, PipelineError> {
-    let Some(signer) = signers::key_of(plant, network, row)? else { return Ok(false) };
-    let Some(blob) = plant.vault.get(row.digest)? else { return is_sound_without(plant, network, row, &signer) };
-    let checked = check(plant.provider, &blob, &row.signature, &signer, Anchor::Chain(row.digest));
-    let same = checked.is_ok_and(|(header, digest, _)| {
-        digest == row.digest && header.owner == row.owner && header.seq == row.seq && network.accepts(&header.domain)
-    });
-    Ok(same && proof::was_sighted(plant, row)?)
+fn read_back(plant: &Plant, network: &Network, row: &RecordRow) -> Result<ReadBack, PipelineError> {
+    put_back(plant, row)?;
+    let Some(signer) = signers::key_of(plant, network, row)? else { return Ok(ReadBack::Decided(false)) };
+    match plant.vault.get(row.digest)? {
+        Some(blob) => Ok(ReadBack::Bytes(blob, signer)),
+        None => is_sound_without(plant, network, row, &signer).map(ReadBack::Decided),
+    }
 }
 
 /// After a reorganisation a record is verified again that retention has given up meanwhile.

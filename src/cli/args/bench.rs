@@ -39,6 +39,8 @@ pub enum Bench {
     Sm3(AlgorithmArguments),
     /// Sealing and opening by SM4-GCM, and whole records: ours, the crates, libsm and libgcrypt
     Sm4(AlgorithmArguments),
+    /// One record sealed, opened and verified on one core: what each step costs, messages and bytes a second
+    Record(AlgorithmArguments),
     /// Concurrent uploads on the embedded chain (PoA, PoW) and a node, beside the paper's
     Consensus(ConsensusArguments),
     /// Uploads of 1, 2, 4 and 8 KB: sealed, stored and anchored, and the prototype's way, all bytes on the chain
@@ -62,6 +64,7 @@ pub enum BenchName {
     Sm2,
     Sm3,
     Sm4,
+    Record,
     Consensus,
     Size,
     Gas,
@@ -129,7 +132,7 @@ pub struct GrowthArguments {
     pub records: u64,
 }
 
-/// `bench sm2 …`, `bench sm3 …`, `bench sm4 …`
+/// `bench sm2 …`, `bench sm3 …`, `bench sm4 …`, `bench record …`
 #[derive(Debug, Args)]
 pub struct AlgorithmArguments {
     /// How often each piece of work is timed

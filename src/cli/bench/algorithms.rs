@@ -1,6 +1,7 @@
 //! `authros bench sm2`, `sm3` and `sm4`: the paper's figures 16 and 17. Ours, libsm, the crates and libgcrypt
 //! take turns, so that what else the machine does falls on all alike; ratios are of the least times.
 
+mod batch;
 mod plots;
 mod text;
 mod work;
@@ -59,7 +60,7 @@ impl Algorithm {
 struct Row {
     /// `digest`, `seal`, `open`, `record`, `sign`, `verify`, `encrypt` or `decrypt`.
     work: &'static str,
-    /// `authros`, `authros-many`, `crates`, `libsm`, `libsm-gcm` or `libgcrypt`.
+    /// `authros`, `authros-many`, `authros-batch-16` (-64, -256), `crates`, `libsm`, `libsm-gcm` or `libgcrypt`.
     by: &'static str,
     #[serde(flatten)]
     measured: Measured,

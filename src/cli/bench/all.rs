@@ -30,10 +30,11 @@ struct Entry {
 }
 
 /// Every bench in its order, with what it measures in this set.
-const PLAN: [(BenchName, &str, &str); 10] = [
+const PLAN: [(BenchName, &str, &str); 11] = [
     (BenchName::Sm3, "sm3", "digests of 1 KB to 800 KB beside libsm, libgcrypt and the paper"),
     (BenchName::Sm4, "sm4", "sealing and opening of 1 KB to 800 KB beside the crates, libsm and libgcrypt"),
     (BenchName::Sm2, "sm2", "signatures and envelopes beside libsm"),
+    (BenchName::Record, "record", "one record sealed, opened and verified on one core, step by step"),
     (BenchName::Gas, "gas", "gas per record: each, batches, the prototype's way"),
     (BenchName::Consensus, "consensus", "300 uploads at once on PoA and PoW"),
     (BenchName::Size, "size", "uploads of 1 to 8 KB on PoA and PoW: ours and the prototype's way"),
@@ -86,6 +87,7 @@ fn short(name: BenchName, arguments: &AllArguments) -> Bench {
         BenchName::Sm2 => Bench::Sm2(algorithm),
         BenchName::Sm3 => Bench::Sm3(algorithm),
         BenchName::Sm4 => Bench::Sm4(algorithm),
+        BenchName::Record => Bench::Record(algorithm),
         BenchName::Gas => Bench::Gas,
         BenchName::Consensus => Bench::Consensus(ConsensusArguments { uploaders: vec![300], node }),
         BenchName::Size => {

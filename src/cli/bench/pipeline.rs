@@ -31,7 +31,9 @@ const NOTES: [&str; 5] = [
     "Publishers, site and what is embedded share this process and its cores; cores = processor time over time.",
     "memory: resident bytes of the process, publishers included: at the start of the load, the most, and at the end.",
     "law: captured = verified + pending + quarantined + dropped + tampered, asked each second.",
-    "stages: time that each was busy, waiting for disk, vault or node included, over the time of the load.",
+    "stages: time that each was busy, waiting for disk, vault or node included, over the time of the load. Where much \
+     waits, seal and verify work on several cores at once; what one record costs one core, and in which steps, both ways: \
+     `bench record`.",
 ];
 
 /// One milestone of one load.

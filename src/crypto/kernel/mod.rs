@@ -37,7 +37,7 @@ mod sm3_lanes;
 mod tests;
 
 pub(super) use ghash::Ghash;
-pub(super) use sm3_lanes::digest_many;
+pub(super) use sm3_lanes::{LONG, digest_many};
 
 /// What SM4 and GHASH are computed with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -8,7 +8,7 @@ use super::{sm3_avx2, sm3_avx512};
 /// Bytes of a block.
 pub(super) const BLOCK: usize = 64;
 /// From this length on a message is hashed alone: a lane is slower than the whole processor.
-const LONG: usize = 16 * 1024;
+pub(in crate::crypto) const LONG: usize = 16 * 1024;
 /// The fewest messages for which lanes pay.
 const FEWEST: usize = 3;
 

@@ -9,7 +9,7 @@ use crate::model::head::Compression;
 use crate::model::wire::WireError;
 use crate::model::{Address, Digest, Domain, Head, Header, PublicKey, RecorderId, Signature, TopicId, Verdict};
 
-use super::{RecordKeys, is_length, signed_bytes};
+use super::{RecordKeys, Step, is_length, signed_bytes};
 
 /// What a record was asked for as; a record that differs is not shown.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -63,8 +63,8 @@ pub struct OpenedRecord {
 }
 
 /// A blob in its three parts.
-struct Parts<'a> {
-    header: Header,
+pub(super) struct Parts<'a> {
+    pub header: Header,
     prefix: &'a [u8],
     head: &'a [u8],
     body: &'a [u8],
@@ -96,7 +96,8 @@ pub fn check(
     signer: &PublicKey,
     anchor: Anchor,
 ) -> Result<(Header, Digest, Verdict), CryptoError> {
-    let (parts, digest, verdict) = checked(provider, blob, signature, signer, anchor)?;
+    let digest_of = |blob: &[u8]| Digest(provider.sm3(&[blob]));
+    let (parts, digest, verdict) = checked(provider, blob, signature, signer, anchor, digest_of, &mut |_| ())?;
     Ok((parts.header, digest, verdict))
 }
 
@@ -118,15 +119,20 @@ pub fn check_deleted(
     if signed { Ok(header) } else { Err(CryptoError::Tampered("signature")) }
 }
 
-fn checked<'a>(
+/// The check itself; `digest_of` gives the SM3 of the blob, `done` hears of each step.
+pub(super) fn checked<'a>(
     provider: &dyn Provider,
     blob: &'a [u8],
     signature: &Signature,
     signer: &PublicKey,
     anchor: Anchor,
+    digest_of: impl FnOnce(&[u8]) -> Digest,
+    done: &mut impl FnMut(Step),
 ) -> Result<(Parts<'a>, Digest, Verdict), CryptoError> {
     let parts = parse(blob).map_err(CryptoError::DamagedRecord)?;
-    let digest = Digest(provider.sm3(&[blob]));
+    done(Step::Fields);
+    let digest = digest_of(blob);
+    done(Step::Digest);
     let verdict = match anchor {
         Anchor::Chain(anchored) if anchored == digest || fault::is_off("digest") => Verdict::Verified,
         Anchor::Chain(_) => return Err(CryptoError::Tampered("digest")),
@@ -137,6 +143,7 @@ fn checked<'a>(
     if !signed && !fault::is_off("signature") {
         return Err(CryptoError::Tampered("signature"));
     }
+    done(Step::Signature);
     Ok((parts, digest, verdict))
 }
 
@@ -154,12 +161,29 @@ pub fn open(
     topic_key: &TopicKey,
     expected: &Expected,
 ) -> Result<OpenedRecord, CryptoError> {
-    let (parts, digest, verdict) = checked(provider, blob, signature, signer, anchor)?;
+    open_in_steps(provider, (blob, signature, signer), anchor, topic_key, expected, &mut |_| ())
+}
+
+/// As [`open`] of (blob, signature, signer), and `done` hears of each step that is done.
+///
+/// # Errors
+/// As [`open`].
+pub fn open_in_steps(
+    provider: &dyn Provider,
+    (blob, signature, signer): (&[u8], &Signature, &PublicKey),
+    anchor: Anchor,
+    topic_key: &TopicKey,
+    expected: &Expected,
+    done: &mut impl FnMut(Step),
+) -> Result<OpenedRecord, CryptoError> {
+    let digest_of = |blob: &[u8]| Digest(provider.sm3(&[blob]));
+    let (parts, digest, verdict) = checked(provider, blob, signature, signer, anchor, digest_of, done)?;
     let keys = RecordKeys::derive(topic_key, &parts.header);
     let committed = bool::from(keys.commit.ct_eq(&parts.header.commit.0));
     if !committed && !fault::is_off("commit") {
         return Err(CryptoError::WrongKey);
     }
+    done(Step::Keys);
     let tampered = |what| move |_| CryptoError::Tampered(what);
     let head = provider
         .gcm_open(&keys.head_key, &keys.head_nonce, parts.prefix, parts.head)
@@ -167,12 +191,15 @@ pub fn open(
     let mut body = provider
         .gcm_open(&keys.body_key, &keys.body_nonce, parts.prefix, parts.body)
         .map_err(tampered("sealed body"))?;
+    done(Step::Cipher);
     let head = Head::parse(&head).map_err(CryptoError::DamagedRecord)?;
     if !is_length(&head, &body) {
         return Err(CryptoError::Tampered("plain length"));
     }
     compare(expected, &parts.header, &head)?;
+    done(Step::Fields);
     let body = restore(&head, std::mem::take(&mut *body))?;
+    done(Step::Restore);
     Ok(OpenedRecord { header: parts.header, head, body, digest, verdict })
 }
 

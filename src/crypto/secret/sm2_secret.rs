@@ -90,7 +90,9 @@ impl SmSecret {
     pub(in crate::crypto) fn signing_key(&self) -> Result<&SigningKey, CryptoError> {
         if self.signing.get().is_none() {
             // Another thread may have been first; its key is the same.
-            let _ = self.signing.set(Box::new(rustcrypto::signing_key(&self.bytes)?));
+            if let Err(mut second) = self.signing.set(Box::new(rustcrypto::signing_key(&self.bytes)?)) {
+                wipe(&mut second);
+            }
         }
         self.signing.get().map(|key| &**key).ok_or(CryptoError::Internal("SM2"))
     }
@@ -112,12 +114,18 @@ impl Clone for SmSecret {
 
 impl Drop for SmSecret {
     fn drop(&mut self) {
-        static BLANK: LazyLock<Option<SigningKey>> = LazyLock::new(|| rustcrypto::signing_key(&[1; 32]).ok());
-        if let (Some(key), Some(blank)) = (self.signing.get_mut(), BLANK.as_ref()) {
-            // The crate's key does not wipe itself: overwrite it where it lies.
-            **key = blank.clone();
-            black_box(key);
+        if let Some(key) = self.signing.get_mut() {
+            wipe(key);
         }
+    }
+}
+
+/// The crate's key does not wipe itself: overwrites it where it lies.
+fn wipe(key: &mut SigningKey) {
+    static BLANK: LazyLock<Option<SigningKey>> = LazyLock::new(|| rustcrypto::signing_key(&[1; 32]).ok());
+    if let Some(blank) = BLANK.as_ref() {
+        *key = blank.clone();
+        black_box(key);
     }
 }
 

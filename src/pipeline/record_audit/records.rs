@@ -1,4 +1,4 @@
-//! Records: each row against its path, its batch and the chain; `deep` also its stored bytes, header and signature.
+//! Records: each row against its path, its batch and the chain; `deep` also what is stored of it (`stored`).
 //! One thread reads pages, as many as there are cores check them.
 
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -9,15 +9,12 @@ use tokio::runtime::Handle;
 use tokio::task::JoinSet;
 
 use super::report::{FindingKind, Reading, Tally};
+use super::stored::look_deep;
 use super::{Network, Plant, Scope};
 use crate::chain::ChainError;
 use crate::chain::merkle::root_of;
-use crate::crypto::record::signed_bytes;
-use crate::crypto::{Anchor, CryptoError, check};
-use crate::model::header::TAG_LENGTH;
-use crate::model::{Digest, Header, PublicKey, RecordKind, RecordState};
-use crate::pipeline::{PipelineError, signers};
-use crate::store::{AuditedRecord, RecordRow, StoreError};
+use crate::model::RecordState;
+use crate::store::{AuditedRecord, StoreError};
 
 /// Rows of a page.
 const PAGE: usize = 512;
@@ -49,7 +46,7 @@ pub(super) enum Uploaded {
     In(u64),
 }
 
-type Looked = (AuditedRecord, Uploaded);
+pub(super) type Looked = (AuditedRecord, Uploaded);
 
 /// Looks at every record; how long that took, and on how many threads.
 pub(super) fn compare(
@@ -186,31 +183,22 @@ fn work(bench: Bench<'_>, waiting: &Mutex<Receiver<Vec<Looked>>>) -> Result<Tall
     failed.map_or(Ok(tally), Err)
 }
 
-/// Looks at some records, whose bytes are read in one go.
+/// Looks at some records; `deep` also at their bytes, all of them read before the first is checked.
 pub(super) fn look(bench: Bench<'_>, piece: &[Looked], tally: &mut Tally) -> Result<(), StoreError> {
-    let blobs = if bench.deep {
-        let digests: Vec<Digest> = piece.iter().map(|(record, _)| record.row.digest).collect();
-        bench.plant.vault.get_many(&digests)?
-    } else {
-        Vec::new()
-    };
-    let mut blobs = blobs.into_iter();
     for (record, uploaded) in piece {
         tally.records += 1;
         tally.pending += u64::from(record.row.state.is_pending());
         if let Some(text) = row_fault(bench, record, *uploaded) {
             tally.find(FindingKind::Tampered, &subject(record), &text);
         }
-        if bench.deep {
-            stored(bench, record, blobs.next().flatten(), tally)?;
-        } else {
+        if !bench.deep {
             tally.bytes += record.row.bytes;
         }
     }
-    Ok(())
+    if bench.deep { look_deep(bench, piece, tally) } else { Ok(()) }
 }
 
-fn subject(record: &AuditedRecord) -> String {
+pub(super) fn subject(record: &AuditedRecord) -> String {
     format!("record {} ({} {})", record.row.id, record.row.topic, record.row.seq)
 }
 
@@ -249,139 +237,4 @@ fn row_fault(bench: Bench<'_>, record: &AuditedRecord, uploaded: Uploaded) -> Op
         }
         _ => None,
     }
-}
-
-fn stored(
-    bench: Bench<'_>,
-    record: &AuditedRecord,
-    blob: Option<Vec<u8>>,
-    tally: &mut Tally,
-) -> Result<(), StoreError> {
-    let blob = match blob {
-        None if record.has_copy => bench.plant.ledger.local_copy(record.row.digest)?,
-        found => found,
-    };
-    let Some(blob) = blob else { return gone(bench, record, tally) };
-    tally.bytes += u64::try_from(blob.len()).unwrap_or(0);
-    match bytes_fault(bench, record, &blob)? {
-        Fault::None => {}
-        Fault::Unchecked => tally.unchecked += 1,
-        Fault::Text(text) => tally.find(FindingKind::Tampered, &subject(record), &text),
-    }
-    Ok(())
-}
-
-/// Nothing is stored under a digest: whether that is as it should be.
-fn gone(bench: Bench<'_>, record: &AuditedRecord, tally: &mut Tally) -> Result<(), StoreError> {
-    // It may have been given up, or come into the vault, since its row was read.
-    let Some(now) = bench.plant.ledger.record(record.row.digest)? else { return Ok(()) };
-    let handed_over = now.state == RecordState::Verified && bench.network.is_none() && !bench.blind;
-    if now.state == RecordState::Dropped || handed_over {
-        tally.given_up += 1;
-    } else if let Some(retained) = bench.plant.ledger.retained(now.digest)? {
-        match retention_fault(bench, &now, retained.report, &retained.header)? {
-            None => tally.given_up += 1,
-            Some(text) => tally.find(FindingKind::Tampered, &subject(record), &text),
-        }
-    } else if bench.plant.vault.get(now.digest)?.is_none() && bench.plant.ledger.local_copy(now.digest)?.is_none() {
-        tally.find(FindingKind::Missing, &subject(record), "its stored bytes are gone from the vault");
-    }
-    Ok(())
-}
-
-/// What does not fit where retention gave a record up: a retention record on the chain must tell of it, and what was
-/// kept of it (header, signature) must still be its owner's word.
-fn retention_fault(
-    bench: Bench<'_>,
-    row: &RecordRow,
-    report: Digest,
-    header: &[u8],
-) -> Result<Option<String>, StoreError> {
-    let told = bench.plant.ledger.record(report)?.filter(|told| told.kind == RecordKind::Retention);
-    let anchored = told.is_some_and(|told| told.block.is_some() || bench.network.is_none());
-    if !anchored {
-        return Ok(Some("its bytes were deleted, and no retention record on the chain tells of it".to_owned()));
-    }
-    let Ok((header, _)) = Header::parse(header) else {
-        return Ok(Some("the header that was kept of it is none".to_owned()));
-    };
-    if let Some(field) = header_fault(bench, row, &header) {
-        return Ok(Some(format!("its row and the header that was kept of it differ in their {field}")));
-    }
-    let Some(signer) = signer_of(bench, row)? else { return Ok(None) };
-    let signed = signed_bytes(&header.domain, &row.digest);
-    let valid = bench.plant.provider.verify(&signer, &signed, &row.signature).is_ok();
-    Ok((!valid).then(|| "its signature is not its signer's".to_owned()))
-}
-
-/// The key that could sign the record; `None` where that is not known here.
-fn signer_of(bench: Bench<'_>, row: &RecordRow) -> Result<Option<PublicKey>, StoreError> {
-    match bench.network {
-        Some(network) => match signers::key_of(bench.plant, network, row) {
-            Ok(signer) => Ok(signer),
-            Err(PipelineError::Store(error)) => Err(error),
-            Err(_) => Ok(None),
-        },
-        None => bench.plant.ledger.signer(row.signer),
-    }
-}
-
-enum Fault {
-    None,
-    /// The signer's key is not known here.
-    Unchecked,
-    Text(String),
-}
-
-/// What does not fit in the stored bytes.
-fn bytes_fault(bench: Bench<'_>, record: &AuditedRecord, blob: &[u8]) -> Result<Fault, StoreError> {
-    let row = &record.row;
-    let altered = |what: &str| Ok(Fault::Text(format!("its stored bytes were altered: {what}")));
-    let signer = signer_of(bench, row)?;
-    let (header, fault) = match signer {
-        Some(signer) => match check(bench.plant.provider, blob, &row.signature, &signer, Anchor::Chain(row.digest)) {
-            Ok((header, _, _)) => (header, Fault::None),
-            Err(CryptoError::Tampered("signature")) => {
-                return Ok(Fault::Text("its signature is not its signer's".to_owned()));
-            }
-            Err(CryptoError::DamagedRecord(error)) => return altered(&error.to_string()),
-            Err(_) => return altered("another digest"),
-        },
-        None if Digest(bench.plant.provider.sm3(&[blob])) != row.digest => return altered("another digest"),
-        None if row.block.is_some() && bench.network.is_some() => {
-            return Ok(Fault::Text("its signer was not its owner's at the anchoring block".to_owned()));
-        }
-        None => match Header::parse(blob) {
-            Ok((header, _)) => (header, Fault::Unchecked),
-            Err(error) => return altered(&error.to_string()),
-        },
-    };
-    Ok(match header_fault(bench, row, &header) {
-        Some(field) => Fault::Text(format!("its row and its header differ in their {field}")),
-        None => fault,
-    })
-}
-
-/// Whether a message of `plain` bytes can be sealed in `sealed`: as it is, or compressed, which is done only where it
-/// saves an eighth.
-fn is_length(sealed: u64, plain: u64) -> bool {
-    sealed == plain || sealed <= plain - plain / 8
-}
-
-/// The field in which a row and the header of its record differ.
-fn header_fault(bench: Bench<'_>, row: &RecordRow, header: &Header) -> Option<&'static str> {
-    let length = header.body_length.saturating_sub(TAG_LENGTH as u64);
-    let fields = [
-        ("owner", header.owner == row.owner),
-        ("kind", header.kind == row.kind),
-        ("signer", header.signer == row.signer),
-        ("epoch", header.epoch == row.epoch),
-        ("recorder", header.recorder == row.recorder),
-        ("number", header.seq == row.seq),
-        ("topic", header.topic_id == row.topic_id),
-        ("time", header.captured_at == row.captured_at),
-        ("length", is_length(length, row.bytes)),
-        ("network", bench.network.is_none_or(|network| network.accepts(&header.domain))),
-    ];
-    fields.iter().find(|(_, same)| !same).map(|(field, _)| *field)
 }

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::hint::black_box;
 
 use super::Algorithm;
+use super::batch::Batch;
 use crate::crypto::{
     Provider, ProviderName, SealRequest, SmKeyPair, TopicKey, provider, random_bytes, seal, seal_by_crates,
     seal_by_libsm, sm3_many,
@@ -29,7 +30,7 @@ pub(super) fn of_libgcrypt(algorithm: Algorithm) -> &'static [(&'static str, &'s
     }
 }
 
-type Done = Result<Vec<u8>, Failure>;
+pub(super) type Done = Result<Vec<u8>, Failure>;
 
 /// Something to time.
 pub(super) struct Piece<'a> {
@@ -54,6 +55,7 @@ pub(super) struct Bench {
     signature: Signature,
     envelope: Vec<u8>,
     head: Head,
+    batches: Vec<Batch>,
 }
 
 impl Bench {
@@ -67,15 +69,19 @@ impl Bench {
         let libsm = provider(ProviderName::Libsm);
         // Its table takes seconds to build, once.
         libsm.verify(&signer.public, &text, &signature)?;
-        let head = head(size);
-        Ok(Self { ours, libsm, key, text, sealed, signer, signature, envelope, head })
+        let (head, batches) = (head(size), Batch::all(ours, &signer)?);
+        Ok(Self { ours, libsm, key, text, sealed, signer, signature, envelope, head, batches })
     }
 
     /// All that is timed for an algorithm at this size.
     pub fn pieces(&self, algorithm: Algorithm) -> Vec<Piece<'_>> {
         let both = [("authros", self.ours), ("libsm", self.libsm)];
         match algorithm {
-            Algorithm::Sm2 => both.into_iter().flat_map(|(by, provider)| self.sm2(by, provider)).collect(),
+            Algorithm::Sm2 => {
+                let mut pieces: Vec<_> = both.into_iter().flat_map(|(by, provider)| self.sm2(by, provider)).collect();
+                pieces.extend(self.batches.iter().flat_map(|batch| batch.pieces(self.ours, &self.signer)));
+                pieces
+            }
             Algorithm::Sm3 => self.sm3(both),
             // Ours first: what others allocate and give back would have our buffers mapped anew within our time.
             Algorithm::Sm4 => {
@@ -170,7 +176,7 @@ impl Bench {
 }
 
 /// Work that changes nothing in place.
-fn piece<'a>(work: &'static str, by: &'static str, run: impl Fn() -> Done + 'a) -> Piece<'a> {
+pub(super) fn piece<'a>(work: &'static str, by: &'static str, run: impl Fn() -> Done + 'a) -> Piece<'a> {
     Piece { work, by, messages: 1, prepare: Box::new(Vec::new), run: Box::new(move |_| run()) }
 }
 

@@ -1,0 +1,164 @@
+//! What a round of messages becomes, settled in their order before anything is sealed: keys, numbers, definitions that
+//! go first, and what is tried to be compressed. What is settled here no longer depends on who seals what when.
+
+use std::collections::{HashMap, HashSet};
+use std::sync::Arc;
+
+use crate::model::{Address, Digest, TopicId};
+use crate::pipeline::epoch::{EpochKeys, TopicKeys};
+use crate::pipeline::packing::{Packing, Try};
+use crate::pipeline::recorder::CapturedMessage;
+use crate::pipeline::{PipelineError, Plant};
+
+/// Definitions whose hash is remembered at most.
+const MOST_HASHES: usize = 1024;
+
+/// Whose numbers, on which topic.
+pub type Stream = (Address, TopicId);
+
+/// What is sealed of a message.
+pub enum Content {
+    /// Its definition, with the ledger's name for it.
+    Definition(String),
+    /// Itself; compressed, where that is tried and pays.
+    Message(Option<Try>),
+}
+
+/// One record that is to be sealed.
+pub struct Task<'a> {
+    /// The message.
+    pub item: &'a CapturedMessage,
+    /// What of it.
+    pub content: Content,
+    /// Under which keys.
+    pub keys: Arc<EpochKeys>,
+    /// Those of its topic.
+    pub topic: Arc<TopicKeys>,
+    /// Its number.
+    pub seq: u64,
+    /// SM3 of the message's definition.
+    pub definition: Digest,
+}
+
+impl Task<'_> {
+    /// Whether it is the message itself.
+    pub fn is_message(&self) -> bool {
+        matches!(self.content, Content::Message(_))
+    }
+
+    /// The ledger's name for the definition that it is, if it is one.
+    pub fn definition_name(self) -> Option<String> {
+        match self.content {
+            Content::Definition(name) => Some(name),
+            Content::Message(_) => None,
+        }
+    }
+}
+
+/// A round's records in their order.
+#[derive(Default)]
+pub struct Plan<'a> {
+    /// What is to be sealed.
+    pub tasks: Vec<Task<'a>>,
+    /// Messages for which there is no key.
+    pub keyless: Vec<&'a CapturedMessage>,
+    /// Numbers given, the last of each stream.
+    pub seqs: HashMap<Stream, u64>,
+    /// Names of the definitions among the tasks.
+    definitions: HashSet<String>,
+}
+
+/// What is known from the rounds before.
+pub struct Planner {
+    /// The last number of each stream that is stored.
+    pub seqs: HashMap<Stream, u64>,
+    /// Names of definitions that are stored.
+    pub definitions: HashSet<String>,
+    hashes: HashMap<Arc<str>, Digest>,
+    /// `None` = messages are sealed as they are.
+    pub packing: Option<Packing>,
+}
+
+impl Planner {
+    /// Nothing is known yet.
+    pub fn new() -> Self {
+        Self {
+            seqs: HashMap::new(),
+            definitions: HashSet::new(),
+            hashes: HashMap::new(),
+            packing: Some(Packing::default()),
+        }
+    }
+
+    /// The round for these messages. Numbers count only once [`Self::seqs`] has them.
+    ///
+    /// # Errors
+    /// Of the ledger.
+    pub fn plan<'a>(&mut self, plant: &Plant, items: &'a [CapturedMessage]) -> Result<Plan<'a>, PipelineError> {
+        let mut plan = Plan::default();
+        for item in items {
+            let keys = item.author.sealing();
+            let Some((topic, keys)) = keys.and_then(|keys| Some((keys.topic(&item.message.topic)?, keys))) else {
+                plan.keyless.push(item);
+                continue;
+            };
+            let definition = self.definition_digest(plant, &item.message.definition);
+            let add = |planner: &Self, plan: &mut Plan<'a>, content| {
+                let seq = planner.next_seq(plant, (item.author.address, topic.id), plan)?;
+                let (keys, topic) = (Arc::clone(&keys), Arc::clone(&topic));
+                plan.tasks.push(Task { item, content, keys, topic, seq, definition });
+                Ok::<(), PipelineError>(())
+            };
+            if let Some(name) = self.unsent(plant, &plan, item, (&*keys, topic.id, definition))? {
+                plan.definitions.insert(name.clone());
+                add(self, &mut plan, Content::Definition(name))?;
+            }
+            let tried = self.packing.as_mut().and_then(|packing| packing.decide(&item.message));
+            add(self, &mut plan, Content::Message(tried))?;
+        }
+        Ok(plan)
+    }
+
+    /// The ledger's name for the message's definition, where that is not stored yet and not in the plan.
+    fn unsent(
+        &mut self,
+        plant: &Plant,
+        plan: &Plan<'_>,
+        item: &CapturedMessage,
+        (keys, topic, digest): (&EpochKeys, TopicId, Digest),
+    ) -> Result<Option<String>, PipelineError> {
+        // A quarantined definition is none for those who may never see it.
+        let held = if item.doubt.is_some() { ":quarantined" } else { "" };
+        let name = format!("definition:{}:{}:{}:{topic}:{digest}{held}", keys.domain, item.author.address, keys.epoch);
+        if plan.definitions.contains(&name) || self.definitions.contains(&name) {
+            return Ok(None);
+        }
+        if plant.ledger.setting(&name)?.is_none() {
+            return Ok(Some(name));
+        }
+        self.definitions.insert(name);
+        Ok(None)
+    }
+
+    fn definition_digest(&mut self, plant: &Plant, definition: &Arc<str>) -> Digest {
+        if let Some(digest) = self.hashes.get(definition) {
+            return *digest;
+        }
+        if self.hashes.len() >= MOST_HASHES {
+            self.hashes.clear();
+        }
+        let digest = Digest(plant.provider.sm3(&[definition.as_bytes()]));
+        self.hashes.insert(Arc::clone(definition), digest);
+        digest
+    }
+
+    /// The next number of a stream; the plan has it from now on.
+    fn next_seq(&self, plant: &Plant, stream: Stream, plan: &mut Plan<'_>) -> Result<u64, PipelineError> {
+        let seq = match plan.seqs.get(&stream).or_else(|| self.seqs.get(&stream)) {
+            Some(last) => last + 1,
+            None => plant.ledger.next_seq(stream.0, stream.1)?,
+        };
+        plan.seqs.insert(stream, seq);
+        Ok(seq)
+    }
+}

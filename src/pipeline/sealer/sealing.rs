@@ -1,0 +1,144 @@
+//! Seals the records of a round side by side: each by itself, from what the plan settled. Nothing here knows of the
+//! others, writes anything, or depends on the order in which threads come by.
+
+use std::collections::BTreeMap;
+
+use crate::crypto::compression::{Packed, pack};
+use crate::crypto::pool::{each, helpers_for};
+use crate::crypto::{SealRequest, SealedRecord, seal};
+use crate::model::head::Compression;
+use crate::model::{Head, RecordKind, RecordState};
+use crate::pipeline::epoch::SIMULATED;
+use crate::pipeline::recorder::CapturedMessage;
+use crate::pipeline::{PipelineError, Plant, quarantine};
+use crate::store::{Hold, NewRecord};
+
+use super::plan::{Content, Task};
+
+/// A sealed record on its way into vault and ledger.
+pub struct Ready {
+    /// The record.
+    pub sealed: SealedRecord,
+    /// Its row, without a local copy yet.
+    pub row: NewRecord,
+    /// Why it is held back, where it is.
+    pub hold: Option<Hold>,
+    /// Whether compressing it paid, where that was tried.
+    pub paid: Option<bool>,
+}
+
+/// Seals all of a round, on as many cores as it pays.
+///
+/// # Errors
+/// The first record's, in their order, that cannot be sealed.
+pub fn seal_all(plant: &Plant, boot_id: [u8; 16], tasks: &[Task<'_>]) -> Result<Vec<Ready>, PipelineError> {
+    let bytes = tasks.iter().map(|task| task.body().len()).sum();
+    each(tasks, helpers_for(tasks.len(), bytes), |task| task.seal(plant, boot_id)).into_iter().collect()
+}
+
+impl Task<'_> {
+    fn body(&self) -> &[u8] {
+        match self.content {
+            Content::Definition(_) => self.item.message.definition.as_bytes(),
+            Content::Message(_) => &self.item.message.body,
+        }
+    }
+
+    fn kind(&self) -> RecordKind {
+        match self.content {
+            Content::Definition(_) => RecordKind::Definition,
+            Content::Message(_) => RecordKind::Data,
+        }
+    }
+
+    fn pack(&self) -> Option<Packed> {
+        match &self.content {
+            Content::Definition(_) => pack(self.body(), None),
+            Content::Message(tried) => tried.as_ref().and_then(|tried| tried.pack(&self.item.message)),
+        }
+    }
+
+    fn seal(&self, plant: &Plant, boot_id: [u8; 16]) -> Result<Ready, PipelineError> {
+        let (message, body, tags) = (&*self.item.message, self.body(), tags(self.item));
+        let packed = self.pack();
+        let filters = self.keys.filters(&message.type_name, &tags);
+        let compression = packed.as_ref().map_or(Compression::None, |packed| packed.compression);
+        let request = SealRequest {
+            domain: self.keys.domain,
+            owner: self.item.author.address,
+            signer: &self.keys.signing,
+            epoch: self.keys.epoch,
+            topic_key: &self.topic.key,
+            recorder: plant.ledger.recorder(),
+            seq: self.seq,
+            topic_id: self.topic.id,
+            kind: self.kind(),
+            filters: filters.clone(),
+            captured_at: message.captured_at,
+            head: &self.head(boot_id, compression, tags),
+            body: packed.as_ref().map_or(body, |packed| &packed.bytes),
+        };
+        let sealed = seal(plant.provider, &request)?;
+        let row = self.row(plant, &sealed, filters);
+        let hold = self.item.doubt.map(|doubt| quarantine::hold(sealed.digest, doubt, &message.origin));
+        let tried = matches!(self.content, Content::Message(Some(_)));
+        Ok(Ready { sealed, row, hold, paid: tried.then_some(packed.is_some()) })
+    }
+
+    fn head(&self, boot_id: [u8; 16], compression: Compression, tags: BTreeMap<String, String>) -> Head {
+        let message = &*self.item.message;
+        Head {
+            topic: message.topic.to_string(),
+            type_name: message.type_name.to_string(),
+            md5sum: message.md5sum.to_string(),
+            definition: self.definition,
+            caller_id: message.caller_id.to_string(),
+            boot_id,
+            compression,
+            plain_length: self.body().len() as u64,
+            tags,
+        }
+    }
+
+    fn row(&self, plant: &Plant, sealed: &SealedRecord, filters: Vec<crate::model::FilterId>) -> NewRecord {
+        let message = &*self.item.message;
+        NewRecord {
+            digest: sealed.digest,
+            owner: self.item.author.address,
+            topic_id: self.topic.id,
+            seq: self.seq,
+            foreign: None,
+            epoch: self.keys.epoch,
+            kind: self.kind(),
+            signer: self.keys.signer,
+            signature: sealed.signature,
+            filters,
+            topic: message.topic.to_string(),
+            type_name: message.type_name.to_string(),
+            bytes: self.body().len() as u64,
+            captured_at: message.captured_at,
+            simulated: self.item.simulated,
+            state: match self.item.doubt {
+                Some(_) => RecordState::Quarantined,
+                None if plant.vault.durable() => RecordState::Stored,
+                None => RecordState::Sealed,
+            },
+            local_copy: None,
+        }
+    }
+}
+
+fn tags(item: &CapturedMessage) -> BTreeMap<String, String> {
+    let mut tags: BTreeMap<String, String> =
+        item.sessions.iter().flat_map(|session| session.tags().iter().cloned()).collect();
+    if let Some(rule) = &item.rule {
+        tags.extend(rule.all_tags());
+    }
+    if item.simulated {
+        tags.insert(SIMULATED.0.to_owned(), SIMULATED.1.to_owned());
+    }
+    if let Some(doubt) = item.doubt {
+        tags.insert(quarantine::TAG.to_owned(), doubt.word().to_owned());
+    }
+    tags
+}
