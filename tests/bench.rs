@@ -171,12 +171,12 @@ fn a_set_of_benches_gives_one_set_of_figures() {
     let directory = plots.root().to_str().expect("UTF-8");
     let plan = bare(&home).json(&["bench", "all", "--plan", "--skip", "sm2"]);
     let named: Vec<String> = list(&plan, "results").iter().map(|row| text(row, "bench")).collect();
-    for name in ["sm3", "sm4", "gas", "consensus", "size", "gateway", "pipeline", "pictures", "growth"] {
+    for name in ["sm3", "sm4", "record", "gas", "consensus", "size", "gateway", "pipeline", "pictures", "growth"] {
         assert!(named.iter().any(|found| found == name), "{name}: {named:?}");
     }
     assert!(!named.iter().any(|found| found == "sm2"), "{named:?}");
     bare(&home).fails(2, &["bench", "all", "--skip", "nothing"]);
-    let others = "sm2,sm3,sm4,consensus,size,gateway,pipeline,pictures,growth";
+    let others = "sm2,sm3,sm4,record,consensus,size,gateway,pipeline,pictures,growth";
     let report = bare(&home).json_within(LIMIT, &["bench", "all", "--skip", others, "--svg", directory]);
     expect_shape(&report, "all", &home);
     let rows = list(&report, "results");
