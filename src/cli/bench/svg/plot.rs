@@ -19,8 +19,9 @@ const LINE: f64 = 12.0;
 const GROUP: f64 = 0.8;
 /// The widest bar.
 const WIDEST_BAR: f64 = 64.0;
-/// A narrower bar has no figure above it.
-const ROOM_FOR_FIGURE: f64 = 18.0;
+/// Size of the figure above a bar, and how much wider than the bar it may be.
+const FIGURE: f64 = 9.5;
+const FIGURE_BEYOND: f64 = 2.0;
 /// Bold letters are so much wider.
 const BOLD: f64 = 1.18;
 const GREY: &str = "#666666";
@@ -238,9 +239,10 @@ impl Plot {
             let y = inner.up(axis, bar.value);
             canvas.rectangle(x, y, (width - 1.5, inner.y + inner.height - y), series.colour, 0.9);
             let top = whiskers(canvas, inner, axis, bar, x + width / 2.0);
-            if width >= ROOM_FOR_FIGURE {
-                let look = Text { size: 9.5, colour: GREY, anchor: Anchor::Middle, ..Text::default() };
-                canvas.text(x + width / 2.0, top.min(y) - 3.0, &short(bar.value), look);
+            let figure = short(bar.value);
+            if width_of(&figure, FIGURE) <= width + FIGURE_BEYOND {
+                let look = Text { size: FIGURE, colour: GREY, anchor: Anchor::Middle, ..Text::default() };
+                canvas.text(x + width / 2.0, top.min(y) - 3.0, &figure, look);
             }
         }
     }
