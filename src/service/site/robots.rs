@@ -19,6 +19,8 @@ use crate::service::reply::Failure;
 
 /// Between two looks at the graph.
 const LOOK: Duration = Duration::from_secs(1);
+/// Looks at which nothing changed, after which they are half as many.
+const CALM: u32 = 10;
 
 /// Where the ROS side stands.
 #[derive(Clone)]
@@ -108,12 +110,14 @@ impl Site {
         self.ros.send_replace(RosState::Up(Arc::clone(&link)));
         self.changed(Part::Health);
         self.changed(Part::Topics);
+        let mut calm = 0_u32;
         loop {
+            let pause = if calm < CALM { LOOK } else { LOOK * 2 };
             tokio::select! {
-                _ = self.beat(LOOK) => {}
+                _ = self.beat(pause) => {}
                 () = self.leaving() => break,
             }
-            self.look_at_graph(&link).await;
+            calm = if self.look_at_graph(&link).await { 0 } else { calm.saturating_add(1) };
             if link.has_lost_its_master() {
                 // Returning early is a fault: everything here is begun anew, with another master.
                 self.ros.send_if_modified(|state| {
@@ -172,7 +176,8 @@ impl Site {
         Ok(link)
     }
 
-    async fn look_at_graph(self: &Arc<Self>, link: &Arc<RosLink>) {
+    /// Whether anything is other than at the last look.
+    async fn look_at_graph(self: &Arc<Self>, link: &Arc<RosLink>) -> bool {
         match block_in_place(|| link.look()) {
             Ok(changed) => {
                 self.follow_wishes(link);
@@ -182,16 +187,20 @@ impl Site {
                     self.changed(Part::Health);
                     self.hub.notice(NoticeLevel::Info, "the ROS master answers again");
                 }
-                if changed || self.recorder.meter_moved() {
+                let moved = changed || self.recorder.meter_moved();
+                if moved {
                     self.changed(Part::Topics);
                 }
+                moved || was_down
             }
             Err(failure) if matches!(&*self.ros.borrow(), RosState::Up(_)) => {
                 self.hub.notice(NoticeLevel::Error, &failure.message);
                 self.ros.send_replace(RosState::Down { failure, link: Some(Arc::clone(link)) });
                 self.changed(Part::Health);
+                true
             }
-            Err(_) => {}
+            // A master that is gone is asked as often as before, so that its return is seen at once.
+            Err(_) => true,
         }
     }
 
