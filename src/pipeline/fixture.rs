@@ -11,6 +11,7 @@ use super::{Directory, Network, Observer, Plant, Sender, watcher};
 use crate::chain::{Call, Chain, ChainOptions, Endpoint, Event, Pin};
 use crate::crypto::{EoaSecret, ProviderName, SmKeyPair, domain, prove, provider};
 use crate::model::{Digest, Hash, RecordKind, RecordState, Signature, SignerId, Timestamp, Token, TopicId};
+use crate::ros::{Message, Origin};
 use crate::store::{Anchors, Ledger, NewRecord, open_vault};
 
 /// Keeps what was told.
@@ -57,6 +58,31 @@ pub struct Process {
 
 /// The token that test accounts register.
 pub const TOKEN: Token = Token([3; 32]);
+
+/// A message of text as its only publisher sends it.
+pub fn message(topic: &str, captured_at: Timestamp, body: Vec<u8>) -> Message {
+    let (type_name, md5sum) = ("std_msgs/String", "992ce8a1687cec8c8bd883ec73ca41d1");
+    Message {
+        topic: topic.into(),
+        type_name: type_name.into(),
+        md5sum: md5sum.into(),
+        definition: "string data".into(),
+        caller_id: "/a".into(),
+        origin: Arc::new(Origin {
+            number: 1,
+            caller_id: "/a".into(),
+            host: "robot".into(),
+            uri: "http://robot:1/".into(),
+            type_name: type_name.into(),
+            md5sum: md5sum.into(),
+            listed_at: Instant::now(),
+            rival: None,
+        }),
+        captured_at,
+        header_seq: None,
+        body,
+    }
+}
 
 /// The embedded chain in a folder, as soon as nobody else has it open.
 pub async fn embedded(directory: &Path, pinned: Option<Pin>) -> Chain {

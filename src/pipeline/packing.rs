@@ -94,29 +94,10 @@ fn known(
 mod tests {
     use super::*;
     use crate::model::Timestamp;
-    use crate::ros::Origin;
+    use crate::pipeline::fixture;
 
     fn message(topic: &str, body: Vec<u8>) -> Message {
-        Message {
-            topic: topic.into(),
-            type_name: "std_msgs/String".into(),
-            md5sum: "992ce8a1687cec8c8bd883ec73ca41d1".into(),
-            definition: "string data".into(),
-            caller_id: "/a".into(),
-            origin: Arc::new(Origin {
-                number: 1,
-                caller_id: "/a".into(),
-                host: "robot".into(),
-                uri: "http://robot:1/".into(),
-                type_name: "std_msgs/String".into(),
-                md5sum: "992ce8a1687cec8c8bd883ec73ca41d1".into(),
-                listed_at: std::time::Instant::now(),
-                rival: None,
-            }),
-            captured_at: Timestamp(1),
-            header_seq: None,
-            body,
-        }
+        fixture::message(topic, Timestamp(1), body)
     }
 
     #[test]

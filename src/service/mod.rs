@@ -19,4 +19,4 @@ pub use client::{Call, Client};
 pub use command::{Command, Epochs, KeyKind, Operation, Request, SecretBytes, SecretText, UploadQuery};
 pub use event::{Event, NoticeLevel, Part};
 pub use reply::{Failure, Reply};
-pub use site::{Agent, AgentEnd, AgentFigures, AgentWishes, EnrolWishes, Needs, Site};
+pub use site::{Agent, AgentEnd, AgentFigures, AgentWishes, EnrolWishes, Needs, Site, record_page};

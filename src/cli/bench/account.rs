@@ -136,3 +136,16 @@ pub(super) fn head(length: usize) -> Head {
         tags: BTreeMap::from([("simulated".to_owned(), "true".to_owned())]),
     }
 }
+
+/// A message of random bytes: nothing in one may be cheaper than in another.
+///
+/// # Errors
+/// The random source's.
+pub(super) fn message(length: usize) -> Result<Vec<u8>, Failure> {
+    let mut message = Vec::with_capacity(length);
+    while message.len() < length {
+        let more = random_bytes::<1024>()?;
+        message.extend_from_slice(more.get(..length - message.len()).unwrap_or(&more));
+    }
+    Ok(message)
+}

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use tokio::task::JoinSet;
 
-use super::account::{Account, Sealed};
+use super::account::{Account, Sealed, message};
 use super::batcher::{self, Batcher};
 use super::lane::{Deed, Posted, post};
 use super::mined::Mined;
@@ -16,7 +16,6 @@ use super::network::Network;
 use super::progress::Progress;
 use super::prototype::Prototype;
 use crate::chain::Call;
-use crate::crypto::random_bytes;
 use crate::model::{Digest, ErrorKind, Timestamp};
 use crate::service::Failure;
 use crate::service::failure::internal;
@@ -185,16 +184,6 @@ fn agree(found: u64, outcome: &Outcome) -> Result<(), Failure> {
     let text =
         format!("{least} of {most} uploads succeeded, and chain or vault count {found}; this run cannot be trusted");
     Err(Failure::new(ErrorKind::Refused, text))
-}
-
-/// Random bytes: nothing in a message may be cheaper than in another.
-fn message(bytes: usize) -> Result<Vec<u8>, Failure> {
-    let mut message = Vec::with_capacity(bytes);
-    while message.len() < bytes {
-        let more = random_bytes::<MESSAGE>()?;
-        message.extend_from_slice(more.get(..bytes - message.len()).unwrap_or(&more));
-    }
-    Ok(message)
 }
 
 async fn all(run: &Arc<Run>, uploaders: usize, begun: Instant, progress: &mut Progress) -> Vec<Result<Done, Failure>> {

@@ -5,14 +5,13 @@ use std::path::Path;
 
 use zeroize::Zeroizing;
 
-use super::super::fixture::Notes;
+use super::super::fixture::{Notes, message};
 use super::super::tests::body_of;
 use super::*;
 use crate::crypto::{CryptoError, IndexKey, Provider, ProviderName, SealingKey, SmKeyPair, SmSecret, provider};
 use crate::model::{Address, Domain, PublicKey, RecordKind, RecordState, Signature, Token};
 use crate::pipeline::Author;
 use crate::pipeline::epoch::EpochKeys;
-use crate::ros::{Message, Origin};
 use crate::store::{Ledger, RecordQuery, open_vault};
 
 /// A text over which [`Trap`] panics.
@@ -98,26 +97,7 @@ impl Line {
     }
 
     fn item(&self, topic: &str, number: usize, body: Vec<u8>) -> CapturedMessage {
-        let message = Message {
-            topic: topic.into(),
-            type_name: "std_msgs/String".into(),
-            md5sum: "992ce8a1687cec8c8bd883ec73ca41d1".into(),
-            definition: "string data".into(),
-            caller_id: "/a".into(),
-            origin: Arc::new(Origin {
-                number: 1,
-                caller_id: "/a".into(),
-                host: "robot".into(),
-                uri: "http://robot:1/".into(),
-                type_name: "std_msgs/String".into(),
-                md5sum: "992ce8a1687cec8c8bd883ec73ca41d1".into(),
-                listed_at: Instant::now(),
-                rival: None,
-            }),
-            captured_at: Timestamp(number as u64 + 1),
-            header_seq: None,
-            body,
-        };
+        let message = message(topic, Timestamp(number as u64 + 1), body);
         let (author, message) = (Arc::clone(&self.author), Arc::new(message));
         CapturedMessage { author, message, simulated: false, sessions: Vec::new(), doubt: None, rule: None }
     }

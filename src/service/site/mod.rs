@@ -61,6 +61,7 @@ pub use agent::{Agent, AgentEnd, AgentFigures, AgentWishes};
 pub use chain_link::NetworkState;
 pub use enrolling::EnrolWishes;
 pub use robots::RosState;
+pub use view::record_page;
 
 use super::client::{Call, Client};
 use super::event::{Event, Part};

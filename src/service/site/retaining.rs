@@ -18,13 +18,14 @@ const COPIES: usize = 1024;
 impl Site {
     /// Applies the rules until the site ends.
     pub(super) async fn keep_retention(self: Arc<Self>) {
-        let mut retention = Some(Retention::new(self.config.keeping()));
+        let keeping = self.config.keeping();
+        let mut retention = Some(Retention::new(keeping.clone()));
         while !self.is_stopping() {
             if !self.beat(LOOK).await {
                 return;
             }
             self.drop_copies().await;
-            if self.config.keeping().is_empty() {
+            if keeping.is_empty() {
                 continue;
             }
             for owner in self.all_owners() {

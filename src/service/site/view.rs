@@ -30,7 +30,7 @@ pub(super) fn record_view(row: &RecordRow, with_owner: bool) -> RecordView {
 }
 
 /// A page of rows.
-pub(super) fn record_page(page: crate::store::RecordPage, with_owner: bool) -> RecordPage {
+pub fn record_page(page: crate::store::RecordPage, with_owner: bool) -> RecordPage {
     RecordPage { records: page.rows.iter().map(|row| record_view(row, with_owner)).collect(), next: page.next }
 }
 

@@ -1,16 +1,15 @@
 //! The pieces of work that are timed, each on what was made ready before the clock starts.
 
-use std::collections::BTreeMap;
 use std::hint::black_box;
 
+use super::super::account::head;
 use super::Algorithm;
 use super::batch::Batch;
 use crate::crypto::{
     Provider, ProviderName, SealRequest, SmKeyPair, TopicKey, provider, random_bytes, seal, seal_by_crates,
     seal_by_libsm, sm3_many,
 };
-use crate::model::head::Compression;
-use crate::model::{Address, Digest, Domain, Head, RecordKind, RecorderId, Signature, Timestamp, TopicId};
+use crate::model::{Address, Domain, Head, RecordKind, RecorderId, Signature, Timestamp, TopicId};
 use crate::service::Failure;
 
 /// Bytes of additional data, as of a short header; the C program has as many.
@@ -178,18 +177,4 @@ impl Bench {
 /// Work that changes nothing in place.
 pub(super) fn piece<'a>(work: &'static str, by: &'static str, run: impl Fn() -> Done + 'a) -> Piece<'a> {
     Piece { work, by, messages: 1, prepare: Box::new(Vec::new), run: Box::new(move |_| run()) }
-}
-
-fn head(size: usize) -> Head {
-    Head {
-        topic: "/robot1/camera".to_owned(),
-        type_name: "sensor_msgs/CompressedImage".to_owned(),
-        md5sum: "8f7a12909da2c9d3332d540a0977563f".to_owned(),
-        definition: Digest([6; 32]),
-        caller_id: "/robot1".to_owned(),
-        boot_id: [7; 16],
-        compression: Compression::None,
-        plain_length: size as u64,
-        tags: BTreeMap::new(),
-    }
 }

@@ -6,11 +6,11 @@ use ratatui::backend::TestBackend;
 use super::fill::{OWNER, TOPICS, record};
 use super::timed;
 use crate::app::{Action, Key, Screen, Settings, State, Verb, update};
-use crate::model::{Timestamp, clean};
+use crate::model::Timestamp;
 use crate::service::failure::internal;
-use crate::service::reply::{RecordPage, RecordView, TopicRow};
-use crate::service::{Failure, Reply, UploadQuery};
-use crate::store::{Ledger, RecordQuery, RecordRow};
+use crate::service::reply::TopicRow;
+use crate::service::{Failure, Reply, UploadQuery, record_page};
+use crate::store::{Ledger, RecordQuery};
 use crate::ui::{Theme, draw};
 
 /// Columns and rows.
@@ -78,9 +78,7 @@ fn console(ledger: &Ledger, screen: Screen) -> Result<State, Failure> {
     state.topics.set(topics()?, NOW);
     let query = UploadQuery { limit: state.page_rows(), newest_first: true, ..UploadQuery::default() };
     let page = RecordQuery { owner: Some(OWNER), newest_first: true, limit: query.limit, ..RecordQuery::default() };
-    let page = ledger.list(&page)?;
-    let records = page.rows.iter().map(view).collect();
-    state.uploads.set(RecordPage { records, next: page.next }, query.limit);
+    state.uploads.set(record_page(ledger.list(&page)?, false), query.limit);
     Ok(state)
 }
 
@@ -95,24 +93,4 @@ fn topics() -> Result<Vec<TopicRow>, Failure> {
         serde_json::from_value(json).map_err(|error| internal(error.to_string()))
     };
     (0..TOPICS).map(row).collect()
-}
-
-fn view(row: &RecordRow) -> RecordView {
-    RecordView {
-        id: row.id.clone(),
-        owner: None,
-        owner_name: None,
-        seq: row.seq,
-        topic: clean(&row.topic, 255),
-        type_name: row.type_name.clone(),
-        kind: row.kind.word().to_owned(),
-        state: row.state.word().to_owned(),
-        digest: row.digest,
-        bytes: row.bytes,
-        captured_at: row.captured_at,
-        epoch: row.epoch,
-        simulated: row.simulated,
-        transaction: row.transaction,
-        block: row.block,
-    }
 }

@@ -1,15 +1,14 @@
 //! One record sealed, or checked, proven and opened, with the clock read after each step.
 
-use std::collections::BTreeMap;
 use std::hint::black_box;
 use std::time::Instant;
 
+use super::super::account::{head, message};
 use crate::chain::merkle::{Inclusion, Leaf, Tree};
 use crate::crypto::compression::pack;
 use crate::crypto::record::{open_in_steps, seal_in_steps};
-use crate::crypto::{Anchor, Expected, Provider, SealRequest, SealedRecord, SmKeyPair, TopicKey, random_bytes};
-use crate::model::head::Compression;
-use crate::model::{Address, Digest, Domain, FilterId, Head, RecordKind, RecorderId, Timestamp, TopicId};
+use crate::crypto::{Anchor, Expected, Provider, SealRequest, SealedRecord, SmKeyPair, TopicKey};
+use crate::model::{Address, Domain, FilterId, Head, RecordKind, RecorderId, Timestamp, TopicId};
 use crate::service::Failure;
 use crate::service::failure::internal;
 
@@ -58,22 +57,7 @@ pub struct Kit {
 impl Kit {
     /// A message of `size` random bytes.
     pub fn new(provider: &'static dyn Provider, size: usize) -> Result<Self, Failure> {
-        let mut body = Vec::with_capacity(size + 32);
-        while body.len() < size {
-            body.extend_from_slice(&random_bytes::<32>()?);
-        }
-        body.truncate(size);
-        let head = Head {
-            topic: "/robot1/camera".to_owned(),
-            type_name: "sensor_msgs/CompressedImage".to_owned(),
-            md5sum: "8f7a12909da2c9d3332d540a0977563f".to_owned(),
-            definition: Digest([6; 32]),
-            caller_id: "/robot1".to_owned(),
-            boot_id: [7; 16],
-            compression: Compression::None,
-            plain_length: size as u64,
-            tags: BTreeMap::new(),
-        };
+        let (head, body) = (head(size), message(size)?);
         let kit = Self { provider, signer: SmKeyPair::generate(provider)?, key: TopicKey::new([5; 32]), head, body };
         // Tables and caches are filled before the first run.
         let (sealed, _) = kit.seal()?;
