@@ -150,6 +150,9 @@ pub struct ConsensusArguments {
     /// Also on this node, which must give ether to test accounts or ask no fees
     #[arg(long, value_name = "URL")]
     pub node: Option<String>,
+    /// Least time between two blocks of the PoA chain, milliseconds
+    #[arg(long, value_name = "MS", default_value_t = 50, value_parser = clap::value_parser!(u64).range(1..=60_000))]
+    pub period: u64,
 }
 
 /// Which load the line gets.

@@ -200,7 +200,11 @@ fn acceptance_of_sm3(rows: &[Row]) -> Vec<Acceptance> {
     }
     if let Some(row) = find(rows, "digest", "authros", LARGEST) {
         found.push(at_most("SM3 of 800 KB over the paper's 6.34 ms", 1.0 / 3.0, row.measured.spread.p50 / PAPER_SM3));
-        found.push(at_most("SM3 of 800 KB, p5 to p95, ms", 0.15, (row.measured.spread.p95 - row.p5) / 1e3));
+        let width = |row: &Row| (row.measured.spread.p95 - row.p5) / 1e3;
+        // What the machine adds is in both.
+        let other =
+            find(rows, "digest", "libgcrypt", LARGEST).map(|row| format!(" (libgcrypt's here: {:.3})", width(row)));
+        found.push(at_most(format!("SM3 of 800 KB, p5 to p95, ms{}", other.unwrap_or_default()), 0.15, width(row)));
     }
     found
 }

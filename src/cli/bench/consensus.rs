@@ -113,7 +113,8 @@ pub async fn run(
     if let Some(url) = &arguments.node {
         reach(url).await?;
     }
-    let mut places = vec![Place::Embedded(Consensus::POA), Place::Embedded(Consensus::POW)];
+    let authority = Consensus::Poa { signers: 1, period: Duration::from_millis(arguments.period) };
+    let mut places = vec![Place::Embedded(authority), Place::Embedded(Consensus::POW)];
     places.extend(arguments.node.map(Place::Node));
     let (mut results, mut presets) = (Vec::new(), Vec::new());
     for place in &places {
