@@ -129,10 +129,12 @@ fn expect_as_rospy(home: &Home, reader: &Authros, records: [(&String, &str); 2])
 /// A console in which the picture has just been opened.
 fn picture_opened(reader: &Authros) -> Console {
     let mut console = Console::open(reader);
-    console.wait_for("/robot1/odom", 30);
+    console.wait_for("Overview", 30);
     console.press("4");
     console.wait_for("verified", 30);
-    console.press("/camera\r");
+    // Its filter may be that of the last console.
+    console.press("/");
+    console.press("\u{15}camera\r");
     support::wait_until(30, "the filter leaves the picture", || {
         let shown = console.shown();
         (shown.contains(CAMERA) && !shown.contains("/robot1/odom ")).then_some(())
