@@ -30,6 +30,9 @@ const ASSUMED: (usize, usize) = (8, 16);
 /// Other widths and heights of a cell are not believed.
 const BELIEVED: RangeInclusive<usize> = 4..=64;
 
+/// The widest and highest sixel, pixels: of larger ones xterm, as it comes, shows a part only.
+const LARGEST_SIXEL: usize = 1000;
+
 /// Takes away whatever picture of ours is on the screen that is being left.
 pub fn taking_away(way: Pictures) -> &'static str {
     match way {
@@ -105,11 +108,18 @@ impl Pixels {
     /// The cursor comes back to where it was: the next cells are written from there.
     fn put(&self, placement: &Placement) -> String {
         let (area, raster) = (placement.area, &placement.raster.fit(LARGEST));
-        let cells = (usize::from(area.width), usize::from(area.height));
+        let (width, height) = (self.measure)();
+        let room = (usize::from(area.width) * width, usize::from(area.height) * height);
         let picture = match self.way {
             Pictures::HalfBlocks => return String::new(),
-            Pictures::Sixel => sixel::encode(raster, filled(raster, cells, (self.measure)()), self.most),
-            Pictures::Kitty => kitty::encode(raster, cells, self.most),
+            Pictures::Sixel => {
+                let room = (room.0.min(LARGEST_SIXEL), room.1.min(LARGEST_SIXEL));
+                sixel::encode(raster, filled(raster, room), self.most)
+            }
+            Pictures::Kitty => {
+                let (across, down) = filled(raster, room);
+                kitty::encode(raster, (across.div_ceil(width), down.div_ceil(height)), self.most)
+            }
         };
         format!("\x1b7\x1b[{};{}H{picture}\x1b8", area.y + 1, area.x + 1)
     }
@@ -134,9 +144,8 @@ fn cells(buffer: &Buffer, area: Rect) -> Vec<(u16, u16, Cell)> {
     found
 }
 
-/// The size in pixels in which a picture fills so many cells with its shape kept: never more than they have.
-fn filled(raster: &Raster, cells: (usize, usize), cell: (usize, usize)) -> (usize, usize) {
-    let room = (cells.0 * cell.0, cells.1 * cell.1);
+/// The size in which a picture fills a room of so many pixels with its shape kept.
+fn filled(raster: &Raster, room: (usize, usize)) -> (usize, usize) {
     let (width, height) = (raster.width.max(1), raster.height.max(1));
     if width.saturating_mul(room.1) >= height.saturating_mul(room.0) {
         (room.0, (height.saturating_mul(room.0) / width).max(1))

@@ -196,12 +196,29 @@ fn a_cell_is_as_large_as_the_kernel_says_if_that_can_be() {
 
 #[test]
 fn a_picture_fills_its_cells_with_its_shape_kept() {
-    let filled = |size, cells| filled(&noise(size, 0), cells, (8, 16));
-    assert_eq!(filled((240, 160), (30, 10)), (240, 160));
-    assert_eq!(filled((120, 80), (30, 10)), (240, 160));
-    assert_eq!(filled((100, 1), (100, 1)), (800, 8));
-    assert_eq!(filled((1, 100), (1, 50)), (8, 800));
-    assert_eq!(filled((0, 0), (1, 1)), (8, 8));
+    let filled = |size, room| filled(&noise(size, 0), room);
+    assert_eq!(filled((240, 160), (240, 160)), (240, 160));
+    assert_eq!(filled((120, 80), (250, 160)), (240, 160));
+    assert_eq!(filled((100, 1), (800, 16)), (800, 8));
+    assert_eq!(filled((1, 100), (8, 800)), (8, 800));
+    assert_eq!(filled((0, 0), (8, 16)), (8, 8));
+}
+
+fn shown(way: Pictures, measure: fn() -> (usize, usize)) -> String {
+    let placement = Placement { area: Rect::new(0, 0, 60, 20), raster: noise((240, 160), 0) };
+    Pixels { measure, ..Pixels::new(way, None) }.show(Some(placement)).put
+}
+
+#[test]
+fn cells_of_any_shape_leave_the_picture_its_own() {
+    let cases: [(fn() -> (usize, usize), &str); 3] =
+        [(|| (8, 16), ",c=60,r=20,"), (|| (8, 20), ",c=60,r=16,"), (|| (8, 12), ",c=45,r=20,")];
+    for (measure, wanted) in cases {
+        let put = shown(Pictures::Kitty, measure);
+        assert!(put.contains(wanted), "{wanted} in {}", &put[..90]);
+    }
+    let put = shown(Pictures::Sixel, || (30, 60));
+    assert!(put.contains("\"1;1;1000;666#"), "xterm shows no larger one: {}", &put[..60]);
 }
 
 #[test]
