@@ -42,12 +42,15 @@ pub fn taking_away(way: Pictures) -> &'static str {
     }
 }
 
+/// Says a cell's width and height, pixels.
+type Measure = fn() -> (usize, usize);
+
 /// The picture that the terminal shows, and how others get there.
 #[derive(Debug)]
 pub struct Pixels {
     way: Pictures,
     most: usize,
-    measure: fn() -> (usize, usize),
+    measure: Measure,
     shown: Option<Placement>,
 }
 

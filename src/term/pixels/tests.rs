@@ -204,14 +204,14 @@ fn a_picture_fills_its_cells_with_its_shape_kept() {
     assert_eq!(filled((0, 0), (8, 16)), (8, 8));
 }
 
-fn shown(way: Pictures, measure: fn() -> (usize, usize)) -> String {
+fn shown(way: Pictures, measure: Measure) -> String {
     let placement = Placement { area: Rect::new(0, 0, 60, 20), raster: noise((240, 160), 0) };
     Pixels { measure, ..Pixels::new(way, None) }.show(Some(placement)).put
 }
 
 #[test]
 fn cells_of_any_shape_leave_the_picture_its_own() {
-    let cases: [(fn() -> (usize, usize), &str); 3] =
+    let cases: [(Measure, &str); 3] =
         [(|| (8, 16), ",c=60,r=20,"), (|| (8, 20), ",c=60,r=16,"), (|| (8, 12), ",c=45,r=20,")];
     for (measure, wanted) in cases {
         let put = shown(Pictures::Kitty, measure);
