@@ -110,7 +110,7 @@ impl Anchorer {
             let (waiting, oldest) = plant.ledger.unbatched(owner)?;
             let Some(oldest) = oldest.filter(|_| waiting > 0) else { return Ok(Err(LONGEST_WAIT)) };
             let age = Duration::from_nanos(Timestamp::now().0.saturating_sub(oldest.0));
-            let due_in = self.pace.due_in(usize::try_from(waiting).unwrap_or(usize::MAX), age);
+            let due_in = self.pace.due_in(usize::try_from(waiting).unwrap_or(usize::MAX), age, Instant::now());
             if !due_in.is_zero() {
                 return Ok(Err(due_in));
             }

@@ -1,5 +1,5 @@
-//! Anchors the records of one account as Merkle batches, closed as the pipeline closes them: at 256
-//! leaves or after a second. Every record's proof is checked before its uploader hears of it.
+//! Anchors the records of one account as Merkle batches, closed as the pipeline closes them
+//! (`pipeline::pace`). Every record's proof is checked before its uploader hears of it.
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
@@ -122,13 +122,14 @@ impl Line {
             let oldest = Instant::now();
             let mut items = vec![first];
             loop {
-                let due_in = pace.due_in(items.len(), oldest.elapsed());
+                let due_in = pace.due_in(items.len(), oldest.elapsed(), Instant::now());
                 if due_in.is_zero() {
                     break;
                 }
                 match tokio::time::timeout(due_in, inbox.recv()).await {
                     Ok(Some(item)) => items.push(item),
-                    Ok(None) | Err(_) => break,
+                    Ok(None) => break,
+                    Err(_) => {}
                 }
             }
             pace.closed(items.len(), Instant::now());

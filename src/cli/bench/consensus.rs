@@ -23,12 +23,13 @@ use crate::model::ErrorKind;
 use crate::service::Failure;
 
 const NOTES: [&str; 6] = [
-    "each: one dataUpload transaction per record; batch: Merkle roots, closed at 256 records or after a second.",
+    "each: one dataUpload transaction per record; batch: Merkle roots, closed at 256 records, after a second, or \
+     when nothing more came for 10 ms (at most four times in a row).",
     "response: from the common start to an uploader's receipt, so it includes sealing, storing and waiting for others; \
      total: from the start to the last receipt. Both in milliseconds.",
     "The authors give milliseconds per request; their total here is that times the uploaders, and times theirs is our \
      uploads a second over one in their shortest request.",
-    "A few hundred uploads wait for the second that closes a batch; what a chain carries shows with --uploaders 10000.",
+    "What a chain carries for longer than a burst shows with --uploaders 10000.",
     "Their networks ran on their machine, by geth, with block periods that the paper does not give; ours have others \
      (period), so only what a user waits for can be compared, not the consensus itself.",
     "Our pow is real work at the paper's difficulty, but Keccak-256, not ethash: a hash is cheaper, so a block is too.",

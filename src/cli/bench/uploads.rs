@@ -22,6 +22,8 @@ use crate::service::failure::internal;
 
 /// Length of a message, bytes, as in the paper.
 pub const MESSAGE: usize = 1024;
+/// A run begins on a network that was left alone for so long: no block of the run before is waited for.
+const STILL: Duration = Duration::from_millis(500);
 /// How often the progress line is renewed.
 const TICK: Duration = Duration::from_millis(200);
 
@@ -125,6 +127,7 @@ pub async fn run(network: &Arc<Network>, load: &Load) -> Result<Outcome, Failure
         }
     };
     let run = Arc::new(Run { network: Arc::clone(network), mined, bytes: load.bytes, line });
+    tokio::time::sleep(STILL).await;
     let begun = Instant::now();
     let done = all(&run, load.uploaders, begun, &mut progress).await;
     beside.shutdown().await;

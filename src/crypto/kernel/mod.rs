@@ -27,16 +27,20 @@ mod ghash_avx512;
 mod ghash_pclmul;
 mod portable;
 mod sbox;
+mod sm3;
 #[cfg(target_arch = "x86_64")]
 mod sm3_avx2;
 #[cfg(target_arch = "x86_64")]
 mod sm3_avx512;
 mod sm3_lanes;
+#[cfg(target_arch = "x86_64")]
+mod sm3_single;
 
 #[cfg(test)]
 mod tests;
 
 pub(super) use ghash::Ghash;
+pub(super) use sm3::{BLOCK, INITIAL, compress, ending};
 pub(super) use sm3_lanes::{LONG, digest_many};
 
 /// What SM4 and GHASH are computed with.

@@ -9,10 +9,12 @@ use std::arch::x86_64::{
     _mm256_set1_epi32, _mm256_setzero_si256, _mm256_sll_epi32, _mm256_srl_epi32, _mm256_storeu_si256, _mm256_xor_si256,
 };
 
-use super::sm3_lanes::{BLOCK, CONSTANTS, States};
+use super::sm3::{BLOCK, CONSTANTS};
+use super::sm3_lanes::States;
+use super::sm3_single::{self, MIXED, Rows};
 
 /// Messages side by side.
-const LANES: usize = 8;
+pub(super) const LANES: usize = 8;
 
 #[inline]
 #[target_feature(enable = "avx2")]
@@ -44,7 +46,7 @@ fn sum(one: __m256i, two: __m256i, three: __m256i) -> __m256i {
 /// Word `at` of each block.
 #[inline]
 #[target_feature(enable = "avx2")]
-fn words(blocks: &[&[u8; BLOCK]; LANES], at: usize) -> __m256i {
+fn words<'a>(blocks: impl Iterator<Item = &'a [u8; BLOCK]>, at: usize) -> __m256i {
     let mut words = [0; LANES];
     for (word, block) in words.iter_mut().zip(blocks) {
         *word = u32::from_be_bytes(block.as_chunks::<4>().0[at]);
@@ -52,13 +54,13 @@ fn words(blocks: &[&[u8; BLOCK]; LANES], at: usize) -> __m256i {
     load(&words)
 }
 
-/// The word that follows 16 words; `w[at % 16]` is the eldest and gives way.
+/// The word that follows 16 words, by `w(0)`, the eldest, to `w(15)` (5.3.2).
 #[inline]
 #[target_feature(enable = "avx2")]
-fn next(w: &mut [__m256i; 16], at: usize) {
-    let mixed = sum(w[at % 16], w[(at + 7) % 16], turned::<15>(w[(at + 13) % 16]));
+fn next(w: impl Fn(usize) -> __m256i) -> __m256i {
+    let mixed = sum(w(0), w(7), turned::<15>(w(13)));
     let mixed = sum(mixed, turned::<15>(mixed), turned::<23>(mixed));
-    w[at % 16] = sum(mixed, turned::<7>(w[(at + 3) % 16]), w[(at + 10) % 16]);
+    sum(mixed, turned::<7>(w(3)), w(10))
 }
 
 /// FF and GG of a round (5.3.4): before round 16 both are the XOR.
@@ -78,7 +80,7 @@ fn chosen(round: usize, [a, b, c]: [__m256i; 3], [e, f, g]: [__m256i; 3]) -> (__
 pub(super) fn compress(states: &mut States<LANES>, blocks: &[&[u8; BLOCK]; LANES]) {
     let mut w = [_mm256_setzero_si256(); 16];
     for (at, word) in w.iter_mut().enumerate() {
-        *word = words(blocks, at);
+        *word = words(blocks.iter().copied(), at);
     }
     let mut before = [_mm256_setzero_si256(); 8];
     for (vector, words) in before.iter_mut().zip(states.iter()) {
@@ -88,7 +90,7 @@ pub(super) fn compress(states: &mut States<LANES>, blocks: &[&[u8; BLOCK]; LANES
     for round in 0..64 {
         let word = w[round % 16];
         if round >= 12 {
-            next(&mut w, round + 4);
+            w[(round + 4) % 16] = next(|at| w[(round + 4 + at) % 16]);
         }
         let mixed = _mm256_xor_si256(word, w[(round + 4) % 16]);
         let twelve = turned::<12>(a);
@@ -105,4 +107,28 @@ pub(super) fn compress(states: &mut States<LANES>, blocks: &[&[u8; BLOCK]; LANES
     for ((words, old), new) in states.iter_mut().zip(before).zip([a, b, c, d, e, f, g, h]) {
         store(words, _mm256_xor_si256(old, new));
     }
+}
+
+/// Takes groups of 8 blocks of one message into its state.
+#[target_feature(enable = "avx2,bmi1,bmi2")]
+pub(super) fn compress_one(state: &mut [u32; 8], groups: &[[[u8; BLOCK]; LANES]]) {
+    sm3_single::groups(state, groups, |rows, group| begin(rows, group), |rows, at| row(rows, at));
+}
+
+#[inline]
+#[target_feature(enable = "avx2")]
+fn begin(rows: &mut Rows<LANES>, group: &[[u8; BLOCK]; LANES]) {
+    for (at, row) in rows.0.iter_mut().enumerate().take(16) {
+        store(row, words(group.iter(), at));
+    }
+}
+
+#[inline]
+#[target_feature(enable = "avx2")]
+fn row(Rows(rows): &mut Rows<LANES>, at: usize) {
+    assert!(at < 64, "a block has so many rounds");
+    let next = next(|after| load(&rows[at + after]));
+    let mixed = _mm256_xor_si256(load(&rows[at]), load(&rows[at + 4]));
+    store(&mut rows[at + 16], next);
+    store(&mut rows[at + MIXED], mixed);
 }

@@ -11,7 +11,9 @@ use std::arch::x86_64::{
     _mm512_unpacklo_epi64, _mm512_xor_si512,
 };
 
-use super::sm3_lanes::{BLOCK, CONSTANTS, States};
+use super::sm3::{BLOCK, CONSTANTS};
+use super::sm3_lanes::States;
+use super::sm3_single::{self, MIXED, Rows};
 
 /// Blocks side by side.
 pub(super) const LANES: usize = 16;
@@ -74,7 +76,7 @@ fn transposed(rows: &[__m512i; LANES]) -> [__m512i; LANES] {
 /// The first 16 words of each block, a block to a lane.
 #[inline]
 #[target_feature(enable = "avx512f,avx512bw")]
-fn words(blocks: &[&[u8; BLOCK]; LANES]) -> [__m512i; LANES] {
+fn words<'a>(blocks: impl Iterator<Item = &'a [u8; BLOCK]>) -> [__m512i; LANES] {
     let swap = _mm512_broadcast_i32x4(_mm_set_epi64x(0x0c0d_0e0f_0809_0a0b, 0x0405_0607_0001_0203));
     let mut rows = [_mm512_setzero_si512(); LANES];
     for (row, block) in rows.iter_mut().zip(blocks) {
@@ -83,21 +85,19 @@ fn words(blocks: &[&[u8; BLOCK]; LANES]) -> [__m512i; LANES] {
     transposed(&rows)
 }
 
-/// The word that follows 16 words; `w[at % 16]` is the eldest and gives way.
+/// The word that follows 16 words, by `w(0)`, the eldest, to `w(15)` (5.3.2).
 #[inline]
 #[target_feature(enable = "avx512f")]
-fn next(w: &mut [__m512i; LANES], at: usize) -> __m512i {
-    let sum = _mm512_ternarylogic_epi32::<XOR>(w[at % 16], w[(at + 7) % 16], _mm512_rol_epi32::<15>(w[(at + 13) % 16]));
+fn next(w: impl Fn(usize) -> __m512i) -> __m512i {
+    let sum = _mm512_ternarylogic_epi32::<XOR>(w(0), w(7), _mm512_rol_epi32::<15>(w(13)));
     let mixed = _mm512_ternarylogic_epi32::<XOR>(sum, _mm512_rol_epi32::<15>(sum), _mm512_rol_epi32::<23>(sum));
-    let turned = _mm512_rol_epi32::<7>(w[(at + 3) % 16]);
-    w[at % 16] = _mm512_ternarylogic_epi32::<XOR>(mixed, turned, w[(at + 10) % 16]);
-    w[at % 16]
+    _mm512_ternarylogic_epi32::<XOR>(mixed, _mm512_rol_epi32::<7>(w(3)), w(10))
 }
 
 /// Takes one block of each of 16 messages into their states.
 #[target_feature(enable = "avx512f,avx512bw")]
 pub(super) fn compress(state: &mut States<LANES>, blocks: &[&[u8; BLOCK]; LANES]) {
-    let mut w = words(blocks);
+    let mut w = words(blocks.iter().copied());
     let mut before = [_mm512_setzero_si512(); 8];
     for (vector, words) in before.iter_mut().zip(state.iter()) {
         *vector = load(words);
@@ -106,7 +106,7 @@ pub(super) fn compress(state: &mut States<LANES>, blocks: &[&[u8; BLOCK]; LANES]
     for round in 0..64 {
         let eldest = w[round % 16];
         if round >= 12 {
-            next(&mut w, round + 4);
+            w[(round + 4) % 16] = next(|at| w[(round + 4 + at) % 16]);
         }
         let mixed = _mm512_xor_si512(eldest, w[(round + 4) % 16]);
         let turned = _mm512_rol_epi32::<12>(a);
@@ -128,4 +128,28 @@ pub(super) fn compress(state: &mut States<LANES>, blocks: &[&[u8; BLOCK]; LANES]
     for ((words, old), new) in state.iter_mut().zip(before).zip([a, b, c, d, e, f, g, h]) {
         store(words, _mm512_xor_si512(old, new));
     }
+}
+
+/// Takes groups of 16 blocks of one message into its state.
+#[target_feature(enable = "avx512f,avx512bw,bmi1,bmi2")]
+pub(super) fn compress_one(state: &mut [u32; 8], groups: &[[[u8; BLOCK]; LANES]]) {
+    sm3_single::groups(state, groups, |rows, group| begin(rows, group), |rows, at| row(rows, at));
+}
+
+#[inline]
+#[target_feature(enable = "avx512f,avx512bw")]
+fn begin(rows: &mut Rows<LANES>, group: &[[u8; BLOCK]; LANES]) {
+    for (row, words) in rows.0.iter_mut().zip(words(group.iter())) {
+        store(row, words);
+    }
+}
+
+#[inline]
+#[target_feature(enable = "avx512f")]
+fn row(Rows(rows): &mut Rows<LANES>, at: usize) {
+    assert!(at < 64, "a block has so many rounds");
+    let next = next(|after| load(&rows[at + after]));
+    let mixed = _mm512_xor_si512(load(&rows[at]), load(&rows[at + 4]));
+    store(&mut rows[at + 16], next);
+    store(&mut rows[at + MIXED], mixed);
 }

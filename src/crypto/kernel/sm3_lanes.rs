@@ -2,30 +2,14 @@
 #![allow(unsafe_code, reason = "calls of functions that need features of the processor, which were asked for")]
 
 use super::super::sm3::sm3;
+use super::sm3::{BLOCK, INITIAL, ending};
 #[cfg(target_arch = "x86_64")]
 use super::{sm3_avx2, sm3_avx512};
 
-/// Bytes of a block.
-pub(super) const BLOCK: usize = 64;
 /// From this length on a message is hashed alone: a lane is slower than the whole processor.
 pub(in crate::crypto) const LONG: usize = 16 * 1024;
 /// The fewest messages for which lanes pay.
 const FEWEST: usize = 3;
-
-/// GB/T 32905-2016, 4.1.
-const INITIAL: [u32; 8] =
-    [0x7380_166f, 0x4914_b2b9, 0x1724_42d7, 0xda8a_0600, 0xa96f_30bc, 0x1631_38aa, 0xe38d_ee4d, 0xb0fb_0e4e];
-
-/// T_j turned left by j (4.2, 5.3.3).
-pub(super) const CONSTANTS: [u32; 64] = {
-    let (mut constants, mut round) = ([0u32; 64], 0u32);
-    while round < 64 {
-        let constant: u32 = if round < 16 { 0x79cc_4519 } else { 0x7a87_9d8a };
-        constants[round as usize] = constant.rotate_left(round % 32);
-        round += 1;
-    }
-    constants
-};
 
 /// States of messages, word by word.
 pub(super) type States<const LANES: usize> = [[u32; LANES]; 8];
@@ -63,12 +47,7 @@ impl<'a> Lane<'a> {
     /// Pads a message (5.2).
     fn new(index: usize, message: &'a [u8]) -> Self {
         let (whole, rest) = message.as_chunks::<BLOCK>();
-        let mut end = [[0; BLOCK]; 2];
-        let ends = if rest.len() < BLOCK - 8 { 1 } else { 2 };
-        end[0][..rest.len()].copy_from_slice(rest);
-        end[0][rest.len()] = 0x80;
-        let bits = u64::try_from(message.len()).unwrap_or(u64::MAX).wrapping_mul(8);
-        end[ends - 1][BLOCK - 8..].copy_from_slice(&bits.to_be_bytes());
+        let (end, ends) = ending(rest, message.len() as u64);
         Self { index, whole, end, ends, at: 0 }
     }
 

@@ -191,3 +191,49 @@ fn every_length_has_its_padding() {
     let alone: Vec<[u8; 32]> = messages.iter().map(|message| sm3(&[message])).collect();
     assert_eq!(digest_many(&messages), alone);
 }
+
+/// A compression of blocks by itself, each by the features that it needs.
+#[cfg(target_arch = "x86_64")]
+type Way = fn(&mut [u32; 8], &[[u8; BLOCK]]);
+
+#[cfg(target_arch = "x86_64")]
+fn ways() -> Vec<(&'static str, Way)> {
+    let mut ways: Vec<(&'static str, Way)> = vec![("chosen", compress)];
+    let turns = is_x86_feature_detected!("bmi1") && is_x86_feature_detected!("bmi2");
+    if turns && is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512bw") {
+        ways.push(("avx512", |state, blocks| {
+            let (groups, rest) = blocks.as_chunks();
+            // SAFETY: the features were just found.
+            unsafe { sm3_avx512::compress_one(state, groups) };
+            sm3::by_crate(state, rest);
+        }));
+    }
+    if turns && is_x86_feature_detected!("avx2") {
+        ways.push(("avx2", |state, blocks| {
+            let (groups, rest) = blocks.as_chunks();
+            // SAFETY: the features were just found.
+            unsafe { sm3_avx2::compress_one(state, groups) };
+            sm3::by_crate(state, rest);
+        }));
+    }
+    ways
+}
+
+#[test]
+#[cfg(target_arch = "x86_64")]
+fn blocks_of_one_message_are_compressed_as_by_the_crate() {
+    let mut noise = Noise(8);
+    for count in (0..=100).chain([255, 256, 1000]) {
+        let before: [u32; 8] = std::array::from_fn(|_| u32::from_be_bytes(noise.array()));
+        let offset = noise.below(64);
+        let room = noise.bytes(offset + count * BLOCK);
+        let blocks = room[offset..].as_chunks().0;
+        let mut expected = before;
+        sm3::by_crate(&mut expected, blocks);
+        for (name, way) in ways() {
+            let mut state = before;
+            way(&mut state, blocks);
+            assert_eq!(state, expected, "{count} blocks by {name}");
+        }
+    }
+}

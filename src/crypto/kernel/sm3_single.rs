@@ -1,0 +1,114 @@
+//! The compression function of SM3 (GB/T 32905-2016, 5.3) for one long message. A state must wait for the one before,
+//! but the words of blocks need no state: those of the next blocks are made by vectors, a row at a time between the
+//! rounds of these, where a processor has room for them. So there is less to do than in one block after the other,
+//! which shows most where another thread shares the core.
+//!
+//! Safety: `hold` is no instruction at all; the features of the rows are checked before they are called.
+#![allow(unsafe_code, reason = "an empty instruction and calls with checked features, see above")]
+#![allow(clippy::many_single_char_names, reason = "the standard's names: A to H")]
+
+use super::sm3::{BLOCK, CONSTANTS};
+
+/// Where the rows of W' begin: behind W_0 to W_67 and twelve rows that nobody reads.
+pub(super) const MIXED: usize = 80;
+const ALL: usize = MIXED + 64;
+
+/// W_j and W'_j of so many blocks (5.3.2), a block to a column.
+#[repr(C, align(64))]
+pub(super) struct Rows<const LANES: usize>(pub [[u32; LANES]; ALL]);
+
+impl<const LANES: usize> Rows<LANES> {
+    const NONE: Self = Self([[0; LANES]; ALL]);
+}
+
+/// The same number; the compiler does not know that. It would add the constant last, where everything waits for it.
+#[inline]
+fn hold(mut word: u32) -> u32 {
+    // SAFETY: a comment for the assembler.
+    unsafe { std::arch::asm!("/* {0:e} */", inlateout(reg) word, options(pure, nomem, nostack, preserves_flags)) };
+    word
+}
+
+/// One round (5.3.3); the names turn instead of the words.
+macro_rules! round {
+    ($words:ident, $j:expr, $a:ident $b:ident $c:ident $d:ident $e:ident $f:ident $g:ident $h:ident) => {
+        let twelve = $a.rotate_left(12);
+        let one = hold(twelve.wrapping_add(CONSTANTS[$j])).wrapping_add($e).rotate_left(7);
+        let (ff, gg) =
+            if $j < 16 { ($a ^ $b ^ $c, $e ^ $f ^ $g) } else { (($a & $b) | ($c & ($a | $b)), (($f ^ $g) & $e) ^ $g) };
+        $d = $d.wrapping_add($words[(MIXED + $j) * LANES]).wrapping_add(ff).wrapping_add(one ^ twelve);
+        $h = $h.wrapping_add($words[$j * LANES]).wrapping_add(gg).wrapping_add(one);
+        $b = $b.rotate_left(9);
+        $f = $f.rotate_left(19);
+        $h = $h ^ $h.rotate_left(9) ^ $h.rotate_left(17);
+    };
+}
+
+/// Takes groups of blocks into a state. `begin` puts W_0 to W_15 of a group into its rows; `row` makes W_(at + 16)
+/// and W'_at of rows whose earlier ones are there.
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "it has the features of its caller only where it is a part of it")]
+pub(super) fn groups<const LANES: usize>(
+    state: &mut [u32; 8],
+    groups: &[[[u8; BLOCK]; LANES]],
+    begin: impl Fn(&mut Rows<LANES>, &[[u8; BLOCK]; LANES]),
+    row: impl Fn(&mut Rows<LANES>, usize),
+) {
+    let Some(first) = groups.first() else { return };
+    let mut rows = [Rows::NONE; 2];
+    let [now, then] = &mut rows;
+    let (mut now, mut then) = (now, then);
+    begin(now, first);
+    (0..64).for_each(|at| row(now, at));
+    for index in 0..groups.len() {
+        if let Some(group) = groups.get(index + 1) {
+            begin(then, group);
+        }
+        rounds(state, now, then, &row);
+        (now, then) = (then, now);
+    }
+}
+
+/// The rounds of a group of blocks, and meanwhile all rows of the next group.
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "see above")]
+fn rounds<const LANES: usize>(
+    state: &mut [u32; 8],
+    now: &Rows<LANES>,
+    then: &mut Rows<LANES>,
+    row: &impl Fn(&mut Rows<LANES>, usize),
+) {
+    for column in 0..LANES {
+        let words = &now.0.as_flattened()[column..];
+        // Once here instead of at every word.
+        assert!(words.len() > (ALL - 1) * LANES, "a column has all rows");
+        let [mut a, mut b, mut c, mut d, mut e, mut f, mut g, mut h] = *state;
+        macro_rules! eight {
+            ($piece:expr) => {
+                round!(words, ($piece * 8), a b c d e f g h);
+                round!(words, ($piece * 8 + 1), d a b c h e f g);
+                round!(words, ($piece * 8 + 2), c d a b g h e f);
+                round!(words, ($piece * 8 + 3), b c d a f g h e);
+                round!(words, ($piece * 8 + 4), a b c d e f g h);
+                round!(words, ($piece * 8 + 5), d a b c h e f g);
+                round!(words, ($piece * 8 + 6), c d a b g h e f);
+                round!(words, ($piece * 8 + 7), b c d a f g h e);
+                // 64 rows spread over all pieces of all columns.
+                if $piece * 8 % LANES == 0 {
+                    row(then, (column * 8 + $piece) * 8 / LANES);
+                }
+            };
+        }
+        eight!(0);
+        eight!(1);
+        eight!(2);
+        eight!(3);
+        eight!(4);
+        eight!(5);
+        eight!(6);
+        eight!(7);
+        for (old, new) in state.iter_mut().zip([a, b, c, d, e, f, g, h]) {
+            *old ^= new;
+        }
+    }
+}
