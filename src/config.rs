@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::Duration;
 
-pub use self::console::ConsoleSettings;
+pub use self::console::{ConsoleSettings, Pictures};
 pub use self::definitions::{DEFINITIONS, Definition};
 pub use self::error::ConfigError;
 pub use self::read::without_password;

@@ -12,9 +12,11 @@ use std::process::Command;
 use authros::model::bytes::unhex;
 use authros::ros::readable::{Exported, export, read};
 use authros::ros::{Definition, Limits};
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
 use serde_json::Value;
 use support::process::Running;
-use support::{Authros, Console, Home, Roscore, count, heavy, long, shared_data, skipped, system_program, text};
+use support::{Authros, Console, Home, Roscore, count, heavy, holds, long, shared_data, skipped, system_program, text};
 
 const NO_ROS: &str = "no roscore, rosbag and rostopic in /usr/bin";
 const CAMERA: &str = "/robot1/camera/compressed";
@@ -102,6 +104,8 @@ fn a_picture_taken_at_the_robot_is_restored_and_seen_by_the_grantee() {
     let path = bob.json(&["shared", "path", &odometry]);
     assert_eq!((count(&path, "records"), path["plot"]["points"].as_array().map(Vec::len)), (30, Some(30)), "{path}");
     expect_seen(&bob.with_variable("COLORTERM", "truecolor"));
+    expect_seen_by_kitty(&bob, &png);
+    expect_seen_as_sixel(&bob);
     site.stop("TERM", 60);
 }
 
@@ -122,19 +126,115 @@ fn expect_as_rospy(home: &Home, reader: &Authros, records: [(&String, &str); 2])
     assert!(rospy(&["compare", &made, &ours]).contains("\"messages\": 2"));
 }
 
-/// The grantee's console shows the picture, the values and the path.
-fn expect_seen(reader: &Authros) {
+/// A console in which the picture has just been opened.
+fn picture_opened(reader: &Authros) -> Console {
     let mut console = Console::open(reader);
-    console.wait_for("/robot1/odom", 30);
+    console.wait_for("Overview", 30);
     console.press("4");
     console.wait_for("verified", 30);
-    console.press("/camera\r");
+    // Its filter may be that of the last console.
+    console.press("/");
+    console.press("\u{15}camera\r");
     support::wait_until(30, "the filter leaves the picture", || {
         let shown = console.shown();
         (shown.contains(CAMERA) && !shown.contains("/robot1/odom ")).then_some(())
     });
     console.press("o");
     console.wait_for(" Picture ", 30);
+    console
+}
+
+/// Waits until so many complete pictures have come, each between `begin` and `end`; gives the last one and what stands
+/// before and behind it.
+fn pictures(console: &Console, begin: &str, end: &str, count: usize) -> [Vec<u8>; 3] {
+    let find = |hay: &[u8], needle: &str| hay.windows(needle.len()).position(|window| window == needle.as_bytes());
+    support::wait_until(60, &format!("picture {count}"), || {
+        let (mut before, mut rest, mut found) = (Vec::new(), console.raw(), Vec::new());
+        for _ in 0..count {
+            before.extend_from_slice(&found);
+            let at = find(&rest, begin)?;
+            let length = find(&rest[at..], end)? + end.len();
+            before.extend(rest.drain(..at));
+            found = rest.drain(..length).collect();
+        }
+        assert_eq!(find(&rest, begin), None, "more than {count} pictures");
+        Some([before, found, rest])
+    })
+}
+
+const KITTY: [&str; 2] = ["\u{1b}_Ga=T,", "\u{1b}\\\u{1b}8"];
+const KITTY_AWAY: &[u8] = b"\x1b_Ga=d,d=I,i=1096111176,q=2\x1b\\";
+
+/// The grantee's console leaves the picture to a terminal that knows kitty's commands: once, and gone when it is closed.
+fn expect_seen_by_kitty(reader: &Authros, picture: &image::RgbImage) {
+    let reader = reader.with_variable("AUTHROS_PICTURES", "kitty");
+    let mut console = picture_opened(&reader);
+    let [_, put, _] = pictures(&console, KITTY[0], KITTY[1], 1);
+    let put = String::from_utf8(put).expect("ASCII");
+    let data: String = put.split("\u{1b}_G").filter_map(|piece| Some(piece.split_once(';')?.1)).collect();
+    let data = data.replace("\u{1b}\\", "").replace("\u{1b}8", "");
+    let pixel = |x: usize, y: usize| picture[(u32::try_from(x).expect("fits"), u32::try_from(y).expect("fits"))].0;
+    let small = authros::ros::readable::Raster::of((640, 480), (240, 160), &pixel);
+    assert!(put.contains(&format!(",s={},v={},", small.width, small.height)), "{}", &put[..90]);
+    assert!(STANDARD.decode(data).expect("base64") == small.rgb, "the camera's very pixels");
+    assert!(!console.shown().contains('▀'));
+
+    console.press("y");
+    console.wait_for("sent to the terminal", 30);
+    assert!(!holds(&pictures(&console, KITTY[0], KITTY[1], 1)[2], KITTY_AWAY), "not with the next frame");
+    console.resize(40, 120);
+    let [before, ..] = pictures(&console, KITTY[0], KITTY[1], 2);
+    assert!(holds(&before, KITTY_AWAY), "the one of the old size is taken away");
+    support::wait_until(30, "the picture is taken away", || {
+        console.press("\u{1b}");
+        holds(&pictures(&console, KITTY[0], KITTY[1], 2)[2], KITTY_AWAY).then_some(())
+    });
+    support::wait_until(30, "the picture is opened again", || {
+        console.press("o");
+        (holds(&console.raw()[before.len() + put.len()..], KITTY[0].as_bytes())).then_some(())
+    });
+    pictures(&console, KITTY[0], KITTY[1], 3);
+    console.signal("TERM");
+    assert_eq!(console.wait(30).exit_code(), 143);
+    console.expect_restored();
+    assert!(holds(&pictures(&console, KITTY[0], KITTY[1], 3)[2], KITTY_AWAY), "nothing is left behind");
+}
+
+/// The same for sixel graphics: what it covered is written over.
+fn expect_seen_as_sixel(reader: &Authros) {
+    let reader = reader.with_variable("AUTHROS_PICTURES", "sixel");
+    let mut console = picture_opened(&reader);
+    let [before, put, _] = pictures(&console, "\u{1b}P0;1q\"1;1;", "\u{1b}\\\u{1b}8", 1);
+    let before = String::from_utf8_lossy(&before).into_owned();
+    let put = String::from_utf8(put).expect("ASCII");
+    let numbers = |text: &str| -> Vec<u16> { text.split(';').filter_map(|part| part.parse().ok()).collect() };
+    let place = numbers(before.rsplit_once("\u{1b}[").expect("a place").1.trim_end_matches('H'));
+    let size = numbers(put["\u{1b}P0;1q\"1;1;".len()..].split('#').next().expect("a size"));
+    // A pseudo-terminal of no pixels: cells of 8 x 16 are assumed.
+    let (columns, rows) = (size[0].div_ceil(8), size[1].div_ceil(16));
+    assert!(columns > 20 && place[0] - 1 + rows <= 26 && place[1] - 1 + columns <= 100, "{place:?} {size:?}");
+
+    support::wait_until(30, "the picture is written over", || {
+        console.press("\u{1b}");
+        let [_, _, behind] = pictures(&console, "\u{1b}P0;1q\"1;1;", "\u{1b}\\\u{1b}8", 1);
+        let size = |cells| std::num::NonZeroU16::new(cells).expect("not zero");
+        let mut terminal = vt100::Parser::new(size(30), size(100), 0);
+        for row in 1..=30 {
+            terminal.process(format!("\u{1b}[{row};1H{}", "▒".repeat(100)).as_bytes());
+        }
+        terminal.process(&behind);
+        let covered = |row, column| terminal.screen().cell(row, column).is_none_or(|cell| cell.contents() == "▒");
+        let mut cells = (0..rows).flat_map(|row| (0..columns).map(move |column| (row, column)));
+        (!cells.any(|(row, column)| covered(place[0] - 1 + row, place[1] - 1 + column))).then_some(())
+    });
+    console.press("q");
+    console.wait(30);
+    console.expect_restored();
+}
+
+/// The grantee's console shows the picture, the values and the path.
+fn expect_seen(reader: &Authros) {
+    let mut console = picture_opened(reader);
     support::wait_until(30, "the picture in half-blocks", || {
         (console.shown().matches('▀').count() > 300).then_some(())
     });

@@ -31,6 +31,7 @@ pub fn options(context: &Context, arguments: ConsoleArguments) -> Result<Console
         bytes_per_second: settings.bytes_per_second,
         directory: None,
         kept: Some(context.home.console(&context.profile)),
+        pictures: settings.pictures,
         lock_after: settings.lock_after,
     };
     if let Some(name) = &options.theme {

@@ -3,6 +3,18 @@
 use super::error::ConfigError;
 use super::read::{Values, number, value, wrong};
 
+/// How the console shows the pictures of records.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Pictures {
+    /// In cells, two pixels each.
+    #[default]
+    HalfBlocks,
+    /// As pixels, by the terminal: sixel graphics.
+    Sixel,
+    /// As pixels, by the terminal: the graphics protocol of kitty.
+    Kitty,
+}
+
 /// What the settings say about the console.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct ConsoleSettings {
@@ -14,6 +26,8 @@ pub struct ConsoleSettings {
     pub mouse: bool,
     /// The most bytes a second drawn because data changed.
     pub bytes_per_second: Option<u32>,
+    /// How pictures are shown.
+    pub pictures: Pictures,
     /// Nanoseconds without a key after which the keyring locks; `None` = never.
     pub lock_after: Option<u64>,
 }
@@ -35,6 +49,12 @@ impl ConsoleSettings {
             Some(_) => u32::try_from(number(values, "console.bytes_per_second", 500, 100_000_000)?).ok(),
             None => None,
         };
+        let pictures = match value(values, "console.pictures") {
+            Some("half-blocks") | None => Pictures::HalfBlocks,
+            Some("sixel") => Pictures::Sixel,
+            Some("kitty") => Pictures::Kitty,
+            Some(_) => return Err(wrong(values, "console.pictures", "write half-blocks, sixel or kitty")),
+        };
         let minutes = number(values, "console.lock_after", 0, 10_080)?;
         let lock_after = (minutes > 0).then(|| minutes * 60_000_000_000);
         Ok(Self {
@@ -43,6 +63,7 @@ impl ConsoleSettings {
             ascii,
             mouse,
             bytes_per_second,
+            pictures,
         })
     }
 }

@@ -205,6 +205,12 @@ pub const DEFINITIONS: &[Definition] = &[
         text: "most bytes a second drawn because data changed, keys apart; empty = 4000 over SSH, else no limit",
     },
     Definition {
+        name: "console.pictures",
+        variable: "AUTHROS_PICTURES",
+        default: "half-blocks",
+        text: "how pictures are shown: half-blocks, or as pixels by a terminal that knows sixel or kitty; it is never asked",
+    },
+    Definition {
         name: "console.lock_after",
         variable: "AUTHROS_LOCK_AFTER",
         default: "15",

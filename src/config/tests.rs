@@ -70,6 +70,19 @@ fn a_remote_site_is_an_address_and_whom_to_trust() {
 }
 
 #[test]
+fn pictures_are_half_blocks_unless_it_is_said_otherwise() {
+    let pictures = |text: &str| with_file(text).map(|config| config.console.pictures);
+    assert_eq!(pictures(""), Ok(Pictures::HalfBlocks));
+    for (word, wanted) in
+        [("half-blocks", Pictures::HalfBlocks), ("sixel", Pictures::Sixel), ("kitty", Pictures::Kitty)]
+    {
+        assert_eq!(pictures(&format!("[console]\npictures = \"{word}\"")), Ok(wanted));
+    }
+    let error = pictures("[console]\npictures = \"auto\"").expect_err("never guessed").to_string();
+    assert!(error.contains("config.toml line 2") && error.contains("sixel or kitty"), "{error}");
+}
+
+#[test]
 fn passwords_are_hidden() {
     let config = with_file("[vault]\nurl = \"redis://u:secret@127.0.0.1:1\"").expect("file");
     let shown = serde_json::to_string(&config.show()).expect("json");

@@ -4,7 +4,7 @@ use std::convert::Infallible;
 
 use ratatui::backend::{Backend, ClearType, WindowSize};
 use ratatui::buffer::Cell;
-use ratatui::layout::{Position, Size};
+use ratatui::layout::{Position, Rect, Size};
 
 use super::colour::Depth;
 use super::encode::Encoder;
@@ -33,6 +33,11 @@ impl FrameBackend {
     pub fn take_frame(&mut self) -> String {
         self.encoder.cursor(self.shown.then_some(self.position));
         self.encoder.take_frame()
+    }
+
+    /// What stands in `area` was covered by a picture.
+    pub fn cover(&mut self, area: Rect) {
+        self.encoder.cover(area);
     }
 
     /// The real terminal was used by others.

@@ -1,7 +1,7 @@
 //! Cells to bytes: as few as the change needs, colours as the terminal has them.
 
 use ratatui::buffer::Cell;
-use ratatui::layout::Position;
+use ratatui::layout::{Position, Rect};
 use ratatui::style::Modifier;
 use unicode_width::UnicodeWidthStr;
 
@@ -62,6 +62,16 @@ impl Encoder {
         self.out.push_str("\x1b[2J");
         self.shown.clear();
         self.pen = None;
+    }
+
+    /// What stands in `area` was covered by what are no cells.
+    pub fn cover(&mut self, area: Rect) {
+        for place in area.positions() {
+            let row = self.shown.get_mut(usize::from(place.y));
+            if let Some(cell) = row.and_then(|row| row.get_mut(usize::from(place.x))) {
+                *cell = None;
+            }
+        }
     }
 
     /// Shows the cursor at a place, or hides it; nothing is written if it is so already.
@@ -233,6 +243,19 @@ mod tests {
         encoder.cell(0, 0, &cell("x", Style::default().bold()));
         encoder.cell(2, 0, &cell("y", Style::default().bold()));
         assert_eq!(encoder.take_frame(), "\x1b[?2026h\x1b[1H\x1b[0;1mx\x1b[Cy\x1b[m\x1b[?2026l");
+    }
+
+    #[test]
+    fn what_is_covered_is_not_written_again() {
+        let mut encoder = Encoder::new(Depth::None);
+        for x in 0..4 {
+            encoder.cell(x, 0, &cell(" ", Style::default()));
+        }
+        encoder.take_frame();
+        encoder.cover(Rect::new(1, 0, 2, 3));
+        encoder.cell(0, 0, &cell("A", Style::default()));
+        encoder.cell(3, 0, &cell("B", Style::default()));
+        assert_eq!(encoder.take_frame(), "\x1b[?2026h\x1b[1HA\x1b[2CB\x1b[?2026l");
     }
 
     #[test]

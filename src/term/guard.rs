@@ -2,8 +2,8 @@
 
 use std::io::{self, IsTerminal, Write};
 use std::panic::{self, PanicHookInfo};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, OnceLock};
 use std::thread;
 
 use crossterm::terminal::{disable_raw_mode, enable_raw_mode};
@@ -20,6 +20,8 @@ pub const LEAVE_MOUSE: &str = "\x1b[?1006l\x1b[?1000l";
 pub const THREAD_PREFIX: &str = "console-";
 
 static ENTERED: AtomicBool = AtomicBool::new(false);
+/// Takes pictures of ours away, before the screen is given back.
+static TAKE_PICTURES: OnceLock<&'static str> = OnceLock::new();
 
 type Hook = Box<dyn Fn(&PanicHookInfo<'_>) + Send + Sync + 'static>;
 
@@ -30,16 +32,19 @@ pub struct Guard {
 }
 
 impl Guard {
-    /// Takes the terminal. A panic of the console restores it before anything is printed, and where
+    /// Takes the terminal; when it is given back, `take_pictures` is written first. A panic of the console restores it before anything is printed, and where
     /// it was in a thread beside the caller's, `broken` hears of it, for nothing draws or reads any
     /// more. A panic of any other thread is given to `fault` and leaves the terminal alone.
     ///
     /// # Errors
     /// Where the terminal refuses.
     pub fn enter(
+        take_pictures: &'static str,
         fault: impl Fn(String) + Send + Sync + 'static,
         broken: impl Fn(String) + Send + Sync + 'static,
     ) -> io::Result<Self> {
+        // One console a process: the first word holds.
+        TAKE_PICTURES.get_or_init(|| take_pictures);
         take()?;
         let previous: Arc<Hook> = Arc::new(panic::take_hook());
         let console = thread::current().id();
@@ -97,7 +102,7 @@ pub fn restore() {
     }
     if io::stdin().is_terminal() {
         // Nothing can be done for a terminal that fails now.
-        drop(write(LEAVE));
+        drop(write(&[TAKE_PICTURES.get().copied().unwrap_or_default(), LEAVE].concat()));
         drop(disable_raw_mode());
     }
 }

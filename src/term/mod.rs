@@ -13,6 +13,7 @@ pub mod files;
 pub mod guard;
 pub mod input;
 pub mod outside;
+pub mod pixels;
 pub mod plain;
 pub mod renderer;
 pub mod signals;
@@ -28,6 +29,7 @@ use tokio::runtime::Handle;
 
 use crate::app::zone::Zone;
 use crate::app::{Keymap, Settings, State};
+use crate::config::Pictures;
 use crate::model::{ErrorKind, Timestamp};
 use crate::service::{Client, Failure};
 use crate::ui::{ThemeError, Themes};
@@ -49,6 +51,8 @@ pub struct ConsoleOptions {
     pub read_only: bool,
     /// Bytes a second for drawing of data; `None` = 4 kB/s over SSH, else no limit.
     pub bytes_per_second: Option<u32>,
+    /// How pictures are shown.
+    pub pictures: Pictures,
     /// Where relative paths begin and files are written; `None` = the working directory.
     pub directory: Option<PathBuf>,
     /// Where screen, filters and orders are kept for the next start; `None` = nowhere.

@@ -6,12 +6,14 @@ use std::thread::{self, JoinHandle};
 use std::time::Instant;
 
 use ratatui::Terminal;
+use ratatui::backend::Backend as _;
 use ratatui::layout::Size;
 
 use super::backend::FrameBackend;
 use super::budget::Budget;
 use super::colour::Depth;
 use super::guard::{self, THREAD_PREFIX};
+use super::pixels::Pixels;
 use super::stage::{Scene, Stage, Wish};
 use crate::ui;
 
@@ -20,6 +22,7 @@ use crate::ui;
 pub struct Painter {
     terminal: Terminal<FrameBackend>,
     size: (u16, u16),
+    pixels: Pixels,
 }
 
 impl Painter {
@@ -27,20 +30,38 @@ impl Painter {
     pub fn new(depth: Depth, size: (u16, u16)) -> Self {
         let backend = FrameBackend::new(depth, cells(size));
         let Ok(terminal) = Terminal::new(backend);
-        Self { terminal, size }
+        Self { terminal, size, pixels: Pixels::default() }
+    }
+
+    /// With pictures as pixels.
+    pub fn with_pixels(self, pixels: Pixels) -> Self {
+        Self { pixels, ..self }
     }
 
     /// The bytes that bring the terminal to the scene as it is now; empty where it is so.
     pub fn paint(&mut self, scene: &mut Scene) -> String {
+        let mut bytes = String::new();
         let anew = std::mem::take(&mut scene.anew);
         if anew || self.size != scene.state.size {
             self.size = scene.state.size;
+            bytes.push_str(self.pixels.forget());
             self.terminal.backend_mut().forget();
             self.terminal.backend_mut().resize(cells(self.size));
             let Ok(()) = self.terminal.clear();
         }
-        let Ok(_) = self.terminal.draw(|frame| ui::draw(frame, &scene.state, &scene.theme));
-        let mut bytes = self.terminal.backend_mut().take_frame();
+        let Self { terminal, pixels, .. } = self;
+        let (mut placement, mut below) = (None, Vec::new());
+        let Ok(_) = terminal.draw(|frame| {
+            placement = ui::draw(frame, &scene.state, &scene.theme);
+            below = pixels.cells_below(placement.as_ref(), frame.buffer_mut());
+        });
+        let backend = terminal.backend_mut();
+        let Ok(()) = backend.draw(below.iter().map(|(x, y, cell)| (*x, *y, cell)));
+        let change = pixels.show(placement);
+        change.covered.iter().for_each(|area| backend.cover(*area));
+        bytes.push_str(change.away);
+        bytes.push_str(&backend.take_frame());
+        bytes.push_str(&change.put);
         bytes.push_str(&std::mem::take(&mut scene.extra));
         bytes
     }

@@ -14,11 +14,13 @@ use tokio::runtime::Handle;
 use super::budget::{Budget, OVER_SSH};
 use super::colour::Depth;
 use super::outside::{Heard, Outside, sender};
+use super::pixels::{self, Pixels};
 use super::renderer::{self, Painter};
 use super::signals::{self, Listener};
 use super::stage::{Stage, Wish};
 use super::{ConsoleOptions, ExitReason, TermError, clipboard, guard, input};
 use crate::app::{Action, Effect, update};
+use crate::config::Pictures;
 use crate::model::Timestamp;
 use crate::service::Client;
 use crate::ui::{Theme, Themes};
@@ -60,12 +62,14 @@ impl Session {
         let (mouth, ears) = channel();
         let signals = Listener::start(sender(&mouth, Heard::Signal))?;
         let guard = guard::Guard::enter(
+            pixels::taking_away(options.pictures),
             sender(&mouth, |fault| Heard::Act(Action::Fault(fault))),
             sender(&mouth, Heard::Broken),
         )?;
-        let painter = Painter::new(depth, state.size);
+        let rate = bytes_per_second(options);
+        let painter = Painter::new(depth, state.size).with_pixels(Pixels::new(options.pictures, rate));
         let stage = Arc::new(Stage::new(state, theme));
-        let budget = Budget::new(bytes_per_second(options), Instant::now());
+        let budget = Budget::new(rate, Instant::now());
         renderer::start(Arc::clone(&stage), painter, budget, sender(&mouth, |_| Heard::TerminalFailed))?;
         let stop = Arc::new(AtomicBool::new(false));
         input::start(Arc::clone(&stop), sender(&mouth, Heard::Act))?;
@@ -192,7 +196,8 @@ impl Session {
         // The names are those of the state, which come from here.
         let Ok(theme) = self.themes.named(name) else { return };
         self.stage.change(Wish::Now, |scene| {
-            scene.theme = theme.with_ascii(scene.theme.ascii).with_shades(scene.theme.shades);
+            let now = &scene.theme;
+            scene.theme = theme.with_ascii(now.ascii).with_shades(now.shades).with_pixels(now.pixels);
             drop(update(&mut scene.state, Action::ThemeIs(name.to_owned())));
         });
     }
@@ -272,7 +277,8 @@ fn ended_by(signal: i32) -> ExitReason {
 fn theme(options: &ConsoleOptions, depth: Depth) -> Result<Theme, TermError> {
     let fitting = if depth == Depth::None { "mono" } else { "night" };
     let theme = options.themes.named(options.theme.as_deref().unwrap_or(fitting))?;
-    Ok(theme.with_ascii(options.ascii).with_shades(depth.shades()))
+    let pixels = options.pictures != Pictures::HalfBlocks;
+    Ok(theme.with_ascii(options.ascii).with_shades(depth.shades()).with_pixels(pixels))
 }
 
 fn bytes_per_second(options: &ConsoleOptions) -> Option<u32> {

@@ -17,6 +17,12 @@ const TAIL_NAMES: [&str; 3] = ["palette", "help", "quit"];
 /// The most lines a message takes.
 const MOST_LINES: usize = 3;
 
+/// The part of a screen where neither bar nor message ever is.
+pub fn above(screen: Rect) -> Rect {
+    let taken = u16::try_from(MOST_LINES + 1).unwrap_or(u16::MAX);
+    Rect { height: screen.height.saturating_sub(taken), ..screen }
+}
+
 /// Draws message and bar at the bottom of `area`.
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
     draw_message(canvas, Rect { height: area.height - 1, ..area }, state);

@@ -6,6 +6,7 @@ use ratatui::style::Style;
 use ratatui::widgets::{Block, Clear, Widget};
 use unicode_width::UnicodeWidthStr;
 
+use super::raster::Placement;
 use super::theme::{Role, Shades, Theme};
 use crate::model::clean;
 
@@ -14,6 +15,7 @@ pub struct Canvas<'a> {
     buffer: &'a mut Buffer,
     theme: &'a Theme,
     cursor: Option<Position>,
+    placement: Option<Placement>,
 }
 
 /// The columns `text` takes once it is cleaned.
@@ -41,7 +43,7 @@ pub fn right_of(area: Rect, columns: u16) -> Rect {
 impl<'a> Canvas<'a> {
     /// Draws on `buffer`.
     pub fn new(buffer: &'a mut Buffer, theme: &'a Theme) -> Self {
-        Self { buffer, theme, cursor: None }
+        Self { buffer, theme, cursor: None, placement: None }
     }
 
     /// How many colours pictures may have; none in ASCII.
@@ -54,6 +56,30 @@ impl<'a> Canvas<'a> {
         if self.buffer.area().contains(Position { x: place.x, y: place.y }) {
             self.buffer[(place.x, place.y)].set_char(character).set_style(style);
         }
+    }
+
+    /// Whether the terminal draws pictures itself, as pixels.
+    pub fn draws_pixels(&self) -> bool {
+        self.theme.draws_pixels()
+    }
+
+    /// The whole of what is drawn on.
+    pub fn screen(&self) -> Rect {
+        *self.buffer.area()
+    }
+
+    /// Leaves a picture to the terminal; its place stays empty.
+    pub fn place(&mut self, placement: Placement) {
+        self.wipe(placement.area);
+        self.placement = Some(placement);
+    }
+
+    /// The picture left to the terminal; none where anything was written over its place since.
+    pub fn placement(&mut self) -> Option<Placement> {
+        let buffer = &*self.buffer;
+        let free =
+            |area: Rect| area.positions().all(|place| buffer.cell(place).is_some_and(|cell| cell.symbol() == " "));
+        self.placement.take().filter(|placement| free(placement.area))
     }
 
     /// Where the terminal's cursor is to stand.

@@ -42,6 +42,7 @@ use ratatui::layout::Rect;
 
 use crate::app::{Screen, State};
 use canvas::Canvas;
+pub use raster::Placement;
 pub use theme::{Role, Theme, ThemeError, Themes};
 
 /// The smallest terminal the screens are made for, columns.
@@ -49,8 +50,8 @@ pub const LEAST_COLUMNS: u16 = 60;
 /// The smallest terminal the screens are made for, rows.
 pub const LEAST_ROWS: u16 = 18;
 
-/// Draws the state, whole.
-pub fn draw(frame: &mut Frame, state: &State, theme: &Theme) {
+/// Draws the state, whole; what is left to the terminal to draw itself is given back.
+pub fn draw(frame: &mut Frame, state: &State, theme: &Theme) -> Option<Placement> {
     let area = frame.area();
     let mut canvas = Canvas::new(frame.buffer_mut(), theme);
     if area.width < LEAST_COLUMNS || area.height < LEAST_ROWS {
@@ -59,13 +60,14 @@ pub fn draw(frame: &mut Frame, state: &State, theme: &Theme) {
     } else {
         draw_whole(&mut canvas, area, state);
     }
-    let cursor = canvas.cursor();
+    let (cursor, placement) = (canvas.cursor(), canvas.placement());
     if theme.ascii {
         ascii::flatten(frame.buffer_mut());
     }
     if let Some(position) = cursor {
         frame.set_cursor_position(position);
     }
+    placement
 }
 
 fn draw_whole(canvas: &mut Canvas, area: Rect, state: &State) {

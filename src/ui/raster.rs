@@ -1,9 +1,10 @@
 //! Small pictures in cells: half-blocks where there are colours (dithered where there are sixteen), characters by
-//! their brightness where there are none.
+//! their brightness where there are none. Where the terminal draws pictures itself, only their place is decided here.
 
 use ratatui::layout::Rect;
 use ratatui::style::{Color, Style};
 
+use super::bottom;
 use super::canvas::Canvas;
 use super::palette::{Rgb, SIXTEEN, distance};
 use super::theme::Shades;
@@ -15,9 +16,21 @@ const RAMP: &[u8] = b" .:-=+*#%@";
 /// Thresholds of ordered dithering, 0 to 15.
 const BAYER: [[i16; 4]; 4] = [[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]];
 
+/// A picture that the terminal draws itself, and where.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Placement {
+    /// The cells it fills, all of them empty.
+    pub area: Rect,
+    /// Its pixels.
+    pub raster: Raster,
+}
+
 /// Draws a picture into the upper left of `area`, as large as it fits with its shape kept.
 pub fn draw(canvas: &mut Canvas, area: Rect, raster: &Raster) {
     let cells = (usize::from(area.width), usize::from(area.height));
+    if canvas.draws_pixels() {
+        return place(canvas, area, raster);
+    }
     let shades = canvas.shades();
     if shades == Shades::None {
         // A cell is about twice as high as wide.
@@ -35,6 +48,17 @@ pub fn draw(canvas: &mut Canvas, area: Rect, raster: &Raster) {
         let style = Style::default().fg(colour(y * 2)).bg(colour(y * 2 + 1));
         canvas.paint(cell, '▀', style);
     });
+}
+
+/// The place that half-blocks would take, clear of the messages, which come and go.
+fn place(canvas: &mut Canvas, area: Rect, raster: &Raster) {
+    let area = area.intersection(bottom::above(canvas.screen()));
+    let (width, height) = raster.size_within((usize::from(area.width), usize::from(area.height) * 2));
+    let (Ok(width), Ok(height)) = (u16::try_from(width), u16::try_from(height.div_ceil(2))) else { return };
+    let area = Rect { width, height, ..area };
+    if !area.is_empty() {
+        canvas.place(Placement { area, raster: raster.clone() });
+    }
 }
 
 fn each(area: Rect, size: (usize, usize), mut paint: impl FnMut(usize, usize, Rect)) {
@@ -104,6 +128,28 @@ mod tests {
         assert!(
             buffer.content().iter().all(|cell| matches!(cell.fg, Color::Rgb(r, g, b) if SIXTEEN.contains(&(r, g, b))))
         );
+    }
+
+    fn placed(theme: &Theme, raster: &Raster, over: &str) -> Option<Placement> {
+        let mut buffer = Buffer::empty(Rect::new(0, 0, 40, 12));
+        let mut canvas = Canvas::new(&mut buffer, theme);
+        draw(&mut canvas, Rect::new(3, 2, 30, 10), raster);
+        canvas.put(Rect::new(12, 7, 5, 1), over, crate::ui::Role::Body);
+        canvas.placement()
+    }
+
+    #[test]
+    fn a_terminal_that_draws_pictures_gets_a_place_clear_of_messages() {
+        let night = || Theme::named("night").expect("embedded").with_pixels(true);
+        let placement = placed(&night(), &ramp(), "").expect("a place");
+        assert_eq!((placement.area, placement.raster), (Rect::new(3, 2, 12, 6), ramp()));
+        assert!(placement.area.bottom() <= 8, "four rows are kept for messages and bar");
+        assert_eq!(placed(&night(), &ramp(), "text"), None, "text over it wins");
+        assert_eq!(placed(&night(), &Raster::default(), ""), None);
+        let mono = Theme::named("mono").expect("embedded").with_pixels(true);
+        for theme in [night().with_ascii(true), night().with_shades(Shades::None), night().with_pixels(false), mono] {
+            assert_eq!(placed(&theme, &ramp(), ""), None);
+        }
     }
 
     #[test]

@@ -18,7 +18,7 @@ const SIZES: [(u16, u16); 3] = [(80, 24), (120, 40), (60, 18)];
 fn shown(state: &State, theme: &Theme) -> String {
     let (columns, rows) = state.size;
     let mut terminal = Terminal::new(TestBackend::new(columns, rows)).expect("a terminal");
-    terminal.draw(|frame| draw(frame, state, theme)).expect("drawn");
+    terminal.draw(|frame| drop(draw(frame, state, theme))).expect("drawn");
     let buffer = terminal.backend().buffer();
     let line = |row: u16| -> String { (0..columns).map(|column| buffer[(column, row)].symbol()).collect() };
     (0..rows).map(|row| line(row).trim_end().to_owned() + "\n").collect()
@@ -204,7 +204,7 @@ fn every_theme_shows_the_same_words_and_ascii_only_ascii() {
 fn looks(state: &State, theme: &Theme) -> String {
     let (columns, rows) = state.size;
     let mut terminal = Terminal::new(TestBackend::new(columns, rows)).expect("a terminal");
-    terminal.draw(|frame| draw(frame, state, theme)).expect("drawn");
+    terminal.draw(|frame| drop(draw(frame, state, theme))).expect("drawn");
     let buffer = terminal.backend().buffer();
     let mut styles: Vec<(String, String)> = Vec::new();
     for row in 0..rows {

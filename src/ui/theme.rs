@@ -127,6 +127,8 @@ pub struct Theme {
     pub ascii: bool,
     /// How many colours pictures may have.
     pub shades: Shades,
+    /// Whether the terminal draws pictures itself, as pixels.
+    pub pixels: bool,
     /// The background the colours are made for.
     pub assumed: Option<(u8, u8, u8)>,
     styles: [Style; Role::ALL.len()],
@@ -150,6 +152,17 @@ impl Theme {
     /// The same theme on a terminal of so many colours.
     pub fn with_shades(self, shades: Shades) -> Self {
         Self { shades, ..self }
+    }
+
+    /// The same theme on a terminal that draws pictures itself, or not.
+    pub fn with_pixels(self, pixels: bool) -> Self {
+        Self { pixels, ..self }
+    }
+
+    /// Whether pictures are left to the terminal: never in ASCII, nor where there are no colours.
+    pub fn draws_pixels(&self) -> bool {
+        let colours = || self.styles.iter().any(|style| style.fg.is_some() || style.bg.is_some());
+        self.pixels && !self.ascii && self.shades != Shades::None && colours()
     }
 
     /// How a role looks.

@@ -42,6 +42,11 @@ impl Raster {
         Self::of((self.width, self.height), largest, &|x, y| self.pixel(x, y))
     }
 
+    /// The size it has where it fits into `largest` with its shape kept; never larger than it is.
+    pub fn size_within(&self, largest: (usize, usize)) -> (usize, usize) {
+        fitted((self.width, self.height), largest)
+    }
+
     /// A pixel; black where there is none.
     pub fn pixel(&self, x: usize, y: usize) -> [u8; 3] {
         let at = (y * self.width + x) * 3;

@@ -15,7 +15,7 @@ fn assert_harmless(robot: &Robot) {
     let theme = Theme::named("night").expect("embedded");
     let (columns, rows) = robot.state.size;
     let mut terminal = Terminal::new(TestBackend::new(columns, rows)).expect("a terminal");
-    terminal.draw(|frame| draw(frame, &robot.state, &theme)).expect("drawn");
+    terminal.draw(|frame| drop(draw(frame, &robot.state, &theme))).expect("drawn");
     for cell in terminal.backend().buffer().content() {
         for character in cell.symbol().chars() {
             let foreign = character.is_control()

@@ -96,7 +96,7 @@ pub fn read(file: &str, text: &str, known: &[Theme]) -> Result<Theme, ThemeError
     }
     let assumed = parsed.assumed.as_ref().map(|assumed| source.rgb(assumed)).transpose()?;
     let assumed = assumed.or_else(|| base.and_then(|base| base.assumed));
-    Ok(Theme { name, ascii: false, shades: Shades::All, assumed, styles })
+    Ok(Theme { name, ascii: false, shades: Shades::All, pixels: false, assumed, styles })
 }
 
 fn base<'a>(

@@ -41,7 +41,7 @@ pub(super) fn time(ledger: &Ledger) -> Result<Figures, Failure> {
 fn frames(state: &State, theme: &Theme) -> Result<Vec<f64>, Failure> {
     let wrong = |error: &dyn std::fmt::Display| internal(error.to_string());
     let mut terminal = Terminal::new(TestBackend::new(SIZE.0, SIZE.1)).map_err(|error| wrong(&error))?;
-    timed(|| terminal.draw(|frame| draw(frame, state, theme)).map(drop).map_err(|error| wrong(&error)))
+    timed(|| terminal.draw(|frame| drop(draw(frame, state, theme))).map(drop).map_err(|error| wrong(&error)))
 }
 
 fn keys(state: &mut State, theme: &Theme) -> Result<Figures, Failure> {

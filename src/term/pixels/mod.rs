@@ -1,0 +1,178 @@
+//! Pictures that the terminal draws itself, where that is configured: each is put once, over empty cells, and taken
+//! away when it goes. The terminal is never asked anything, and of a picture nothing but its pixels is sent.
+
+mod kitty;
+mod sixel;
+#[cfg(test)]
+mod tests;
+
+use std::ops::RangeInclusive;
+
+use crossterm::terminal::{WindowSize, window_size};
+use ratatui::buffer::{Buffer, Cell};
+use ratatui::layout::Rect;
+use unicode_width::UnicodeWidthStr;
+
+use crate::config::Pictures;
+use crate::ros::readable::Raster;
+use crate::ui::Placement;
+
+/// No picture is read in more pixels than these, whatever it claims to have.
+const LARGEST: (usize, usize) = (512, 512);
+/// The most bytes of one picture.
+const MOST: usize = 256 * 1024;
+/// So many it may have on the slowest line too.
+const LEAST: usize = 16 * 1024;
+/// Seconds for which one picture may take a line of limited bytes a second.
+const SECONDS: usize = 8;
+/// A cell's width and height, pixels, where the terminal's are not known.
+const ASSUMED: (usize, usize) = (8, 16);
+/// Other widths and heights of a cell are not believed.
+const BELIEVED: RangeInclusive<usize> = 4..=64;
+
+/// The widest and highest sixel, pixels: of larger ones xterm, as it comes, shows a part only.
+const LARGEST_SIXEL: usize = 1000;
+
+/// Takes away whatever picture of ours is on the screen that is being left.
+pub fn taking_away(way: Pictures) -> &'static str {
+    match way {
+        Pictures::HalfBlocks => "",
+        Pictures::Sixel => "\x1b[m\x1b[2J",
+        Pictures::Kitty => kitty::TAKE_AWAY,
+    }
+}
+
+/// Says a cell's width and height, pixels.
+type Measure = fn() -> (usize, usize);
+
+/// The picture that the terminal shows, and how others get there.
+#[derive(Debug)]
+pub struct Pixels {
+    way: Pictures,
+    most: usize,
+    measure: Measure,
+    shown: Option<Placement>,
+}
+
+/// What brings the terminal from one picture to the next.
+#[derive(Debug, Default)]
+pub struct Change {
+    /// To be written before the cells of the frame.
+    pub away: &'static str,
+    /// To be written after them.
+    pub put: String,
+    /// The cells that are covered by now.
+    pub covered: Option<Rect>,
+}
+
+impl Default for Pixels {
+    fn default() -> Self {
+        Self::new(Pictures::HalfBlocks, None)
+    }
+}
+
+impl Pixels {
+    /// None is shown yet; a line of limited `bytes_per_second` gets coarser ones.
+    pub fn new(way: Pictures, bytes_per_second: Option<u32>) -> Self {
+        let rate = bytes_per_second.map(|rate| usize::try_from(rate).unwrap_or(MOST));
+        let most = rate.map_or(MOST, |rate| rate.saturating_mul(SECONDS).clamp(LEAST, MOST));
+        Self { way, most, measure: cell_size, shown: None }
+    }
+
+    /// The screen is about to be emptied, and what was shown has to be put again; the bytes that take it away.
+    pub fn forget(&mut self) -> &'static str {
+        match (self.shown.take(), self.way) {
+            (Some(_), Pictures::Kitty) => kitty::TAKE_AWAY,
+            // A sixel is part of its cells, and goes with them.
+            _ => "",
+        }
+    }
+
+    /// The cells that have to be written again so that the picture shown makes room for `wanted`.
+    pub fn cells_below(&self, wanted: Option<&Placement>, buffer: &Buffer) -> Vec<(u16, u16, Cell)> {
+        match &self.shown {
+            Some(shown) if self.way == Pictures::Sixel && wanted != Some(shown) => cells(buffer, shown.area),
+            _ => Vec::new(),
+        }
+    }
+
+    /// Shows a picture, or none; there is nothing to write where it is so already.
+    pub fn show(&mut self, wanted: Option<Placement>) -> Change {
+        if wanted == self.shown {
+            return Change::default();
+        }
+        let away = self.forget();
+        let put = wanted.as_ref().map(|placement| self.put(placement)).unwrap_or_default();
+        let covered = wanted.as_ref().map(|placement| placement.area);
+        self.shown = wanted;
+        Change { away, put, covered }
+    }
+
+    /// The cursor comes back to where it was: the next cells are written from there.
+    fn put(&self, placement: &Placement) -> String {
+        let (area, raster) = (placement.area, &placement.raster.fit(LARGEST));
+        let (width, height) = (self.measure)();
+        let room = (usize::from(area.width) * width, usize::from(area.height) * height);
+        let picture = match self.way {
+            Pictures::HalfBlocks => return String::new(),
+            Pictures::Sixel => {
+                let room = (room.0.min(LARGEST_SIXEL), room.1.min(LARGEST_SIXEL));
+                sixel::encode(raster, filled(raster, room), self.most)
+            }
+            Pictures::Kitty => {
+                let (across, down) = filled(raster, room);
+                kitty::encode(raster, (across.div_ceil(width), down.div_ceil(height)), self.most)
+            }
+        };
+        format!("\x1b7\x1b[{};{}H{picture}\x1b8", area.y + 1, area.x + 1)
+    }
+}
+
+/// The cells of an area as they are to be written; the second column of a wide character belongs to its first.
+fn cells(buffer: &Buffer, area: Rect) -> Vec<(u16, u16, Cell)> {
+    let mut found = Vec::new();
+    let area = area.intersection(*buffer.area());
+    for y in area.top()..area.bottom() {
+        // A wide character may begin left of the area.
+        let mut x = area.left().saturating_sub(1);
+        while x < area.right() {
+            let cell = &buffer[(x, y)];
+            let width = u16::try_from(cell.symbol().width().max(1)).unwrap_or(1);
+            if x + width > area.left() {
+                found.push((x, y, cell.clone()));
+            }
+            x += width;
+        }
+    }
+    found
+}
+
+/// The size in which a picture fills a room of so many pixels with its shape kept.
+fn filled(raster: &Raster, room: (usize, usize)) -> (usize, usize) {
+    let (width, height) = (raster.width.max(1), raster.height.max(1));
+    if width.saturating_mul(room.1) >= height.saturating_mul(room.0) {
+        (room.0, (height.saturating_mul(room.0) / width).max(1))
+    } else {
+        ((width.saturating_mul(room.1) / height).max(1), room.1)
+    }
+}
+
+/// A cell's width and height, pixels, as the kernel knows them of the terminal (TIOCGWINSZ).
+fn cell_size() -> (usize, usize) {
+    window_size().ok().and_then(|window| cell_of(&window)).unwrap_or(ASSUMED)
+}
+
+/// `None` where the terminal told the kernel nothing, or nothing to be believed.
+fn cell_of(window: &WindowSize) -> Option<(usize, usize)> {
+    let part = |pixels: u16, cells: u16| {
+        let size = usize::from(pixels).checked_div(usize::from(cells))?;
+        BELIEVED.contains(&size).then_some(size)
+    };
+    Some((part(window.width, window.columns)?, part(window.height, window.rows)?))
+}
+
+/// The picture in fewer pixels than `grid` has of it, down to one.
+fn coarser(raster: &Raster, grid: &Raster) -> Raster {
+    let less = |size: usize| (size - size.div_ceil(6)).max(1);
+    raster.fit((less(grid.width), less(grid.height)))
+}
