@@ -22,9 +22,10 @@ fn expect_the_whole_story(told: &Value) {
     assert!(pictures > 0 && pictures < opened, "{told}");
     assert_eq!(told["refused_stranger"], true, "{told}");
     assert_eq!(told["refused_tampered"], true, "{told}");
-    // Three registrations, a grant, a revoke, and about a batch a second.
+    // Three registrations, a grant, a revoke, about a batch a second (of 20 records and more), and four that may come
+    // early.
     let transactions = count(&told["chain"], "transactions");
-    assert!(transactions >= 7 && transactions < captured / 5, "{told}");
+    assert!(transactions >= 7 && transactions < 11 + captured / 10, "{told}");
     assert!(count(&told["chain"], "gas") > 21_000 * count(&told["chain"], "transactions"), "{told}");
     assert_eq!(told["ok"], true, "{told}");
 }

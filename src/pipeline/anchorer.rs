@@ -70,7 +70,8 @@ impl Anchorer {
             return Ok(Round::wait(IDLE));
         }
         self.resting.retain(|_, until| Instant::now() < *until);
-        let Some(lane) = free_lane(plant, sender, lanes, &self.resting)? else { return Ok(Round::wait(IDLE)) };
+        let free = free_lane(plant, sender, lanes, &self.resting)?;
+        let Some((lane, open)) = free else { return Ok(Round::wait(IDLE)) };
         // Batches that were closed before come first, whatever the mode is now.
         let waiting = block_in_place(|| plant.ledger.waiting_batches(owner.address, 1))?;
         if let Some(batch) = waiting.first() {
@@ -78,7 +79,7 @@ impl Anchorer {
         }
         match self.mode {
             AnchorMode::Each => one_by_one(plant, network, sender, owner).await,
-            AnchorMode::Batch => match self.close(plant, owner.address)? {
+            AnchorMode::Batch => match self.close(plant, owner.address, open == 0)? {
                 Ok(batch) => self.send(plant, network, sender, lane, owner.address, batch).await,
                 Err(due_in) => Ok(Round::wait(due_in)),
             },
@@ -105,12 +106,17 @@ impl Anchorer {
     }
 
     /// Closes a batch where one is due; else how long until then.
-    fn close(&mut self, plant: &Plant, owner: Address) -> Result<Result<WaitingBatch, Duration>, PipelineError> {
+    fn close(
+        &mut self,
+        plant: &Plant,
+        owner: Address,
+        idle: bool,
+    ) -> Result<Result<WaitingBatch, Duration>, PipelineError> {
         block_in_place(|| {
             let (waiting, oldest) = plant.ledger.unbatched(owner)?;
             let Some(oldest) = oldest.filter(|_| waiting > 0) else { return Ok(Err(LONGEST_WAIT)) };
             let age = Duration::from_nanos(Timestamp::now().0.saturating_sub(oldest.0));
-            let due_in = self.pace.due_in(usize::try_from(waiting).unwrap_or(usize::MAX), age, Instant::now());
+            let due_in = self.pace.due_in(usize::try_from(waiting).unwrap_or(usize::MAX), age, idle, Instant::now());
             if !due_in.is_zero() {
                 return Ok(Err(due_in));
             }
@@ -139,13 +145,13 @@ pub(super) fn close_batch(
     Ok(Some(batch))
 }
 
-/// The account with the fewest open batches; `None` where all have their fill or stand still.
+/// The account with the fewest open batches, and how many; `None` where all have their fill or stand still.
 fn free_lane<'a>(
     plant: &Plant,
     sender: &Sender,
     lanes: &'a [EoaSecret],
     resting: &HashMap<Address, Instant>,
-) -> Result<Option<&'a EoaSecret>, PipelineError> {
+) -> Result<Option<(&'a EoaSecret, usize)>, PipelineError> {
     block_in_place(|| {
         let (mut best, mut fewest) = (None, MOST_OPEN_BATCHES);
         for lane in lanes.iter().filter(|lane| !resting.contains_key(&lane.address())) {
@@ -154,7 +160,7 @@ fn free_lane<'a>(
                 (best, fewest) = (Some(lane), open);
             }
         }
-        Ok(best)
+        Ok(best.map(|lane| (lane, fewest)))
     })
 }
 

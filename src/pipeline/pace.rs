@@ -1,5 +1,6 @@
-//! When a batch closes: at 256 leaves, after a second, or when nothing more comes. It is wider the faster records
-//! come, and an early close is paid for by seconds without one, so that the transactions a second stay about one.
+//! When a batch closes: at 256 leaves, after a second, or when nothing more comes and no batch before it waits for a
+//! block. It is wider the faster records come, and an early close is paid for by seconds without one, so that the
+//! transactions a second stay about one.
 
 use std::time::{Duration, Instant};
 
@@ -33,8 +34,9 @@ impl Default for Pace {
 }
 
 impl Pace {
-    /// How long until a batch of `waiting` records, the first of which has waited for `oldest`, closes.
-    pub fn due_in(&mut self, waiting: usize, oldest: Duration, now: Instant) -> Duration {
+    /// How long until a batch of `waiting` records, the first of which has waited for `oldest`, closes. Early only
+    /// where the chain is `idle`: no batch before it waits for a block.
+    pub fn due_in(&mut self, waiting: usize, oldest: Duration, idle: bool, now: Instant) -> Duration {
         if waiting >= self.width {
             return Duration::ZERO;
         }
@@ -43,7 +45,8 @@ impl Pace {
         }
         let since = |then: Option<Instant>| then.map_or(Duration::ZERO, |then| now.saturating_duration_since(then));
         let early = LULL.saturating_sub(since(self.grown)).max(LONGEST_WAIT.saturating_sub(self.saved_by(now)));
-        LONGEST_WAIT.saturating_sub(oldest).min(early)
+        let latest = LONGEST_WAIT.saturating_sub(oldest);
+        if idle { latest.min(early) } else { latest }
     }
 
     /// Notes that a batch of `leaves` was closed at `now`: twice as wide where the second had not
@@ -83,7 +86,7 @@ mod tests {
                 oldest = millisecond;
             }
             waiting += new;
-            if waiting > 0 && pace.due_in(waiting, Duration::from_millis(millisecond - oldest), now).is_zero() {
+            if waiting > 0 && pace.due_in(waiting, Duration::from_millis(millisecond - oldest), true, now).is_zero() {
                 pace.closed(waiting, now);
                 waiting = 0;
                 closes.push(millisecond);
@@ -96,9 +99,9 @@ mod tests {
     fn a_batch_closes_at_256_leaves_or_after_a_second() {
         let now = Instant::now();
         let mut pace = spent(now);
-        assert_eq!(pace.due_in(256, Duration::ZERO, now), Duration::ZERO);
-        assert_eq!(pace.due_in(255, Duration::from_millis(400), now), Duration::from_millis(600));
-        assert_eq!(pace.due_in(1, Duration::from_secs(5), now), Duration::ZERO);
+        assert_eq!(pace.due_in(256, Duration::ZERO, true, now), Duration::ZERO);
+        assert_eq!(pace.due_in(255, Duration::from_millis(400), true, now), Duration::from_millis(600));
+        assert_eq!(pace.due_in(1, Duration::from_secs(5), true, now), Duration::ZERO);
     }
 
     #[test]
@@ -107,6 +110,16 @@ mod tests {
         let burst = |millisecond| usize::from(millisecond < 100);
         assert_eq!(closes(&mut Pace::default(), begin, 1_000, burst), [109]);
         assert_eq!(closes(&mut spent(begin), begin, 1_500, burst), [1_000], "nothing was saved for it");
+    }
+
+    #[test]
+    fn while_a_batch_waits_for_a_block_the_next_one_takes_its_second() {
+        let begin = Instant::now();
+        let mut pace = Pace::default();
+        assert_eq!(pace.due_in(3, Duration::ZERO, false, begin), LONGEST_WAIT);
+        let later = begin + Duration::from_millis(50);
+        assert_eq!(pace.due_in(3, Duration::from_millis(50), false, later), Duration::from_millis(950));
+        assert_eq!(pace.due_in(3, Duration::from_millis(50), true, later), Duration::ZERO);
     }
 
     #[test]

@@ -122,14 +122,17 @@ impl Line {
             let oldest = Instant::now();
             let mut items = vec![first];
             loop {
-                let due_in = pace.due_in(items.len(), oldest.elapsed(), Instant::now());
+                let due_in = pace.due_in(items.len(), oldest.elapsed(), sending.is_empty(), Instant::now());
                 if due_in.is_zero() {
                     break;
                 }
-                match tokio::time::timeout(due_in, inbox.recv()).await {
-                    Ok(Some(item)) => items.push(item),
-                    Ok(None) => break,
-                    Err(_) => {}
+                tokio::select! {
+                    item = inbox.recv() => match item {
+                        Some(item) => items.push(item),
+                        None => break,
+                    },
+                    Some(_) = sending.join_next() => {}
+                    () = tokio::time::sleep(due_in) => {}
                 }
             }
             pace.closed(items.len(), Instant::now());

@@ -24,7 +24,7 @@ use crate::service::Failure;
 
 const NOTES: [&str; 6] = [
     "each: one dataUpload transaction per record; batch: Merkle roots, closed at 256 records, after a second, or \
-     when nothing more came for 10 ms (at most four times in a row).",
+     when nothing more came for 10 ms and no batch before it waits for a block (at most four times in a row).",
     "response: from the common start to an uploader's receipt, so it includes sealing, storing and waiting for others; \
      total: from the start to the last receipt. Both in milliseconds.",
     "The authors give milliseconds per request; their total here is that times the uploaders, and times theirs is our \
