@@ -9,8 +9,8 @@ use crate::store::{Ledger, NewRecord};
 
 /// Whose records they are.
 pub(super) const OWNER: Address = Address([1; 20]);
-/// Topics that they are of.
-pub(super) const TOPICS: u64 = 2_000;
+/// Topics that they are of; all of them are there at every level.
+pub(super) const TOPICS: u64 = 500;
 /// Length of a message: an odometry's.
 pub(super) const MESSAGE: u64 = 728;
 /// When the first was captured; each is a millisecond after the one before it.
@@ -41,7 +41,7 @@ pub(super) fn record(number: u64) -> NewRecord {
         signer: SignerId([1; 32]),
         signature: Signature([7; 64]),
         filters: Vec::new(),
-        topic: format!("/robot{}/sensor{}/data", topic / 20, topic % 20),
+        topic: name(topic),
         type_name: if topic.is_multiple_of(20) { "nav_msgs/Odometry" } else { "sensor_msgs/LaserScan" }.to_owned(),
         bytes: MESSAGE,
         captured_at: Timestamp(BEGIN + number * 1_000_000),
@@ -49,6 +49,11 @@ pub(super) fn record(number: u64) -> NewRecord {
         state: if number.is_multiple_of(1_000) { RecordState::Quarantined } else { RecordState::Stored },
         local_copy: None,
     }
+}
+
+/// The name of a topic.
+pub(super) fn name(topic: u64) -> String {
+    format!("/robot{}/sensor{}/data", topic / 20, topic % 20)
 }
 
 /// Appends the records from `there` to `wanted`; returns what one of the last ones took, microseconds, commit by

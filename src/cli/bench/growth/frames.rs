@@ -3,7 +3,7 @@
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 
-use super::fill::{OWNER, TOPICS, record};
+use super::fill::{OWNER, name, record};
 use super::timed;
 use crate::app::{Action, Key, Screen, Settings, State, Verb, update};
 use crate::model::Timestamp;
@@ -15,6 +15,8 @@ use crate::ui::{Theme, draw};
 
 /// Columns and rows.
 const SIZE: (u16, u16) = (200, 50);
+/// Topics in the graph; most of them are not recorded.
+const TOPICS: u64 = 2_000;
 const NOW: Timestamp = Timestamp(1_800_000_000_000_000_000);
 
 type Figures = Vec<(&'static str, Vec<f64>)>;
@@ -86,7 +88,7 @@ fn topics() -> Result<Vec<TopicRow>, Failure> {
     let row = |number| {
         let record = record(number);
         let json = serde_json::json!({
-            "topic": record.topic, "type": record.type_name, "publishers": ["/driver"], "watched": true,
+            "topic": name(number), "type": record.type_name, "publishers": ["/driver"], "watched": true,
             "simulated": true, "hz": 20.0, "bytes_per_second": 14_400.0, "messages": 500, "lost_in_transport": 0,
             "lost_in_recorder": 0, "last_message": null,
         });
