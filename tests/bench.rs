@@ -107,7 +107,7 @@ fn uploaders_succeed_on_every_network() {
     for row in &rows {
         assert_eq!(count(row, "gas_limit"), 0xffff_ffff, "{row}");
         match row["consensus"].as_str() {
-            Some("poa") => assert_eq!((number(&row["paper"], "total_from"), count(row, "period_set")), (308.0, 50)),
+            Some("poa") => assert_eq!((number(&row["paper"], "total_from"), count(row, "period_set")), (308.0, 25)),
             Some("pow") => {
                 assert_eq!((number(&row["paper"], "total_to"), count(row, "difficulty")), (1100.0, 0x4c_ccc8))
             }
