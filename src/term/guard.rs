@@ -32,7 +32,8 @@ pub struct Guard {
 }
 
 impl Guard {
-    /// Takes the terminal; when it is given back, `take_pictures` is written first. A panic of the console restores it before anything is printed, and where
+    /// Takes the terminal; when it is given back, `take_pictures` is written first.
+    /// A panic of the console restores it before anything is printed, and where
     /// it was in a thread beside the caller's, `broken` hears of it, for nothing draws or reads any
     /// more. A panic of any other thread is given to `fault` and leaves the terminal alone.
     ///

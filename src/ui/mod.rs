@@ -42,7 +42,7 @@ use ratatui::layout::Rect;
 
 use crate::app::{Screen, State};
 use canvas::Canvas;
-pub use raster::Placement;
+pub use raster::{BAYER, Placement};
 pub use theme::{Role, Theme, ThemeError, Themes};
 
 /// The smallest terminal the screens are made for, columns.

@@ -14,7 +14,7 @@ use crate::ros::readable::Raster;
 const RAMP: &[u8] = b" .:-=+*#%@";
 
 /// Thresholds of ordered dithering, 0 to 15.
-const BAYER: [[i16; 4]; 4] = [[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]];
+pub const BAYER: [[u8; 4]; 4] = [[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]];
 
 /// A picture that the terminal draws itself, and where.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -86,7 +86,7 @@ fn coloured(pixel: [u8; 3], place: (usize, usize), shades: Shades) -> Color {
 
 /// One of the sixteen colours, which one by the place: an area of them comes near to the colour.
 fn dithered(pixel: [u8; 3], place: (usize, usize)) -> Rgb {
-    let shift = (BAYER[place.1 % 4][place.0 % 4] - 8) * 6;
+    let shift = (i16::from(BAYER[place.1 % 4][place.0 % 4]) - 8) * 6;
     let part = |part: u8| u8::try_from((i16::from(part) + shift).clamp(0, 255)).unwrap_or(part);
     let wanted = (part(pixel[0]), part(pixel[1]), part(pixel[2]));
     SIXTEEN.into_iter().min_by_key(|colour| distance(wanted, *colour)).unwrap_or_default()

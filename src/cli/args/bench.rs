@@ -151,8 +151,14 @@ pub struct ConsensusArguments {
     #[arg(long, value_name = "URL")]
     pub node: Option<String>,
     /// Least time between two blocks of the PoA chain, milliseconds
-    #[arg(long, value_name = "MS", default_value_t = 25, value_parser = clap::value_parser!(u64).range(1..=60_000))]
+    #[arg(long, value_name = "MS", default_value_t = Self::PERIOD,
+          value_parser = clap::value_parser!(u64).range(1..=60_000))]
     pub period: u64,
+}
+
+impl ConsensusArguments {
+    /// The period where none is given, milliseconds.
+    pub const PERIOD: u64 = 25;
 }
 
 /// Which load the line gets.

@@ -89,7 +89,9 @@ fn short(name: BenchName, arguments: &AllArguments) -> Bench {
         BenchName::Sm4 => Bench::Sm4(algorithm),
         BenchName::Record => Bench::Record(algorithm),
         BenchName::Gas => Bench::Gas,
-        BenchName::Consensus => Bench::Consensus(ConsensusArguments { uploaders: vec![300], node, period: 25 }),
+        BenchName::Consensus => {
+            Bench::Consensus(ConsensusArguments { uploaders: vec![300], node, period: ConsensusArguments::PERIOD })
+        }
         BenchName::Size => {
             let networks = vec![NetworkChoice::Poa, NetworkChoice::Pow];
             Bench::Size(SizeArguments { runs: arguments.runs, networks, node })

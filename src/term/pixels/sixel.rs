@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use super::coarser;
 use crate::ros::readable::Raster;
+use crate::ui::BAYER;
 
 /// Steps of red, green and blue.
 const STEPS: [u32; 3] = [6, 7, 6];
@@ -11,8 +12,6 @@ const STEPS: [u32; 3] = [6, 7, 6];
 const COLOURS: usize = 252;
 /// Rows of pixels in one band.
 const BAND: usize = 6;
-/// Thresholds of ordered dithering, 0 to 15.
-const BAYER: [[u32; 4]; 4] = [[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]];
 
 /// The picture in `size` pixels, its upper left where the cursor stands, in at most `most` bytes: coarser where it
 /// would take more.
@@ -49,7 +48,7 @@ fn drawn(grid: &Raster, size: (usize, usize)) -> String {
 fn dithered(grid: &Raster) -> Vec<u8> {
     let places = (0..grid.height).flat_map(|y| (0..grid.width).map(move |x| (x, y)));
     let colour = |(x, y): (usize, usize)| {
-        let threshold = BAYER[y % 4][x % 4];
+        let threshold = u32::from(BAYER[y % 4][x % 4]);
         let parts = grid.pixel(x, y).into_iter().zip(STEPS);
         let index = parts.fold(0, |index, (part, steps)| index * steps + step(part, steps, threshold));
         u8::try_from(index).unwrap_or(0)

@@ -10,7 +10,7 @@ use crate::store::{Ledger, NewRecord};
 /// Whose records they are.
 pub(super) const OWNER: Address = Address([1; 20]);
 /// Topics that they are of; all of them are there at every level.
-pub(super) const TOPICS: u64 = 500;
+const TOPICS: u64 = 500;
 /// Length of a message: an odometry's.
 pub(super) const MESSAGE: u64 = 728;
 /// When the first was captured; each is a millisecond after the one before it.
