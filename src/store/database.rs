@@ -10,6 +10,12 @@ use super::{StoreError, files};
 
 const BUSY: Duration = Duration::from_secs(10);
 const STATEMENTS_KEPT: usize = 64;
+/// Pages of the write-ahead log after which they go into the file itself. Where records of many topics come in turn,
+/// the same pages change in every commit: the later they go, the fewer are written twice.
+const CHECKPOINT_PAGES: (u64, u64) = (1_000, 4_000);
+/// The part of the free disk that the log may take between the two.
+const LOG_PART: u64 = 64;
+const PAGE_BYTES: u64 = 4_096;
 
 /// One SQLite file's shape: an application id and the steps from each schema version to the next.
 pub(super) struct Schema {
@@ -29,8 +35,17 @@ pub(super) fn open_writer(path: &Path, schema: &Schema) -> Result<Connection, St
     drop(files::open_private(path)?);
     files::sync_directory(directory).map_err(|error| StoreError::home(path, &error))?;
     let mut connection = connect(path)?;
+    connection
+        .pragma_update(None, "wal_autocheckpoint", checkpoint_pages(files::free_bytes(directory).unwrap_or(0)))
+        .map_err(|error| StoreError::from(error).in_file(path))?;
     migrate(&mut connection, path, schema).map_err(|error| error.in_file(path))?;
     Ok(connection)
+}
+
+/// After how many pages to checkpoint where so many bytes are free: a small disk has no room for a long log.
+fn checkpoint_pages(free: u64) -> i64 {
+    let (least, most) = CHECKPOINT_PAGES;
+    i64::try_from((free / LOG_PART / PAGE_BYTES).clamp(least, most)).unwrap_or(1_000)
 }
 
 /// Opens the file for reading only.
@@ -52,6 +67,8 @@ fn connect(path: &Path) -> Result<Connection, StoreError> {
             connection.pragma_update(None, "journal_mode", "WAL")?;
             connection.pragma_update(None, "synchronous", "FULL")?;
             connection.pragma_update(None, "cache_size", -8192)?;
+            // Else savepoints of more than 64 KiB, and sorting, go through files outside of the home.
+            connection.pragma_update(None, "temp_store", "MEMORY")?;
             Ok(connection)
         })
         .map_err(|error| StoreError::from(error).in_file(path))
@@ -123,6 +140,15 @@ mod tests {
         assert!(matches!(open_writer(&path, &FIRST), Err(StoreError::Newer { found: 2, known: 1, .. })));
         let foreign = Schema { application: 78, steps: FIRST.steps };
         assert!(matches!(open_writer(&path, &foreign), Err(StoreError::Corrupt { .. })));
+    }
+
+    #[test]
+    fn a_small_disk_gets_a_short_log() {
+        assert_eq!([0, 8 << 20, 512 << 20, 4 << 30].map(checkpoint_pages), [1_000, 1_000, 2_048, 4_000]);
+        let home = tempfile::tempdir().expect("temporary directory");
+        let connection = open_writer(&home.path().join("x.db"), &FIRST).expect("new");
+        let pages: i64 = connection.query_row("PRAGMA wal_autocheckpoint", [], |row| row.get(0)).expect("asked");
+        assert_eq!(pages, checkpoint_pages(files::free_bytes(home.path()).expect("asked")));
     }
 
     #[test]

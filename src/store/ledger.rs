@@ -67,6 +67,7 @@ const SCHEMA: Schema = Schema {
         include_str!("ledger/schema_5.sql"),
         include_str!("ledger/schema_6.sql"),
         include_str!("ledger/schema_7.sql"),
+        include_str!("ledger/schema_8.sql"),
     ],
 };
 const READERS_KEPT: usize = 4;
@@ -152,7 +153,16 @@ impl Ledger {
         &self,
         work: impl FnOnce(&mut Session<'_>) -> Result<T, StoreError> + Send + 'static,
     ) -> Result<T, StoreError> {
-        self.shared.writer.write(work).map_err(|error| error.in_file(&self.shared.path))
+        self.write_many(1, work)
+    }
+
+    /// Like [`Self::write`], for work that changes so many records one by one.
+    pub(super) fn write_many<T: Send + 'static>(
+        &self,
+        records: usize,
+        work: impl FnOnce(&mut Session<'_>) -> Result<T, StoreError> + Send + 'static,
+    ) -> Result<T, StoreError> {
+        self.shared.writer.write(records, work).map_err(|error| error.in_file(&self.shared.path))
     }
 
     /// Does `work` on one snapshot of the ledger.

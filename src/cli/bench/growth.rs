@@ -1,8 +1,10 @@
 //! `authros bench growth`: how cost grows with what is there. A ledger is filled with 10^3 to 10^6 records of 2,000
-//! topics; at each power of ten a record more, a page of a list and a frame of the console are timed.
+//! topics; at each power of ten a record more, its way to
+//! verified, a page of a list and a frame of the console are timed.
 
 mod fill;
 mod frames;
+mod life;
 mod pages;
 mod plots;
 
@@ -30,15 +32,17 @@ const FIRST: u64 = 1_000;
 const ROUNDS: usize = 21;
 
 const NOTES: [&str; 4] = [
-    "append: a record acknowledged (on disk), in commits of 256 as in the pipeline, per record; page: 18 rows, the \
+    "append: a record acknowledged (on disk), in commits of 256 as in the pipeline, per record; life: its steps from \
+     stored to verified (batched, submitted, mined, confirmed), in batches of 1,000, per record; page: 18 rows, the \
      newest first (next: the page behind it, topic: of one topic, held: in quarantine, none: in a state that no record \
      has, time: captured until a time); counts: records of all states.",
     "frame: the whole console at 200 x 50, without the terminal; key: the cursor moved; rows in: 2,000 topics taken \
      over; filter: a letter typed and deleted; encode: 2,000 topics as JSON.",
     "Times are microseconds, medians of 21 (append: of at most 40 commits); ratio: the least time with the most records \
      over the least with the fewest, which the rest of the machine's work disturbs least.",
-    "The records, of 500 topics in turn, are fed to the ledger as the pipeline feeds it, but nothing is sealed and no \
-     chain runs.",
+    "The records, of 500 topics in turn, are fed to the ledger and verified as the pipeline does it, but nothing is \
+     sealed and no chain runs. That each record of a commit is of another topic is the worst case: it has pages of its \
+     own in three indices.",
 ];
 
 /// One piece of work with so many records there.
@@ -81,7 +85,7 @@ fn levels(most: u64) -> Vec<u64> {
 fn measure(path: &Path, most: u64) -> Result<Vec<Row>, Failure> {
     let ledger = Ledger::open(path)?;
     let mut progress = Progress::new("growth");
-    let mut rows = Vec::new();
+    let (mut rows, mut life) = (Vec::new(), life::Life::default());
     let (mut there, levels) = (0, levels(most));
     for records in levels {
         let row = |work, times: &[f64]| Row {
@@ -95,9 +99,10 @@ fn measure(path: &Path, most: u64) -> Result<Vec<Row>, Failure> {
             },
             paper: None,
         };
-        let appended = fill::fill(&ledger, there, records, |done| progress.at(whole(done), whole(most)))?;
+        let told = |done| progress.at(whole(done), whole(most));
+        let (appended, verified) = fill::fill(&ledger, &mut life, there, records, told)?;
         there = records;
-        rows.push(row("append", &appended));
+        rows.extend([row("append", &appended), row("life", &verified)]);
         rows.extend(pages::time(&ledger)?.iter().map(|(work, times)| row(*work, times)));
         rows.extend(frames::time(&ledger)?.iter().map(|(work, times)| row(*work, times)));
     }
@@ -187,7 +192,7 @@ mod tests {
         let names = works(&rows);
         assert_eq!(rows.len(), 2 * names.len(), "{names:?}");
         assert!(rows.iter().all(|row| row.measured.spread.min > 0.0 && row.measured.runs > 0), "{rows:?}");
-        for work in ["append", "page", "none", "counts", "frame, uploads", "key"] {
+        for work in ["append", "life", "page", "none", "counts", "frame, uploads", "key"] {
             assert!(names.contains(&work), "{names:?}");
         }
         let ratios = ratios(&rows);

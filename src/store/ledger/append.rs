@@ -54,7 +54,7 @@ impl Ledger {
     /// [`StoreError::DiskFull`] and the like: then nothing is acknowledged.
     pub fn append(&self, records: Vec<NewRecord>) -> Result<(), StoreError> {
         self.takes_records()?;
-        self.write(move |session| {
+        self.write_many(records.len(), move |session| {
             let now = whole("time", Timestamp::now().0)?;
             records.iter().try_for_each(|record| add(session, record, now))
         })
@@ -70,7 +70,7 @@ impl Ledger {
         }
         let sql = move_sql(from, to);
         let digests = digests.to_vec();
-        self.write(move |session| {
+        self.write_many(digests.len(), move |session| {
             let mut statement = session.connection.prepare_cached(sql)?;
             digests.iter().try_fold(0, |moved, digest| {
                 Ok(moved + count(statement.execute(params![digest.0, from.code(), to.code()])?))
@@ -96,7 +96,7 @@ impl Ledger {
     /// [`StoreError::Database`] and its kin.
     pub fn drop_local_copies(&self, digests: &[Digest]) -> Result<u64, StoreError> {
         let digests = digests.to_vec();
-        self.write(move |session| {
+        self.write_many(digests.len(), move |session| {
             let mut statement = session
                 .connection
                 .prepare_cached("DELETE FROM copies WHERE record = (SELECT n FROM records WHERE digest = ?1)")?;

@@ -79,7 +79,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::NotReady`] where a record is not stored: then nothing is kept.
     pub fn close_batch(&self, batch: NewBatch) -> Result<(), StoreError> {
-        self.write(move |session| close(session.connection, &batch))
+        self.write_many(batch.leaves.len(), move |session| close(session.connection, &batch))
     }
 
     /// Closed batches of an owner that no transaction anchors, oldest first.

@@ -64,7 +64,7 @@ impl Ledger {
             return Err(StoreError::IllegalEdge { from, to });
         }
         let digests = digests.to_vec();
-        self.write(move |session| {
+        self.write_many(digests.len(), move |session| {
             let moved = shift(session, &digests, from, to)?;
             if to == RecordState::Verified {
                 let before = held(session, &digests)?;

@@ -9,7 +9,7 @@ use crate::store::StoreError;
 /// What must find nothing, and what it means where it finds something.
 const RULES: [(&str, &str); 5] = [
     (
-        "SELECT count(*) FROM (SELECT stream, state, count(*) AS rows FROM records GROUP BY stream, state) found
+        "SELECT count(*) FROM (SELECT stream, state, count(*) AS rows FROM records GROUP BY state, stream) found
          LEFT JOIN counters c ON c.stream = found.stream AND c.state = found.state
          WHERE coalesce(c.records, 0) <> found.rows",
         "counts per state are not those of the records",
@@ -67,7 +67,7 @@ impl Ledger {
 
 fn newest(connection: &Connection, limit: usize) -> Result<Vec<Digest>, StoreError> {
     let mut statement = connection.prepare_cached(
-        "SELECT digest FROM records WHERE state BETWEEN ?1 AND ?2
+        "SELECT digest FROM records NOT INDEXED WHERE state BETWEEN ?1 AND ?2
          AND NOT EXISTS (SELECT 1 FROM retained WHERE record = n) ORDER BY n DESC LIMIT ?3",
     )?;
     let states = (RecordState::Stored.code(), RecordState::Verified.code());

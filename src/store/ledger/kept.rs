@@ -138,7 +138,8 @@ impl Ledger {
     pub fn unnamed(&self, owner: Address) -> Result<Vec<Digest>, StoreError> {
         self.read(|connection| {
             let mut statement = connection.prepare_cached(
-                "SELECT (SELECT digest FROM records WHERE records.stream = s.key LIMIT 1)
+                "SELECT (SELECT digest FROM counters c JOIN records r ON r.state = c.state AND r.stream = c.stream
+                     WHERE c.stream = s.key AND c.records > 0 LIMIT 1)
                  FROM streams s JOIN topics t ON t.key = s.topic
                  WHERE t.owner = ?1 AND t.name = ''
                  AND NOT EXISTS (SELECT 1 FROM names WHERE names.owner = ?1 AND id = lower(hex(t.topic_id))

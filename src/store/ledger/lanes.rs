@@ -134,7 +134,7 @@ impl Ledger {
     /// # Errors
     /// As [`Ledger::close_transaction`]: then none is closed.
     pub fn close_transactions(&self, closings: Vec<(Hash, TransactionOutcome)>) -> Result<(), StoreError> {
-        self.write(move |session| {
+        self.write_many(closings.len(), move |session| {
             closings.into_iter().try_for_each(|(hash, outcome)| close(session.connection, hash, outcome))
         })
     }

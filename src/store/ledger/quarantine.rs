@@ -72,7 +72,7 @@ impl Ledger {
     /// # Errors
     /// As [`Ledger::append`]; [`StoreError::NotReady`] where a record to be held back is not quarantined.
     pub fn append_held(&self, records: Vec<NewRecord>, holds: Vec<Hold>) -> Result<(), StoreError> {
-        self.write(move |session| {
+        self.write_many(records.len(), move |session| {
             let now = whole("time", Timestamp::now().0)?;
             records.iter().try_for_each(|record| add(session, record, now))?;
             holds.iter().try_for_each(|one| hold(session.connection, one))
@@ -144,7 +144,7 @@ impl Ledger {
     /// # Errors
     /// As [`Ledger::append`]; [`StoreError::NotReady`] where one of the records is counted already.
     pub fn report(&self, report: NewRecord, counted: Vec<Digest>) -> Result<(), StoreError> {
-        self.write(move |session| {
+        self.write_many(counted.len(), move |session| {
             let now = whole("time", Timestamp::now().0)?;
             add(session, &report, now)?;
             let mut statement = session.connection.prepare_cached(
@@ -189,7 +189,7 @@ impl Ledger {
             return Err(StoreError::IllegalEdge { from, to: *to });
         }
         let digests = digests.to_vec();
-        self.write(move |session| {
+        self.write_many(digests.len(), move |session| {
             let (connection, now) = (session.connection, whole("time", Timestamp::now().0)?);
             let mut decided = 0;
             for digest in &digests {

@@ -1,7 +1,7 @@
 //! Finding records: by digest, by id, and page by page in the order of capture.
 //!
 //! A page costs the same whatever the size of the ledger: the query picks streams (owner, topic, type,
-//! kind), each stream is read in order off an index, and the streams are merged.
+//! kind), each stream's records of each state are read in order off an index, and these lanes are merged.
 
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap, VecDeque};
@@ -227,33 +227,42 @@ impl Range {
         }
     }
 
-    fn sql(self, state: bool, filters: usize) -> String {
-        let (order, state) =
-            (if self.newest_first { "DESC" } else { "ASC" }, if state { "state = ?7 AND" } else { "" });
-        let first = if state.is_empty() { 7 } else { 8 };
-        let filters: String = (first..first + filters)
+    fn sql(self, filters: usize) -> String {
+        let order = if self.newest_first { "DESC" } else { "ASC" };
+        let filters: String = (8..8 + filters)
             .map(|place| format!(" AND EXISTS (SELECT 1 FROM filters WHERE filter = ?{place} AND record = n)"))
             .collect();
         format!(
-            "SELECT captured_at, n FROM records WHERE {state} stream = ?1{filters}
+            "SELECT captured_at, n FROM records INDEXED BY records_by_state WHERE state = ?7 AND stream = ?1{filters}
              AND (captured_at, n) > (?2, ?3) AND (captured_at, n) < (?4, ?5)
              ORDER BY captured_at {order}, n {order} LIMIT ?6"
         )
     }
 }
 
-/// One stream's keys, some of them read ahead.
+/// The keys of one stream's records in one state, some of them read ahead.
 struct Lane {
     stream: i64,
+    state: u8,
     ahead: VecDeque<Key>,
     range: Range,
     exhausted: bool,
 }
 
-/// Merges the streams of a query into one order.
+/// The states that a stream has records in, or the one that is asked for.
+fn states(connection: &Connection, stream: i64, wanted: Option<RecordState>) -> Result<Vec<u8>, StoreError> {
+    if let Some(state) = wanted {
+        return Ok(vec![state.code()]);
+    }
+    let mut statement =
+        connection.prepare_cached("SELECT state FROM counters WHERE stream = ?1 AND records > 0 ORDER BY state")?;
+    let states = statement.query_map([stream], |row| row.get(0))?;
+    Ok(states.collect::<Result<_, _>>()?)
+}
+
+/// Merges the lanes of a query into one order.
 struct Merge<'a> {
     statement: CachedStatement<'a>,
-    state: Option<u8>,
     filters: Vec<FilterId>,
     lanes: Vec<Lane>,
     heap: BinaryHeap<(Reverse<Key>, usize)>,
@@ -268,13 +277,17 @@ impl<'a> Merge<'a> {
         range: Range,
         wanted: usize,
     ) -> Result<Self, StoreError> {
-        let statement = connection.prepare_cached(&range.sql(query.state.is_some(), query.filters.len()))?;
-        let chunk = (wanted * 2).div_ceil(streams.len().max(1)).clamp(4, wanted.max(4));
-        let lane = |stream: &i64| Lane { stream: *stream, ahead: VecDeque::new(), range, exhausted: false };
-        let lanes = streams.iter().map(lane).collect();
-        let (state, filters) = (query.state.map(RecordState::code), query.filters.clone());
-        let mut merge = Self { statement, state, filters, lanes, heap: BinaryHeap::new(), chunk };
-        for index in 0..streams.len() {
+        let statement = connection.prepare_cached(&range.sql(query.filters.len()))?;
+        let mut lanes = Vec::with_capacity(streams.len());
+        for stream in streams.iter().copied() {
+            let states = states(connection, stream, query.state)?;
+            let lane = |state| Lane { stream, state, ahead: VecDeque::new(), range, exhausted: false };
+            lanes.extend(states.into_iter().map(lane));
+        }
+        let (count, filters) = (lanes.len(), query.filters.clone());
+        let chunk = (wanted * 2).div_ceil(count.max(1)).clamp(4, wanted.max(4));
+        let mut merge = Self { statement, filters, lanes, heap: BinaryHeap::new(), chunk };
+        for index in 0..count {
             merge.offer(index)?;
         }
         Ok(merge)
@@ -298,7 +311,7 @@ impl<'a> Merge<'a> {
     fn offer(&mut self, index: usize) -> Result<(), StoreError> {
         let Some(lane) = self.lanes.get_mut(index) else { return Ok(()) };
         if lane.ahead.is_empty() && !lane.exhausted {
-            lane.read(&mut self.statement, self.state, &self.filters, self.chunk)?;
+            lane.read(&mut self.statement, &self.filters, self.chunk)?;
         }
         if let Some(key) = lane.ahead.pop_front() {
             let rank = if lane.range.newest_first { flip(key) } else { key };
@@ -312,16 +325,15 @@ impl Lane {
     fn read(
         &mut self,
         statement: &mut CachedStatement<'_>,
-        state: Option<u8>,
         filters: &[FilterId],
         chunk: usize,
     ) -> Result<(), StoreError> {
         let Range { low, high, .. } = self.range;
         let limit = i64::try_from(chunk).unwrap_or(i64::MAX);
-        let bounds = [self.stream, low.captured_at, low.n, high.captured_at, high.n, limit].map(Value::from);
-        let state = state.map(|state| Value::from(i64::from(state)));
+        let state = i64::from(self.state);
+        let bounds = [self.stream, low.captured_at, low.n, high.captured_at, high.n, limit, state].map(Value::from);
         let filters = filters.iter().map(|filter| Value::from(filter.0.to_vec()));
-        let values = bounds.into_iter().chain(state).chain(filters);
+        let values = bounds.into_iter().chain(filters);
         let keys = statement.query_map(rusqlite::params_from_iter(values), |row| {
             Ok(Key { captured_at: row.get(0)?, n: row.get(1)? })
         })?;

@@ -166,7 +166,7 @@ impl Ledger {
     /// [`StoreError::DiskFull`] and the like.
     pub fn deleted(&self, digests: &[Digest]) -> Result<(), StoreError> {
         let digests = digests.to_vec();
-        self.write(move |session| {
+        self.write_many(digests.len(), move |session| {
             let now = whole("time", Timestamp::now().0)?;
             for digest in &digests {
                 for sql in [

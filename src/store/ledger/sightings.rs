@@ -57,7 +57,7 @@ impl Ledger {
     /// [`StoreError::DiskFull`] and the like: then none is taken in.
     pub fn mined(&self, sightings: &[Sighting]) -> Result<u64, StoreError> {
         let sightings = sightings.to_vec();
-        self.write(move |session| {
+        self.write_many(sightings.len(), move |session| {
             sightings.iter().try_fold(0, |changed, sighting| Ok(changed + see(session.connection, sighting)?))
         })
     }
@@ -143,7 +143,7 @@ impl Ledger {
     /// [`StoreError::DiskFull`] and the like: then none is kept.
     pub fn keep_events(&self, events: &[KeptEvent]) -> Result<(), StoreError> {
         let events = events.to_vec();
-        self.write(move |session| {
+        self.write_many(events.len(), move |session| {
             let mut statement = session.connection.prepare_cached("REPLACE INTO events VALUES (?1, ?2, ?3, ?4, ?5)")?;
             for event in &events {
                 let (block, position) = (whole("block", event.block)?, whole("position", event.position)?);

@@ -117,7 +117,9 @@ impl Ledger {
     /// # Errors
     /// As [`Ledger::submit`].
     pub fn submit_many(&self, transactions: Vec<NewTransaction>) -> Result<(), StoreError> {
-        self.write(move |session| transactions.iter().try_for_each(|new| keep(session.connection, new)))
+        self.write_many(transactions.len(), move |session| {
+            transactions.iter().try_for_each(|new| keep(session.connection, new))
+        })
     }
 
     /// The transactions of an account that are in no block yet, by nonce.

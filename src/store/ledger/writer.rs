@@ -1,6 +1,7 @@
 //! The one writing thread: takes all waiting work (up to a bound), does it in one transaction, fsyncs
-//! once, then answers everybody. Each piece of work has a savepoint, so that a failing one leaves its
-//! neighbours alone.
+//! once, then answers everybody. A failing piece of work leaves its neighbours alone: the first of a
+//! transaction is alone in it so far, the others have savepoints. Work on many records begins a
+//! transaction, for SQLite copies every page that changes inside of a savepoint.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
@@ -16,6 +17,8 @@ use crate::store::StoreError;
 
 /// The most pieces of work in one transaction.
 const GROUP: usize = 256;
+/// Work on more records than this begins a transaction.
+const FEW: usize = 32;
 
 /// What a piece of work gets: the connection inside the open transaction, and the keys of known names.
 pub(in crate::store) struct Session<'a> {
@@ -26,19 +29,26 @@ pub(in crate::store) struct Session<'a> {
 }
 
 trait Job: Send {
-    /// Does the work inside a savepoint; whether it may stay.
+    /// Whether it begins a transaction.
+    fn is_large(&self) -> bool;
+    /// Does the work; whether it may stay.
     fn run(&mut self, session: &mut Session<'_>) -> bool;
     /// Tells the caller, who waits.
     fn answer(self: Box<Self>, committed: Result<(), StoreError>);
 }
 
 struct Task<T, F> {
+    records: usize,
     work: Option<F>,
     outcome: Result<T, StoreError>,
     caller: SyncSender<Result<T, StoreError>>,
 }
 
 impl<T: Send, F: FnOnce(&mut Session<'_>) -> Result<T, StoreError> + Send> Job for Task<T, F> {
+    fn is_large(&self) -> bool {
+        self.records > FEW
+    }
+
     fn run(&mut self, session: &mut Session<'_>) -> bool {
         if let Some(work) = self.work.take() {
             self.outcome = work(session);
@@ -79,13 +89,14 @@ impl Writer {
         Ok(Self { messages, thread: Mutex::new(Some(thread)) })
     }
 
-    /// Waits until `work` is done and durable.
+    /// Waits until `work`, which changes so many records, is done and durable.
     pub(super) fn write<T: Send + 'static>(
         &self,
+        records: usize,
         work: impl FnOnce(&mut Session<'_>) -> Result<T, StoreError> + Send + 'static,
     ) -> Result<T, StoreError> {
         let (caller, answer) = mpsc::sync_channel(1);
-        let task = Task { work: Some(work), outcome: Err(StoreError::Closed), caller };
+        let task = Task { records, work: Some(work), outcome: Err(StoreError::Closed), caller };
         self.messages.send(Message::Work(Box::new(task))).map_err(|_| StoreError::Closed)?;
         answer.recv().map_err(|_| StoreError::Closed)?
     }
@@ -149,6 +160,9 @@ fn gather(first: Message, inbox: &Receiver<Message>, group: &mut Vec<Box<dyn Job
 fn commit(connection: &Connection, names: &mut Names, group: Vec<Box<dyn Job>>) {
     let mut done: Vec<Box<dyn Job>> = Vec::with_capacity(group.len());
     for mut job in group {
+        if job.is_large() && !done.is_empty() {
+            settle(connection, names, &mut done);
+        }
         match attempt(connection, names, job.as_mut()) {
             Ok(true) => done.push(job),
             Ok(false) => job.answer(Err(StoreError::Closed)),
@@ -160,31 +174,43 @@ fn commit(connection: &Connection, names: &mut Names, group: Vec<Box<dyn Job>>) 
             answer_all(&mut done, &lost_group());
         }
     }
-    let result = if done.is_empty() && connection.is_autocommit() { Ok(()) } else { end(connection) };
+    settle(connection, names, &mut done);
+}
+
+/// Ends the transaction, if there is one, and answers those whose work is in it.
+fn settle(connection: &Connection, names: &mut Names, done: &mut Vec<Box<dyn Job>>) {
+    let result = if connection.is_autocommit() { Ok(()) } else { end(connection) };
     if result.is_err() {
         names.clear();
     }
-    answer_all(&mut done, &result);
+    answer_all(done, &result);
 }
 
 /// Whether the job did its work; an error means that it could not even be tried or kept.
 fn attempt(connection: &Connection, names: &mut Names, job: &mut dyn Job) -> Result<bool, StoreError> {
-    if connection.is_autocommit() {
-        run(connection, "BEGIN IMMEDIATE")?;
-    }
-    run(connection, "SAVEPOINT job")?;
+    let is_first = connection.is_autocommit();
+    run(connection, if is_first { "BEGIN IMMEDIATE" } else { "SAVEPOINT job" })?;
     // A fault of one piece of work must end neither this thread nor its neighbours' work.
     let done = catch_unwind(AssertUnwindSafe(|| job.run(&mut Session { connection, names })));
     if done.as_ref().is_ok_and(|done| *done) {
-        run(connection, "RELEASE job")?;
+        if !is_first {
+            run(connection, "RELEASE job")?;
+        }
         return Ok(true);
     }
     names.clear();
     if !connection.is_autocommit() {
-        run(connection, "ROLLBACK TO job")?;
-        run(connection, "RELEASE job")?;
+        take_back(connection, is_first)?;
     }
     done.map_err(|_| failed_job())
+}
+
+fn take_back(connection: &Connection, is_first: bool) -> Result<(), StoreError> {
+    if is_first {
+        return run(connection, "ROLLBACK");
+    }
+    run(connection, "ROLLBACK TO job")?;
+    run(connection, "RELEASE job")
 }
 
 fn failed_job() -> StoreError {

@@ -2,6 +2,8 @@
 
 use std::time::Instant;
 
+use super::life::Life;
+use super::whole;
 use crate::cli::bench::spread::number;
 use crate::model::{Address, Digest, RecordKind, RecordState, Signature, SignerId, Timestamp, TopicId};
 use crate::service::Failure;
@@ -19,7 +21,9 @@ pub(super) const BEGIN: u64 = 1_700_000_000_000_000_000;
 const COMMIT: u64 = 256;
 /// Commits that are timed.
 const TIMED: u64 = 40;
-/// Records in a commit that is not.
+/// Records in a batch that is timed: a second of a busy site.
+const BATCH: u64 = 1_000;
+/// Records in a commit, and in a batch, that is not timed.
 const BULK: u64 = 5_000;
 
 /// The record of that number.
@@ -56,14 +60,15 @@ pub(super) fn name(topic: u64) -> String {
     format!("/robot{}/sensor{}/data", topic / 20, topic % 20)
 }
 
-/// Appends the records from `there` to `wanted`; returns what one of the last ones took, microseconds, commit by
-/// commit.
+/// Appends the records from `there` to `wanted` and verifies them; returns what one of the last ones took,
+/// microseconds per record: to append, commit by commit, and to verify, batch by batch.
 pub(super) fn fill(
     ledger: &Ledger,
+    life: &mut Life,
     mut there: u64,
     wanted: u64,
     mut done: impl FnMut(u64),
-) -> Result<Vec<f64>, Failure> {
+) -> Result<(Vec<f64>, Vec<f64>), Failure> {
     let timed_from = wanted.saturating_sub(TIMED * COMMIT);
     let mut times = Vec::new();
     while there < wanted {
@@ -74,9 +79,11 @@ pub(super) fn fill(
         ledger.append(records)?;
         if is_timed {
             times.push(begun.elapsed().as_secs_f64() * 1e6 / count);
+        } else {
+            life.verify(ledger, whole(BULK))?;
         }
         there = end;
         done(there);
     }
-    Ok(times)
+    Ok((times, life.verify(ledger, whole(BATCH))?))
 }
