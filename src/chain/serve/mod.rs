@@ -82,6 +82,7 @@ impl Chain {
         };
         let service = Arc::new(Service::new(embedded));
         let places = Arc::new(Semaphore::new(limits.connections));
+        let turned_away = Arc::new(Semaphore::new(limits.connections));
         // Its connections end with it.
         let mut open = JoinSet::new();
         tokio::pin!(stop);
@@ -97,8 +98,7 @@ impl Chain {
                 continue;
             };
             let Ok(place) = Arc::clone(&places).try_acquire_owned() else {
-                // Nobody waits for a caller that does not even take this.
-                drop(stream.try_write(&http::refusal(BUSY)));
+                turn_away(&mut open, &turned_away, stream, limits);
                 continue;
             };
             let service = Arc::clone(&service);
@@ -109,6 +109,19 @@ impl Chain {
             });
         }
     }
+}
+
+/// Says that there is no place, and waits a little until that was read.
+fn turn_away(open: &mut JoinSet<()>, waiting: &Arc<Semaphore>, stream: TcpStream, limits: Limits) {
+    let Ok(place) = Arc::clone(waiting).try_acquire_owned() else {
+        // Nobody waits for the callers of a flood.
+        drop(stream.try_write(&http::refusal(BUSY)));
+        return;
+    };
+    open.spawn(async move {
+        let _place = place;
+        drop(refuse(&mut BufReader::new(stream), BUSY, limits).await);
+    });
 }
 
 async fn connection(stream: TcpStream, service: &Service, limits: Limits) -> std::io::Result<()> {

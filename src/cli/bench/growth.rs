@@ -1,6 +1,6 @@
-//! `authros bench growth`: how cost grows with what is there. A ledger is filled with 10^3 to 10^6 records of 2,000
-//! topics; at each power of ten a record more, its way to
-//! verified, a page of a list and a frame of the console are timed.
+//! `authros bench growth`: how cost grows with what is there. Ledgers of 10^3, 10^4 to 10^6 records are filled; of each
+//! a record more, its way to verified, a page of a list and a frame of the console are timed. Pages and frames of all
+//! ledgers take turns, so that whatever else the machine does meets all of them.
 
 mod fill;
 mod frames;
@@ -28,8 +28,9 @@ use crate::store::Ledger;
 
 /// Where the first figures are taken.
 const FIRST: u64 = 1_000;
-/// How often each piece of work is timed.
-const ROUNDS: usize = 21;
+/// How often the ledgers take turns, and how often each piece of work is timed in a turn.
+const TURNS: usize = 7;
+const ROUNDS: usize = 3;
 
 const NOTES: [&str; 4] = [
     "append: a record acknowledged (on disk), in commits of 256 as in the pipeline, per record; life: its steps from \
@@ -38,8 +39,8 @@ const NOTES: [&str; 4] = [
      has, time: captured until a time); counts: records of all states.",
     "frame: the whole console at 200 x 50, without the terminal; key: the cursor moved; rows in: 2,000 topics taken \
      over; filter: a letter typed and deleted; encode: 2,000 topics as JSON.",
-    "Times are microseconds, medians of 21 (append: of at most 40 commits); ratio: the least time with the most records \
-     over the least with the fewest, which the rest of the machine's work disturbs least.",
+    "Times are microseconds, medians of 21 (append: of at most 40 commits, life: of at most 11 batches); ratio: the \
+     median with the most records over the median with the fewest.",
     "The records, of 500 topics in turn, are fed to the ledger and verified as the pipeline does it, but nothing is \
      sealed and no chain runs. That each record of a commit is of another topic is the worst case: it has pages of its \
      own in three indices.",
@@ -63,7 +64,7 @@ struct Row {
 pub async fn run(arguments: GrowthArguments, outlet: &Outlet) -> Result<u8, Failure> {
     // Dropped here even where the bench is ended while its thread still works.
     let directory = Directory::new()?;
-    let path = directory.path().join("ledger.db");
+    let path = directory.path().to_owned();
     let measured = tokio::task::spawn_blocking(move || measure(&path, arguments.records)).await;
     let results = measured.map_err(|_| internal("the measurement"))??;
     let ratios = ratios(&results);
@@ -82,39 +83,65 @@ fn levels(most: u64) -> Vec<u64> {
     powers.chain([most.max(FIRST)]).collect()
 }
 
-fn measure(path: &Path, most: u64) -> Result<Vec<Row>, Failure> {
-    let ledger = Ledger::open(path)?;
-    let mut progress = Progress::new("growth");
-    let (mut rows, mut life) = (Vec::new(), life::Life::default());
-    let (mut there, levels) = (0, levels(most));
-    for records in levels {
-        let row = |work, times: &[f64]| Row {
-            work,
-            records,
-            measured: Measured {
-                bytes: fill::MESSAGE,
-                runs: times.len() as u64,
-                unit: "us",
-                spread: Spread::of(times),
-            },
-            paper: None,
-        };
-        let told = |done| progress.at(whole(done), whole(most));
-        let (appended, verified) = fill::fill(&ledger, &mut life, there, records, told)?;
-        there = records;
-        rows.extend([row("append", &appended), row("life", &verified)]);
-        rows.extend(pages::time(&ledger)?.iter().map(|(work, times)| row(*work, times)));
-        rows.extend(frames::time(&ledger)?.iter().map(|(work, times)| row(*work, times)));
+/// A ledger with so many records, and the times of each work on it, microseconds.
+struct Level {
+    records: u64,
+    ledger: Ledger,
+    times: Figures,
+}
+
+/// Works in order, each with its times.
+type Figures = Vec<(&'static str, Vec<f64>)>;
+
+impl Level {
+    fn fill(directory: &Path, records: u64, done: impl FnMut(u64)) -> Result<Self, Failure> {
+        let ledger = Ledger::open(&directory.join(format!("{records}.db")))?;
+        let (appended, verified) = fill::fill(&ledger, records, done)?;
+        Ok(Self { records, ledger, times: vec![("append", appended), ("life", verified)] })
     }
-    Ok(rows)
+
+    fn take_turn(&mut self) -> Result<(), Failure> {
+        let figures = pages::time(&self.ledger)?.into_iter().chain(frames::time(&self.ledger)?);
+        for (work, times) in figures {
+            match self.times.iter_mut().find(|(name, _)| *name == work) {
+                Some((_, all)) => all.extend(times),
+                None => self.times.push((work, times)),
+            }
+        }
+        Ok(())
+    }
+
+    fn rows(&self) -> impl Iterator<Item = Row> {
+        self.times.iter().map(|(work, times)| {
+            let (runs, spread) = (times.len() as u64, Spread::of(times));
+            let measured = Measured { bytes: fill::MESSAGE, runs, unit: "us", spread };
+            Row { work, records: self.records, measured, paper: None }
+        })
+    }
+}
+
+fn measure(directory: &Path, most: u64) -> Result<Vec<Row>, Failure> {
+    let levels = levels(most);
+    let all = levels.iter().sum();
+    let (mut progress, mut behind) = (Progress::new("growth"), 0);
+    let mut filled = Vec::with_capacity(levels.len());
+    for records in levels {
+        filled.push(Level::fill(directory, records, |done| progress.at(whole(behind + done), whole(all)))?);
+        behind += records;
+    }
+    for _ in 0..TURNS {
+        filled.iter_mut().try_for_each(Level::take_turn)?;
+    }
+    Ok(filled.iter().flat_map(Level::rows).collect())
 }
 
 fn whole(count: u64) -> usize {
     usize::try_from(count).unwrap_or(usize::MAX)
 }
 
-/// Microseconds of each of some rounds.
+/// Microseconds of each of some rounds, after one that warms up.
 fn timed(mut work: impl FnMut() -> Result<(), Failure>) -> Result<Vec<f64>, Failure> {
+    work()?;
     let mut times = Vec::with_capacity(ROUNDS);
     for _ in 0..ROUNDS {
         let begun = Instant::now();
@@ -135,7 +162,7 @@ fn works(rows: &[Row]) -> Vec<&'static str> {
 /// How many times as long each work takes with the most records as with the fewest.
 fn ratios(rows: &[Row]) -> Vec<(&'static str, f64)> {
     let of =
-        |work: &str| rows.iter().filter(|row| row.work == work).map(|row| row.measured.spread.min).collect::<Vec<_>>();
+        |work: &str| rows.iter().filter(|row| row.work == work).map(|row| row.measured.spread.p50).collect::<Vec<_>>();
     let ratio = |work| match of(work)[..] {
         [first, .., last] => last / first,
         _ => f64::NAN,
@@ -188,7 +215,7 @@ mod tests {
     #[test]
     fn every_work_is_timed_at_every_level() {
         let directory = tempfile::tempdir().expect("a directory");
-        let rows = measure(&directory.path().join("ledger.db"), 1_500).expect("measures");
+        let rows = measure(directory.path(), 1_500).expect("measures");
         let names = works(&rows);
         assert_eq!(rows.len(), 2 * names.len(), "{names:?}");
         assert!(rows.iter().all(|row| row.measured.spread.min > 0.0 && row.measured.runs > 0), "{rows:?}");

@@ -2,6 +2,7 @@
 
 mod adoption;
 mod gaps;
+mod groups;
 mod model;
 mod pages;
 mod quarantine;

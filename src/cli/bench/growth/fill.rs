@@ -60,17 +60,11 @@ pub(super) fn name(topic: u64) -> String {
     format!("/robot{}/sensor{}/data", topic / 20, topic % 20)
 }
 
-/// Appends the records from `there` to `wanted` and verifies them; returns what one of the last ones took,
+/// Appends so many records to an empty ledger and verifies them; returns what one of the last ones took,
 /// microseconds per record: to append, commit by commit, and to verify, batch by batch.
-pub(super) fn fill(
-    ledger: &Ledger,
-    life: &mut Life,
-    mut there: u64,
-    wanted: u64,
-    mut done: impl FnMut(u64),
-) -> Result<(Vec<f64>, Vec<f64>), Failure> {
+pub(super) fn fill(ledger: &Ledger, wanted: u64, mut done: impl FnMut(u64)) -> Result<(Vec<f64>, Vec<f64>), Failure> {
     let timed_from = wanted.saturating_sub(TIMED * COMMIT);
-    let mut times = Vec::new();
+    let (mut life, mut there, mut times) = (Life::default(), 0, Vec::new());
     while there < wanted {
         let is_timed = there >= timed_from;
         let end = if is_timed { wanted.min(there + COMMIT) } else { timed_from.min(there + BULK) };

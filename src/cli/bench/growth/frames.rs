@@ -4,7 +4,7 @@ use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 
 use super::fill::{OWNER, name, record};
-use super::timed;
+use super::{Figures, timed};
 use crate::app::{Action, Key, Screen, Settings, State, Verb, update};
 use crate::model::Timestamp;
 use crate::service::failure::internal;
@@ -18,8 +18,6 @@ const SIZE: (u16, u16) = (200, 50);
 /// Topics in the graph; most of them are not recorded.
 const TOPICS: u64 = 2_000;
 const NOW: Timestamp = Timestamp(1_800_000_000_000_000_000);
-
-type Figures = Vec<(&'static str, Vec<f64>)>;
 
 /// Each work, and microseconds of its rounds.
 pub(super) fn time(ledger: &Ledger) -> Result<Figures, Failure> {

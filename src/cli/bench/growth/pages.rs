@@ -1,7 +1,7 @@
 //! Pages of a list, as the console asks for them.
 
 use super::fill::{BEGIN, OWNER};
-use super::timed;
+use super::{Figures, timed};
 use crate::model::{RecordKind, RecordState, Timestamp};
 use crate::service::Failure;
 use crate::store::{Ledger, RecordQuery};
@@ -10,7 +10,7 @@ use crate::store::{Ledger, RecordQuery};
 const ROWS: usize = 18;
 
 /// Each query, and microseconds of its rounds.
-pub(super) fn time(ledger: &Ledger) -> Result<Vec<(&'static str, Vec<f64>)>, Failure> {
+pub(super) fn time(ledger: &Ledger) -> Result<Figures, Failure> {
     let page = RecordQuery {
         owner: Some(OWNER),
         kind: Some(RecordKind::Data),
