@@ -1,7 +1,7 @@
 //! Opens an SQLite file the way both ledger and vault need it: private, WAL, every commit fsynced,
 //! schema brought up to date, contents checked after an unclean end.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use rusqlite::{Connection, OpenFlags, TransactionBehavior};
@@ -10,12 +10,13 @@ use super::{StoreError, files};
 
 const BUSY: Duration = Duration::from_secs(10);
 const STATEMENTS_KEPT: usize = 64;
-/// Pages of the write-ahead log after which they go into the file itself. Where records of many topics come in turn,
-/// the same pages change in every commit: the later they go, the fewer are written twice.
-const CHECKPOINT_PAGES: (u64, u64) = (1_000, 4_000);
-/// The part of the free disk that the log may take between the two.
-const LOG_PART: u64 = 64;
-const PAGE_BYTES: u64 = 4_096;
+/// Pages of the write-ahead log after which they go into the file itself, as SQLite has it.
+const SHORT_LOG: i64 = 1_000;
+/// The same where the disk has plenty of room. Where records of many topics come in turn, the same pages change in
+/// every commit: the later they go, the fewer are written twice.
+const LONG_LOG: i64 = 4_000;
+/// What is plenty, bytes: far more than both logs and what is set aside for a full disk.
+const PLENTY: u64 = 1024 * 1024 * 1024;
 
 /// One SQLite file's shape: an application id and the steps from each schema version to the next.
 pub(super) struct Schema {
@@ -35,17 +36,41 @@ pub(super) fn open_writer(path: &Path, schema: &Schema) -> Result<Connection, St
     drop(files::open_private(path)?);
     files::sync_directory(directory).map_err(|error| StoreError::home(path, &error))?;
     let mut connection = connect(path)?;
-    connection
-        .pragma_update(None, "wal_autocheckpoint", checkpoint_pages(files::free_bytes(directory).unwrap_or(0)))
-        .map_err(|error| StoreError::from(error).in_file(path))?;
     migrate(&mut connection, path, schema).map_err(|error| error.in_file(path))?;
     Ok(connection)
 }
 
-/// After how many pages to checkpoint where so many bytes are free: a small disk has no room for a long log.
-fn checkpoint_pages(free: u64) -> i64 {
-    let (least, most) = CHECKPOINT_PAGES;
-    i64::try_from((free / LOG_PART / PAGE_BYTES).clamp(least, most)).unwrap_or(1_000)
+/// How long a file's log may get; follows the room on its disk.
+#[derive(Debug)]
+pub(super) struct Checkpoints {
+    directory: PathBuf,
+    pages: i64,
+}
+
+impl Checkpoints {
+    /// For the file at this path, opened by [`open_writer`].
+    pub fn new(path: &Path) -> Self {
+        Self { directory: path.parent().unwrap_or(Path::new(".")).to_owned(), pages: SHORT_LOG }
+    }
+
+    /// To be called between two transactions. Where the room went, what is in a long log goes into the file at
+    /// once, so that the log begins again from its start instead of growing.
+    pub fn adjust(&mut self, connection: &Connection) {
+        let pages = log_pages(files::free_bytes(&self.directory).unwrap_or(0));
+        if pages == self.pages {
+            return;
+        }
+        self.pages = pages;
+        // Where it cannot be set or written now, the log is only longer than it need be.
+        drop(connection.pragma_update(None, "wal_autocheckpoint", pages));
+        if pages == SHORT_LOG {
+            drop(connection.query_row("PRAGMA wal_checkpoint(PASSIVE)", [], |_| Ok(())));
+        }
+    }
+}
+
+fn log_pages(free: u64) -> i64 {
+    if free < PLENTY { SHORT_LOG } else { LONG_LOG }
 }
 
 /// Opens the file for reading only.
@@ -143,12 +168,26 @@ mod tests {
     }
 
     #[test]
-    fn a_small_disk_gets_a_short_log() {
-        assert_eq!([0, 8 << 20, 512 << 20, 4 << 30].map(checkpoint_pages), [1_000, 1_000, 2_048, 4_000]);
+    fn the_log_is_short_where_there_is_little_room() {
+        assert_eq!([0, 8 << 20, PLENTY - 1, PLENTY].map(log_pages), [SHORT_LOG, SHORT_LOG, SHORT_LOG, LONG_LOG]);
         let home = tempfile::tempdir().expect("temporary directory");
-        let connection = open_writer(&home.path().join("x.db"), &FIRST).expect("new");
-        let pages: i64 = connection.query_row("PRAGMA wal_autocheckpoint", [], |row| row.get(0)).expect("asked");
-        assert_eq!(pages, checkpoint_pages(files::free_bytes(home.path()).expect("asked")));
+        let path = home.path().join("x.db");
+        let connection = open_writer(&path, &FIRST).expect("new");
+        let number = |sql: &str| connection.query_row(sql, [], |row| row.get::<_, i64>(0)).expect("asked");
+        assert_eq!(number("PRAGMA wal_autocheckpoint"), SHORT_LOG);
+        let log = home.path().join("x.db-wal");
+        let length = || std::fs::metadata(&log).expect("a log").len();
+        connection.execute_batch("PRAGMA wal_autocheckpoint = 4000").expect("set");
+        connection.execute("INSERT INTO a VALUES (1)", []).expect("row");
+        let filled = length();
+        // The room went while the log was long.
+        let mut checkpoints = Checkpoints { directory: home.path().join("gone"), pages: LONG_LOG };
+        checkpoints.adjust(&connection);
+        assert_eq!((checkpoints.pages, number("PRAGMA wal_autocheckpoint")), (SHORT_LOG, SHORT_LOG));
+        connection.execute("INSERT INTO a VALUES (2)", []).expect("row");
+        assert_eq!(length(), filled, "the log began again");
+        Checkpoints::new(&path).adjust(&connection);
+        assert!([SHORT_LOG, LONG_LOG].contains(&number("PRAGMA wal_autocheckpoint")));
     }
 
     #[test]

@@ -156,7 +156,7 @@ impl Ledger {
         self.write_many(1, work)
     }
 
-    /// Like [`Self::write`], for work that changes so many records one by one.
+    /// Like [`Self::write`], for work that changes so many records one by one: very many begin a transaction.
     pub(super) fn write_many<T: Send + 'static>(
         &self,
         records: usize,

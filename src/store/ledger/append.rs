@@ -1,12 +1,12 @@
 //! Acknowledging records, moving them along their life line, and their local copies.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use rusqlite::{Connection, OptionalExtension as _, params};
 
 use super::edges::{By, may};
 use super::{Foreign, Ledger, NewRecord, Session};
-use crate::model::{Address, Digest, RecordState, SignerId, Timestamp, TopicId};
+use crate::model::{Address, Digest, FilterId, RecordState, SignerId, Timestamp, TopicId};
 use crate::store::StoreError;
 use crate::store::database::whole;
 
@@ -17,6 +17,7 @@ type StreamKey = (i64, u8, String, SignerId);
 pub(in crate::store) struct Names {
     topics: HashMap<(Address, TopicId, Option<Foreign>), (i64, String)>,
     streams: HashMap<StreamKey, i64>,
+    filters: HashSet<(FilterId, i64)>,
 }
 
 impl Names {
@@ -24,6 +25,7 @@ impl Names {
     pub(super) fn clear(&mut self) {
         self.topics.clear();
         self.streams.clear();
+        self.filters.clear();
     }
 }
 
@@ -196,14 +198,20 @@ pub(super) fn add(session: &mut Session<'_>, record: &NewRecord, now: i64) -> Re
             record.state.code(),
         ])?;
     let row = session.connection.last_insert_rowid();
-    keep_filters(session.connection, record, row)?;
+    keep_filters(session, record, row, stream)?;
     keep_copy(session.connection, record, row)
 }
 
-fn keep_filters(connection: &Connection, record: &NewRecord, row: i64) -> Result<(), StoreError> {
-    let mut add = connection.prepare_cached("INSERT INTO filters VALUES (?1, ?2) ON CONFLICT DO NOTHING")?;
+fn keep_filters(session: &mut Session<'_>, record: &NewRecord, row: i64, stream: i64) -> Result<(), StoreError> {
+    let mut add = session.connection.prepare_cached("INSERT INTO filters VALUES (?1, ?2) ON CONFLICT DO NOTHING")?;
     for filter in &record.filters {
         add.execute(params![filter.0, row])?;
+        if session.names.filters.insert((*filter, stream)) {
+            session
+                .connection
+                .prepare_cached("INSERT INTO filter_streams VALUES (?1, ?2) ON CONFLICT DO NOTHING")?
+                .execute(params![filter.0, stream])?;
+        }
     }
     Ok(())
 }

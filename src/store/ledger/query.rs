@@ -4,10 +4,10 @@
 //! kind), each stream's records of each state are read in order off an index, and these lanes are merged.
 
 use std::cmp::Reverse;
-use std::collections::{BinaryHeap, HashMap, VecDeque};
+use std::collections::{BinaryHeap, HashMap, HashSet, VecDeque};
 
 use rusqlite::types::Value;
-use rusqlite::{CachedStatement, Connection, OptionalExtension as _, params};
+use rusqlite::{CachedStatement, Connection, OptionalExtension as _, Row, params};
 use serde::{Deserialize, Serialize};
 
 use super::rows::{self, ID_LENGTH, RecordRow, Stream};
@@ -90,7 +90,9 @@ pub struct RecordPage {
 }
 
 impl Ledger {
-    /// A page of records, ordered by capture time (and order of acknowledgement within one time).
+    /// A page of records, ordered by capture time (and order of acknowledgement within one time). Where no state is
+    /// asked for, the counters say which states a topic has records in; [`Ledger::contradictions`] holds them against
+    /// the records.
     ///
     /// # Errors
     /// [`StoreError::Cursor`] where `after` is no cursor, [`StoreError::Database`] and its kin.
@@ -99,7 +101,8 @@ impl Ledger {
         let range = Range::of(query)?;
         self.read(|connection| {
             let streams = rows::streams(connection)?;
-            let wanted: Vec<i64> = streams.iter().filter(|stream| query.wants(stream)).map(|s| s.key).collect();
+            let mut wanted: Vec<i64> = streams.iter().filter(|stream| query.wants(stream)).map(|s| s.key).collect();
+            narrow(connection, &mut wanted, &query.filters)?;
             let plain = query.state.is_none() && query.filters.is_empty();
             let recent = if plain { recent::keys(connection, &wanted, range, limit + 1)? } else { None };
             let mut keys = match recent {
@@ -249,15 +252,40 @@ struct Lane {
     exhausted: bool,
 }
 
-/// The states that a stream has records in, or the one that is asked for.
-fn states(connection: &Connection, stream: i64, wanted: Option<RecordState>) -> Result<Vec<u8>, StoreError> {
+/// Leaves the streams that ever had records with each of these filter ids.
+fn narrow(connection: &Connection, streams: &mut Vec<i64>, filters: &[FilterId]) -> Result<(), StoreError> {
+    let mut statement = connection.prepare_cached("SELECT stream FROM filter_streams WHERE filter = ?1")?;
+    for filter in filters {
+        let having: HashSet<i64> =
+            statement.query_map([filter.0], |row| row.get(0))?.collect::<rusqlite::Result<_>>()?;
+        streams.retain(|stream| having.contains(stream));
+    }
+    Ok(())
+}
+
+/// The lanes (stream, state) that have records, or those in the state that is asked for.
+fn lanes(connection: &Connection, streams: &[i64], wanted: Option<RecordState>) -> Result<Vec<(i64, u8)>, StoreError> {
     if let Some(state) = wanted {
-        return Ok(vec![state.code()]);
+        return Ok(streams.iter().map(|stream| (*stream, state.code())).collect());
+    }
+    let lane = |row: &Row<'_>| Ok((row.get(0)?, row.get(1)?));
+    if streams.len() >= recent::MANY {
+        let wanted: HashSet<i64> = streams.iter().copied().collect();
+        let mut statement = connection.prepare_cached("SELECT stream, state FROM counters WHERE records > 0")?;
+        let lanes = statement.query_map([], lane)?;
+        return Ok(lanes
+            .filter(|lane| lane.as_ref().map_or(true, |lane| wanted.contains(&lane.0)))
+            .collect::<Result<_, _>>()?);
     }
     let mut statement =
-        connection.prepare_cached("SELECT state FROM counters WHERE stream = ?1 AND records > 0 ORDER BY state")?;
-    let states = statement.query_map([stream], |row| row.get(0))?;
-    Ok(states.collect::<Result<_, _>>()?)
+        connection.prepare_cached("SELECT stream, state FROM counters WHERE stream = ?1 AND records > 0")?;
+    let mut lanes = Vec::with_capacity(streams.len());
+    for stream in streams {
+        for found in statement.query_map([stream], lane)? {
+            lanes.push(found?);
+        }
+    }
+    Ok(lanes)
 }
 
 /// Merges the lanes of a query into one order.
@@ -278,12 +306,8 @@ impl<'a> Merge<'a> {
         wanted: usize,
     ) -> Result<Self, StoreError> {
         let statement = connection.prepare_cached(&range.sql(query.filters.len()))?;
-        let mut lanes = Vec::with_capacity(streams.len());
-        for stream in streams.iter().copied() {
-            let states = states(connection, stream, query.state)?;
-            let lane = |state| Lane { stream, state, ahead: VecDeque::new(), range, exhausted: false };
-            lanes.extend(states.into_iter().map(lane));
-        }
+        let lane = |(stream, state)| Lane { stream, state, ahead: VecDeque::new(), range, exhausted: false };
+        let lanes: Vec<Lane> = lanes(connection, streams, query.state)?.into_iter().map(lane).collect();
         let (count, filters) = (lanes.len(), query.filters.clone());
         let chunk = (wanted * 2).div_ceil(count.max(1)).clamp(4, wanted.max(4));
         let mut merge = Self { statement, filters, lanes, heap: BinaryHeap::new(), chunk };

@@ -9,7 +9,7 @@ use super::query::{Key, Range};
 use crate::store::StoreError;
 
 /// Below so many streams a merge is as quick.
-const MANY: usize = 24;
+pub(super) const MANY: usize = 24;
 /// Rows looked at for each row wanted, at most.
 const PATIENCE: usize = 8;
 

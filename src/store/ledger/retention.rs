@@ -124,7 +124,7 @@ impl Ledger {
         records: Vec<(OldRecord, Vec<u8>)>,
     ) -> Result<(), StoreError> {
         let key = topic.key;
-        self.write(move |session| {
+        self.write_many(records.len(), move |session| {
             let (connection, now) = (session.connection, whole("time", Timestamp::now().0)?);
             add(session, &report, now)?;
             let mut bytes = 0;

@@ -1,7 +1,8 @@
 //! The one writing thread: takes all waiting work (up to a bound), does it in one transaction, fsyncs
 //! once, then answers everybody. A failing piece of work leaves its neighbours alone: the first of a
-//! transaction is alone in it so far, the others have savepoints. Work on many records begins a
-//! transaction, for SQLite copies every page that changes inside of a savepoint.
+//! transaction is alone in it so far, the others have savepoints. Work on very many records begins a
+//! transaction: inside of a savepoint SQLite copies every page that changes, and walks all copies so far
+//! after every statement.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
@@ -14,11 +15,12 @@ use rusqlite::Connection;
 use super::append::Names;
 use crate::crypto::fault;
 use crate::store::StoreError;
+use crate::store::database::Checkpoints;
 
 /// The most pieces of work in one transaction.
 const GROUP: usize = 256;
-/// Work on more records than this begins a transaction.
-const FEW: usize = 32;
+/// Work on more records than this begins a transaction; a further fsync is nothing beside it.
+pub(super) const MANY: usize = 1_000;
 
 /// What a piece of work gets: the connection inside the open transaction, and the keys of known names.
 pub(in crate::store) struct Session<'a> {
@@ -46,11 +48,13 @@ struct Task<T, F> {
 
 impl<T: Send, F: FnOnce(&mut Session<'_>) -> Result<T, StoreError> + Send> Job for Task<T, F> {
     fn is_large(&self) -> bool {
-        self.records > FEW
+        self.records > MANY
     }
 
     fn run(&mut self, session: &mut Session<'_>) -> bool {
         if let Some(work) = self.work.take() {
+            // Stands where the work panics.
+            self.outcome = Err(failed_job());
             self.outcome = work(session);
         }
         self.outcome.is_ok()
@@ -84,7 +88,10 @@ impl Writer {
         let (messages, inbox) = mpsc::channel();
         let thread = thread::Builder::new()
             .name("ledger".to_owned())
-            .spawn(move || serve(connection, &inbox))
+            .spawn({
+                let checkpoints = Checkpoints::new(path);
+                move || serve(connection, checkpoints, &inbox)
+            })
             .map_err(|error| StoreError::home(path, &error))?;
         Ok(Self { messages, thread: Mutex::new(Some(thread)) })
     }
@@ -95,10 +102,19 @@ impl Writer {
         records: usize,
         work: impl FnOnce(&mut Session<'_>) -> Result<T, StoreError> + Send + 'static,
     ) -> Result<T, StoreError> {
+        self.ask(records, work)?.recv().map_err(|_| StoreError::Closed)?
+    }
+
+    /// Puts work into the queue; the answer comes when it is durable.
+    pub(super) fn ask<T: Send + 'static>(
+        &self,
+        records: usize,
+        work: impl FnOnce(&mut Session<'_>) -> Result<T, StoreError> + Send + 'static,
+    ) -> Result<Receiver<Result<T, StoreError>>, StoreError> {
         let (caller, answer) = mpsc::sync_channel(1);
         let task = Task { records, work: Some(work), outcome: Err(StoreError::Closed), caller };
         self.messages.send(Message::Work(Box::new(task))).map_err(|_| StoreError::Closed)?;
-        answer.recv().map_err(|_| StoreError::Closed)?
+        Ok(answer)
     }
 
     /// Lets waiting work finish, marks the file as cleanly closed and ends the thread.
@@ -127,12 +143,17 @@ impl Drop for Writer {
     }
 }
 
-fn serve(connection: Connection, inbox: &Receiver<Message>) {
+fn serve(connection: Connection, mut checkpoints: Checkpoints, inbox: &Receiver<Message>) {
     let mut names = Names::default();
     while let Ok(first) = inbox.recv() {
         let mut group = Vec::new();
         let last = gather(first, inbox, &mut group);
+        checkpoints.adjust(&connection);
         commit(&connection, &mut names, group);
+        if !connection.is_autocommit() {
+            // What could not be taken back must never be committed; closing the file takes it back.
+            return;
+        }
         match last {
             None => {}
             Some(Message::Close(caller)) => {
@@ -166,10 +187,17 @@ fn commit(connection: &Connection, names: &mut Names, group: Vec<Box<dyn Job>>) 
         match attempt(connection, names, job.as_mut()) {
             Ok(true) => done.push(job),
             Ok(false) => job.answer(Err(StoreError::Closed)),
-            Err(error) => job.answer(Err(error)),
+            Err(error) => {
+                job.answer(Err(error));
+                // Its half may be in there still.
+                if !connection.is_autocommit() && run(connection, "ROLLBACK").is_err() {
+                    answer_all(&mut done, &lost_group());
+                    return;
+                }
+            }
         }
         if connection.is_autocommit() {
-            // SQLite took back the whole transaction (disk full, I/O error): nobody was acknowledged yet.
+            // The transaction is gone (disk full, I/O error): nobody in it was acknowledged yet.
             names.clear();
             answer_all(&mut done, &lost_group());
         }
@@ -186,13 +214,13 @@ fn settle(connection: &Connection, names: &mut Names, done: &mut Vec<Box<dyn Job
     answer_all(done, &result);
 }
 
-/// Whether the job did its work; an error means that it could not even be tried or kept.
+/// Whether the job did its work; an error means that it could not be tried, kept or taken back.
 fn attempt(connection: &Connection, names: &mut Names, job: &mut dyn Job) -> Result<bool, StoreError> {
     let is_first = connection.is_autocommit();
     run(connection, if is_first { "BEGIN IMMEDIATE" } else { "SAVEPOINT job" })?;
     // A fault of one piece of work must end neither this thread nor its neighbours' work.
     let done = catch_unwind(AssertUnwindSafe(|| job.run(&mut Session { connection, names })));
-    if done.as_ref().is_ok_and(|done| *done) {
+    if matches!(done, Ok(true)) {
         if !is_first {
             run(connection, "RELEASE job")?;
         }
@@ -202,7 +230,7 @@ fn attempt(connection: &Connection, names: &mut Names, job: &mut dyn Job) -> Res
     if !connection.is_autocommit() {
         take_back(connection, is_first)?;
     }
-    done.map_err(|_| failed_job())
+    Ok(false)
 }
 
 fn take_back(connection: &Connection, is_first: bool) -> Result<(), StoreError> {

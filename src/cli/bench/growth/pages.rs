@@ -1,6 +1,6 @@
 //! Pages of a list, as the console asks for them.
 
-use super::fill::{BEGIN, OWNER};
+use super::fill::{BEGIN, OWNER, RARE};
 use super::{Figures, timed};
 use crate::model::{RecordKind, RecordState, Timestamp};
 use crate::service::Failure;
@@ -23,7 +23,16 @@ pub(super) fn time(ledger: &Ledger) -> Result<Figures, Failure> {
     let held = RecordQuery { state: Some(RecordState::Quarantined), ..page.clone() };
     let none = RecordQuery { state: Some(RecordState::Tampered), ..page.clone() };
     let time = RecordQuery { until: Some(Timestamp(BEGIN + 500_000_000)), ..page.clone() };
-    let asked = [("page", page), ("next", next), ("topic", topic), ("held", held), ("none", none), ("time", time)];
+    let tag = RecordQuery { filters: vec![RARE], ..page.clone() };
+    let asked = [
+        ("page", page),
+        ("next", next),
+        ("topic", topic),
+        ("held", held),
+        ("none", none),
+        ("time", time),
+        ("tag", tag),
+    ];
     let mut figures = Vec::new();
     for (name, query) in asked {
         figures.push((name, timed(|| ledger.list(&query).map(drop).map_err(Failure::from))?));

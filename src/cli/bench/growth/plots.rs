@@ -8,7 +8,7 @@ use super::{NOTES, Row, works};
 /// The works of each plot: a title, and how their names begin.
 const PLOTS: [(&str, &[&str]); 3] = [
     ("Ledger: a record more, its life line, and counts", &["append", "life", "counts"]),
-    ("Pages of a list", &["page", "next", "topic", "held", "none", "time"]),
+    ("Pages of a list", &["page", "next", "topic", "held", "none", "time", "tag"]),
     ("Console: frames, keys and rows", &["frame", "key", "rows in", "filter", "encode"]),
 ];
 

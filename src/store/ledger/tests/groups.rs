@@ -1,13 +1,15 @@
 //! Many pieces of work in one transaction: whatever fails among them takes nothing else with it and leaves nothing.
 
-use std::sync::mpsc;
+use std::sync::mpsc::{self, Receiver};
 
 use proptest::prelude::*;
 
 use super::*;
 
-/// What a thread asks of the ledger.
-#[derive(Debug, Clone, Copy)]
+type Answer = Receiver<Result<(), StoreError>>;
+
+/// What is asked of the ledger.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Ask {
     /// So many records.
     Append(u64),
@@ -15,15 +17,17 @@ enum Ask {
     Clash(u64),
     /// So many, then a panic: none may stay.
     Panic(u64),
+    /// So many, and the transaction is taken back, as SQLite does where the disk fails.
+    Lose(u64),
 }
 
 fn ask() -> impl Strategy<Value = Ask> {
-    // Above 32 a piece of work begins a transaction of its own.
-    let size = || prop_oneof![1u64..4, 30u64..36, 60u64..80];
+    let size = || 1u64..9;
     prop_oneof![
-        3 => size().prop_map(Ask::Append),
-        1 => size().prop_map(Ask::Clash),
-        1 => size().prop_map(Ask::Panic),
+        6 => size().prop_map(Ask::Append),
+        2 => size().prop_map(Ask::Clash),
+        2 => size().prop_map(Ask::Panic),
+        1 => size().prop_map(Ask::Lose),
     ]
 }
 
@@ -32,52 +36,68 @@ fn own(topic: u8, count: u64) -> Vec<NewRecord> {
     (1..=count).map(|seq| record(2, topic, seq)).collect()
 }
 
-/// Asks; whether it was acknowledged.
-fn put(ledger: &Ledger, topic: u8, ask: Ask) -> bool {
-    match ask {
-        Ask::Append(count) => ledger.append(own(topic, count)).is_ok(),
-        Ask::Clash(count) => {
-            let clash = NewRecord { digest: Digest([topic; 32]), ..record(1, 1, 1) };
-            ledger.append([own(topic, count), vec![clash]].concat()).is_ok()
+/// Puts work into the queue; `large` says that it is on very many records.
+fn put(ledger: &Ledger, topic: u8, ask: Ask, large: bool) -> Answer {
+    let (Ask::Append(count) | Ask::Clash(count) | Ask::Panic(count) | Ask::Lose(count)) = ask;
+    let clash = NewRecord { digest: Digest([topic; 32]), ..record(1, 1, 1) };
+    let mut records = own(topic, count);
+    records.extend((matches!(ask, Ask::Clash(_))).then_some(clash));
+    let size = if large { writer::MANY + 1 } else { records.len() };
+    let work = move |session: &mut Session<'_>| {
+        records.iter().try_for_each(|record| append::add(session, record, 1))?;
+        assert!(!matches!(ask, Ask::Panic(_)), "on purpose");
+        if matches!(ask, Ask::Lose(_)) {
+            session.connection.execute_batch("ROLLBACK")?;
+            return Err(StoreError::DiskFull { file: "ledger.db".into() });
         }
-        Ask::Panic(count) => {
-            let records = own(topic, count);
-            let asked = usize::try_from(count).expect("few");
-            let answer: Result<(), _> = ledger.write_many(asked, move |session| {
-                records.iter().try_for_each(|record| append::add(session, record, 1))?;
-                panic!("on purpose")
-            });
-            answer.is_ok()
+        Ok(())
+    };
+    ledger.shared.writer.ask(size, work).expect("open")
+}
+
+/// Which of these stay, done in one group. A large one begins a transaction; a lost one takes the transaction so far with it.
+fn kept(asks: &[(Ask, bool)]) -> Vec<bool> {
+    let (mut kept, mut begun) = (Vec::new(), 0);
+    for (place, (ask, large)) in asks.iter().enumerate() {
+        if *large {
+            begun = place;
         }
+        if matches!(ask, Ask::Lose(_)) {
+            kept.iter_mut().skip(begun).for_each(|kept| *kept = false);
+            begun = place + 1;
+        }
+        kept.push(matches!(ask, Ask::Append(_)));
     }
+    kept
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: 48, ..ProptestConfig::default() })]
 
     #[test]
-    fn what_fails_in_a_group_leaves_nothing_and_takes_nothing_with_it(asks in prop::collection::vec(ask(), 1..20)) {
+    fn what_fails_in_a_group_leaves_nothing_and_takes_nothing_with_it(
+        asks in prop::collection::vec((ask(), prop::bool::weighted(0.2)), 1..24),
+    ) {
         let (home, ledger) = open();
         ledger.append(vec![record(1, 1, 1)]).expect("acknowledged");
-        let (go, wait) = mpsc::channel::<()>();
-        let answers: Vec<bool> = thread::scope(|scope| {
-            // The writing thread stands still until all have asked, so that they are done in one group.
-            let holder = scope.spawn(|| ledger.write(move |_| Ok(wait.recv().is_ok())));
-            let threads: Vec<_> = (1u8..).zip(&asks).map(|(topic, ask)| {
-                let ledger = &ledger;
-                scope.spawn(move || put(ledger, topic, *ask))
-            }).collect();
-            thread::sleep(std::time::Duration::from_millis(20));
-            go.send(()).expect("held");
-            assert_eq!(holder.join().expect("joined"), Ok(true));
-            threads.into_iter().map(|thread| thread.join().expect("joined")).collect()
-        });
+        let ((begin, begun), (go, wait)) = (mpsc::channel(), mpsc::channel::<()>());
+        // The writing thread stands still until all is asked, so that it is done in one group.
+        let holder = ledger.shared.writer.ask(1, move |_| Ok(begin.send(()).is_ok() && wait.recv().is_ok()));
+        let holder = holder.expect("open");
+        begun.recv().expect("begun");
+        let answers: Vec<Answer> =
+            (1u8..).zip(&asks).map(|(topic, (ask, large))| put(&ledger, topic, *ask, *large)).collect();
+        go.send(()).expect("held");
+        prop_assert_eq!(holder.recv().expect("answered"), Ok(true));
         let mut expected = 1;
-        for ((topic, ask), answer) in (1u8..).zip(&asks).zip(answers) {
-            let kept = if let Ask::Append(count) = ask { *count } else { 0 };
-            prop_assert_eq!(answer, kept > 0);
-            prop_assert_eq!(ledger.next_seq(Address([2; 20]), TopicId([topic; 16])), Ok(kept + 1));
-            expected += kept;
+        for (((topic, (ask, _)), answer), kept) in (1u8..).zip(&asks).zip(answers).zip(kept(&asks)) {
+            let answer = answer.recv().expect("answered");
+            prop_assert_eq!(answer.is_ok(), kept, "{:?}: {:?}", ask, answer);
+            prop_assert!(answer != Err(StoreError::Closed));
+            let Ask::Append(count) = ask else { continue };
+            let count = if kept { *count } else { 0 };
+            prop_assert_eq!(ledger.next_seq(Address([2; 20]), TopicId([topic; 16])), Ok(count + 1));
+            expected += count;
         }
         prop_assert_eq!(ledger.counts(None).expect("counts").captured(), expected);
         prop_assert_eq!(ledger.contradictions().expect("looked"), Vec::<String>::new());
@@ -96,12 +116,8 @@ fn lists_name_every_state_of_a_topic_in_the_order_of_capture() {
     let (tampered, held) = (&digests[10..20], &digests[30..35]);
     assert_eq!(ledger.advance(tampered, Stored, RecordState::Tampered), Ok(10));
     assert_eq!(ledger.advance(held, Stored, RecordState::Quarantined), Ok(5));
-    let page = ledger.list(&RecordQuery { limit: 100, ..RecordQuery::default() }).expect("page");
-    assert_eq!(page.rows.iter().map(|row| row.digest).collect::<Vec<_>>(), digests);
-    let newest = RecordQuery { newest_first: true, limit: 12, ..RecordQuery::default() };
-    let page = ledger.list(&newest).expect("page");
-    assert_eq!(
-        page.rows.iter().map(|row| row.digest).collect::<Vec<_>>(),
-        digests.iter().rev().copied().take(12).collect::<Vec<_>>()
-    );
+    let found = |query| ledger.list(&query).expect("page").rows.iter().map(|row| row.digest).collect::<Vec<_>>();
+    assert_eq!(found(RecordQuery { limit: 100, ..RecordQuery::default() }), digests);
+    let newest: Vec<Digest> = digests.iter().rev().copied().take(12).collect();
+    assert_eq!(found(RecordQuery { newest_first: true, limit: 12, ..RecordQuery::default() }), newest);
 }

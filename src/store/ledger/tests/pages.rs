@@ -3,7 +3,12 @@
 use proptest::prelude::*;
 
 use super::*;
+use crate::model::FilterId;
 use RecordState::Sealed;
+
+fn tag(number: u64) -> FilterId {
+    FilterId(number.to_be_bytes())
+}
 
 proptest! {
     #![proptest_config(ProptestConfig { cases: 48, ..ProptestConfig::default() })]
@@ -19,11 +24,14 @@ proptest! {
         until in prop::option::of(0u64..20),
         newest_first in any::<bool>(),
         limit in 1usize..9,
+        tagged in prop::option::of(1u64..5),
     ) {
         let (_home, ledger) = open();
         let records: Vec<NewRecord> = (1u64..).zip(&times).map(|(seq, (owner, topic, time, stored))| NewRecord {
             captured_at: Timestamp(*time),
             state: if *stored { Stored } else { Sealed },
+            // Some topics never, some now and then.
+            filters: (1..5).filter(|tag| (u64::from(*topic) + seq / 7).is_multiple_of(*tag)).map(tag).collect(),
             ..record(*owner, *topic, seq)
         }).collect();
         ledger.append(records.clone()).expect("acknowledged");
@@ -36,6 +44,7 @@ proptest! {
             until: until.map(Timestamp),
             limit,
             newest_first,
+            filters: tagged.map(tag).into_iter().collect(),
             ..RecordQuery::default()
         };
         let mut expected: Vec<&NewRecord> = records.iter().filter(|record| {
@@ -44,6 +53,7 @@ proptest! {
                 && state.is_none_or(|state| state == record.state)
                 && since.is_none_or(|since| record.captured_at.0 >= since)
                 && until.is_none_or(|until| record.captured_at.0 < until)
+                && tagged.is_none_or(|number| record.filters.contains(&tag(number)))
         }).collect();
         expected.sort_by_key(|record| (record.captured_at, record.seq));
         if newest_first {
