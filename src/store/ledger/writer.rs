@@ -183,6 +183,9 @@ fn commit(connection: &Connection, names: &mut Names, group: Vec<Box<dyn Job>>) 
     for mut job in group {
         if job.is_large() && !done.is_empty() {
             settle(connection, names, &mut done);
+            if !connection.is_autocommit() {
+                return;
+            }
         }
         match attempt(connection, names, job.as_mut()) {
             Ok(true) => done.push(job),
