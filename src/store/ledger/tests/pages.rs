@@ -82,3 +82,23 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn a_ledger_of_version_7_is_brought_up_and_finds_its_tags() {
+    const BACK: &str = "DROP TABLE filter_streams; CREATE INDEX records_by_stream ON records (stream, captured_at);
+                        PRAGMA user_version = 7";
+    let (home, ledger) = open();
+    let tagged = NewRecord { filters: vec![tag(1), tag(2)], ..record(1, 1, 1) };
+    ledger.append(vec![tagged.clone(), record(1, 2, 1)]).expect("acknowledged");
+    ledger.close().expect("closed");
+    let path = home.path().join("ledger.db");
+    rusqlite::Connection::open(&path).and_then(|file| file.execute_batch(BACK)).expect("as it was");
+    let ledger = Ledger::open(&path).expect("brought up");
+    let found = |filters: Vec<FilterId>| {
+        let page = ledger.list(&RecordQuery { filters, ..RecordQuery::default() }).expect("page");
+        page.rows.iter().map(|row| row.digest).collect::<Vec<_>>()
+    };
+    assert_eq!(found(vec![tag(1), tag(2)]), [tagged.digest]);
+    assert_eq!(found(vec![tag(1), tag(3)]), []);
+    assert_eq!(found(Vec::new()).len(), 2);
+}
