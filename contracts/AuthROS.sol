@@ -8,7 +8,9 @@ pragma abicoder v2;
 /// @dev msg.sender is the identity. No ether, no external call, no upgrade, no loop over anything that
 ///      an outsider can grow. Every change emits an event, and all state can be rebuilt from the events.
 ///      Times are seconds since 1970. Acts that only take rights away (authorityRevoke, rotate, recall)
-///      and reads are never stopped by a pause or a suspension.
+///      and reads are never stopped by a pause or a suspension; nor is a recovery account's veto.
+///      The administrator is bounded: a succession waits, a pause ends, an admission can be withdrawn.
+///      For proofs of storage the layout stays as it is; contracts/README.md lists the slots.
 contract AuthROS {
     /// @dev One registered account. `epoch` 0 means that it is not registered.
     struct Account {
@@ -37,17 +39,48 @@ contract AuthROS {
         uint64 keys;
     }
 
-    /// @dev A root anchored by an account: the block of its first anchoring, and the number of leaves.
+    /// @dev A root anchored by an account: block and time of its first anchoring, the number of leaves, and the version
+    ///      of the account's keys then.
     struct Anchor {
         uint64 blockNumber;
         uint64 count;
+        uint64 time;
+        uint64 keys;
     }
 
-    /// @dev A device that may sign for its owner; `until` 0 means without end.
+    /// @dev A device that may sign for its owner; `until` 0 means without end. `lentAt` and `recalledAt` are blocks;
+    ///      `recalledAt` 0 means that it was not recalled since.
     struct Loan {
         bool active;
         uint64 until;
+        uint64 lentAt;
+        uint64 recalledAt;
     }
+
+    /// @dev One version of an account's keys: the Keccak-256 of its identity, and since when it stands.
+    struct Keys {
+        bytes32 identity;
+        uint64 blockNumber;
+        uint64 time;
+    }
+
+    /// @dev Who may stop a succession: `current` until `from`, `next` from then on; `from` 0 means that none was named.
+    struct Recovery {
+        address current;
+        uint64 from;
+        address next;
+    }
+
+    /// @dev A succession that waits: it can be completed from `due` on; `due` 0 means that there is none. `recovery` is
+    ///      who may stop it, the account that was in effect when it was proposed.
+    struct Proposal {
+        address successor;
+        uint64 due;
+        address recovery;
+    }
+
+    /// @notice Which contract this is.
+    uint256 public constant REVISION = 2;
 
     /// @notice Length of an identity: token (32) || P_C (64) || P_E (64) || proof (64).
     uint256 public constant IDENTITY_LENGTH = 224;
@@ -59,15 +92,23 @@ contract AuthROS {
     uint256 public constant LONGEST_ENVELOPE = 4096;
     /// @notice The longest capture time given with a digest, bytes.
     uint256 public constant LONGEST_TIMESTAMP = 32;
+    /// @notice The shortest delay of a succession that a contract can be deployed with, seconds.
+    uint64 public constant SHORTEST_DELAY = 1 days;
+    /// @notice The longest one, seconds.
+    uint64 public constant LONGEST_DELAY = 365 days;
+    /// @notice The longest pause, seconds.
+    uint64 public constant LONGEST_PAUSE = 3 days;
+    /// @notice How long changes must have gone on before the next pause, seconds.
+    uint64 public constant SHORTEST_GAP = 7 days;
 
-    /// @notice Who admits, suspends, pauses and names successors.
+    /// @notice Who admits, suspends, pauses and proposes successors.
     address public administrator;
     /// @notice Who was named as the next administrator and has not accepted yet.
     address public nominee;
     /// @notice Whether anyone may register.
     bool public open;
-    /// @notice Whether changes are stopped.
-    bool public paused;
+    /// @notice Until when changes are stopped, or were last; 0 where they never were.
+    uint64 public pausedUntil;
     /// @notice Who may register while registration is closed.
     mapping(address => bool) public admitted;
     /// @notice Who continues the work of a lost account.
@@ -80,7 +121,7 @@ contract AuthROS {
     mapping(address => mapping(address => Grant)) public grantOf;
     /// @notice The envelope that an owner gave a grantee for an epoch.
     mapping(address => mapping(address => mapping(uint64 => Envelope))) public envelopeOf;
-    /// @notice When an account first anchored a root, and over how many leaves.
+    /// @notice When an account first anchored a root, over how many leaves, and with which version of its keys.
     mapping(address => mapping(bytes32 => Anchor)) public anchorOf;
     /// @notice Whether an owner lends a device its signature.
     mapping(address => mapping(bytes32 => Loan)) public loanOf;
@@ -91,6 +132,15 @@ contract AuthROS {
     mapping(address => Account) private accounts;
     /// @dev Written at registration already, so that the first anchor costs what each further one does.
     mapping(address => bytes32) private heads;
+    mapping(address => Recovery) private recoveries;
+
+    /// @notice How long a succession waits where the lost account has a recovery account, else twice as long; seconds.
+    /// @dev Written by the constructor alone. Not immutable, so that all contracts of this revision have the same code.
+    uint64 public delay;
+    /// @notice The succession that was proposed for an account and waits.
+    mapping(address => Proposal) public proposalOf;
+    /// @notice Each version of an account's keys, from 1 on.
+    mapping(address => mapping(uint64 => Keys)) public keysOf;
 
     /// @notice An account registered; it stands at epoch 1.
     event Registered(address indexed owner, bytes32 indexed token, bytes identity);
@@ -117,26 +167,38 @@ contract AuthROS {
     event Rotated(address indexed owner, uint64 epoch, bytes32 token);
     /// @notice A Merkle root over `count` digests was anchored after `previous`.
     event Anchored(address indexed account, bytes32 indexed root, uint64 count, bytes32 previous);
+    /// @notice A grant ends later than it did, and goes on otherwise unchanged; expiry 0 means no end.
+    event Extended(address indexed owner, address indexed grantee, uint64 expiry);
+    /// @notice An owner named who may stop a succession of its account, from a time on; zero means nobody.
+    event RecoveryNamed(address indexed owner, address indexed recovery, uint64 from);
     /// @notice A device may sign for its owner; until 0 means without end.
     event Lent(address indexed owner, bytes32 indexed device, uint64 until);
     /// @notice A device may no longer sign for its owner.
     event Recalled(address indexed owner, bytes32 indexed device);
     /// @notice The administrator let an account register.
     event Admitted(address indexed account);
+    /// @notice The administrator withdrew an admission.
+    event Dismissed(address indexed account);
     /// @notice Registration was opened to all, or closed.
     event OpenChanged(bool open);
     /// @notice An account may make no more changes but those that take rights away.
     event Suspended(address indexed account);
     /// @notice A suspended account is free again.
     event Restored(address indexed account);
-    /// @notice Changes are stopped, or go on.
-    event PausedChanged(bool paused);
+    /// @notice Changes are stopped until a time; one that has come means that they go on.
+    event PausedUntil(uint64 until);
+    /// @notice A successor is proposed for a lost account; it takes effect by completion, from a time on.
+    event SuccessionProposed(address indexed lost, address indexed successor, address recovery, uint64 due);
+    /// @notice A succession that waited was stopped by the recovery account, or withdrawn by the administrator.
+    event SuccessionCancelled(address indexed lost, address indexed by);
     /// @notice A lost account is suspended for good, and another continues its work.
     event Succeeded(address indexed lost, address indexed successor);
     /// @notice The administrator named a next one.
     event AdministratorNominated(address indexed nominee);
     /// @notice The administrator changed.
     event AdministratorChanged(address indexed previous, address indexed administrator);
+    /// @notice How long a succession waits here, seconds; emitted once, by the constructor.
+    event DelayFixed(uint64 delay);
 
     modifier onlyAdministrator() {
         require(msg.sender == administrator, "administrator");
@@ -151,18 +213,22 @@ contract AuthROS {
 
     /// @dev The sender may change things: registered, not suspended, contract not paused.
     modifier acting() {
-        require(!paused, "paused");
+        require(!paused(), "paused");
         require(accounts[msg.sender].epoch != 0, "unregistered");
         require(!accounts[msg.sender].suspended, "suspended");
         _;
     }
 
     /// @param open_ whether anyone may register, or only whom the administrator admits
-    constructor(bool open_) {
+    /// @param delay_ how long a succession waits, seconds; between a day and a year
+    constructor(bool open_, uint64 delay_) {
+        require(delay_ >= SHORTEST_DELAY && delay_ <= LONGEST_DELAY, "delay");
         administrator = msg.sender;
         open = open_;
+        delay = delay_;
         emit AdministratorChanged(address(0), msg.sender);
         emit OpenChanged(open_);
+        emit DelayFixed(delay_);
     }
 
     // ---- identity ----
@@ -172,13 +238,12 @@ contract AuthROS {
     /// @param identity token || P_C || P_E || proof, 224 bytes
     function register(bytes calldata identity) external {
         Account storage account = accounts[msg.sender];
-        require(!paused, "paused");
+        require(!paused(), "paused");
         require(!account.suspended, "suspended");
         require(account.epoch == 0, "registered");
         require(open || admitted[msg.sender], "closed");
         bytes32 token = tokenOf(identity);
-        account.keys = 1;
-        account.identity = identity;
+        setKeys(account, 1, identity);
         heads[msg.sender] = NO_ROOT;
         setToken(account, token);
         emit Registered(msg.sender, token, identity);
@@ -189,8 +254,7 @@ contract AuthROS {
     function rotateKeys(bytes calldata identity) external acting {
         Account storage account = accounts[msg.sender];
         require(tokenOf(identity) == account.token, "token unknown");
-        account.keys += 1;
-        account.identity = identity;
+        setKeys(account, account.keys + 1, identity);
         emit KeysRotated(msg.sender, account.keys, identity);
     }
 
@@ -200,6 +264,20 @@ contract AuthROS {
         Account storage account = accounts[msg.sender];
         setToken(account, newToken);
         emit Rotated(msg.sender, account.epoch, newToken);
+    }
+
+    /// @notice Names who may stop a succession of the sender's account. It takes effect after the delay, so that a thief
+    ///         of the account gains nothing where the succession is proposed before.
+    /// @dev The recovery account need not be registered; no pause or suspension stops its veto.
+    /// @param recovery who, another account; the zero address names nobody
+    function nameRecovery(address recovery) external acting {
+        require(recovery != msg.sender, "self");
+        Recovery storage named = recoveries[msg.sender];
+        uint64 from = uint64(block.timestamp) + delay;
+        named.current = recoveryInEffect(named);
+        named.next = recovery;
+        named.from = from;
+        emit RecoveryNamed(msg.sender, recovery, from);
     }
 
     // ---- digests ----
@@ -256,7 +334,8 @@ contract AuthROS {
         require(headOf(msg.sender) == previous, "previous");
         heads[msg.sender] = root;
         if (anchorOf[msg.sender][root].blockNumber == 0) {
-            anchorOf[msg.sender][root] = Anchor(uint64(block.number), count);
+            uint64 keys = accounts[msg.sender].keys;
+            anchorOf[msg.sender][root] = Anchor(uint64(block.number), count, uint64(block.timestamp), keys);
         }
         emit Anchored(msg.sender, root, count, previous);
     }
@@ -286,6 +365,17 @@ contract AuthROS {
         grant.expiry = expiry;
         grant.scope = scopeHash(scope);
         emit Granted(msg.sender, grantee, epoch, expiry, scope, envelope);
+    }
+
+    /// @notice Lets a grant that has not ended end later; nothing else of it changes, and the epoch goes on.
+    /// @param grantee whose grant
+    /// @param expiry its new end, seconds, later than the one it has; 0 means no end
+    function extend(address grantee, uint64 expiry) external acting {
+        Grant storage grant = grantOf[msg.sender][grantee];
+        require(standing(grant), "no grant");
+        require(grant.expiry != 0 && (expiry == 0 || expiry > grant.expiry), "shorter");
+        grant.expiry = expiry;
+        emit Extended(msg.sender, grantee, expiry);
     }
 
     /// @notice Gives grantees the envelopes of a further epoch.
@@ -323,15 +413,17 @@ contract AuthROS {
     function lend(bytes32 device, uint64 until) external acting {
         require(device != 0, "empty");
         require(until == 0 || until > block.timestamp, "expired");
-        loanOf[msg.sender][device] = Loan(true, until);
+        loanOf[msg.sender][device] = Loan(true, until, uint64(block.number), 0);
         emit Lent(msg.sender, device, until);
     }
 
     /// @notice Takes a loan back.
     /// @param device SM3 of the device's SM2 public key
     function recall(bytes32 device) external registered {
-        require(loanOf[msg.sender][device].active, "no loan");
-        loanOf[msg.sender][device].active = false;
+        Loan storage loan = loanOf[msg.sender][device];
+        require(loan.active, "no loan");
+        loan.active = false;
+        loan.recalledAt = uint64(block.number);
         emit Recalled(msg.sender, device);
     }
 
@@ -343,6 +435,14 @@ contract AuthROS {
         require(!admitted[account], "unchanged");
         admitted[account] = true;
         emit Admitted(account);
+    }
+
+    /// @notice Withdraws an admission. Whoever registered meanwhile stays registered.
+    /// @param account who
+    function dismiss(address account) external onlyAdministrator {
+        require(admitted[account], "unchanged");
+        admitted[account] = false;
+        emit Dismissed(account);
     }
 
     /// @notice Opens registration to all, or closes it.
@@ -370,22 +470,59 @@ contract AuthROS {
         emit Restored(account);
     }
 
-    /// @notice Stops all changes but those that take rights away, or lets them go on.
-    /// @param paused_ whether changes are stopped
-    function setPaused(bool paused_) external onlyAdministrator {
-        require(paused != paused_, "unchanged");
-        paused = paused_;
-        emit PausedChanged(paused_);
+    /// @notice Stops all changes but those that take rights away, until a time. They go on by themselves then.
+    /// @param until when they go on, seconds; at most three days ahead, and not within a week of the last pause
+    function pause(uint64 until) external onlyAdministrator {
+        require(until > block.timestamp && until <= block.timestamp + LONGEST_PAUSE, "pause");
+        require(pausedUntil == 0 || block.timestamp >= uint256(pausedUntil) + SHORTEST_GAP, "gap");
+        pausedUntil = until;
+        emit PausedUntil(until);
     }
 
-    /// @notice Names the account that continues the work of a lost one, which is suspended for good.
-    /// @dev A lost account stays suspended, so successors never form a circle and whoever follows them ends.
+    /// @notice Lets changes go on before the pause's end.
+    function resume() external onlyAdministrator {
+        require(paused(), "unchanged");
+        pausedUntil = uint64(block.timestamp);
+        emit PausedUntil(uint64(block.timestamp));
+    }
+
+    /// @notice Proposes who continues the work of a lost account. It waits for the delay; where the owner had named no
+    ///         recovery account that is in effect now, for twice the delay.
     /// @param lost the account whose key is lost or stolen
     /// @param successor a registered account that is not suspended
-    function succeed(address lost, address successor) external onlyAdministrator {
+    function proposeSuccession(address lost, address successor) external onlyAdministrator {
         require(accounts[lost].epoch != 0 && accounts[successor].epoch != 0, "unregistered");
         require(lost != successor, "self");
         require(!accounts[successor].suspended, "successor");
+        require(successorOf[lost] == address(0), "succeeded");
+        require(proposalOf[lost].due == 0, "pending");
+        address recovery = recoveryInEffect(recoveries[lost]);
+        uint64 due = uint64(block.timestamp) + (recovery == address(0) ? 2 * delay : delay);
+        proposalOf[lost] = Proposal(successor, due, recovery);
+        emit SuccessionProposed(lost, successor, recovery, due);
+    }
+
+    /// @notice Stops a succession that waits: only for the recovery account that was in effect when it was proposed, and
+    ///         for the administrator. The lost account itself cannot, for its thief must not.
+    /// @param lost whose succession
+    function cancelSuccession(address lost) external {
+        Proposal storage proposal = proposalOf[lost];
+        require(proposal.due != 0, "no proposal");
+        require(msg.sender == proposal.recovery || msg.sender == administrator, "recovery");
+        delete proposalOf[lost];
+        emit SuccessionCancelled(lost, msg.sender);
+    }
+
+    /// @notice Completes a succession whose time has come; anybody may. The lost account is suspended for good.
+    /// @dev A lost account stays suspended, so successors never form a circle and whoever follows them ends.
+    /// @param lost whose succession
+    function completeSuccession(address lost) external {
+        Proposal storage proposal = proposalOf[lost];
+        address successor = proposal.successor;
+        require(proposal.due != 0, "no proposal");
+        require(block.timestamp >= proposal.due, "early");
+        require(!accounts[successor].suspended, "successor");
+        delete proposalOf[lost];
         successorOf[lost] = successor;
         accounts[lost].suspended = true;
         emit Succeeded(lost, successor);
@@ -448,7 +585,37 @@ contract AuthROS {
         if (root == NO_ROOT) root = 0;
     }
 
+    /// @notice Whether changes are stopped now.
+    /// @return stopped whether they are
+    function paused() public view returns (bool stopped) {
+        stopped = block.timestamp < pausedUntil;
+    }
+
+    /// @notice Who may stop a succession of an account that is proposed now, and who was named to from a time on.
+    /// @param owner whose
+    /// @return recovery who may; zero where nobody
+    /// @return next who was named last; zero where nobody
+    /// @return from when `next` takes effect, or took; 0 where the owner never named anybody
+    function recoveryOf(address owner) external view returns (address recovery, address next, uint64 from) {
+        Recovery storage named = recoveries[owner];
+        recovery = recoveryInEffect(named);
+        next = named.next;
+        from = named.from;
+    }
+
     // ---- inner ----
+
+    /// @dev Notes an account's keys under their version, for good.
+    function setKeys(Account storage account, uint64 keys, bytes calldata identity) private {
+        account.keys = keys;
+        account.identity = identity;
+        keysOf[msg.sender][keys] = Keys(keccak256(identity), uint64(block.number), uint64(block.timestamp));
+    }
+
+    /// @dev The recovery account that is in effect now.
+    function recoveryInEffect(Recovery storage named) private view returns (address) {
+        return named.from != 0 && block.timestamp >= named.from ? named.next : named.current;
+    }
 
     /// @dev Begins the sender's next epoch with a token that it never used.
     function setToken(Account storage account, bytes32 token) private {

@@ -70,6 +70,8 @@ pub struct Config {
     pub vault_backlog: u64,
     /// How long verified records stay on this disk beside a vault that is only a cache; `None` = always.
     pub vault_local: Option<Duration>,
+    /// How long a robot keeps ciphertext that its gateway has proven to hold; `None` = always.
+    pub outbox_keep: Option<Duration>,
     /// What the setting says of ciphertext that is kept; see [`Config::keeping`].
     pub retention: RetentionRules,
     /// Disk space that records leave free, bytes.
@@ -88,12 +90,27 @@ pub struct Config {
     pub scrub_percent: u64,
     /// Blocks until confirmed.
     pub confirmations: u64,
+    /// Whom the gateway of this home takes.
+    pub gateway: GatewayRules,
     /// The gateway of the remote site that this one joins.
     pub site: Option<RemoteSite>,
     /// Rules for topics (`[[topic]]` tables of the file).
     pub topic_rules: TopicRules,
     /// How the console looks.
     pub console: ConsoleSettings,
+}
+
+/// Whom the gateway of this home takes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct GatewayRules {
+    /// Also owners whom nobody admitted, within the quotas that follow.
+    pub open: bool,
+    /// Bytes of such an owner's records.
+    pub bytes: u64,
+    /// Names of such an owner.
+    pub names: u64,
+    /// Streams of such an owner: combinations of recorder, topic, kind, type and signer.
+    pub streams: u64,
 }
 
 /// A remote site as the settings name it.
@@ -155,6 +172,7 @@ impl Config {
             vault_url: url(&values, "vault.url", VAULTS)?,
             vault_backlog: bytes(&values, "vault.backlog", 0)?,
             vault_local: span(&values, "vault.local", "always")?,
+            outbox_keep: span(&values, "outbox.keep", "always")?,
             retention: parsed(&values, "retention")?.unwrap_or_default(),
             disk_reserve: bytes(&values, "disk.reserve", 0)?,
             compression: switch(&values, "record.compression", ("auto", "off"))?,
@@ -164,6 +182,12 @@ impl Config {
             audit_every: Duration::from_secs(number(&values, "audit.anchor_every", 1, 86_400)?),
             scrub_percent: number(&values, "audit.scrub", 0, 1_000_000)?,
             confirmations: number(&values, "confirmations", 1, 1000)?,
+            gateway: GatewayRules {
+                open: switch(&values, "gateway.admission", ("open", "closed"))?,
+                bytes: bytes(&values, "gateway.quota_bytes", 0)?,
+                names: number(&values, "gateway.quota_names", 1, 10_000)?,
+                streams: number(&values, "gateway.quota_streams", 1, 1_000_000)?,
+            },
             site: remote_site(&values)?,
             topic_rules: TopicRules::default(),
             console: ConsoleSettings::read(&values)?,

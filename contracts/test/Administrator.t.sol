@@ -11,11 +11,15 @@ contract AdministratorTest is World {
         vm.recordLogs();
         AuthROS closed = deploy(false);
         Vm.Log[] memory logs = vm.getRecordedLogs();
-        vm.assertEq(logs.length, 2, "events");
+        vm.assertEq(logs.length, 3, "events");
         bytes32 changed = keccak256("AdministratorChanged(address,address)");
         vm.assertEq(abi.encodePacked(logs[0].topics), abi.encode(changed, address(0), ADMIN), "administrator");
         vm.assertEq(abi.encodePacked(logs[1].topics), abi.encode(keccak256("OpenChanged(bool)")), "open");
         vm.assertEq(logs[1].data, abi.encode(false), "closed");
+        vm.assertEq(abi.encodePacked(logs[2].topics), abi.encode(keccak256("DelayFixed(uint64)")), "delay");
+        vm.assertEq(logs[2].data, abi.encode(DELAY), "delay");
+        vm.assertEq(closed.delay(), DELAY, "delay");
+        vm.assertEq(closed.REVISION(), 2, "revision");
         vm.assertEq(closed.administrator(), ADMIN, "administrator");
         vm.assertEq(closed.open(), false, "closed");
         vm.assertEq(authros.open(), true, "open");
@@ -36,9 +40,13 @@ contract AdministratorTest is World {
             refused(other, "administrator");
             authros.restore(B);
             refused(other, "administrator");
-            authros.setPaused(true);
+            authros.dismiss(B);
             refused(other, "administrator");
-            authros.succeed(B, C);
+            authros.pause(1001);
+            refused(other, "administrator");
+            authros.resume();
+            refused(other, "administrator");
+            authros.proposeSuccession(B, C);
             refused(other, "administrator");
             authros.nominate(other);
         }
@@ -69,6 +77,26 @@ contract AdministratorTest is World {
         vm.assertEq(authros.open(), false, "open");
     }
 
+    function test_an_admission_is_withdrawn() public {
+        by(ADMIN);
+        authros.setOpen(false);
+        refused(ADMIN, "unchanged");
+        authros.dismiss(STRANGER);
+        by(ADMIN);
+        authros.admit(STRANGER);
+        by(ADMIN);
+        authros.dismiss(STRANGER);
+        emitted("Dismissed(address)", abi.encode(STRANGER), "");
+        vm.assertEq(authros.admitted(STRANGER), false, "dismissed");
+        refused(STRANGER, "closed");
+        authros.register(identity(7, 1));
+        refused(ADMIN, "unchanged");
+        authros.dismiss(STRANGER);
+        by(ADMIN);
+        authros.admit(STRANGER);
+        register(STRANGER, 7);
+    }
+
     function test_suspending_and_restoring_are_told_and_done_once() public {
         refused(ADMIN, "unchanged");
         authros.restore(A);
@@ -84,53 +112,6 @@ contract AdministratorTest is World {
         vm.assertEq(accountOf(A).suspended, false, "restored");
     }
 
-    function test_pausing_is_told_and_done_once() public {
-        refused(ADMIN, "unchanged");
-        authros.setPaused(false);
-        by(ADMIN);
-        authros.setPaused(true);
-        emitted("PausedChanged(bool)", "", abi.encode(true));
-        vm.assertEq(authros.paused(), true, "paused");
-        refused(ADMIN, "unchanged");
-        authros.setPaused(true);
-        by(ADMIN);
-        authros.setPaused(false);
-        emitted("PausedChanged(bool)", "", abi.encode(false));
-    }
-
-    function test_a_lost_account_has_a_successor_and_stays_suspended() public {
-        by(ADMIN);
-        authros.succeed(A, B);
-        emitted("Succeeded(address,address)", abi.encode(A, B), "");
-        vm.assertEq(authros.successorOf(A), B, "successor");
-        vm.assertEq(accountOf(A).suspended, true, "suspended");
-        refused(ADMIN, "succeeded");
-        authros.restore(A);
-        refused(ADMIN, "unchanged");
-        authros.suspend(A);
-        by(ADMIN);
-        authros.succeed(A, C);
-        vm.assertEq(authros.successorOf(A), C, "another successor");
-    }
-
-    function test_successors_are_registered_unsuspended_and_form_no_circle() public {
-        refused(ADMIN, "self");
-        authros.succeed(A, A);
-        refused(ADMIN, "unregistered");
-        authros.succeed(A, STRANGER);
-        refused(ADMIN, "unregistered");
-        authros.succeed(STRANGER, A);
-        by(ADMIN);
-        authros.succeed(A, B);
-        refused(ADMIN, "successor");
-        authros.succeed(B, A);
-        by(ADMIN);
-        authros.succeed(B, C);
-        refused(ADMIN, "successor");
-        authros.succeed(C, A);
-        vm.assertEq(authros.successorOf(C), address(0), "the last has none");
-    }
-
     function test_handing_over_takes_two_steps() public {
         refused(A, "nominee");
         authros.acceptAdministrator();
@@ -141,7 +122,7 @@ contract AdministratorTest is World {
         refused(B, "nominee");
         authros.acceptAdministrator();
         refused(A, "administrator");
-        authros.setPaused(true);
+        authros.pause(1001);
         by(A);
         authros.acceptAdministrator();
         emitted("AdministratorChanged(address,address)", abi.encode(ADMIN, A), "");
@@ -150,9 +131,9 @@ contract AdministratorTest is World {
         refused(A, "nominee");
         authros.acceptAdministrator();
         refused(ADMIN, "administrator");
-        authros.setPaused(true);
+        authros.pause(1001);
         by(A);
-        authros.setPaused(true);
+        authros.pause(1001);
     }
 
     function test_a_nomination_is_withdrawn() public {
@@ -167,13 +148,13 @@ contract AdministratorTest is World {
     function test_a_pause_stops_all_but_what_takes_rights_away() public {
         prepare();
         by(ADMIN);
-        authros.setPaused(true);
+        authros.pause(1001);
         stopped("paused");
         refused(STRANGER, "paused");
         authros.register(identity(7, 1));
         goesOn();
         by(ADMIN);
-        authros.setPaused(false);
+        authros.resume();
         upload(A, 1, 0xa1);
     }
 
@@ -211,6 +192,10 @@ contract AdministratorTest is World {
         authros.lend(bytes32(uint256(0xe)), 0);
         refused(A, reason);
         authros.rotateKeys(identity(0xa1, 2));
+        refused(A, reason);
+        authros.extend(B, 0);
+        refused(A, reason);
+        authros.nameRecovery(B);
     }
 
     function goesOn() private {

@@ -17,7 +17,9 @@ abstract contract Compared is Mirror {
         vm.assertEq(authros.administrator(), administrator, "administrator");
         vm.assertEq(authros.nominee(), nominee, "nominee");
         vm.assertEq(authros.open(), open, "open");
-        vm.assertEq(authros.paused(), paused, "paused");
+        vm.assertEq(authros.paused(), paused(), "paused");
+        vm.assertEq(authros.pausedUntil(), pausedUntil, "end of the pause");
+        vm.assertEq(authros.delay(), delay, "delay");
         for (uint256 index = 0; index < people.length; index++) {
             compareAccount(people[index]);
             compareWords(people[index]);
@@ -38,6 +40,12 @@ abstract contract Compared is Mirror {
         vm.assertEq(authros.admitted(owner), admitted[owner], "admitted");
         vm.assertEq(authros.successorOf(owner), successorOf[owner], "successor");
         vm.assertEq(authros.headOf(owner), headOf[owner], "head");
+        compareSuccession(owner);
+        for (uint64 keys = 0; keys < 4; keys++) {
+            Keys memory version;
+            (version.identity, version.blockNumber, version.time) = authros.keysOf(owner, keys);
+            vm.assertEq(abi.encode(version), abi.encode(keysOf[owner][keys]), "keys");
+        }
         address heir = owner;
         for (uint256 step = 0; step < people.length; step++) {
             heir = authros.successorOf(heir);
@@ -45,17 +53,27 @@ abstract contract Compared is Mirror {
         vm.assertEq(heir, address(0), "who follows the successors comes to an end");
     }
 
+    function compareSuccession(address owner) private view {
+        Proposal memory proposal;
+        (proposal.successor, proposal.due, proposal.recovery) = authros.proposalOf(owner);
+        vm.assertEq(abi.encode(proposal), abi.encode(proposalOf[owner]), "proposal");
+        (address recovery, address next, uint64 from) = authros.recoveryOf(owner);
+        vm.assertEq(recovery, recoveryOf(owner), "recovery account");
+        vm.assertEq(next, recoveries[owner].next, "recovery account named last");
+        vm.assertEq(from, recoveries[owner].from, "since when");
+    }
+
     function compareWords(address owner) private view {
         for (uint256 number = 0; number < WORDS; number++) {
             bytes32 word = bytes32(number);
             same(authros.epochOf(owner, word), epochOf[owner][word], "epoch of a token");
             same(authros.uploadedAt(owner, word), uploadedAt[owner][word], "block of a digest");
-            (uint64 blockNumber, uint64 count) = authros.anchorOf(owner, word);
-            same(blockNumber, anchorOf[owner][word].first, "block of an anchor");
-            same(count, anchorOf[owner][word].second, "count of an anchor");
-            (bool active, uint64 until) = authros.loanOf(owner, word);
-            same(active ? 1 : 0, loanOf[owner][word].active ? 1 : 0, "loan");
-            same(until, loanOf[owner][word].until, "end of a loan");
+            Anchor memory anchored;
+            (anchored.blockNumber, anchored.count, anchored.time, anchored.keys) = authros.anchorOf(owner, word);
+            same(abi.encode(anchored), abi.encode(anchorOf[owner][word]), "anchor");
+            Loan memory loan;
+            (loan.active, loan.until, loan.lentAt, loan.recalledAt) = authros.loanOf(owner, word);
+            same(abi.encode(loan), abi.encode(loanOf[owner][word]), "loan");
         }
     }
 
@@ -68,6 +86,10 @@ abstract contract Compared is Mirror {
             same(revokes, envelopeOf[owner][reader][epoch].first, "revokes of an envelope");
             same(keys, envelopeOf[owner][reader][epoch].second, "keys of an envelope");
         }
+    }
+
+    function same(bytes memory left, bytes memory right, string memory message) private pure {
+        if (keccak256(left) != keccak256(right)) vm.assertEq(left, right, message);
     }
 
     /// @dev As assertEq, but without the cost of a call where it holds.

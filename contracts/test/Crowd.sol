@@ -21,7 +21,7 @@ contract Crowd is Compared {
         vm.warp(1000);
         vm.recordLogs();
         vm.prank(people[0]);
-        authros = new AuthROS(true);
+        authros = new AuthROS(true, 1 days);
         takeAll(people[0]);
     }
 
@@ -37,8 +37,8 @@ contract Crowd is Compared {
 
     function register(uint256 who, uint256 token) external {
         address sender = person(who);
-        bool due = !paused && !accountOf[sender].suspended && accountOf[sender].epoch == 0 && (open || admitted[sender])
-            && word(token) != 0;
+        bool due = !paused() && !accountOf[sender].suspended && accountOf[sender].epoch == 0
+            && (open || admitted[sender]) && word(token) != 0;
         act(sender, abi.encodeWithSelector(authros.register.selector, identity(word(token), who)), due);
     }
 
@@ -90,6 +90,13 @@ contract Crowd is Compared {
         act(sender, abi.encodeWithSelector(authros.recall.selector, word(device)), due);
     }
 
+    function nameRecovery(uint256 who, uint256 recovery) external {
+        address sender = person(who);
+        address chosen = recovery % 7 == 0 ? address(0) : person(recovery);
+        bool due = acting(sender) && chosen != sender;
+        act(sender, abi.encodeWithSelector(authros.nameRecovery.selector, chosen), due);
+    }
+
     // ---- grants ----
 
     function authorityGrant(uint256 who, uint256 reader, uint256 epoch, uint256 end, uint256 topics) external {
@@ -106,6 +113,15 @@ contract Crowd is Compared {
             ),
             due
         );
+    }
+
+    function extend(uint256 who, uint256 reader, uint256 end) external {
+        address sender = person(who);
+        address chosen = reading(sender, reader);
+        uint64 expiry = grantOf[sender][chosen].expiry;
+        uint64 later = end % 2 == 0 ? time(end / 2) : expiry + uint64(end % 50);
+        bool due = acting(sender) && standing(sender, chosen) && expiry != 0 && (later == 0 || later > expiry);
+        act(sender, abi.encodeWithSelector(authros.extend.selector, chosen, later), due);
     }
 
     function wrap(uint256 who, uint256 reader, uint256 second, uint256 epoch) external {
@@ -143,10 +159,22 @@ contract Crowd is Compared {
         act(chief(who), abi.encodeWithSelector(authros.setOpen.selector, seed % 2 == 0), due);
     }
 
-    function setPaused(uint256 who, uint256 seed) external {
-        bool stop = seed % 4 == 0;
-        bool due = chief(who) == administrator && paused != stop;
-        act(chief(who), abi.encodeWithSelector(authros.setPaused.selector, stop), due);
+    function dismiss(uint256 who, uint256 account) external {
+        bool due = chief(who) == administrator && admitted[person(account)];
+        act(chief(who), abi.encodeWithSelector(authros.dismiss.selector, person(account)), due);
+    }
+
+    /// @dev For up to five minutes, now and then for four days, or until a time that has passed.
+    function pause(uint256 who, uint256 seed) external {
+        uint64 until = uint64(block.timestamp + (seed % 16 == 0 ? 4 days : seed % 400)) - 100;
+        bool due = chief(who) == administrator && until > block.timestamp && until <= block.timestamp + 3 days
+            && (pausedUntil == 0 || block.timestamp >= pausedUntil + 7 days);
+        act(chief(who), abi.encodeWithSelector(authros.pause.selector, until), due);
+    }
+
+    function resume(uint256 who) external {
+        bool due = chief(who) == administrator && paused();
+        act(chief(who), abi.encodeWithSelector(authros.resume.selector), due);
     }
 
     function suspend(uint256 who, uint256 account) external {
@@ -161,12 +189,27 @@ contract Crowd is Compared {
     }
 
     /// @dev Seldom: a lost account is out of the game.
-    function succeed(uint256 who, uint256 lost, uint256 successor, uint256 seldom) external {
-        if (seldom % 4 != 0) return;
+    function proposeSuccession(uint256 who, uint256 lost, uint256 successor, uint256 seldom) external {
+        if (seldom % 3 != 0) return;
         (address from, address to) = (person(lost), person(successor));
         bool due = chief(who) == administrator && from != to && accountOf[from].epoch != 0 && accountOf[to].epoch != 0
-            && !accountOf[to].suspended;
-        act(chief(who), abi.encodeWithSelector(authros.succeed.selector, from, to), due);
+            && !accountOf[to].suspended && successorOf[from] == address(0) && proposalOf[from].due == 0;
+        act(chief(who), abi.encodeWithSelector(authros.proposeSuccession.selector, from, to), due);
+    }
+
+    function cancelSuccession(uint256 who, uint256 lost) external {
+        address chosen = proposed(lost);
+        address recovery = proposalOf[chosen].recovery;
+        address sender = who % 4 == 0 && recovery != address(0) ? recovery : person(who / 4);
+        bool due = proposalOf[chosen].due != 0 && (sender == recovery || sender == administrator);
+        act(sender, abi.encodeWithSelector(authros.cancelSuccession.selector, chosen), due);
+    }
+
+    function completeSuccession(uint256 who, uint256 lost) external {
+        address chosen = proposed(lost);
+        Proposal memory proposal = proposalOf[chosen];
+        bool due = proposal.due != 0 && block.timestamp >= proposal.due && !accountOf[proposal.successor].suspended;
+        act(person(who), abi.encodeWithSelector(authros.completeSuccession.selector, chosen), due);
     }
 
     function nominate(uint256 who, uint256 account) external {
@@ -179,8 +222,9 @@ contract Crowd is Compared {
         act(sender, abi.encodeWithSelector(authros.acceptAdministrator.selector), sender == nominee);
     }
 
+    /// @dev Some seconds; now and then a day.
     function passTime(uint256 seconds_) external {
-        vm.warp(block.timestamp + (seconds_ % 30));
+        vm.warp(block.timestamp + (seconds_ % 8 == 0 ? 1 days : seconds_ % 30));
         vm.roll(block.number + 1 + (seconds_ % 3));
     }
 
@@ -239,7 +283,7 @@ contract Crowd is Compared {
     }
 
     function acting(address who) public view returns (bool) {
-        return !paused && accountOf[who].epoch != 0 && !accountOf[who].suspended;
+        return !paused() && accountOf[who].epoch != 0 && !accountOf[who].suspended;
     }
 
     function fresh(address who, bytes32 token) private view returns (bool) {
@@ -262,6 +306,24 @@ contract Crowd is Compared {
         return
             epoch >= grantOf[owner][reader].epoch
                 || (given.second != 0 && given.first == grantOf[owner][reader].revokes);
+    }
+
+    /// @dev Somebody for whom a succession waits, where there is one, most of the time.
+    function proposed(uint256 seed) private view returns (address) {
+        for (uint256 index = 0; seed % 8 != 0 && index < people.length; index++) {
+            address candidate = person(seed % 8 + index);
+            if (proposalOf[candidate].due != 0) return candidate;
+        }
+        return person(seed);
+    }
+
+    /// @dev Somebody who holds an owner's grant with an end, where there is one, most of the time.
+    function reading(address owner, uint256 seed) private view returns (address) {
+        for (uint256 index = 0; seed % 8 != 0 && index < people.length; index++) {
+            address candidate = person(seed % 8 + index);
+            if (standing(owner, candidate) && grantOf[owner][candidate].expiry != 0) return candidate;
+        }
+        return person(seed);
     }
 
     /// @dev Half of the time the administrator.

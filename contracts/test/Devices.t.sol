@@ -8,23 +8,30 @@ contract DevicesTest is World {
     bytes32 private constant DEVICE = bytes32(uint256(0xd));
 
     function test_a_device_is_lent_and_recalled() public {
+        vm.roll(70);
         by(A);
         authros.lend(DEVICE, 2000);
         emitted("Lent(address,bytes32,uint64)", abi.encode(A, DEVICE), abi.encode(uint64(2000)));
-        (bool active, uint64 until) = authros.loanOf(A, DEVICE);
+        (bool active, uint64 until, uint64 lentAt, uint64 recalledAt) = authros.loanOf(A, DEVICE);
         vm.assertEq(active, true, "lent");
         vm.assertEq(until, 2000, "until");
-        (active,) = authros.loanOf(B, DEVICE);
+        vm.assertEq(lentAt, 70, "since");
+        vm.assertEq(recalledAt, 0, "not recalled");
+        (active,,,) = authros.loanOf(B, DEVICE);
         vm.assertEq(active, false, "for nobody else");
+        vm.roll(71);
         by(A);
         authros.recall(DEVICE);
         emitted("Recalled(address,bytes32)", abi.encode(A, DEVICE), "");
-        (active, until) = authros.loanOf(A, DEVICE);
+        (active, until, lentAt, recalledAt) = authros.loanOf(A, DEVICE);
         vm.assertEq(active, false, "recalled");
+        vm.assertEq(lentAt, 70, "when it was lent");
+        vm.assertEq(recalledAt, 71, "when it was recalled");
         by(A);
         authros.lend(DEVICE, 0);
-        (active, until) = authros.loanOf(A, DEVICE);
+        (active, until, lentAt, recalledAt) = authros.loanOf(A, DEVICE);
         vm.assertEq(active, true, "lent again");
+        vm.assertEq(recalledAt, 0, "and not recalled since");
         vm.assertEq(until, 0, "without end");
     }
 

@@ -122,14 +122,28 @@ contract DigestsTest is World {
         vm.roll(70);
         by(A);
         authros.anchor(bytes32(uint256(1)), 5, bytes32(0));
+        by(A);
+        authros.rotateKeys(identity(0xa1, 2));
         vm.roll(71);
+        vm.warp(1001);
         by(A);
         authros.anchor(bytes32(uint256(1)), 6, bytes32(uint256(1)));
-        (uint64 blockNumber, uint64 count) = authros.anchorOf(A, bytes32(uint256(1)));
+        (uint64 blockNumber, uint64 count, uint64 time, uint64 keys) = authros.anchorOf(A, bytes32(uint256(1)));
         vm.assertEq(blockNumber, 70, "block");
         vm.assertEq(count, 5, "count");
-        (blockNumber, count) = authros.anchorOf(B, bytes32(uint256(1)));
-        vm.assertEq(blockNumber + count, 0, "another account's");
+        vm.assertEq(time, 1000, "time");
+        vm.assertEq(keys, 1, "keys");
+        (blockNumber, count, time, keys) = authros.anchorOf(B, bytes32(uint256(1)));
+        vm.assertEq(blockNumber + count + time + keys, 0, "another account's");
+    }
+
+    function test_an_anchor_names_the_version_of_the_keys() public {
+        by(A);
+        authros.rotateKeys(identity(0xa1, 2));
+        by(A);
+        authros.anchor(bytes32(uint256(1)), 5, bytes32(0));
+        (,,, uint64 keys) = authros.anchorOf(A, bytes32(uint256(1)));
+        vm.assertEq(keys, 2, "keys");
     }
 
     function test_nothing_empty_is_anchored() public {

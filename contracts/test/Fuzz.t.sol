@@ -67,6 +67,19 @@ contract FuzzTest is World {
         vm.assertEq(mayRead(B, 0xa1, A), due && (expiry == 0 || asked < expiry), "authorised");
     }
 
+    function testFuzz_a_grant_is_only_ever_lengthened(uint64 expiry, uint64 longer, uint64 asked) public {
+        expiry = 1001 + expiry % 1000;
+        by(A);
+        authros.authorityGrant(B, 1, expiry, topics(0), "envelope");
+        vm.warp(1000 + asked % 1500);
+        bool due = block.timestamp < expiry && (longer == 0 || longer > expiry);
+        vm.prank(A);
+        (bool done,) = address(authros).call(abi.encodeWithSelector(authros.extend.selector, B, longer));
+        vm.assertEq(done, due, "extended");
+        (,, uint64 kept,,) = authros.grantOf(A, B);
+        vm.assertEq(kept, due ? longer : expiry, "expiry");
+    }
+
     function testFuzz_a_grant_covers_its_epoch_and_the_later_ones(uint8 epochs, uint8 from) public {
         uint64 last = uint64(epochs % 10) + 1;
         uint64 first = uint64(from) % (last + 2);
@@ -128,7 +141,7 @@ contract FuzzTest is World {
         by(A);
         authros.lend(bytes32(uint256(0xd)), 0);
         bytes32 before = stateOfA();
-        bytes4[19] memory acts = selectors();
+        bytes4[25] memory acts = selectors();
         if (act % 3 == 0) first = bytes32(uint256(uint160(A)));
         if (act % 3 == 1) (first, second) = (bytes32(uint256(uint160(C))), bytes32(uint256(uint160(A))));
         vm.prank(B);
@@ -141,19 +154,22 @@ contract FuzzTest is World {
 
     function stateOfA() private returns (bytes32) {
         (bool active, uint64 epoch, uint64 expiry, uint64 revokes, bytes32 scope) = authros.grantOf(A, B);
-        (bool lent, uint64 until) = authros.loanOf(A, bytes32(uint256(0xd)));
+        (bool lent, uint64 until,,) = authros.loanOf(A, bytes32(uint256(0xd)));
         (uint64 given, uint64 keys) = authros.envelopeOf(A, B, 1);
         bytes memory grants = abi.encode(active, epoch, expiry, revokes, scope, lent, until, given, keys);
         bytes memory chief = abi.encode(
             authros.administrator(), authros.nominee(), authros.open(), authros.paused(), authros.successorOf(A)
         );
+        (address recovery, address next,) = authros.recoveryOf(A);
+        (, uint64 due,) = authros.proposalOf(A);
+        chief = abi.encode(chief, recovery, next, due);
         bytes memory own = abi.encode(
             accountOf(A), authros.headOf(A), authros.uploadedAt(A, bytes32(uint256(5))), mayRead(C, 0xa1, A)
         );
         return keccak256(abi.encode(grants, chief, own));
     }
 
-    function selectors() private view returns (bytes4[19] memory) {
+    function selectors() private view returns (bytes4[25] memory) {
         return [
             authros.register.selector,
             authros.rotateKeys.selector,
@@ -169,8 +185,14 @@ contract FuzzTest is World {
             authros.setOpen.selector,
             authros.suspend.selector,
             authros.restore.selector,
-            authros.setPaused.selector,
-            authros.succeed.selector,
+            authros.dismiss.selector,
+            authros.pause.selector,
+            authros.resume.selector,
+            authros.extend.selector,
+            authros.nameRecovery.selector,
+            authros.proposeSuccession.selector,
+            authros.cancelSuccession.selector,
+            authros.completeSuccession.selector,
             authros.nominate.selector,
             authros.acceptAdministrator.selector,
             bytes4(0x01020304)

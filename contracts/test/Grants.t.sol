@@ -203,6 +203,54 @@ contract GrantsTest is World {
         vm.assertEq(vm.getRecordedLogs().length, 32, "events");
     }
 
+    function test_a_grant_is_extended_without_a_revoke() public {
+        by(A);
+        authros.authorityGrant(B, 1, 2000, topics(2), "envelope");
+        (,,,, bytes32 scope) = authros.grantOf(A, B);
+        by(A);
+        authros.extend(B, 2001);
+        emitted("Extended(address,address,uint64)", abi.encode(A, B), abi.encode(uint64(2001)));
+        (bool active, uint64 epoch, uint64 expiry, uint64 revokes, bytes32 kept) = authros.grantOf(A, B);
+        vm.assertEq(active, true, "active");
+        vm.assertEq(epoch, 1, "epoch");
+        vm.assertEq(expiry, 2001, "expiry");
+        vm.assertEq(revokes, 0, "revokes");
+        vm.assertEq(kept, scope, "scope");
+        vm.assertEq(accountOf(A).epoch, 1, "the epoch goes on");
+        vm.warp(2000);
+        vm.assertEq(mayRead(B, 0xa1, A), true, "in the longer time");
+        by(A);
+        authros.extend(B, 0);
+        vm.warp(1 << 40);
+        vm.assertEq(mayRead(B, 0xa1, A), true, "without end");
+    }
+
+    function test_a_grant_is_never_shortened_and_an_ended_one_not_revived() public {
+        refused(A, "no grant");
+        authros.extend(B, 2000);
+        by(A);
+        authros.authorityGrant(B, 1, 2000, topics(0), "envelope");
+        grant(A, C, 1);
+        refused(A, "shorter");
+        authros.extend(B, 2000);
+        refused(A, "shorter");
+        authros.extend(B, 1999);
+        refused(A, "shorter");
+        authros.extend(C, 2000);
+        refused(A, "shorter");
+        authros.extend(C, 0);
+        refused(B, "no grant");
+        authros.extend(A, 3000);
+        refused(STRANGER, "unregistered");
+        authros.extend(B, 3000);
+        vm.warp(2000);
+        refused(A, "no grant");
+        authros.extend(B, 3000);
+        revoke(A, C, 0xa2);
+        refused(A, "no grant");
+        authros.extend(C, 3000);
+    }
+
     function test_a_suspended_grantee_reads_nothing_until_restored() public {
         grant(A, B, 1);
         by(ADMIN);

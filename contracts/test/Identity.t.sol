@@ -22,6 +22,23 @@ contract IdentityTest is World {
         vm.assertEq(authros.epochOf(STRANGER, bytes32(uint256(7))), 1, "epoch of the token");
     }
 
+    function test_every_version_of_the_keys_is_kept() public {
+        vm.roll(70);
+        vm.warp(2000);
+        by(A);
+        authros.rotateKeys(identity(0xa1, 9));
+        (bytes32 kept, uint64 blockNumber, uint64 time) = authros.keysOf(A, 1);
+        vm.assertEq(kept, keccak256(identity(0xa1, 1)), "the first");
+        vm.assertEq(blockNumber, 1, "its block");
+        vm.assertEq(time, 1000, "its time");
+        (kept, blockNumber, time) = authros.keysOf(A, 2);
+        vm.assertEq(kept, keccak256(identity(0xa1, 9)), "the second");
+        vm.assertEq(blockNumber, 70, "its block");
+        vm.assertEq(time, 2000, "its time");
+        (kept,,) = authros.keysOf(A, 3);
+        vm.assertEq(kept, bytes32(0), "no third");
+    }
+
     function test_nobody_registers_twice() public {
         refused(A, "registered");
         authros.register(identity(0xa2, 1));
@@ -51,6 +68,9 @@ contract IdentityTest is World {
         by(ADMIN);
         authros.admit(STRANGER);
         register(STRANGER, 7);
+        by(ADMIN);
+        authros.dismiss(STRANGER);
+        vm.assertEq(accountOf(STRANGER).epoch, 1, "stays registered");
         refused(A, "closed");
         authros.register(identity(7, 1));
         by(ADMIN);

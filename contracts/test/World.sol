@@ -23,6 +23,9 @@ abstract contract World is Cheats {
     address internal constant C = address(0xc0000);
     address internal constant STRANGER = address(0xff0000);
 
+    /// @dev How long a succession waits.
+    uint64 internal constant DELAY = 7 days;
+
     AuthROS internal authros;
 
     function setUp() public virtual {
@@ -35,7 +38,7 @@ abstract contract World is Cheats {
 
     function deploy(bool open) internal returns (AuthROS deployed) {
         vm.prank(ADMIN);
-        deployed = new AuthROS(open);
+        deployed = new AuthROS(open, DELAY);
     }
 
     function register(address who, uint256 token) internal {

@@ -1,4 +1,4 @@
-//! After a change of a format: `cargo run --release -p authros-fuzz --example corpus -- write` writes `fuzz/corpus`
+//! After a change of a format: `cargo run -p authros-fuzz --example corpus -- write` writes `fuzz/corpus`
 //! anew. The targets are compiled with what is valid in it, so the same without `write` then says in a second run
 //! which files are accepted all the way through.
 

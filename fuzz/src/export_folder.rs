@@ -113,6 +113,7 @@ pub fn samples() -> Vec<Sample> {
         transaction: Some(Hash([5; 32])),
         block: Some(4),
         block_hash: Some(Hash([6; 32])),
+        block_time: None,
     };
     let signer = authros::crypto::signer_id(&CAST.owner.public);
     let proof = serde_json::to_vec(&claimed(sealed.digest, signer, &leaf, anchor)).expect("JSON");

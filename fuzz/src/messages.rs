@@ -56,7 +56,7 @@ pub fn requests() -> Vec<Request> {
         Request::Unsubscribe(5),
         Request::GrantNotice(GrantNotice { grantee, epoch: 2, expiry: 3, transaction }),
         Request::RevokeNotice(RevokeNotice { grantee, epoch: 2, token: Token([7; 32]), transaction }),
-        Request::DeviceNotice(PublicKey([6; 64])),
+        Request::DeviceNotice(PublicKey([6; 64]).into()),
         Request::Relay(RelayCall { method: "eth_call".to_owned(), parameters: "[{},\"latest\"]".to_owned() }),
     ]
 }

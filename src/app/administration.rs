@@ -27,8 +27,12 @@ pub enum Act {
     Pause,
     /// Lets changes go on.
     Continue,
-    /// Names who continues for a lost account.
+    /// Names who continues for a lost account, at once.
     Succeed,
+    /// Proposes who is to continue for a lost account.
+    Propose,
+    /// Withdraws an admission.
+    Dismiss,
     /// Names the next administrator.
     HandOver,
     /// Takes over, having been named.
@@ -50,6 +54,8 @@ impl Act {
             Self::Pause => "Stop all changes?",
             Self::Continue => "Let changes go on?",
             Self::Succeed => "Name who continues for a lost account",
+            Self::Propose => "Propose who is to continue for a lost account",
+            Self::Dismiss => "Withdraw an admission",
             Self::HandOver => "Name the next administrator",
             Self::Accept => "Take over as administrator?",
             Self::Deploy => "Deploy the contract?",
@@ -67,27 +73,42 @@ impl Act {
             Self::Restore => &["Its changes are taken by the contract again."],
             Self::Open => &["Anyone with an account on this chain may register then."],
             Self::Close => &["Only accounts that you admit may register then."],
-            Self::Pause => &["Nobody registers, grants or anchors any more; revokes and reads still work."],
+            Self::Pause => &[
+                "Nobody registers, grants or anchors any more; revokes and reads still work.",
+                "It ends by itself after a day (on a contract of revision 1 only by `continue`).",
+            ],
             Self::Continue => &["Registrations, grants and anchors are taken again."],
             Self::Succeed => &["The chain then says who continues for the lost account. It cannot be taken back."],
+            Self::Propose => &[
+                "It waits for the contract's delay, twice as long where the account named no recovery account, which",
+                "may stop it. Then `authros chain succession complete` carries it out, and that cannot be taken back.",
+            ],
+            Self::Dismiss => &["The admission is withdrawn; an account that registered meanwhile stays registered."],
             Self::HandOver => &["Once that account accepts, you are no longer the administrator."],
             Self::Accept => &["You were named by the administrator; from then on these acts are yours."],
             Self::Deploy => &["Your account becomes the contract's administrator, and this home is bound to it."],
             Self::Adopt => &[
-                "The pinned chain is given up. Verified records keep their proof on it and open as `unanchored`;",
-                "all others are anchored anew. A signed adoption record says so first. It cannot be taken back.",
+                "Another chain: the pinned one is given up, verified records keep their proof there and open as",
+                "`unanchored`, all others are anchored anew. The pinned chain with a contract of an earlier revision: a",
+                "new contract is used, earlier records stay verified. A signed record says so. It cannot be taken back.",
             ],
         }
     }
 
     /// Whether it needs an account to be named.
     fn names(self) -> bool {
-        matches!(self, Self::Admit | Self::Suspend | Self::Restore | Self::Succeed | Self::HandOver)
+        matches!(self, Self::Admit | Self::Dismiss | Self::Suspend | Self::Restore | Self::HandOver)
+            || self.is_succession()
+    }
+
+    /// Whether it is about a lost account and its successor.
+    fn is_succession(self) -> bool {
+        matches!(self, Self::Succeed | Self::Propose)
     }
 
     /// Whether its name must be typed, for it cannot simply be undone.
     fn is_grave(self) -> bool {
-        matches!(self, Self::Suspend | Self::Succeed | Self::HandOver | Self::Adopt | Self::Pause)
+        matches!(self, Self::Suspend | Self::HandOver | Self::Adopt | Self::Pause) || self.is_succession()
     }
 
     fn word(self) -> &'static str {
@@ -100,6 +121,8 @@ impl Act {
             Self::Pause => "pause",
             Self::Continue => "continue",
             Self::Succeed => "succeed",
+            Self::Propose => "propose",
+            Self::Dismiss => "dismiss",
             Self::HandOver => "hand over",
             Self::Accept => "accept",
             Self::Deploy => "deploy",
@@ -110,15 +133,20 @@ impl Act {
 
 /// Opens the form or the question of an act.
 pub fn begin(state: &mut State, act: Act) {
+    // On a contract of the newest revision a succession is proposed and waits.
+    let waits = state.chain.as_ref().is_some_and(|chain| chain.administration.delay.is_some());
+    let act = if act == Act::Succeed && waits { Act::Propose } else { act };
     if act.names() {
         state.popups.push(Popup::Form(Purpose::Administer(act), form(act)));
         return;
     }
     let command = match act {
-        Act::Deploy => Command::DeployContract,
+        Act::Deploy => Command::DeployContract { delay: None, revision: None },
         Act::Adopt => Command::AdoptChain,
         Act::Open | Act::Close => Command::Administer(Administration::Open { open: act == Act::Open }),
-        Act::Pause | Act::Continue => Command::Administer(Administration::Pause { paused: act == Act::Pause }),
+        Act::Pause | Act::Continue => {
+            Command::Administer(Administration::Pause { paused: act == Act::Pause, seconds: None })
+        }
         _ => Command::Administer(Administration::Accept),
     };
     state.popups.push(Popup::Confirm(question(act, Vec::new(), command)));
@@ -126,8 +154,8 @@ pub fn begin(state: &mut State, act: Act) {
 
 fn form(act: Act) -> Form {
     let hint = "0x and 40 hex, or a name of the address book";
-    let mut lines = vec![Line::text(if act == Act::Succeed { "Lost" } else { "Account" }, hint, Field::default())];
-    if act == Act::Succeed {
+    let mut lines = vec![Line::text(if act.is_succession() { "Lost" } else { "Account" }, hint, Field::default())];
+    if act.is_succession() {
         lines.push(Line::text("Successor", hint, Field::default()));
     }
     Form::new(act.title(), act.meaning().iter().map(|line| (*line).to_owned()).collect(), lines)
@@ -145,13 +173,17 @@ pub fn read(act: Act, form: &Form) -> Result<Confirm, (usize, String)> {
     let mut lines = vec![format!("Account  {account}")];
     let administration = match act {
         Act::Admit => Administration::Admit { account },
+        Act::Dismiss => Administration::Dismiss { account },
         Act::Suspend => Administration::Suspend { account },
         Act::Restore => Administration::Restore { account },
         Act::HandOver => Administration::HandOver { account },
         _ => {
             let successor = party(1)?;
             lines.push(format!("Successor  {successor}"));
-            Administration::Succeed { lost: account, successor }
+            match act {
+                Act::Propose => Administration::Propose { lost: account, successor },
+                _ => Administration::Succeed { lost: account, successor },
+            }
         }
     };
     Ok(question(act, lines, Command::Administer(administration)))

@@ -78,7 +78,7 @@ fn take(state: &mut State, feed: Feed, reply: Reply) {
         Reply::Records(page) if feed == Feed::Shared => state.shared.set(page, limit),
         Reply::Records(page) => state.uploads.set(page, limit),
         Reply::Grants(rows) => state.grants.set(rows),
-        Reply::Chain(chain) => state.chain = Some(chain),
+        Reply::Chain(chain) => state.chain = Some(*chain),
         Reply::Audit(lines) => state.log.set_audit(lines),
         Reply::GatewayStatus(view) => state.gateway.set(view),
         _ => {}

@@ -62,7 +62,7 @@ pub fn grant(topics: &[String]) -> Form {
     let lines = vec![
         Line::text("Address", "0x and 40 hex, or a name of the address book", Field::default()),
         Line::text("Topics", "empty = all topics; else names", Field::with(&topics.join(" "))),
-        Line::text("Ends", "empty = no end; 30d, 12h, 2026-12-31", Field::default()),
+        Line::text("Ends", "empty = no end; 30d, 12h, 2036-12-31", Field::default()),
         Line::choice("Records", EPOCH_WORDS),
     ];
     let notes = vec!["Lets another account open your records.".to_owned()];

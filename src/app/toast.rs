@@ -19,6 +19,8 @@ pub struct Toast {
     pub text: String,
     /// When it goes by itself.
     pub until: Option<Timestamp>,
+    /// What it is about, where a later one about the same takes its place.
+    pub about: Option<String>,
 }
 
 /// The messages not yet gone, oldest first.
@@ -28,12 +30,22 @@ pub struct Toasts(VecDeque<Toast>);
 impl Toasts {
     /// Adds a message; the same text twice in a row is shown once.
     pub fn push(&mut self, level: NoticeLevel, text: String, now: Timestamp) {
+        self.push_about(level, text, now, None);
+    }
+
+    /// Adds a message about something that lasts.
+    pub fn push_about(&mut self, level: NoticeLevel, text: String, now: Timestamp, about: Option<String>) {
         let until = (level == NoticeLevel::Info).then(|| Timestamp(now.0.saturating_add(SHOWN_FOR)));
         self.0.retain(|toast| toast.text != text && (toast.until.is_none() || until.is_none()));
-        self.0.push_back(Toast { level, text, until });
+        self.0.push_back(Toast { level, text, until, about });
         if self.0.len() > MOST {
             self.0.pop_front();
         }
+    }
+
+    /// What was said about it before holds no longer.
+    pub fn supersede(&mut self, about: &str) {
+        self.0.retain(|toast| toast.about.as_deref() != Some(about));
     }
 
     /// What to show now: the oldest unseen error or warning, else the newest information.
@@ -80,5 +92,21 @@ mod tests {
         assert_eq!(toasts.shown().map(|toast| toast.text.as_str()), Some("node gone"));
         assert!(toasts.dismiss());
         assert!(!toasts.dismiss());
+    }
+
+    #[test]
+    fn an_alert_about_something_that_lasts_is_one_and_goes_when_that_is_over() {
+        let mut toasts = Toasts::default();
+        let about = || Some("vault".to_owned());
+        toasts.push(NoticeLevel::Error, "node gone".into(), Timestamp(0));
+        for text in ["down", "still down"] {
+            toasts.supersede("vault");
+            toasts.push_about(NoticeLevel::Error, text.into(), Timestamp(0), about());
+        }
+        assert_eq!(toasts.unseen(), 2);
+        toasts.supersede("vault");
+        toasts.push_about(NoticeLevel::Info, "back".into(), Timestamp(0), about());
+        assert_eq!(toasts.unseen(), 1);
+        assert_eq!(toasts.shown().map(|toast| toast.text.as_str()), Some("node gone"));
     }
 }

@@ -101,10 +101,13 @@ fn told(state: &mut State, event: Event) -> Vec<Effect> {
             state.feeds.touch(part);
             if part == Part::Uploads { refresh_provenance(state) } else { Vec::new() }
         }
-        Event::Notice { at, level, text } => {
-            state.log.notice(at, level, &text);
+        Event::Notice { at, level, text, about } => {
+            if let Some(about) = &about {
+                state.toasts.supersede(about);
+            }
+            state.log.notice_about(at, level, &text, about.clone());
             state.feeds.slot_mut(Feed::Audit).stale = true;
-            state.toasts.push(level, text, state.now);
+            state.toasts.push_about(level, text, state.now, about);
             Vec::new()
         }
     }

@@ -286,6 +286,7 @@ pub static VERBS: &[Entry] = &[
         .on(ON_CHAIN)
         .changing(),
     administers(Act::Admit, "admit", "Administrator: let an account register"),
+    administers(Act::Dismiss, "withdraw-admission", "Administrator: withdraw an admission"),
     administers(Act::Suspend, "suspend", "Administrator: stop an account's changes"),
     administers(Act::Restore, "restore", "Administrator: free a suspended account"),
     administers(Act::Open, "open-registration", "Administrator: anyone may register"),

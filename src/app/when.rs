@@ -1,10 +1,13 @@
-//! Reading of a grant's end as a person writes it: `30d`, `12h`, `2026-12-31`.
+//! Reading of a grant's end as a person writes it: `30d`, `12h`, `2036-12-31`.
+
+use std::time::Duration;
 
 use crate::model::Timestamp;
 
 const SECOND: u64 = 1_000_000_000;
 
-/// The moment `text` means, counted from `now`; `None` in the answer = no end (empty text).
+/// The moment `text` means, counted from `now` and rounded up to the whole second; `None` in the answer = no end
+/// (empty text).
 ///
 /// # Errors
 /// What to write instead.
@@ -13,8 +16,8 @@ pub fn expiry(text: &str, now: Timestamp) -> Result<Option<Timestamp>, String> {
     if text.is_empty() || text == "never" {
         return Ok(None);
     }
-    let moment = span(text).map(|seconds| Timestamp(now.0.saturating_add(seconds.saturating_mul(SECOND))));
-    let moment = moment.or_else(|| date(text)).ok_or("write a time such as 30d, 12h, 45m or 2026-12-31, or nothing")?;
+    let moment = span(text).map(|seconds| now.end_after(Duration::from_secs(seconds)));
+    let moment = moment.or_else(|| date(text)).ok_or("write a time such as 30d, 12h, 45m or 2036-12-31, or nothing")?;
     if moment <= now { Err("that moment has passed; write a later one".to_owned()) } else { Ok(Some(moment)) }
 }
 
@@ -51,6 +54,8 @@ mod tests {
         let now = Timestamp::from_seconds(1_700_000_000);
         assert_eq!(expiry("", now), Ok(None));
         assert_eq!(expiry(" 30d ", now), Ok(Some(Timestamp::from_seconds(1_700_000_000 + 30 * 86_400))));
+        let later = Timestamp(now.0 + 39_050_923);
+        assert_eq!(expiry("30d", later), Ok(Some(Timestamp::from_seconds(1_700_000_001 + 30 * 86_400))));
         assert_eq!(expiry("2023-11-16", now), Ok(Some(Timestamp::from_seconds(1_700_092_800))));
         for bad in ["2020-01-01", "d", "0d", "-1d", "12", "99999999999999999999d", "é", "soon"] {
             assert!(expiry(bad, now).is_err(), "{bad}");

@@ -4,7 +4,7 @@ use ethers::abi::Token as AbiToken;
 use ethers::types::{H160, U256};
 
 use super::ChainError;
-use super::artefact::artefact;
+use super::artefact::{Revision, artefacts, offering};
 use crate::model::{Address, Digest, Hash, Identity, Scope, SignerId, Timestamp, Token, grant::MOST_TOPICS};
 
 /// The most grantees in one [`Call::Wrap`] (contract limit).
@@ -92,6 +92,11 @@ pub enum Call {
         /// Who.
         account: Address,
     },
+    /// Administrator: withdraws an admission.
+    Dismiss {
+        /// Who.
+        account: Address,
+    },
     /// Administrator: opens or closes registration.
     SetOpen {
         /// Whether anyone may register.
@@ -107,12 +112,48 @@ pub enum Call {
         /// Who.
         account: Address,
     },
-    /// Administrator: stops all changes but those that take rights away.
+    /// Administrator: stops all changes but those that take rights away, without end (first revision).
     SetPaused {
         /// Whether they are stopped.
         paused: bool,
     },
-    /// Administrator: names the successor of a lost account.
+    /// Administrator: stops all changes but those that take rights away, until then.
+    Pause {
+        /// When they go on, whole seconds; at most [`super::LONGEST_PAUSE`] ahead.
+        until: Timestamp,
+    },
+    /// Administrator: lets changes go on before the pause's end.
+    Resume,
+    /// Administrator: proposes the successor of a lost account.
+    ProposeSuccession {
+        /// The account whose key is lost.
+        lost: Address,
+        /// Who is to continue.
+        successor: Address,
+    },
+    /// Recovery account or administrator: stops a succession that waits.
+    CancelSuccession {
+        /// Whose.
+        lost: Address,
+    },
+    /// Anybody: completes a succession whose time has come.
+    CompleteSuccession {
+        /// Whose.
+        lost: Address,
+    },
+    /// Names who may stop a succession of the sender's account.
+    NameRecovery {
+        /// Who; `None` = nobody.
+        recovery: Option<Address>,
+    },
+    /// Lets a grant end later.
+    Extend {
+        /// Whose grant.
+        grantee: Address,
+        /// Its new end, whole seconds; `None` = no end.
+        expiry: Option<Timestamp>,
+    },
+    /// Administrator: names the successor of a lost account at once (first revision).
     Succeed {
         /// The account whose key is lost.
         lost: Address,
@@ -147,6 +188,14 @@ impl Call {
             Self::Suspend { .. } => "suspend",
             Self::Restore { .. } => "restore",
             Self::SetPaused { .. } => "setPaused",
+            Self::Dismiss { .. } => "dismiss",
+            Self::Pause { .. } => "pause",
+            Self::Resume => "resume",
+            Self::ProposeSuccession { .. } => "proposeSuccession",
+            Self::CancelSuccession { .. } => "cancelSuccession",
+            Self::CompleteSuccession { .. } => "completeSuccession",
+            Self::NameRecovery { .. } => "nameRecovery",
+            Self::Extend { .. } => "extend",
             Self::Succeed { .. } => "succeed",
             Self::Nominate { .. } => "nominate",
             Self::AcceptAdministrator => "acceptAdministrator",
@@ -158,7 +207,17 @@ impl Call {
     /// # Errors
     /// [`ChainError::Input`] where a value breaks a limit of the contract.
     pub fn encode(&self) -> Result<Vec<u8>, ChainError> {
-        artefact()?.encode(self.name(), &self.arguments()?)
+        offering(self.name())?.encode(self.name(), &self.arguments()?)
+    }
+
+    /// Whether a contract of this revision has the function.
+    ///
+    /// # Errors
+    /// [`ChainError::NotOffered`] where it has not, with what to do instead.
+    pub fn expect_offered(&self, revision: Revision) -> Result<(), ChainError> {
+        let name = self.name();
+        let offered = artefacts()?.iter().any(|it| it.revision == revision && it.abi.function(name).is_ok());
+        if offered { Ok(()) } else { Err(ChainError::NotOffered { revision, function: name }) }
     }
 
     fn arguments(&self) -> Result<Vec<AbiToken>, ChainError> {
@@ -183,13 +242,21 @@ impl Call {
             Self::Recall { device } => vec![word(device.0)],
             Self::SetOpen { open: yes } | Self::SetPaused { paused: yes } => vec![AbiToken::Bool(*yes)],
             Self::Admit { account }
+            | Self::Dismiss { account }
+            | Self::CancelSuccession { lost: account }
+            | Self::CompleteSuccession { lost: account }
             | Self::Suspend { account }
             | Self::Restore { account }
             | Self::Nominate { account } => {
                 vec![address(*account)]
             }
-            Self::Succeed { lost, successor } => vec![address(*lost), address(*successor)],
-            Self::AcceptAdministrator => Vec::new(),
+            Self::Pause { until } => vec![number(seconds(Some(*until))?)],
+            Self::NameRecovery { recovery } => vec![address(recovery.unwrap_or(Address([0; 20])))],
+            Self::Extend { grantee, expiry } => vec![address(*grantee), number(seconds(*expiry)?)],
+            Self::Succeed { lost, successor } | Self::ProposeSuccession { lost, successor } => {
+                vec![address(*lost), address(*successor)]
+            }
+            Self::AcceptAdministrator | Self::Resume => Vec::new(),
         })
     }
 }

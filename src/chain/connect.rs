@@ -11,7 +11,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::artefact::artefact;
+use super::artefact::{Revision, artefact, revision_of};
 use super::transport::Transport;
 use super::{BlockRef, Chain, ChainError, ChainOptions, Endpoint, Pin};
 use crate::model::{Address, Hash, bytes::unhex, clean};
@@ -22,7 +22,7 @@ pub(super) const POLL: Duration = Duration::from_millis(200);
 /// What all clones of a [`Chain`] share.
 #[derive(Debug)]
 pub(super) struct Inner {
-    pub provider: Provider<Transport>,
+    pub provider: Arc<Provider<Transport>>,
     pub chain_id: u64,
     pub genesis: Hash,
     pub client: String,
@@ -76,7 +76,7 @@ impl Chain {
             Endpoint::Node { .. } | Endpoint::Relay(_) => consensus(&latest, &client),
         };
         let inner = Inner {
-            provider,
+            provider: Arc::new(provider),
             chain_id: chain_id.as_u64(),
             genesis: Hash(genesis.hash.0),
             client,
@@ -133,6 +133,43 @@ impl Chain {
         Ok(())
     }
 
+    /// The same line with another contract of the same chain; nothing is asked. This one stays as it is.
+    pub fn bound_to(&self, pin: Pin) -> Self {
+        let bound = self.apart();
+        bound.set_pin(pin);
+        bound
+    }
+
+    /// The same line without a contract.
+    pub fn apart(&self) -> Self {
+        let inner = Inner {
+            provider: Arc::clone(&self.inner.provider),
+            chain_id: self.inner.chain_id,
+            genesis: self.inner.genesis,
+            client: self.inner.client.clone(),
+            consensus: self.inner.consensus,
+            confirmations: self.inner.confirmations,
+            contract: RwLock::new(None),
+            gas: Mutex::default(),
+        };
+        Self { inner: Arc::new(inner) }
+    }
+
+    /// Whether the contract of a pin still stands here, and the block that was seen last, where one was.
+    ///
+    /// # Errors
+    /// The node's.
+    pub async fn still_has(&self, pin: &Pin, seen: Option<(u64, Hash)>) -> Result<bool, ChainError> {
+        if (pin.chain_id, pin.genesis) != (self.chain_id(), self.genesis()) {
+            return Ok(false);
+        }
+        if self.code_hash(pin.contract).await? != Some(pin.code_hash) {
+            return Ok(false);
+        }
+        let Some((number, hash)) = seen else { return Ok(true) };
+        Ok(self.block(number).await?.is_some_and(|block| block.hash == hash))
+    }
+
     /// The same line with another pin, as if the chain behind it had been swapped.
     #[cfg(test)]
     pub fn pretending(&self, pin: Pin) -> Self {
@@ -140,15 +177,15 @@ impl Chain {
         self.clone()
     }
 
-    /// Uses a contract that somebody deployed, after its code was found to be this program's artefact.
+    /// Uses a contract that somebody deployed, after its code was found to be one of this program's artefacts.
     ///
     /// # Errors
     /// [`ChainError::NotTheContract`], or the node's.
     pub async fn use_contract(&self, contract: Address) -> Result<Pin, ChainError> {
-        let known = artefact()?.code_hash;
-        if self.code_hash(contract).await? != Some(known) {
+        let found = self.code_hash(contract).await?;
+        let Some(known) = found.filter(|hash| revision_of(*hash).is_ok_and(|revision| revision.is_some())) else {
             return Err(ChainError::NotTheContract(contract));
-        }
+        };
         let deployed_at = self.deployment_block(contract).await?;
         Ok(self.set_pin(self.pin_of(contract, known, deployed_at)))
     }
@@ -165,7 +202,7 @@ impl Chain {
 
     /// The block of the constructor's event; 0 where the node does not tell, which only makes reading slower.
     async fn deployment_block(&self, contract: Address) -> Result<u64, ChainError> {
-        let signature = artefact()?.event_signature("AdministratorChanged")?;
+        let signature = artefact(Revision::NEWEST)?.event_signature("AdministratorChanged")?;
         let filter = json!({
             "address": contract.to_string(), "topics": [signature.to_string()], "fromBlock": "0x0", "toBlock": "latest",
         });
@@ -186,6 +223,15 @@ impl Chain {
     /// What is pinned: chain, contract, its code and where it was deployed. `None` before a contract is used.
     pub fn pin(&self) -> Option<Pin> {
         self.inner.contract.read().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Which revision the contract in use is of.
+    ///
+    /// # Errors
+    /// [`ChainError::NoContract`] before one is used, [`ChainError::NotTheContract`] where its code is unknown here.
+    pub fn revision(&self) -> Result<Revision, ChainError> {
+        let pin = self.pin().ok_or(ChainError::NoContract)?;
+        revision_of(pin.code_hash)?.ok_or(ChainError::NotTheContract(pin.contract))
     }
 
     pub(super) fn contract(&self) -> Result<Address, ChainError> {
@@ -213,7 +259,7 @@ impl Chain {
     }
 
     pub(super) fn transport(&self) -> &Transport {
-        self.inner.provider.as_ref()
+        (*self.inner.provider).as_ref()
     }
 
     pub(super) async fn rpc<R>(&self, method: &str, parameters: Value) -> Result<R, ChainError>
@@ -266,7 +312,10 @@ where
             Some(reason) => {
                 ChainError::Answer { url: url(), method: method.to_owned(), reason: clean(&reason.to_string(), 200) }
             }
-            None => ChainError::Unreachable { url: url(), reason: clean(&error.to_string(), 200) },
+            None => match provider.as_ref().trouble_behind(&error.to_string()) {
+                Some(trouble) => trouble,
+                None => ChainError::Unreachable { url: url(), reason: clean(&error.to_string(), 200) },
+            },
         }
     })
 }

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use ethers::providers::JsonRpcError;
 
+use super::artefact::Revision;
 use crate::model::{Address, Consensus, ErrorKind, bytes::unhex, clean};
 
 /// Why something on the chain did not happen.
@@ -51,6 +52,14 @@ pub enum ChainError {
     /// Another contract, or none, lies at the address.
     #[error("{0} does not hold the AuthROS contract of this version; check the address, or deploy a new one")]
     NotTheContract(Address),
+    /// The contract is of a revision that lacks what was asked for.
+    #[error("{}", lacking(*.revision, .function))]
+    NotOffered {
+        /// Which one it is.
+        revision: Revision,
+        /// What it lacks.
+        function: &'static str,
+    },
     /// The contract refused.
     #[error("the contract refused: {}", explain(.code))]
     Reverted {
@@ -133,6 +142,7 @@ impl ChainError {
             Self::Internal(_) => ErrorKind::Internal,
             Self::Swapped { .. }
             | Self::NotTheContract(_)
+            | Self::NotOffered { .. }
             | Self::Reverted { .. }
             | Self::AlreadyKnown
             | Self::NonceTooLow
@@ -195,6 +205,20 @@ pub(super) fn decode_revert_hex(text: &str) -> Option<String> {
     decode_revert(&unhex(text)?)
 }
 
+fn lacking(revision: Revision, function: &str) -> String {
+    let instead = match (revision, function) {
+        (Revision::Second, "succeed") => {
+            "a succession is proposed and waits here; use `authros chain succession propose`".to_owned()
+        }
+        (Revision::Second, _) => "use this program's other words for it".to_owned(),
+        (Revision::First, _) => {
+            "`authros chain adopt` goes on with a contract of the newest revision; earlier records stay verified"
+                .to_owned()
+        }
+    };
+    format!("this contract is of revision {revision}, which has no `{function}`; {instead}")
+}
+
 /// Plain words and advice for a reason code of the contract.
 pub fn explain(code: &str) -> String {
     let words = match code {
@@ -211,6 +235,14 @@ pub fn explain(code: &str) -> String {
         "digest used" => "the account anchored this digest already; nothing is left to do",
         "previous" => "another root was anchored since; read the head and sign anew",
         "no grant" => "there is no grant in force for that account; see `authros grants list`",
+        "shorter" => "the grant ends later than that, or never; `extend` only lengthens, revoke to end it sooner",
+        "pending" => "a succession of that account waits already; see `authros chain succession list`",
+        "no proposal" => "no succession of that account waits; see `authros chain succession list`",
+        "early" => "the succession still waits; see `authros chain succession list` for its time",
+        "recovery" => "only the recovery account of that time, or the administrator, may stop a succession",
+        "pause" => "a pause lasts at most three days and ends in the future; give another end",
+        "gap" => "changes were paused within the last week; the next pause must wait",
+        "delay" => "the delay of successions is at least a day and at most a year; deploy with another one",
         "no loan" => "the device is not lent; nothing is left to do",
         "wrapped" => "the grantee holds the envelope of that epoch already; rotate the epoch to change the grant",
         "epoch" => "that epoch has not begun; grant the current one or an earlier one",

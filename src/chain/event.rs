@@ -3,7 +3,7 @@
 use ethers::abi::{RawLog, Token as AbiToken};
 use ethers::types::H256;
 
-use super::artefact::artefact;
+use super::artefact::artefacts;
 use crate::model::{Address, Digest, GrantTerms, Hash, Identity, Scope, SignerId, Timestamp, Token, TopicId};
 
 /// A change of the contract's state, as its event tells it.
@@ -14,6 +14,10 @@ pub enum Event {
     Registered { owner: Address, identity: Identity, epoch: u64 },
     /// An account replaced its SM2 keys; `keys` is their version, from 1.
     KeysRotated { owner: Address, keys: u64, identity: Identity },
+    /// A grant ends later than it did; `None` = no end.
+    Extended { owner: Address, grantee: Address, expiry: Option<Timestamp> },
+    /// From `from` on `recovery` may stop a succession of the owner's account; `None` = nobody.
+    RecoveryNamed { owner: Address, recovery: Option<Address>, from: Timestamp },
     /// A digest, the owner's `number`-th, sealed in `epoch`; the time is the owner's word, `None` where it is not 8 bytes.
     DataUploaded { owner: Address, digest: Digest, token: Token, epoch: u64, number: u64, timestamp: Option<Timestamp> },
     /// A grant began.
@@ -32,14 +36,24 @@ pub enum Event {
     Recalled { owner: Address, device: SignerId },
     /// An account may register.
     Admitted { account: Address },
+    /// An admission was withdrawn.
+    Dismissed { account: Address },
     /// Registration was opened or closed.
     OpenChanged { open: bool },
     /// An account's changes are stopped.
     Suspended { account: Address },
     /// An account is free again.
     Restored { account: Address },
-    /// All changes are stopped, or go on.
+    /// All changes are stopped, or go on (first revision).
     PausedChanged { paused: bool },
+    /// All changes are stopped until then; a moment that has come means that they go on.
+    PausedUntil { until: Timestamp },
+    /// A succession waits until `due`; `recovery` may stop it.
+    SuccessionProposed { lost: Address, successor: Address, recovery: Option<Address>, due: Timestamp },
+    /// A succession that waited was stopped, or withdrawn.
+    SuccessionCancelled { lost: Address, by: Address },
+    /// How long successions wait, seconds.
+    DelayFixed { seconds: u64 },
     /// A lost account has a successor.
     Succeeded { lost: Address, successor: Address },
     /// Who is to be the next administrator.
@@ -59,15 +73,22 @@ impl Event {
             | Self::Wrapped { owner, .. }
             | Self::Revoked { owner, .. }
             | Self::Rotated { owner, .. }
+            | Self::Extended { owner, .. }
+            | Self::RecoveryNamed { owner, .. }
             | Self::Lent { owner, .. }
             | Self::Recalled { owner, .. } => Some(*owner),
             Self::Anchored { account, .. }
             | Self::Admitted { account }
+            | Self::Dismissed { account }
             | Self::Suspended { account }
             | Self::Restored { account } => Some(*account),
-            Self::Succeeded { lost, .. } => Some(*lost),
+            Self::Succeeded { lost, .. }
+            | Self::SuccessionProposed { lost, .. }
+            | Self::SuccessionCancelled { lost, .. } => Some(*lost),
             Self::OpenChanged { .. }
             | Self::PausedChanged { .. }
+            | Self::PausedUntil { .. }
+            | Self::DelayFixed { .. }
             | Self::AdministratorNominated { .. }
             | Self::AdministratorChanged { .. } => None,
         }
@@ -78,9 +99,10 @@ impl Event {
     /// # Errors
     /// What is wrong with the log, or with the artefact.
     pub fn decode(topics: &[Hash], data: &[u8]) -> Result<Self, String> {
-        let artefact = artefact().map_err(|error| error.to_string())?;
+        let artefacts = artefacts().map_err(|error| error.to_string())?;
         let first = topics.first().ok_or("an event without a topic")?;
-        let event = artefact.abi.events().find(|event| event.signature().0 == first.0).ok_or("an unknown event")?;
+        let mut events = artefacts.iter().flat_map(|artefact| artefact.abi.events());
+        let event = events.find(|event| event.signature().0 == first.0).ok_or("an unknown event")?;
         let topics = topics.iter().map(|topic| H256(topic.0)).collect();
         let log = event.parse_log(RawLog { topics, data: data.to_vec() }).map_err(|error| error.to_string())?;
         let mut fields =
@@ -127,6 +149,12 @@ impl Fields {
                 Event::Lent { owner: self.address()?, device: SignerId(self.word()?), until: end(self.number()?) }
             }
             "Recalled" => Event::Recalled { owner: self.address()?, device: SignerId(self.word()?) },
+            "Extended" => {
+                Event::Extended { owner: self.address()?, grantee: self.address()?, expiry: end(self.number()?) }
+            }
+            "RecoveryNamed" => {
+                Event::RecoveryNamed { owner: self.address()?, recovery: self.somebody()?, from: self.moment()? }
+            }
             other => return self.administration(other),
         })
     }
@@ -134,10 +162,20 @@ impl Fields {
     fn administration(&mut self, name: &str) -> Option<Event> {
         Some(match name {
             "Admitted" => Event::Admitted { account: self.address()? },
+            "Dismissed" => Event::Dismissed { account: self.address()? },
             "OpenChanged" => Event::OpenChanged { open: self.0.next()?.into_bool()? },
             "Suspended" => Event::Suspended { account: self.address()? },
             "Restored" => Event::Restored { account: self.address()? },
             "PausedChanged" => Event::PausedChanged { paused: self.0.next()?.into_bool()? },
+            "PausedUntil" => Event::PausedUntil { until: self.moment()? },
+            "SuccessionProposed" => Event::SuccessionProposed {
+                lost: self.address()?,
+                successor: self.address()?,
+                recovery: self.somebody()?,
+                due: self.moment()?,
+            },
+            "SuccessionCancelled" => Event::SuccessionCancelled { lost: self.address()?, by: self.address()? },
+            "DelayFixed" => Event::DelayFixed { seconds: self.number()? },
             "Succeeded" => Event::Succeeded { lost: self.address()?, successor: self.address()? },
             "AdministratorNominated" => Event::AdministratorNominated { nominee: self.address()? },
             "AdministratorChanged" => {
@@ -171,6 +209,16 @@ impl Fields {
         self.0.next()?.into_address().map(|address| Address(address.0))
     }
 
+    /// The zero address means nobody.
+    #[allow(clippy::option_option, reason = "no word left is another thing than nobody")]
+    fn somebody(&mut self) -> Option<Option<Address>> {
+        self.address().map(|address| (address.0 != [0; 20]).then_some(address))
+    }
+
+    fn moment(&mut self) -> Option<Timestamp> {
+        self.number().map(Timestamp::from_seconds)
+    }
+
     fn number(&mut self) -> Option<u64> {
         self.0.next()?.into_uint()?.try_into().ok()
     }
@@ -200,8 +248,9 @@ mod tests {
 
     proptest! {
         #[test]
-        fn noise_is_an_error_never_a_panic(which in 0usize..20, words in proptest::collection::vec(any::<[u8; 32]>(), 0..4), data: Vec<u8>) {
-            let events: Vec<_> = artefact().expect("artefact").abi.events().collect();
+        fn noise_is_an_error_never_a_panic(which in 0usize..60, words in proptest::collection::vec(any::<[u8; 32]>(), 0..4), data: Vec<u8>) {
+            let all = artefacts().expect("artefacts").iter();
+            let events: Vec<_> = all.flat_map(|artefact| artefact.abi.events()).collect();
             let mut topics = vec![Hash(events[which % events.len()].signature().0)];
             topics.extend(words.into_iter().map(Hash));
             let _ = Event::decode(&topics, &data);
@@ -210,7 +259,7 @@ mod tests {
 
     #[test]
     fn every_event_of_the_contract_has_a_word_here() {
-        for event in artefact().expect("artefact").abi.events() {
+        for event in artefacts().expect("artefacts").iter().flat_map(|artefact| artefact.abi.events()) {
             let topics: Vec<Hash> = std::iter::once(Hash(event.signature().0))
                 .chain(event.inputs.iter().filter(|input| input.indexed).map(|_| Hash([0; 32])))
                 .collect();

@@ -70,6 +70,7 @@ impl Chain {
     /// # Errors
     /// [`ChainError::Reverted`] with the reason where the contract would refuse, else the node's.
     pub async fn simulate(&self, from: Address, call: &Call) -> Result<(), ChainError> {
+        call.expect_offered(self.revision()?)?;
         self.eth_call(from, self.contract()?, &call.encode()?, "latest").await.map(|_| ())
     }
 
@@ -90,7 +91,7 @@ impl Chain {
     }
 
     async fn view(&self, from: Address, name: &str, arguments: &[AbiToken]) -> Result<Answer<'_>, ChainError> {
-        let artefact = artefact()?;
+        let artefact = artefact(self.revision()?)?;
         let data = artefact.encode(name, arguments)?;
         let output = self.eth_call(from, self.contract()?, &data, "latest").await?;
         let values = artefact.function(name)?.decode_output(&output);
@@ -183,6 +184,17 @@ impl Chain {
         match self.transport().embedded() {
             Some(embedded) => embedded.copy_to(path).await.map(|()| true),
             None => Ok(false),
+        }
+    }
+
+    /// Runs every block of the embedded chain again and compares; gives how many, `None` on other chains.
+    ///
+    /// # Errors
+    /// [`ChainError::Tampered`] for the first block, or the first node of the state, that is not what it was.
+    pub async fn run_again(&self) -> Result<Option<u64>, ChainError> {
+        match self.transport().embedded() {
+            Some(embedded) => embedded.audit().await.map(Some),
+            None => Ok(None),
         }
     }
 

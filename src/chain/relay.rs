@@ -8,13 +8,17 @@ use async_trait::async_trait;
 use ethers::providers::{JsonRpcClient, JsonRpcError};
 use serde_json::Value;
 
+pub mod rules;
+
+pub use rules::{Asker, Ground, Passed, examine};
+
 use super::Chain;
 use super::transport::TransportError;
 use crate::model::clean;
 
-/// What is passed on: what this program's own client asks, reading and raw transactions. Nothing here signs, keeps
-/// state at the node, or reaches its settings and keys.
-const METHODS: [&str; 23] = [
+/// What is passed on to some: what this program's own client asks, reading and raw transactions. Nothing here signs,
+/// keeps state at the node, or reaches its settings and keys. [`rules`] say what passes for whom.
+const METHODS: [&str; 24] = [
     "clique_getSigners",
     "eth_blockNumber",
     "eth_call",
@@ -27,6 +31,7 @@ const METHODS: [&str; 23] = [
     "eth_getBlockByNumber",
     "eth_getCode",
     "eth_getLogs",
+    "eth_getProof",
     "eth_getStorageAt",
     "eth_getTransactionByHash",
     "eth_getTransactionCount",
@@ -116,6 +121,15 @@ impl From<TransportError> for RelayError {
     }
 }
 
+/// What a request costs the chain, beside one that only looks something up.
+pub fn weight(method: &str) -> u32 {
+    match method {
+        "eth_getLogs" | "eth_estimateGas" | "eth_sendRawTransaction" | "eth_getProof" => 10,
+        "eth_call" | "eth_feeHistory" => 4,
+        _ => 1,
+    }
+}
+
 /// Whether a request is one that is passed on: its method is known, its parameters are an array, and a transaction
 /// is not longer than any of ours.
 ///
@@ -129,7 +143,8 @@ pub fn check(method: &str, parameters: &Value) -> Result<(), RelayError> {
 }
 
 impl Chain {
-    /// Passes somebody else's request on to this chain, over the line that this process itself uses.
+    /// Passes somebody else's request on to this chain, over the line that this process itself uses. Whether it may
+    /// pass is for [`examine`] to say.
     ///
     /// # Errors
     /// [`RelayError`].

@@ -10,16 +10,12 @@ use ethers::utils::keccak256;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::artefact::artefact;
 use super::embedded::Transaction;
 use super::error::explain;
 use super::reader::reason;
-use super::{Call, Chain, ChainError, Pin, Receipt, SignedTransaction};
+use super::{Call, Chain, ChainError, Receipt, SignedTransaction};
 use crate::crypto::EoaSecret;
 use crate::model::{Address, Hash, bytes::hex};
-
-/// How long a deployment may wait for its block.
-const DEPLOYMENT: Duration = Duration::from_secs(60);
 
 impl Chain {
     /// Signs a call as a legacy transaction. Nothing is sent.
@@ -143,32 +139,7 @@ impl Chain {
         Ok(Some((raw, value)))
     }
 
-    /// Deploys the contract with open registration, waits until it is mined, and uses it.
-    ///
-    /// # Errors
-    /// [`ChainError::NotMined`] where no block takes it within 60 s, or the node's.
-    pub async fn deploy(&self, eoa: &EoaSecret) -> Result<Pin, ChainError> {
-        let artefact = artefact()?;
-        let data = artefact.creation(true)?;
-        let gas = self.estimate(eoa.address(), None, &data).await?;
-        let nonce = self.nonce(eoa.address(), true).await?;
-        let price = self.market().await?.offer();
-        let creation = TransactionRequest::new().nonce(nonce).gas(gas).gas_price(price).data(data).value(0u64);
-        let signed = sign_request(&wallet(eoa)?, creation.chain_id(self.chain_id()))?;
-        let hash = self.broadcast(&signed.raw).await?;
-        let receipt = self.await_receipt(hash, DEPLOYMENT).await?;
-        let Some(contract) = receipt.contract_address.filter(|_| receipt.status.is_none_or(|s| !s.is_zero())) else {
-            let reason = "the deployment failed on the chain; the network must run Istanbul rules or newer";
-            return Err(ChainError::Rejected { method: "eth_sendRawTransaction".into(), reason: reason.into() });
-        };
-        let contract = Address(contract.0);
-        if self.code_hash(contract).await? != Some(artefact.code_hash) {
-            return Err(ChainError::NotTheContract(contract));
-        }
-        Ok(self.set_pin(self.pin_of(contract, artefact.code_hash, receipt.block_number.as_u64())))
-    }
-
-    async fn await_receipt(&self, hash: Hash, patience: Duration) -> Result<RawReceipt, ChainError> {
+    pub(super) async fn await_receipt(&self, hash: Hash, patience: Duration) -> Result<RawReceipt, ChainError> {
         let deadline = Instant::now() + patience;
         loop {
             let head = self.head().await?.number;
@@ -207,10 +178,10 @@ fn unsigned(error: &dyn std::fmt::Display) -> ChainError {
 
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(rename_all = "camelCase")]
-struct RawReceipt {
-    block_number: U64,
+pub(super) struct RawReceipt {
+    pub block_number: U64,
     block_hash: ethers::types::H256,
     gas_used: U256,
-    status: Option<U64>,
-    contract_address: Option<H160>,
+    pub status: Option<U64>,
+    pub contract_address: Option<H160>,
 }

@@ -2,6 +2,7 @@
 
 use std::fmt::Debug;
 use std::path::PathBuf;
+use std::sync::{Mutex as StdMutex, PoisonError};
 use std::time::Duration;
 
 use async_trait::async_trait;
@@ -25,6 +26,8 @@ const PATIENCE_FOR_LOGS: Duration = Duration::from_secs(20);
 pub struct Transport {
     line: Line,
     url: String,
+    /// The embedded chain's last own error.
+    trouble: StdMutex<Option<ChainError>>,
 }
 
 #[derive(Debug)]
@@ -45,6 +48,9 @@ pub enum TransportError {
     /// What it answered is no JSON-RPC, or not of the expected shape.
     #[error("{0}")]
     Malformed(serde_json::Error),
+    /// The embedded chain cannot go on.
+    #[error("{0}")]
+    Chain(ChainError),
     /// The line broke.
     #[error("{0}")]
     Broken(String),
@@ -71,7 +77,10 @@ impl From<TransportError> for ProviderError {
 
 impl From<Fault> for TransportError {
     fn from(fault: Fault) -> Self {
-        Self::Answered(JsonRpcError { code: fault.code, message: fault.message, data: fault.data })
+        match fault.cause {
+            Some(cause) => Self::Chain(*cause),
+            None => Self::Answered(JsonRpcError { code: fault.code, message: fault.message, data: fault.data }),
+        }
     }
 }
 
@@ -84,10 +93,13 @@ impl Transport {
         match endpoint {
             Endpoint::Embedded { directory, consensus } => {
                 let url = format!("embedded:{}", directory.display());
-                Ok(Self { line: Line::Embedded(Embedded::open(directory.clone(), *consensus).await?), url })
+                let line = Line::Embedded(Embedded::open(directory.clone(), *consensus).await?);
+                Ok(Self { line, url, trouble: StdMutex::default() })
             }
-            Endpoint::Node { url } => Ok(Self { line: line(url)?, url: shown(url) }),
-            Endpoint::Relay(relay) => Ok(Self { line: Line::Relay(relay.clone()), url: relay.0.place() }),
+            Endpoint::Node { url } => Ok(Self { line: line(url)?, url: shown(url), trouble: StdMutex::default() }),
+            Endpoint::Relay(relay) => {
+                Ok(Self { line: Line::Relay(relay.clone()), url: relay.0.place(), trouble: StdMutex::default() })
+            }
         }
     }
 
@@ -114,7 +126,7 @@ impl Transport {
         match &self.line {
             Line::Embedded(embedded) => {
                 let parameters = serde_json::to_value(parameters).map_err(TransportError::Malformed)?;
-                let value = embedded.request(method, parameters).await?;
+                let value = embedded.request(method, parameters).await.inspect_err(|fault| self.note(fault))?;
                 serde_json::from_value(value).map_err(TransportError::Malformed)
             }
             Line::Relay(relay) => {
@@ -129,6 +141,18 @@ impl Transport {
             }
             Line::Ipc(path, slot) => kept(slot, Ipc::connect(path), method, parameters).await,
         }
+    }
+
+    fn note(&self, fault: &Fault) {
+        if fault.cause.is_some() {
+            self.trouble.lock().unwrap_or_else(PoisonError::into_inner).clone_from(&fault.cause.as_deref().cloned());
+        }
+    }
+
+    /// The embedded chain's own error behind the words of one that went through ethers, which keeps no types.
+    pub fn trouble_behind(&self, words: &str) -> Option<ChainError> {
+        let trouble = self.trouble.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        trouble.filter(|trouble| words.contains(&trouble.to_string()))
     }
 
     /// Closes a broken line, so that the next request opens a new one.

@@ -6,7 +6,7 @@ use ethers::types::{Bytes, H160, H256, U64};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::artefact::artefact;
+use super::artefact::{artefacts, telling};
 use super::connect::POLL;
 use super::{BlockRef, Chain, ChainError, Event, EventAt};
 use crate::model::Hash;
@@ -14,9 +14,9 @@ use crate::model::Hash;
 /// The most blocks asked for at once; fewer where a node finds that too many.
 const CHUNK: u64 = 2000;
 
-/// The events that registrations, grants and loans are rebuilt from.
-const CHANGES: [&str; 8] =
-    ["Registered", "KeysRotated", "Granted", "Wrapped", "Revoked", "Rotated", "Lent", "Recalled"];
+/// The events that change nobody's rights: registrations, grants, loans and the administrator's acts are rebuilt from
+/// all others.
+const ANCHORS: [&str; 2] = ["DataUploaded", "Anchored"];
 
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(rename_all = "camelCase")]
@@ -42,16 +42,31 @@ impl Chain {
         self.collect(from, to, &Value::Null).await
     }
 
-    /// As [`Chain::events`], without uploads and anchors: what registrations and grants are rebuilt from.
+    /// As [`Chain::events`], without uploads and anchors: what everybody's rights are rebuilt from.
     ///
     /// # Errors
     /// As [`Chain::events`].
     pub async fn changes(&self, from: u64, to: u64) -> Result<Vec<EventAt>, ChainError> {
         let mut wanted = Vec::new();
-        for name in CHANGES {
-            wanted.push(artefact()?.event_signature(name)?.to_string());
+        let events = artefacts()?.iter().flat_map(|artefact| artefact.abi.events());
+        for event in events.filter(|event| !ANCHORS.contains(&event.name.as_str())) {
+            let signature = Hash(event.signature().0).to_string();
+            if !wanted.contains(&signature) {
+                wanted.push(signature);
+            }
         }
         self.collect(from, to, &json!([wanted])).await
+    }
+
+    /// Every anchor of one root in the blocks `from` to `to`, whoever made it, in the chain's order.
+    ///
+    /// # Errors
+    /// As [`Chain::events`].
+    pub async fn anchors_of(&self, root: Hash, from: u64, to: u64) -> Result<Vec<EventAt>, ChainError> {
+        let name = telling("Anchored")?.event_signature("Anchored")?.to_string();
+        let mut found = self.collect(from, to, &json!([name, null, root.to_string()])).await?;
+        found.retain(|at| matches!(at.event, Event::Anchored { root: anchored, .. } if anchored == root));
+        Ok(found)
     }
 
     async fn collect(&self, from: u64, to: u64, topics: &Value) -> Result<Vec<EventAt>, ChainError> {

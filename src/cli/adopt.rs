@@ -27,14 +27,31 @@ pub enum DevicesVerb {
         #[arg(long, value_name = "TIME")]
         until: Option<String>,
     },
-    /// Take a loan back
+    /// Take a loan back: the device signs and reads no more, its sessions end, a new epoch begins
     Recall {
-        /// Id of the device, or its beginning, or its fingerprint
+        /// Id of the device, or its beginning, or its fingerprint, or the name it was enrolled under
         #[arg(value_name = "ID")]
         device: String,
     },
+    /// What an enrolled robot may record
+    #[command(subcommand)]
+    Topics(TopicsVerb),
     /// Devices lent, and those recalled
     List,
+}
+
+/// `devices topics …`
+#[derive(Debug, Subcommand)]
+pub enum TopicsVerb {
+    /// Give a robot the keys of more topics; it takes them up by itself
+    Add {
+        /// Name of the robot, or the device's id, its beginning, or its fingerprint
+        #[arg(value_name = "DEVICE")]
+        device: String,
+        /// The topics
+        #[arg(value_name = "TOPIC", required = true)]
+        topics: Vec<String>,
+    },
 }
 
 /// The command for a verb.
@@ -47,6 +64,9 @@ pub fn command(verb: &DevicesVerb) -> Result<Command, Failure> {
             Command::LendDevice { device: device_of(device)?, until: until.as_deref().map(end).transpose()? }
         }
         DevicesVerb::Recall { device } => Command::RecallDevice { device: device.clone() },
+        DevicesVerb::Topics(TopicsVerb::Add { device, topics }) => {
+            Command::AddDeviceTopics { device: device.clone(), topics: parse::values(topics)? }
+        }
         DevicesVerb::List => Command::ListDevices,
     })
 }
@@ -59,8 +79,7 @@ pub fn end(text: &str) -> Result<Timestamp, Failure> {
     if let Ok(time) = parse::moment(text) {
         return Ok(Timestamp::from_seconds(time.seconds()));
     }
-    let length = parse::duration(text)?;
-    Ok(Timestamp::from_seconds(Timestamp::now().seconds() + length.as_secs().max(1)))
+    Ok(Timestamp::now().end_after(parse::duration(text)?))
 }
 
 fn device_of(text: &str) -> Result<SignerId, Failure> {

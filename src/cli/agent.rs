@@ -35,6 +35,7 @@ pub async fn enrol(context: Context, arguments: EnrolArguments, output: &Output)
         fingerprint: arguments.gateway_key.as_deref().map(parse::fingerprint).transpose()?,
         name: parse::value(&arguments.name)?,
         topics: parse::values(&arguments.topics)?,
+        all_topics: arguments.all_topics,
         until: arguments.until.as_deref().map(super::adopt::end).transpose()?,
         passphrase: passphrase.clone(),
     };
@@ -141,7 +142,7 @@ async fn follow(mut events: tokio::sync::broadcast::Receiver<crate::service::Eve
     use tokio::sync::broadcast::error::RecvError;
     loop {
         match events.recv().await {
-            Ok(Event::Notice { at, level, text }) if level >= NoticeLevel::Info => {
+            Ok(Event::Notice { at, level, text, .. }) if level >= NoticeLevel::Info => {
                 output.note(&format!("{at} {text}"));
             }
             Ok(_) | Err(RecvError::Lagged(_)) => {}
@@ -151,8 +152,12 @@ async fn follow(mut events: tokio::sync::broadcast::Receiver<crate::service::Eve
 }
 
 fn text(figures: &AgentFigures) -> String {
+    let kept = match figures.unproven {
+        0 => String::new(),
+        count => format!(", {count} of these kept here until the gateway signs for it"),
+    };
     format!(
-        "{}: captured {}, accepted {}, verified {}, pending {}, lost {}; gateway: {}",
+        "{}: captured {}, accepted {}, verified {}{kept}, pending {}, lost {}; gateway: {}",
         figures.name,
         figures.captured,
         figures.accepted,

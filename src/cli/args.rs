@@ -17,7 +17,7 @@ pub use self::bench::{
     AlgorithmArguments, AllArguments, Bench, BenchArguments, BenchName, BenchVerb, ConsensusArguments,
     GatewayArguments, GrowthArguments, LoadChoice, NetworkChoice, PipelineArguments, SizeArguments,
 };
-pub use self::chain::{ChainVerb, GenesisArguments};
+pub use self::chain::{ChainVerb, GenesisArguments, SuccessionVerb};
 pub use self::gateway::GatewayVerb;
 pub use self::global::Global;
 pub use self::keys::{ExportKind, IdentityVerb, KeysVerb};
@@ -77,7 +77,7 @@ pub enum Verb {
     /// Records shared with this profile: list, check, open, export
     #[command(subcommand)]
     Shared(SharedVerb),
-    /// Devices that may sign: lend, recall, list
+    /// Devices that may sign: lend, recall, topics, list
     #[command(subcommand)]
     Devices(super::adopt::DevicesVerb),
     /// A robot's side: enrol it, capture on it and pass on to a gateway
@@ -97,6 +97,9 @@ pub enum Verb {
     Verify {
         /// The folder
         dir: PathBuf,
+        /// Hash of the chain's block 0, as you know it by another way than from the folder
+        #[arg(long, value_name = "HASH")]
+        genesis: Option<String>,
     },
     /// Write profiles, ledger, embedded vault and chain, settings and pins into one encrypted file
     Backup {
@@ -168,6 +171,17 @@ pub struct GrantArguments {
 pub enum GrantsVerb {
     /// Given and received
     List,
+    /// Let an active grant end later; keys and epoch stay as they are
+    Extend {
+        /// Account that reads, or its name
+        grantee: String,
+        /// Its new end: 30d, 12h, or a time as 2027-01-31T12:00:00Z
+        #[arg(long, value_name = "TIME", required_unless_present = "endless")]
+        expires: Option<String>,
+        /// Without end
+        #[arg(long, conflicts_with = "expires")]
+        endless: bool,
+    },
 }
 
 /// `config …`

@@ -10,7 +10,7 @@ use super::{parse, passphrase};
 use crate::model::{ErrorKind, Timestamp};
 use crate::service::command::{SecretText, StoreCommand, UploadQuery};
 use crate::service::reply::{BackupView, CheckStatus, DoctorView, RecordAudit, SiteView};
-use crate::service::verification::{self, FolderCheck};
+use crate::service::verification::{self, FolderCheck, Known, verdict};
 use crate::service::{Command, Failure, Needs, Reply, doctor, restoring, socket};
 use crate::store::SiteLock;
 
@@ -137,11 +137,12 @@ fn doctor_text(view: &DoctorView) -> String {
 ///
 /// # Errors
 /// Where the folder is none, or a flag cannot be used.
-pub async fn run_verify(global: &Global, folder: &Path, output: &Output) -> Result<u8, Failure> {
+pub async fn run_verify(global: &Global, folder: &Path, genesis: Option<&str>, output: &Output) -> Result<u8, Failure> {
     let set = |name: &str| std::env::var(name).ok().filter(|value| !value.is_empty());
     let url = global.chain.clone().or_else(|| set("AUTHROS_CHAIN"));
     let contract = global.contract.as_deref().map(parse::value).transpose()?;
-    let check = verification::verify(folder, url.as_deref(), contract).await?;
+    let genesis = genesis.map(parse::value).transpose()?;
+    let check = verification::verify(folder, url.as_deref(), Known { genesis, contract }).await?;
     output.result(&check, || verify_text(&check));
     Ok(check.worst.map_or(0, ErrorKind::exit_code))
 }
@@ -156,12 +157,7 @@ fn verify_text(check: &FolderCheck) -> String {
         vec![step.name.clone(), word.to_owned(), step.text.clone()]
     };
     let steps = table(&["step", "", ""], &check.steps.iter().map(row).collect::<Vec<_>>());
-    let verdict = match check.worst {
-        None => "VERIFIED: unaltered, anchored, and signed with a key that was its owner's or lent by them",
-        Some(ErrorKind::Tampered) => "NOT VERIFIED: do not trust this record",
-        Some(_) => "NOT VERIFIED: the chain was not asked for all of it",
-    };
-    format!("{steps}\n{verdict}")
+    format!("{steps}\n{}", verdict(check))
 }
 
 /// The passphrase of a back-up: given, never the home's own.

@@ -10,7 +10,7 @@ use super::passphrase;
 use crate::config::{Config, Source};
 use crate::model::{ErrorKind, ProfileName};
 use crate::paths::Home;
-use crate::service::reply::IdentityView;
+use crate::service::reply::{IdentityView, SiteView};
 use crate::service::socket::{self, Greeting};
 use crate::service::{Client, Command, Failure, Needs, Reply, Site};
 use crate::store::{SiteLock, files};
@@ -214,6 +214,17 @@ async fn unasked(site: &Site) {
 pub fn expect_identity(reply: Reply) -> Result<IdentityView, Failure> {
     match reply {
         Reply::Identity(identity) => Ok(identity),
+        _ => Err(unexpected()),
+    }
+}
+
+/// The site's view of itself in a reply.
+///
+/// # Errors
+/// Where the site answered something else.
+pub fn expect_site(reply: Reply) -> Result<SiteView, Failure> {
+    match reply {
+        Reply::Site(view) => Ok(view),
         _ => Err(unexpected()),
     }
 }

@@ -84,7 +84,7 @@ async fn relay(site: Client, mut calls: Calls, events: broadcast::Sender<Event>)
                 Err(broadcast::error::RecvError::Lagged(_)) => {}
                 Err(broadcast::error::RecvError::Closed) => {
                     let text = site_gone().message;
-                    drop(events.send(Event::Notice { at: Timestamp::now(), level: NoticeLevel::Error, text }));
+                    drop(events.send(Event::Notice { at: Timestamp::now(), level: NoticeLevel::Error, text, about: None }));
                     return;
                 }
             },

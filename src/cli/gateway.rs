@@ -2,24 +2,26 @@
 
 use std::net::SocketAddr;
 
+use super::args::GatewayVerb;
 use super::connect::{Connection, Context, ProfileNeed, unexpected};
-use super::output::Output;
+use super::output::{Output, table};
+use super::parse;
 use super::serve as site;
 use crate::model::clean;
-use crate::service::reply::{GatewayStatusView, GatewayView};
-use crate::service::{Command, Failure, Needs, Reply};
+use crate::service::reply::{AdmittedView, GatewayStatusView, GatewayView};
+use crate::service::{Command, Failure, Needs, Operation, Reply};
 
 /// Serves until a signal: through the running site of this home, or as a site of its own without ROS.
 ///
 /// # Errors
 /// Where the profile cannot be opened or registered, or the address is not free.
-pub async fn serve(context: Context, listen: SocketAddr, output: &Output) -> Result<u8, Failure> {
+pub async fn serve(context: Context, listen: SocketAddr, open: bool, output: &Output) -> Result<u8, Failure> {
     let connection = context.connect(Needs { ros: false, chain: true }).await?;
     let (joined, events) = (connection.site.is_none(), connection.client.events());
     let end = site::asked_to_end();
     tokio::pin!(end);
     let begun = tokio::select! {
-        begun = begin(&context, &connection, listen, output) => begun,
+        begun = begin(&context, &connection, (listen, open), output) => begun,
         _ = &mut end => {
             connection.end().await;
             return Ok(0);
@@ -49,16 +51,43 @@ pub async fn serve(context: Context, listen: SocketAddr, output: &Output) -> Res
 async fn begin(
     context: &Context,
     connection: &Connection,
-    listen: SocketAddr,
+    (address, open): (SocketAddr, bool),
     output: &Output,
 ) -> Result<GatewayView, Failure> {
     let client = &connection.client;
     context.prepare(client, ProfileNeed::Made, output).await?;
     client.request(Command::Register).await?;
-    match client.request(Command::ServeGateway { address: listen }).await? {
+    match client.request(Command::ServeGateway { address, open }).await? {
         Reply::Gateway(view) => Ok(view),
         _ => Err(unexpected()),
     }
+}
+
+/// What is asked of a site about its gateway.
+///
+/// # Errors
+/// What is wrong with the arguments.
+pub fn operation(verb: &GatewayVerb) -> Result<Operation, Failure> {
+    Ok(match verb {
+        GatewayVerb::Admit { owner } => Operation::Admit { owner: parse::value(owner)? },
+        GatewayVerb::Dismiss { owner } => Operation::Dismiss { owner: parse::value(owner)? },
+        GatewayVerb::Admitted => Operation::ListAdmitted,
+        GatewayVerb::Status | GatewayVerb::Serve { .. } => Operation::GatewayStatus,
+    })
+}
+
+/// Who may use a gateway, for people.
+pub fn admitted(rows: &[AdmittedView]) -> String {
+    if rows.is_empty() {
+        return "nobody but this home's own profiles; `authros gateway admit OWNER` lets an owner use its gateway"
+            .to_owned();
+    }
+    let name = |row: &AdmittedView| row.name.clone().unwrap_or_default();
+    let rows: Vec<Vec<String>> = rows
+        .iter()
+        .map(|row| vec![row.owner.to_string(), name(row), row.since.to_string(), clean(&row.by, 60)])
+        .collect();
+    table(&["owner", "contact", "since", "admitted by"], &rows)
 }
 
 /// A gateway for people.

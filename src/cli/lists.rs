@@ -4,9 +4,10 @@ use super::output::table;
 use super::parties;
 use crate::config::SettingView;
 use crate::model::{Address, Verdict};
+use crate::pipeline::columns::Compared;
 use crate::pipeline::sender::LaneState;
 use crate::service::reply::{
-    ChainView, DeployedView, GrantRow, IdentityView, KeysView, Provenance, RecordPage, TopicRow,
+    ChainView, DeployedView, GrantRow, IdentityView, KeysView, Provenance, RecordPage, RecordView, TopicRow,
 };
 
 fn pairs(rows: &[(&str, String)]) -> String {
@@ -117,10 +118,34 @@ pub fn records(page: &RecordPage) -> String {
     let shared = page.records.iter().any(|record| record.owner.is_some());
     let owner = if shared { "owner" } else { "" };
     let list = table(&["id", "seq", "topic", "state", "bytes", "captured", "block", "", owner], &rows);
-    match &page.next {
-        Some(next) => format!("{list}\nmore: --after {next}"),
-        None => list,
+    let mut lines = vec![list];
+    lines.extend(doubts(page));
+    lines.extend(page.next.as_ref().map(|next| format!("more: --after {next}")));
+    lines.join("\n")
+}
+
+/// What of a page is the ledger's word alone, or contradicts the records.
+fn doubts(page: &RecordPage) -> Vec<String> {
+    let count = |is: &dyn Fn(&RecordView) -> bool| page.records.iter().filter(|record| is(record)).count();
+    let altered =
+        page.records.iter().filter_map(|record| Some(format!("{} ({})", record.id, record.differs.as_ref()?)));
+    let altered: Vec<String> = altered.collect();
+    let unread = count(&|record| record.state == "unread");
+    let sealed = count(&|record| record.compared == Compared::Header);
+    let mut lines = Vec::new();
+    if !altered.is_empty() {
+        let which = altered.join(", ");
+        lines.push(format!("the ledger was altered, what the records say is shown: {which}; run `authros audit`"));
     }
+    if unread > 0 {
+        lines.push(format!("unread: the bytes of {unread} are not here, so the ledger's word was not compared"));
+    }
+    if sealed > 0 {
+        lines.push(format!(
+            "topic, type, bytes and SIMULATED of {sealed} are the ledger's word: they lie sealed, and no key is open"
+        ));
+    }
+    lines
 }
 
 /// One record's way.

@@ -18,6 +18,7 @@ mod follow;
 mod gateway;
 mod lists;
 mod looks;
+mod memory;
 mod output;
 mod parse;
 mod parties;
@@ -45,6 +46,7 @@ use crate::service::Failure;
 
 /// Runs the program; the exit code follows from the kind of error.
 pub fn main() -> ExitCode {
+    memory::keep_private();
     serve::note_hangup();
     let arguments = match Arguments::try_parse() {
         Ok(arguments) => arguments,
@@ -93,8 +95,8 @@ fn run(runtime: &tokio::runtime::Runtime, arguments: Arguments, output: &Output)
         Some(Verb::Bench(bench)) => return runtime.block_on(bench::run(&arguments.global, bench, output)),
         other => other,
     };
-    if let Some(Verb::Verify { dir }) = &verb {
-        return runtime.block_on(check::run_verify(&arguments.global, dir, output));
+    if let Some(Verb::Verify { dir, genesis }) = &verb {
+        return runtime.block_on(check::run_verify(&arguments.global, dir, genesis.as_deref(), output));
     }
     let context = Context::new(arguments.global)?;
     match verb {
@@ -103,8 +105,8 @@ fn run(runtime: &tokio::runtime::Runtime, arguments: Arguments, output: &Output)
         Some(Verb::Agent(args::AgentVerb::Enrol(enrol))) => runtime.block_on(agent::enrol(context, enrol, output)),
         Some(Verb::Serve) => runtime.block_on(serve::run(context, output)),
         Some(Verb::Demo(demo)) => runtime.block_on(demo::run(context, demo, output)),
-        Some(Verb::Gateway(args::GatewayVerb::Serve { listen })) => {
-            runtime.block_on(gateway::serve(context, listen, output))
+        Some(Verb::Gateway(args::GatewayVerb::Serve { listen, open })) => {
+            runtime.block_on(gateway::serve(context, listen, open, output))
         }
         Some(Verb::Chain(ChainVerb::Serve { listen })) => runtime.block_on(chain::serve(context, listen, output)),
         Some(Verb::Doctor) => runtime.block_on(check::run_doctor(context, output)),

@@ -2,12 +2,13 @@
 
 use clap::Subcommand;
 
-use super::args::ChainVerb;
+use super::args::{ChainVerb, SuccessionVerb};
 use super::output::table;
 use super::parse;
+use crate::chain::Revision;
 use crate::model::{Address, ErrorKind};
 use crate::service::command::Administration;
-use crate::service::reply::{AdministrationView, CompareView, ContactRow, SuccessionView};
+use crate::service::reply::{AdministrationView, CompareView, ContactRow, ProposalView, SuccessionView};
 use crate::service::{Command, Failure};
 
 /// `contacts …`
@@ -66,18 +67,42 @@ pub fn act(verb: &ChainVerb) -> Result<Option<Command>, Failure> {
         ChainVerb::Succeed { lost, successor } => {
             Administration::Succeed { lost: parse::value(lost)?, successor: parse::value(successor)? }
         }
+        ChainVerb::Succession(SuccessionVerb::Propose { lost, successor }) => {
+            Administration::Propose { lost: parse::value(lost)?, successor: parse::value(successor)? }
+        }
+        ChainVerb::Succession(SuccessionVerb::Cancel { lost }) => Administration::Cancel { lost: parse::value(lost)? },
+        ChainVerb::Succession(SuccessionVerb::Complete { lost }) => {
+            Administration::Complete { lost: parse::value(lost)? }
+        }
+        ChainVerb::Dismiss { account } => Administration::Dismiss { account: parse::value(account)? },
         ChainVerb::Admit { account } => Administration::Admit { account: parse::value(account)? },
         ChainVerb::Suspend { account } => Administration::Suspend { account: parse::value(account)? },
         ChainVerb::Restore { account } => Administration::Restore { account: parse::value(account)? },
         ChainVerb::Open => Administration::Open { open: true },
         ChainVerb::Close => Administration::Open { open: false },
-        ChainVerb::Pause => Administration::Pause { paused: true },
-        ChainVerb::Resume => Administration::Pause { paused: false },
+        ChainVerb::Pause { length } => {
+            Administration::Pause { paused: true, seconds: length.as_deref().map(seconds).transpose()? }
+        }
+        ChainVerb::Resume => Administration::Pause { paused: false, seconds: None },
         ChainVerb::HandOver { account } => Administration::HandOver { account: parse::value(account)? },
         ChainVerb::Accept => Administration::Accept,
         _ => return Ok(None),
     };
     Ok(Some(Command::Administer(act)))
+}
+
+/// `chain deploy`.
+///
+/// # Errors
+/// A delay that cannot be read, or a revision that there is not.
+pub fn deployment(delay: Option<&str>, revision: Option<u8>) -> Result<Command, Failure> {
+    let unknown = |error: String| Failure::new(ErrorKind::Input, error);
+    let revision = revision.map(Revision::try_from).transpose().map_err(unknown)?;
+    Ok(Command::DeployContract { delay: delay.map(seconds).transpose()?, revision })
+}
+
+fn seconds(text: &str) -> Result<u64, Failure> {
+    parse::duration(text).map(|length| length.as_secs())
 }
 
 /// The address book, for people.
@@ -115,11 +140,51 @@ pub fn administration(view: &AdministrationView) -> Vec<(&'static str, String)> 
     let registration = if view.open { "open to all" } else { "only admitted accounts" };
     let mut rows = vec![("administrator", administrator.to_string()), ("registration", registration.to_owned())];
     rows.extend(view.nominee.map(|nominee| ("hands over to", nominee.to_string())));
-    rows.extend(view.paused.then(|| ("paused", "all changes but those that take rights away".to_owned())));
+    rows.extend(view.revision.map(|revision| ("revision", revision.to_string())));
+    rows.extend(view.paused.then(|| ("paused", paused(view))));
+    rows.extend(view.delay.map(|delay| ("succession", waiting(delay))));
+    rows.extend(view.proposals.iter().map(|one| ("proposed", proposal(one))));
     rows.extend(view.successions.iter().map(|one| ("successor", succession(one))));
     let lost = |account: &&Address| view.successions.iter().any(|one| one.lost == **account);
     rows.extend(view.suspended.iter().filter(|account| !lost(account)).map(|one| ("suspended", one.to_string())));
     rows
+}
+
+fn paused(view: &AdministrationView) -> String {
+    const WHAT: &str = "all changes but those that take rights away";
+    view.paused_until.map_or_else(|| WHAT.to_owned(), |until| format!("{WHAT}, until {until}"))
+}
+
+fn waiting(delay: u64) -> String {
+    let days = |seconds: u64| format!("{} days", seconds / 86_400);
+    format!("waits {}, or {} where no recovery account was named", days(delay), days(2 * delay))
+}
+
+/// Successions and the own recovery account, for people.
+pub fn successions(view: &AdministrationView) -> String {
+    let mut lines = vec![match view.delay {
+        Some(delay) => format!("a succession {}", waiting(delay)),
+        None => "this contract is of revision 1: the administrator names successors at once".to_owned(),
+    }];
+    let recovery = &view.recovery;
+    if view.delay.is_some() {
+        let now = recovery.account.map_or_else(|| "nobody".to_owned(), |account| account.to_string());
+        lines.push(format!("who may stop one of this profile's account: {now}"));
+    }
+    lines.extend(recovery.from.map(|from| {
+        let next = recovery.next.map_or_else(|| "nobody".to_owned(), |account| account.to_string());
+        format!("  from {from} on: {next}")
+    }));
+    lines.extend(view.proposals.iter().map(proposal));
+    lines.extend(view.successions.iter().map(succession));
+    lines.join("\n")
+}
+
+fn proposal(one: &ProposalView) -> String {
+    let (lost, successor) =
+        (named(one.lost, one.lost_name.as_ref()), named(one.successor, one.successor_name.as_ref()));
+    let stop = one.recovery.map_or_else(|| "nobody".to_owned(), |recovery| recovery.to_string());
+    format!("{successor} is to continue for {lost} from {} on; who may stop it: {stop}", one.due)
 }
 
 fn succession(one: &SuccessionView) -> String {

@@ -5,12 +5,15 @@ use std::io::Read as _;
 use std::path::Path;
 
 use super::args::Global;
+use super::connect::{Context, ProfileNeed};
 use super::output::Output;
+use super::verbs::{NEITHER, Plan};
 use crate::crypto::{Passphrase, private_file};
 use crate::model::{ErrorKind, ProfileName};
 use crate::paths::Home;
-use crate::service::{Failure, SecretText};
+use crate::service::{Command, Failure, SecretText};
 use crate::store::{atomic_write, files};
+use crate::term::ask;
 
 /// The longest passphrase read, bytes.
 const LONGEST: usize = 4096;
@@ -53,6 +56,68 @@ pub fn given(global: &Global, home: &Home, profile: &ProfileName) -> Result<Opti
     }
     let own = home.passphrase(profile);
     if own.exists() { from_file(&own).map(Some) } else { Ok(None) }
+}
+
+/// The plan of `keys passphrase`: the present passphrase as given, beside the keyring or asked; the new one from its
+/// file or descriptor, or asked twice.
+///
+/// # Errors
+/// Where one of them is neither given nor can be asked.
+pub fn change(context: &Context, file: Option<&Path>, descriptor: Option<u32>) -> Result<Plan, Failure> {
+    let (global, home, profile) = (&context.global, &context.home, &context.profile);
+    if descriptor.is_some() && descriptor == global.passphrase_fd {
+        let text = "--passphrase-fd and --new-passphrase-fd name the same descriptor; use two";
+        return Err(Failure::new(ErrorKind::Usage, text));
+    }
+    let old = match given(global, home, profile)? {
+        Some(old) => old,
+        None => asked(&format!("Present passphrase of profile '{profile}'"), "--passphrase-file")?,
+    };
+    let new = match (file, descriptor) {
+        (Some(path), _) => from_file(path)?,
+        (None, Some(number)) => from_descriptor(number)?,
+        (None, None) => asked_twice()?,
+    };
+    Ok(Plan::new(NEITHER, ProfileNeed::None, Command::ChangePassphrase { old, new }))
+}
+
+/// Takes away the file that headless use wrote beside the keyring: after a change it opens nothing, and who changed the
+/// passphrase may have done so because of that file.
+///
+/// # Errors
+/// Where it cannot be removed.
+pub fn forget(home: &Home, profile: &ProfileName, output: &Output) -> Result<(), Failure> {
+    let own = home.passphrase(profile);
+    if !own.exists() {
+        return Ok(());
+    }
+    std::fs::remove_file(&own).map_err(|error| {
+        let text = format!("the passphrase is changed, but {} with the old one is still there: {error}", own.display());
+        Failure::new(ErrorKind::Home, text)
+    })?;
+    output.note(&format!(
+        "{} held the old passphrase and was removed; commands without a terminal need --passphrase-file from now on",
+        own.display()
+    ));
+    Ok(())
+}
+
+fn asked(question: &str, option: &str) -> Result<SecretText, Failure> {
+    let answer = ask::secret(question)
+        .map_err(|error| Failure::new(ErrorKind::Input, format!("the terminal does not answer: {error}")))?;
+    let answer = answer.ok_or_else(|| {
+        Failure::new(ErrorKind::Usage, format!("no passphrase was given; type it at a terminal, or give {option}"))
+    })?;
+    Ok(SecretText::new(answer.to_string()))
+}
+
+fn asked_twice() -> Result<SecretText, Failure> {
+    let new = asked("New passphrase, at least 8 characters", "--new-passphrase-file")?;
+    let again = asked("Once more", "--new-passphrase-file")?;
+    if new.expose() == again.expose() {
+        return Ok(new);
+    }
+    Err(Failure::new(ErrorKind::Input, "the two differ; nothing was changed, begin again"))
 }
 
 /// The passphrase given, or that in a file beside what it protects; `None` where there is neither.

@@ -8,6 +8,7 @@ use super::connect::{Context, ProfileNeed};
 use super::verbs::{CHAIN, NEITHER, Plan};
 use super::{parse, passphrase};
 use crate::model::{ErrorKind, Timestamp};
+use crate::service::command::PairKind;
 use crate::service::{Command, Epochs, Failure, KeyKind, Operation, SecretText};
 
 /// `audit …`
@@ -41,27 +42,45 @@ fn absolute(path: &Path) -> Result<PathBuf, Failure> {
     std::path::absolute(path).map_err(|error| Failure::new(ErrorKind::Input, format!("{}: {error}", path.display())))
 }
 
+/// A change of a pair: whom it touches is said first, or alone.
+fn changes(profile: ProfileNeed, kind: PairKind, dry_run: bool, command: Command) -> Plan {
+    let touched = Command::ForeseeKeyChange { kind };
+    if dry_run {
+        return Plan::new(CHAIN, profile, touched);
+    }
+    Plan { first: Some(touched), ..Plan::new(CHAIN, profile, command) }
+}
+
 /// `keys …`
 ///
 /// # Errors
 /// A file that cannot be read, a key that is not named.
-pub fn keys(verb: KeysVerb) -> Result<Plan, Failure> {
+pub fn keys(context: &Context, verb: KeysVerb) -> Result<Plan, Failure> {
     let secret = |file: Option<PathBuf>| file.as_deref().map(passphrase::from_file).transpose();
     Ok(match verb {
         KeysVerb::List => Plan::new(CHAIN, ProfileNeed::Unlocked, Command::ListKeys),
-        KeysVerb::Rotate => Plan::new(CHAIN, ProfileNeed::Unlocked, Command::RotateKeys),
+        KeysVerb::Rotate { envelope: false, .. } => Plan::new(CHAIN, ProfileNeed::Unlocked, Command::RotateKeys),
+        KeysVerb::Rotate { dry_run, .. } => {
+            changes(ProfileNeed::Unlocked, PairKind::Envelope, dry_run, Command::RotateEnvelope)
+        }
+        KeysVerb::Passphrase { new_passphrase_file, new_passphrase_fd } => {
+            return super::passphrase::change(context, new_passphrase_file.as_deref(), new_passphrase_fd);
+        }
         KeysVerb::Backup { out } => {
             let command = Command::Operate(Operation::BackUpKeys);
             Plan { out: Some(out), ..Plan::new(NEITHER, ProfileNeed::None, command) }
         }
-        KeysVerb::Load { sm4, sm2, eoa, keystore_passphrase_file } => {
+        KeysVerb::Load { sm4, sm2, eoa, keystore_passphrase_file, dry_run } => {
             let choices = [(KeyKind::Sm4, sm4), (KeyKind::Sm2, sm2), (KeyKind::Eoa, eoa)];
             let chosen = choices.into_iter().find_map(|(kind, path)| path.map(|path| (kind, path)));
             let (kind, path) =
                 chosen.ok_or_else(|| Failure::new(ErrorKind::Usage, "name the key with --sm4, --sm2 or --eoa"))?;
             let command =
                 Command::LoadKey { kind, path: absolute(&path)?, passphrase: secret(keystore_passphrase_file)? };
-            Plan::new(CHAIN, ProfileNeed::Made, command)
+            match kind {
+                KeyKind::Sm2 => changes(ProfileNeed::Made, PairKind::Signing, dry_run, command),
+                _ => Plan::new(CHAIN, ProfileNeed::Made, command),
+            }
         }
         KeysVerb::Export { kind, out, keystore_passphrase_file } => {
             let kind = match kind {
@@ -84,10 +103,7 @@ pub fn keys(verb: KeysVerb) -> Result<Plan, Failure> {
 /// A party, topic or time that cannot be read.
 pub fn grant(arguments: &GrantArguments) -> Result<Command, Failure> {
     let expires = match &arguments.expires {
-        Some(text) => {
-            let length = parse::duration(text)?;
-            Some(Timestamp::from_seconds(Timestamp::now().seconds() + length.as_secs().max(1)))
-        }
+        Some(text) => Some(Timestamp::now().end_after(parse::duration(text)?)),
         None => None,
     };
     Ok(Command::Grant {

@@ -207,6 +207,15 @@ fn imported(view: &ImportView) -> String {
     for damage in &view.damages {
         text.push_str(&format!("\nbyte {}: {}", damage.position, damage.text));
     }
+    for topic in &view.left_out {
+        text.push_str(&format!("\nleft out: {} messages of '{}': {}", topic.messages, topic.topic, topic.why));
+    }
+    if view.unguarded > 0 {
+        text.push_str(&format!(
+            "\n{} messages have no checksum in this file: whether they were altered before the import cannot be told",
+            view.unguarded
+        ));
+    }
     text
 }
 
@@ -233,7 +242,7 @@ fn import_code(view: &ImportView, output: &Output) -> u8 {
     }
     let whole = damages == 0 && view.skipped == 0 && view.lost == 0 && !view.ended_early;
     let nothing = view.imported == 0 && view.already == 0;
-    if nothing {
+    if nothing && view.skipped == 0 {
         output.note("authros: the recording holds no message of these topics");
     }
     if whole && !nothing { 0 } else { ErrorKind::Incomplete.exit_code() }

@@ -61,7 +61,7 @@ pub async fn asked_to_end() -> Ending {
 /// # Errors
 /// Where another process is the site already, or the profile cannot be opened.
 pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
-    let connection = context.connect(Needs { ros: true, chain: true }).await?;
+    let connection = context.connect(Needs { ros: true, chain: true }).await.map_err(not_started)?;
     if connection.site.is_none() {
         let root = context.home.root().display();
         return Err(Failure::new(
@@ -94,7 +94,7 @@ pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
         }
         Err(failure) => {
             connection.end().await;
-            return Err(failure);
+            return Err(not_started(failure));
         }
     }
     let ready = serde_json::json!({ "serving": context.home.root().display().to_string(), "profile": context.profile });
@@ -106,6 +106,12 @@ pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
     Ok(0)
 }
 
+/// Nothing goes on by itself where nothing runs.
+fn not_started(failure: Failure) -> Failure {
+    let message = format!("the site did not start and has ended: {}", failure.message);
+    Failure::new(failure.kind, message)
+}
+
 /// Shows the site's warnings until `end`, or the site's end. What was told since `events` were listened to is shown
 /// as well.
 pub async fn follow(mut events: broadcast::Receiver<Event>, output: &Output, end: impl Future<Output = Ending>) {
@@ -114,7 +120,9 @@ pub async fn follow(mut events: broadcast::Receiver<Event>, output: &Output, end
         tokio::select! {
             _ = &mut end => return,
             event = events.recv() => match event {
-                Ok(Event::Notice { at, level, text }) if level >= NoticeLevel::Warning => output.note(&format!("{at} {text}")),
+                Ok(Event::Notice { at, level, text, about }) if level >= NoticeLevel::Warning || about.is_some() => {
+                    output.note(&format!("{at} {text}"));
+                }
                 Ok(_) | Err(broadcast::error::RecvError::Lagged(_)) => {}
                 Err(broadcast::error::RecvError::Closed) => return,
             },

@@ -12,10 +12,12 @@ use crate::service::{Failure, Reply};
 ///
 /// # Errors
 /// A file that cannot be written.
+#[allow(clippy::too_many_lines, reason = "a line for each answer")]
 pub fn show(reply: Reply, out: Option<&Path>, output: &Output) -> Result<u8, Failure> {
     match reply {
         Reply::Done => output.result(&serde_json::json!({ "ok": true }), || "done".to_owned()),
         Reply::Identity(view) => output.result(&view, || lists::identity(&view)),
+        Reply::KeyChange(view) => output.result(&view, || view.lines.join("\n")),
         Reply::Keys(view) => output.result(&view, || lists::keys(&view)),
         Reply::Topics(rows) => output.result(&serde_json::json!({ "topics": rows }), || lists::topics(&rows)),
         Reply::Records(page) => output.result(&page, || lists::records(&page)),
@@ -26,7 +28,7 @@ pub fn show(reply: Reply, out: Option<&Path>, output: &Output) -> Result<u8, Fai
             output.result(&serde_json::json!({ "devices": rows }), || super::adopt::devices(&rows));
         }
         Reply::Chain(view) => output.result(&view, || lists::chain(&view)),
-        Reply::Site(view) => output.result(&view, || super::status::text(&view)),
+        Reply::Administration(view) => output.result(&view, || parties::successions(&view)),
         Reply::Deployed(view) => output.result(&view, || lists::deployed(&view)),
         Reply::Contacts(rows) => {
             output.result(&serde_json::json!({ "contacts": rows }), || parties::contact_table(&rows));
@@ -47,6 +49,9 @@ pub fn show(reply: Reply, out: Option<&Path>, output: &Output) -> Result<u8, Fai
             return Ok(super::check::audit_code(&audit));
         }
         Reply::BackedUp(view) => output.result(&view, || super::check::backed_up(&view)),
+        Reply::Admitted(rows) => {
+            output.result(&serde_json::json!({ "admitted": rows }), || super::gateway::admitted(&rows));
+        }
         Reply::GatewayStatus(view) => output.result(&view, || super::gateway::status(&view)),
         Reply::Pins(view) => output.result(&view, || quarantine::pins(&view)),
         Reply::Quarantine(view) => output.result(&view, || quarantine::held(&view)),
@@ -82,9 +87,13 @@ pub fn show(reply: Reply, out: Option<&Path>, output: &Output) -> Result<u8, Fai
                 format!("written to {} (0600)", path.display())
             });
         }
+        Reply::DeviceTopics(view) => output.result(&view, || {
+            let (added, topics) = (view.added.join(", "), view.topics.join(", "));
+            format!("'{}' is sent the keys of {added}; it covers {topics}", view.name)
+        }),
         Reply::Policy(view) => super::policy::show(&view, output),
         Reply::Recording(_) => return Err(super::connect::unexpected()),
-        Reply::Enrolled(_) | Reply::Captured(_) | Reply::Served(_) | Reply::Gateway(_) => {
+        Reply::Site(_) | Reply::Enrolled(_) | Reply::Captured(_) | Reply::Served(_) | Reply::Gateway(_) => {
             return Err(super::connect::unexpected());
         }
     }

@@ -1,9 +1,64 @@
-//! `authros status`: health of the site's parts and where the profile's records stand.
+//! `authros status`: health of the site's parts and where the profile's records stand. Without a running site the peers
+//! are asked here. The exit code is of what is wrong: 6 where records are gone or altered, 4 where a part is not well.
 
-use crate::service::reply::{HealthLevel, LifeLine, SiteView};
+use super::connect::{Context, expect_site};
+use super::output::Output;
+use super::verbs::NEITHER;
+use crate::model::ErrorKind;
+use crate::service::failure::input;
+use crate::service::reply::{HealthLevel, LifeLine, PartHealth, SiteView};
+use crate::service::{Command, Failure, doctor};
+
+/// `status`.
+///
+/// # Errors
+/// Where there is no such profile, or neither a site nor the home's files answer.
+pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
+    known(&context)?;
+    let connection = context.connect(NEITHER).await?;
+    let asked = connection.client.request(Command::SiteStatus).await.and_then(expect_site);
+    let alone = connection.site.is_some();
+    let peers = if alone { doctor::peers(&context.home, &context.config).await } else { Vec::new() };
+    connection.close().await;
+    let mut view = asked?;
+    for peer in peers {
+        match view.health.iter_mut().find(|part| part.part == peer.part) {
+            Some(part) => *part = peer,
+            None => view.health.push(peer),
+        }
+    }
+    output.result(&view, || text(&view));
+    Ok(code(&view))
+}
+
+/// A profile that was named, or the usual one beside others, must exist.
+fn known(context: &Context) -> Result<(), Failure> {
+    if context.home.keyring(&context.profile).exists() {
+        return Ok(());
+    }
+    let others: Vec<String> = context.home.profiles().iter().map(ToString::to_string).collect();
+    if context.global.profile.is_none() && others.is_empty() {
+        return Ok(());
+    }
+    let there = if others.is_empty() { "it has none yet".to_owned() } else { format!("it has {}", others.join(", ")) };
+    let root = context.home.root().display();
+    Err(input(format!("the home {root} has no profile '{}'; {there}: name one with --profile", context.profile)))
+}
+
+/// The exit code that a state of things has.
+fn code(view: &SiteView) -> u8 {
+    let is_well = |part: &PartHealth| matches!(part.level, HealthLevel::Ok | HealthLevel::Absent);
+    if view.life.tampered > 0 || !view.life.conserved {
+        ErrorKind::Tampered.exit_code()
+    } else if view.health.iter().all(is_well) {
+        0
+    } else {
+        ErrorKind::Unreachable.exit_code()
+    }
+}
 
 /// The site at a glance.
-pub fn text(view: &SiteView) -> String {
+fn text(view: &SiteView) -> String {
     let mut lines: Vec<String> = view
         .health
         .iter()
@@ -32,5 +87,39 @@ fn life(life: &LifeLine) -> Vec<String> {
         "lost in transport {}, in the recorder {}, discarded {}; waiting in memory {}; deleted by retention {}",
         life.lost_in_transport, life.lost_in_recorder, life.discarded, life.waiting, life.deleted
     );
-    vec![format!("{sum}: {verdict}"), lost]
+    let mut lines = vec![format!("{sum}: {verdict}"), lost];
+    if tampered > 0 {
+        lines.push(format!("{tampered} records are altered or MISSING: `authros audit` names them"));
+    }
+    lines
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn view(level: HealthLevel, tampered: u64) -> SiteView {
+        let part = PartHealth { part: "vault".to_owned(), level, text: String::new(), since: None, retry: None };
+        SiteView {
+            health: vec![part],
+            life: LifeLine { tampered, conserved: true, ..LifeLine::default() },
+            robots: 0,
+            profiles: Vec::new(),
+            tasks: Vec::new(),
+            queue: crate::service::reply::QueueView::default(),
+        }
+    }
+
+    #[test]
+    fn the_exit_code_tells_of_the_worst_that_is_wrong() {
+        let codes = |tampered| {
+            [HealthLevel::Ok, HealthLevel::Absent, HealthLevel::Waiting, HealthLevel::Failed]
+                .map(|level| code(&view(level, tampered)))
+        };
+        assert_eq!(codes(0), [0, 0, 4, 4]);
+        assert_eq!(codes(1), [6, 6, 6, 6]);
+        let mut lost = view(HealthLevel::Ok, 0);
+        lost.life.conserved = false;
+        assert_eq!(code(&lost), 6);
+    }
 }

@@ -2,13 +2,13 @@
 
 use std::path::PathBuf;
 
-use super::args::{ChainVerb, ConfigVerb, GatewayVerb, GrantsVerb, IdentityVerb, TopicsVerb, UploadsVerb, Verb};
+use super::args::{ChainVerb, ConfigVerb, GrantsVerb, IdentityVerb, SuccessionVerb, TopicsVerb, UploadsVerb, Verb};
 use super::connect::{Context, ProfileNeed};
 use super::output::Output;
 use super::plans::{audit, grant, keys};
 use super::quarantine::{self, QuarantineVerb};
 use super::{check, lists, parse, parties, passphrase, show};
-use crate::service::{Command, Failure, Needs, Operation};
+use crate::service::{Command, Failure, Needs, Operation, Reply};
 
 /// The chain alone.
 pub const CHAIN: Needs = Needs { ros: false, chain: true };
@@ -23,6 +23,8 @@ pub struct Plan {
     pub needs: Needs,
     /// What the profile must be.
     pub profile: ProfileNeed,
+    /// What is asked before, its answer told beside the result.
+    pub first: Option<Command>,
     /// What is asked.
     pub command: Command,
     /// Where files of the answer go.
@@ -32,7 +34,7 @@ pub struct Plan {
 impl Plan {
     /// A plan that writes no file.
     pub fn new(needs: Needs, profile: ProfileNeed, command: Command) -> Self {
-        Self { needs, profile, command, out: None }
+        Self { needs, profile, first: None, command, out: None }
     }
 }
 
@@ -44,14 +46,26 @@ pub async fn run(context: Context, verb: Verb, output: &Output) -> Result<u8, Fa
     if let Verb::Config(verb) = verb {
         return Ok(config(&context, &verb, output));
     }
+    if let Verb::Status = verb {
+        return super::status::run(context, output).await;
+    }
     let plan = plan(&context, verb, output)?;
     let connection = context.connect(plan.needs).await?;
+    let forgets = matches!(plan.command, Command::ChangePassphrase { .. });
     let answer = async {
         context.prepare(&connection.client, plan.profile, output).await?;
+        if let Some(first) = plan.first
+            && let Reply::KeyChange(foreseen) = connection.client.request(first).await?
+        {
+            foreseen.lines.iter().for_each(|line| output.note(line));
+        }
         connection.client.request(plan.command).await
     };
     let answer = answer.await;
     connection.close().await;
+    if forgets && answer.is_ok() {
+        passphrase::forget(&context.home, &context.profile, output)?;
+    }
     show::show(answer?, plan.out.as_deref(), output)
 }
 
@@ -79,12 +93,15 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
             let account = account.as_deref().map(parse::value).transpose()?;
             Plan::new(needs, NoProfile, Command::CompareFingerprint { fingerprint, account })
         }
+        Verb::Identity(IdentityVerb::Recovery { account }) => {
+            let recovery = if account == "none" { None } else { Some(parse::value(&account)?) };
+            Plan::new(CHAIN, Unlocked, Command::NameRecovery { recovery })
+        }
         Verb::Identity(IdentityVerb::Lock) => Plan::new(NEITHER, NoProfile, Command::Operate(Operation::Lock)),
-        Verb::Gateway(GatewayVerb::Status) => Plan::new(NEITHER, NoProfile, Command::Operate(Operation::GatewayStatus)),
-        Verb::Status => Plan::new(NEITHER, NoProfile, Command::SiteStatus),
+        Verb::Gateway(verb) => Plan::new(NEITHER, NoProfile, Command::Operate(super::gateway::operation(&verb)?)),
         Verb::Contacts(verb) => Plan::new(CHAIN, NoProfile, parties::contacts(verb)?),
         Verb::Register => Plan::new(CHAIN, Made, Command::Register),
-        Verb::Keys(verb) => keys(verb)?,
+        Verb::Keys(verb) => keys(context, verb)?,
         Verb::Topics(TopicsVerb::List) => Plan::new(ROS, NoProfile, Command::ListTopics),
         Verb::Topics(TopicsVerb::Watch { topic, type_name }) => {
             let type_name = type_name.as_deref().map(parse::value).transpose()?;
@@ -117,12 +134,21 @@ fn plan(context: &Context, verb: Verb, output: &Output) -> Result<Plan, Failure>
         Verb::Grant(arguments) => Plan::new(CHAIN, Unlocked, grant(&arguments)?),
         Verb::Revoke { address } => Plan::new(CHAIN, Unlocked, Command::Revoke { grantee: parse::value(&address)? }),
         Verb::Grants(GrantsVerb::List) => Plan::new(CHAIN, Unlocked, Command::ListGrants),
+        Verb::Grants(GrantsVerb::Extend { grantee, expires, .. }) => {
+            let (grantee, expires) = (parse::value(&grantee)?, expires.as_deref().map(super::adopt::end).transpose()?);
+            Plan::new(CHAIN, Unlocked, Command::ExtendGrant { grantee, expires })
+        }
         Verb::Shared(verb) => super::viewing::plan(verb)?,
         Verb::Chain(ChainVerb::Status) => Plan::new(CHAIN, NoProfile, Command::ChainStatus),
         Verb::Chain(ChainVerb::Adopt) => Plan::new(CHAIN, Unlocked, Command::AdoptChain),
         Verb::Devices(verb) => Plan::new(CHAIN, Unlocked, super::adopt::command(&verb)?),
         Verb::Audit(arguments) => audit(context, &arguments)?,
-        Verb::Chain(ChainVerb::Deploy) => Plan::new(CHAIN, Made, Command::DeployContract),
+        Verb::Chain(ChainVerb::Deploy { delay, revision }) => {
+            Plan::new(CHAIN, Made, parties::deployment(delay.as_deref(), revision)?)
+        }
+        Verb::Chain(ChainVerb::Succession(SuccessionVerb::List)) => {
+            Plan::new(CHAIN, NoProfile, Command::ListSuccessions)
+        }
         Verb::Chain(verb) => {
             let command = parties::act(&verb)?.ok_or_else(super::connect::unexpected)?;
             Plan::new(CHAIN, Unlocked, command)

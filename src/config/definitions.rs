@@ -101,6 +101,13 @@ pub const DEFINITIONS: &[Definition] = &[
         text: "how long a verified record also stays on this disk beside Redis: always, or a time as 0s, 12h, 30d",
     },
     Definition {
+        name: "outbox.keep",
+        variable: "AUTHROS_OUTBOX_KEEP",
+        default: "7d",
+        text: "how long a robot keeps ciphertext after its gateway has proven and signed that it is verified: always, or a \
+               time as 0s, 12h, 30d; below half more than disk.reserve it is given up earlier, oldest first",
+    },
+    Definition {
         name: "retention",
         variable: "AUTHROS_RETENTION",
         default: "",
@@ -161,6 +168,30 @@ pub const DEFINITIONS: &[Definition] = &[
         variable: "AUTHROS_CONFIRMATIONS",
         default: "1",
         text: "blocks until an anchor counts as confirmed, its own included, 1 to 1000",
+    },
+    Definition {
+        name: "gateway.admission",
+        variable: "AUTHROS_GATEWAY_ADMISSION",
+        default: "closed",
+        text: "who may use this home's gateway: closed = its own profiles and admitted owners, or open = anybody, within quotas",
+    },
+    Definition {
+        name: "gateway.quota_bytes",
+        variable: "AUTHROS_GATEWAY_QUOTA_BYTES",
+        default: "10GiB",
+        text: "bytes of records that an owner may send to an open gateway without being admitted",
+    },
+    Definition {
+        name: "gateway.quota_names",
+        variable: "AUTHROS_GATEWAY_QUOTA_NAMES",
+        default: "16",
+        text: "names that such an owner may have there",
+    },
+    Definition {
+        name: "gateway.quota_streams",
+        variable: "AUTHROS_GATEWAY_QUOTA_STREAMS",
+        default: "1024",
+        text: "streams that such an owner may have there: each topic, type and signer of each recorder is one",
     },
     Definition {
         name: "site.address",

@@ -8,7 +8,7 @@ use crate::model::{Address, Domain, FilterId, Hash, PublicKey, SignerId, Token, 
 use super::kdf::{Info, derived};
 use super::secret::uncompressed;
 use super::sm3::sm3;
-use super::{CryptoError, EoaSecret, EpochKey, IndexKey, Sm4Key, SmSecret, TopicKey};
+use super::{CryptoError, EoaSecret, EpochKey, FilterKey, IndexKey, Sm4Key, SmSecret, TopicKey};
 
 /// What binds signed, derived and hashed structures to one chain and contract:
 /// SM3(label || chain id (8) || genesis hash || contract).
@@ -46,6 +46,16 @@ pub fn topic_id(key: &IndexKey, topic: &str) -> TopicId {
 /// The pseudonym of a type or tag: `kind` is `type` or the tag's name.
 pub fn filter_id(key: &IndexKey, kind: &str, value: &str) -> FilterId {
     FilterId(derived(key.expose(), &[], &Info::new("AuthROS/filterid/1").text(kind).text(value)))
+}
+
+/// The filter key of a topic: for devices that make pseudonyms of their own topics and of nothing else.
+pub fn filter_key(key: &IndexKey, topic: &TopicId) -> FilterKey {
+    FilterKey::new(derived(key.expose(), &[], &Info::new("AuthROS/filterkey/1").fixed(&topic.0)))
+}
+
+/// The pseudonym of a type or tag under the filter key of its topic: `kind` is `type` or `tag`.
+pub fn topic_filter_id(key: &FilterKey, kind: &str, value: &str) -> FilterId {
+    FilterId(derived(key.expose(), &[], &Info::new("AuthROS/filterid/2").text(kind).text(value)))
 }
 
 /// The key of an owner's `index`-th witness account on a network, from the owner's EOA key.
@@ -103,6 +113,10 @@ mod tests {
         let index = IndexKey::new([6; 32]);
         assert_ne!(topic_id(&index, "/a"), topic_id(&index, "/b"));
         assert_ne!(filter_id(&index, "type", "a"), filter_id(&index, "typea", ""));
+        let (one, two) = (filter_key(&index, &TopicId([1; 16])), filter_key(&index, &TopicId([2; 16])));
+        assert_ne!(one, two);
+        assert_ne!(topic_filter_id(&one, "type", "a"), topic_filter_id(&two, "type", "a"));
+        assert_ne!(topic_filter_id(&one, "type", "a"), topic_filter_id(&one, "typea", ""));
     }
 
     #[test]
@@ -117,5 +131,12 @@ mod tests {
         let info = [&b"AuthROS/topic/2"[..], &[7; 16]].concat();
         hkdf_sm3(&[1; 32], &[], &info, &mut out).expect("derives");
         assert_eq!(topic_key(&EpochKey::new([1; 32]), &TopicId([7; 16])).expose(), &out);
+        let info = [&b"AuthROS/filterkey/1"[..], &[7; 16]].concat();
+        hkdf_sm3(&[2; 32], &[], &info, &mut out).expect("derives");
+        let key = filter_key(&IndexKey::new([2; 32]), &TopicId([7; 16]));
+        assert_eq!(key.expose(), &out);
+        let mut id = [0; 8];
+        hkdf_sm3(&out, &[], b"AuthROS/filterid/2\0\x03tag\0\x03a=1", &mut id).expect("derives");
+        assert_eq!(topic_filter_id(&key, "tag", "a=1"), FilterId(id));
     }
 }

@@ -52,6 +52,26 @@ pub struct PublicIdentity {
     pub envelope: PublicKey,
 }
 
+/// SM2 pairs of a profile beside the two in use.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct FurtherPairs {
+    /// What was (d_E, P_E) before, oldest first: opens what was sealed to it.
+    pub envelopes: Vec<SmKeyPair>,
+    /// What becomes (d_C, P_C) once the chain has it: robots may know it already.
+    pub next_signing: Option<SmKeyPair>,
+    /// What becomes (d_E, P_E) once the chain has it.
+    pub next_envelope: Option<SmKeyPair>,
+    /// The identity of the gateway that this profile keeps, where (d_C, P_C) has changed since it was founded.
+    pub gateway: Option<SmKeyPair>,
+}
+
+impl FurtherPairs {
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
 /// All secrets of one profile.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Keyring {
@@ -67,6 +87,8 @@ pub struct Keyring {
     pub index: IndexKey,
     /// Epochs by network.
     pub networks: BTreeMap<Domain, NetworkKeys>,
+    /// Pairs that were, or will be.
+    pub further: FurtherPairs,
 }
 
 impl Keyring {
@@ -82,6 +104,7 @@ impl Keyring {
             sm4: Sm4Key::generate()?,
             index: IndexKey::generate()?,
             networks: BTreeMap::new(),
+            further: FurtherPairs::default(),
         })
     }
 

@@ -21,6 +21,7 @@ pub mod keyfile;
 pub mod keyring;
 pub mod keystore;
 mod libsm_provider;
+pub mod owner_key;
 pub mod passphrase;
 pub mod pool;
 pub mod private_file;
@@ -45,10 +46,12 @@ pub use account::{AccountSignature, TypedStructure, keccak256, recover_account, 
 pub use agreement::Ephemeral;
 pub use der::{signature_der, signature_from_der};
 pub use derive::{
-    domain, epoch_key, filter_id, notice_key, notice_topic, signer_id, token, topic_id, topic_key, topic_key_by_name,
-    witness_secret,
+    domain, epoch_key, filter_id, filter_key, notice_key, notice_topic, signer_id, token, topic_filter_id, topic_id,
+    topic_key, topic_key_by_name, witness_secret,
 };
-pub use enrolment::{Enrolment, EpochIssue, IssuedKeys, SealedEnrolment, SealingKey};
+pub use enrolment::{
+    Enrolment, EpochIssue, GatewayAccess, IssuedKeys, IssuedTopic, Notice, Pseudonyms, SealedEnrolment, SealingKey,
+};
 pub use envelope::{GrantedKeys, WrappedKeys, unwrap, wrap};
 pub use error::CryptoError;
 pub use identity::{check_identity, prove};
@@ -57,6 +60,7 @@ pub use kept_key::{open_transport_key, seal_transport_key};
 pub use kernel::{Kernel, KernelError};
 pub use keyring::{EpochSecret, EpochState, Keyring, NetworkKeys, PublicIdentity, UnlockedKeyring, read_public};
 pub use libsm_provider::seal_by_libsm;
+pub use owner_key::OwnerKeyChange;
 pub use passphrase::Passphrase;
 pub use provider::{Provider, ProviderName, provider};
 pub use random::random_bytes;
@@ -66,7 +70,7 @@ pub use record::{
 };
 pub use rustcrypto::seal_by_crates;
 pub use secret::{
-    EoaSecret, EpochKey, EpochSalt, Fingerprint, FingerprintError, IndexKey, Sm4Key, SmKeyPair, SmSecret, TopicKey,
-    TransportKey,
+    EoaSecret, EpochKey, EpochSalt, FilterKey, Fingerprint, FingerprintError, IndexKey, Sm4Key, SmKeyPair, SmSecret,
+    TopicKey, TransportKey,
 };
 pub use sm3::{Sm3Hasher, sm3_many};

@@ -19,7 +19,7 @@ mod opening;
 mod steps;
 
 pub use many::{Checked, Unchecked, check_alone, check_many};
-pub use opening::{Anchor, Expected, OpenedRecord, check, check_deleted, open, open_in_steps};
+pub use opening::{Anchor, Expected, OpenedRecord, check, check_deleted, open, open_front, open_in_steps};
 pub use steps::Step;
 
 /// All that is sealed into one record.

@@ -76,6 +76,8 @@ secret_bytes! {
     TopicKey(32);
     /// IK: turns topic names and tags into pseudonyms; stable over epochs.
     IndexKey(32);
+    /// What turns the types and tags of one topic's records into pseudonyms; follows from IK, which does not follow from it.
+    FilterKey(32);
     /// K_T: what a client and its gateway mix into every session; opens no record.
     TransportKey(32);
     /// r: the secret random salt of an epoch, kept in the keyring.

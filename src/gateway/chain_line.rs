@@ -69,7 +69,9 @@ impl ChainLine {
         if let Some(credentials) = credentials {
             match Client::connect(&self.endpoint, &mut trust, &credentials).await {
                 // A key that is void by now is its owner's to replace; the chain is open to visitors.
-                Err(GatewayError::Refused(Code::Tag | Code::Token)) => self.forget(&credentials),
+                Err(GatewayError::RefusedInClear(Code::Tag) | GatewayError::Refused(Code::Tag | Code::Token)) => {
+                    self.forget(&credentials);
+                }
                 connected => {
                     let client = connected?;
                     self.trust.learn(&trust)?;

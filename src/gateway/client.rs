@@ -8,13 +8,13 @@ use tokio::time::timeout;
 
 use crate::crypto::record::check;
 use crate::crypto::{Anchor, SmKeyPair, TransportKey};
-use crate::model::{Digest, Hash, ProfileName, PublicKey, Timestamp, Token};
+use crate::model::{Digest, Hash, ProfileName, Timestamp, Token};
 
 use super::allocation::{AllocationRequest, Applicant, apply};
 use super::command::relay::LONGEST_PARAMETERS;
 use super::command::{
-    Answer, Command, Entry, Fetched, GrantNotice, Page, Query, Registration, RelayCall, Relayed, Request, RevokeNotice,
-    Selection, Standing, Upload,
+    Answer, Command, DeviceNotice, Entry, Fetched, GrantNotice, Page, Query, Registration, RelayCall, Relayed, Request,
+    RevokeNotice, Selection, Standing, Upload,
 };
 use super::error::GatewayError;
 use super::hello::{Agreed, Context, NetworkName};
@@ -22,6 +22,7 @@ use super::line::Line;
 use super::parts::Assembler;
 use super::receipt::Receipt;
 use super::session::Session;
+use super::standings::SignedStandings;
 use super::system_keys::SystemKeyList;
 use super::trust::Trust;
 
@@ -66,7 +67,7 @@ impl Client {
     /// Connects with a transport key. `trust` has learnt what the gateway showed: save it.
     ///
     /// # Errors
-    /// [`GatewayError`]; `Refused(Tag)` also where the gateway does not know the name or has another K_T.
+    /// [`GatewayError`]; `RefusedInClear(Tag)` also where the gateway does not know the name or has another K_T.
     pub async fn connect(
         endpoint: &Endpoint,
         trust: &mut Trust,
@@ -250,6 +251,22 @@ impl Client {
         }
     }
 
+    /// How digests stand, in their order, signed by the gateway, with the proofs of their anchors; the signature is
+    /// checked, the proofs are the caller's to check.
+    ///
+    /// # Errors
+    /// [`GatewayError`]; `Refused(Malformed)` where the gateway is of a version that signs none.
+    pub async fn prove(&mut self, digests: &[Digest]) -> Result<SignedStandings, GatewayError> {
+        let context = self.endpoint.context;
+        match self.ask(&Request::Prove(digests.to_vec())).await? {
+            Answer::Proven(signed) => {
+                signed.verify(context.provider, &context.domain, &self.agreed.gateway_key, digests)?;
+                Ok(*signed)
+            }
+            _ => Err(GatewayError::Unexpected("no signed standings")),
+        }
+    }
+
     /// A record; its bytes have that digest and its signature is by the key that came with it. Whether that
     /// key may sign for the owner, and whether the anchor holds, is for the reader to check on the chain.
     ///
@@ -327,11 +344,15 @@ impl Client {
         self.signed(signing, &Request::RevokeNotice(notice)).await
     }
 
-    /// Tells the gateway the public key of a device that the chain says is lent, signed by d_C.
+    /// Tells the gateway that this session's name is that of a device which the chain says is lent, signed by d_C.
     ///
     /// # Errors
-    /// [`GatewayError`].
-    pub async fn device(&mut self, signing: &SmKeyPair, key: PublicKey) -> Result<Receipt, GatewayError> {
-        self.signed(signing, &Request::DeviceNotice(key)).await
+    /// [`GatewayError`]; `Refused(Malformed)` where an older gateway does not take the topic id of its notices.
+    pub async fn device(
+        &mut self,
+        signing: &SmKeyPair,
+        notice: impl Into<DeviceNotice>,
+    ) -> Result<Receipt, GatewayError> {
+        self.signed(signing, &Request::DeviceNotice(notice.into())).await
     }
 }

@@ -64,7 +64,7 @@ codes! {
     /// The administrator suspended the account.
     Suspended = 14 Refused "the account is suspended; ask the administrator";
     /// No grant covers what was asked for.
-    NotAuthorised = 15 Refused "no grant covers this; ask its owner";
+    NotAuthorised = 15 Refused "no grant covers this; ask its owner, and the gateway's keeper whether this account is admitted";
     /// Nothing of that digest.
     NotFound = 16 Refused "the gateway has no such record; check the digest";
     /// Stored bytes that differ from the chain.

@@ -15,7 +15,7 @@ pub mod request;
 pub use answer::{Answer, Fetched, Standing};
 pub use query::{Entry, Page, Query, Selection};
 pub use relay::{RelayCall, Relayed};
-pub use request::{GrantNotice, Registration, Request, RevokeNotice, Upload};
+pub use request::{DeviceNotice, GrantNotice, Registration, Request, RevokeNotice, Upload};
 
 /// The largest message, in parts or whole, bytes of body: a record of 64 MiB with its head and header.
 pub const LARGEST_MESSAGE: usize = 64 * 1024 * 1024 + 128 * 1024;
@@ -73,7 +73,8 @@ commands! {
     End = 15;
     /// Only from the gateway: a refusal.
     Refuse = 16;
-    /// The public key of a device that its owner has lent on the chain, which knows only its hash.
+    /// The public key of a device that its owner has lent on the chain, which knows only its hash: the session's name
+    /// is the device's from now on.
     DeviceNotice = 17;
     /// A JSON-RPC request, passed on to the chain.
     Relay = 18;

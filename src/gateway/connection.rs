@@ -3,17 +3,16 @@
 
 use std::net::SocketAddr;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
 
 use tokio::sync::watch;
-use tokio::time::{Instant, sleep, sleep_until};
+use tokio::time::Instant;
 
 use crate::crypto::{Provider, SmKeyPair, TransportKey};
 use crate::model::wire::WireError;
 use crate::model::{Digest, ProfileName, Timestamp};
 
 use super::code::{Code, Refusal};
-use super::command::{Answer, Command, Inner, Speaker, split};
+use super::command::{Answer, Command, Inner, Part, Speaker, split};
 use super::desk::{Binding, Caller, Desk};
 use super::frame::FrameKind;
 use super::hello::{Agreed, Context, GatewayHello, Identified, ListSummary, NetworkName, Purpose};
@@ -21,15 +20,16 @@ use super::limits::{Charge, Limits, Peers, Seat};
 use super::line::{Line, LineError};
 use super::parts::Assembler;
 use super::receipt::Receipt;
-use super::server::stopped;
 use super::session::{LONGEST_LIFE, Session};
 use super::system_keys::SystemKeyList;
 use super::system_keys::cabinet::Cabinet;
 use super::tally::Tally;
 
+mod arrivals;
 mod commands;
 mod feeds;
 
+use arrivals::Next;
 use commands::Commands;
 use feeds::Feeds;
 
@@ -142,7 +142,7 @@ pub(super) async fn serve_agreed(
     let deadline = Instant::now() + connection.shared.limits().hello_time;
     let outcome = match binding {
         Some(binding) => connection.transfer_frames(session, agreed, name, binding, deadline).await,
-        None => connection.allocation_frames(session, agreed, name).await,
+        None => connection.allocation_frames(session, agreed, name, deadline).await,
     };
     connection.close(outcome).await;
 }
@@ -156,17 +156,15 @@ struct Connection {
     /// When the last frame was whole, or the present one began.
     since: Instant,
     partial: bool,
-}
-
-/// What came next.
-enum Next {
-    Frame(FrameKind, Vec<u8>),
-    Fed(feeds::Fed),
+    /// For the memory of the frame that is being read or answered, where it is a large one.
+    charge: Option<Charge>,
+    /// A message in parts is under way, which is charged as a whole.
+    in_parts: bool,
 }
 
 impl Connection {
     fn new(shared: Arc<Shared>, line: Line, peer: SocketAddr, seat: Seat, stop: watch::Receiver<bool>) -> Self {
-        Self { shared, line, peer, seat, stop, since: Instant::now(), partial: false }
+        Self { shared, line, peer, seat, stop, since: Instant::now(), partial: false, charge: None, in_parts: false }
     }
 
     async fn close(self, outcome: Result<(), End>) {
@@ -180,7 +178,7 @@ impl Connection {
         let deadline = Instant::now() + self.shared.limits().hello_time;
         let identified = self.hello(deadline).await?;
         match identified.purpose() {
-            Purpose::Allocation => self.allocation(identified).await,
+            Purpose::Allocation => self.allocation(identified, deadline).await,
             Purpose::Transfer => self.transfer(identified, deadline).await,
         }
     }
@@ -207,42 +205,6 @@ impl Connection {
         }
         let network = self.shared.desk.network_name().await?;
         Ok(self.line.send(FrameKind::Network, &network.encode(), self.shared.limits().write_time).await?)
-    }
-
-    async fn expect(&mut self, wanted: FrameKind, deadline: Instant) -> Result<Vec<u8>, End> {
-        match self.next(deadline, None).await? {
-            Next::Frame(kind, payload) if kind == wanted => Ok(payload),
-            _ => Err(Refusal::new(Code::Malformed, format_args!("a frame that is no {wanted:?}")).into()),
-        }
-    }
-
-    /// The next frame or entry of a subscription, until `deadline` or the limits' patience ends.
-    async fn next(&mut self, deadline: Instant, mut feeds: Option<&mut Feeds>) -> Result<Next, End> {
-        loop {
-            if let Some((kind, payload)) = self.line.arrived()? {
-                self.since = Instant::now();
-                self.partial = false;
-                return Ok(Next::Frame(kind, payload));
-            }
-            let partial = self.line.is_partial();
-            if partial && !self.partial {
-                self.since = Instant::now();
-            }
-            self.partial = partial;
-            let limits = self.shared.limits();
-            let patience = if partial { limits.frame_time } else { limits.idle_time };
-            let deadline = deadline.min(self.since + patience);
-            tokio::select! {
-                filled = self.line.fill() => filled?,
-                fed = next_fed(feeds.as_deref_mut()) => return Ok(Next::Fed(fed)),
-                () = sleep_until(deadline) => {
-                    return Err(Refusal::new(Code::TooSlow, "nothing whole came in time").into());
-                }
-                () = stopped(&mut self.stop) => {
-                    return Err(Refusal::new(Code::Closing, "the gateway stops").into());
-                }
-            }
-        }
     }
 
     async fn send(&mut self, session: &mut Session, request: u32, answer: &Answer) -> Result<(), End> {
@@ -281,19 +243,26 @@ impl Connection {
     }
 
     /// A session without a transport key: small frames, few of them, soon over; longer only where it reads the chain.
-    async fn allocation(&mut self, identified: Identified) -> Result<(), End> {
+    async fn allocation(&mut self, identified: Identified, hello_deadline: Instant) -> Result<(), End> {
         let (agreed, name) = (identified.agreed(), identified.name().clone());
-        self.allocation_frames(identified.session(None), agreed, name).await
+        self.allocation_frames(identified.session(None), agreed, name, hello_deadline).await
     }
 
-    async fn allocation_frames(&mut self, mut session: Session, agreed: Agreed, name: ProfileName) -> Result<(), End> {
+    async fn allocation_frames(
+        &mut self,
+        mut session: Session,
+        agreed: Agreed,
+        name: ProfileName,
+        hello_deadline: Instant,
+    ) -> Result<(), End> {
         let patience = self.shared.limits().hello_time * ALLOCATION_PATIENCE;
-        let end = Instant::now() + self.shared.limits().visit_time;
-        let (mut deadline, mut frames) = (Instant::now() + patience, 0);
+        let (begun, end) = (Instant::now(), Instant::now() + self.shared.limits().visit_time);
+        let (mut deadline, mut frames) = (hello_deadline, 0);
         while frames < MOST_ALLOCATION_FRAMES {
             let payload = self.expect(FrameKind::Transfer, deadline).await?;
             self.pace(payload.len()).await;
             let (counter, text) = session.open(&payload)?;
+            deadline = deadline.max(begun + patience);
             let inner = Inner::from_client(&text)?;
             let message = Assembler::<()>::new().take(&inner, counter, |_| {
                 Err(Refusal::new(Code::Length, "a message in parts in a session for allocation"))
@@ -301,22 +270,18 @@ impl Connection {
             let Some(message) = message else { continue };
             if message.command == Command::Relay {
                 self.seat.visit()?;
+                self.pace_relay(&message.body).await;
                 deadline = end.min(Instant::now() + patience);
             } else {
                 frames += 1;
             }
-            let outcome = self.shared.allocation_answer(&agreed, &name, &message).await;
+            let outcome = match self.count_newcomer(&message) {
+                Ok(()) => self.shared.allocation_answer(&agreed, &name, &message).await,
+                Err(refusal) => Err(refusal),
+            };
             self.reply(&mut session, message.request, outcome).await?;
         }
         Err(Refusal::new(Code::Session, "the session for allocation is over").into())
-    }
-
-    /// Counts what came, and waits where the peer sends more than it may.
-    async fn pace(&self, bytes: usize) {
-        let pause = self.seat.pace(std::time::Instant::now(), bytes);
-        if pause > Duration::ZERO {
-            sleep(pause.min(self.shared.limits().frame_time)).await;
-        }
     }
 
     /// A session under a transport key.
@@ -337,7 +302,8 @@ impl Connection {
         hello_deadline: Instant,
     ) -> Result<(), End> {
         let present = name.clone();
-        let caller = Caller { name, account: binding.account, signing: binding.signing, peer: self.peer };
+        let Binding { account, signing, device, .. } = binding;
+        let caller = Caller { name, account, signing, device, peer: self.peer };
         let mut desk = Commands { agreed, caller, binding, feeds: None };
         let payload = self.expect(FrameKind::Transfer, hello_deadline).await?;
         let first = session.open(&payload)?;
@@ -391,8 +357,16 @@ impl Connection {
         text: &[u8],
     ) -> Result<(), End> {
         let inner = Inner::from_client(text)?;
+        if inner.part != Part::Whole {
+            // The whole message is charged, its frames are no more.
+            self.charge = None;
+        }
         let message = assembler.take(&inner, counter, |bytes| self.seat.charge(bytes))?;
+        self.in_parts = assembler.is_partial();
         let Some(message) = message else { return Ok(()) };
+        if message.command == Command::Relay {
+            self.pace_relay(&message.body).await;
+        }
         let outcome = commands.answer(&self.shared, &message).await;
         let request = message.request;
         drop(message);
@@ -406,7 +380,12 @@ impl Connection {
             feeds.remove(fed.request);
             return self.send(session, fed.request, &Answer::End(Code::NotAuthorised)).await;
         };
-        match self.shared.desk.fetch(&commands.caller, &entry.digest).await {
+        let desk = &self.shared.desk;
+        let fetched = match desk.admits(&commands.caller.account).await {
+            Ok(()) => desk.fetch(&commands.caller, &entry.digest).await,
+            Err(refusal) => Err(refusal),
+        };
+        match fetched {
             Ok(record) => self.send(session, fed.request, &Answer::Event(Box::new((entry, record)))).await,
             Err(refusal) if matches!(refusal.code, Code::NotFound | Code::Tampered) => {
                 self.shared.refused(self.peer, &refusal);
@@ -418,12 +397,5 @@ impl Connection {
                 self.send(session, fed.request, &Answer::End(refusal.code)).await
             }
         }
-    }
-}
-
-async fn next_fed(feeds: Option<&mut Feeds>) -> feeds::Fed {
-    match feeds {
-        Some(feeds) => feeds.next().await,
-        None => std::future::pending().await,
     }
 }

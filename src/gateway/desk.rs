@@ -9,11 +9,16 @@ use tokio::sync::mpsc;
 
 use crate::chain::RelayError;
 use crate::crypto::TransportKey;
-use crate::model::{Address, Digest, Hash, Header, ProfileName, PublicKey, Signature, SignerId, Timestamp, Token};
+use crate::model::{
+    Address, Digest, Hash, Header, ProfileName, PublicKey, RecordKind, Signature, SignerId, Timestamp, Token, TopicId,
+};
 
 use super::code::Refusal;
-use super::command::{Entry, Fetched, GrantNotice, Page, Query, Registration, RevokeNotice, Selection, Standing};
+use super::command::{
+    DeviceNotice, Entry, Fetched, GrantNotice, Page, Query, Registration, RevokeNotice, Selection, Standing,
+};
 use super::hello::NetworkName;
+use super::standings::Stood;
 
 /// What the chain says of an account.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -22,6 +27,32 @@ pub struct Account {
     pub signing: PublicKey,
     /// P_E as registered now.
     pub envelope: PublicKey,
+}
+
+/// The device that a name belongs to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct BoundDevice {
+    /// SM3 of its public key.
+    pub id: SignerId,
+    /// Where its owner's notices to it are filed; `None` where the owner did not tell.
+    pub notices: Option<TopicId>,
+}
+
+impl BoundDevice {
+    /// Whether a selection is of nothing but `owner`'s notices to this device.
+    pub fn hears(&self, owner: &Address, selection: &Selection) -> bool {
+        let of_this = match (selection.topic_id, self.notices) {
+            (Some(asked), Some(told)) => asked == told,
+            (asked, None) => asked.is_some(),
+            (None, Some(_)) => false,
+        };
+        of_this && selection.owner == *owner && selection.kind == Some(RecordKind::Key)
+    }
+
+    /// Whether a record is one of its owner's notices to this device.
+    pub fn is_for(&self, kind: RecordKind, topic: TopicId) -> bool {
+        kind == RecordKind::Key && self.notices.is_none_or(|told| told == topic)
+    }
 }
 
 /// What a name stands for at this gateway.
@@ -35,6 +66,8 @@ pub struct Binding {
     pub signing: PublicKey,
     /// P_E when the key was allocated.
     pub envelope: PublicKey,
+    /// Whose name it is, where it is a device's and not the account's own.
+    pub device: Option<BoundDevice>,
 }
 
 /// Who asks: proven by K_T.
@@ -46,6 +79,8 @@ pub struct Caller {
     pub account: Address,
     /// P_C as registered when the session began.
     pub signing: PublicKey,
+    /// The device that asks, where it is one: it reaches only what a device needs.
+    pub device: Option<BoundDevice>,
     /// Where from.
     pub peer: SocketAddr,
 }
@@ -71,13 +106,19 @@ pub trait Desk: Send + Sync + 'static {
     /// What the chain says of an account: `NotRegistered`, `Suspended` or `Stale` where it says no.
     async fn account(&self, account: &Address) -> Result<Account, Refusal>;
 
+    /// Whether the account may use this gateway at this moment: `NotAuthorised` where its keeper did not admit it.
+    async fn admits(&self, account: &Address) -> Result<(), Refusal>;
+
     /// Whether the account ever registered the token.
     async fn is_token(&self, account: &Address, token: &Token) -> Result<bool, Refusal>;
+
+    /// Whether `owner` has lent this device, at this moment: `Stale` where the chain cannot tell.
+    async fn is_lent(&self, owner: &Address, device: &SignerId) -> Result<bool, Refusal>;
 
     /// The public key of a signer id, where it is the owner's or lent by the owner now.
     async fn signer(&self, owner: &Address, signer: &SignerId) -> Result<Option<PublicKey>, Refusal>;
 
-    /// What a name stands for.
+    /// What a name stands for; nothing where it was a device's that has been recalled.
     async fn binding(&self, name: &ProfileName) -> Result<Option<Binding>, Refusal>;
 
     /// Who continues for a lost account, as the administrator said on the chain.
@@ -101,6 +142,9 @@ pub trait Desk: Send + Sync + 'static {
     /// How digests stand; `Unknown` for what the caller may not see.
     async fn check(&self, caller: &Caller, digests: &[Digest]) -> Result<Vec<Standing>, Refusal>;
 
+    /// The same, each with the proof of its anchor where there is one.
+    async fn prove(&self, caller: &Caller, digests: &[Digest]) -> Result<Vec<Stood>, Refusal>;
+
     /// A record that the caller may read at this moment, its bytes compared with the chain.
     async fn fetch(&self, caller: &Caller, digest: &Digest) -> Result<Fetched, Refusal>;
 
@@ -118,12 +162,13 @@ pub trait Desk: Send + Sync + 'static {
     async fn network_name(&self) -> Result<NetworkName, Refusal>;
 
     /// Passes a JSON-RPC request on to the chain, of somebody proven or (`None`) of a visitor without a transport
-    /// key. What may pass is the chain's to say ([`crate::chain::Chain::relay`]).
+    /// key. What may pass is the chain's to say ([`crate::chain::relay::examine`]).
     async fn relay(&self, caller: Option<&Caller>, method: &str, parameters: &Value) -> Result<Value, RelayError>;
 
-    /// The public key of a device of the caller, a point of the curve, signed by d_C: kept durably, so that
-    /// [`Self::signer`] can give it as long as the device is lent. `Signature` where the chain has no such loan.
-    async fn device(&self, caller: &Caller, key: &PublicKey) -> Result<(), Refusal>;
+    /// The caller's name is that of a device whose public key, a point of the curve, was signed by d_C: both kept
+    /// durably, so that [`Self::signer`] can give the key as long as the device is lent, and the name ends with the
+    /// loan. `Signature` where the chain has no such loan.
+    async fn device(&self, caller: &Caller, notice: &DeviceNotice) -> Result<(), Refusal>;
 
     /// Something was refused: for the log, and counted by (peer, code, minute).
     fn refused(&self, peer: SocketAddr, refusal: &Refusal);

@@ -26,6 +26,9 @@ pub enum GatewayError {
     /// The gateway refused.
     #[error("the gateway refused: {0}")]
     Refused(Code),
+    /// A refusal in clear: anybody on the line can write one, so it is obeyed no more than a closed connection.
+    #[error("the gateway closed the connection and said in clear, which proves nothing: {0}")]
+    RefusedInClear(Code),
     /// No fingerprint is pinned, and trust on first use was not asked for.
     #[error(
         "no gateway is pinned, and this one shows {0}; compare it with its operator and pin it, or allow trust on first use"
@@ -82,7 +85,9 @@ impl GatewayError {
     /// What sort of failure it is.
     pub fn kind(&self) -> ErrorKind {
         match self {
-            Self::Unreachable { .. } | Self::Closed | Self::TimedOut => ErrorKind::Unreachable,
+            Self::Unreachable { .. } | Self::Closed | Self::RefusedInClear(_) | Self::TimedOut => {
+                ErrorKind::Unreachable
+            }
             Self::Refused(code) => code.kind(),
             Self::NotPinned(_)
             | Self::NotTheGateway { .. }

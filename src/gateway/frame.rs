@@ -109,6 +109,11 @@ impl FrameDecoder {
         }
     }
 
+    /// The length that the frame under way announces, bytes of kind and payload, where it is not over the cap.
+    pub fn announced_length(&self) -> Option<usize> {
+        self.announced().filter(|length| *length <= self.cap)
+    }
+
     fn announced(&self) -> Option<usize> {
         let prefix = self.buffer.get(self.start..)?.first_chunk::<PREFIX>()?;
         usize::try_from(u32::from_be_bytes(*prefix)).ok()

@@ -7,7 +7,7 @@ use crate::model::{Digest, Header, ProfileName, PublicKey, Token};
 
 use super::allocation::{AllocationRequest, examine};
 use super::code::{Code, Refusal};
-use super::command::{Registration, Upload, signed_bytes};
+use super::command::{Registration, Request, Upload, signed_bytes};
 use super::desk::{Account, Binding, Caller, Desk, Received};
 use super::hello::{Agreed, Context};
 use super::parts::Message;
@@ -27,13 +27,40 @@ pub async fn check_token(desk: &dyn Desk, caller: &Caller, token: Option<Token>)
     Err(Refusal::new(Code::Token, format_args!("{} does not have token {token}", caller.account)))
 }
 
-/// The account is registered and not suspended, with the keys that the session was allocated under.
+/// The account is registered and not suspended, with the keys that the session was allocated under; a device's session
+/// needs its loan instead of these keys.
 ///
 /// # Errors
-/// [`Refusal`] with `NotRegistered`, or what the desk says.
+/// [`Refusal`] with `NotRegistered`, `NotAuthorised` for a device that is not lent, or what the desk says.
 pub async fn check_account(desk: &dyn Desk, binding: &Binding) -> Result<(), Refusal> {
     let account = desk.account(&binding.account).await?;
-    same_keys(&account, &binding.signing, &binding.envelope)
+    // A device is worth as much as its loan, whatever keys its owner has by now.
+    let Some(device) = &binding.device else { return same_keys(&account, &binding.signing, &binding.envelope) };
+    if desk.is_lent(&binding.account, &device.id).await? {
+        return Ok(());
+    }
+    let text = format_args!("device {} of {} is not lent any more", device.id, binding.account);
+    Err(Refusal::new(Code::NotAuthorised, text))
+}
+
+/// What a device may ask: to keep its records, how they stand, and its owner's notices to it; nothing else of its
+/// owner's. Of single records ([`Request::Check`], [`Request::Fetch`]) the desk decides.
+///
+/// # Errors
+/// [`Refusal`] with `NotAuthorised`.
+pub fn check_reach(caller: &Caller, request: &Request) -> Result<(), Refusal> {
+    let Some(device) = &caller.device else { return Ok(()) };
+    let may = match request {
+        Request::Query(query) => device.hears(&caller.account, &query.selection),
+        Request::Subscribe(selection) => device.hears(&caller.account, selection),
+        Request::GrantNotice(_) | Request::RevokeNotice(_) | Request::Relay(_) => false,
+        _ => true,
+    };
+    if may {
+        return Ok(());
+    }
+    let text = format_args!("device {} asks for what is its owner's ({:?})", device.id, request.command());
+    Err(Refusal::new(Code::NotAuthorised, text))
 }
 
 fn same_keys(account: &Account, signing: &PublicKey, envelope: &PublicKey) -> Result<(), Refusal> {
@@ -137,6 +164,7 @@ pub async fn allocate(
     let allocation = examine(context, agreed, name, request, secret)?;
     let account = desk.account(&allocation.account).await?;
     same_keys(&account, &allocation.signing, &allocation.envelope)?;
+    desk.admits(&allocation.account).await?;
     if let Some(bound) = desk.binding(name).await?
         && bound.account != allocation.account
         && desk.successor(&bound.account).await? != Some(allocation.account)
@@ -148,6 +176,7 @@ pub async fn allocate(
         key: allocation.key,
         signing: allocation.signing,
         envelope: allocation.envelope,
+        device: None,
     };
     desk.bind(name, binding).await?;
     Ok(request.digest(context.provider))

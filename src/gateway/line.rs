@@ -44,6 +44,11 @@ impl Line {
         self.decoder.is_partial()
     }
 
+    /// Length of the frame that has begun, as far as it says one that is allowed.
+    pub fn announced(&self) -> Option<usize> {
+        self.decoder.announced_length()
+    }
+
     /// A whole frame that has arrived already.
     pub fn arrived(&mut self) -> Result<Option<(FrameKind, Vec<u8>)>, LineError> {
         let frame = self.decoder.next_frame().map_err(LineError::Frame)?;

@@ -19,6 +19,7 @@ pub mod parts;
 pub mod receipt;
 pub mod server;
 pub mod session;
+pub mod standings;
 pub mod system_keys;
 pub mod tally;
 pub mod trust;
@@ -28,15 +29,16 @@ pub use chain_line::ChainLine;
 pub use client::{Client, Credentials, Endpoint};
 pub use code::{Code, Refusal};
 pub use command::{
-    Answer, Command, Entry, Fetched, GrantNotice, Page, Query, Registration, RelayCall, Relayed, Request, RevokeNotice,
-    Selection, Standing, Upload,
+    Answer, Command, DeviceNotice, Entry, Fetched, GrantNotice, Page, Query, Registration, RelayCall, Relayed, Request,
+    RevokeNotice, Selection, Standing, Upload,
 };
-pub use desk::{Account, Binding, Caller, Desk, Received};
+pub use desk::{Account, Binding, BoundDevice, Caller, Desk, Received};
 pub use error::GatewayError;
 pub use hello::{Context, NetworkName};
 pub use limits::Limits;
 pub use receipt::Receipt;
 pub use server::{Server, ServerWatch};
+pub use standings::{SignedStandings, Stood};
 pub use system_keys::cabinet::{Cabinet, Schedule};
 pub use trust::{KeptTrust, Trust};
 

@@ -28,6 +28,17 @@ impl Timestamp {
         self.0 / 1_000_000_000
     }
 
+    /// This moment, or the next whole second where it has a fraction: ends on the chain are whole seconds.
+    pub fn to_whole_second(self) -> Self {
+        Self::from_seconds(self.0.div_ceil(1_000_000_000))
+    }
+
+    /// The end of a right that lasts `length` from this moment on, rounded up to the whole second.
+    pub fn end_after(self, length: Duration) -> Self {
+        let length = u64::try_from(length.as_nanos()).unwrap_or(u64::MAX);
+        Self(self.0.saturating_add(length)).to_whole_second()
+    }
+
     /// `HH:MM:SS`, UTC, for narrow columns.
     pub fn clock(self) -> String {
         let day = self.seconds() % 86_400;
@@ -70,5 +81,17 @@ mod tests {
         let json = serde_json::to_string(&moment).expect("json");
         assert_eq!(serde_json::from_str::<Timestamp>(&json).expect("back"), moment);
         assert_eq!(moment.clock(), "22:13:20");
+    }
+
+    #[test]
+    fn ends_are_rounded_up_to_the_second() {
+        let whole = Timestamp::from_seconds(1_700_000_000);
+        assert_eq!(whole.to_whole_second(), whole);
+        for fraction in [1, 39_050_923, 999_999_999] {
+            assert_eq!(Timestamp(whole.0 + fraction).to_whole_second(), Timestamp::from_seconds(1_700_000_001));
+        }
+        assert_eq!(Timestamp(whole.0 + 1).end_after(Duration::from_millis(1)), Timestamp::from_seconds(1_700_000_001));
+        assert_eq!(whole.end_after(Duration::from_secs(30)), Timestamp::from_seconds(1_700_000_030));
+        assert_eq!(Timestamp(u64::MAX).end_after(Duration::MAX).0, u64::MAX);
     }
 }

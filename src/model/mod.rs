@@ -25,6 +25,7 @@ pub mod publisher;
 pub mod quarantine;
 pub mod retention;
 pub mod state;
+pub mod steady_clock;
 pub mod topic;
 pub mod topic_rule;
 pub mod wire;

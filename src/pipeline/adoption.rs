@@ -1,10 +1,12 @@
 //! Going on with another chain: which chains a home has used before, and the owner's signed word about it, which
 //! is the first of the owner's records on the new one.
 
+use std::sync::Arc;
+
 use serde::{Deserialize, Serialize};
 use tokio::task::block_in_place;
 
-use crate::chain::{Call, Pin};
+use crate::chain::{Call, Chain, Pin};
 use crate::crypto::domain;
 use crate::model::adoption::Adoption;
 use crate::model::{Digest, Domain, Header, RecordKind, RecordState, Timestamp, Token};
@@ -13,7 +15,7 @@ use crate::store::{Anchors, Ledger, RecordRow, StoreError};
 use super::directory::Account;
 use super::sender::Outgoing;
 use super::statement::{self, Statement};
-use super::{Network, Owner, PipelineError, Plant, Sender};
+use super::{Directory, Former, Network, Owner, PipelineError, Plant, Sender};
 
 /// Where the steps lie in the ledger.
 pub const STEPS: &str = "adoptions";
@@ -29,6 +31,9 @@ pub struct Step {
     pub to: Pin,
     /// When the operator decided.
     pub at: Timestamp,
+    /// On the same chain: the last block in which the contract that was left was in use. `None` = another chain.
+    #[serde(default)]
+    pub until: Option<u64>,
 }
 
 impl Step {
@@ -66,6 +71,31 @@ pub fn earlier(ledger: &Ledger, current: Domain) -> Result<Vec<Domain>, StoreErr
     let mut found: Vec<Domain> = steps(ledger)?.iter().map(Step::left).filter(|left| *left != current).collect();
     found.sort();
     found.dedup();
+    Ok(found)
+}
+
+/// Contracts that this home used before on this very chain, and that can be asked still. What they knew of accounts is
+/// kept once it was read.
+///
+/// # Errors
+/// Of chain and ledger.
+pub async fn former(plant: &Plant, chain: &Chain) -> Result<Vec<Former>, PipelineError> {
+    let mut found = Vec::new();
+    for step in block_in_place(|| steps(&plant.ledger))? {
+        let here = (step.from.chain_id, step.from.genesis) == (chain.chain_id(), chain.genesis());
+        let Some(until) = step.until.filter(|_| here) else { continue };
+        let (domain, bound) = (step.left(), chain.bound_to(step.from.clone()));
+        let directory = Directory::new(domain, plant.provider);
+        let key = format!("directory:{domain}");
+        let kept = block_in_place(|| plant.ledger.setting(&key))?;
+        if !kept.is_some_and(|text| directory.read_back(&text)) {
+            for event in bound.events(step.from.deployed_at, until).await? {
+                directory.apply(&event);
+            }
+            block_in_place(|| plant.ledger.put_setting(&key, &directory.write_down()))?;
+        }
+        found.push(Former { chain: bound, domain, directory: Arc::new(directory), until });
+    }
     Ok(found)
 }
 

@@ -4,6 +4,7 @@
 use std::sync::{Arc, PoisonError, RwLock};
 
 use crate::crypto::Enrolment;
+use crate::model::steady_clock::steady_now;
 use crate::model::{Address, Timestamp};
 
 use super::epoch::EpochKeys;
@@ -35,12 +36,12 @@ impl Author {
     pub fn sealing(&self) -> Option<Arc<EpochKeys>> {
         {
             let sealing = self.sealing.read().unwrap_or_else(PoisonError::into_inner);
-            if sealing.next.as_ref().is_none_or(|(from, _)| Timestamp::now() < *from) {
+            if sealing.next.as_ref().is_none_or(|(from, _)| steady_now() < *from) {
                 return in_force(sealing.keys.as_ref());
             }
         }
         let mut sealing = self.sealing.write().unwrap_or_else(PoisonError::into_inner);
-        if let Some((_, keys)) = sealing.next.take_if(|(from, _)| Timestamp::now() >= *from) {
+        if let Some((_, keys)) = sealing.next.take_if(|(from, _)| steady_now() >= *from) {
             sealing.keys = Some(keys);
         }
         in_force(sealing.keys.as_ref())
@@ -83,5 +84,5 @@ impl Author {
 }
 
 fn in_force(keys: Option<&Arc<EpochKeys>>) -> Option<Arc<EpochKeys>> {
-    keys.filter(|keys| keys.ends.is_none_or(|ends| Timestamp::now() < ends)).cloned()
+    keys.filter(|keys| keys.ends.is_none_or(|ends| steady_now() < ends)).cloned()
 }

@@ -1,25 +1,28 @@
 //! Who is registered and who may read what, rebuilt from the contract's events alone.
 //!
-//! Events are applied in chain order; applying one twice changes nothing. The state can be
-//! written down and read back, so that a restart scans only new blocks.
+//! Events are applied in chain order; one that is not behind the last one applied is passed over. The state can be
+//! written down and read back, so that a restart scans only new blocks. What follows from it is `authority`'s to say.
 
 mod administration;
+mod granted;
 
 use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{PoisonError, RwLock};
 
 use serde::{Deserialize, Serialize};
 
 use crate::chain::{Event, EventAt};
 use crate::crypto::{Provider, check_identity, signer_id};
-use crate::model::bytes::{hex, unhex};
-use crate::model::{Address, Domain, GrantTerms, Hash, Identity, PublicKey, SignerId, Timestamp, Token};
+use crate::model::steady_clock::steady_now;
+use crate::model::{Address, Domain, GrantTerms, Identity, PublicKey, SignerId, Timestamp, Token};
 
 use super::PipelineError;
-pub use administration::{Administration, Succession};
+pub use administration::{Administration, Proposal, Recovery, Succession};
+pub use granted::{Envelope, Extension, Granted};
 
 /// How the state is written down; another one is read anew from the chain.
-const WRITTEN: u8 = 2;
+const WRITTEN: u8 = 5;
 
 /// One identity of an account, valid from a block on.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -47,6 +50,17 @@ pub struct Lending {
     pub until: Option<Timestamp>,
 }
 
+/// A time in which the administrator had stopped an account's changes, and with them its right to sign.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Suspension {
+    /// From this block on.
+    pub from: u64,
+    /// Until this block, in which it was restored.
+    pub until: Option<u64>,
+    /// Who continues its work, where the account was lost.
+    pub successor: Option<Address>,
+}
+
 /// What the chain knows of one account.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Account {
@@ -56,46 +70,36 @@ pub struct Account {
     pub epoch: u64,
     /// Tokens by epoch.
     pub tokens: BTreeMap<u64, Token>,
-    /// Devices that may sign.
+    /// Loans of devices that may sign, oldest first.
     pub devices: Vec<Lending>,
-    /// Whether the administrator stopped its changes.
+    /// Times of being suspended, oldest first.
     #[serde(default)]
-    pub suspended: bool,
+    pub suspensions: Vec<Suspension>,
+    /// Who may stop a succession of it, as its owner named them; `None` = never anybody.
+    #[serde(default)]
+    pub recovery: Option<Recovery>,
 }
 
-/// A grant with its envelopes.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Granted {
-    /// The terms at the grant.
-    pub terms: GrantTerms,
-    /// Envelopes by epoch, hex.
-    pub envelopes: BTreeMap<u64, String>,
-    /// Block of the grant.
-    pub block: u64,
-    /// Transaction of the grant.
-    pub transaction: Hash,
-    /// The epoch that began with its revocation.
-    pub revoked: Option<u64>,
-}
-
-impl Granted {
-    /// Whether it is neither revoked nor expired at `now`.
-    pub fn is_active(&self, now: Timestamp) -> bool {
-        self.revoked.is_none() && self.terms.expiry.is_none_or(|expiry| expiry > now)
+impl Account {
+    /// The suspension that was in force after a block's events (`None` = after all that are known).
+    pub fn suspended_at(&self, block: Option<u64>) -> Option<Suspension> {
+        let holds = |interval: &&Suspension| match block {
+            Some(block) => interval.from <= block && interval.until.is_none_or(|until| block < until),
+            None => interval.until.is_none(),
+        };
+        self.suspensions.iter().find(holds).copied()
     }
 
-    /// `active`, `revoked` or `expired` at `now`.
-    pub fn word(&self, now: Timestamp) -> &'static str {
-        match (self.revoked, self.is_active(now)) {
-            (Some(_), _) => "revoked",
-            (None, true) => "active",
-            (None, false) => "expired",
+    fn suspend(&mut self, block: u64, successor: Option<Address>) {
+        match self.suspensions.last_mut().filter(|interval| interval.until.is_none()) {
+            Some(interval) => interval.successor = successor.or(interval.successor),
+            None => self.suspensions.push(Suspension { from: block, until: None, successor }),
         }
     }
 
-    /// The envelope of an epoch.
-    pub fn envelope(&self, epoch: u64) -> Option<Vec<u8>> {
-        self.envelopes.get(&epoch).and_then(|text| unhex(text))
+    fn restore(&mut self, block: u64) {
+        let open = self.suspensions.iter_mut().filter(|interval| interval.until.is_none());
+        open.for_each(|interval| interval.until = Some(block));
     }
 }
 
@@ -104,9 +108,8 @@ struct State {
     accounts: BTreeMap<Address, Account>,
     grants: Vec<Granted>,
     administration: Administration,
-    /// The block of the last event that changed anything.
-    #[serde(default)]
-    newest: u64,
+    /// Block and place of the last event that was applied.
+    applied: Option<(u64, u64)>,
 }
 
 /// Registrations and grants of one contract.
@@ -114,12 +117,25 @@ pub struct Directory {
     domain: Domain,
     provider: &'static dyn Provider,
     state: RwLock<State>,
+    /// The time of the newest block seen, seconds.
+    head_time: AtomicU64,
 }
 
 impl Directory {
     /// An empty directory.
     pub fn new(domain: Domain, provider: &'static dyn Provider) -> Self {
-        Self { domain, provider, state: RwLock::default() }
+        Self { domain, provider, state: RwLock::default(), head_time: AtomicU64::new(0) }
+    }
+
+    /// Notes the time of the newest block, seconds.
+    pub fn saw_head_of(&self, seconds: u64) {
+        self.head_time.store(seconds, Ordering::Release);
+    }
+
+    /// The moment by which rights begin and end: the contract judges by its blocks' time, so it is never before the
+    /// newest one's, whatever this machine's clock says; between two blocks that clock counts, jumps left out.
+    pub fn now(&self) -> Timestamp {
+        steady_now().max(Timestamp::from_seconds(self.head_time.load(Ordering::Acquire)))
     }
 
     /// What [`Self::write_down`] wrote; unreadable text gives an empty directory and `false`.
@@ -150,23 +166,23 @@ impl Directory {
 
     /// The block of the last event that changed anything; 0 before the first.
     pub fn newest(&self) -> u64 {
-        self.state.read().unwrap_or_else(PoisonError::into_inner).newest
+        self.state.read().unwrap_or_else(PoisonError::into_inner).applied.map_or(0, |(block, _)| block)
     }
 
-    /// Applies one event; returns whether anything changed.
+    /// Applies one event; returns whether it was a new one that changes rights.
     pub fn apply(&self, at: &EventAt) -> bool {
-        let mut state = self.state.write().unwrap_or_else(PoisonError::into_inner);
-        // Anchors are the watcher's; comparing whole states for each would be wasteful.
+        // Anchors are the watcher's.
         if matches!(at.event, Event::DataUploaded { .. } | Event::Anchored { .. }) {
             return false;
         }
-        let old = state.clone();
-        self.change(&mut state, at);
-        let changed = *state != old;
-        if changed {
-            state.newest = state.newest.max(at.block);
+        let mut state = self.state.write().unwrap_or_else(PoisonError::into_inner);
+        let place = (at.block, at.log_index);
+        if state.applied.is_some_and(|applied| place <= applied) {
+            return false;
         }
-        changed
+        self.change(&mut state, at);
+        state.applied = Some(place);
+        true
     }
 
     fn change(&self, state: &mut State, at: &EventAt) {
@@ -181,6 +197,19 @@ impl Directory {
                 self.identify(state.accounts.entry(*owner).or_default(), *owner, identity, at.block);
             }
             Event::Granted { terms, envelope } => grant(state, terms, envelope, at),
+            Event::Extended { owner, grantee, expiry } => {
+                let matching = |grant: &&mut Granted| {
+                    grant.terms.owner == *owner && grant.terms.grantee == *grantee && grant.revoked.is_none()
+                };
+                if let Some(grant) = state.grants.iter_mut().rev().find(matching) {
+                    grant.extended = Some(Extension { expiry: *expiry, block: at.block });
+                }
+            }
+            Event::RecoveryNamed { owner, recovery, from } => {
+                let delay = state.administration.delay.unwrap_or(0);
+                let known = &mut state.accounts.entry(*owner).or_default().recovery;
+                *known = Some(Recovery::named(known.take(), *recovery, *from, delay));
+            }
             Event::Wrapped { owner, grantee, epoch, envelope } => {
                 let found = state
                     .grants
@@ -188,7 +217,7 @@ impl Directory {
                     .rev()
                     .find(|grant| grant.terms.owner == *owner && grant.terms.grantee == *grantee);
                 if let Some(grant) = found {
-                    grant.envelopes.entry(*epoch).or_insert_with(|| hex(envelope));
+                    grant.take_envelope(*epoch, envelope, at.block);
                 }
             }
             Event::Revoked { owner, grantee, epoch, token } => {
@@ -203,10 +232,7 @@ impl Directory {
             Event::Rotated { owner, epoch, token } => begin_epoch(state, *owner, *epoch, *token),
             Event::Lent { owner, device, until } => {
                 let lending = Lending { device: *device, from: at.block, recalled: None, until: *until };
-                let devices = &mut state.accounts.entry(*owner).or_default().devices;
-                if !devices.contains(&lending) {
-                    devices.push(lending);
-                }
+                state.accounts.entry(*owner).or_default().devices.push(lending);
             }
             Event::Recalled { owner, device } => {
                 let devices = &mut state.accounts.entry(*owner).or_default().devices;
@@ -215,9 +241,11 @@ impl Directory {
                     .filter(|lending| lending.device == *device && lending.recalled.is_none())
                     .for_each(|lending| lending.recalled = Some(at.block));
             }
-            Event::Suspended { account } => state.accounts.entry(*account).or_default().suspended = true,
-            Event::Restored { account } => state.accounts.entry(*account).or_default().suspended = false,
-            Event::Succeeded { lost, .. } => state.accounts.entry(*lost).or_default().suspended = true,
+            Event::Suspended { account } => state.accounts.entry(*account).or_default().suspend(at.block, None),
+            Event::Restored { account } => state.accounts.entry(*account).or_default().restore(at.block),
+            Event::Succeeded { lost, successor } => {
+                state.accounts.entry(*lost).or_default().suspend(at.block, Some(*successor));
+            }
             _ => {}
         }
         state.administration.apply(at);
@@ -226,14 +254,17 @@ impl Directory {
     fn identify(&self, account: &mut Account, owner: Address, identity: &Identity, block: u64) {
         let proven = check_identity(self.provider, &self.domain, &owner, identity).is_ok();
         let entry = IdentityAt { block, signing: identity.signing, envelope: identity.envelope, proven };
-        if !account.identities.contains(&entry) {
-            account.identities.push(entry);
-        }
+        account.identities.push(entry);
     }
 
     /// What is known of an account.
     pub fn account(&self, owner: Address) -> Option<Account> {
         self.state.read().unwrap_or_else(PoisonError::into_inner).accounts.get(&owner).cloned()
+    }
+
+    /// Looks at an account without copying it.
+    pub(super) fn with_account<T>(&self, owner: Address, look: impl FnOnce(Option<&Account>) -> T) -> T {
+        look(self.state.read().unwrap_or_else(PoisonError::into_inner).accounts.get(&owner))
     }
 
     /// The account's current epoch; 0 = not registered.
@@ -256,16 +287,28 @@ impl Directory {
         if identity.proven { Ok(identity) } else { Err(PipelineError::BadIdentity(owner)) }
     }
 
-    /// The key by which `signer` could sign for `owner` at `block` (`None` = now): the owner's
-    /// own at that block. A lent device's key is not on the chain: see `signers`.
-    pub fn signing_key(&self, owner: Address, signer: SignerId, block: Option<u64>) -> Option<PublicKey> {
-        let account = self.account(owner)?;
-        let mut known =
-            account.identities.iter().rev().filter(|identity| block.is_none_or(|block| identity.block <= block));
-        known
-            .next()
-            .filter(|identity| identity.proven && signer_id(&identity.signing) == signer)
-            .map(|identity| identity.signing)
+    /// The proven identities of an account that were registered at any moment of a block, the newest first: what it
+    /// signed in that block it signed with one of them.
+    pub fn identities_at(&self, owner: Address, block: u64) -> Vec<IdentityAt> {
+        let state = self.state.read().unwrap_or_else(PoisonError::into_inner);
+        let known = state.accounts.get(&owner).map(|account| account.identities.as_slice()).unwrap_or_default();
+        let ends = known.iter().skip(1).map(|next| Some(next.block)).chain([None]);
+        let lasting = known
+            .iter()
+            .zip(ends)
+            .filter(|(identity, end)| identity.proven && identity.block <= block && end.is_none_or(|end| block <= end));
+        let mut found: Vec<IdentityAt> = lasting.map(|(identity, _)| identity.clone()).collect();
+        found.reverse();
+        found
+    }
+
+    /// The block since which an account has the envelope key that it has now; 0 where it has none.
+    pub fn envelope_key_since(&self, account: Address) -> u64 {
+        let state = self.state.read().unwrap_or_else(PoisonError::into_inner);
+        let known = state.accounts.get(&account).map(|account| account.identities.as_slice()).unwrap_or_default();
+        let Some(now) = known.last() else { return 0 };
+        let same = known.iter().rev().take_while(|identity| identity.envelope == now.envelope);
+        same.last().map_or(0, |identity| identity.block)
     }
 
     /// What the administrator decided.
@@ -279,23 +322,13 @@ impl Directory {
         self.state.read().unwrap_or_else(PoisonError::into_inner).administration.successor(account)
     }
 
-    /// Whether `owner` had lent this device at `block` and `moment` (`None` = now).
-    pub fn is_lent(&self, owner: Address, device: SignerId, block: Option<u64>, moment: Timestamp) -> bool {
-        let state = self.state.read().unwrap_or_else(PoisonError::into_inner);
-        let devices = state.accounts.get(&owner).map(|account| account.devices.as_slice()).unwrap_or_default();
-        devices.iter().any(|lending| {
-            let begun = block.is_none_or(|block| lending.from <= block);
-            let recalled = lending.recalled.is_some_and(|recalled| block.is_none_or(|block| recalled <= block));
-            lending.device == device && begun && !recalled && lending.until.is_none_or(|until| moment < until)
-        })
-    }
-
-    /// The account whose signing key has this id now.
+    /// The account that has registered the signing key with this id, now or before: a gateway keeps its identity when
+    /// its keeper's key changes.
     pub fn registered_as(&self, signer: SignerId) -> Option<Address> {
         let state = self.state.read().unwrap_or_else(PoisonError::into_inner);
         let has = |account: &Account| {
-            let now = account.identities.last();
-            now.is_some_and(|identity| identity.proven && signer_id(&identity.signing) == signer)
+            let is_it = |identity: &IdentityAt| identity.proven && signer_id(&identity.signing) == signer;
+            account.identities.iter().any(is_it)
         };
         state.accounts.iter().find(|(_, account)| has(account)).map(|(address, _)| *address)
     }
@@ -306,7 +339,23 @@ impl Directory {
         state.accounts.get(&owner).is_some_and(|account| account.tokens.values().any(|known| *known == token))
     }
 
-    /// Grants that match, oldest first.
+    /// The grant of an owner to a grantee that was not revoked; it may have run out.
+    pub fn grant_between(&self, owner: Address, grantee: Address) -> Option<Granted> {
+        let between = |grant: &Granted| grant.terms.owner == owner && grant.terms.grantee == grantee;
+        self.grants(|grant| grant.revoked.is_none() && between(grant)).pop()
+    }
+
+    /// The grants to an account that were not revoked, oldest first.
+    pub fn grants_to(&self, grantee: Address) -> Vec<Granted> {
+        self.grants(|grant| grant.revoked.is_none() && grant.terms.grantee == grantee)
+    }
+
+    /// The grants of an account that were not revoked, oldest first.
+    pub fn grants_of(&self, owner: Address) -> Vec<Granted> {
+        self.grants(|grant| grant.revoked.is_none() && grant.terms.owner == owner)
+    }
+
+    /// Grants that match, revoked ones too, oldest first.
     pub fn grants(&self, matches: impl Fn(&Granted) -> bool) -> Vec<Granted> {
         let state = self.state.read().unwrap_or_else(PoisonError::into_inner);
         state.grants.iter().filter(|grant| matches(grant)).cloned().collect()
@@ -334,7 +383,8 @@ fn grant(state: &mut State, terms: &GrantTerms, envelope: &[u8], at: &EventAt) {
     state.grants.retain(|grant| {
         grant.revoked.is_some() || grant.terms.owner != terms.owner || grant.terms.grantee != terms.grantee
     });
-    envelopes.insert(terms.epoch, hex(envelope));
     let (terms, block, transaction) = (terms.clone(), at.block, at.transaction);
-    state.grants.push(Granted { terms, envelopes, block, transaction, revoked: None });
+    let mut grant = Granted { terms, envelopes, block, transaction, revoked: None, extended: None };
+    grant.take_envelope(grant.terms.epoch, envelope, block);
+    state.grants.push(grant);
 }

@@ -4,10 +4,12 @@ use std::collections::{BTreeMap, HashMap};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::crypto::{
-    Enrolment, EpochIssue, IndexKey, SealingKey, SmKeyPair, TopicKey, filter_id, signer_id, topic_id, topic_key,
+    Enrolment, EpochIssue, FilterKey, IndexKey, IssuedTopic, Pseudonyms, SealingKey, SmKeyPair, TopicKey, filter_id,
+    filter_key, signer_id, topic_filter_id, topic_id, topic_key,
 };
 use crate::model::header::MOST_FILTERS;
 use crate::model::{Domain, FilterId, SignerId, Timestamp, Token, TopicId};
+use crate::store::FilterChoice;
 
 /// The tag of what simulated robots send.
 pub const SIMULATED: (&str, &str) = ("simulated", "true");
@@ -18,6 +20,24 @@ pub struct TopicKeys {
     pub id: TopicId,
     /// Seals its records in this epoch.
     pub key: TopicKey,
+    filters: Filters,
+}
+
+/// What the filter ids of a record are made with.
+enum Filters {
+    /// IK: the same ids on every topic.
+    Index(IndexKey),
+    /// The filter key of its topic, all that a device of some topics has.
+    Topic(FilterKey),
+}
+
+impl Filters {
+    fn id(&self, kind: &str, value: &str) -> FilterId {
+        match self {
+            Self::Index(index) => filter_id(index, kind, value),
+            Self::Topic(key) => topic_filter_id(key, kind, value),
+        }
+    }
 }
 
 /// Everything that seals records in one epoch.
@@ -35,18 +55,19 @@ pub struct EpochKeys {
     /// SM3 of the signing key.
     pub signer: SignerId,
     key: SealingKey,
-    index: IndexKey,
+    index: Option<IndexKey>,
     topics: Mutex<HashMap<String, Arc<TopicKeys>>>,
 }
 
 impl EpochKeys {
-    /// The keys of an epoch; `signing` is the owner's pair or that of a lent device, `index` is IK.
+    /// The keys of an epoch; `signing` is the owner's pair or that of a lent device, `index` is IK, which a device that
+    /// has pseudonyms of its topics does not hold.
     pub fn new(
         domain: Domain,
         (epoch, token): (u64, Token),
         signing: SmKeyPair,
         key: SealingKey,
-        index: IndexKey,
+        index: impl Into<Option<IndexKey>>,
     ) -> Self {
         let signer = signer_id(&signing.public);
         Self {
@@ -57,7 +78,7 @@ impl EpochKeys {
             signing: Arc::new(signing),
             signer,
             key,
-            index,
+            index: index.into(),
             topics: Mutex::default(),
         }
     }
@@ -69,35 +90,68 @@ impl EpochKeys {
         Self { ends: issue.ends, ..keys }
     }
 
+    /// The topics that they are limited to; `None` where they cover all.
+    pub fn names(&self) -> Option<Vec<String>> {
+        self.key.topics()
+    }
+
     /// The keys of a topic, derived once; `None` for a topic that these keys do not cover.
     pub fn topic(&self, topic: &str) -> Option<Arc<TopicKeys>> {
         let mut topics = self.topics.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(keys) = topics.get(topic) {
             return Some(Arc::clone(keys));
         }
-        let id = topic_id(&self.index, topic);
-        let key = match &self.key {
-            SealingKey::Epoch(key) => topic_key(key, &id),
-            SealingKey::Topics(keys) => keys.get(topic)?.clone(),
-        };
-        let keys = Arc::new(TopicKeys { id, key });
+        let keys = Arc::new(self.derive(topic)?);
         topics.insert(topic.to_owned(), Arc::clone(&keys));
         Some(keys)
     }
 
+    fn derive(&self, topic: &str) -> Option<TopicKeys> {
+        let issued = match &self.key {
+            SealingKey::Epoch(epoch) => {
+                let index = self.index.clone()?;
+                let id = topic_id(&index, topic);
+                return Some(TopicKeys { id, key: topic_key(epoch, &id), filters: Filters::Index(index) });
+            }
+            SealingKey::Topics(topics) => topics.get(topic)?,
+        };
+        let IssuedTopic { key, pseudonyms } = issued.clone();
+        let (id, filters) = match pseudonyms {
+            Some(Pseudonyms { id, filters }) => (id, Filters::Topic(filters)),
+            None => {
+                let index = self.index.clone()?;
+                (topic_id(&index, topic), Filters::Index(index))
+            }
+        };
+        Some(TopicKeys { id, key, filters })
+    }
+}
+
+impl TopicKeys {
     /// The filter ids of a record, at most [`MOST_FILTERS`]: its type, that it is simulated, then its other
     /// tags in the order of their names. A tag's filter is over `name=value`.
     pub fn filters(&self, type_name: &str, tags: &BTreeMap<String, String>) -> Vec<FilterId> {
         let is_simulated = |tag: &(&String, &String)| (tag.0.as_str(), tag.1.as_str()) == SIMULATED;
         let (first, rest): (Vec<_>, Vec<_>) = tags.iter().partition(is_simulated);
-        let tags = first.into_iter().chain(rest).map(|(name, value)| tag_filter(&self.index, name, value));
-        std::iter::once(filter_id(&self.index, "type", type_name)).chain(tags).take(MOST_FILTERS).collect()
+        let tags = first.into_iter().chain(rest).map(|(name, value)| self.filters.id("tag", &tag_text(name, value)));
+        std::iter::once(self.filters.id("type", type_name)).chain(tags).take(MOST_FILTERS).collect()
     }
 }
 
-/// The filter id of a tag.
+fn tag_text(name: &str, value: &str) -> String {
+    format!("{name}={value}")
+}
+
+/// The filter id of a tag, as owners and devices with IK make it.
 pub fn tag_filter(index: &IndexKey, name: &str, value: &str) -> FilterId {
-    filter_id(index, "tag", &format!("{name}={value}"))
+    filter_id(index, "tag", &tag_text(name, value))
+}
+
+/// The ids by which records with a tag are found: that of IK and, of each of `topics`, that of its filter key.
+pub fn tag_choice(index: &IndexKey, name: &str, value: &str, topics: &[TopicId]) -> FilterChoice {
+    let text = tag_text(name, value);
+    let of_topic = |topic: &TopicId| (*topic, topic_filter_id(&filter_key(index, topic), "tag", &text));
+    FilterChoice { id: tag_filter(index, name, value), by_topic: topics.iter().map(of_topic).collect() }
 }
 
 #[cfg(test)]
@@ -114,12 +168,27 @@ mod tests {
     fn scoped_keys_seal_as_those_of_the_epoch_and_nothing_else() {
         let epoch = EpochKey::new([4; 32]);
         let all = keys(SealingKey::Epoch(epoch.clone()));
-        let some = keys(SealingKey::Topics(
-            [("/a".to_owned(), topic_key(&epoch, &topic_id(&IndexKey::new([3; 32]), "/a")))].into(),
-        ));
-        let (one, other) = (all.topic("/a").expect("covered"), some.topic("/a").expect("covered"));
-        assert_eq!((one.id, &one.key), (other.id, &other.key));
-        assert!(all.topic("/b").is_some() && some.topic("/b").is_none());
+        let index = IndexKey::new([3; 32]);
+        let id = topic_id(&index, "/a");
+        let given = Pseudonyms { id, filters: filter_key(&index, &id) };
+        let one = all.topic("/a").expect("covered");
+        for pseudonyms in [None, Some(given)] {
+            let new = pseudonyms.is_some();
+            let issued = IssuedTopic { key: topic_key(&epoch, &id), pseudonyms };
+            let some = EpochKeys {
+                index: (!new).then(|| index.clone()),
+                ..keys(SealingKey::Topics([("/a".to_owned(), issued)].into()))
+            };
+            let other = some.topic("/a").expect("covered");
+            assert_eq!((one.id, &one.key), (other.id, &other.key));
+            assert!(all.topic("/b").is_some() && some.topic("/b").is_none());
+            let tags: BTreeMap<String, String> = [("mission".to_owned(), "harbour".to_owned())].into();
+            let choice = tag_choice(&index, "mission", "harbour", &[id]);
+            let found = if new { choice.by_topic[&id] } else { choice.id };
+            assert_eq!(other.filters("x/Y", &tags)[1], found, "what readers look for");
+        }
+        let bare = EpochKeys { index: None, ..keys(SealingKey::Epoch(epoch)) };
+        assert!(bare.topic("/a").is_none(), "no name without IK");
     }
 
     #[test]
@@ -131,7 +200,8 @@ mod tests {
             .into();
         let expected =
             [filter_id(&IndexKey::new([3; 32]), "type", "x/Y"), tag("simulated", "true"), tag("a", "1"), tag("b", "2")];
-        assert_eq!(keys.filters("x/Y", &tags), expected);
-        assert_eq!(keys.filters("x/Y", &BTreeMap::new()), &expected[..1]);
+        let topic = keys.topic("/a").expect("covered");
+        assert_eq!(topic.filters("x/Y", &tags), expected);
+        assert_eq!(topic.filters("x/Y", &BTreeMap::new()), &expected[..1]);
     }
 }

@@ -6,6 +6,8 @@ use crate::model::{Address, Digest, ErrorKind};
 use crate::ros::RosError;
 use crate::store::StoreError;
 
+use super::authority::NoRight;
+
 /// A failure of a worker or of a request that a worker serves.
 #[derive(Debug, thiserror::Error)]
 pub enum PipelineError {
@@ -42,6 +44,17 @@ pub enum PipelineError {
     /// There is no such record, or it is not shared.
     #[error("no record '{0}' is known here; `authros uploads list` and `authros shared list` name those that are")]
     NoRecord(String),
+    /// The ledger says of a record what its signed header or sealed head does not.
+    #[error(
+        "the ledger was altered: record {id} differs from its row in its {field}, so it is not shown; \
+         `authros audit` names every such row, restore the ledger from a backup"
+    )]
+    RowDiffers {
+        /// The record.
+        id: String,
+        /// The field.
+        field: &'static str,
+    },
     /// The vault no longer holds a record.
     #[error(
         "the ciphertext of record {0} is missing from the vault; restore it from a backup, its digest stays on the chain"
@@ -84,7 +97,15 @@ pub enum PipelineError {
         /// Which.
         digest: Digest,
         /// What does not hold.
-        why: &'static str,
+        why: String,
+    },
+    /// A record whose signer had no right at the block that anchors it.
+    #[error("record {id} is not verified: {why}; ask its owner whether the record was anchored again since")]
+    NoRight {
+        /// Which.
+        id: String,
+        /// Why not.
+        why: Box<NoRight>,
     },
     /// A grant or revoke that the state of things does not allow.
     #[error("{0}")]
@@ -104,7 +125,9 @@ impl PipelineError {
             }
             Self::Reverted { .. } | Self::Refused(_) => ErrorKind::Refused,
             Self::NoRecord(_) => ErrorKind::Input,
-            Self::Missing(_) | Self::NotTakenIn { .. } => ErrorKind::Tampered,
+            Self::Missing(_) | Self::RowDiffers { .. } | Self::NotTakenIn { .. } | Self::NoRight { .. } => {
+                ErrorKind::Tampered
+            }
             Self::Deleted(..) => ErrorKind::Refused,
             Self::UnknownEpoch(_) | Self::Uncovered(_) => ErrorKind::Refused,
             Self::NotMined(_) | Self::Unsteady => ErrorKind::Incomplete,

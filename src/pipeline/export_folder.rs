@@ -10,7 +10,9 @@ use serde::{Deserialize, Serialize};
 use crate::chain::merkle::{Inclusion, LONGEST_PATH, Leaf};
 use crate::crypto::{Provider, keyfile, record, signature_from_der, signer_id};
 use crate::model::header::{LARGEST_BODY, LARGEST_HEAD};
-use crate::model::{Address, Digest, Domain, Hash, Header, PublicKey, RecorderId, Signature, SignerId, TopicId, clean};
+use crate::model::{
+    Address, Digest, Domain, Hash, Header, PublicKey, RecorderId, Signature, SignerId, Timestamp, TopicId, clean,
+};
 
 /// What `proof.json` begins with.
 const FORMAT: &str = "authros-proof/1";
@@ -74,6 +76,9 @@ pub struct ClaimedAnchor {
     /// That block's hash.
     #[serde(default)]
     pub block_hash: Option<Hash>,
+    /// That block's time, where the exporter's chain told it.
+    #[serde(default)]
+    pub block_time: Option<Timestamp>,
 }
 
 /// What `proof.json` claims.

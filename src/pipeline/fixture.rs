@@ -241,5 +241,6 @@ pub fn network(chain: Chain) -> Network {
     let pin = chain.pin().expect("pinned");
     let domain = domain(pin.chain_id, &pin.genesis, &pin.contract);
     let directory = Arc::new(Directory::new(domain, provider(ProviderName::RustCrypto)));
-    Network { chain, domain, directory, earlier: Arc::default(), confirmations: 1 }
+    let (earlier, former, times) = (Arc::default(), Arc::default(), Arc::default());
+    Network { chain, domain, directory, earlier, former, confirmations: 1, times }
 }

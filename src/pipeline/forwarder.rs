@@ -27,6 +27,23 @@ mod tests;
 const WINDOW: usize = 256;
 /// Bytes of one upload, unless a single record has more.
 const WINDOW_BYTES: usize = 4 * 1024 * 1024;
+/// The longest pause until a record that was refused for itself is sent again.
+const LONGEST_RETRY: Duration = Duration::from_secs(3600);
+
+/// How long ciphertext stays on the robot that its gateway holds as well.
+#[derive(Debug, Clone)]
+pub struct CopyKeeping {
+    /// After the inclusion proof was checked and the gateway has signed that the record is verified.
+    pub time: Duration,
+    /// Below so much room on the disk such copies are given up before their time, oldest first.
+    pub reserve: u64,
+}
+
+impl Default for CopyKeeping {
+    fn default() -> Self {
+        Self { time: Duration::from_secs(7 * 24 * 3600), reserve: 0 }
+    }
+}
 
 /// How fast a forwarder works.
 #[derive(Debug, Clone, Copy)]
@@ -37,6 +54,10 @@ pub struct Pace {
     pub longest_pause: Duration,
     /// Between two looks at how records stand at the gateway.
     pub check: Duration,
+    /// Between two looks at copies that may be given up.
+    pub tidy: Duration,
+    /// Until a record that was refused for itself is sent again; it doubles, up to [`LONGEST_RETRY`].
+    pub retry: Duration,
 }
 
 impl Default for Pace {
@@ -45,6 +66,8 @@ impl Default for Pace {
             first_pause: Duration::from_millis(250),
             longest_pause: Duration::from_secs(5),
             check: Duration::from_secs(1),
+            tidy: Duration::from_secs(10),
+            retry: Duration::from_secs(60),
         }
     }
 }
@@ -111,8 +134,10 @@ pub struct Forwarder {
     pace: Pace,
     link: watch::Sender<Link>,
     errand: Option<Box<dyn Errand>>,
-    /// Records that the gateway refuses for themselves: not sent again before the next start.
+    /// Records that the gateway refuses for themselves: sent again after a pause, and at the next start.
     refused: Arc<Mutex<HashSet<Digest>>>,
+    /// Since when the first of them waits.
+    refused_at: Option<Instant>,
     /// So many of the next uploads go one by one: one of them is refused.
     singly: usize,
     /// Where the next look at standings begins.
@@ -120,6 +145,12 @@ pub struct Forwarder {
     checked: Option<Instant>,
     /// Whether the present session achieved anything.
     moved: bool,
+    /// What becomes of ciphertext that the gateway has as well.
+    keeping: CopyKeeping,
+    /// When copies were last looked through.
+    tidied: Option<Instant>,
+    /// Whether the gateway signs how records stand; earlier versions do not.
+    signs: bool,
 }
 
 impl Forwarder {
@@ -135,10 +166,14 @@ impl Forwarder {
             link: watch::channel(Link::Connecting).0,
             errand: None,
             refused: Arc::default(),
+            refused_at: None,
             singly: 0,
             cursor: None,
             checked: None,
             moved: false,
+            keeping: CopyKeeping::default(),
+            tidied: None,
+            signs: true,
         }
     }
 
@@ -146,6 +181,12 @@ impl Forwarder {
     #[must_use]
     pub fn paced(self, pace: Pace) -> Self {
         Self { pace, ..self }
+    }
+
+    /// The same with other rules for its copies.
+    #[must_use]
+    pub fn keeping(self, keeping: CopyKeeping) -> Self {
+        Self { keeping, ..self }
     }
 
     /// The same with something to be done beside.
@@ -184,7 +225,10 @@ impl Forwarder {
         let link = error.link();
         let urgent = matches!(link, Link::Refused(_));
         let text = match &link {
-            Link::Refused(text) => format!("records wait in the outbox: {text}"),
+            Link::Refused(text) => format!(
+                "records wait in the outbox: {text}; where its owner recalled this robot, or the loan has ended, the owner \
+                 has to enrol it again"
+            ),
             _ => format!("records wait in the outbox until the gateway is back: {error}"),
         };
         self.link.send_replace(link);
@@ -194,6 +238,8 @@ impl Forwarder {
     /// One session: connects, then sends and checks until the line breaks or the session is used up.
     async fn session(&mut self, stored: &Notify) -> Result<(), ForwardError> {
         let mut client = Client::connect(&self.endpoint, &mut self.trust, &self.credentials).await?;
+        // It may have been brought up to date meanwhile.
+        self.signs = true;
         block_in_place(|| self.trust.save(&self.trust_file)).map_err(PipelineError::from)?;
         if let Some(errand) = &mut self.errand {
             errand.begin(&mut client).await?;
@@ -205,12 +251,17 @@ impl Forwarder {
             if let Some(errand) = &mut self.errand {
                 errand.run(&mut client).await?;
             }
+            self.retry_refused();
             let sent = self.upload(&mut client).await?;
             self.link.send_if_modified(|link| std::mem::replace(link, Link::Up) != Link::Up);
             let due = self.checked.is_none_or(|at| at.elapsed() >= self.pace.check);
             if due {
                 self.check(&mut client).await?;
                 self.checked = Some(Instant::now());
+            }
+            if self.tidied.is_none_or(|at| at.elapsed() >= self.pace.tidy) {
+                block_in_place(|| self.tidy())?;
+                self.tidied = Some(Instant::now());
             }
             if sent == 0 {
                 // Both outcomes mean: look again.
@@ -252,7 +303,17 @@ impl Forwarder {
             return;
         };
         self.refused.lock().unwrap_or_else(PoisonError::into_inner).insert(*digest);
+        self.refused_at.get_or_insert_with(Instant::now);
         self.plant.observer.alert(true, format!("record {digest} stays in the outbox: {error}"));
+    }
+
+    /// What was refused for itself is sent again when its pause is over: gateways are mended, and their minds changed.
+    fn retry_refused(&mut self) {
+        if self.refused_at.is_some_and(|at| at.elapsed() >= self.pace.retry) {
+            self.refused.lock().unwrap_or_else(PoisonError::into_inner).clear();
+            self.refused_at = None;
+            self.pace.retry = (self.pace.retry * 2).min(LONGEST_RETRY);
+        }
     }
 
     /// The next records to send, their bytes compared with their digests.

@@ -9,8 +9,8 @@ use super::recorder::CapturedMessage;
 use super::ring::Rings;
 use super::session::TopicFigures;
 use super::{Author, CaptureSession};
+use crate::model::TopicRules;
 use crate::model::topic::LONGEST_NAME;
-use crate::model::{TopicName, TopicRules};
 use crate::ros::recording::{Channel, Encoding, RecordedMessage};
 use crate::ros::{Message, Origin};
 
@@ -32,15 +32,14 @@ pub const SOURCE: (&str, &str) = ("source", "bag");
 pub const ENCODING: &str = "encoding";
 /// Tag of messages of a latching publisher.
 pub const LATCHING: &str = "latching";
+/// Tag of messages whose topic was recorded under a name that is not a graph name: that name.
+pub const RECORDED_TOPIC: &str = "recorded_topic";
 
 /// Why a channel cannot be imported; `None` where it can.
 pub fn fault(channel: &Channel) -> Option<&'static str> {
-    if channel.topic.parse::<TopicName>().is_err() {
-        return Some("its topic is no topic name");
-    }
     let long = channel.type_name.len() > LONGEST_NAME || channel.caller_id.len() > LONGEST_NAME;
     if long || channel.md5sum.len() > LONGEST_MD5 {
-        return Some("its type, md5sum or publisher is no name");
+        return Some("its type's name, md5sum or publisher's name is too long");
     }
     channel.type_name.is_empty().then_some("it has no type")
 }
@@ -81,7 +80,7 @@ impl<'a> Importer<'a> {
         Self { rings, author, rules, tags, sessions: HashMap::new(), offered: 0 }
     }
 
-    fn stream(&mut self, channel: &Arc<Channel>) -> &Stream {
+    fn stream(&mut self, channel: &Arc<Channel>, topic: &Arc<str>) -> &Stream {
         let tags = &self.tags;
         self.sessions.entry(Arc::clone(channel)).or_insert_with(|| {
             let mut tags = tags.clone();
@@ -94,8 +93,11 @@ impl<'a> Importer<'a> {
             if channel.latching {
                 tags.push((LATCHING.to_owned(), "1".to_owned()));
             }
+            if channel.topic != *topic {
+                tags.push((RECORDED_TOPIC.to_owned(), channel.topic.to_string()));
+            }
             Stream {
-                session: Arc::new(CaptureSession::new(&[channel.topic.to_string()], None, tags)),
+                session: Arc::new(CaptureSession::new(&[topic.to_string()], None, tags)),
                 origin: Arc::new(Origin {
                     number: 0,
                     caller_id: Arc::clone(&channel.caller_id),
@@ -110,19 +112,19 @@ impl<'a> Importer<'a> {
         })
     }
 
-    /// Takes one message in, as soon as there is room. `false` where the import is to end.
-    pub fn take(&mut self, message: RecordedMessage, goes_on: &dyn Fn() -> bool) -> bool {
+    /// Takes one message in under a graph name, as soon as there is room. `false` where the import is to end.
+    pub fn take(&mut self, message: RecordedMessage, topic: &Arc<str>, goes_on: &dyn Fn() -> bool) -> bool {
         if self.offered.is_multiple_of(1024) && !self.wait_for_the_chain(goes_on) {
             return false;
         }
         let RecordedMessage { channel, time, body } = message;
-        let rule = self.rules.of(&channel.topic).cloned();
+        let rule = self.rules.of(topic).cloned();
         let author = Arc::clone(&self.author);
-        let stream = self.stream(&channel);
+        let stream = self.stream(&channel, topic);
         let (session, origin) = (Arc::clone(&stream.session), Arc::clone(&stream.origin));
-        session.take(&channel.topic, &channel.type_name);
+        session.take(topic, &channel.type_name);
         let message = Message {
-            topic: Arc::clone(&channel.topic),
+            topic: Arc::clone(topic),
             type_name: Arc::clone(&channel.type_name),
             md5sum: Arc::clone(&channel.md5sum),
             definition: Arc::clone(&channel.definition),
@@ -137,11 +139,11 @@ impl<'a> Importer<'a> {
             CapturedMessage { author, message, simulated: false, sessions: vec![session], doubt: None, rule };
         let share = SHARE.min(self.rings.capacity() / 4);
         loop {
-            match self.rings.push_within(&channel.topic, item, share, TICK) {
+            match self.rings.push_within(topic, item, share, TICK) {
                 Ok(()) => break,
                 Err(refused) if !self.rings.is_closed() && goes_on() => item = refused,
                 Err(refused) => {
-                    refused.sessions.iter().for_each(|session| session.dropped(&channel.topic, false));
+                    refused.sessions.iter().for_each(|session| session.dropped(topic, false));
                     return false;
                 }
             }

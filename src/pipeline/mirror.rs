@@ -3,6 +3,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
 use tokio::task::block_in_place;
 
@@ -13,11 +14,18 @@ use crate::gateway::{Entry, Fetched, Standing};
 use crate::model::{Address, Digest, Hash, Header, RecordState, Timestamp};
 use crate::store::{Foreign, NewRecord, RecordRow, RootSighting, Sighting, StoreError};
 
+use super::authority::{self, Moment, SigningRight};
+use super::equivocation::{self, Claim};
 use super::reader::Reader;
-use super::{Network, Owner, PipelineError, Plant};
+use super::watcher::CURSOR;
+use super::{Network, Owner, PipelineError, Plant, proof};
 
 /// Length of the tag at the end of a sealed body, bytes.
 const TAG: u64 = 16;
+/// How long the watcher may be behind the block of a proof.
+const BEHIND: Duration = Duration::from_secs(30);
+/// How often it is looked where the watcher is.
+const LOOK: Duration = Duration::from_millis(50);
 /// Anchors remembered at most.
 const MOST_ANCHORS: usize = 4096;
 
@@ -31,19 +39,21 @@ pub struct Mirror<'a> {
     pub reader: &'a Owner,
     /// The gateway's account: it anchors what it keeps for others, so nobody here tries to.
     pub keeper: Address,
-    /// Anchors that the chain confirmed, by their transaction.
+    /// Anchors that the chain confirmed.
     pub anchors: Anchors,
 }
 
-/// Anchors that the chain confirmed.
+/// Anchors that the chain confirmed, by account, root and transaction: their blocks.
 #[derive(Default)]
-pub struct Anchors(Mutex<BTreeMap<(Address, Hash), (u64, Hash)>>);
+pub struct Anchors(Mutex<BTreeMap<AnchorKey, (u64, Hash)>>);
+
+/// Account, root, transaction.
+type AnchorKey = (Address, Hash, Hash);
 
 /// Whose records a reader may have: its own, and those of every owner who shares with it now.
 pub fn sources(network: &Network, reader: &Owner) -> BTreeSet<Address> {
-    let (me, now) = (reader.address, Timestamp::now());
-    let grants = network.directory.grants(|grant| grant.terms.grantee == me && grant.is_active(now));
-    grants.into_iter().map(|grant| grant.terms.owner).chain([me]).collect()
+    let grants = authority::shared_with(&network.directory, reader.address);
+    grants.into_iter().map(|grant| grant.terms.owner).chain([reader.address]).collect()
 }
 
 impl Mirror<'_> {
@@ -81,7 +91,7 @@ impl Mirror<'_> {
     /// # Errors
     /// [`PipelineError::NotTakenIn`] where a claim does not hold, else of chain, vault and ledger.
     pub async fn take(&self, owner: Address, digest: Digest, fetched: &Fetched) -> Result<bool, PipelineError> {
-        let refused = |why| PipelineError::NotTakenIn { digest, why };
+        let refused = |why: &str| PipelineError::NotTakenIn { digest, why: why.to_owned() };
         let (header, _) = Header::parse(&fetched.blob).map_err(|_| refused("it is no record"))?;
         if header.owner != owner || !self.network.accepts(&header.domain) {
             return Err(refused("it is not of the owner or the network that was asked for"));
@@ -90,11 +100,16 @@ impl Mirror<'_> {
             true => None,
             false => Some(AnchorProof::parse(&fetched.proof).map_err(|_| refused("its proof is malformed"))?),
         };
-        self.check_signer(&header, digest, fetched, proof.as_ref())?;
+        if signer_id(&fetched.signer) != header.signer {
+            return Err(refused("its header names another key than signed it"));
+        }
         let proof = match proof {
             Some(proof) => Some(self.confirmed(&header, digest, proof).await?),
             None => None,
         };
+        if !self.check_signer(&header, digest, fetched, proof.as_ref()).await? {
+            return Ok(false);
+        }
         let known = block_in_place(|| self.plant.ledger.record(digest))?;
         let mut changed = false;
         if known.is_none() {
@@ -108,26 +123,43 @@ impl Mirror<'_> {
         Ok(changed)
     }
 
-    /// The key is the owner's own, or that of a device lent by the owner, at the anchoring block.
-    fn check_signer(
+    /// Whether the signer had the right at the anchoring block, or has it now where there is none yet: then it may
+    /// come back, and nothing is wrong with the record.
+    async fn check_signer(
         &self,
         header: &Header,
         digest: Digest,
         fetched: &Fetched,
         proof: Option<&AnchorProof>,
-    ) -> Result<(), PipelineError> {
-        let refused = |why| PipelineError::NotTakenIn { digest, why };
-        if signer_id(&fetched.signer) != header.signer {
-            return Err(refused("its header names another key than signed it"));
+    ) -> Result<bool, PipelineError> {
+        let at = match proof {
+            Some(proof) => {
+                self.wait_for(proof.block).await?;
+                Moment::of_block(proof.block, self.network.ask_time(proof.block).await?)
+            }
+            None => Moment::newest(self.network.directory.now()),
+        };
+        match authority::may_sign(&self.network.directory, header.owner, header.signer, at) {
+            Ok(SigningRight::Owner(_)) => {}
+            Ok(SigningRight::Device(_)) => {
+                block_in_place(|| self.plant.ledger.keep_signer(header.signer, fetched.signer))?;
+            }
+            Err(_) if proof.is_none() => return Ok(false),
+            Err(why) => return Err(PipelineError::NotTakenIn { digest, why: why.to_string() }),
         }
-        let (directory, block) = (&self.network.directory, proof.map(|proof| proof.block));
-        if directory.signing_key(header.owner, header.signer, block) == Some(fetched.signer) {
-            return Ok(());
+        Ok(true)
+    }
+
+    /// Waits until the watcher here has read a block's events: the right is what they leave behind.
+    async fn wait_for(&self, block: u64) -> Result<(), PipelineError> {
+        let deadline = Instant::now() + BEHIND;
+        while block_in_place(|| self.plant.ledger.cursor(CURSOR))?.is_none_or(|(read, _)| read < block) {
+            if Instant::now() > deadline {
+                return Err(PipelineError::Unsteady);
+            }
+            tokio::time::sleep(LOOK).await;
         }
-        if directory.is_lent(header.owner, header.signer, block, Timestamp::now()) {
-            return Ok(block_in_place(|| self.plant.ledger.keep_signer(header.signer, fetched.signer))?);
-        }
-        Err(refused("its signer was neither its owner nor a device lent by the owner"))
+        Ok(())
     }
 
     /// Holds the proof against the chain; block and hash are then the chain's own.
@@ -137,27 +169,30 @@ impl Mirror<'_> {
         digest: Digest,
         proof: AnchorProof,
     ) -> Result<AnchorProof, PipelineError> {
+        let refused = |why: &str| PipelineError::NotTakenIn { digest, why: why.to_owned() };
         let Some(inclusion) = &proof.inclusion else {
-            if proof.account != header.owner || !self.network.chain.anchored(header.owner, digest).await? {
-                return Err(PipelineError::NotTakenIn { digest, why: "the chain does not have its digest" });
-            }
             let (block, block_hash) = self.block_of(digest, &proof).await?;
+            let uploaded = self.network.chain.uploaded_at(header.owner, digest).await?;
+            if proof.account != header.owner || uploaded != Some(block) {
+                return Err(refused("the chain does not have its digest"));
+            }
             return Ok(AnchorProof { block, block_hash, ..proof });
         };
         let Header { owner, recorder, topic_id, seq, .. } = *header;
         if !inclusion.proves(&Leaf { owner, recorder, topic_id, seq, digest }) {
-            return Err(PipelineError::NotTakenIn { digest, why: "its path does not lead to its root" });
+            return Err(refused("its path does not lead to its root"));
         }
-        let key = (proof.account, inclusion.root);
+        let key = (proof.account, inclusion.root, proof.transaction);
         let known = self.anchors.0.lock().unwrap_or_else(PoisonError::into_inner).get(&key).copied();
         if let Some((block, block_hash)) = known {
             return Ok(AnchorProof { block, block_hash, ..proof });
         }
-        let anchored = self.network.chain.root_anchored(proof.account, inclusion.root).await?;
-        if anchored.is_none_or(|(_, count)| count != inclusion.count) {
-            return Err(PipelineError::NotTakenIn { digest, why: "the chain does not have its root" });
-        }
+        // The block is the transaction's, and the root must stand in that very block: by it the right is judged.
         let (block, block_hash) = self.block_of(digest, &proof).await?;
+        let (account, root, count) = (proof.account, inclusion.root, inclusion.count);
+        if !proof::is_root_in(&self.network.chain, account, root, count, block).await? {
+            return Err(refused("the chain does not have its root"));
+        }
         let mut anchors = self.anchors.0.lock().unwrap_or_else(PoisonError::into_inner);
         if anchors.len() >= MOST_ANCHORS {
             anchors.clear();
@@ -169,8 +204,8 @@ impl Mirror<'_> {
     /// The block that has the proof's transaction.
     async fn block_of(&self, digest: Digest, proof: &AnchorProof) -> Result<(u64, Hash), PipelineError> {
         let receipt = self.network.chain.receipt(proof.transaction).await?.filter(|receipt| receipt.success);
-        let receipt = receipt
-            .ok_or(PipelineError::NotTakenIn { digest, why: "the chain does not have its anchoring transaction" })?;
+        let why = "the chain does not have its anchoring transaction".to_owned();
+        let receipt = receipt.ok_or(PipelineError::NotTakenIn { digest, why })?;
         Ok((receipt.block, receipt.block_hash))
     }
 
@@ -186,11 +221,15 @@ impl Mirror<'_> {
         block_in_place(|| self.plant.vault.put(&[(digest, fetched.blob.as_slice())]))?;
         let opened = self.opener().open(&RecordRow { block, ..row_of(header, digest, fetched) }).await?;
         let row = new_record(header, digest, fetched, &opened, self.keeper, durable);
+        let claim = Claim::of(&row);
         match block_in_place(|| self.plant.ledger.append(vec![row])) {
-            Err(StoreError::Conflict { .. }) => Err(PipelineError::NotTakenIn {
-                digest,
-                why: "another record has its number or another name its topic",
-            }),
+            Err(StoreError::Conflict { .. }) => {
+                if let Some(claim) = claim {
+                    block_in_place(|| equivocation::tell(self.plant, &claim))?;
+                }
+                let why = "another record has its number or another name its topic".to_owned();
+                Err(PipelineError::NotTakenIn { digest, why })
+            }
             done => Ok(done?),
         }
     }

@@ -1,5 +1,5 @@
-//! Notices of an owner to its robots: the keys of a new epoch, sealed for one device, signed by d_C and numbered.
-//! The robot's end: subscribes at its gateway, takes what is newer than what it has, keeps it, obeys it.
+//! Notices of an owner to its robots: keys of a new epoch or of more topics, sealed for one device, signed by d_C and
+//! numbered. The robot's end: subscribes at its gateway, takes what is newer than what it has, keeps it, obeys it.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use async_trait::async_trait;
 use tokio::task::block_in_place;
 
-use crate::crypto::{Anchor, Expected, IssuedKeys, Provider, SealedEnrolment, notice_topic, open, topic_id};
+use crate::crypto::{Anchor, Expected, Fingerprint, IssuedKeys, Notice, Provider, SealedEnrolment, notice_topic, open};
 use crate::gateway::{Client, Entry, Fetched, GatewayError, Query, Selection};
 use crate::model::{Header, RecordKind, Timestamp, clean};
 
@@ -46,8 +46,12 @@ impl Notices {
 
     fn selection(&self) -> Selection {
         let enrolment = &self.sealed.enrolment;
-        let topic = topic_id(&enrolment.index, &notice_topic(&enrolment.device_id()));
-        Selection { owner: enrolment.owner, topic_id: Some(topic), kind: Some(RecordKind::Key), filters: Vec::new() }
+        Selection {
+            owner: enrolment.owner,
+            topic_id: Some(enrolment.notice_id),
+            kind: Some(RecordKind::Key),
+            filters: Vec::new(),
+        }
     }
 
     /// Whether an entry is a notice to this device that tells more than the newest one taken.
@@ -64,19 +68,19 @@ impl Notices {
         }
     }
 
-    /// Looks through the list for the newest notice, and takes it.
+    /// Looks through the list for newer notices, and takes them in their order: they may be of several kinds.
     async fn look(&mut self, client: &mut Client) -> Result<(), ForwardError> {
         let (until, selection) = (Timestamp(u64::MAX), self.selection());
         let mut query = Query { selection, from: Timestamp(0), until, cursor: 0, limit: PAGE };
-        let mut newest: Option<Entry> = None;
+        let mut newer: Vec<Entry> = Vec::new();
         loop {
             let page = client.query(&query).await?;
-            let newer = page.entries.into_iter().filter(|entry| self.is_newer(entry));
-            newest = newer.chain(newest).max_by_key(|entry| (entry.epoch, entry.seq));
+            newer.extend(page.entries.into_iter().filter(|entry| self.is_newer(entry)));
             let Some(next) = page.next else { break };
             query.cursor = next;
         }
-        if let Some(entry) = newest {
+        newer.sort_unstable_by_key(|entry| (entry.epoch, entry.seq));
+        for entry in newer {
             let record = client.fetch(&entry.digest).await?;
             self.hear(&entry, &record);
         }
@@ -90,9 +94,9 @@ impl Notices {
             return;
         }
         match self.opened(record) {
-            Ok((header, keys)) => {
-                if let Err(error) = self.obey(&header, keys) {
-                    self.observer.alert(true, format!("the owner's new keys cannot be kept: {error}"));
+            Ok((header, notice)) => {
+                if let Err(error) = self.obey(&header, notice) {
+                    self.observer.alert(true, format!("the owner's notice cannot be kept: {error}"));
                 }
             }
             Err(error) => {
@@ -102,33 +106,72 @@ impl Notices {
         }
     }
 
-    fn opened(&self, record: &Fetched) -> Result<(Header, IssuedKeys), PipelineError> {
+    fn opened(&self, record: &Fetched) -> Result<(Header, Notice), PipelineError> {
         let enrolment = &self.sealed.enrolment;
-        let name = notice_topic(&enrolment.device_id());
         let expected = Expected {
-            topic_id: Some(topic_id(&enrolment.index, &name)),
-            topic: Some(name),
+            topic_id: Some(enrolment.notice_id),
+            topic: Some(notice_topic(&enrolment.device_id())),
             ..Expected::any_of(enrolment.domain, enrolment.owner)
         };
         let (signature, signer, key) = (&record.signature, &enrolment.owner_key, &enrolment.notice_key);
         let opened = open(self.provider, &record.blob, signature, signer, Anchor::Unanchored, key, &expected)?;
         let body = zeroize::Zeroizing::new(opened.body);
-        let keys = IssuedKeys::parse(&body)
+        let notice = Notice::parse(&body)
             .map_err(|why| crate::crypto::CryptoError::Malformed { what: "owner's notice", why })?;
-        let fits = opened.header.kind == RecordKind::Key && keys.now.epoch == opened.header.epoch;
-        if fits { Ok((opened.header, keys)) } else { Err(PipelineError::Refused("it is no notice of keys".to_owned())) }
+        let fits = match &notice {
+            Notice::Keys(keys) => keys.now.epoch == opened.header.epoch,
+            Notice::OwnerKey(change) => {
+                change.check(self.provider, &enrolment.domain, &enrolment.owner, &enrolment.owner_key)?;
+                true
+            }
+            Notice::Unknown(_) => true,
+        };
+        if fits && opened.header.kind == RecordKind::Key {
+            return Ok((opened.header, notice));
+        }
+        Err(PipelineError::Refused("it is no notice to a robot".to_owned()))
     }
 
-    fn obey(&mut self, header: &Header, keys: IssuedKeys) -> Result<(), PipelineError> {
-        let epoch = keys.now.epoch;
-        self.sealed.enrolment.noticed = Some((header.recorder, header.seq));
-        self.sealed.enrolment.keys = keys;
-        // Obeyed even where it cannot be kept: a restart hears it again.
-        self.author.obey(&self.sealed.enrolment);
+    fn obey(&mut self, header: &Header, notice: Notice) -> Result<(), PipelineError> {
+        let enrolment = &mut self.sealed.enrolment;
+        let told = match notice {
+            Notice::Keys(keys) => {
+                let told = told(&enrolment.keys, &keys);
+                enrolment.keys = keys;
+                // Obeyed even where it cannot be kept: a restart hears it again.
+                self.author.obey(enrolment);
+                told
+            }
+            Notice::OwnerKey(change) => {
+                enrolment.owner_key = change.new;
+                let fingerprint = Fingerprint::of(&change.new);
+                format!("the owner's SM2 key is {fingerprint} from now on; the old one and the account signed it")
+            }
+            Notice::Unknown(kind) => {
+                let text =
+                    format!("the owner sent a notice of kind {kind}, which this version does not know; update it");
+                self.observer.alert(true, text);
+                // Not counted as heard: a later version is to take it.
+                return Ok(());
+            }
+        };
+        enrolment.noticed = Some((header.recorder, header.seq));
         block_in_place(|| self.sealed.save(&self.kept))?;
-        self.observer.alert(false, format!("the owner sent the keys of epoch {epoch}; records are sealed under it"));
+        self.observer.alert(false, told);
         Ok(())
     }
+}
+
+/// What keys change, in words.
+fn told(before: &IssuedKeys, after: &IssuedKeys) -> String {
+    let (epoch, known) = (after.now.epoch, before.now.key.topics().unwrap_or_default());
+    let new: Vec<String> = after.now.key.topics().unwrap_or_default();
+    let new: Vec<&str> = new.iter().filter(|topic| !known.contains(topic)).map(String::as_str).collect();
+    if new.is_empty() {
+        return format!("the owner sent the keys of epoch {epoch}; records are sealed under it");
+    }
+    let topics = clean(&new.join(", "), 200);
+    format!("the owner sent the keys of epoch {epoch} with those of {topics}; records of it are taken from now on")
 }
 
 #[async_trait]

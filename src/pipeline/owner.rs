@@ -88,6 +88,20 @@ impl Owner {
         self.keyring().keyring.envelope.clone()
     }
 
+    /// P_E with d_E, and the pairs that will be or were in its place: what was sealed to them is opened with them.
+    pub fn envelopes(&self) -> Vec<SmKeyPair> {
+        let keyring = self.keyring();
+        let further = &keyring.keyring.further;
+        let others = further.next_envelope.iter().chain(further.envelopes.iter().rev());
+        [&keyring.keyring.envelope].into_iter().chain(others).cloned().collect()
+    }
+
+    /// The identity of the gateway that this owner keeps: P_C with d_C of the time when it was founded.
+    pub fn gateway_identity(&self) -> SmKeyPair {
+        let keyring = self.keyring();
+        keyring.keyring.further.gateway.as_ref().unwrap_or(&keyring.keyring.signing).clone()
+    }
+
     /// P_C and P_E.
     pub fn public_keys(&self) -> (PublicKey, PublicKey) {
         let keyring = self.keyring();

@@ -2,7 +2,9 @@
 
 use tokio::task::block_in_place;
 
+use crate::chain::{Chain, Event};
 use crate::crypto::fault;
+use crate::model::{Address, Hash};
 use crate::store::{BatchPlace, RecordRow};
 
 use super::{Network, PipelineError, Plant};
@@ -12,8 +14,8 @@ pub fn is_included(place: &BatchPlace, row: &RecordRow) -> bool {
     place.inclusion.proves(&row.leaf()) || fault::is_off("proof")
 }
 
-/// Asks the chain: for a batched record whether the root stands there over as many leaves as the path
-/// was made for, else whether the owner uploaded the digest itself.
+/// Asks the chain: whether in the record's block the root of its batch stands over as many leaves as the path was made
+/// for, else whether the owner uploaded the digest itself there.
 ///
 /// # Errors
 /// Of chain and ledger.
@@ -21,14 +23,38 @@ pub async fn is_anchored(plant: &Plant, network: &Network, row: &RecordRow) -> R
     if fault::is_off("anchor") {
         return Ok(true);
     }
+    let contract = block_in_place(|| network.place_of(plant, row))?.chain;
     if let Some(place) = block_in_place(|| plant.ledger.batch_place(row.digest))?
-        && let (Some(account), Some(_)) = (place.account, place.block)
+        && let (Some(account), Some(block)) = (place.account, place.block)
+        && row.block.is_none_or(|anchored| anchored == block)
     {
-        let anchored = network.chain.root_anchored(account, place.inclusion.root).await?;
-        let counted = anchored.is_some_and(|(_, count)| count == place.inclusion.count);
-        return Ok(counted && is_included(&place, row));
+        let (root, count) = (place.inclusion.root, place.inclusion.count);
+        return Ok(is_root_in(contract, account, root, count, block).await? && is_included(&place, row));
     }
-    Ok(network.chain.anchored(row.owner, row.digest).await?)
+    let uploaded = contract.uploaded_at(row.owner, row.digest).await?;
+    Ok(uploaded.is_some_and(|uploaded| row.block.is_none_or(|block| block == uploaded)))
+}
+
+/// Whether an account anchored a root over so many leaves in this very block: for the first time, as the contract's
+/// state says, or again, as the block's events say.
+///
+/// # Errors
+/// Of the chain.
+pub async fn is_root_in(
+    chain: &Chain,
+    account: Address,
+    root: Hash,
+    count: u64,
+    block: u64,
+) -> Result<bool, PipelineError> {
+    match chain.root_anchored(account, root).await? {
+        None => return Ok(false),
+        Some((first, counted)) if first == block => return Ok(counted == count),
+        Some(_) => {}
+    }
+    let found = chain.anchors_of(root, block, block).await?;
+    let same = |event: &Event| matches!(event, Event::Anchored { account: by, count: over, .. } if (*by, *over) == (account, count));
+    Ok(found.iter().any(|at| at.block == block && same(&at.event)))
 }
 
 /// What the ledger itself knows: the watcher saw the record's anchor, and where that is a root the

@@ -1,20 +1,23 @@
 //! Reading: who may, with which key, and what the checks find. The vault's bytes are compared
 //! with the chain before anything else, and nothing is shown before the last check.
 
+mod own;
+
 use std::sync::{Arc, PoisonError};
 
 use tokio::task::block_in_place;
 
 use crate::crypto::{
-    Anchor, CryptoError, EpochKey, Expected, GrantedKeys, OpenedRecord, TopicKey, WrappedKeys, check, check_deleted,
-    open, topic_key, topic_key_by_name, unwrap,
+    Anchor, CryptoError, EpochKey, Expected, GrantedKeys, IndexKey, OpenedRecord, TopicKey, WrappedKeys, check,
+    check_deleted, open, topic_key, topic_key_by_name, unwrap,
 };
-use crate::model::{Address, Digest, Domain, GrantTerms, Header, RecordKind, RecordState, Timestamp, Verdict};
+use crate::model::{Address, Digest, Domain, GrantTerms, Header, RecordKind, RecordState, TopicId, Verdict};
 use crate::ros::Definition;
 use crate::store::{RecordQuery, RecordRow, Retained};
 
-use super::directory::Granted;
-use super::{Network, Owner, PipelineError, Plant, proof, signers};
+use super::authority::{Policy, ReadRefused, ReadingRight, may_read};
+use super::directory::{Envelope, Granted};
+use super::{Network, Owner, PipelineError, Plant, authority, columns, proof};
 
 /// Definition records looked at for one message, at most.
 const MOST_DEFINITIONS: usize = 200;
@@ -30,12 +33,9 @@ pub struct Reader<'a> {
 }
 
 impl Reader<'_> {
-    /// Active grants of `owner` to this reader.
-    pub fn grants_of(&self, owner: Address) -> Vec<Granted> {
-        let (reader, now) = (self.reader.address, Timestamp::now());
-        self.network
-            .directory
-            .grants(|grant| grant.terms.owner == owner && grant.terms.grantee == reader && grant.is_active(now))
+    /// By what right this reader reads what `owner` has of a topic, on its own site.
+    fn right(&self, owner: Address, topic: Option<TopicId>) -> Result<ReadingRight, ReadRefused> {
+        may_read(&self.network.directory, self.reader.address, owner, topic, Policy::OwnSite)
     }
 
     /// Whether the chain's grants let this reader see the record at all.
@@ -47,15 +47,16 @@ impl Reader<'_> {
         if !own && is_held(row) {
             return Err(PipelineError::NoRecord(row.id.clone()));
         }
-        let granted = || self.grants_of(row.owner).iter().any(|grant| grant.terms.scope.covers(row.topic_id));
-        if own || crate::crypto::fault::is_off("authorise") || granted() {
+        if crate::crypto::fault::is_off("authorise") {
             return Ok(());
         }
-        Err(PipelineError::NotGranted {
-            owner: row.owner,
-            reader: self.reader.address,
-            what: format!("record {}", row.id),
-        })
+        match self.right(row.owner, Some(row.topic_id)) {
+            Ok(_) => Ok(()),
+            Err(ReadRefused::NotGranted { owner, reader } | ReadRefused::NotCovered { owner, reader }) => {
+                Err(PipelineError::NotGranted { owner, reader, what: format!("record {}", row.id) })
+            }
+            Err(refused) => Err(PipelineError::Refused(format!("record {} is not shown: {refused}", row.id))),
+        }
     }
 
     /// Checks a record without opening it (the paper's `Data_Check`).
@@ -69,9 +70,10 @@ impl Reader<'_> {
         let digest = Digest(self.plant.provider.sm3(&[&blob]));
         let anchored = self.is_anchored(row).await?;
         let anchor = if anchored { Anchor::Chain(row.digest) } else { Anchor::Unanchored };
-        let signer = block_in_place(|| signers::key_of(self.plant, self.network, row))?;
-        let verdict = signer.and_then(|signer| check(self.plant.provider, &blob, &row.signature, &signer, anchor).ok());
-        Ok((verdict.map_or(Verdict::Tampered, |(_, _, verdict)| verdict), digest))
+        let signer = block_in_place(|| authority::key_of(self.plant, self.network, row))?;
+        let checked = signer.and_then(|signer| check(self.plant.provider, &blob, &row.signature, &signer, anchor).ok());
+        let sound = checked.filter(|(header, ..)| columns::header_difference(row, header).is_none());
+        Ok((sound.map_or(Verdict::Tampered, |(_, _, verdict)| verdict), digest))
     }
 
     /// What to say of a record whose bytes are gone: an alarm, unless a retention record on the chain names it.
@@ -81,7 +83,7 @@ impl Reader<'_> {
             self.plant.observer.alert(true, text);
             return Ok(Verdict::Missing);
         };
-        let signer = block_in_place(|| signers::key_of(self.plant, self.network, row))?;
+        let signer = block_in_place(|| authority::key_of(self.plant, self.network, row))?;
         let signed = signer.is_some_and(|signer| {
             check_deleted(self.plant.provider, &retained.header, row.digest, &row.signature, &signer).is_ok()
         });
@@ -121,9 +123,10 @@ impl Reader<'_> {
             let why = given_up.map(|retained| PipelineError::Deleted(row.id.clone(), retained.report));
             return Err(why.unwrap_or_else(|| PipelineError::Missing(row.id.clone())));
         };
+        self.compare(row, &blob)?;
         let anchor = if self.is_anchored(row).await? { Anchor::Chain(row.digest) } else { Anchor::Unanchored };
-        let unknown_signer = || CryptoError::Tampered("the signer was not the owner's at the anchoring block");
-        let signer = block_in_place(|| signers::key_of(self.plant, self.network, row))?.ok_or_else(unknown_signer)?;
+        let signer = block_in_place(|| authority::signer_of(self.plant, self.network, row))?;
+        let signer = signer.map_err(|why| PipelineError::NoRight { id: row.id.clone(), why: Box::new(why) })?;
         // The owner's records of a chain that was left are bound to its domain, and sealed under its epochs.
         let sealed_for = Header::parse(&blob).map_or(self.network.domain, |(header, _)| header.domain);
         let domain = if self.network.accepts(&sealed_for) { sealed_for } else { self.network.domain };
@@ -144,7 +147,24 @@ impl Reader<'_> {
                 break;
             }
         }
-        Ok(opened?)
+        let opened = opened?;
+        let differs = |field| PipelineError::RowDiffers { id: row.id.clone(), field };
+        let found = match columns::difference(row, &opened, self.plant.ledger.recorder()) {
+            None => block_in_place(|| columns::anchor_difference(self.plant, row))?,
+            found => found,
+        };
+        found.map_or(Ok(opened), |field| Err(differs(field)))
+    }
+
+    /// Whether the row says what the header of the stored bytes says; where these were altered, that is told instead.
+    fn compare(&self, row: &RecordRow, blob: &[u8]) -> Result<(), PipelineError> {
+        let header = Header::parse(blob).map(|(header, _)| header);
+        match header.ok().and_then(|header| columns::header_difference(row, &header)) {
+            Some(field) if Digest(self.plant.provider.sm3(&[blob])) == row.digest => {
+                Err(PipelineError::RowDiffers { id: row.id.clone(), field })
+            }
+            _ => Ok(()),
+        }
     }
 
     /// The key of the record's topic in its epoch.
@@ -162,8 +182,8 @@ impl Reader<'_> {
             let epoch_key = self.reader.epoch_key(domain, row.epoch).ok_or(PipelineError::UnknownEpoch(row.epoch))?;
             return Ok(keys_of(&epoch_key, row));
         }
-        for grant in self.grants_of(row.owner).iter().rev() {
-            for wrapped in self.envelopes(grant) {
+        if let Ok(ReadingRight::Granted(grant)) = self.right(row.owner, None) {
+            for wrapped in self.envelopes(&grant) {
                 let keys = find_keys(&wrapped.keys, row);
                 if !keys.is_empty() {
                     return Ok(keys);
@@ -174,25 +194,35 @@ impl Reader<'_> {
     }
 
     fn envelopes(&self, grant: &Granted) -> Vec<Arc<WrappedKeys>> {
-        let epochs = grant.envelopes.keys().rev();
-        epochs.filter_map(|epoch| self.open_envelope(grant, *epoch).ok()).collect()
+        let all = grant.envelopes.keys().rev().flat_map(|epoch| grant.envelopes_of(*epoch).map(|one| (*epoch, one)));
+        all.filter_map(|(epoch, envelope)| self.open_one(grant, epoch, envelope).ok()).collect()
     }
 
-    /// Opens one envelope of a grant.
+    /// Opens the envelope of a grant for an epoch: the newest that this reader has the key of.
     ///
     /// # Errors
-    /// Where it does not open, or does not say what the chain's event says.
+    /// Where none opens, or none says what the chain's event says.
     pub fn open_envelope(&self, grant: &Granted, epoch: u64) -> Result<Arc<WrappedKeys>, PipelineError> {
-        let envelope = grant.envelope(epoch).ok_or(CryptoError::WrongKey)?;
-        let digest = Digest(self.plant.provider.sm3(&[&envelope]));
+        let opened = grant.envelopes_of(epoch).map(|envelope| self.open_one(grant, epoch, envelope));
+        first_good(opened).unwrap_or_else(|| Err(CryptoError::WrongKey.into()))
+    }
+
+    /// Opens an envelope under the keys of its time: signed by what its owner had registered then, sealed to what the
+    /// reader had.
+    fn open_one(&self, grant: &Granted, epoch: u64, envelope: &Envelope) -> Result<Arc<WrappedKeys>, PipelineError> {
+        let bytes = envelope.bytes();
+        let digest = Digest(self.plant.provider.sm3(&[&bytes]));
         if let Some(known) = self.reader.opened.lock().unwrap_or_else(PoisonError::into_inner).get(&digest) {
             return Ok(Arc::clone(known));
         }
         let terms = GrantTerms { epoch, ..grant.terms.clone() };
-        let owner = self.network.directory.identity(grant.terms.owner)?;
-        let secret = self.reader.envelope();
-        let wrapped =
-            unwrap(self.plant.provider, &self.network.domain, &envelope, &terms, &owner.signing, &secret.secret)?;
+        let owner = self.network.directory.identities_at(grant.terms.owner, envelope.block);
+        let secrets = self.reader.envelopes();
+        let pairs = owner.iter().flat_map(|owner| secrets.iter().map(move |reader| (owner, reader)));
+        let (provider, domain) = (self.plant.provider, &self.network.domain);
+        let opened =
+            pairs.map(|(owner, reader)| Ok(unwrap(provider, domain, &bytes, &terms, &owner.signing, &reader.secret)?));
+        let wrapped = first_good(opened).unwrap_or(Err(PipelineError::BadIdentity(grant.terms.owner)))?;
         let wrapped = Arc::new(wrapped);
         self.reader.opened.lock().unwrap_or_else(PoisonError::into_inner).insert(digest, Arc::clone(&wrapped));
         Ok(wrapped)
@@ -236,6 +266,32 @@ impl Reader<'_> {
             }
         }
         Ok(None)
+    }
+}
+
+/// The first that is good; the first failure where none is; `None` of nothing.
+fn first_good<T>(mut results: impl Iterator<Item = Result<T, PipelineError>>) -> Option<Result<T, PipelineError>> {
+    let first = results.next()?;
+    Some(first.or_else(|error| results.find_map(Result::ok).ok_or(error)))
+}
+
+impl columns::Keys for Reader<'_> {
+    fn topic_keys(&self, row: &RecordRow, header: &Header) -> Vec<TopicKey> {
+        let (owner, epoch, topic_id) = (header.owner, header.epoch, header.topic_id);
+        let asked = RecordRow { owner, topic_id, epoch, ..row.clone() };
+        self.topic_keys_in(header.domain, &asked).unwrap_or_default()
+    }
+
+    fn index_key(&self, row: &RecordRow) -> Option<IndexKey> {
+        if row.owner == self.reader.address {
+            return Some(self.reader.index());
+        }
+        let Ok(ReadingRight::Granted(grant)) = self.right(row.owner, None) else { return None };
+        let index = |wrapped: Arc<WrappedKeys>| match &wrapped.keys {
+            GrantedKeys::All { index_key, .. } => Some(index_key.clone()),
+            GrantedKeys::Topics { .. } => None,
+        };
+        self.envelopes(&grant).into_iter().find_map(index)
     }
 }
 

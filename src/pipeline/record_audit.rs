@@ -11,11 +11,13 @@ mod scrub;
 mod sequences;
 mod stored;
 
+use std::collections::HashMap;
 use std::time::Instant;
 
 use tokio::runtime::Handle;
 
-use crate::model::{Address, Timestamp};
+use crate::crypto::IndexKey;
+use crate::model::{Address, ErrorKind, Timestamp};
 use crate::store::{AuditLog, StoreError};
 
 pub use report::{FindingKind, RecordAudit, RecordFinding};
@@ -33,6 +35,8 @@ pub struct Scope {
     pub since: Timestamp,
     /// Accounts of the home's profiles.
     pub accounts: Vec<Address>,
+    /// IK of the profiles whose keyrings are open: names are compared by their pseudonyms.
+    pub indices: HashMap<Address, IndexKey>,
 }
 
 /// Audits the store. `chain` is what the rows are compared with, or why it cannot be asked (then the rest is done all
@@ -65,10 +69,22 @@ pub fn audit(
     batches::compare(plant, network, scope, runtime, &mut tally)?;
     let reading = records::compare(plant, network, left_out, scope, runtime, &mut tally)?;
     sequences::compare(plant, scope, &mut tally)?;
+    if let Some(network) = network.filter(|_| scope.deep) {
+        run_chain_again(network, runtime, &mut tally);
+    }
     log_of(plant, log, scope, &mut tally)?;
     let seconds = begun.elapsed().as_secs_f64();
     let hashed = bound::sm3_rate(plant.provider, reading.threads);
     Ok(tally.report(scope.deep, seconds, reading, hashed))
+}
+
+/// Every block of the embedded chain, run again; on other chains their nodes vouch for it.
+fn run_chain_again(network: &Network, runtime: &Handle, tally: &mut Tally) {
+    if let Err(error) = runtime.block_on(network.chain.run_again()) {
+        let tampered = error.kind() == ErrorKind::Tampered;
+        let kind = if tampered { FindingKind::Tampered } else { FindingKind::Unreachable };
+        tally.find(kind, "chain", &error.to_string());
+    }
 }
 
 /// The audit log's own chain, and the heads that the home's profiles noted when they were sealed.

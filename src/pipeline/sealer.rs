@@ -104,7 +104,7 @@ impl Sealer {
                 Err(_) => return Err(Panicked),
             };
             self.losses.blame(cause(&error));
-            let text = format!("captured messages cannot be stored, they wait in memory: {error}");
+            let text = format!("captured messages cannot be stored, they wait in memory and are tried again: {error}");
             self.plant.observer.alert(true, text);
             if rings.is_closed() {
                 let end = *closed_at.get_or_insert_with(Instant::now) + LAST_TRIES;

@@ -1,10 +1,14 @@
 //! Brings sealed records from the ledger's local copies into a vault that is not itself durable, and puts back what
-//! that vault lost: whenever its servers are not the runs that the ledger has noted, all local copies are compared.
+//! that vault lost: whenever its servers do not hold what the ledger has noted (another run, keys thrown away, all of
+//! them flushed), all local copies are compared, and what has none is looked for.
 //!
 //! Where a part of the vault is gone, the records of that part wait and all others go on.
 
+mod missing;
+
 use std::time::{Duration, Instant};
 
+use self::missing::Missing;
 use crate::crypto::fault;
 use crate::model::{Digest, RecordState};
 use crate::store::{RecordQuery, StoreError};
@@ -18,8 +22,12 @@ const ROUND: usize = 64;
 const IDLE: Duration = Duration::from_millis(500);
 /// Between two attempts to put back what could not be put back at once.
 const PUT_BACK_AGAIN: Duration = Duration::from_secs(3);
+/// Between two attempts to reach a vault that does not answer.
+const RETRY: Duration = Duration::from_secs(1);
 /// The ledger's note of the runs that hold everything.
 const RUNS: &str = "vault:runs";
+/// The ledger's note of how many verified records are gone.
+const GONE: &str = "vault:gone";
 
 /// What a pass over the sealed records did.
 #[derive(Debug, Default)]
@@ -138,23 +146,49 @@ fn compare(plant: &Plant, digest: Digest, found: &mut PutBack) -> Result<(), Pip
     Ok(())
 }
 
+/// How a vault is, as its storer last saw it.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub enum Condition {
+    /// It takes records.
+    #[default]
+    Takes,
+    /// It does not, or not all of them; they wait on disk and are tried again.
+    Waits {
+        /// What stands in the way, as the store tells it.
+        why: String,
+        /// Records that wait on disk.
+        records: u64,
+    },
+    /// It takes records; so many verified ones are gone from it, and there is no copy of them here.
+    Lacks(u64),
+}
+
 /// Looks after one vault until the site ends.
 struct Storer<'a> {
     plant: &'a Plant,
-    /// When what is owed may be tried again.
-    again: Option<Instant>,
-    failing: bool,
+    /// When what is owed may be tried again, and what stood in the way.
+    again: Option<(Instant, String)>,
+    /// Verified records that are gone.
+    gone: u64,
 }
 
 /// Works until `stopped`; waits while nothing is to be done or the vault fails.
 pub fn run(plant: &Plant, stopped: &dyn Fn() -> bool, wait: &dyn Fn(Duration), stored: &dyn Fn()) {
-    let mut storer = Storer { plant, again: None, failing: false };
+    let mut storer = Storer { plant, again: None, gone: known_gone(plant) };
     while !stopped() {
-        storer.heal(stopped);
-        if storer.store(stored) {
+        let healed = storer.heal(stopped);
+        let (idle, failure) = storer.store(stored);
+        let ailing = || plant.vault.ailing().map(|why| why.to_string());
+        plant.observer.vault(storer.condition(failure.or(healed.err()).or_else(ailing)));
+        if idle {
             wait(IDLE);
         }
     }
+}
+
+/// What the run before knew to be gone.
+fn known_gone(plant: &Plant) -> u64 {
+    plant.ledger.setting(GONE).ok().flatten().and_then(|text| text.parse().ok()).unwrap_or(0)
 }
 
 impl Storer<'_> {
@@ -162,49 +196,64 @@ impl Storer<'_> {
         self.plant.observer.alert(true, text);
     }
 
-    /// One pass; whether there is nothing more to do now.
-    fn store(&mut self, stored: &dyn Fn()) -> bool {
+    fn condition(&self, failure: Option<String>) -> Condition {
+        match failure {
+            // Where the ledger itself does not answer, the failure says so.
+            Some(why) => Condition::Waits { why, records: self.plant.ledger.sealed().unwrap_or(0) },
+            None if self.gone > 0 => Condition::Lacks(self.gone),
+            None => Condition::Takes,
+        }
+    }
+
+    /// One pass; whether there is nothing more to do now, and what stands in the way.
+    fn store(&mut self, stored: &dyn Fn()) -> (bool, Option<String>) {
         let pass = match store_pass(self.plant) {
             Ok(pass) => pass,
-            Err(error) => {
-                self.alert(format!("the vault does not take records, they wait in the ledger: {error}"));
-                return true;
-            }
+            Err(error) => return (true, Some(error.to_string())),
         };
-        if let Some(failure) = pass.failure {
-            let waiting = pass.waiting;
-            self.alert(format!(
-                "the vault does not take {waiting} records or more, they wait in the ledger: {failure}"
-            ));
-        } else if self.failing && pass.waiting == 0 {
-            self.plant.observer.alert(false, "the vault takes all records again".to_owned());
-        }
-        self.failing = pass.waiting > 0;
         if pass.stored > 0 {
             self.plant.observer.records_changed();
             stored();
         }
-        pass.stored == 0 || pass.waiting > 0
+        let why = pass.failure.map(|failure| failure.to_string());
+        let why = why.or_else(|| (pass.waiting > 0).then(|| "a part of the vault does not answer yet".to_owned()));
+        (pass.stored == 0 || pass.waiting > 0, why)
     }
 
-    /// Puts back what runs of the vault's servers before the present ones held.
-    fn heal(&mut self, stopped: &dyn Fn() -> bool) {
-        if self.again.is_some_and(|again| Instant::now() < again) {
-            return;
+    /// Puts back what the vault held before and does not hold now.
+    ///
+    /// # Errors
+    /// In words, why it is not known or cannot be done now; it is tried again.
+    fn heal(&mut self, stopped: &dyn Fn() -> bool) -> Result<(), String> {
+        if let Some((_, why)) = self.again.as_ref().filter(|(again, _)| Instant::now() < *again) {
+            return Err(why.clone());
         }
-        if let Err(error) = self.heal_now(stopped) {
-            self.again = Some(Instant::now() + PUT_BACK_AGAIN);
-            self.alert(format!("it is not known whether the vault lost records; it is asked again: {error}"));
-        }
+        let healed = self.heal_now(stopped).unwrap_or_else(|error| Err((RETRY, error.to_string())));
+        self.again = healed.as_ref().err().map(|(pause, why)| (Instant::now() + *pause, why.clone()));
+        healed.map_err(|(_, why)| why)
     }
 
-    fn heal_now(&mut self, stopped: &dyn Fn() -> bool) -> Result<(), PipelineError> {
+    /// The inner error is when to try again, and why.
+    fn heal_now(&mut self, stopped: &dyn Fn() -> bool) -> Result<Result<(), (Duration, String)>, PipelineError> {
         let runs = self.plant.vault.runs()?;
         let known = self.plant.ledger.setting(RUNS)?;
         if known.as_ref() == Some(&runs) {
-            return Ok(());
+            return Ok(Ok(()));
         }
         let found = put_back(self.plant, stopped)?;
+        self.tell(&found, known.is_some());
+        if found.waiting > 0 {
+            return Ok(Err((PUT_BACK_AGAIN, "what it may have lost is not all compared yet".to_owned())));
+        }
+        let missing = missing::look_for_all(self.plant, stopped)?;
+        self.tell_missing(&missing)?;
+        if !stopped() {
+            self.plant.ledger.put_setting(RUNS, &runs)?;
+        }
+        Ok(Ok(()))
+    }
+
+    fn tell(&self, found: &PutBack, known: bool) {
         if found.replaced > 0 {
             let count = found.replaced;
             self.alert(format!(
@@ -214,13 +263,25 @@ impl Storer<'_> {
         if found.put_back > 0 {
             let text =
                 format!("the vault had lost {} records; they were put back from their local copies", found.put_back);
-            self.plant.observer.alert(known.is_some(), text);
+            self.plant.observer.alert(known, text);
         }
-        if found.waiting > 0 {
-            self.again = Some(Instant::now() + PUT_BACK_AGAIN);
-            return Ok(());
+    }
+
+    fn tell_missing(&mut self, missing: &Missing) -> Result<(), PipelineError> {
+        if missing.newly > 0 {
+            let count = missing.newly;
+            self.alert(format!(
+                "MISSING: the vault lost {count} verified records of which there is no local copy; restore it from a \
+                 back-up, `authros audit` names them"
+            ));
         }
-        self.again = None;
-        Ok(self.plant.ledger.put_setting(RUNS, &runs)?)
+        if missing.back > 0 {
+            self.plant.observer.alert(false, format!("{} records are in the vault again", missing.back));
+        }
+        if missing.gone != self.gone {
+            self.gone = missing.gone;
+            self.plant.ledger.put_setting(GONE, &missing.gone.to_string())?;
+        }
+        Ok(())
     }
 }

@@ -55,7 +55,15 @@ impl Line {
         let pin = chain.deploy(&owner.eoa()).await.expect("deployed");
         let domain = domain(pin.chain_id, &pin.genesis, &pin.contract);
         let directory = Arc::new(Directory::new(domain, plant.provider));
-        let network = Network { chain, domain, directory, earlier: Arc::default(), confirmations: 1 };
+        let network = Network {
+            chain,
+            domain,
+            directory,
+            earlier: Arc::default(),
+            former: Arc::default(),
+            confirmations: 1,
+            times: Arc::default(),
+        };
         let sender = Sender::new(plant.ledger.clone(), Arc::clone(&plant.observer), Policy { cap: None });
         let (signing, envelope) = (owner.signing(), owner.envelope().public);
         let identity = prove(plant.provider, &domain, &owner.address, &signing, &envelope, Token([1; 32]));

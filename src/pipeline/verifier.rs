@@ -7,8 +7,9 @@ use crate::crypto::{Anchor, Unchecked, check_deleted, check_many, fault};
 use crate::model::{Digest, PublicKey, RecordState};
 use crate::store::{RecordQuery, RecordRow, StoreError};
 
+use super::authority::NoRight;
 use super::stages::{Milestone, Stage};
-use super::{Network, PipelineError, Plant, proof, signers};
+use super::{Network, PipelineError, Plant, authority, columns, proof};
 
 /// Records a round.
 const ROUND: usize = 128;
@@ -21,6 +22,8 @@ enum ReadBack {
     Bytes(Vec<u8>, PublicKey),
     /// Nothing is to be checked: whether that is as it should be.
     Decided(bool),
+    /// Its signer had no right at the anchoring block, so that anchor decides nothing.
+    Undecided,
 }
 
 /// What a page of records came to.
@@ -28,8 +31,6 @@ enum ReadBack {
 struct Outcome<'a> {
     good: Vec<&'a RecordRow>,
     bad: Vec<&'a RecordRow>,
-    /// Why some of them wait.
-    unreachable: Option<StoreError>,
 }
 
 /// Checks up to [`ROUND`] confirmed records; returns how many it decided about.
@@ -66,7 +67,7 @@ fn verify_page(plant: &Plant, network: &Network, rows: &[RecordRow]) -> Result<u
         piece.push(row);
     }
     outcome.judge(plant, network, &piece)?;
-    let Outcome { good, bad, unreachable } = outcome;
+    let Outcome { good, bad } = outcome;
     if !rows.is_empty() {
         fault::point("checked");
     }
@@ -75,9 +76,6 @@ fn verify_page(plant: &Plant, network: &Network, rows: &[RecordRow]) -> Result<u
     if let Some(stages) = plant.observer.stages().filter(|_| !good.is_empty()) {
         stages.spent(Stage::Verify, begun.elapsed());
         stages.reached(Milestone::Verified, good.iter().map(|row| row.captured_at));
-    }
-    if let Some(error) = unreachable {
-        plant.observer.alert(true, format!("some records cannot be verified now, they wait: {error}"));
     }
     Ok(good.len() + bad.len())
 }
@@ -90,6 +88,7 @@ impl<'a> Outcome<'a> {
             match read_back(plant, network, row) {
                 Ok(ReadBack::Bytes(blob, signer)) => read.push((*row, blob, signer)),
                 Ok(ReadBack::Decided(sound)) => self.note(plant, row, Ok(sound))?,
+                Ok(ReadBack::Undecided) => {}
                 Err(error) => self.note(plant, row, Err(error))?,
             }
         }
@@ -101,8 +100,7 @@ impl<'a> Outcome<'a> {
         for ((row, ..), checked) in read.iter().zip(check_many(plant.provider, &records)) {
             let same = checked.is_ok_and(|(header, digest, _)| {
                 digest == row.digest
-                    && header.owner == row.owner
-                    && header.seq == row.seq
+                    && columns::header_difference(row, &header).is_none()
                     && network.accepts(&header.domain)
             });
             let sound = if same { proof::was_sighted(plant, row) } else { Ok(false) };
@@ -121,9 +119,8 @@ impl<'a> Outcome<'a> {
         match sound {
             Ok(true) => self.good.push(row),
             Ok(false) => self.bad.push(row),
-            Err(PipelineError::Store(error @ StoreError::Unreachable { .. })) if !plant.vault.is_one() => {
-                self.unreachable = Some(error);
-            }
+            // The vault's health says so.
+            Err(PipelineError::Store(StoreError::Unreachable { .. })) if !plant.vault.is_one() => {}
             Err(error) => return Err(error),
         }
         Ok(())
@@ -144,7 +141,11 @@ fn put_back(plant: &Plant, row: &RecordRow) -> Result<(), PipelineError> {
 
 fn read_back(plant: &Plant, network: &Network, row: &RecordRow) -> Result<ReadBack, PipelineError> {
     put_back(plant, row)?;
-    let Some(signer) = signers::key_of(plant, network, row)? else { return Ok(ReadBack::Decided(false)) };
+    let signer = match authority::signer_of(plant, network, row)? {
+        Ok(signer) => signer,
+        Err(NoRight::KeyUnknown { .. }) => return Ok(ReadBack::Decided(false)),
+        Err(_) => return Ok(ReadBack::Undecided),
+    };
     match plant.vault.get(row.digest)? {
         Some(blob) => Ok(ReadBack::Bytes(blob, signer)),
         None => is_sound_without(plant, network, row, &signer).map(ReadBack::Decided),
@@ -162,7 +163,8 @@ fn is_sound_without(
         return Ok(false);
     };
     let header = check_deleted(plant.provider, &retained.header, row.digest, &row.signature, signer);
-    let same = header.is_ok_and(|header| header.owner == row.owner && network.accepts(&header.domain));
+    let same = header
+        .is_ok_and(|header| columns::header_difference(row, &header).is_none() && network.accepts(&header.domain));
     Ok(same && proof::was_sighted(plant, row)?)
 }
 

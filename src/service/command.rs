@@ -12,11 +12,12 @@ use serde::{Deserialize, Serialize};
 
 pub use self::administration::Administration;
 pub use self::check::StoreCommand;
-pub use self::choices::{Epochs, Held, KeyKind, UploadQuery};
+pub use self::choices::{Epochs, Held, KeyKind, PairKind, UploadQuery};
 pub use self::operate::Operation;
 pub use self::recordings::{ExportWishes, ImportWishes, PolicyCommand, RecordingCommand};
 pub use self::secret::{SecretBytes, SecretText};
 pub use self::viewing::{LONGEST_PATH, Viewing};
+use crate::chain::Revision;
 use crate::model::{Address, ContactName, Party, ProfileName, Publisher, SignerId, Timestamp, TopicName, TypeName};
 pub use crate::store::AuditQuery;
 
@@ -51,6 +52,20 @@ pub enum Command {
     },
     /// Begin a new epoch.
     RotateKeys,
+    /// Replace the envelope pair by a new one.
+    RotateEnvelope,
+    /// Whom another SM2 pair touches; changes nothing.
+    ForeseeKeyChange {
+        /// Which pair.
+        kind: PairKind,
+    },
+    /// Protect the keyring by another passphrase.
+    ChangePassphrase {
+        /// The present one.
+        old: SecretText,
+        /// The one from then on.
+        new: SecretText,
+    },
     /// Hand one key out.
     ExportKey {
         /// Which key.
@@ -159,6 +174,13 @@ pub enum Command {
         /// When the grant ends.
         expires: Option<Timestamp>,
     },
+    /// Let an active grant end later.
+    ExtendGrant {
+        /// Whose.
+        grantee: Party,
+        /// Its new end; `None` = no end.
+        expires: Option<Timestamp>,
+    },
     /// Stop sharing with an account; begins a new epoch.
     Revoke {
         /// Who may no longer read.
@@ -191,6 +213,13 @@ pub enum Command {
     RecallDevice {
         /// The device's id, or the beginning of it.
         device: String,
+    },
+    /// Give an enrolled robot the keys of more topics.
+    AddDeviceTopics {
+        /// Its name, the device's id, or the beginning of it.
+        device: String,
+        /// The topics.
+        topics: Vec<TopicName>,
     },
     /// Make a robot a device of the profile, known to a gateway.
     EnrolDevice(super::site::EnrolWishes),
@@ -228,12 +257,26 @@ pub enum Command {
     },
     /// An act of the contract's administrator.
     Administer(Administration),
+    /// Name who may stop a succession of the profile's account; `None` = nobody.
+    NameRecovery {
+        /// Who.
+        recovery: Option<Party>,
+    },
     /// The chain as seen by this profile.
     ChainStatus,
+    /// Successions that wait and that came about, and the profile's recovery account.
+    ListSuccessions,
     /// Go on with the chain that is there now instead of the pinned one.
     AdoptChain,
     /// Put the contract on the chain and pin it; refused where one is pinned already.
-    DeployContract,
+    DeployContract {
+        /// How long a succession waits, seconds [default: a week].
+        #[serde(default)]
+        delay: Option<u64>,
+        /// Which revision [default: the newest].
+        #[serde(default)]
+        revision: Option<Revision>,
+    },
     /// Answer other tools' JSON-RPC over the embedded chain, until the connection that asks for it ends.
     ServeChain {
         /// Where, on loopback.
@@ -244,6 +287,9 @@ pub enum Command {
     ServeGateway {
         /// Where.
         address: std::net::SocketAddr,
+        /// Also for owners whom nobody admitted, whatever the settings say.
+        #[serde(default)]
+        open: bool,
     },
     /// Health, counts and alerts of the whole site.
     SiteStatus,

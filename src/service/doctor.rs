@@ -4,11 +4,12 @@
 mod chain;
 mod files;
 mod peers;
+mod robots;
 
 use crate::config::Config;
 use crate::model::clean;
 use crate::paths::Home;
-use crate::service::reply::{CheckStatus, DoctorCheck, DoctorView, HealthLevel, SiteView};
+use crate::service::reply::{CheckStatus, DoctorCheck, DoctorView, HealthLevel, PartHealth, SiteView};
 use crate::store::SiteLock;
 
 /// Looks at all of it. `site` is what a running site of this home says of its parts, or why it says nothing; `None`
@@ -23,6 +24,7 @@ pub async fn examine(home: &Home, config: &Config, site: Option<Result<SiteView,
         files::keys(home, &mut sheet);
         files::ledger(home, &mut sheet);
         files::disk(home, &mut sheet);
+        robots::look(home, &mut sheet);
         peers::vault(home, config, &mut sheet);
         peers::ros(config, &mut sheet);
     });
@@ -37,6 +39,24 @@ pub async fn examine(home: &Home, config: &Config, site: Option<Result<SiteView,
         None => sheet.ok("site", "none runs; `authros serve` or the console starts one"),
     }
     sheet.view()
+}
+
+/// How the peers of a home are where no site of it runs: master and chain, asked now.
+pub async fn peers(home: &Home, config: &Config) -> Vec<PartHealth> {
+    let (mut ros, mut chain) = (Sheet::default(), Sheet::default());
+    tokio::task::block_in_place(|| peers::ros(config, &mut ros));
+    chain::look(home, config, false, &mut chain).await;
+    let embedded = config.ros_master.is_none();
+    let site = "none runs; `authros serve` or the console starts one";
+    vec![
+        ros.health("ros", if embedded { HealthLevel::Absent } else { HealthLevel::Ok }),
+        chain.health("chain", HealthLevel::Ok),
+        part("site", HealthLevel::Absent, site),
+    ]
+}
+
+fn part(name: &str, level: HealthLevel, text: &str) -> PartHealth {
+    PartHealth { part: name.to_owned(), level, text: clean(text, 300), since: None, retry: None }
 }
 
 fn of_site(site: &SiteView, sheet: &mut Sheet) {
@@ -77,6 +97,15 @@ impl Sheet {
 
     fn fail(&mut self, name: &str, detail: &str, advice: &str) {
         self.add(name, CheckStatus::Fail, detail, advice);
+    }
+
+    /// All of it as the health of one part: what failed first, or what was seen first and `well`.
+    fn health(&self, name: &str, well: HealthLevel) -> PartHealth {
+        let failed = self.checks.iter().find(|check| check.status == CheckStatus::Fail);
+        match failed {
+            Some(check) => part(name, HealthLevel::Failed, &format!("{}; {}", check.detail, check.advice)),
+            None => part(name, well, self.checks.first().map_or("", |check| check.detail.as_str())),
+        }
     }
 
     fn view(self) -> DoctorView {

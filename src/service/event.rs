@@ -51,5 +51,9 @@ pub enum Event {
         level: NoticeLevel,
         /// What happened, to what, what to do.
         text: String,
+        /// What it is about, where a later notice about the same takes its place (`vault`); one that is only
+        /// information closes it.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        about: Option<String>,
     },
 }

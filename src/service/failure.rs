@@ -19,7 +19,24 @@ macro_rules! failure_from {
         }
     )*};
 }
-failure_from!(ChainError, ConfigError, CryptoError, GatewayError, PipelineError, RosError, StoreError);
+failure_from!(ChainError, ConfigError, CryptoError, GatewayError, RosError);
+
+impl From<StoreError> for Failure {
+    /// What a command was refused does not go on by itself when there is room: it is asked for again.
+    fn from(error: StoreError) -> Self {
+        let again = if matches!(error, StoreError::DiskFull { .. }) { ", then do it again" } else { "" };
+        Self::new(error.kind(), clean_lines(&format!("{error}{again}"), 600))
+    }
+}
+
+impl From<PipelineError> for Failure {
+    fn from(error: PipelineError) -> Self {
+        match error {
+            PipelineError::Store(error) => error.into(),
+            error => Self::new(error.kind(), clean_lines(&error.to_string(), 600)),
+        }
+    }
+}
 
 /// A failure of kind `Refused`.
 pub fn refused(message: impl Into<String>) -> Failure {

@@ -13,6 +13,8 @@ use crate::model::{Digest, Timestamp, clean};
 use crate::pipeline::Observer;
 use crate::pipeline::session::Sessions;
 use crate::pipeline::stages::Stages;
+use crate::pipeline::storer::Condition;
+use crate::pipeline::watcher::foreign::ForeignAnchors;
 
 /// Shortest time between two notes about the same part.
 const PACE: Duration = Duration::from_millis(250);
@@ -23,6 +25,16 @@ const SETTLED_AHEAD: usize = 256;
 /// Alerts remembered at most.
 const MOST_ALERTS: usize = 200;
 
+/// What notices of the vault's health are about.
+const VAULT: &str = "vault";
+/// What notices of anchors that were not sent from here are about.
+const ACCOUNT: &str = "account";
+
+/// The words for verified records that are gone from the vault.
+pub fn lacking(count: u64) -> String {
+    format!("{count} verified records are MISSING from the vault and have no local copy; restore it from a back-up")
+}
+
 const PARTS: [Part; 6] = [Part::Topics, Part::Uploads, Part::Grants, Part::Chain, Part::Health, Part::Identity];
 
 /// The place where all news of a site come together.
@@ -31,6 +43,8 @@ pub struct Hub {
     dirty: [AtomicBool; PARTS.len()],
     wake: Notify,
     told: Mutex<HashMap<String, Instant>>,
+    /// How the vault is, and since when where it is not well.
+    vault: Mutex<(Condition, Option<Timestamp>)>,
     /// Which captures wait for which records.
     pub sessions: Arc<Sessions>,
     /// Rings when records were stored and wait to be anchored.
@@ -53,6 +67,7 @@ impl Hub {
             dirty: Default::default(),
             wake: Notify::new(),
             told: Mutex::default(),
+            vault: Mutex::default(),
             sessions: Arc::default(),
             stored: Notify::new(),
             confirmed: Notify::new(),
@@ -87,8 +102,23 @@ impl Hub {
         }
         told.insert(text.clone(), Instant::now());
         drop(told);
+        self.tell(level, text, None);
+    }
+
+    /// Tells a notice about something that lasts: it takes the place of the one before about the same, and one that is
+    /// only information closes it.
+    pub fn notice_about(&self, about: &str, level: NoticeLevel, text: &str) {
+        self.tell(level, clean(text, 400), Some(about.to_owned()));
+    }
+
+    fn tell(&self, level: NoticeLevel, text: String, about: Option<String>) {
         // Nobody listening is no fault.
-        drop(self.events.send(Event::Notice { at: Timestamp::now(), level, text }));
+        drop(self.events.send(Event::Notice { at: Timestamp::now(), level, text, about }));
+    }
+
+    /// How the vault is, and since when.
+    pub fn vault_condition(&self) -> (Condition, Option<Timestamp>) {
+        self.vault.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// Passes the notes on until the site ends.
@@ -136,6 +166,40 @@ impl Observer for Hub {
 
     fn publishers_doubted(&self) {
         self.changed(Part::Topics);
+    }
+
+    fn foreign_anchors(&self, found: &ForeignAnchors) {
+        self.changed(Part::Health);
+        // The first, and then a word now and then: the health of the account counts on.
+        if found.count.is_power_of_two() {
+            self.notice_about(ACCOUNT, NoticeLevel::Error, &found.text());
+        }
+    }
+
+    /// One alert while it lasts, whatever happens meanwhile, and a word when it is over.
+    fn vault(&self, condition: Condition) {
+        let mut known = self.vault.lock().unwrap_or_else(PoisonError::into_inner);
+        if known.0 == condition {
+            return;
+        }
+        let (before, since) = std::mem::replace(&mut *known, (condition.clone(), None));
+        if !matches!(condition, Condition::Takes) {
+            let lasts = std::mem::discriminant(&before) == std::mem::discriminant(&condition);
+            known.1 = since.filter(|_| lasts).or_else(|| Some(Timestamp::now()));
+        }
+        drop(known);
+        self.changed(Part::Health);
+        match (&condition, &before) {
+            (Condition::Waits { .. }, Condition::Waits { .. }) | (Condition::Lacks(_), Condition::Lacks(_)) => {}
+            (Condition::Waits { why, .. }, _) => {
+                let text = format!("the vault does not take records, they wait on disk and nothing is lost: {why}");
+                self.notice_about(VAULT, NoticeLevel::Error, &text);
+            }
+            (Condition::Lacks(count), _) => self.notice_about(VAULT, NoticeLevel::Error, &lacking(*count)),
+            (Condition::Takes, _) => {
+                self.notice_about(VAULT, NoticeLevel::Info, "the vault takes all records again");
+            }
+        }
     }
 
     fn alert(&self, urgent: bool, text: String) {

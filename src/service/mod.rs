@@ -13,6 +13,7 @@ pub mod reply;
 pub mod restoring;
 pub mod site;
 pub mod socket;
+mod verdict;
 pub mod verification;
 
 pub use client::{Call, Client};

@@ -20,11 +20,16 @@ pub use self::audit::{AuditCheck, AuditView};
 pub use self::chain::{ChainView, DeployedView, GasView, GatewayView, ServedView};
 pub use self::check::{BackupView, CheckStatus, DoctorCheck, DoctorView, FindingKind, RecordAudit, RecordFinding};
 pub use self::forging::{AlarmView, DecidedView, HeldView, PinView, PinsView, QuarantineView};
-pub use self::identity::{EnrolledView, EpochView, IdentityView, KeysView, TransactionView};
-pub use self::operate::{GatewayStatusView, RefusedView, SenderView, SystemKeyView};
-pub use self::parties::{AdministrationView, CompareView, ContactRow, DeviceRow, GrantRow, SuccessionView};
+pub use self::identity::{
+    DeviceTopicsView, EnrolledView, EpochView, IdentityView, KeyChangeView, KeysView, TransactionView,
+};
+pub use self::operate::{AdmittedView, GatewayStatusView, RefusedView, SenderView, SystemKeyView};
+pub use self::parties::{
+    AdministrationView, CompareView, ContactRow, DeviceRow, GrantRow, ProposalView, RecoveryView, SuccessionView,
+};
 pub use self::recordings::{
-    ExportView, ExportedTopic, ImportView, ImportedTopic, PolicyRow, PolicyView, ProgressView, RecordingReply, Refused,
+    ExportView, ExportedTopic, ImportView, ImportedTopic, LeftOut, PolicyRow, PolicyView, ProgressView, RecordingReply,
+    Refused,
 };
 pub use self::records::{CheckView, ExportedFile, OpenedView, Provenance, RecordPage, RecordView};
 pub use self::site::{HealthLevel, LifeLine, PartHealth, QueueView, SiteView};
@@ -59,8 +64,10 @@ pub enum Reply {
     Done,
     /// To identity commands.
     Identity(IdentityView),
-    /// To `ListKeys` and `LoadKey`.
+    /// To `ListKeys`, `LoadKey` and `RotateEnvelope`.
     Keys(KeysView),
+    /// To `ForeseeKeyChange`.
+    KeyChange(KeyChangeView),
     /// To `ExportKey`.
     Key(SecretBytes),
     /// To `ListTopics`.
@@ -83,6 +90,8 @@ pub enum Reply {
     Grants(Vec<GrantRow>),
     /// To `ListDevices`.
     Devices(Vec<DeviceRow>),
+    /// To `AddDeviceTopics`.
+    DeviceTopics(DeviceTopicsView),
     /// To `EnrolDevice`.
     Enrolled(EnrolledView),
     /// To `CompareFingerprint`.
@@ -102,7 +111,9 @@ pub enum Reply {
     /// To `ReleaseHeld` and `DiscardHeld`.
     Decided(DecidedView),
     /// To `ChainStatus`.
-    Chain(ChainView),
+    Chain(Box<ChainView>),
+    /// To `ListSuccessions`.
+    Administration(Box<AdministrationView>),
     /// To `DeployContract`.
     Deployed(DeployedView),
     /// To `ServeChain`.
@@ -111,6 +122,8 @@ pub enum Reply {
     Gateway(GatewayView),
     /// To `Operation::GatewayStatus`.
     GatewayStatus(GatewayStatusView),
+    /// To `Operation::Admit`, `Operation::Dismiss` and `Operation::ListAdmitted`.
+    Admitted(Vec<AdmittedView>),
     /// To `SiteStatus`.
     Site(SiteView),
     /// To `ListAudit`.

@@ -4,13 +4,16 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use crate::chain::{Chain, ChainError, ChainOptions, Endpoint, Event, Pin};
+use crate::chain::{BlockRef, Chain, ChainError, ChainOptions, Endpoint, Event, Pin, SealedBy};
 use crate::crypto::{ProviderName, domain, provider, signer_id};
-use crate::model::{Address, Digest, ErrorKind, Timestamp};
+use crate::model::{Address, Digest, ErrorKind, Hash, Timestamp};
 use crate::pipeline::Directory;
+use crate::pipeline::authority::{Moment, SigningRight, may_sign};
 use crate::pipeline::export_folder::{AnchorWord, ExportFolder, VerifyStep};
 use crate::service::failure::input;
 use crate::service::reply::Failure;
+use crate::service::verdict;
+pub use crate::service::verdict::verdict;
 
 /// What a check of a folder found.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -23,29 +26,74 @@ pub struct FolderCheck {
     pub owner: Address,
     /// When it was captured, as its owner says.
     pub captured_at: Timestamp,
+    /// The anchor that counts, as the chain has it: the earliest at which its signer had the right. Where there is
+    /// none such, the one that proof.json names; `None` where the chain does not have that either.
+    #[serde(default)]
+    pub anchored: Option<AnchoredAt>,
+    /// Who seals that chain, as its node tells.
+    #[serde(default)]
+    pub sealed_by: Option<SealedBy>,
+    /// What whoever reads the verdict has to know beside it.
+    #[serde(default)]
+    pub warnings: Vec<String>,
     /// Step by step.
     pub steps: Vec<VerifyStep>,
     /// The kind of error that the exit code follows from; `None` where all holds.
     pub worst: Option<ErrorKind>,
 }
 
-/// Checks a folder; `url` is the chain's, `contract` goes before what the folder names.
+/// A block of the chain that anchors a record.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct AnchoredAt {
+    /// Its number.
+    pub block: u64,
+    /// Its hash.
+    pub hash: Hash,
+    /// Its time, to the second, by the clocks of those who seal that chain.
+    pub time: Timestamp,
+}
+
+impl From<BlockRef> for AnchoredAt {
+    fn from(block: BlockRef) -> Self {
+        let time = Timestamp::from_seconds(block.timestamp);
+        Self { block: block.number, hash: block.hash, time }
+    }
+}
+
+/// What is known of the chain by another way than from the folder; it goes before what the folder names.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Known {
+    /// Hash of block 0.
+    pub genesis: Option<Hash>,
+    /// The contract.
+    pub contract: Option<Address>,
+}
+
+impl Known {
+    /// What the folder's word is taken for, where nothing of the chain is known by another way.
+    fn missing(self) -> &'static [&'static str] {
+        if self.genesis.is_some() || self.contract.is_some() { &[] } else { &["genesis", "contract"] }
+    }
+}
+
+/// Checks a folder; `url` is the chain's.
 ///
 /// # Errors
 /// `Input` where the folder is none. That the chain does not answer is told in the steps.
-pub async fn verify(folder: &Path, url: Option<&str>, contract: Option<Address>) -> Result<FolderCheck, Failure> {
+pub async fn verify(folder: &Path, url: Option<&str>, known: Known) -> Result<FolderCheck, Failure> {
     let folder =
         tokio::task::block_in_place(|| ExportFolder::read(folder)).map_err(|error| input(error.to_string()))?;
     let provider = provider(ProviderName::RustCrypto);
     let mut steps = folder.check(provider);
-    let mut worst = None;
+    let (mut worst, mut anchored, mut sealed_by) = (None, None, None);
     match url {
-        Some(url) => {
-            if let Err(error) = ask(&folder, url, contract, &mut steps).await {
+        Some(url) => match ask(&folder, url, known, &mut steps, &mut sealed_by).await {
+            Ok(found) => anchored = found,
+            Err(error) => {
                 worst = Some(error.kind());
                 steps.push(VerifyStep::open("chain", &error.to_string()));
             }
-        }
+        },
         None => {
             worst = Some(ErrorKind::Incomplete);
             steps.push(VerifyStep::open("chain", "not asked: give --chain URL of a node that you trust"));
@@ -56,11 +104,15 @@ pub async fn verify(folder: &Path, url: Option<&str>, contract: Option<Address>)
     } else if worst.is_none() && steps.iter().any(|step| step.ok.is_none()) {
         worst = Some(ErrorKind::Incomplete);
     }
+    let (captured_at, missing) = (folder.header.captured_at, if url.is_some() { known.missing() } else { &[] });
     Ok(FolderCheck {
+        warnings: verdict::warnings(captured_at, anchored, sealed_by.as_ref(), missing),
+        sealed_by,
         ok: worst.is_none(),
         digest: folder.digest(provider),
         owner: folder.header.owner,
         captured_at: folder.header.captured_at,
+        anchored,
         steps,
         worst,
     })
@@ -69,26 +121,29 @@ pub async fn verify(folder: &Path, url: Option<&str>, contract: Option<Address>)
 async fn ask(
     folder: &ExportFolder,
     url: &str,
-    contract: Option<Address>,
+    known: Known,
     steps: &mut Vec<VerifyStep>,
-) -> Result<(), ChainError> {
+    sealed_by: &mut Option<SealedBy>,
+) -> Result<Option<AnchoredAt>, ChainError> {
     let endpoint = Endpoint::Node { url: url.to_owned() };
     let options = ChainOptions { endpoint, contract: None, pinned: None, confirmations: 1 };
     let chain = Chain::connect(options).await?;
     let proof = &folder.proof;
-    let same = (chain.chain_id(), chain.genesis()) == (proof.chain_id, proof.genesis);
+    *sealed_by = Some(chain.sealed_by().await?);
+    let genesis = known.genesis.unwrap_or(proof.genesis);
+    let same = (chain.chain_id(), chain.genesis()) == (proof.chain_id, genesis);
     let text = format!("chain id {}, genesis {}", chain.chain_id(), chain.genesis());
     steps.push(VerifyStep::new("chain", same, &text));
-    let Some(contract) = contract.or(proof.contract) else {
+    let Some(contract) = known.contract.or(proof.contract) else {
         steps.push(VerifyStep::open("contract", "proof.json names none: give --contract ADDRESS"));
-        return Ok(());
+        return Ok(None);
     };
     let pin = match chain.use_contract(contract).await {
         Ok(pin) => pin,
         Err(ChainError::NotTheContract(_)) => {
             let text = format!("what is at {contract} is not the AuthROS contract that this program knows");
             steps.push(VerifyStep::new("contract", false, &text));
-            return Ok(());
+            return Ok(None);
         }
         Err(error) => return Err(error),
     };
@@ -96,18 +151,55 @@ async fn ask(
     let text = format!("{contract}; the record is bound to this chain and contract");
     steps.push(VerifyStep::new("contract", bound == folder.header.domain, &text));
     if !same || bound != folder.header.domain {
-        return Ok(());
+        return Ok(None);
     }
-    let Some(block) = anchored(folder, &chain, steps).await? else { return Ok(()) };
-    registered(folder, &chain, &pin, block, steps).await
+    let anchors = anchors(folder, &chain, &pin).await?;
+    let Some(claimed) = check_anchor(folder, &chain, &anchors, steps).await? else { return Ok(None) };
+    steps.push(timed(folder, claimed.into()));
+    judge_signer(folder, &chain, &pin, &anchors, claimed, steps).await.map(Some)
 }
 
-/// Where the chain has the record's anchor.
-async fn anchored(
+/// Whether proof.json tells the time that its block has.
+fn timed(folder: &ExportFolder, claimed: AnchoredAt) -> VerifyStep {
+    let AnchoredAt { block, time, .. } = claimed;
+    match folder.proof.anchor.block_time {
+        Some(said) if said != time => {
+            VerifyStep::new("time", false, &format!("block {block} is of {time}, proof.json says {said}"))
+        }
+        _ => {
+            VerifyStep::new("time", true, &format!("block {block} is of {time}, by the clock of this chain's sealers"))
+        }
+    }
+}
+
+/// Every block that anchors the record, in the chain's order: by its own digest, or by the root of its batch over as
+/// many leaves as its path was made for, whoever put it there.
+async fn anchors(folder: &ExportFolder, chain: &Chain, pin: &Pin) -> Result<Vec<u64>, ChainError> {
+    if folder.proof.anchor.mode == AnchorWord::Each {
+        let uploaded = chain.uploaded_at(folder.header.owner, folder.proof.digest).await?;
+        return Ok(uploaded.into_iter().collect());
+    }
+    let Some(inclusion) = folder.proof.inclusion() else { return Ok(Vec::new()) };
+    let head = chain.head().await?.number;
+    let mut blocks = Vec::new();
+    for at in chain.anchors_of(inclusion.root, pin.deployed_at, head).await? {
+        let Event::Anchored { account, root, count, .. } = at.event else { continue };
+        // The contract's own state, so that nobody's word about events is enough.
+        let stands = count == inclusion.count && chain.root_anchored(account, root).await?.is_some();
+        if stands && !blocks.contains(&at.block) {
+            blocks.push(at.block);
+        }
+    }
+    Ok(blocks)
+}
+
+/// Whether the chain has the record in the block that proof.json names.
+async fn check_anchor(
     folder: &ExportFolder,
     chain: &Chain,
+    anchors: &[u64],
     steps: &mut Vec<VerifyStep>,
-) -> Result<Option<u64>, ChainError> {
+) -> Result<Option<BlockRef>, ChainError> {
     let anchor = &folder.proof.anchor;
     let Some(claimed) = anchor.block else {
         steps.push(VerifyStep::open(
@@ -116,58 +208,54 @@ async fn anchored(
         ));
         return Ok(None);
     };
-    let digest = folder.proof.digest;
-    let found = match anchor.mode {
-        AnchorWord::Each => chain.uploaded_at(folder.header.owner, digest).await?,
-        AnchorWord::Batch => batch_block(folder, chain, claimed).await?,
-    };
-    let hash = chain.block(claimed).await?.map(|block| block.hash);
-    let same_hash = anchor.block_hash.is_none_or(|claimed| hash == Some(claimed));
-    let (ok, text) = match found {
-        Some(block) if block == claimed && same_hash => (true, format!("the chain has it in block {block}")),
-        Some(block) if block == claimed => (false, format!("block {block} is another one than proof.json names")),
-        Some(block) => (false, format!("the chain has it in block {block}, proof.json says {claimed}")),
+    let block = chain.block(claimed).await?;
+    let same = anchor.block_hash.is_none_or(|hash| block.is_some_and(|block| block.hash == hash));
+    let (ok, text) = match anchors.first() {
+        Some(_) if anchors.contains(&claimed) && same => (true, format!("the chain has it in block {claimed}")),
+        Some(_) if anchors.contains(&claimed) => {
+            (false, format!("block {claimed} is another one than proof.json names"))
+        }
+        Some(first) => (false, format!("the chain has it in block {first}, proof.json says {claimed}")),
         None => (false, "the chain does not have it".to_owned()),
     };
     steps.push(VerifyStep::new("anchor", ok, &text));
-    Ok(found.filter(|_| ok))
+    Ok(block.filter(|_| ok))
 }
 
-/// The block in which somebody anchored the record's root over as many leaves as its path was made for.
-async fn batch_block(folder: &ExportFolder, chain: &Chain, claimed: u64) -> Result<Option<u64>, ChainError> {
-    let Some(inclusion) = folder.proof.inclusion() else { return Ok(None) };
-    for at in chain.events(claimed, claimed).await? {
-        let Event::Anchored { account, root, count, .. } = at.event else { continue };
-        if (root, count) == (inclusion.root, inclusion.count)
-            && let Some((block, counted)) = chain.root_anchored(account, root).await?
-            && counted == count
-        {
-            return Ok(Some(block));
-        }
-    }
-    Ok(None)
-}
-
-/// Whether the signer could sign for the owner at that block.
-async fn registered(
+/// Whether the signer could sign for the owner: at the earliest of the anchors at which it had the right. Others are
+/// passed over, so that an anchor made while the owner was suspended neither proves nor spoils anything.
+async fn judge_signer(
     folder: &ExportFolder,
     chain: &Chain,
     pin: &Pin,
-    block: u64,
+    anchors: &[u64],
+    claimed: BlockRef,
     steps: &mut Vec<VerifyStep>,
-) -> Result<(), ChainError> {
+) -> Result<AnchoredAt, ChainError> {
     let directory = Directory::new(folder.header.domain, provider(ProviderName::RustCrypto));
-    for at in chain.changes(pin.deployed_at, block).await? {
+    let last = anchors.last().copied().unwrap_or(claimed.number);
+    for at in chain.changes(pin.deployed_at, last).await? {
         directory.apply(&at);
     }
     let (owner, signer) = (folder.header.owner, signer_id(&folder.signer));
-    let own = directory.signing_key(owner, signer, Some(block)) == Some(folder.signer);
-    let lent = directory.is_lent(owner, signer, Some(block), folder.header.captured_at);
-    let text = match (own, lent) {
-        (true, _) => format!("the signer's key was {owner}'s at block {block}"),
-        (false, true) => format!("the signer is a device that {owner} had lent at block {block}"),
-        (false, false) => format!("{owner} had not registered the signer's key at block {block}, nor lent it"),
-    };
-    steps.push(VerifyStep::new("registration", own || lent, &text));
-    Ok(())
+    let mut refused = None;
+    for number in anchors {
+        let Some(block) = chain.block(*number).await? else { continue };
+        let at = Moment::of_block(*number, Timestamp::from_seconds(block.timestamp));
+        let text = match may_sign(&directory, owner, signer, at) {
+            Ok(SigningRight::Owner(_)) => format!("the signer's key was {owner}'s at block {number}"),
+            Ok(SigningRight::Device(_)) => {
+                format!("the signer is a device that {owner} had lent at block {number}")
+            }
+            Err(why) => {
+                refused = refused.or(Some(why));
+                continue;
+            }
+        };
+        steps.push(VerifyStep::new("registration", true, &text));
+        return Ok(block.into());
+    }
+    let text = refused.map_or_else(|| "the chain has no block of its anchor".to_owned(), |why| why.to_string());
+    steps.push(VerifyStep::new("registration", false, &text));
+    Ok(claimed.into())
 }

@@ -28,7 +28,7 @@ pub enum StoreError {
         advised: u32,
     },
     /// No space is left; nothing of what was asked was acknowledged.
-    #[error("the disk that holds {} is full; free some space, then the work goes on by itself", file.display())]
+    #[error("the disk that holds {} is full; free some space", file.display())]
     DiskFull {
         /// The database file.
         file: PathBuf,
@@ -195,6 +195,14 @@ impl StoreError {
     /// Whether the same call can succeed later without anybody changing what was asked.
     pub fn is_passing(&self) -> bool {
         matches!(self, Self::DiskFull { .. } | Self::Backlog { .. } | Self::Unreachable { .. } | Self::VaultFull { .. })
+    }
+
+    /// Whether it is a Redis that does not do what it was asked.
+    pub fn is_of_redis(&self) -> bool {
+        matches!(
+            self,
+            Self::Unreachable { .. } | Self::VaultFull { .. } | Self::VaultRefused { .. } | Self::Policy { .. }
+        )
     }
 
     /// A failure of the file system at `path`.

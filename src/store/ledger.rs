@@ -9,6 +9,7 @@ mod batches;
 mod counts;
 mod earlier;
 mod edges;
+mod filter_choice;
 mod forwarding;
 mod gaps;
 mod inspect;
@@ -16,6 +17,8 @@ mod integrity;
 mod kept;
 mod lanes;
 mod pins;
+mod place;
+mod proven;
 mod quarantine;
 mod query;
 mod recent;
@@ -27,6 +30,7 @@ mod sightings;
 mod tests;
 mod trail;
 mod transactions;
+mod usage;
 mod writer;
 
 use std::path::{Path, PathBuf};
@@ -43,18 +47,21 @@ pub use batches::{Anchors, BatchPlace, NewBatch, RootSighting, WaitingBatch};
 pub use counts::{StateCounts, TopicCounts};
 pub use earlier::{EarlierAnchor, Left};
 pub use edges::is_legal;
+pub use filter_choice::FilterChoice;
 pub use forwarding::KeptReceipt;
 pub use gaps::{GapRow, Loss};
 pub use inspect::{AuditPage, AuditedBatch, AuditedPlace, AuditedRecord, Sequence};
 pub use kept::KeptBinding;
 pub use lanes::{LaneCount, OpenTransaction, Reissue};
 pub use pins::{AlarmRow, PinRow};
+pub use proven::KeptStanding;
 pub use quarantine::{HeldMinute, HeldQuery, HeldRow, Hold};
 pub use query::{RecordPage, RecordQuery};
 pub use retention::{KeptTopic, OldRecord, Retained};
 pub use rows::{Foreign, NewRecord, RecordRow};
 pub use sightings::{KeptEvent, Sighting};
 pub use transactions::{NewTransaction, TransactionOutcome, TransactionRow, TransactionState};
+pub use usage::OwnerUsage;
 pub(super) use writer::Session;
 
 const SCHEMA: Schema = Schema {
@@ -68,9 +75,12 @@ const SCHEMA: Schema = Schema {
         include_str!("ledger/schema_6.sql"),
         include_str!("ledger/schema_7.sql"),
         include_str!("ledger/schema_8.sql"),
+        include_str!("ledger/schema_9.sql"),
     ],
 };
 const READERS_KEPT: usize = 4;
+/// The setting that says up to which block a copied ledger's accounts may have anchored without it.
+pub const HISTORY: &str = "foreign:history";
 
 /// The ledger of a home. Clones share one file, one writing thread and one pool of readers.
 #[derive(Clone)]
@@ -236,6 +246,9 @@ fn renew_in(connection: &Connection, path: &Path) -> Result<(), StoreError> {
         "INSERT OR IGNORE INTO settings SELECT ?1, max(block) FROM cursors HAVING max(block) IS NOT NULL",
         [inspect::COPIED_AT],
     )?;
+    // Where it lies is new, and what its accounts anchored meanwhile is history.
+    let forgotten = params![place::PLACE, HISTORY];
+    transaction.execute("DELETE FROM settings WHERE key IN (?1, ?2)", forgotten)?;
     transaction.commit()?;
     Ok(connection.execute_batch("PRAGMA wal_checkpoint(TRUNCATE)")?)
 }

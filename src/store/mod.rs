@@ -17,11 +17,11 @@ pub use audit::{AuditEntry, AuditFault, AuditLine, AuditLog, AuditQuery};
 pub use error::StoreError;
 pub use files::{ConsoleLock, SiteLock, atomic_write};
 pub use ledger::{
-    AlarmRow, Anchors, AuditPage, AuditedBatch, AuditedPlace, AuditedRecord, BatchPlace, EarlierAnchor, Foreign,
-    GapRow, HeldMinute, HeldQuery, HeldRow, Hold, KeptBinding, KeptEvent, KeptReceipt, KeptTopic, LaneCount, Ledger,
-    Left, Loss, NewBatch, NewRecord, NewTransaction, OldRecord, OpenTransaction, PinRow, RecordPage, RecordQuery,
-    RecordRow, RecordsHeld, Reissue, Retained, RootSighting, Sequence, Sighting, StateCounts, TopicCounts,
-    TransactionOutcome, TransactionRow, TransactionState, WaitingBatch,
+    AlarmRow, Anchors, AuditPage, AuditedBatch, AuditedPlace, AuditedRecord, BatchPlace, EarlierAnchor, FilterChoice,
+    Foreign, GapRow, HeldMinute, HeldQuery, HeldRow, Hold, KeptBinding, KeptEvent, KeptReceipt, KeptStanding,
+    KeptTopic, LaneCount, Ledger, Left, Loss, NewBatch, NewRecord, NewTransaction, OldRecord, OpenTransaction, PinRow,
+    RecordPage, RecordQuery, RecordRow, RecordsHeld, Reissue, Retained, RootSighting, Sequence, Sighting, StateCounts,
+    TopicCounts, TransactionOutcome, TransactionRow, TransactionState, WaitingBatch,
 };
 pub use reserve::{RESERVE_BYTES, Reserve};
 pub use vault::{Stored, Usage, Vault, open_vault};

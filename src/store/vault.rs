@@ -80,6 +80,16 @@ pub trait Vault: Send + Sync {
         digests.iter().map(|digest| self.get(*digest)).collect()
     }
 
+    /// The first `length` bytes, at most, under several digests, in their order: what a look at a header costs.
+    ///
+    /// # Errors
+    /// As [`Vault::get`].
+    fn fronts(&self, digests: &[Digest], length: usize) -> Result<Vec<Option<Vec<u8>>>, StoreError> {
+        let mut found = self.get_many(digests)?;
+        found.iter_mut().flatten().for_each(|bytes| bytes.truncate(length));
+        Ok(found)
+    }
+
     /// Takes a record out; whether it was there.
     ///
     /// # Errors
@@ -99,6 +109,14 @@ pub trait Vault: Send + Sync {
     /// # Errors
     /// [`StoreError::Unreachable`] and the like.
     fn contains(&self, digest: Digest) -> Result<bool, StoreError>;
+
+    /// Whether something is stored under each of several digests, in their order; where the vault can, in one go.
+    ///
+    /// # Errors
+    /// As [`Vault::contains`].
+    fn contains_many(&self, digests: &[Digest]) -> Result<Vec<bool>, StoreError> {
+        digests.iter().map(|digest| self.contains(*digest)).collect()
+    }
 
     /// How much it holds. Redis has to walk all its keys for this.
     ///
@@ -122,13 +140,18 @@ pub trait Vault: Send + Sync {
     /// [`StoreError::Unreachable`] and the like.
     fn replace(&self, digest: Digest, bytes: &[u8]) -> Result<bool, StoreError>;
 
-    /// Names the present runs of its servers: where it names others than before, what was held may be lost. Always the
-    /// same for a vault that is durable by itself.
+    /// Names what its servers hold now (their runs, what they threw away, a mark that a FLUSHALL takes along): where it
+    /// is another text than before, what was held may be lost. Always the same for a vault that is durable by itself.
     ///
     /// # Errors
-    /// [`StoreError::Unreachable`] and the like.
+    /// [`StoreError::Unreachable`], [`StoreError::Policy`], [`StoreError::VaultFull`] and the like.
     fn runs(&self) -> Result<String, StoreError> {
         Ok(String::new())
+    }
+
+    /// Why a part of it is not reached, as it was when it was last tried; asks nobody.
+    fn ailing(&self) -> Option<StoreError> {
+        None
     }
 
     /// Whether it answers as a whole or not at all.

@@ -4,6 +4,7 @@
 //! and draws the newest frame only, and the caller's thread feeds `app::update`. It restores
 //! the terminal however it ends. What is shown is decided in `app` and `ui`.
 
+pub mod ask;
 pub mod backend;
 pub mod budget;
 pub mod clipboard;

@@ -57,7 +57,14 @@ fn draw_chain(canvas: &mut Canvas, area: Rect, state: &State, chain: &ChainView)
 fn draw_administration(canvas: &mut Canvas, area: Rect, decided: &AdministrationView) -> u16 {
     let shown = |account: Address, name: &Option<String>| name.clone().unwrap_or_else(|| account.to_string());
     let mut lines: Vec<(&str, String)> = Vec::new();
-    lines.extend(decided.paused.then(|| ("Paused", "by the administrator: no changes but revokes".to_owned())));
+    lines.extend(decided.paused.then(|| {
+        let end = decided.paused_until.map_or_else(String::new, |until| format!(", until {until}"));
+        ("Paused", format!("by the administrator: no changes but revokes{end}"))
+    }));
+    lines.extend(decided.proposals.iter().map(|one| {
+        let (lost, successor) = (shown(one.lost, &one.lost_name), shown(one.successor, &one.successor_name));
+        ("Proposed", format!("{successor} for {lost}, from {} on", one.due))
+    }));
     lines.extend(decided.successions.iter().map(|one| {
         let (lost, successor) = (shown(one.lost, &one.lost_name), shown(one.successor, &one.successor_name));
         ("Successor", format!("{successor} for {lost}, lost"))

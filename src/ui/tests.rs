@@ -172,7 +172,7 @@ fn in_trouble() -> Robot {
     robot.is_answered(&Tag::Feed(crate::app::feed::Feed::Site, 0), Ok(Reply::Site(site)));
     let text = "vault: redis://127.0.0.1:6379 evicts keys, so nothing is stored there; set maxmemory-policy noeviction \
                 and the vault goes on by itself, nothing sealed is lost meanwhile";
-    let notice = Event::Notice { at: fixtures::NOW, level: NoticeLevel::Error, text: text.to_owned() };
+    let notice = Event::Notice { at: fixtures::NOW, level: NoticeLevel::Error, text: text.to_owned(), about: None };
     robot.act(Action::Told(notice));
     robot
 }

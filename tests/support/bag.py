@@ -1,6 +1,7 @@
 """Bags by ROS's own Python library: written, listed, and heard while rosbag plays them."""
 
 import json
+import random
 import sys
 import threading
 
@@ -29,6 +30,48 @@ def messages(count):
             yield "/words", String(data="number %d %s" % (number, "x" * (number * 37 % 5000))), time, "/talker"
 
 
+def robot():
+    """A wheeled robot of a minute: odometry and an inertial unit at 50 Hz, every field filled, by a fixed seed."""
+    from nav_msgs.msg import Odometry
+    from sensor_msgs.msg import Imu
+
+    chance = random.Random(3060)
+    noise = lambda count: [chance.uniform(-1, 1) for _ in range(count)]
+    for number in range(3061):
+        stamp = genpy.Time(1700000000 + number // 50, (number % 50) * 20000000 + chance.randrange(2000000))
+        imu = Imu(orientation_covariance=noise(9), angular_velocity_covariance=noise(9))
+        imu.header.seq, imu.header.stamp, imu.header.frame_id = number, stamp, "imu_link"
+        imu.linear_acceleration.x, imu.linear_acceleration.y, imu.linear_acceleration.z = noise(3)
+        yield "/imu/data", imu, stamp, "/imu_driver"
+        if number == 3060:
+            return
+        odometry = Odometry(child_frame_id="base_link")
+        odometry.header.seq, odometry.header.stamp, odometry.header.frame_id = number, stamp, "odom"
+        odometry.pose.covariance, odometry.twist.covariance = noise(36), noise(36)
+        odometry.pose.pose.position.x, odometry.pose.pose.position.y, _ = noise(3)
+        odometry.pose.pose.orientation.z, odometry.pose.pose.orientation.w = noise(2)
+        odometry.twist.twist.linear.x, odometry.twist.twist.angular.z = noise(2)
+        yield "/jackal_velocity_controller/odom", odometry, stamp, "/jackal_velocity_controller"
+
+
+def simulated(count, seed):
+    """A simulator's run: it begins at the same stamp each time, and only the values differ."""
+    from std_msgs.msg import Float64
+
+    for number in range(count):
+        time = genpy.Time(100 + number // 100, (number % 100) * 10000000)
+        yield "/sim/x", Float64(data=number + seed / 1000), time, "/simulator"
+
+
+def named():
+    """Names as rosbag takes them: absolute, relative, and with characters that no graph name has."""
+    from std_msgs.msg import String
+
+    names = ["/ok", "foo", "foo/bar", "ORB-SLAM", "ORB_SLAM", "/1num", "x" * 300]
+    for number, name in enumerate(names * 3):
+        yield name, String(data="%d" % number), genpy.Time(100 + number), "/talker"
+
+
 def header(topic, message, caller):
     return {
         "topic": topic,
@@ -40,8 +83,12 @@ def header(topic, message, caller):
 
 
 def write(path, compression, count):
+    record(path, compression, messages(int(count)))
+
+
+def record(path, compression, all_messages):
     with rosbag.Bag(path, "w", compression=compression, chunk_threshold=64 * 1024) as bag:
-        for topic, message, time, caller in messages(int(count)):
+        for topic, message, time, caller in all_messages:
             bag.write(topic, message, time, connection_header=header(topic, message, caller))
 
 
@@ -78,4 +125,5 @@ def hear(count, *topics):
     rospy.signal_shutdown("heard")
 
 
-{"write": write, "list": listed, "hear": hear}[sys.argv[1]](*sys.argv[2:])
+{"write": write, "robot": lambda path: record(path, "bz2", robot()), "simulated": lambda path, count, seed: record(path, "none", simulated(int(count), int(seed))),
+ "named": lambda path: record(path, "lz4", named()), "list": listed, "hear": hear}[sys.argv[1]](*sys.argv[2:])

@@ -7,15 +7,18 @@
 pub mod anvil;
 pub mod authros;
 pub mod client_stream;
+pub mod clock;
 pub mod conservation;
 pub mod console;
 pub mod figures;
+pub mod gate;
 pub mod hostile;
 pub mod member;
 pub mod process;
 pub mod proxy;
 pub mod redis;
 pub mod ros;
+pub mod source;
 pub mod two;
 pub mod wire;
 
@@ -32,7 +35,7 @@ pub use console::{Console, Terminal};
 pub use process::{Outcome, Running};
 pub use proxy::{Proxy, Spoil};
 pub use redis::Redis;
-pub use ros::{Roscore, list_bag, read_bag, write_bag};
+pub use ros::{Roscore, list_bag, make_bag, read_bag, robot_recording, write_bag};
 use serde_json::Value;
 pub use two::{Two, two_profiles};
 pub use wire::Wire;

@@ -92,11 +92,27 @@ pub struct Running {
     stderr: Pipe,
 }
 
+/// Whoever started the tests may ignore signals (`nohup`, a shell's `&`); what is tested begins as a login shell would
+/// start it.
+#[allow(unsafe_code, reason = "between fork and exec only signal(2) is called, which is async-signal-safe")]
+fn default_signals(command: &mut Command) {
+    // SAFETY: the closure calls nothing but signal(2) and touches no memory of the parent.
+    unsafe {
+        command.pre_exec(|| {
+            for number in [libc::SIGHUP, libc::SIGINT, libc::SIGQUIT, libc::SIGTERM] {
+                libc::signal(number, libc::SIG_DFL);
+            }
+            Ok(())
+        });
+    }
+}
+
 impl Running {
     /// Starts it, without a terminal and with nothing to read.
     pub fn start(mut command: Command) -> Self {
         let name = format!("{command:?}");
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).process_group(0);
+        default_signals(&mut command);
         let mut child = command.spawn().unwrap_or_else(|error| panic!("{name}: {error}"));
         let stdout = Pipe::new(child.stdout.take().expect("stdout is piped"));
         let stderr = Pipe::new(child.stderr.take().expect("stderr is piped"));

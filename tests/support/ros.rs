@@ -1,7 +1,8 @@
 //! Real ROS 1 of the distribution: roscore, rosbag, rostopic, and Python's reading of a bag.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::OnceLock;
 
 use serde_json::Value;
 use tempfile::TempDir;
@@ -124,6 +125,27 @@ const BAG_SCRIPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/support/bag
 pub fn write_bag(bag: &Path, compression: &str, count: usize) {
     let bag = bag.to_str().expect("UTF-8");
     super::process::output_of("/usr/bin/python3", &[BAG_SCRIPT, "write", bag, compression, &count.to_string()]);
+}
+
+/// Runs the script that writes bags by ROS's own library: `simulated FILE COUNT SEED`, `named FILE`.
+pub fn make_bag(arguments: &[&str]) {
+    super::process::output_of("/usr/bin/python3", &[&[BAG_SCRIPT], arguments].concat());
+}
+
+/// A minute of a wheeled robot, written by ROS's own library once a run: 3,060 of odometry, 3,061 of an inertial unit.
+/// `None` where ROS is not installed.
+pub fn robot_recording() -> Option<PathBuf> {
+    static MADE: OnceLock<Option<PathBuf>> = OnceLock::new();
+    let made = MADE.get_or_init(|| {
+        super::system_program("rosbag")?;
+        let folder = Path::new(env!("CARGO_TARGET_TMPDIR"));
+        // Renamed when it is whole: another run of the tests may read it.
+        let (path, new) = (folder.join("robot.bag"), folder.join(format!("robot-{}.bag", std::process::id())));
+        super::process::output_of("/usr/bin/python3", &[BAG_SCRIPT, "robot", new.to_str().expect("UTF-8")]);
+        std::fs::rename(&new, &path).expect("renamed");
+        Some(path)
+    });
+    made.clone()
 }
 
 /// All messages of a bag by ROS's own library: topic, type, md5sum, caller id, definition, nanoseconds, hex.

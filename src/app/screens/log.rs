@@ -26,6 +26,8 @@ pub struct LogLine {
     pub source: String,
     /// What.
     pub text: String,
+    /// What it is about, where a later notice about the same takes its place.
+    pub about: Option<String>,
 }
 
 /// Notices and audit lines.
@@ -50,9 +52,14 @@ impl Default for Log {
 impl Log {
     /// Keeps a notice.
     pub fn notice(&mut self, at: Timestamp, level: NoticeLevel, text: &str) {
+        self.notice_about(at, level, text, None);
+    }
+
+    /// Keeps a notice about something that lasts.
+    pub fn notice_about(&mut self, at: Timestamp, level: NoticeLevel, text: &str, about: Option<String>) {
         self.told += 1;
         let source = format!("notice {}", self.told);
-        self.notices.push_front(LogLine { at, level, source, text: clean(text, WIDEST) });
+        self.notices.push_front(LogLine { at, level, source, text: clean(text, WIDEST), about });
         self.notices.truncate(MOST_NOTICES);
     }
 
@@ -81,7 +88,9 @@ impl Log {
 
     /// The newest warnings and errors of this session.
     pub fn urgent(&self, limit: usize) -> Vec<&LogLine> {
-        self.notices.iter().filter(|line| line.level > NoticeLevel::Info).take(limit).collect()
+        // What lasts is told by the health of its part, as it is now.
+        let is_alert = |line: &&LogLine| line.level > NoticeLevel::Info && line.about.is_none();
+        self.notices.iter().filter(is_alert).take(limit).collect()
     }
 
     /// Shows only more urgent lines, then all again.
@@ -107,5 +116,5 @@ fn audit_line(view: AuditView) -> LogLine {
     let good = ["ok", "done", "begun"].contains(&view.outcome.as_str());
     let level = if good { NoticeLevel::Info } else { NoticeLevel::Warning };
     let text = format!("{} {} {}: {}", view.profile, view.action, view.subject, view.outcome);
-    LogLine { at: view.at, level, source: format!("audit {}", view.line), text: clean(&text, WIDEST) }
+    LogLine { at: view.at, level, source: format!("audit {}", view.line), text: clean(&text, WIDEST), about: None }
 }

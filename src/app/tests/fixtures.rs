@@ -31,7 +31,7 @@ pub fn reply(command: &Command, exists: bool) -> Reply {
         Command::ListUploads(query) => Reply::Records(page(query, None)),
         Command::ListShared(query) => Reply::Records(page(query, Some(OTHER))),
         Command::ListGrants => Reply::Grants(grants()),
-        Command::ChainStatus => Reply::Chain(chain()),
+        Command::ChainStatus => Reply::Chain(Box::new(chain())),
         Command::ListAudit(_) => Reply::Audit(audit()),
         Command::Operate(Operation::GatewayStatus) => Reply::GatewayStatus(gateway()),
         Command::Operate(Operation::Lock) => Reply::Identity(identity(exists, false, exists)),
@@ -73,7 +73,13 @@ fn keys() -> KeysView {
 
 /// The whole site.
 pub fn site() -> SiteView {
-    let part = |part: &str, level, text: &str| PartHealth { part: part.to_owned(), level, text: text.to_owned() };
+    let part = |part: &str, level, text: &str| PartHealth {
+        part: part.to_owned(),
+        level,
+        text: text.to_owned(),
+        since: None,
+        retry: None,
+    };
     SiteView {
         health: vec![
             part("ros", HealthLevel::Ok, "embedded master http://127.0.0.1:40117"),
@@ -149,6 +155,8 @@ pub fn record(number: u64, state: &str) -> RecordView {
         simulated: true,
         transaction: anchored.then_some(Hash([3; 32])),
         block: anchored.then_some(118),
+        compared: crate::pipeline::columns::Compared::Head,
+        differs: None,
     }
 }
 

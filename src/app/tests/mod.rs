@@ -9,6 +9,7 @@ mod keys;
 mod leaving;
 mod operating;
 mod palette;
+mod placeholders;
 mod pulling;
 mod records;
 mod watching;

@@ -152,6 +152,25 @@ impl Authority {
         }
     }
 
+    /// Goes on where a chain ended: with the blocks sealed out of turn, and who sealed the newest ones, in order.
+    pub fn resume(&mut self, out_of_turn: Vec<u64>, newest: impl IntoIterator<Item = usize>) {
+        self.out_of_turn = out_of_turn;
+        self.recent.extend(newest);
+        while self.recent.len() > self.signers.len() / 2 {
+            self.recent.pop_front();
+        }
+    }
+
+    /// For how many blocks a signer rests after its own.
+    pub fn rest(&self) -> u64 {
+        self.signers.len() as u64 / 2
+    }
+
+    /// The blocks that were sealed out of turn.
+    pub fn out_of_turn(&self) -> &[u64] {
+        &self.out_of_turn
+    }
+
     /// The difficulties of the blocks 0 to `number`, added up.
     pub fn total_difficulty(&self, number: u64) -> u64 {
         1 + IN_TURN * number - self.out_of_turn.partition_point(|block| *block <= number) as u64
@@ -168,6 +187,7 @@ pub fn address_of(key: &SigningKey) -> Address {
 
 #[cfg(test)]
 mod tests {
+    use super::super::block::Rules;
     use super::*;
 
     fn authority(signers: u8) -> Authority {
@@ -230,7 +250,8 @@ mod tests {
         let mut authority = authority(3);
         let block = |number, signer, difficulty| {
             let zero = Address([0; 20]);
-            let mut header = Header { number, ..Header::genesis(&[zero], zero, difficulty, Hash([2; 32]), 100) };
+            let mut header =
+                Header { number, ..Header::genesis(Rules::Tries, &[zero], zero, difficulty, Hash([2; 32]), 100) };
             authority.seal(&mut header, signer).expect("seals");
             header
         };

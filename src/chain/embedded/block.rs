@@ -1,9 +1,7 @@
 //! Block headers, receipts and logs of the embedded chain, their encoding and their seal.
 //!
-//! The header has the fields and the RLP of Ethereum's before London, and its hash is Keccak-256 of that.
-//! Its three roots are plain commitments, not Merkle-Patricia tries: transactions = Keccak-256 of
-//! the RLP list of \[hash, sender\], receipts = of the RLP list of receipts, state = of the parent's
-//! state root and every account and slot that the block changed, in order.
+//! The header has the fields and the RLP of Ethereum's before London, and its hash is Keccak-256 of that. What its
+//! three roots are is said by its rules, and these by its gas limit.
 
 use ethers::abi::ethereum_types::BloomInput;
 use ethers::types::{Bloom, U256};
@@ -11,11 +9,45 @@ use ethers::utils::keccak256;
 use ethers::utils::rlp::{Decodable, DecoderError, Encodable, Rlp, RlpStream};
 use k256::ecdsa::{RecoveryId, Signature, SigningKey};
 
-use super::transaction::{Transaction, recover};
+use super::admission::BLOCK_GAS;
+use super::transaction::recover;
+use super::trie::EMPTY_ROOT;
 use crate::model::{Address, Hash};
 
-/// Gas limit of every block.
-pub const GAS_LIMIT: u64 = 0xffff_ffff;
+/// By which rules a block was made.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Rules {
+    /// Of files before version 3: the roots are plain commitments, and the gas limit is no limit.
+    Chained,
+    /// Of files of version 3: the roots are those of Merkle-Patricia tries, as Ethereum's.
+    Tries,
+}
+
+impl Rules {
+    /// Gas limit of a block.
+    pub fn gas_limit(self) -> u64 {
+        match self {
+            Self::Chained => 0xffff_ffff,
+            Self::Tries => BLOCK_GAS,
+        }
+    }
+
+    /// The first bytes of the extra data of a block after the first, under proof of authority.
+    fn vanity(self) -> [u8; VANITY] {
+        match self {
+            Self::Chained => [0; VANITY],
+            Self::Tries => *b"AuthROS chain file version 3\0\0\0\0",
+        }
+    }
+
+    /// Root of no transactions and of no receipts.
+    fn nothing(self) -> Hash {
+        match self {
+            Self::Chained => Hash(NO_UNCLES),
+            Self::Tries => EMPTY_ROOT,
+        }
+    }
+}
 /// Zero bytes in front of the seal in the extra data (Clique's vanity).
 const VANITY: usize = 32;
 /// Length of the seal, bytes: r, s, parity.
@@ -45,6 +77,8 @@ pub struct Header {
     pub difficulty: u64,
     /// Height.
     pub number: u64,
+    /// The most gas of its transactions.
+    pub gas_limit: u64,
     /// Gas used by all transactions.
     pub gas_used: u64,
     /// Seconds since 1970, never less than the parent's.
@@ -58,7 +92,14 @@ pub struct Header {
 impl Header {
     /// The first header of a chain, before its seal: `unique` makes it one of its kind. Without
     /// `signers` it is one of proof of work for `beneficiary`.
-    pub fn genesis(signers: &[Address], beneficiary: Address, difficulty: u64, unique: Hash, timestamp: u64) -> Self {
+    pub fn genesis(
+        rules: Rules,
+        signers: &[Address],
+        beneficiary: Address,
+        difficulty: u64,
+        unique: Hash,
+        timestamp: u64,
+    ) -> Self {
         let mut extra = unique.0.to_vec();
         if !signers.is_empty() {
             signers.iter().for_each(|signer| extra.extend(signer.as_bytes()));
@@ -66,13 +107,17 @@ impl Header {
         }
         Self {
             parent: Hash([0; 32]),
-            state_root: Hash(keccak256([])),
-            transactions_root: transactions_root(&[]),
-            receipts_root: receipts_root(&[]),
+            state_root: match rules {
+                Rules::Chained => Hash(keccak256([])),
+                Rules::Tries => EMPTY_ROOT,
+            },
+            transactions_root: rules.nothing(),
+            receipts_root: rules.nothing(),
             bloom: Bloom::zero(),
             beneficiary,
             difficulty,
             number: 0,
+            gas_limit: rules.gas_limit(),
             gas_used: 0,
             timestamp,
             extra,
@@ -86,7 +131,7 @@ impl Header {
         list.append(&&self.parent.0[..]).append(&&NO_UNCLES[..]).append(&&self.beneficiary.0[..]);
         list.append(&&self.state_root.0[..]).append(&&self.transactions_root.0[..]);
         list.append(&&self.receipts_root.0[..]).append(&self.bloom).append(&self.difficulty);
-        list.append(&self.number).append(&GAS_LIMIT).append(&self.gas_used).append(&self.timestamp);
+        list.append(&self.number).append(&self.gas_limit).append(&self.gas_used).append(&self.timestamp);
         list.append(&extra);
         if with_nonce {
             list.append(&&[0u8; 32][..]).append(&&self.nonce.to_be_bytes()[..]);
@@ -114,6 +159,7 @@ impl Header {
             bloom: list.val_at(6)?,
             difficulty: list.val_at(7)?,
             number: list.val_at(8)?,
+            gas_limit: list.val_at(9)?,
             gas_used: list.val_at(10)?,
             timestamp: list.val_at(11)?,
             extra: list.val_at(12)?,
@@ -123,6 +169,11 @@ impl Header {
             return Err(DecoderError::Custom("not a canonical header"));
         }
         Ok(header)
+    }
+
+    /// By which rules it was made.
+    pub fn rules(&self) -> Rules {
+        if self.gas_limit == Rules::Chained.gas_limit() { Rules::Chained } else { Rules::Tries }
     }
 
     /// The block hash.
@@ -159,8 +210,8 @@ impl Header {
 }
 
 /// Extra data of a block of proof of authority before it is sealed.
-pub fn unsealed_extra() -> Vec<u8> {
-    vec![0; VANITY + SEAL]
+pub fn unsealed_extra(rules: Rules) -> Vec<u8> {
+    [&rules.vanity()[..], &[0; SEAL]].concat()
 }
 
 /// One log of a transaction.
@@ -257,22 +308,6 @@ fn address_at(list: &Rlp<'_>, index: usize) -> Result<Option<Address>, DecoderEr
     }
 }
 
-/// Commitment to transactions and their senders.
-pub fn transactions_root(transactions: &[Transaction]) -> Hash {
-    let mut list = RlpStream::new_list(transactions.len());
-    for transaction in transactions {
-        list.begin_list(2).append(&&transaction.hash.0[..]).append(&&transaction.sender.0[..]);
-    }
-    Hash(keccak256(list.out()))
-}
-
-/// Commitment to receipts.
-pub fn receipts_root(receipts: &[Receipt]) -> Hash {
-    let mut list = RlpStream::new();
-    list.append_list(receipts);
-    Hash(keccak256(list.out()))
-}
-
 /// The address of the contract that `sender` creates with `nonce`.
 pub fn created_address(sender: Address, nonce: u64) -> Address {
     let mut list = RlpStream::new_list(2);
@@ -299,14 +334,14 @@ mod tests {
             let point = key().verifying_key().to_encoded_point(false);
             Address::from_public_key(point.as_bytes()[1..].try_into().expect("64 bytes"))
         };
-        let mut header = Header::genesis(&[signer], Address([0; 20]), 1, Hash([3; 32]), 5);
+        let mut header = Header::genesis(Rules::Chained, &[signer], Address([0; 20]), 1, Hash([3; 32]), 5);
         header.seal(&key()).expect("seals");
         assert_eq!(header.sealer(), Some(signer));
         let bytes = header.encode();
         assert_eq!(Header::decode(&bytes), Ok(header.clone()));
         header.timestamp += 1;
         assert_ne!(header.sealer(), Some(signer));
-        let worked = Header { nonce: 7, ..Header::genesis(&[], signer, 9, Hash([3; 32]), 5) };
+        let worked = Header { nonce: 7, ..Header::genesis(Rules::Tries, &[], signer, 9, Hash([3; 32]), 5) };
         assert_eq!(Header::decode(&worked.encode()), Ok(worked.clone()));
         assert_eq!(worked.sealer(), None);
         let other = Header { nonce: 8, ..worked.clone() };

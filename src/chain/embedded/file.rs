@@ -1,4 +1,4 @@
-//! The file of the embedded chain: blocks, raw transactions and receipts in one SQLite database.
+//! The file of the embedded chain: blocks, raw transactions, receipts and the state's nodes in one SQLite database.
 //!
 //! A block is one SQLite transaction, on disk (WAL, synchronous=FULL) before anyone hears of it.
 //! While the chain is open no other process can open the file.
@@ -14,7 +14,10 @@ use rusqlite::{Connection, ErrorCode, OptionalExtension, Row, params};
 use zeroize::Zeroizing;
 
 use super::block::{Header, Receipt};
+use super::state_file::{self, Cache};
 use super::transaction::Transaction;
+use super::trie::EMPTY_ROOT;
+use super::world::Written;
 use crate::chain::{ChainError, Consensus};
 use crate::model::{Address, Hash};
 
@@ -22,6 +25,8 @@ use crate::model::{Address, Hash};
 const PLAIN: i64 = 1;
 /// A chain that says its consensus.
 const CHOSEN: i64 = 2;
+/// One whose state lies in it as tries, at least since a certain block.
+const TRIES: i64 = 3;
 const SCHEMA: &str = "
     CREATE TABLE IF NOT EXISTS chain (
         id INTEGER PRIMARY KEY CHECK (id = 1), version INTEGER NOT NULL, chain_id INTEGER NOT NULL, signer BLOB NOT NULL
@@ -31,8 +36,6 @@ const SCHEMA: &str = "
         block INTEGER NOT NULL, position INTEGER NOT NULL, hash BLOB NOT NULL UNIQUE, sender BLOB NOT NULL,
         raw BLOB NOT NULL, receipt BLOB NOT NULL, logs INTEGER NOT NULL, PRIMARY KEY (block, position)
     );";
-/// Of a [`CHOSEN`] chain only; the column `signer` then holds all keys in a row.
-const CONSENSUS: &str = "CREATE TABLE consensus (id INTEGER PRIMARY KEY CHECK (id = 1), words TEXT NOT NULL)";
 const KEY_LENGTH: usize = 32;
 
 /// What is drawn when a chain is made.
@@ -43,26 +46,50 @@ pub struct Founding {
     pub consensus: Consensus,
     /// The keys that seal its blocks; under proof of work the one of the account that gets the fees.
     pub keys: Vec<SigningKey>,
+    /// Since when its state lies in the file as tries; `None` in a file before version 3.
+    pub era: Option<Era>,
+}
+
+/// From where on a chain is one of version 3.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Era {
+    /// The first block by the new rules; 0 where the chain was founded by them.
+    pub first: u64,
+    /// Root of the state before that block.
+    pub root: Hash,
+}
+
+/// A block that goes into the file.
+pub struct Sealed<'a> {
+    /// Its header.
+    pub header: &'a Header,
+    /// Its transactions.
+    pub sent: &'a [Transaction],
+    /// Their receipts.
+    pub receipts: &'a [Receipt],
+    /// What it made of the state's nodes.
+    pub written: &'a Written,
+    /// Whether another signer sealed it than the one whose turn it was.
+    pub out_of_turn: bool,
 }
 
 /// A mined transaction as it lies in the file.
 pub struct Mined {
-    /// Its block.
-    pub block: u64,
-    /// Its place in the block.
-    pub position: u64,
     /// Who signed it.
     pub sender: Address,
     /// As it was sent.
     pub raw: Vec<u8>,
     /// What became of it, RLP.
     pub receipt: Vec<u8>,
+    /// How many logs it wrote.
+    pub logs: u64,
 }
 
 /// The open file.
 pub struct ChainFile {
     path: PathBuf,
     connection: Connection,
+    pub(super) cache: Cache,
 }
 
 impl ChainFile {
@@ -77,7 +104,7 @@ impl ChainFile {
         DirBuilder::new().recursive(true).mode(0o700).create(directory).map_err(blame)?;
         OpenOptions::new().create(true).append(true).mode(0o600).open(&path).map_err(blame)?;
         let connection = prepare(&path).map_err(|error| blamed(&path, &error))?;
-        Ok(Self { path, connection })
+        Ok(Self { path, connection, cache: Cache::default() })
     }
 
     fn blame(&self, error: &rusqlite::Error) -> ChainError {
@@ -96,18 +123,19 @@ impl ChainFile {
             .optional()
             .map_err(|error| self.blame(&error))?;
         let Some((version, chain_id, signer)) = row else { return Ok(None) };
-        let consensus = match version {
-            PLAIN => Consensus::POA,
-            CHOSEN => self.chosen()?,
+        let (consensus, era) = match version {
+            PLAIN => (Consensus::POA, None),
+            CHOSEN => (self.chosen()?, None),
+            TRIES => (self.chosen()?, Some(self.era()?)),
             _ => {
-                let reason = format!("it has version {version}, and this program reads versions {PLAIN} and {CHOSEN}");
+                let reason = format!("it has version {version}, and this program reads versions {PLAIN} to {TRIES}");
                 return Err(ChainError::File { path: self.path.clone(), reason });
             }
         };
         let keys: Result<Vec<_>, _> = signer.chunks(KEY_LENGTH).map(SigningKey::from_slice).collect();
         let keys = keys.ok().filter(|keys| keys.len() == keys_of(&consensus));
         let keys = keys.ok_or_else(|| self.tampered(0, "the signers' keys are not what they were"))?;
-        Ok(Some(Founding { chain_id, consensus, keys }))
+        Ok(Some(Founding { chain_id, consensus, keys, era }))
     }
 
     fn chosen(&self) -> Result<Consensus, ChainError> {
@@ -116,70 +144,92 @@ impl ChainFile {
         consensus.ok_or_else(|| self.tampered(0, "its consensus is none that this program knows"))
     }
 
+    fn era(&self) -> Result<Era, ChainError> {
+        let read = |row: &Row<'_>| Ok(Era { first: natural(row, 0)?, root: Hash(row.get(1)?) });
+        let era = self.one("SELECT first, root FROM era", [], read)?;
+        era.ok_or_else(|| self.tampered(0, "it does not say where its version 3 begins"))
+    }
+
     /// Writes a new chain: founding and genesis block, all or nothing.
     ///
     /// # Errors
     /// [`ChainError::File`] where it cannot be written.
-    pub fn found(&mut self, founding: &Founding, genesis: &Header) -> Result<(), ChainError> {
-        let path = self.path.clone();
+    pub fn found(&self, founding: &Founding, genesis: &Header) -> Result<(), ChainError> {
         let mut keys = Zeroizing::new(Vec::with_capacity(KEY_LENGTH * founding.keys.len()));
         founding.keys.iter().for_each(|key| keys.extend_from_slice(&Zeroizing::new(key.to_bytes())[..]));
-        let version = if founding.consensus == Consensus::POA { PLAIN } else { CHOSEN };
-        let mut write = || {
-            let transaction = self.connection.transaction()?;
-            let values = params![version, integer(founding.chain_id), &keys[..]];
+        self.write(|transaction| {
+            let values = params![TRIES, integer(founding.chain_id), &keys[..]];
             transaction.execute("INSERT INTO chain VALUES (1, ?1, ?2, ?3)", values)?;
-            if version == CHOSEN {
-                transaction.execute(CONSENSUS, [])?;
-                let words = founding.consensus.to_string();
-                transaction.execute("INSERT INTO consensus VALUES (1, ?1)", [words])?;
-            }
-            insert_header(&transaction, genesis)?;
-            transaction.commit()
-        };
-        write().map_err(|error| blamed(&path, &error))
+            begin_tries(transaction, &founding.consensus, Era { first: 0, root: EMPTY_ROOT })?;
+            insert_header(transaction, genesis)
+        })
     }
 
-    /// Writes a block; when this returns it is on disk.
+    /// Makes a file of version 3 out of an older one, all or nothing: `made` are the nodes of its newest state.
+    ///
+    /// # Errors
+    /// [`ChainError::File`] where it cannot be written.
+    pub fn upgrade(
+        &self,
+        consensus: &Consensus,
+        era: Era,
+        made: &[(Hash, Vec<u8>)],
+        out_of_turn: &[u64],
+    ) -> Result<(), ChainError> {
+        self.write(|transaction| {
+            transaction.execute("UPDATE chain SET version = ?1", [TRIES])?;
+            begin_tries(transaction, consensus, era)?;
+            state_file::add(transaction, made)?;
+            out_of_turn.iter().try_for_each(|number| insert_out_of_turn(transaction, *number))
+        })
+    }
+
+    /// Writes a block and what it made of the state; when this returns it is on disk.
     ///
     /// # Errors
     /// [`ChainError::File`] where it cannot be written; then nothing was.
-    pub fn append(&mut self, header: &Header, sent: &[Transaction], receipts: &[Receipt]) -> Result<(), ChainError> {
-        let path = self.path.clone();
-        let mut write = || {
-            let transaction = self.connection.transaction()?;
-            insert_header(&transaction, header)?;
-            {
-                let mut insert = transaction.prepare_cached("INSERT INTO sent VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)")?;
-                for ((position, one), receipt) in (0i64..).zip(sent).zip(receipts) {
-                    let encoded = rlp::encode(receipt);
-                    let (block, hash, sender) = (integer(header.number), &one.hash.0, &one.sender.0);
-                    let logs = i64::try_from(receipt.logs.len()).unwrap_or(i64::MAX);
-                    insert.execute(params![block, position, hash, sender, one.raw, &encoded[..], logs])?;
-                }
+    pub fn append(&self, block: &Sealed<'_>) -> Result<(), ChainError> {
+        self.write(|transaction| {
+            insert_header(transaction, block.header)?;
+            if block.out_of_turn {
+                insert_out_of_turn(transaction, block.header.number)?;
             }
-            transaction.commit()
-        };
-        write().map_err(|error| blamed(&path, &error))
+            let mut insert = transaction.prepare_cached("INSERT INTO sent VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)")?;
+            for ((position, one), receipt) in (0i64..).zip(block.sent).zip(block.receipts) {
+                let encoded = rlp::encode(receipt);
+                let (number, hash, sender) = (integer(block.header.number), &one.hash.0, &one.sender.0);
+                let logs = i64::try_from(receipt.logs.len()).unwrap_or(i64::MAX);
+                insert.execute(params![number, position, hash, sender, one.raw, &encoded[..], logs])?;
+            }
+            state_file::write(transaction, block.header.number, block.written)
+        })
     }
 
-    /// Calls `visit` with every block in order: number, hash, header, transactions.
+    /// Makes changes that are all on disk when this returns, or none of them happened.
+    fn write(&self, work: impl FnOnce(&rusqlite::Transaction<'_>) -> rusqlite::Result<()>) -> Result<(), ChainError> {
+        let write = || {
+            let transaction = self.connection.unchecked_transaction()?;
+            work(&transaction)?;
+            transaction.commit()
+        };
+        write().map_err(|error| self.blame(&error))
+    }
+
+    /// The number of the newest block.
     ///
     /// # Errors
-    /// The first of `visit`, or [`ChainError`] where the file cannot be read.
-    pub fn replay(
-        &self,
-        mut visit: impl FnMut(u64, Hash, Vec<u8>, Vec<Mined>) -> Result<(), ChainError>,
-    ) -> Result<(), ChainError> {
-        let blame = |error: rusqlite::Error| self.blame(&error);
-        let mut blocks =
-            self.connection.prepare("SELECT number, hash, header FROM block ORDER BY number").map_err(blame)?;
-        let mut rows = blocks.query([]).map_err(blame)?;
-        while let Some(row) = rows.next().map_err(blame)? {
-            let (number, hash, header) = header_columns(row).map_err(blame)?;
-            visit(number, hash, header, self.block_transactions(number)?)?;
-        }
-        Ok(())
+    /// [`ChainError`] where the file cannot be read.
+    pub fn newest_number(&self) -> Result<u64, ChainError> {
+        let newest = self.one("SELECT coalesce(max(number), 0) FROM block", [], |row| natural(row, 0))?;
+        Ok(newest.unwrap_or(0))
+    }
+
+    /// The blocks that were sealed out of turn, in order.
+    ///
+    /// # Errors
+    /// [`ChainError`] where the file cannot be read.
+    pub fn out_of_turn(&self) -> Result<Vec<u64>, ChainError> {
+        self.all("SELECT number FROM out_of_turn ORDER BY number", [], |row| natural(row, 0))
     }
 
     /// Copies the file, as it is, to a new one of mode 0600.
@@ -212,13 +262,13 @@ impl ChainFile {
         self.one("SELECT number FROM block WHERE hash = ?1", params![hash.0], |row| natural(row, 0))
     }
 
-    /// A mined transaction.
+    /// In which block and where in it a transaction was mined.
     ///
     /// # Errors
     /// [`ChainError`] where the file cannot be read.
-    pub fn mined(&self, hash: Hash) -> Result<Option<Mined>, ChainError> {
-        let query = "SELECT block, position, sender, raw, receipt FROM sent WHERE hash = ?1";
-        self.one(query, params![hash.0], mined_columns)
+    pub fn place_of(&self, hash: Hash) -> Result<Option<(u64, u64)>, ChainError> {
+        let query = "SELECT block, position FROM sent WHERE hash = ?1";
+        self.one(query, params![hash.0], |row| Ok((natural(row, 0)?, natural(row, 1)?)))
     }
 
     /// The transactions of a block, in order.
@@ -226,30 +276,24 @@ impl ChainFile {
     /// # Errors
     /// [`ChainError`] where the file cannot be read.
     pub fn block_transactions(&self, number: u64) -> Result<Vec<Mined>, ChainError> {
-        self.many("SELECT block, position, sender, raw, receipt FROM sent WHERE block = ?1 ORDER BY position", [number])
+        let query = "SELECT sender, raw, receipt, logs FROM sent WHERE block = ?1 ORDER BY position";
+        self.all(query, [integer(number)], mined_columns)
     }
 
-    /// The transactions with logs of the blocks `from` to `to`, in order.
+    /// The numbers of the blocks with logs from `from` to `to`, in order.
     ///
     /// # Errors
     /// [`ChainError`] where the file cannot be read.
-    pub fn with_logs(&self, from: u64, to: u64) -> Result<Vec<Mined>, ChainError> {
-        let query = "SELECT block, position, sender, raw, receipt FROM sent
-                     WHERE block BETWEEN ?1 AND ?2 AND logs > 0 ORDER BY block, position";
-        self.many(query, [from, to])
+    pub fn with_logs(&self, from: u64, to: u64) -> Result<Vec<u64>, ChainError> {
+        let query = "SELECT DISTINCT block FROM sent WHERE block BETWEEN ?1 AND ?2 AND logs > 0 ORDER BY block";
+        self.all(query, [from, to].map(integer), |row| natural(row, 0))
     }
 
-    /// How many logs the transactions before `position` wrote in their block.
+    /// One row of a query.
     ///
     /// # Errors
     /// [`ChainError`] where the file cannot be read.
-    pub fn logs_before(&self, block: u64, position: u64) -> Result<usize, ChainError> {
-        let query = "SELECT coalesce(sum(logs), 0) FROM sent WHERE block = ?1 AND position < ?2";
-        self.one(query, params![integer(block), integer(position)], |row| natural(row, 0))
-            .map(|sum| sum.and_then(|sum| usize::try_from(sum).ok()).unwrap_or(0))
-    }
-
-    fn one<T>(
+    pub(super) fn one<T>(
         &self,
         query: &str,
         values: impl rusqlite::Params,
@@ -259,12 +303,26 @@ impl ChainFile {
         statement.query_row(values, read).optional().map_err(|error| self.blame(&error))
     }
 
-    fn many<const N: usize>(&self, query: &str, values: [u64; N]) -> Result<Vec<Mined>, ChainError> {
+    /// All rows of a query.
+    ///
+    /// # Errors
+    /// [`ChainError`] where the file cannot be read.
+    pub(super) fn all<T>(
+        &self,
+        query: &str,
+        values: impl rusqlite::Params,
+        read: impl FnMut(&Row<'_>) -> rusqlite::Result<T>,
+    ) -> Result<Vec<T>, ChainError> {
         let blame = |error: rusqlite::Error| self.blame(&error);
         let mut statement = self.connection.prepare_cached(query).map_err(blame)?;
-        let rows =
-            statement.query_map(rusqlite::params_from_iter(values.map(integer)), mined_columns).map_err(blame)?;
+        let rows = statement.query_map(values, read).map_err(blame)?;
         rows.collect::<Result<_, _>>().map_err(blame)
+    }
+
+    /// Writes without waiting for the disk, for tests that write many blocks.
+    #[cfg(test)]
+    pub fn in_a_hurry(&self) {
+        self.connection.pragma_update(None, "synchronous", "OFF").expect("a pragma");
     }
 
     /// Where it lies.
@@ -315,8 +373,19 @@ fn insert_header(connection: &Connection, header: &Header) -> rusqlite::Result<(
     connection.prepare_cached("INSERT INTO block VALUES (?1, ?2, ?3)")?.execute(values).map(|_| ())
 }
 
+/// What makes a file one of version 3.
+fn begin_tries(transaction: &rusqlite::Transaction<'_>, consensus: &Consensus, era: Era) -> rusqlite::Result<()> {
+    transaction.execute_batch(state_file::SCHEMA)?;
+    transaction.execute("INSERT OR IGNORE INTO consensus VALUES (1, ?1)", [consensus.to_string()])?;
+    transaction.execute("INSERT INTO era VALUES (1, ?1, ?2)", params![integer(era.first), era.root.0]).map(drop)
+}
+
+fn insert_out_of_turn(connection: &Connection, number: u64) -> rusqlite::Result<()> {
+    connection.prepare_cached("INSERT INTO out_of_turn VALUES (?1)")?.execute([integer(number)]).map(drop)
+}
+
 /// SQLite's integers are signed; nothing here reaches that far.
-fn integer(value: u64) -> i64 {
+pub(super) fn integer(value: u64) -> i64 {
     i64::try_from(value).unwrap_or(i64::MAX)
 }
 
@@ -330,11 +399,5 @@ fn header_columns(row: &Row<'_>) -> rusqlite::Result<(u64, Hash, Vec<u8>)> {
 }
 
 fn mined_columns(row: &Row<'_>) -> rusqlite::Result<Mined> {
-    Ok(Mined {
-        block: natural(row, 0)?,
-        position: natural(row, 1)?,
-        sender: Address(row.get(2)?),
-        raw: row.get(3)?,
-        receipt: row.get(4)?,
-    })
+    Ok(Mined { sender: Address(row.get(0)?), raw: row.get(1)?, receipt: row.get(2)?, logs: natural(row, 3)? })
 }

@@ -4,8 +4,8 @@ use ethers::utils::keccak256;
 use k256::ecdsa::SigningKey;
 use zeroize::Zeroizing;
 
-use super::block::Header;
-use super::file::{ChainFile, Founding, keys_of};
+use super::block::{Header, Rules};
+use super::file::{ChainFile, Era, Founding, keys_of};
 use super::sealing::Sealing;
 use crate::chain::{ChainError, Consensus};
 use crate::model::{Hash, Timestamp};
@@ -13,13 +13,27 @@ use crate::model::{Hash, Timestamp};
 /// Length of the random part of a genesis block that also commits to the consensus.
 const RANDOM: usize = 16;
 
-/// The chain of the file, or a new one; its sealing and its genesis block.
+/// What a chain was founded with.
+pub struct Founded {
+    /// Its chain id.
+    pub chain_id: u64,
+    /// How its blocks are sealed.
+    pub consensus: Consensus,
+    /// The same, with its keys.
+    pub sealing: Sealing,
+    /// Its first block.
+    pub genesis: Header,
+    /// Since when it is one of version 3.
+    pub era: Option<Era>,
+}
+
+/// The chain of the file, or a new one.
 ///
 /// # Errors
 /// [`ChainError::OtherConsensus`] where another one is asked for than the chain was founded with,
 /// [`ChainError::Tampered`] where what was drawn at the founding does not fit the genesis block.
-pub fn open(file: &mut ChainFile, asked: Option<Consensus>) -> Result<(u64, Consensus, Sealing, Header), ChainError> {
-    let Founding { chain_id, consensus, keys } = match file.founding()? {
+pub fn open(file: &ChainFile, asked: Option<Consensus>) -> Result<Founded, ChainError> {
+    let Founding { chain_id, consensus, keys, era } = match file.founding()? {
         Some(founding) => founding,
         None => found(file, asked.unwrap_or_default())?,
     };
@@ -28,10 +42,10 @@ pub fn open(file: &mut ChainFile, asked: Option<Consensus>) -> Result<(u64, Cons
     }
     let sealing = Sealing::new(&consensus, keys);
     let genesis = genesis(file, &consensus, &sealing)?;
-    Ok((chain_id, consensus, sealing, genesis))
+    Ok(Founded { chain_id, consensus, sealing, genesis, era })
 }
 
-fn found(file: &mut ChainFile, consensus: Consensus) -> Result<Founding, ChainError> {
+fn found(file: &ChainFile, consensus: Consensus) -> Result<Founding, ChainError> {
     if !consensus.is_usable() {
         return Err(ChainError::Input(format!("'{consensus}' is no usable consensus; see `chain.consensus`")));
     }
@@ -39,12 +53,13 @@ fn found(file: &mut ChainFile, consensus: Consensus) -> Result<Founding, ChainEr
     let keys = (0..keys_of(&consensus)).map(|_| draw_key()).collect::<Result<Vec<_>, _>>()?;
     let unique = if consensus == Consensus::POA { Hash(noise()?) } else { commitment(noise()?, &consensus) };
     let sealing = Sealing::new(&consensus, keys.clone());
-    let mut genesis = sealing.genesis(unique, Timestamp::now().seconds());
+    let mut genesis = sealing.genesis(Rules::Tries, unique, Timestamp::now().seconds());
     if let Sealing::Authority(authority) = &sealing {
         let sealed = authority.seal(&mut genesis, 0);
         sealed.ok_or_else(|| ChainError::Internal("the genesis block could not be sealed".into()))?;
     }
-    let founding = Founding { chain_id: (1 << 40) + id % (1 << 47), consensus, keys };
+    let era = Some(Era { first: 0, root: genesis.state_root });
+    let founding = Founding { chain_id: (1 << 40) + id % (1 << 47), consensus, keys, era };
     file.found(&founding, &genesis)?;
     Ok(founding)
 }

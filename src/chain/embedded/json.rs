@@ -1,10 +1,13 @@
 //! The JSON shapes of blocks, transactions, receipts and logs, and the reading of parameters.
 
 use ethers::types::U256;
+use ethers::utils::keccak256;
 use serde_json::{Value, json};
 
-use super::block::{GAS_LIMIT, Header, Log, Receipt, created_address};
+use super::block::{Header, Log, Receipt, created_address};
 use super::transaction::Transaction;
+use super::trie::EMPTY_ROOT;
+use super::world::{Proof, Record};
 use crate::model::{
     Address, Hash,
     address::AddressError,
@@ -22,6 +25,14 @@ pub struct Mining {
     pub timestamp: u64,
     /// Place in the block.
     pub position: u64,
+}
+
+impl Mining {
+    /// At a place of a block.
+    pub fn at(header: &Header, place: usize) -> Self {
+        let position = u64::try_from(place).unwrap_or(u64::MAX);
+        Self { block: header.number, hash: header.hash(), timestamp: header.timestamp, position }
+    }
 }
 
 /// `0x` and hex digits without leading zeros.
@@ -63,11 +74,27 @@ pub fn block(header: &Header, hash: Hash, size: usize, total_difficulty: u128, t
         "stateRoot": data(&header.state_root.0), "transactionsRoot": data(&header.transactions_root.0),
         "receiptsRoot": data(&header.receipts_root.0), "logsBloom": data(header.bloom.as_bytes()),
         "difficulty": quantity(header.difficulty), "totalDifficulty": quantity(total_difficulty),
-        "gasLimit": quantity(GAS_LIMIT), "gasUsed": quantity(header.gas_used),
+        "gasLimit": quantity(header.gas_limit), "gasUsed": quantity(header.gas_used),
         "timestamp": quantity(header.timestamp), "extraData": data(&header.extra),
         "miner": data(&header.beneficiary.0), "mixHash": data(&[0; 32]), "nonce": data(&header.nonce.to_be_bytes()),
         "sha3Uncles": "0x1dcc4de8dec75d7aab85b567b6ccd41ad312451b948a7413f0a142fd40d49347",
         "uncles": [], "size": quantity(size), "transactions": transactions,
+    })
+}
+
+/// What is proven of an account (EIP-1186).
+pub fn proof(address: Address, proof: &Proof) -> Value {
+    let nodes = |way: &[std::sync::Arc<[u8]>]| way.iter().map(|node| data(node)).collect::<Vec<_>>();
+    let nobody = Record { nonce: 0, balance: U256::zero(), storage: EMPTY_ROOT, code: Hash(keccak256([])) };
+    let record = proof.record.unwrap_or(nobody);
+    let slots = proof
+        .slots
+        .iter()
+        .map(|(slot, value, way)| json!({ "key": quantity(*slot), "value": quantity(*value), "proof": nodes(way) }));
+    json!({
+        "address": data(&address.0), "balance": quantity(record.balance), "nonce": quantity(record.nonce),
+        "codeHash": data(&record.code.0), "storageHash": data(&record.storage.0),
+        "accountProof": nodes(&proof.way), "storageProof": slots.collect::<Vec<_>>(),
     })
 }
 

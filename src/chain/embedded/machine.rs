@@ -1,28 +1,28 @@
-//! The EVM of the embedded chain: world state in memory, execution by revm under Istanbul rules.
+//! The EVM of the embedded chain: execution by revm under Istanbul rules.
 //!
 //! Running a block changes nothing; its changes are applied once the block is on disk.
 
-use std::collections::BTreeMap;
+use std::rc::Rc;
 
 use ethers::types::U256;
-use ethers::utils::keccak256;
-use ethers::utils::rlp::RlpStream;
 use revm::context::result::{EVMError, ExecutionResult, InvalidTransaction, Output};
-use revm::context::{BlockEnv, TxEnv};
-use revm::database::{CacheDB, EmptyDB};
+use revm::context::{BlockEnv, Evm, TxEnv};
+use revm::database::CacheDB;
+use revm::handler::EthFrame;
+use revm::handler::instructions::EthInstructions;
+use revm::interpreter::interpreter::EthInterpreter;
 use revm::primitives::hardfork::SpecId;
-use revm::primitives::{Address as EvmAddress, B256, Bytes, KECCAK_EMPTY, TxKind, U256 as Word};
+use revm::primitives::{Address as EvmAddress, Bytes, KECCAK_EMPTY, TxKind, U256 as Word};
 use revm::state::EvmState;
-use revm::{Context, DatabaseCommit, DatabaseRef, ExecuteEvm, MainBuilder, MainContext, MainnetEvm};
+use revm::{Context, DatabaseCommit, DatabaseRef, ExecuteEvm, MainBuilder, MainContext};
 
-use super::block::{GAS_LIMIT, Log, Receipt};
+use super::admission::{BLOCK_SURPLUS, ESTIMATE_GAS, TRANSACTION_GAS, TRANSACTION_SURPLUS, Weighed};
+use super::block::{Log, Receipt, Rules};
+use super::roots::chained_state;
 use super::transaction::Transaction;
+use super::world::{Ground, Tries, Unread, World, Written};
+use crate::chain::ChainError;
 use crate::model::{Address, Hash};
-
-/// The most gas that a call or an estimate may use, so that no caller can stall the chain.
-pub const CALL_GAS_LIMIT: u64 = 50_000_000;
-
-type State = CacheDB<EmptyDB>;
 
 /// Where a block or a call takes place.
 #[derive(Debug, Clone, Copy)]
@@ -47,6 +47,8 @@ pub struct Outcome {
     pub refused: Vec<(Transaction, String)>,
     /// Commitment to the state after the block.
     pub state_root: Hash,
+    /// What it makes of the state's nodes; nothing by the rules before version 3.
+    pub written: Written,
     changes: Vec<EvmState>,
 }
 
@@ -78,23 +80,55 @@ pub enum Answer {
 
 /// The world state and its rules.
 pub struct Machine {
-    state: State,
+    world: World,
     chain_id: u64,
     state_root: Hash,
 }
 
 impl Machine {
-    /// An empty world.
-    pub fn new(chain_id: u64, state_root: Hash) -> Self {
-        Self { state: State::default(), chain_id, state_root }
+    /// An empty world in memory, by the rules before version 3.
+    pub fn chained(chain_id: u64, state_root: Hash) -> Self {
+        Self { world: World::Memory(Box::default()), chain_id, state_root }
     }
 
-    fn evm<'a>(&'a self, place: &Environment) -> MainnetEvm<EvmContext<'a>> {
+    /// The world whose tries have this root.
+    pub fn over(ground: Rc<dyn Ground>, root: Hash, chain_id: u64) -> Self {
+        Self { world: World::Tries(Tries { ground, root }), chain_id, state_root: root }
+    }
+
+    /// By which rules its blocks are made.
+    pub fn rules(&self) -> Rules {
+        match self.world {
+            World::Memory(_) => Rules::Chained,
+            World::Tries(_) => Rules::Tries,
+        }
+    }
+
+    /// The state's tries, by the rules of version 3.
+    pub fn tries(&self) -> Option<&Tries> {
+        if let World::Tries(tries) = &self.world { Some(tries) } else { None }
+    }
+
+    /// The same state as tries on `ground`, and what they are made of. Nothing is written.
+    ///
+    /// # Errors
+    /// [`ChainError`] where nodes cannot be read.
+    pub fn into_tries(self, ground: Rc<dyn Ground>) -> Result<(Self, Written), ChainError> {
+        match &self.world {
+            World::Memory(memory) => {
+                let (root, written) = Tries::of(Rc::clone(&ground), memory)?;
+                Ok((Self::over(ground, root, self.chain_id), written))
+            }
+            World::Tries(_) => Ok((self, Written::default())),
+        }
+    }
+
+    fn evm<'a>(&'a self, place: &Environment, surplus: u64) -> WeighedEvm<'a> {
         let block = BlockEnv {
             number: Word::from(place.number),
             beneficiary: EvmAddress::from(place.beneficiary.0),
             timestamp: Word::from(place.timestamp),
-            gas_limit: GAS_LIMIT,
+            gas_limit: self.rules().gas_limit(),
             basefee: 0,
             difficulty: Word::from(place.difficulty),
             ..BlockEnv::default()
@@ -104,24 +138,38 @@ impl Machine {
                 cfg.set_spec_and_mainnet_gas_params(SpecId::ISTANBUL);
                 cfg.chain_id = self.chain_id;
             })
-            .with_db(CacheDB::new(&self.state))
+            .with_db(CacheDB::new(&self.world))
             .with_block(block)
             .build_mainnet()
+            .with_precompiles(Weighed::new(surplus))
     }
 
-    /// Runs transactions one after the other on top of the state, which stays as it is.
-    pub fn run(&self, place: &Environment, transactions: Vec<Transaction>) -> Outcome {
-        let mut evm = self.evm(place);
+    /// Runs transactions one after the other on top of the state, which stays as it is. By the rules of admission
+    /// (`new`) those with too much surplus are refused, and none begins where the block has its fill of it.
+    ///
+    /// # Errors
+    /// [`ChainError`] where the state cannot be read.
+    pub fn run(&self, place: &Environment, transactions: Vec<Transaction>, new: bool) -> Result<Outcome, ChainError> {
+        let most = if new { TRANSACTION_SURPLUS } else { u64::MAX };
+        let mut evm = self.evm(place, most);
+        let mut surplus = 0;
         let mut outcome = Outcome {
             included: Vec::with_capacity(transactions.len()),
             receipts: Vec::with_capacity(transactions.len()),
             refused: Vec::new(),
             state_root: self.state_root,
+            written: Written::default(),
             changes: Vec::with_capacity(transactions.len()),
         };
         let mut cumulative = 0;
         for transaction in transactions {
-            match evm.transact(environment_of(&transaction, self.chain_id)) {
+            if new && surplus >= BLOCK_SURPLUS {
+                break;
+            }
+            evm.precompiles = Weighed::new(most);
+            let result = evm.transact(environment_of(&transaction, self.chain_id));
+            surplus += evm.precompiles.surplus;
+            match result {
                 Ok(done) => {
                     cumulative += done.result.tx_gas_used();
                     evm.ctx.journaled_state.database.commit(done.state.clone());
@@ -129,107 +177,128 @@ impl Machine {
                     outcome.changes.push(done.state);
                     outcome.included.push(transaction);
                 }
+                Err(EVMError::Database(Unread(error))) => return Err(error),
                 Err(error) => outcome.refused.push((transaction, refusal(&error))),
             }
         }
-        outcome.state_root = commitment(self.state_root, &outcome.changes);
-        outcome
+        match &self.world {
+            World::Memory(_) => outcome.state_root = chained_state(self.state_root, &outcome.changes),
+            World::Tries(tries) => (outcome.state_root, outcome.written) = tries.after(&outcome.changes)?,
+        }
+        Ok(outcome)
     }
 
     /// Makes the changes of a block that ran on this very state.
     pub fn apply(&mut self, outcome: Outcome) {
         self.state_root = outcome.state_root;
-        for change in outcome.changes {
-            self.state.commit(change);
+        match &mut self.world {
+            World::Memory(memory) => outcome.changes.into_iter().for_each(|change| memory.commit(change)),
+            World::Tries(tries) => tries.root = outcome.state_root,
         }
     }
 
     /// Runs a message call; changes nothing.
-    pub fn call(&self, place: &Environment, message: &Message) -> Answer {
+    ///
+    /// # Errors
+    /// [`ChainError`] where the state cannot be read.
+    pub fn call(&self, place: &Environment, message: &Message) -> Result<Answer, ChainError> {
         let transaction = TxEnv {
             caller: EvmAddress::from(message.from.0),
-            gas_limit: message.gas.min(CALL_GAS_LIMIT),
+            gas_limit: message.gas.min(TRANSACTION_GAS),
             gas_price: 0,
             kind: kind(message.to),
             value: word(message.value),
             data: Bytes::from(message.input.clone()),
-            nonce: self.nonce(message.from),
+            nonce: self.nonce(message.from)?,
             chain_id: Some(self.chain_id),
             ..TxEnv::default()
         };
-        match self.evm(place).transact(transaction).map(|done| done.result) {
+        Ok(match self.evm(place, TRANSACTION_SURPLUS).transact(transaction).map(|done| done.result) {
             Ok(ExecutionResult::Success { output, gas, .. }) => {
                 Answer::Returned(output.into_data().to_vec(), gas.total_gas_spent())
             }
             Ok(ExecutionResult::Revert { output, .. }) => Answer::Reverted(output.to_vec()),
             Ok(ExecutionResult::Halt { reason, .. }) => Answer::Failed(halted(&format!("{reason:?}"))),
+            Err(EVMError::Database(Unread(error))) => return Err(error),
             Err(error) => Answer::Failed(refusal(&error)),
-        }
+        })
     }
 
-    /// The least gas limit under which a message call returns.
+    /// The least gas limit under which a message call returns, or one above it where finding the least takes more
+    /// runs than one estimate may.
+    ///
+    /// How the call ends where no limit is enough, inside.
     ///
     /// # Errors
-    /// How the call ends where no limit is enough.
-    pub fn estimate(&self, place: &Environment, message: &Message) -> Result<u64, Answer> {
+    /// [`ChainError`] where the state cannot be read.
+    pub fn estimate(&self, place: &Environment, message: &Message) -> Result<Result<u64, Answer>, ChainError> {
         let with = |gas| self.call(place, &Message { gas, ..message.clone() });
-        let ceiling = message.gas.min(CALL_GAS_LIMIT);
-        let mut low = match with(ceiling) {
+        let ceiling = message.gas.min(TRANSACTION_GAS);
+        let mut low = match with(ceiling)? {
             Answer::Returned(_, spent) => spent,
-            other => return Err(other),
+            other => return Ok(Err(other)),
         };
         let mut high = ceiling;
-        if matches!(with(low), Answer::Returned(..)) {
-            return Ok(low);
+        if matches!(with(low)?, Answer::Returned(..)) {
+            return Ok(Ok(low));
         }
+        let mut spent = ceiling + low;
         while low + 1 < high {
             let middle = u64::midpoint(low, high);
-            if matches!(with(middle), Answer::Returned(..)) { high = middle } else { low = middle }
+            spent += middle;
+            if spent > ESTIMATE_GAS {
+                break;
+            }
+            if matches!(with(middle)?, Answer::Returned(..)) { high = middle } else { low = middle }
         }
-        Ok(high)
+        Ok(Ok(high))
     }
 
     /// The next nonce of an account, not counting what waits.
-    pub fn nonce(&self, account: Address) -> u64 {
-        self.account(account).map_or(0, |info| info.nonce)
+    ///
+    /// # Errors
+    /// [`ChainError`] where the state cannot be read.
+    pub fn nonce(&self, account: Address) -> Result<u64, ChainError> {
+        Ok(self.account(account)?.map_or(0, |info| info.nonce))
     }
 
     /// Wei held by an account.
-    pub fn balance(&self, account: Address) -> U256 {
-        self.account(account).map_or(U256::zero(), |info| U256::from_big_endian(&info.balance.to_be_bytes::<32>()))
+    ///
+    /// # Errors
+    /// [`ChainError`] where the state cannot be read.
+    pub fn balance(&self, account: Address) -> Result<U256, ChainError> {
+        let balance = |info: revm::state::AccountInfo| U256::from_big_endian(&info.balance.to_be_bytes::<32>());
+        Ok(self.account(account)?.map_or(U256::zero(), balance))
     }
 
     /// Code of a contract; empty for other accounts.
-    pub fn code(&self, account: Address) -> Vec<u8> {
-        let hash = self.account(account).map_or(KECCAK_EMPTY, |info| info.code_hash);
-        let Ok(code) = self.state.code_by_hash_ref(hash);
-        code.original_byte_slice().to_vec()
+    ///
+    /// # Errors
+    /// [`ChainError`] where the state cannot be read.
+    pub fn code(&self, account: Address) -> Result<Vec<u8>, ChainError> {
+        let hash = self.account(account)?.map_or(KECCAK_EMPTY, |info| info.code_hash);
+        let code = self.world.code_by_hash_ref(hash).map_err(|Unread(error)| error)?;
+        Ok(code.original_byte_slice().to_vec())
     }
 
     /// One storage slot of a contract.
-    pub fn slot(&self, account: Address, slot: U256) -> Hash {
-        let Ok(value) = self.state.storage_ref(EvmAddress::from(account.0), word(slot));
-        Hash(value.to_be_bytes())
+    ///
+    /// # Errors
+    /// [`ChainError`] where the state cannot be read.
+    pub fn slot(&self, account: Address, slot: U256) -> Result<Hash, ChainError> {
+        let value = self.world.storage_ref(EvmAddress::from(account.0), word(slot));
+        value.map(|value| Hash(value.to_be_bytes())).map_err(|Unread(error)| error)
     }
 
-    /// Every storage slot that is not zero, key and value.
-    pub fn slots(&self) -> Vec<(Hash, Hash)> {
-        let accounts = self.state.cache.accounts.values();
-        accounts
-            .flat_map(|account| &account.storage)
-            .filter(|(_, value)| !value.is_zero())
-            .map(|(key, value)| (Hash(key.to_be_bytes()), Hash(value.to_be_bytes())))
-            .collect()
-    }
-
-    fn account(&self, account: Address) -> Option<revm::state::AccountInfo> {
-        let Ok(info) = self.state.basic_ref(EvmAddress::from(account.0));
-        info
+    fn account(&self, account: Address) -> Result<Option<revm::state::AccountInfo>, ChainError> {
+        self.world.basic_ref(EvmAddress::from(account.0)).map_err(|Unread(error)| error)
     }
 }
 
-type Overlay<'a> = CacheDB<&'a State>;
+type Overlay<'a> = CacheDB<&'a World>;
 type EvmContext<'a> = revm::handler::MainnetContext<Overlay<'a>>;
+type WeighedEvm<'a> =
+    Evm<EvmContext<'a>, (), EthInstructions<EthInterpreter, EvmContext<'a>>, Weighed, EthFrame<EthInterpreter>>;
 
 fn environment_of(transaction: &Transaction, chain_id: u64) -> TxEnv {
     TxEnv {
@@ -294,28 +363,4 @@ fn log(log: revm::primitives::Log) -> Log {
         topics: log.data.topics().iter().map(|topic| Hash(topic.0)).collect(),
         data: log.data.data.to_vec(),
     }
-}
-
-type Changed = BTreeMap<EvmAddress, (Word, u64, B256, BTreeMap<Word, Word>)>;
-
-/// Keccak-256 over the parent's commitment and the block's changes, sorted by address and slot.
-fn commitment(parent: Hash, changes: &[EvmState]) -> Hash {
-    let mut all = Changed::new();
-    for (address, account) in changes.iter().flatten().filter(|(_, account)| account.is_touched()) {
-        let entry = all.entry(*address).or_default();
-        entry.0 = account.info.balance;
-        entry.1 = account.info.nonce;
-        entry.2 = account.info.code_hash;
-        entry.3.extend(account.changed_storage_slots().map(|(slot, value)| (*slot, value.present_value)));
-    }
-    let mut list = RlpStream::new_list(all.len() + 1);
-    list.append(&&parent.0[..]);
-    for (address, (balance, nonce, code, slots)) in &all {
-        list.begin_list(4 + 2 * slots.len()).append(&&address[..]).append(&&balance.to_be_bytes::<32>()[..]);
-        list.append(nonce).append(&&code[..]);
-        for (slot, value) in slots {
-            list.append(&&slot.to_be_bytes::<32>()[..]).append(&&value.to_be_bytes::<32>()[..]);
-        }
-    }
-    Hash(keccak256(list.out()))
 }

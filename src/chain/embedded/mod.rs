@@ -4,34 +4,48 @@
 //! exactly as to any other node. It runs on a thread of its own, a search for work on a second one.
 //! Gas costs nothing, and no block is empty: sealing begins when something waits.
 
+mod admission;
+#[cfg(test)]
+mod admission_tests;
+#[cfg(test)]
+mod age_tests;
+mod auditing;
 mod authority;
 mod block;
 #[cfg(test)]
-mod contract_model;
-#[cfg(test)]
 mod contract_tests;
-#[cfg(test)]
-mod differential_tests;
 mod file;
 mod founding;
 mod json;
+mod logs;
 mod machine;
 mod node;
+#[cfg(test)]
+mod payloads;
 mod pool;
 mod proof;
+mod reading;
 mod replay;
+mod roots;
 mod rpc;
 mod sealing;
 #[cfg(test)]
 mod sealing_tests;
+mod state_file;
+#[cfg(test)]
+mod state_tests;
 mod transaction;
+mod trie;
+#[cfg(test)]
+mod trie_tests;
+mod world;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use serde_json::Value;
 use tokio::sync::{oneshot, watch};
@@ -49,13 +63,14 @@ const IDLE: Duration = Duration::from_secs(3600);
 /// How long the thread rests after a panic.
 const REST: Duration = Duration::from_millis(500);
 
-/// The most requests answered before the clock is looked at again.
-const BURST: usize = 256;
+/// How long requests are answered before it is looked again whether a block is due.
+const BURST: Duration = Duration::from_millis(50);
 
 enum Request {
     Rpc { method: String, parameters: Value, reply: oneshot::Sender<Result<Value, Fault>> },
     Dump(oneshot::Sender<Result<Vec<Vec<u8>>, ChainError>>),
     Copy(PathBuf, oneshot::Sender<Result<(), ChainError>>),
+    Audit(oneshot::Sender<Result<u64, ChainError>>),
     Worked(u64),
     End,
 }
@@ -125,7 +140,7 @@ impl Embedded {
     /// The [`Fault`] that a node would answer with.
     pub async fn request(&self, method: &str, parameters: Value) -> Result<Value, Fault> {
         let (reply, answer) = oneshot::channel();
-        let lost = || Fault { code: -32603, message: gone().to_string(), data: None };
+        let lost = || Fault::new(-32603, gone().to_string());
         let request = Request::Rpc { method: method.to_owned(), parameters, reply };
         self.line.inlet.0.send(request).map_err(|_| lost())?;
         answer.await.unwrap_or_else(|_| Err(lost()))
@@ -148,6 +163,16 @@ impl Embedded {
     pub async fn copy_to(&self, path: PathBuf) -> Result<(), ChainError> {
         let (reply, answer) = oneshot::channel();
         self.line.inlet.0.send(Request::Copy(path, reply)).map_err(|_| gone())?;
+        answer.await.unwrap_or_else(|_| Err(gone()))
+    }
+
+    /// Runs every block again, beside what else is asked; gives how many.
+    ///
+    /// # Errors
+    /// [`ChainError::Tampered`] for the first block, or the first node of the state, that is not what it was.
+    pub async fn audit(&self) -> Result<u64, ChainError> {
+        let (reply, answer) = oneshot::channel();
+        self.line.inlet.0.send(Request::Audit(reply)).map_err(|_| gone())?;
         answer.await.unwrap_or_else(|_| Err(gone()))
     }
 
@@ -193,14 +218,18 @@ fn keep_serving(
 fn serve(mut node: Node, inbox: &Receiver<Request>, announce: &watch::Sender<BlockRef>) {
     let mut open = true;
     while open {
-        match inbox.recv_timeout(node.due().unwrap_or(IDLE)) {
+        let idle = if node.audits.is_empty() { IDLE } else { Duration::ZERO };
+        match inbox.recv_timeout(node.due().unwrap_or(idle).min(idle)) {
             Ok(request) => {
+                let begun = Instant::now();
                 open = handle(&mut node, request);
-                for more in inbox.try_iter().take(BURST) {
+                while begun.elapsed() < BURST
+                    && let Ok(more) = inbox.try_recv()
+                {
                     open &= handle(&mut node, more);
                 }
             }
-            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Timeout) => node.go_on_auditing(),
             Err(RecvTimeoutError::Disconnected) => open = false,
         }
         if !open {
@@ -220,6 +249,7 @@ fn handle(node: &mut Node, request: Request) -> bool {
         Request::Rpc { method, parameters, reply } => drop(reply.send(rpc::answer(node, &method, parameters))),
         Request::Dump(reply) => drop(reply.send(dump(node))),
         Request::Copy(path, reply) => drop(reply.send(node.file.copy_to(&path))),
+        Request::Audit(reply) => node.begin_audit(reply),
         Request::Worked(nonce) => node.worked(nonce),
         Request::End => return false,
     }
@@ -227,18 +257,13 @@ fn handle(node: &mut Node, request: Request) -> bool {
 }
 
 fn dump(node: &Node) -> Result<Vec<Vec<u8>>, ChainError> {
-    let mut all: Vec<Vec<u8>> = Vec::new();
-    for (key, value) in node.machine.slots() {
-        all.push(key.0.to_vec());
-        all.push(value.0.to_vec());
-    }
-    node.file.replay(|_, _, header, mined| {
-        all.push(header);
-        for one in mined {
+    let mut all = node.file.all_nodes()?;
+    for number in 0..=node.head.number {
+        all.extend(node.file.block(number)?.map(|(_, header)| header));
+        for one in node.file.block_transactions(number)? {
             all.push(one.raw);
             all.push(one.receipt);
         }
-        Ok(())
-    })?;
+    }
     Ok(all)
 }

@@ -1,18 +1,23 @@
 //! The chain itself: the pool, the assembling of blocks and their sealing. Single-threaded, but for the
 //! search of a proof of work: it goes on beside, one at a time, for the very block that was assembled.
 
+use std::collections::VecDeque;
 use std::path::Path;
+use std::rc::Rc;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use super::authority::Turn;
-use super::block::{GAS_LIMIT, Header};
-use super::file::ChainFile;
-use super::founding;
+use super::admission::{BLOCK_GAS, TRANSACTION_GAS};
+use super::auditing::Auditing;
+use super::authority::{Authority, OUT_OF_TURN, Turn};
+use super::block::Header;
+use super::file::{ChainFile, Era, Sealed};
+use super::founding::{self, Founded};
 use super::machine::{Environment, Machine, Outcome};
 use super::pool::Pool;
 use super::proof::{self, Search};
-use super::replay::{assemble, replay};
+use super::reading::Looked;
+use super::replay::{assemble, newest, upgrade};
 use super::sealing::Sealing;
 use super::transaction::Transaction;
 use crate::chain::{BlockRef, ChainError, Consensus};
@@ -31,7 +36,11 @@ pub struct Node {
     /// Its rules and state.
     pub machine: Machine,
     /// Where it lies.
-    pub file: ChainFile,
+    pub file: Rc<ChainFile>,
+    /// Since when it is one of version 3.
+    pub era: Era,
+    /// The block whose transactions were read last.
+    pub looked: Looked,
     /// What waits.
     pub pool: Pool,
     /// Its chain id.
@@ -42,6 +51,8 @@ pub struct Node {
     pub sealing: Sealing,
     /// Its newest block.
     pub head: BlockRef,
+    /// Audits that are going on.
+    pub audits: VecDeque<Auditing>,
     /// Why the last block could not be written.
     pub trouble: Option<String>,
     not_before: Instant,
@@ -61,27 +72,36 @@ impl Node {
     /// Opens the chain in `directory`, or founds one with the consensus asked for: draws its chain id
     /// and its keys.
     ///
-    /// All blocks are replayed, and their hashes must come out as they are in the file.
+    /// The newest block is run again and must come out as it is in the file; what lies below is authenticated by it
+    /// when it is read. A file of an older version is brought to version 3 first: all its blocks are run again, once.
     ///
     /// # Errors
     /// [`ChainError::File`], [`ChainError::Tampered`] where the file was changed, or
     /// [`ChainError::OtherConsensus`].
     pub fn open(directory: &Path, asked: Option<Consensus>, found: Found) -> Result<Self, ChainError> {
-        let mut file = ChainFile::open(directory)?;
-        let (chain_id, consensus, mut sealing, genesis) = founding::open(&mut file, asked)?;
-        let mut machine = Machine::new(chain_id, genesis.state_root);
-        let head = replay(&file, &mut machine, &mut sealing, chain_id, genesis)?;
+        let file = Rc::new(ChainFile::open(directory)?);
+        let mut founded = founding::open(&file, asked)?;
+        if founded.era.is_none() {
+            upgrade(&file, founded)?;
+            founded = founding::open(&file, asked)?;
+        }
+        let era = founded.era.ok_or_else(|| file.tampered(0, "it does not say where its version 3 begins"))?;
+        let (machine, head) = newest(&file, &mut founded, era)?;
+        let Founded { chain_id, consensus, sealing, .. } = founded;
         // The period holds over a restart, whatever became of the clock.
         let due = (head.timestamp + sealing.period().as_secs()).saturating_sub(Timestamp::now().seconds());
         let wait = if head.number == 0 { Duration::ZERO } else { Duration::from_secs(due).min(sealing.period()) };
         Ok(Self {
             machine,
             file,
+            era,
+            looked: Looked::default(),
             pool: Pool::default(),
             chain_id,
             consensus,
             sealing,
             head: reference(&head),
+            audits: VecDeque::new(),
             trouble: None,
             not_before: Instant::now() + wait,
             work: None,
@@ -98,18 +118,20 @@ impl Node {
             return Err(format!("no block can be written: {trouble}"));
         }
         let transaction = Transaction::decode(raw, self.chain_id, None)?;
-        if transaction.gas_limit > GAS_LIMIT {
-            return Err("exceeds block gas limit".into());
+        if transaction.gas_limit > TRANSACTION_GAS {
+            let limit = transaction.gas_limit;
+            return Err(format!("exceeds the gas limit of a transaction: gas {limit}, at most {TRANSACTION_GAS}"));
         }
         let floor = transaction.intrinsic_gas();
         if transaction.gas_limit < floor {
             return Err(format!("intrinsic gas too low: gas {}, minimum needed {floor}", transaction.gas_limit));
         }
-        if self.machine.balance(transaction.sender) < transaction.cost() {
+        let unread = |error: ChainError| error.to_string();
+        if self.machine.balance(transaction.sender).map_err(unread)? < transaction.cost() {
             return Err("insufficient funds for gas * price + value".into());
         }
         let hash = transaction.hash;
-        let next = self.machine.nonce(transaction.sender);
+        let next = self.machine.nonce(transaction.sender).map_err(unread)?;
         self.pool.add(transaction, next)?;
         Ok(hash)
     }
@@ -126,7 +148,7 @@ impl Node {
     /// How long until the next block is to be assembled; `None` while nothing can go into one, while a
     /// proof of work is searched for, and while nobody may seal.
     pub fn due(&self) -> Option<Duration> {
-        let ready = self.work.is_none() && self.pool.is_ready(|sender| self.machine.nonce(sender));
+        let ready = self.work.is_none() && self.pool.is_ready();
         let turn = if ready { self.turn() } else { None };
         turn.map(|turn| (self.not_before + turn.delay).saturating_duration_since(Instant::now()))
     }
@@ -145,15 +167,21 @@ impl Node {
     /// Assembles a block of what waits, and seals it or begins to search for its proof of work.
     pub fn assemble(&mut self) {
         let Some(turn) = self.turn() else { return };
-        let ready = self.pool.ready(MOST_TRANSACTIONS, GAS_LIMIT, |sender| self.machine.nonce(sender));
+        let ready = self.pool.ready(MOST_TRANSACTIONS, BLOCK_GAS);
         let place = self.next_place();
-        let outcome = self.machine.run(&place, ready);
+        let outcome = match self.machine.run(&place, ready, true) {
+            Ok(outcome) => outcome,
+            Err(error) => return self.rest(error),
+        };
         self.not_before = Instant::now() + self.sealing.period();
         self.pool.forget(outcome.refused.iter().map(|(transaction, _)| transaction));
         if outcome.included.is_empty() {
             return;
         }
-        let mut header = assemble(&self.sealing, self.head.hash, &place, &outcome);
+        let mut header = match assemble(self.machine.rules(), &self.sealing, self.head.hash, &place, &outcome) {
+            Ok(header) => header,
+            Err(error) => return self.rest(error),
+        };
         match &self.sealing {
             Sealing::Authority(authority) => match authority.seal(&mut header, turn.signer) {
                 Some(()) => self.settle(&header, outcome, turn.signer),
@@ -186,11 +214,18 @@ impl Node {
     }
 
     /// Writes a sealed block. One that cannot be written has not happened.
-    fn settle(&mut self, header: &Header, outcome: Outcome, signer: usize) {
-        match self.file.append(header, &outcome.included, &outcome.receipts) {
+    fn settle(&mut self, header: &Header, mut outcome: Outcome, signer: usize) {
+        let turn = |authority: &Authority| authority.difficulty(header.number, signer) == OUT_OF_TURN;
+        let Outcome { included, receipts, written, .. } = &outcome;
+        let out_of_turn = self.sealing.authority().is_some_and(turn);
+        match self.file.append(&Sealed { header, sent: included, receipts, written, out_of_turn }) {
             Ok(()) => {
                 self.trouble = None;
-                self.pool.forget(&outcome.included);
+                self.pool.mined(included);
+                self.file.remember(std::mem::take(&mut outcome.written.made));
+                let (included, receipts) =
+                    (std::mem::take(&mut outcome.included), std::mem::take(&mut outcome.receipts));
+                self.looked = Looked::at(header.number, included, receipts);
                 self.machine.apply(outcome);
                 self.head = reference(header);
                 if let Sealing::Authority(authority) = &mut self.sealing {

@@ -1,4 +1,5 @@
-//! Transactions that wait for a block: bounded, in nonce order per sender, in order of arrival between senders.
+//! Transactions that wait for a block: bounded per sender and in all, in nonce order per sender. Between senders the
+//! smaller goes first, for no account costs anything and none has more right than another; what waits long grows small.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap, HashMap, HashSet};
@@ -7,24 +8,60 @@ use super::transaction::Transaction;
 use crate::model::{Address, Hash};
 
 /// The most transactions that wait.
-const MOST: usize = 65_536;
+const MOST: usize = 16_384;
 /// The most bytes that wait.
-const MOST_BYTES: usize = 64 * 1024 * 1024;
-/// How far ahead of the next nonce a transaction may wait.
-const FARTHEST: u64 = 16_384;
+const MOST_BYTES: usize = 32 * 1024 * 1024;
+/// The most gas that waits.
+const MOST_GAS: u64 = 1_000_000_000;
+/// The most transactions of one sender; more than a lane of this program keeps open.
+const MOST_OF_ONE: usize = 1_280;
+/// How far a nonce may lie beyond the last one that waits without a gap.
+const FARTHEST: u64 = 128;
+/// So much gas mined makes one waiting smaller by one.
+const AGE: u64 = 100;
 
 struct Waiting {
+    /// Its place in the order: the clock at its arrival, its gas, and the gas before it in its lane.
+    rank: u128,
     arrival: u64,
     transaction: Transaction,
+}
+
+/// What waits of one sender.
+struct Lane {
+    /// The sender's next nonce on chain.
+    next: u64,
+    waiting: BTreeMap<u64, Waiting>,
+    gas: u64,
+    /// The rank of the last one that came.
+    rank: u128,
+}
+
+impl Lane {
+    /// The nonce after the last one that waits without a gap.
+    fn free(&self) -> u64 {
+        let nonces = self.waiting.range(self.next..).map(|(nonce, _)| *nonce);
+        nonces
+            .zip(self.next..)
+            .take_while(|(nonce, free)| nonce == free)
+            .map(|(nonce, _)| nonce + 1)
+            .last()
+            .unwrap_or(self.next)
+    }
 }
 
 /// The pool.
 #[derive(Default)]
 pub struct Pool {
-    senders: HashMap<Address, BTreeMap<u64, Waiting>>,
+    lanes: HashMap<Address, Lane>,
+    /// Those whose next transaction waits.
+    ready: HashSet<Address>,
     hashes: HashSet<Hash>,
     bytes: usize,
+    gas: u64,
     arrivals: u64,
+    /// All gas mined, by [`AGE`].
+    clock: u128,
 }
 
 impl Pool {
@@ -36,77 +73,135 @@ impl Pool {
         if self.hashes.contains(&transaction.hash) {
             return Err("already known".into());
         }
-        let nonce = transaction.nonce;
+        let (sender, nonce) = (transaction.sender, transaction.nonce);
         if nonce < next {
             return Err(format!("nonce too low: next nonce {next}, tx nonce {nonce}"));
         }
-        let full = self.hashes.len() >= MOST || self.bytes + transaction.raw.len() > MOST_BYTES;
-        if full || nonce - next > FARTHEST {
-            return Err("txpool is full".into());
+        let free = self.next_nonce(sender, next);
+        if nonce > free.saturating_add(FARTHEST) {
+            return Err(format!("nonce too high: next nonce {free}, tx nonce {nonce}, at most {FARTHEST} ahead"));
         }
-        let old = self.senders.get(&transaction.sender).and_then(|lane| lane.get(&nonce));
-        if old.is_some_and(|old| transaction.gas_price <= old.transaction.gas_price + old.transaction.gas_price / 10) {
+        let lane = self.lanes.get(&sender);
+        let old = lane.and_then(|lane| lane.waiting.get(&nonce)).map(|old| &old.transaction);
+        if old.is_some_and(|old| transaction.gas_price <= old.gas_price + old.gas_price / 10) {
             return Err("replacement transaction underpriced".into());
         }
-        self.remove(transaction.sender, nonce);
-        self.insert(transaction);
+        if old.is_none() && lane.is_some_and(|lane| lane.waiting.len() >= MOST_OF_ONE) {
+            return Err(format!("txpool is full: {MOST_OF_ONE} transactions of this account wait already"));
+        }
+        self.make_room(&transaction)?;
+        self.remove(sender, nonce);
+        self.insert(transaction, next);
         Ok(())
     }
 
-    fn insert(&mut self, transaction: Transaction) {
+    /// Drops the last transactions of whoever has the most gas waiting, as long as that is more than the newcomer's
+    /// sender would have.
+    fn make_room(&mut self, newcomer: &Transaction) -> Result<(), String> {
+        let own = self.lanes.get(&newcomer.sender).map_or(0, |lane| lane.gas).saturating_add(newcomer.gas_limit);
+        while self.hashes.len() >= MOST
+            || self.bytes + newcomer.raw.len() > MOST_BYTES
+            || self.gas.saturating_add(newcomer.gas_limit) > MOST_GAS
+        {
+            let heaviest = self.lanes.iter().max_by_key(|(_, lane)| lane.gas);
+            let last = heaviest
+                .filter(|(_, lane)| lane.gas > own)
+                .and_then(|(sender, lane)| lane.waiting.last_key_value().map(|(nonce, _)| (*sender, *nonce)));
+            let Some((sender, nonce)) = last else { return Err("txpool is full".into()) };
+            self.remove(sender, nonce);
+        }
+        Ok(())
+    }
+
+    fn insert(&mut self, transaction: Transaction, next: u64) {
         self.arrivals += 1;
         self.hashes.insert(transaction.hash);
         self.bytes += transaction.raw.len();
-        let lane = self.senders.entry(transaction.sender).or_default();
-        lane.insert(transaction.nonce, Waiting { arrival: self.arrivals, transaction });
+        self.gas += transaction.gas_limit;
+        let (sender, nonce, clock) = (transaction.sender, transaction.nonce, self.clock);
+        let empty = || Lane { next, waiting: BTreeMap::new(), gas: 0, rank: clock };
+        let lane = self.lanes.entry(sender).or_insert_with(empty);
+        lane.next = next;
+        lane.gas += transaction.gas_limit;
+        lane.rank = lane.rank.max(clock) + u128::from(transaction.gas_limit);
+        lane.waiting.insert(nonce, Waiting { rank: lane.rank, arrival: self.arrivals, transaction });
+        self.look(sender);
     }
 
-    fn remove(&mut self, sender: Address, nonce: u64) {
-        let Some(lane) = self.senders.get_mut(&sender) else { return };
-        if let Some(old) = lane.remove(&nonce) {
-            self.hashes.remove(&old.transaction.hash);
-            self.bytes -= old.transaction.raw.len();
-        }
-        if lane.is_empty() {
-            self.senders.remove(&sender);
+    fn remove(&mut self, sender: Address, nonce: u64) -> Option<Waiting> {
+        let lane = self.lanes.get_mut(&sender)?;
+        let old = lane.waiting.remove(&nonce)?;
+        lane.gas -= old.transaction.gas_limit;
+        self.gas -= old.transaction.gas_limit;
+        self.hashes.remove(&old.transaction.hash);
+        self.bytes -= old.transaction.raw.len();
+        self.look(sender);
+        Some(old)
+    }
+
+    /// Sees anew whether a sender has something for the next block.
+    fn look(&mut self, sender: Address) {
+        let ready = self.lanes.get(&sender).is_some_and(|lane| lane.waiting.contains_key(&lane.next));
+        if ready {
+            self.ready.insert(sender)
+        } else {
+            self.ready.remove(&sender)
+        };
+        if self.lanes.get(&sender).is_some_and(|lane| lane.waiting.is_empty()) {
+            self.lanes.remove(&sender);
         }
     }
 
-    /// Takes transactions out that were mined or can never be.
+    /// Takes transactions out that can never be mined.
     pub fn forget<'a>(&mut self, transactions: impl IntoIterator<Item = &'a Transaction>) {
         for transaction in transactions {
             self.remove(transaction.sender, transaction.nonce);
         }
     }
 
+    /// Takes transactions out that are in a block.
+    pub fn mined<'a>(&mut self, transactions: impl IntoIterator<Item = &'a Transaction>) {
+        for transaction in transactions {
+            if let Some(lane) = self.lanes.get_mut(&transaction.sender) {
+                lane.next = transaction.nonce + 1;
+            }
+            if let Some(old) = self.remove(transaction.sender, transaction.nonce) {
+                self.clock += u128::from(old.transaction.gas_limit / AGE);
+            }
+            self.look(transaction.sender);
+        }
+    }
+
     /// Copies of up to `most` transactions that can go into the next block, whose gas limits
-    /// sum up to no more than `gas`; `next` gives a sender's next nonce on chain.
-    pub fn ready(&self, most: usize, gas: u64, next: impl Fn(Address) -> u64) -> Vec<Transaction> {
-        let mut heads: BinaryHeap<Reverse<(u64, Address, u64)>> = BinaryHeap::new();
-        let waiting = |sender: &Address, nonce: u64| self.senders.get(sender).and_then(|lane| lane.get(&nonce));
-        for sender in self.senders.keys() {
-            let nonce = next(*sender);
-            heads.extend(waiting(sender, nonce).map(|head| Reverse((head.arrival, *sender, nonce))));
+    /// sum up to no more than `gas`.
+    pub fn ready(&self, most: usize, gas: u64) -> Vec<Transaction> {
+        let mut heads: BinaryHeap<Reverse<(u128, u64, Address, u64)>> = BinaryHeap::new();
+        let waiting = |sender: &Address, nonce: u64| self.lanes.get(sender).and_then(|lane| lane.waiting.get(&nonce));
+        let head = |sender: Address, nonce: u64| {
+            waiting(&sender, nonce).map(|head| Reverse((head.rank, head.arrival, sender, nonce)))
+        };
+        for sender in &self.ready {
+            heads.extend(self.lanes.get(sender).and_then(|lane| head(*sender, lane.next)));
         }
         let (mut chosen, mut left) = (Vec::new(), gas);
-        while let Some(Reverse((_, sender, nonce))) = heads.pop() {
-            let Some(head) = waiting(&sender, nonce) else { continue };
-            if chosen.len() == most || head.transaction.gas_limit > left {
+        while let Some(Reverse((_, _, sender, nonce))) = heads.pop() {
+            let Some(next) = waiting(&sender, nonce) else { continue };
+            if chosen.len() == most {
                 break;
             }
-            left -= head.transaction.gas_limit;
-            chosen.push(head.transaction.clone());
-            heads.extend(waiting(&sender, nonce + 1).map(|head| Reverse((head.arrival, sender, nonce + 1))));
+            // What does not fit waits; smaller ones of others may still fit.
+            if next.transaction.gas_limit <= left {
+                left -= next.transaction.gas_limit;
+                chosen.push(next.transaction.clone());
+                heads.extend(head(sender, nonce + 1));
+            }
         }
         chosen
     }
 
     /// The nonce after the last one that waits without a gap from `next` on.
     pub fn next_nonce(&self, sender: Address, next: u64) -> u64 {
-        let Some(lane) = self.senders.get(&sender) else { return next };
-        lane.range(next..)
-            .map(|(nonce, _)| *nonce)
-            .fold(next, |free, nonce| if nonce == free { free + 1 } else { free })
+        self.lanes.get(&sender).map_or(next, |lane| lane.free().max(next))
     }
 
     /// A transaction that waits.
@@ -114,13 +209,13 @@ impl Pool {
         if !self.hashes.contains(&hash) {
             return None;
         }
-        let mut all = self.senders.values().flat_map(BTreeMap::values);
+        let mut all = self.lanes.values().flat_map(|lane| lane.waiting.values());
         all.find(|waiting| waiting.transaction.hash == hash).map(|waiting| &waiting.transaction)
     }
 
     /// Whether any sender's next transaction waits.
-    pub fn is_ready(&self, next: impl Fn(Address) -> u64) -> bool {
-        self.senders.iter().any(|(sender, lane)| lane.contains_key(&next(*sender)))
+    pub fn is_ready(&self) -> bool {
+        !self.ready.is_empty()
     }
 }
 
@@ -129,7 +224,7 @@ mod tests {
     use super::*;
     use ethers::types::U256;
 
-    fn transaction(sender: u8, nonce: u64, gas_price: u128) -> Transaction {
+    fn sized(sender: u8, nonce: u64, gas_price: u128, gas_limit: u64) -> Transaction {
         let mut hash = [sender; 32];
         hash[..8].copy_from_slice(&nonce.to_be_bytes());
         hash[8..24].copy_from_slice(&gas_price.to_be_bytes());
@@ -138,7 +233,7 @@ mod tests {
             sender: Address([sender; 20]),
             nonce,
             gas_price,
-            gas_limit: 100,
+            gas_limit,
             to: None,
             value: U256::zero(),
             input: Vec::new(),
@@ -149,8 +244,12 @@ mod tests {
         }
     }
 
+    fn transaction(sender: u8, nonce: u64, gas_price: u128) -> Transaction {
+        sized(sender, nonce, gas_price, 100)
+    }
+
     fn order(pool: &Pool, most: usize, gas: u64) -> Vec<(u8, u64)> {
-        pool.ready(most, gas, |_| 5).iter().map(|one| (one.sender.0[0], one.nonce)).collect()
+        pool.ready(most, gas).iter().map(|one| (one.sender.0[0], one.nonce)).collect()
     }
 
     #[test]
@@ -170,10 +269,12 @@ mod tests {
     fn a_gap_waits() {
         let mut pool = Pool::default();
         pool.add(transaction(1, 6, 0), 5).expect("taken");
-        assert!(!pool.is_ready(|_| 5));
+        assert!(!pool.is_ready());
         assert_eq!(pool.next_nonce(Address([1; 20]), 5), 5);
         pool.add(transaction(1, 5, 0), 5).expect("taken");
         assert_eq!(order(&pool, 9, 1000), [(1, 5), (1, 6)]);
+        pool.mined([&transaction(1, 5, 0)]);
+        assert_eq!((order(&pool, 9, 1000), pool.is_ready()), (vec![(1, 6)], true));
     }
 
     #[test]
@@ -183,11 +284,53 @@ mod tests {
         assert_eq!(pool.add(transaction(1, 5, 100), 5), Err("already known".into()));
         assert!(pool.add(transaction(1, 4, 100), 5).expect_err("low").starts_with("nonce too low"));
         assert!(pool.add(transaction(1, 5, 110), 5).expect_err("price").contains("underpriced"));
-        assert_eq!(pool.add(transaction(1, 5 + FARTHEST + 1, 0), 5), Err("txpool is full".into()));
+        assert!(pool.add(transaction(1, 6 + FARTHEST + 1, 0), 5).expect_err("far").starts_with("nonce too high"));
         pool.add(transaction(1, 5, 111), 5).expect("replaces");
         assert!(pool.get(transaction(1, 5, 111).hash).is_some());
         assert!(pool.get(transaction(1, 5, 100).hash).is_none());
         pool.forget([&transaction(1, 5, 111)]);
-        assert_eq!((pool.bytes, pool.hashes.len(), pool.senders.len()), (0, 0, 0));
+        assert_eq!((pool.bytes, pool.gas, pool.hashes.len(), pool.lanes.len(), pool.ready.len()), (0, 0, 0, 0, 0));
+    }
+
+    #[test]
+    fn a_sender_has_so_many_and_a_gap_lets_few_in() {
+        let mut pool = Pool::default();
+        let taken = (1..1_500).filter(|nonce| pool.add(transaction(1, *nonce, 0), 0).is_ok()).count();
+        assert_eq!(taken as u64, FARTHEST);
+        let taken = (0..3_000).filter(|nonce| pool.add(transaction(2, *nonce, 0), 0).is_ok()).count();
+        assert_eq!(taken, MOST_OF_ONE);
+        pool.add(transaction(2, 7, 1), 0).expect("a better price is no further one");
+    }
+
+    #[test]
+    fn a_small_one_does_not_wait_behind_large_ones() {
+        let mut pool = Pool::default();
+        for sender in 10..40 {
+            pool.add(sized(sender, 0, 0, 10_000), 0).expect("taken");
+        }
+        pool.add(sized(1, 0, 0, 100), 0).expect("taken");
+        pool.add(sized(1, 1, 0, 100), 0).expect("taken");
+        assert_eq!(order(&pool, 9, 20_300), [(1, 0), (1, 1), (10, 0), (11, 0)]);
+        // Neither do large ones wait for ever.
+        for nonce in 0..200 {
+            drop(pool.add(sized(1, nonce, 0, 6_000), nonce));
+            pool.mined([&sized(1, nonce, 0, 6_000)]);
+        }
+        pool.add(sized(1, 200, 0, 100), 200).expect("taken");
+        assert_eq!(order(&pool, 2, 20_300), [(10, 0), (11, 0)]);
+    }
+
+    #[test]
+    fn a_full_pool_drops_the_heaviest_senders_last() {
+        let mut pool = Pool::default();
+        for sender in 1..=4 {
+            for nonce in 0..50 {
+                pool.add(sized(sender, nonce, 0, MOST_GAS / 200), 0).expect("taken");
+            }
+        }
+        assert_eq!(pool.gas, MOST_GAS);
+        pool.add(sized(9, 0, 0, 1_000), 0).expect("taken");
+        assert_eq!((pool.hashes.len(), pool.gas), (200, MOST_GAS - MOST_GAS / 200 + 1_000));
+        assert_eq!(pool.add(sized(1, 50, 0, MOST_GAS / 200 + 1), 0), Err("txpool is full".into()));
     }
 }

@@ -1,89 +1,275 @@
-//! Opening a chain again: every block of the file is checked, run anew and compared.
+//! Running blocks of the file again: all of them, for an audit and to bring an older file to version 3, or the newest
+//! alone when a chain is opened.
+
+use std::cell::RefCell;
+use std::collections::HashMap;
+use std::rc::Rc;
+use std::sync::Arc;
 
 use ethers::types::Bloom;
 use ethers::utils::rlp;
 
-use super::block::{Header, receipts_root, transactions_root};
-use super::file::{ChainFile, Mined};
+use super::authority::Authority;
+use super::block::{Header, Rules};
+use super::file::{ChainFile, Era, Mined};
+use super::founding::Founded;
 use super::machine::{Environment, Machine, Outcome};
+use super::roots::{receipts_root, transactions_root};
 use super::sealing::Sealing;
 use super::transaction::Transaction;
+use super::trie::{Nodes, below};
+use super::world::{Ground, Written};
 use crate::chain::ChainError;
 use crate::model::Hash;
 
-/// Runs all blocks above `genesis`; gives the newest header.
-///
-/// # Errors
-/// [`ChainError::Tampered`] for the first block that does not come out as it is in the file, or whose
-/// seal is not what the chain's consensus wants.
-pub fn replay(
-    file: &ChainFile,
-    machine: &mut Machine,
-    sealing: &mut Sealing,
+/// A chain that is run again from its first block on.
+pub struct Again {
+    /// Its state after the last block that was run.
+    pub machine: Machine,
+    /// How its blocks are sealed, with who sealed the last ones.
+    pub sealing: Sealing,
+    /// The last block that was run.
+    pub last: Header,
     chain_id: u64,
-    genesis: Header,
-) -> Result<Header, ChainError> {
-    let mut last = genesis;
-    file.replay(|number, hash, header, mined| {
-        if number == 0 {
-            return Ok(());
+    era: Option<Era>,
+    nodes: Rc<Passing>,
+}
+
+impl Again {
+    /// Before the first block.
+    pub fn new(file: &Rc<ChainFile>, founded: Founded) -> Self {
+        let Founded { chain_id, sealing, genesis, era, .. } = founded;
+        let nodes = Rc::new(Passing { file: Rc::clone(file), nodes: RefCell::default() });
+        let machine = match genesis.rules() {
+            Rules::Chained => Machine::chained(chain_id, genesis.state_root),
+            Rules::Tries => Machine::over(Rc::clone(&nodes) as _, genesis.state_root, chain_id),
+        };
+        Self { machine, sealing, last: genesis, chain_id, era, nodes }
+    }
+
+    /// Runs the next block.
+    ///
+    /// # Errors
+    /// [`ChainError::Tampered`] where it does not come out as it is in the file, or its seal is not what the chain's
+    /// consensus wants.
+    pub fn step(mut self) -> Result<Self, ChainError> {
+        let file = Rc::clone(&self.nodes.file);
+        let number = self.last.number + 1;
+        if let Some(era) = self.era.filter(|era| era.first == number && self.machine.rules() == Rules::Chained) {
+            let (machine, written) = self.machine.into_tries(Rc::clone(&self.nodes) as _)?;
+            self.nodes.turn_over(&written);
+            self.machine = machine;
+            if self.machine.tries().map(|tries| tries.root) != Some(era.root) {
+                return Err(file.tampered(number, "the state before it is not what it was"));
+            }
         }
         let blame = |what: &str| file.tampered(number, what);
-        let header = Header::decode(&header).map_err(|_| blame("its header is not a header"))?;
-        if header.hash() != hash || header.parent != last.hash() || header.number != number {
+        let header = header(&file, number)?;
+        if header.parent != self.last.hash() {
             return Err(blame("its hash or its parent is not what it was"));
         }
-        let place = sealing.accept(&header, last.timestamp).map_err(blame)?;
-        let outcome = rerun(machine, sealing, &header, &place, chain_id, &mined).map_err(|what| blame(&what))?;
-        machine.apply(outcome);
-        last = header;
-        Ok(())
-    })?;
-    sealing.vouches(&last).map_err(|what| file.tampered(last.number, what))?;
-    Ok(last)
+        let place = self.sealing.accept(&header, self.last.timestamp).map_err(blame)?;
+        let outcome = rerun(&file, &self.machine, &self.sealing, &header, &place, self.chain_id)?;
+        self.nodes.turn_over(&outcome.written);
+        self.machine.apply(outcome);
+        self.last = header;
+        Ok(self)
+    }
+
+    /// The nodes of the state after the last block.
+    pub fn state_nodes(&self) -> Vec<Hash> {
+        self.nodes.nodes.borrow().keys().copied().collect()
+    }
+}
+
+/// Runs all blocks of a file before version 3 and writes its state as tries; from the next block on the chain is one of
+/// version 3.
+///
+/// # Errors
+/// As [`Again::step`], or where the file cannot be written.
+pub fn upgrade(file: &Rc<ChainFile>, founded: Founded) -> Result<(), ChainError> {
+    let (consensus, newest) = (founded.consensus, file.newest_number()?);
+    let mut again = Again::new(file, founded);
+    while again.last.number < newest {
+        again = again.step()?;
+    }
+    again.sealing.vouches(&again.last).map_err(|what| file.tampered(newest, what))?;
+    let (machine, written) = again.machine.into_tries(Rc::clone(&again.nodes) as _)?;
+    let root = machine.tries().map_or(Hash([0; 32]), |tries| tries.root);
+    let out_of_turn = again.sealing.authority().map_or(&[][..], Authority::out_of_turn);
+    file.upgrade(&consensus, Era { first: newest + 1, root }, &written.made, out_of_turn)
+}
+
+/// The state after the newest block, which alone is run again, and its header; `founded` gets to know who sealed the
+/// last blocks.
+///
+/// # Errors
+/// As [`Again::step`].
+pub fn newest(file: &Rc<ChainFile>, founded: &mut Founded, era: Era) -> Result<(Machine, Header), ChainError> {
+    let number = file.newest_number()?;
+    let blame = |what: &str| file.tampered(number, what);
+    let last = if number == 0 { founded.genesis.clone() } else { header(file, number)? };
+    let over = |root| Machine::over(Rc::clone(file) as _, root, founded.chain_id);
+    if let Sealing::Authority(authority) = &mut founded.sealing {
+        let out_of_turn = file.out_of_turn()?.into_iter().filter(|one| *one < number).collect();
+        let mut newest = Vec::new();
+        for before in number.saturating_sub(authority.rest()).max(1)..number {
+            newest.push(authority.sealer(&header(file, before)?).map_err(|what| file.tampered(before, what))?);
+        }
+        authority.resume(out_of_turn, newest);
+    }
+    let mut machine = over(era.root);
+    if number > 0 {
+        let parent = if number == 1 { founded.genesis.clone() } else { header(file, number - 1)? };
+        if last.parent != parent.hash() {
+            return Err(blame("its hash or its parent is not what it was"));
+        }
+        let place = founded.sealing.accept(&last, parent.timestamp).map_err(blame)?;
+        if number >= era.first {
+            if number > era.first {
+                machine = over(parent.state_root);
+            }
+            let outcome = rerun(file, &machine, &founded.sealing, &last, &place, founded.chain_id)?;
+            machine.apply(outcome);
+        }
+    }
+    founded.sealing.vouches(&last).map_err(blame)?;
+    if let Some(tries) = machine.tries().filter(|tries| tries.root != super::trie::EMPTY_ROOT) {
+        file.node(tries.root)?;
+    }
+    Ok((machine, last))
+}
+
+/// A block's header, as its hash in the file says.
+///
+/// # Errors
+/// [`ChainError::Tampered`] where it is gone or another one.
+pub fn header(file: &ChainFile, number: u64) -> Result<Header, ChainError> {
+    let blame = |what: &str| file.tampered(number, what);
+    let (hash, bytes) = file.block(number)?.ok_or_else(|| blame("it is gone"))?;
+    let header = Header::decode(&bytes).map_err(|_| blame("its header is not a header"))?;
+    if header.hash() != hash || header.number != number {
+        return Err(blame("its hash or its parent is not what it was"));
+    }
+    Ok(header)
 }
 
 /// Runs a block of the file again and compares all that its header commits to.
 fn rerun(
+    file: &ChainFile,
     machine: &Machine,
     sealing: &Sealing,
     header: &Header,
     place: &Environment,
     chain_id: u64,
-    mined: &[Mined],
-) -> Result<Outcome, String> {
-    let decode = |one: &Mined| Transaction::decode(&one.raw, chain_id, Some(one.sender));
-    let transactions = mined.iter().map(decode).collect::<Result<Vec<_>, _>>()?;
-    let outcome = machine.run(place, transactions);
-    let again = assemble(sealing, header.parent, place, &outcome);
+) -> Result<Outcome, ChainError> {
+    let blame = |what: &str| file.tampered(header.number, what);
+    let mined = file.block_transactions(header.number)?;
+    // The rules before version 3 commit to senders, so that these need not be recovered.
+    let known = |one: &Mined| (header.rules() == Rules::Chained).then_some(one.sender);
+    let decode = |one: &Mined| Transaction::decode(&one.raw, chain_id, known(one));
+    let transactions = mined.iter().map(decode).collect::<Result<Vec<_>, _>>().map_err(|what| blame(&what))?;
+    if transactions.iter().zip(&mined).any(|(transaction, one)| transaction.sender != one.sender) {
+        return Err(blame("its senders are not what they were"));
+    }
+    let outcome = machine.run(place, transactions, false)?;
+    let again = assemble(machine.rules(), sealing, header.parent, place, &outcome)?;
     let sealed = Header { extra: header.extra.clone(), nonce: header.nonce, ..again.clone() };
     // Under proof of work the extra data holds no seal, and is always the same.
     if sealed != *header || (matches!(sealing, Sealing::Work { .. }) && again.extra != header.extra) {
-        return Err("running its transactions again gives another block".into());
+        return Err(blame("running its transactions again gives another block"));
     }
-    let kept = outcome.receipts.iter().zip(mined).all(|(receipt, one)| rlp::encode(receipt)[..] == one.receipt[..]);
-    if kept { Ok(outcome) } else { Err("its receipts are not what they were".into()) }
+    let kept = outcome
+        .receipts
+        .iter()
+        .zip(&mined)
+        .all(|(receipt, one)| rlp::encode(receipt)[..] == one.receipt[..] && receipt.logs.len() as u64 == one.logs);
+    if kept { Ok(outcome) } else { Err(blame("its receipts are not what they were")) }
 }
 
 /// The header of a block that ran, before its seal.
-pub fn assemble(sealing: &Sealing, parent: Hash, place: &Environment, outcome: &Outcome) -> Header {
+///
+/// # Errors
+/// None that is not a fault of this program.
+pub fn assemble(
+    rules: Rules,
+    sealing: &Sealing,
+    parent: Hash,
+    place: &Environment,
+    outcome: &Outcome,
+) -> Result<Header, ChainError> {
     let mut bloom = Bloom::zero();
     for receipt in &outcome.receipts {
         receipt.accrue(&mut bloom);
     }
-    let (beneficiary, extra) = sealing.dress();
-    Header {
+    let (beneficiary, extra) = sealing.dress(rules);
+    Ok(Header {
         parent,
         state_root: outcome.state_root,
-        transactions_root: transactions_root(&outcome.included),
-        receipts_root: receipts_root(&outcome.receipts),
+        transactions_root: transactions_root(
+            rules,
+            outcome.included.iter().map(|one| (one.hash, one.sender, &one.raw[..])),
+        )?,
+        receipts_root: receipts_root(rules, &outcome.receipts)?,
         bloom,
         beneficiary,
         difficulty: place.difficulty,
         number: place.number,
+        gas_limit: rules.gas_limit(),
         gas_used: outcome.receipts.last().map_or(0, |receipt| receipt.cumulative_gas),
         timestamp: place.timestamp,
         extra,
         nonce: 0,
+    })
+}
+
+/// Nodes by their hash, and how often each stands in the state.
+type CountedNodes = HashMap<Hash, (Arc<[u8]>, u64)>;
+
+/// The nodes of one state alone, in memory.
+struct Passing {
+    file: Rc<ChainFile>,
+    nodes: RefCell<CountedNodes>,
+}
+
+impl Passing {
+    fn turn_over(&self, written: &Written) {
+        let mut nodes = self.nodes.borrow_mut();
+        for (hash, body) in &written.made {
+            nodes.entry(*hash).or_insert_with(|| (body.as_slice().into(), 0)).1 += 1;
+        }
+        let mut take_out = |hash: Hash| {
+            let (body, places) = nodes.get_mut(&hash)?;
+            *places -= 1;
+            let body = Arc::clone(body);
+            if *places == 0 {
+                nodes.remove(&hash);
+            }
+            Some(body)
+        };
+        for hash in &written.left {
+            take_out(*hash);
+        }
+        let mut felled = written.felled.clone();
+        while let Some(hash) = felled.pop() {
+            felled.extend(take_out(hash).and_then(|body| below(&body)).unwrap_or_default());
+        }
+    }
+}
+
+impl Nodes for Passing {
+    fn node(&self, hash: Hash) -> Result<Arc<[u8]>, ChainError> {
+        let found = self.nodes.borrow().get(&hash).map(|(body, _)| Arc::clone(body));
+        found.ok_or_else(|| ChainError::Internal(format!("node {hash} of a state that is run again is missing")))
+    }
+
+    fn malformed(&self, hash: Hash) -> ChainError {
+        ChainError::Internal(format!("node {hash} of a state that is run again is no node"))
+    }
+}
+
+impl Ground for Passing {
+    fn block_hash(&self, number: u64) -> Result<Hash, ChainError> {
+        self.file.block_hash(number)
     }
 }

@@ -1,16 +1,17 @@
 //! Ethereum's JSON-RPC methods over the embedded chain. State is kept for the newest block only.
 
 use ethers::types::U256;
-use ethers::utils::rlp;
 use serde_json::{Value, json};
 
-use super::block::{GAS_LIMIT, Header, Receipt};
-use super::file::Mined;
+use super::admission::TRANSACTION_GAS;
+use super::block::Header;
 use super::json::{self, Mining, data, quantity, read_address, read_data, read_hash, read_quantity};
-use super::machine::{Answer, CALL_GAS_LIMIT, Message};
+use super::logs;
+use super::machine::{Answer, Message};
 use super::node::Node;
 use super::sealing::Sealing;
-use super::transaction::Transaction;
+use super::state_file::KEPT;
+use super::world::Tries;
 use crate::chain::ChainError;
 use crate::model::{Address, Hash};
 
@@ -23,27 +24,35 @@ pub struct Fault {
     pub message: String,
     /// Revert data as hex.
     pub data: Option<Value>,
+    /// The chain's own fault, where it is one.
+    pub cause: Option<Box<ChainError>>,
 }
 
 impl Fault {
-    fn new(code: i64, message: impl Into<String>) -> Self {
-        Self { code, message: message.into(), data: None }
+    /// Without data.
+    pub fn new(code: i64, message: impl Into<String>) -> Self {
+        Self { code, message: message.into(), data: None, cause: None }
     }
 }
 
 impl From<ChainError> for Fault {
     fn from(error: ChainError) -> Self {
-        Self::new(-32603, error.to_string())
+        Self { cause: Some(Box::new(error.clone())), ..Self::new(-32603, error.to_string()) }
     }
 }
 
-type Reply = Result<Value, Fault>;
+/// What a request is answered with.
+pub type Reply = Result<Value, Fault>;
 
 /// Positional parameters of a request.
-struct Parameters(Vec<Value>);
+pub struct Parameters(Vec<Value>);
 
 impl Parameters {
-    fn at<T>(&self, index: usize, read: impl FnOnce(&Value) -> Option<T>) -> Result<T, Fault> {
+    /// One of them, read.
+    ///
+    /// # Errors
+    /// [`Fault`] -32602 where it is missing or malformed.
+    pub fn at<T>(&self, index: usize, read: impl FnOnce(&Value) -> Option<T>) -> Result<T, Fault> {
         let missing = || Fault::new(-32602, format!("missing or invalid value for argument {index}"));
         self.0.get(index).and_then(read).ok_or_else(missing)
     }
@@ -78,13 +87,14 @@ pub fn answer(node: &mut Node, method: &str, parameters: Value) -> Reply {
 
 fn read(node: &Node, method: &str, parameters: &Parameters) -> Reply {
     match method {
-        "eth_getBalance" => state(node, parameters, 1, |node, who| quantity(node.machine.balance(who))),
-        "eth_getCode" => state(node, parameters, 1, |node, who| data(&node.machine.code(who))),
+        "eth_getBalance" => state(node, parameters, 1, |node, who| Ok(quantity(node.machine.balance(who)?))),
+        "eth_getCode" => state(node, parameters, 1, |node, who| Ok(data(&node.machine.code(who)?))),
         "eth_getStorageAt" => {
             let slot = parameters.at(1, read_quantity)?;
-            state(node, parameters, 2, |node, who| data(&node.machine.slot(who, slot).0))
+            state(node, parameters, 2, |node, who| Ok(data(&node.machine.slot(who, slot)?.0)))
         }
         "eth_getTransactionCount" => nonce(node, parameters),
+        "eth_getProof" => proof(node, parameters),
         "eth_getBlockByNumber" => {
             let number = parameters.at(0, |tag| block_number(node, tag))?;
             block(node, number, whole(parameters))
@@ -104,7 +114,7 @@ fn read(node: &Node, method: &str, parameters: &Parameters) -> Reply {
         }
         "eth_getTransactionByHash" => transaction(node, parameters.at(0, read_hash)?),
         "eth_getTransactionReceipt" => receipt(node, parameters.at(0, read_hash)?),
-        "eth_getLogs" => logs(node, parameters),
+        "eth_getLogs" => logs::answer(node, parameters),
         "clique_getSigners" if matches!(node.sealing, Sealing::Authority(_)) => {
             Ok(node.sealing.addresses().iter().map(|signer| data(&signer.0)).collect())
         }
@@ -125,7 +135,7 @@ fn whole(parameters: &Parameters) -> bool {
 }
 
 /// The number that a block tag means; `None` where the tag is malformed.
-fn block_number(node: &Node, tag: &Value) -> Option<u64> {
+pub fn block_number(node: &Node, tag: &Value) -> Option<u64> {
     match tag.as_str()? {
         "latest" | "pending" | "safe" | "finalized" => Some(node.head.number),
         "earliest" => Some(0),
@@ -142,15 +152,20 @@ fn block_named(node: &Node, which: &Value) -> Option<Option<u64>> {
     }
 }
 
+fn header(node: &Node, number: u64) -> Result<Header, Fault> {
+    node.header(number)?.ok_or_else(|| Fault::new(-32000, format!("block {number} is above the newest")))
+}
+
 fn count(node: &Node, number: u64) -> Reply {
-    Ok(quantity(node.file.block_transactions(number)?.len()))
+    Ok(quantity(node.done(&header(node, number)?)?.len()))
 }
 
 fn transaction_at(node: &Node, number: u64, index: U256) -> Reply {
-    let all = node.file.block_transactions(number)?;
-    let Some(mined) = all.iter().find(|one| U256::from(one.position) == index) else { return Ok(Value::Null) };
-    let place = mining(node, number, mined.position)?;
-    Ok(json::transaction(&decode(node, mined)?, node.chain_id, Some(place)))
+    let header = header(node, number)?;
+    let done = node.done(&header)?;
+    let place = usize::try_from(index.min(U256::from(u32::MAX)).as_u64()).unwrap_or(usize::MAX);
+    let Some(one) = done.get(place) else { return Ok(Value::Null) };
+    Ok(json::transaction(&one.transaction, node.chain_id, Some(Mining::at(&header, place))))
 }
 
 fn require_newest(node: &Node, tag: Option<&Value>) -> Result<(), Fault> {
@@ -158,17 +173,17 @@ fn require_newest(node: &Node, tag: Option<&Value>) -> Result<(), Fault> {
     if newest { Ok(()) } else { Err(Fault::new(-32000, "this chain keeps the state of its newest block only")) }
 }
 
-fn state(node: &Node, parameters: &Parameters, tag: usize, read: impl FnOnce(&Node, Address) -> Value) -> Reply {
+fn state(node: &Node, parameters: &Parameters, tag: usize, read: impl FnOnce(&Node, Address) -> Reply) -> Reply {
     let account = parameters.at(0, read_address)?;
     require_newest(node, parameters.0.get(tag))?;
-    Ok(read(node, account))
+    read(node, account)
 }
 
 fn nonce(node: &Node, parameters: &Parameters) -> Reply {
     let account = parameters.at(0, read_address)?;
     let tag = parameters.0.get(1);
     require_newest(node, tag)?;
-    let mined = node.machine.nonce(account);
+    let mined = node.machine.nonce(account)?;
     let pending = tag.and_then(Value::as_str) == Some("pending");
     Ok(quantity(if pending { node.pool.next_nonce(account, mined) } else { mined }))
 }
@@ -194,18 +209,16 @@ fn message_call(node: &Node, call: bool, parameters: &Parameters) -> Reply {
     require_newest(node, parameters.0.get(1))?;
     let place = node.next_place();
     let answer = if call {
-        node.machine.call(&place, &message)
+        node.machine.call(&place, &message)?
     } else {
-        match node.machine.estimate(&place, &message) {
+        match node.machine.estimate(&place, &message)? {
             Ok(gas) => return Ok(quantity(gas)),
             Err(answer) => answer,
         }
     };
     match answer {
         Answer::Returned(output, _) => Ok(data(&output)),
-        Answer::Reverted(output) => {
-            Err(Fault { code: 3, message: "execution reverted".into(), data: Some(data(&output)) })
-        }
+        Answer::Reverted(output) => Err(Fault { data: Some(data(&output)), ..Fault::new(3, "execution reverted") }),
         Answer::Failed(why) => Err(Fault::new(-32000, why)),
     }
 }
@@ -219,123 +232,65 @@ fn read_message(value: &Value) -> Option<Message> {
         to: address("to")?,
         value: number("value")?.unwrap_or_default(),
         input: field("data").or_else(|| field("input")).map_or(Some(Vec::new()), read_data)?,
-        gas: number("gas")?.map_or(CALL_GAS_LIMIT, |gas| gas.min(U256::from(GAS_LIMIT)).low_u64()),
+        gas: number("gas")?.map_or(TRANSACTION_GAS, |gas| gas.min(U256::from(TRANSACTION_GAS)).low_u64()),
     })
 }
 
-fn header(node: &Node, number: u64) -> Result<Option<(Hash, Header, usize)>, Fault> {
-    let Some((hash, bytes)) = node.file.block(number)? else { return Ok(None) };
-    let size = bytes.len();
-    let header = Header::decode(&bytes).map_err(|error| Fault::new(-32603, error.to_string()))?;
-    Ok(Some((hash, header, size)))
+/// The most storage slots of one proof.
+const MOST_SLOTS: usize = 256;
+
+/// EIP-1186, for the blocks whose state is kept.
+fn proof(node: &Node, parameters: &Parameters) -> Reply {
+    let account = parameters.at(0, read_address)?;
+    let slots = |value: &Value| value.as_array()?.iter().map(read_slot).collect::<Option<Vec<U256>>>();
+    let slots = parameters.at(1, slots)?;
+    if slots.len() > MOST_SLOTS {
+        return Err(Fault::new(-32005, format!("a proof of {} slots; ask for at most {MOST_SLOTS}", slots.len())));
+    }
+    let number = match parameters.0.get(2) {
+        None | Some(Value::Null) => node.head.number,
+        Some(_) => parameters.at(2, |which| block_named(node, which))?.unwrap_or(u64::MAX),
+    };
+    let newest = node.head.number;
+    if number > newest {
+        return Err(Fault::new(-32000, "there is no such block"));
+    }
+    if newest - number >= KEPT || number < node.era.first {
+        let oldest = (newest + 1).saturating_sub(KEPT).max(node.era.first);
+        let what = format!("the state of block {number} is not kept; ask for one of the blocks {oldest} to {newest}");
+        return Err(Fault::new(-32000, what));
+    }
+    let Some(tries) = node.machine.tries() else { return Err(Fault::new(-32603, "there are no tries")) };
+    let tries = Tries { root: header(node, number)?.state_root, ..tries.clone() };
+    Ok(json::proof(account, &tries.proof(account, &slots)?))
+}
+
+/// A slot as a quantity or as 32 bytes.
+fn read_slot(value: &Value) -> Option<U256> {
+    read_hash(value).map(|word| U256::from_big_endian(&word.0)).or_else(|| read_quantity(value))
 }
 
 fn block(node: &Node, number: u64, whole: bool) -> Reply {
-    let Some((hash, header, size)) = header(node, number)? else { return Ok(Value::Null) };
-    let mined = node.file.block_transactions(number)?;
-    let size = mined.iter().map(|one| one.raw.len()).sum::<usize>() + size;
-    let mut shown = Vec::with_capacity(mined.len());
-    for one in &mined {
-        let decoded = decode(node, one)?;
-        let place = Mining { block: number, hash, timestamp: header.timestamp, position: one.position };
-        let full = || json::transaction(&decoded, node.chain_id, Some(place));
-        shown.push(if whole { full() } else { data(&decoded.hash.0) });
-    }
-    Ok(json::block(&header, hash, size, node.sealing.total_difficulty(number), shown))
-}
-
-fn decode(node: &Node, mined: &Mined) -> Result<Transaction, Fault> {
-    Transaction::decode(&mined.raw, node.chain_id, Some(mined.sender)).map_err(|error| Fault::new(-32603, error))
-}
-
-fn decode_receipt(mined: &Mined) -> Result<Receipt, Fault> {
-    rlp::decode(&mined.receipt).map_err(|error| Fault::new(-32603, error.to_string()))
-}
-
-fn mining(node: &Node, block: u64, position: u64) -> Result<Mining, Fault> {
-    let (hash, header, _) = header(node, block)?.ok_or_else(|| Fault::new(-32603, "a block is missing"))?;
-    Ok(Mining { block, hash, timestamp: header.timestamp, position })
+    let Some(header) = node.header(number)? else { return Ok(Value::Null) };
+    let done = node.done(&header)?;
+    let size = done.iter().map(|done| done.transaction.raw.len()).sum::<usize>() + header.encode().len();
+    let shown = done.iter().enumerate().map(|(place, one)| {
+        let full = || json::transaction(&one.transaction, node.chain_id, Some(Mining::at(&header, place)));
+        if whole { full() } else { data(&one.transaction.hash.0) }
+    });
+    Ok(json::block(&header, header.hash(), size, node.sealing.total_difficulty(number), shown.collect()))
 }
 
 fn transaction(node: &Node, hash: Hash) -> Reply {
     if let Some(waiting) = node.pool.get(hash) {
         return Ok(json::transaction(waiting, node.chain_id, None));
     }
-    let Some(mined) = node.file.mined(hash)? else { return Ok(Value::Null) };
-    let place = mining(node, mined.block, mined.position)?;
-    Ok(json::transaction(&decode(node, &mined)?, node.chain_id, Some(place)))
+    let Some((header, done, place)) = node.mined(hash)? else { return Ok(Value::Null) };
+    Ok(json::transaction(&done[place].transaction, node.chain_id, Some(Mining::at(&header, place))))
 }
 
 fn receipt(node: &Node, hash: Hash) -> Reply {
-    let Some(mined) = node.file.mined(hash)? else { return Ok(Value::Null) };
-    let first_log = node.file.logs_before(mined.block, mined.position)?;
-    let place = mining(node, mined.block, mined.position)?;
-    Ok(json::receipt(&decode(node, &mined)?, &decode_receipt(&mined)?, place, first_log))
-}
-
-/// What eth_getLogs is asked for.
-struct Filter {
-    from: u64,
-    to: u64,
-    addresses: Vec<Address>,
-    topics: Vec<Vec<Hash>>,
-}
-
-fn read_filter(node: &Node, value: &Value) -> Option<Filter> {
-    let alternatives = |value: &Value| -> Vec<Value> {
-        match value {
-            Value::Null => Vec::new(),
-            Value::Array(all) => all.clone(),
-            one => vec![one.clone()],
-        }
-    };
-    let bound = |name: &str| value.get(name).map_or(Some(node.head.number), |tag| block_number(node, tag));
-    let topics = value.get("topics").map(alternatives).unwrap_or_default();
-    let addresses = value.get("address").map(alternatives).unwrap_or_default();
-    let hashes = |position: &Value| alternatives(position).iter().map(read_hash).collect::<Option<Vec<_>>>();
-    let mut filter = Filter {
-        from: bound("fromBlock")?,
-        to: bound("toBlock")?,
-        addresses: addresses.iter().map(read_address).collect::<Option<_>>()?,
-        topics: topics.iter().map(hashes).collect::<Option<_>>()?,
-    };
-    if let Some(hash) = value.get("blockHash").and_then(read_hash) {
-        filter.from = node.file.number_of(hash).ok().flatten()?;
-        filter.to = filter.from;
-    }
-    Some(filter)
-}
-
-impl Filter {
-    fn matches(&self, log: &super::block::Log) -> bool {
-        let place = self.addresses.is_empty() || self.addresses.contains(&log.address);
-        let wanted = |(index, any): (usize, &Vec<Hash>)| {
-            any.is_empty() || log.topics.get(index).is_some_and(|topic| any.contains(topic))
-        };
-        place && self.topics.len() <= log.topics.len() && self.topics.iter().enumerate().all(wanted)
-    }
-}
-
-fn logs(node: &Node, parameters: &Parameters) -> Reply {
-    let filter = parameters.at(0, |value| read_filter(node, value))?;
-    let mut found = Vec::new();
-    let (mut place, mut index): (Option<Mining>, usize) = (None, 0);
-    for mined in node.file.with_logs(filter.from, filter.to.min(node.head.number))? {
-        let here = match place.filter(|place| place.block == mined.block) {
-            Some(same) => Mining { position: mined.position, ..same },
-            None => {
-                index = 0;
-                mining(node, mined.block, mined.position)?
-            }
-        };
-        place = Some(here);
-        let hash = Hash(ethers::utils::keccak256(&mined.raw));
-        for log in decode_receipt(&mined)?.logs {
-            if filter.matches(&log) {
-                found.push(json::log(&log, hash, here, index));
-            }
-            index += 1;
-        }
-    }
-    Ok(Value::Array(found))
+    let Some((header, done, place)) = node.mined(hash)? else { return Ok(Value::Null) };
+    let first_log = done[..place].iter().map(|before| before.receipt.logs.len()).sum();
+    Ok(json::receipt(&done[place].transaction, &done[place].receipt, Mining::at(&header, place), first_log))
 }

@@ -6,11 +6,12 @@ use std::time::Duration;
 use k256::ecdsa::SigningKey;
 
 use super::authority::{Authority, address_of};
-use super::block::{Header, unsealed_extra};
+use super::block::{Header, Rules, unsealed_extra};
 use super::machine::Environment;
 use super::proof;
 use crate::chain::Consensus;
-use crate::model::{Address, Hash, Timestamp};
+use crate::model::steady_clock::steady_now;
+use crate::model::{Address, Hash};
 
 /// How the blocks of a chain are sealed.
 pub enum Sealing {
@@ -36,6 +37,11 @@ impl Sealing {
         }
     }
 
+    /// The signers of a chain of proof of authority.
+    pub fn authority(&self) -> Option<&Authority> {
+        if let Self::Authority(authority) = self { Some(authority) } else { None }
+    }
+
     /// The signers, or the miner.
     pub fn addresses(&self) -> Vec<Address> {
         match self {
@@ -53,12 +59,12 @@ impl Sealing {
     }
 
     /// The genesis block, before its seal.
-    pub fn genesis(&self, unique: Hash, timestamp: u64) -> Header {
+    pub fn genesis(&self, rules: Rules, unique: Hash, timestamp: u64) -> Header {
         match self {
             Self::Authority(authority) => {
-                Header::genesis(&authority.addresses(), Address([0; 20]), 1, unique, timestamp)
+                Header::genesis(rules, &authority.addresses(), Address([0; 20]), 1, unique, timestamp)
             }
-            Self::Work { difficulty, miner } => Header::genesis(&[], *miner, *difficulty, unique, timestamp),
+            Self::Work { difficulty, miner } => Header::genesis(rules, &[], *miner, *difficulty, unique, timestamp),
         }
     }
 
@@ -70,7 +76,7 @@ impl Sealing {
     /// Whether a header is the genesis block of this chain.
     pub fn founded(&self, genesis: &Header) -> bool {
         let Some(unique) = Self::unique(genesis) else { return false };
-        let expected = self.genesis(unique, genesis.timestamp);
+        let expected = self.genesis(genesis.rules(), unique, genesis.timestamp);
         match self {
             Self::Authority(authority) => {
                 let unsealed = expected.extra.len() - 65;
@@ -83,7 +89,8 @@ impl Sealing {
 
     /// Where the block above `head` takes place, sealed by `signer` where there are several.
     pub fn place(&self, number: u64, head_time: u64, signer: Option<usize>) -> Environment {
-        let timestamp = Timestamp::now().seconds().max(head_time + self.period().as_secs());
+        // Blocks cannot go back: they do not follow a clock that jumps until it has stood.
+        let timestamp = steady_now().seconds().max(head_time + self.period().as_secs());
         let (difficulty, beneficiary) = match self {
             Self::Authority(authority) => {
                 let in_turn = authority.in_turn(number);
@@ -96,10 +103,10 @@ impl Sealing {
     }
 
     /// What a block's header holds of the consensus before its seal: coinbase and extra data.
-    pub fn dress(&self) -> (Address, Vec<u8>) {
+    pub fn dress(&self, rules: Rules) -> (Address, Vec<u8>) {
         match self {
-            Self::Authority(_) => (Address([0; 20]), unsealed_extra()),
-            Self::Work { miner, .. } => (*miner, proof::EXTRA.to_vec()),
+            Self::Authority(_) => (Address([0; 20]), unsealed_extra(rules)),
+            Self::Work { miner, .. } => (*miner, proof::extra(rules).to_vec()),
         }
     }
 

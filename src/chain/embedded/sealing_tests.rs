@@ -11,7 +11,7 @@ use k256::ecdsa::SigningKey;
 use serde_json::{Value, json};
 
 use super::Embedded;
-use super::block::Header;
+use super::block::{Header, Rules};
 use super::node::Node;
 use super::proof;
 use super::rpc::answer;
@@ -43,7 +43,7 @@ fn try_open(directory: &Path, asked: Option<Consensus>) -> Result<Site, ChainErr
     let (found, nonces) = channel();
     let node = Node::open(directory, asked, Arc::new(move |nonce| found.send(nonce).unwrap_or_default()))?;
     let sender = LocalWallet::from_bytes(&[7; 32]).expect("key");
-    let sent = node.machine.nonce(Address(sender.address().0));
+    let sent = node.machine.nonce(Address(sender.address().0)).expect("reads");
     Ok(Site { node, nonces, sender, sent })
 }
 
@@ -98,7 +98,7 @@ impl Site {
 /// Closes the chain and opens it again: all must be as it was.
 fn reopen(site: Site, directory: &Path) -> Site {
     let (head, signers, consensus) = (site.node.head, site.signers(), site.node.consensus);
-    let balance = |site: &Site| (site.node.machine.nonce(Address([1; 20])), site.node.machine.slots());
+    let balance = |site: &Site| site.node.machine.tries().map(|tries| tries.root);
     let state = balance(&site);
     drop(site);
     let site = open(directory, None);
@@ -224,7 +224,10 @@ fn work_is_done_shown_and_checked_again() {
     for number in 1..=6 {
         let header = site.block();
         assert!(proof::seals(header.work_hash(), header.nonce, 300));
-        assert_eq!((header.difficulty, header.beneficiary, &header.extra[..]), (300, miner, &proof::EXTRA[..]));
+        assert_eq!(
+            (header.difficulty, header.beneficiary, &header.extra[..]),
+            (300, miner, &proof::extra(Rules::Tries)[..])
+        );
         nonces.push(header.nonce);
         if number == 3 {
             site = reopen(site, home.path());
@@ -320,7 +323,12 @@ fn a_forged_seal_is_noticed() {
     });
     tampered(authority.path(), "had to rest");
     forge(authority.path(), 4, |header| header.seal(&keys[2]).expect("seals"));
-    // Allowed to that signer, but blocks run for the one who seals them: the state tells.
+    // Allowed to that signer, whose seal it bears; but its state is what its transactions make.
+    open(authority.path(), None);
+    forge(authority.path(), 4, |header| {
+        header.state_root.0[0] ^= 1;
+        header.seal(&keys[2]).expect("seals");
+    });
     tampered(authority.path(), "gives another block");
 }
 
@@ -343,7 +351,7 @@ fn the_founding_binds() {
     change("UPDATE consensus SET words = 'pow:1'");
     tampered(home.path(), "keys are not what they were");
     change("UPDATE consensus SET words = 'poa:3:500'");
-    change("UPDATE chain SET version = 3");
+    change("UPDATE chain SET version = 4");
     let error = try_open(home.path(), None).map(drop).expect_err("a later version");
     assert_eq!(error.kind(), ErrorKind::Home, "{error}");
     let unusable = try_open(&home.path().join("other"), Some(poa(0, 1))).map(drop).expect_err("no signers");
@@ -367,7 +375,7 @@ fn a_chain_founded_before_opens_unchanged() {
     site.block();
     let site = reopen(site, home.path());
     assert_eq!(site.header(4).parent, newest.hash);
-    // And a new one of the kind is written as the old ones were.
+    // And a new one is of version 3 from its first block on.
     let new = tempfile::tempdir().expect("folder");
     drop(open(new.path(), Some(Consensus::POA)));
     let file = rusqlite::Connection::open(new.path().join("chain.db")).expect("opens");
@@ -378,7 +386,7 @@ fn a_chain_founded_before_opens_unchanged() {
             |row| row.get(0),
         )
         .expect("tables");
-    assert_eq!(tables, "block,chain,sent");
+    assert_eq!(tables, "block,chain,consensus,doomed,era,node,out_of_turn,retired,sent");
 }
 
 /// Hash of the old chain's newest block, as the program of then gave it.

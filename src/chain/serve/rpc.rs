@@ -14,7 +14,7 @@ const LONGEST_ANSWER: usize = 32 * 1024 * 1024;
 pub const MOST_BLOCKS: u64 = 10_000;
 
 /// What may be asked. Nothing here signs, changes settings or tells of other users of the chain's file.
-const METHODS: [&str; 34] = [
+const METHODS: [&str; 35] = [
     "clique_getSigners",
     "eth_accounts",
     "eth_blockNumber",
@@ -32,6 +32,7 @@ const METHODS: [&str; 34] = [
     "eth_getFilterChanges",
     "eth_getFilterLogs",
     "eth_getLogs",
+    "eth_getProof",
     "eth_getStorageAt",
     "eth_getTransactionByBlockHashAndIndex",
     "eth_getTransactionByBlockNumberAndIndex",
@@ -161,7 +162,7 @@ fn span(filter: &Value, head: u64) -> u64 {
 
 /// A refused request.
 pub fn fault(code: i64, message: impl Into<String>) -> Fault {
-    Fault { code, message: message.into(), data: None }
+    Fault::new(code, message)
 }
 
 fn too_long() -> Fault {

@@ -29,9 +29,12 @@ pub struct EnrolArguments {
     /// What the gateway is to know the robot by
     #[arg(long, value_name = "NAME")]
     pub name: String,
-    /// Only this topic; may be repeated [default: all topics]
-    #[arg(long = "topic", value_name = "TOPIC")]
+    /// What the robot may record; may be repeated
+    #[arg(long = "topic", value_name = "TOPIC", conflicts_with = "all_topics")]
     pub topics: Vec<String>,
+    /// It may record every topic: it holds the epoch's key and the index key, and so does its thief
+    #[arg(long)]
+    pub all_topics: bool,
     /// End of the loan: 30d, 12h, or a time as 2027-01-31T12:00:00Z
     #[arg(long, value_name = "TIME")]
     pub until: Option<String>,

@@ -154,6 +154,10 @@ pub struct ConsensusArguments {
     #[arg(long, value_name = "MS", default_value_t = Self::PERIOD,
           value_parser = clap::value_parser!(u64).range(1..=60_000))]
     pub period: u64,
+    /// Hashes that a block of the PoW chain takes on average; the paper's unless given
+    #[arg(long, value_name = "N", default_value_t = Consensus::PAPER_DIFFICULTY,
+          value_parser = clap::value_parser!(u64).range(1..=Consensus::HIGHEST_DIFFICULTY))]
+    pub difficulty: u64,
 }
 
 impl ConsensusArguments {

@@ -13,8 +13,18 @@ pub enum ChainVerb {
     /// Go on with the chain that is there now, in place of the one this home is bound to
     Adopt,
     /// Put the contract on the chain with this profile's account, and pin it
-    Deploy,
-    /// Administrator: name the account that continues for a lost one, which is suspended for good
+    Deploy {
+        /// How long a succession waits where the lost account named a recovery account, else twice as long [default: 7d]
+        #[arg(long, value_name = "1d TO 365d")]
+        delay: Option<String>,
+        /// An earlier revision of the contract
+        #[arg(long, value_name = "N", hide = true)]
+        revision: Option<u8>,
+    },
+    /// Who is to continue for a lost account: proposed by the administrator, it waits and can be stopped
+    #[command(subcommand)]
+    Succession(SuccessionVerb),
+    /// Administrator, on a contract of the first revision: name at once the account that continues for a lost one
     Succeed {
         /// Account whose key is lost, or its name
         lost: String,
@@ -23,6 +33,11 @@ pub enum ChainVerb {
     },
     /// Administrator: let an account register while registration is closed
     Admit {
+        /// Account, or its name
+        account: String,
+    },
+    /// Administrator: withdraw an admission
+    Dismiss {
         /// Account, or its name
         account: String,
     },
@@ -40,9 +55,13 @@ pub enum ChainVerb {
     Open,
     /// Administrator: let only admitted accounts register
     Close,
-    /// Administrator: stop all changes, but those that take rights away
-    Pause,
-    /// Administrator: let changes go on
+    /// Administrator: stop all changes for a while, but those that take rights away
+    Pause {
+        /// How long, at most 3d; the next pause must wait a week [default: 1d]
+        #[arg(long = "for", value_name = "TIME")]
+        length: Option<String>,
+    },
+    /// Administrator: let changes go on before the pause's end
     Resume,
     /// Administrator: name the next one, who takes over with `chain accept`
     HandOver {
@@ -59,6 +78,30 @@ pub enum ChainVerb {
     },
     /// Genesis file for a private network of geth or Besu
     Genesis(GenesisArguments),
+}
+
+/// `chain succession …`
+#[derive(Debug, Subcommand)]
+pub enum SuccessionVerb {
+    /// Administrator: propose the account that is to continue for a lost one; it waits for the contract's delay
+    Propose {
+        /// Account whose key is lost or stolen, or its name
+        lost: String,
+        /// Account that is to continue, or its name; registered
+        successor: String,
+    },
+    /// Recovery account or administrator: stop a succession that waits
+    Cancel {
+        /// Account whose succession it is, or its name
+        lost: String,
+    },
+    /// Complete a succession whose time has come; the lost account is suspended for good
+    Complete {
+        /// Account whose succession it is, or its name
+        lost: String,
+    },
+    /// Successions that wait and that came about, and this profile's recovery account
+    List,
 }
 
 /// `chain genesis …`

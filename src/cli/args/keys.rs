@@ -21,6 +21,12 @@ pub enum IdentityVerb {
         #[arg(long, value_name = "ADDRESS_OR_NAME")]
         account: Option<String>,
     },
+    /// Name who may stop a succession of this profile's account, should the administrator propose one wrongly
+    Recovery {
+        /// Account, or its name, or `none`; it takes effect after the contract's delay
+        #[arg(value_name = "ADDRESS_OR_NAME")]
+        account: String,
+    },
 }
 
 /// Which key to export.
@@ -54,9 +60,28 @@ pub enum KeysVerb {
         /// File with the V3 keystore's passphrase
         #[arg(long, value_name = "FILE")]
         keystore_passphrase_file: Option<PathBuf>,
+        /// Only say whom a new SM2 key touches; change nothing
+        #[arg(long, requires = "sm2")]
+        dry_run: bool,
     },
     /// Begin a new epoch: readers keep what they have, new records need a new key
-    Rotate,
+    Rotate {
+        /// A new SM2 envelope key instead: what others share with you is sealed to it from then on
+        #[arg(long)]
+        envelope: bool,
+        /// Only say whom a new envelope key touches; change nothing
+        #[arg(long, requires = "envelope")]
+        dry_run: bool,
+    },
+    /// Change the keyring's passphrase; the present one comes from --passphrase-file, --passphrase-fd or the terminal
+    Passphrase {
+        /// File with the new passphrase (first line) [default: asked at the terminal]
+        #[arg(long, value_name = "FILE", conflicts_with = "new_passphrase_fd")]
+        new_passphrase_file: Option<PathBuf>,
+        /// Descriptor to read the new passphrase from
+        #[arg(long, value_name = "NUMBER")]
+        new_passphrase_fd: Option<u32>,
+    },
     /// Save the keyring, under its passphrase, to a new 0600 file
     Backup {
         /// File to write; must not exist

@@ -15,6 +15,7 @@ use crate::cli::args::{
 };
 use crate::cli::output::table;
 use crate::crypto::Provider;
+use crate::model::Consensus;
 use crate::service::Failure;
 
 /// What becomes of one bench of the set.
@@ -89,9 +90,12 @@ fn short(name: BenchName, arguments: &AllArguments) -> Bench {
         BenchName::Sm4 => Bench::Sm4(algorithm),
         BenchName::Record => Bench::Record(algorithm),
         BenchName::Gas => Bench::Gas,
-        BenchName::Consensus => {
-            Bench::Consensus(ConsensusArguments { uploaders: vec![300], node, period: ConsensusArguments::PERIOD })
-        }
+        BenchName::Consensus => Bench::Consensus(ConsensusArguments {
+            uploaders: vec![300],
+            node,
+            period: ConsensusArguments::PERIOD,
+            difficulty: Consensus::PAPER_DIFFICULTY,
+        }),
         BenchName::Size => {
             let networks = vec![NetworkChoice::Poa, NetworkChoice::Pow];
             Bench::Size(SizeArguments { runs: arguments.runs, networks, node })

@@ -114,7 +114,8 @@ pub async fn run(
         reach(url).await?;
     }
     let authority = Consensus::Poa { signers: 1, period: Duration::from_millis(arguments.period) };
-    let mut places = vec![Place::Embedded(authority), Place::Embedded(Consensus::POW)];
+    let mut places =
+        vec![Place::Embedded(authority), Place::Embedded(Consensus::Pow { difficulty: arguments.difficulty })];
     places.extend(arguments.node.map(Place::Node));
     let (mut results, mut presets) = (Vec::new(), Vec::new());
     for place in &places {

@@ -9,7 +9,7 @@ use crate::ros::{Capture, CaptureNotice, CaptureOptions, Message, MessageSink};
 use crate::service::Failure;
 
 /// How long the witness may take to hear a robot, or lag behind the product.
-const PATIENCE: Duration = Duration::from_secs(10);
+const PATIENCE: Duration = Duration::from_secs(60);
 
 #[derive(Default)]
 struct Hashes {

@@ -16,16 +16,21 @@ use crate::model::wire::{Reader, WireError};
 use super::Enrolment;
 
 const MAGIC: [u8; 8] = *b"\x89AuthEnr";
-const VERSION: u8 = 1;
-const LABEL: &str = "AuthROS/enrolment/1";
+/// Where the version stands in the file.
+const VERSION_AT: usize = 8;
 /// The largest file accepted, bytes.
 const LARGEST: usize = 1024 * 1024;
 /// Length of the header, bytes.
 const HEADER: usize = 110;
 
-fn header(key: &FileKey, save_salt: &[u8; 24], commit: &[u8; 32], length: usize) -> Vec<u8> {
+/// What the keys of a file of this version are derived with.
+fn label(version: u8) -> &'static str {
+    if version == 1 { "AuthROS/enrolment/1" } else { "AuthROS/enrolment/2" }
+}
+
+fn header(version: u8, key: &FileKey, save_salt: &[u8; 24], commit: &[u8; 32], length: usize) -> Vec<u8> {
     let mut out = MAGIC.to_vec();
-    out.push(VERSION);
+    out.push(version);
     put_work(&mut out, key.work);
     out.extend_from_slice(&key.salt);
     out.extend_from_slice(save_salt);
@@ -35,6 +40,7 @@ fn header(key: &FileKey, save_salt: &[u8; 24], commit: &[u8; 32], length: usize)
 }
 
 struct Parts<'a> {
+    version: u8,
     work: Work,
     salt: [u8; 32],
     save_salt: [u8; 24],
@@ -48,7 +54,8 @@ fn split(bytes: &[u8]) -> Result<Parts<'_>, WireError> {
     if reader.array("magic")? != MAGIC {
         return Err(WireError::Value("magic"));
     }
-    if reader.u8("version")? != VERSION {
+    let version = reader.u8("version")?;
+    if !(1..=Enrolment::NEWEST).contains(&version) {
         return Err(WireError::Value("version"));
     }
     let work = read_work(&mut reader)?;
@@ -57,14 +64,14 @@ fn split(bytes: &[u8]) -> Result<Parts<'_>, WireError> {
     let length = usize::try_from(reader.u32("length")?).map_err(|_| WireError::Value("length"))?;
     let sealed = reader.take(length, "sealed enrolment")?;
     reader.end()?;
-    Ok(Parts { work, salt, save_salt, commit, aad: bytes.get(..HEADER).unwrap_or_default(), sealed })
+    Ok(Parts { version, work, salt, save_salt, commit, aad: bytes.get(..HEADER).unwrap_or_default(), sealed })
 }
 
 fn seal(enrolment: &Enrolment, key: &FileKey) -> Result<Vec<u8>, CryptoError> {
-    let mut sealed = enrolment.encode();
+    let mut sealed = enrolment.encode().map_err(|why| CryptoError::Malformed { what: "enrolment", why })?;
     let save_salt = random_bytes()?;
-    let keys = SaveKeys::derive(key, &save_salt, LABEL);
-    let header = header(key, &save_salt, &keys.commit, sealed.len() + 16);
+    let keys = SaveKeys::derive(key, &save_salt, label(enrolment.version));
+    let header = header(enrolment.version, key, &save_salt, &keys.commit, sealed.len() + 16);
     if header.len() + sealed.len() + 16 > LARGEST {
         return Err(CryptoError::Length { what: "enrolment", found: sealed.len(), allowed: "at most 1 MiB" });
     }
@@ -75,6 +82,23 @@ fn seal(enrolment: &Enrolment, key: &FileKey) -> Result<Vec<u8>, CryptoError> {
 fn damaged(path: &Path) -> CryptoError {
     let found = "it is damaged, or no such file; have its owner enrol the robot again".to_owned();
     CryptoError::NotAKey { path: shown(path), wanted: "an enrolment", found }
+}
+
+/// A file of a later version is not damaged.
+fn unread(path: &Path, bytes: &[u8]) -> CryptoError {
+    match bytes.get(VERSION_AT) {
+        Some(version) if bytes.starts_with(&MAGIC) && *version > Enrolment::NEWEST => {
+            let found = format!("it is of version {version}, written by a later AuthROS; bring this robot up to date");
+            CryptoError::NotAKey { path: shown(path), wanted: "an enrolment", found }
+        }
+        _ => damaged(path),
+    }
+}
+
+/// The version of the enrolment in a file, as it says without its passphrase; `None` where it is none.
+pub fn version_of(path: &Path) -> Option<u8> {
+    let bytes = read_private(path, LARGEST).ok()?;
+    bytes.get(VERSION_AT).copied().filter(|_| bytes.starts_with(&MAGIC))
 }
 
 /// An enrolment in memory with the key of its file, so that later saves cost no derivation.
@@ -108,15 +132,15 @@ impl SealedEnrolment {
     /// [`CryptoError::WrongPassphrase`].
     pub fn open(path: &Path, passphrase: &Passphrase) -> Result<Self, CryptoError> {
         let bytes = read_private(path, LARGEST)?;
-        let parts = split(&bytes).map_err(|_| damaged(path))?;
+        let parts = split(&bytes).map_err(|_| unread(path, &bytes))?;
         let key = FileKey::with(passphrase, parts.work, parts.salt)?;
-        let keys = SaveKeys::derive(&key, &parts.save_salt, LABEL);
+        let keys = SaveKeys::derive(&key, &parts.save_salt, label(parts.version));
         if !bool::from(keys.commit.ct_eq(&parts.commit)) {
             return Err(CryptoError::WrongPassphrase(shown(path)));
         }
         let opened = provider(ProviderName::RustCrypto).gcm_open(&keys.key, &keys.nonce, parts.aad, parts.sealed);
         let plain = opened.map_err(|_| damaged(path))?;
-        let enrolment = Enrolment::parse(&plain).map_err(|_| damaged(path))?;
+        let enrolment = Enrolment::parse(&plain, parts.version).map_err(|_| damaged(path))?;
         Ok(Self { enrolment, key })
     }
 
@@ -131,14 +155,15 @@ impl SealedEnrolment {
         }
         let bytes = read_private(path, LARGEST)?;
         let Ok(parts) = split(&bytes) else { return Ok(()) };
-        let keys = SaveKeys::derive(&self.key, &parts.save_salt, LABEL);
+        let keys = SaveKeys::derive(&self.key, &parts.save_salt, label(parts.version));
         if parts.salt != self.key.salt || !bool::from(keys.commit.ct_eq(&parts.commit)) {
             return Ok(());
         }
         let opened = provider(ProviderName::RustCrypto).gcm_open(&keys.key, &keys.nonce, parts.aad, parts.sealed);
-        if let Some(later) = opened.ok().and_then(|plain| Enrolment::parse(&plain).ok())
+        if let Some(later) = opened.ok().and_then(|plain| Enrolment::parse(&plain, parts.version).ok())
             && later.device_id() == self.enrolment.device_id()
             && later.keys.now.epoch >= self.enrolment.keys.now.epoch
+            && later.version >= self.enrolment.version
         {
             self.enrolment = later;
         }

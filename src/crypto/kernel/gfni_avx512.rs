@@ -1,6 +1,6 @@
 //! SM4 in 64 blocks at once: GFNI and AVX-512. Four groups of 16 blocks hide the latency of the S-box.
 //!
-//! Safety: the intrinsics need only the features that [`super::Sm4Kernel`] has checked before it calls; the
+//! Safety: the intrinsics need only the features that [`super::Kernel`] has checked before it calls; the
 //! single access to memory goes through references to whole arrays of 64 bytes, unaligned.
 #![allow(unsafe_code, reason = "vector loads and stores, see above")]
 

@@ -55,9 +55,15 @@ fn folded(vector: __m512i) -> __m128i {
 
 #[inline]
 #[target_feature(enable = "avx512f")]
-fn load<T>(array: &[T]) -> __m512i {
-    assert!(size_of_val(array) == 64, "a vector has 64 bytes");
-    // SAFETY: `array` is 64 bytes of plain numbers (the only callers are below), the load an unaligned one.
+fn load(array: &[u8; 64]) -> __m512i {
+    // SAFETY: 64 bytes, the load an unaligned one.
+    unsafe { _mm512_loadu_si512(array.as_ptr().cast()) }
+}
+
+#[inline]
+#[target_feature(enable = "avx512f")]
+fn load_numbers(array: &[u128; 4]) -> __m512i {
+    // SAFETY: 64 bytes, all of them initialised, the load an unaligned one.
     unsafe { _mm512_loadu_si512(array.as_ptr().cast()) }
 }
 
@@ -67,7 +73,7 @@ pub(super) fn update(powers: &[u128; 16], hash: u128, batches: &[[u8; BATCH]]) -
     let turned = _mm512_broadcast_i32x4(_mm_set_epi64x(0x0001_0203_0405_0607, 0x0809_0a0b_0c0d_0e0f));
     let mut factors = [_mm512_setzero_si512(); 4];
     for (factor, four) in factors.iter_mut().zip(powers.as_chunks::<4>().0) {
-        *factor = load(four);
+        *factor = load_numbers(four);
     }
     let mut hash = halves(hash);
     for batch in batches {

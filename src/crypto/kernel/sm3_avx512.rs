@@ -24,9 +24,15 @@ const CHOICE: i32 = 0xca;
 
 #[inline]
 #[target_feature(enable = "avx512f")]
-fn load<T: Copy>(array: &[T]) -> __m512i {
-    assert!(size_of_val(array) == 64, "a vector has 64 bytes");
-    // SAFETY: 64 bytes of plain numbers (all callers are below), unaligned.
+fn load(array: &[u32; LANES]) -> __m512i {
+    // SAFETY: 64 bytes, all of them initialised, unaligned.
+    unsafe { _mm512_loadu_si512(array.as_ptr().cast()) }
+}
+
+#[inline]
+#[target_feature(enable = "avx512f")]
+fn load_block(array: &[u8; BLOCK]) -> __m512i {
+    // SAFETY: 64 bytes, unaligned.
     unsafe { _mm512_loadu_si512(array.as_ptr().cast()) }
 }
 
@@ -80,7 +86,7 @@ fn words<'a>(blocks: impl Iterator<Item = &'a [u8; BLOCK]>) -> [__m512i; LANES] 
     let swap = _mm512_broadcast_i32x4(_mm_set_epi64x(0x0c0d_0e0f_0809_0a0b, 0x0405_0607_0001_0203));
     let mut rows = [_mm512_setzero_si512(); LANES];
     for (row, block) in rows.iter_mut().zip(blocks) {
-        *row = _mm512_shuffle_epi8(load(&block[..]), swap);
+        *row = _mm512_shuffle_epi8(load_block(block), swap);
     }
     transposed(&rows)
 }

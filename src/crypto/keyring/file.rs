@@ -21,7 +21,8 @@ use super::{Keyring, PublicIdentity};
 mod body;
 
 const MAGIC: [u8; 8] = *b"\x89AuthKey";
-const VERSION: u8 = 1;
+/// Of a keyring without further pairs, and of one with some.
+const VERSIONS: [u8; 2] = [1, 2];
 const LABEL: &str = "AuthROS/keyring/1";
 /// The largest keyring accepted, bytes: about 290,000 epochs.
 const LARGEST: usize = 16 * 1024 * 1024;
@@ -30,6 +31,8 @@ const HEADER: usize = 258;
 
 /// The header, in the order it is written.
 struct FileHeader {
+    /// Whether further pairs follow: a keyring without stays readable to programs that know none.
+    further: bool,
     work: Work,
     salt: [u8; 32],
     save_salt: [u8; 24],
@@ -42,7 +45,7 @@ impl FileHeader {
     fn encode(&self) -> Vec<u8> {
         let mut out = Vec::with_capacity(HEADER);
         out.extend_from_slice(&MAGIC);
-        out.push(VERSION);
+        out.push(VERSIONS[usize::from(self.further)]);
         put_work(&mut out, self.work);
         out.extend_from_slice(&self.salt);
         out.extend_from_slice(&self.save_salt);
@@ -58,10 +61,12 @@ impl FileHeader {
         if reader.array("magic")? != MAGIC {
             return Err(WireError::Value("magic"));
         }
-        if reader.u8("version")? != VERSION {
+        let version = reader.u8("version")?;
+        if !VERSIONS.contains(&version) {
             return Err(WireError::Value("version"));
         }
         Ok(Self {
+            further: version == VERSIONS[1],
             work: read_work(reader)?,
             salt: reader.array("salt")?,
             save_salt: reader.array("salt")?,
@@ -84,8 +89,8 @@ fn seal(keyring: &Keyring, key: &FileKey) -> Result<Vec<u8>, CryptoError> {
     if length + HEADER > LARGEST {
         return Err(CryptoError::Length { what: "keyring", found: length, allowed: "at most 16 MiB" });
     }
-    let header =
-        FileHeader { work: key.work, salt: key.salt, save_salt, public: keyring.public(), commit: keys.commit, length };
+    let (further, public) = (!keyring.further.is_empty(), keyring.public());
+    let header = FileHeader { further, work: key.work, salt: key.salt, save_salt, public, commit: keys.commit, length };
     let header = header.encode();
     provider(ProviderName::RustCrypto).gcm_seal(&keys.key, &keys.nonce, &header, &mut sealed)?;
     Ok([&header[..], &sealed].concat())
@@ -114,7 +119,7 @@ fn open(bytes: &[u8], key: &FileKey) -> Result<Keyring, Refusal> {
     let plain = provider(ProviderName::RustCrypto)
         .gcm_open(&keys.key, &keys.nonce, aad, sealed)
         .map_err(|_| Refusal::Damaged)?;
-    let keyring = body::parse(&plain).map_err(|_| Refusal::Damaged)?;
+    let keyring = body::parse(&plain, header.further).map_err(|_| Refusal::Damaged)?;
     if keyring.public() == header.public { Ok(keyring) } else { Err(Refusal::Damaged) }
 }
 
@@ -175,6 +180,8 @@ impl UnlockedKeyring {
         self.stripped = true;
         self.keyring.envelope.secret = envelope.secret;
         self.keyring.sm4 = sm4;
+        self.keyring.further.envelopes.clear();
+        self.keyring.further.next_envelope = None;
         for network in self.keyring.networks.values_mut() {
             network.epochs.clear();
         }

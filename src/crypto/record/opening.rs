@@ -203,6 +203,26 @@ pub fn open_in_steps(
     Ok(OpenedRecord { header: parts.header, head, body, digest, verdict })
 }
 
+/// Public header and sealed head of a record, from its first bytes. The seal of the head covers the header: both are as
+/// whoever has the topic key wrote them. Body, digest and signature are not looked at.
+///
+/// # Errors
+/// [`CryptoError::DamagedRecord`], [`CryptoError::WrongKey`] or [`CryptoError::Tampered`].
+pub fn open_front(provider: &dyn Provider, front: &[u8], topic_key: &TopicKey) -> Result<(Header, Head), CryptoError> {
+    let (header, length) = Header::parse(front).map_err(CryptoError::DamagedRecord)?;
+    let short = || CryptoError::DamagedRecord(WireError::Short("sealed head"));
+    let (prefix, rest) = front.split_at_checked(length).ok_or_else(short)?;
+    let sealed = usize::try_from(header.head_length).ok().and_then(|length| rest.get(..length)).ok_or_else(short)?;
+    let keys = RecordKeys::derive(topic_key, &header);
+    if !bool::from(keys.commit.ct_eq(&header.commit.0)) {
+        return Err(CryptoError::WrongKey);
+    }
+    let head = provider
+        .gcm_open(&keys.head_key, &keys.head_nonce, prefix, sealed)
+        .map_err(|_| CryptoError::Tampered("sealed head"))?;
+    Ok((header, Head::parse(&head).map_err(CryptoError::DamagedRecord)?))
+}
+
 /// The message as it was captured; the head's plain length bounds what is made of it.
 fn restore(head: &Head, body: Vec<u8>) -> Result<Vec<u8>, CryptoError> {
     if head.compression == Compression::None {

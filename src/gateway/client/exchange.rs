@@ -71,7 +71,7 @@ fn line_error(address: &str, error: LineError) -> GatewayError {
     }
 }
 
-/// The payload of a frame of the kind that must come, or the gateway's reason for refusing.
+/// The payload of a frame of the kind that must come, or what was said in clear of why there is none.
 fn expected(kind: FrameKind, payload: Vec<u8>, wanted: FrameKind) -> Result<Vec<u8>, GatewayError> {
     if kind == wanted {
         return Ok(payload);
@@ -81,7 +81,7 @@ fn expected(kind: FrameKind, payload: Vec<u8>, wanted: FrameKind) -> Result<Vec<
     }
     let mut reader = Reader::new(&payload);
     let code = read_code(&mut reader).and_then(|code| reader.end().map(|()| code));
-    Err(GatewayError::Refused(code.map_err(GatewayError::malformed("refusal"))?))
+    Err(GatewayError::RefusedInClear(code.map_err(GatewayError::malformed("refusal"))?))
 }
 
 impl Client {

@@ -6,9 +6,10 @@ use crate::model::{Hash, PublicKey, Signature, Timestamp};
 use super::Command;
 use super::query::{Entry, Page};
 use super::relay::Relayed;
-use super::request::MOST_CHECKED;
+use super::request::{MOST_CHECKED, SIGNED};
 use crate::gateway::code::Code;
 use crate::gateway::receipt::Receipt;
+use crate::gateway::standings::SignedStandings;
 
 /// The longest proof, bytes.
 pub const LONGEST_PROOF: usize = 64 * 1024;
@@ -95,6 +96,8 @@ pub enum Answer {
     Page(Page),
     /// How the digests asked for stand, in their order: count (2), a byte each.
     Standings(Vec<Standing>),
+    /// The same, signed, with proofs.
+    Proven(Box<SignedStandings>),
     /// A record.
     Record(Box<Fetched>),
     /// The subscription, or its end, is noted.
@@ -119,7 +122,7 @@ impl Answer {
             Self::Receipt(command, _) | Self::Done(command) => *command,
             Self::Registered(_) => Command::Register,
             Self::Page(_) => Command::Query,
-            Self::Standings(_) => Command::Check,
+            Self::Standings(_) | Self::Proven(_) => Command::Check,
             Self::Record(_) => Command::Fetch,
             Self::Time(_) => Command::Ping,
             Self::Relayed(_) => Command::Relay,
@@ -142,6 +145,7 @@ impl Answer {
             Self::Registered(transaction) => transaction.0.to_vec(),
             Self::Page(page) => page.encode(),
             Self::Standings(standings) => encode_standings(standings),
+            Self::Proven(signed) => signed.encode(),
             Self::Record(record) => record.encode(),
             Self::Done(_) => Vec::new(),
             Self::Time(time) => time.0.to_be_bytes().to_vec(),
@@ -170,7 +174,14 @@ impl Answer {
             | Command::DeviceNotice => Self::Receipt(command, Receipt::read(&mut reader)?),
             Command::Register => Self::Registered(Hash(reader.array("transaction")?)),
             Command::Query => Self::Page(Page::read(&mut reader)?),
-            Command::Check => Self::Standings(read_standings(&mut reader)?),
+            Command::Check => {
+                let signed = body.first().is_some_and(|first| first & SIGNED.to_be_bytes()[0] != 0);
+                let standings = read_standings(&mut reader)?;
+                match signed {
+                    true => Self::Proven(Box::new(SignedStandings::read(&mut reader, standings)?)),
+                    false => Self::Standings(standings),
+                }
+            }
             Command::Fetch => Self::Record(Box::new(Fetched::read(&mut reader)?)),
             Command::Subscribe | Command::Unsubscribe => Self::Done(command),
             Command::Ping => Self::Time(Timestamp(reader.u64("time")?)),
@@ -196,7 +207,7 @@ fn encode_standings(standings: &[Standing]) -> Vec<u8> {
 }
 
 fn read_standings(reader: &mut Reader<'_>) -> Result<Vec<Standing>, WireError> {
-    let count = usize::from(reader.u16("count")?);
+    let count = usize::from(reader.u16("count")? & !SIGNED);
     let codes = reader.take(count, "standing")?;
     codes.iter().map(|code| Standing::from_code(*code).ok_or(WireError::Value("standing"))).collect()
 }

@@ -9,6 +9,8 @@ use crate::model::wire::{Reader, WireError, put_text};
 pub const LONGEST_PARAMETERS: usize = 72 * 1024;
 /// The longest result, bytes of JSON.
 pub const LONGEST_RESULT: usize = 32 * 1024 * 1024;
+/// The longest result for a visitor, bytes of JSON: more than the logs of one block can have.
+pub const LONGEST_FOR_VISITOR: usize = 8 * 1024 * 1024;
 /// The longest name of a method, bytes.
 const LONGEST_METHOD: usize = 64;
 /// The longest words of a node, bytes.
@@ -65,16 +67,16 @@ pub enum Relayed {
 }
 
 impl Relayed {
-    /// What a gateway answers; a result that is too long becomes a fault that a client asks less after.
+    /// What a gateway answers; a result longer than `most` bytes becomes a fault that a client asks less after.
     ///
     /// # Errors
     /// [`Refusal`] with `Method` where the method is not passed on, `Stale` where the chain does not answer.
-    pub fn of(outcome: Result<serde_json::Value, RelayError>) -> Result<Self, Refusal> {
+    pub fn of(outcome: Result<serde_json::Value, RelayError>, most: usize) -> Result<Self, Refusal> {
         match outcome {
             Ok(result) => {
                 let text = result.to_string();
-                if text.len() > LONGEST_RESULT {
-                    let words = format!("the answer is longer than {LONGEST_RESULT} bytes; ask for less at once");
+                if text.len() > most {
+                    let words = format!("the answer is longer than {most} bytes; ask for less at once");
                     return Ok(Self::Fault { code: -32005, words, data: String::new() });
                 }
                 Ok(Self::Result(text))
@@ -190,14 +192,16 @@ mod tests {
 
     #[test]
     fn what_a_node_says_is_passed_on_and_the_rest_is_a_code() {
-        assert_eq!(Relayed::of(Ok(json!({"a": 1}))), Ok(Relayed::Result("{\"a\":1}".into())));
+        let of = |outcome| Relayed::of(outcome, LONGEST_RESULT);
+        let Ok(Relayed::Fault { code: -32005, .. }) = Relayed::of(Ok(json!("four")), 5) else { panic!("too long") };
+        assert_eq!(of(Ok(json!({"a": 1}))), Ok(Relayed::Result("{\"a\":1}".into())));
         let reverted = RelayError::Answered { code: 3, message: "reverted".into(), data: Some(json!("0x08")) };
         let fault = Relayed::Fault { code: 3, words: "reverted".into(), data: "\"0x08\"".into() };
-        assert_eq!(Relayed::of(Err(reverted)), Ok(fault));
-        assert_eq!(Relayed::of(Err(RelayError::NotAllowed)).expect_err("refused").code, Code::Method);
-        assert_eq!(Relayed::of(Err(RelayError::Silent("x".into()))).expect_err("refused").code, Code::Stale);
+        assert_eq!(of(Err(reverted)), Ok(fault));
+        assert_eq!(of(Err(RelayError::NotAllowed)).expect_err("refused").code, Code::Method);
+        assert_eq!(of(Err(RelayError::Silent("x".into()))).expect_err("refused").code, Code::Stale);
         let long = RelayError::Answered { code: 3, message: "ä".repeat(3000), data: None };
-        let Ok(Relayed::Fault { words, .. }) = Relayed::of(Err(long)) else { panic!("a fault") };
+        let Ok(Relayed::Fault { words, .. }) = of(Err(long)) else { panic!("a fault") };
         assert!(words.len() <= LONGEST_WORDS && words.ends_with('ä'));
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::crypto::SealedRecord;
 use crate::model::wire::{Reader, WireError};
-use crate::model::{Address, Digest, Hash, Identity, PublicKey, Signature, Token};
+use crate::model::{Address, Digest, Hash, Identity, PublicKey, Signature, Token, TopicId};
 
 use super::Command;
 use super::query::{Query, Selection};
@@ -13,6 +13,8 @@ use crate::gateway::allocation::AllocationRequest;
 pub const MOST_UPLOADS: usize = 1024;
 /// The most digests checked at once.
 pub const MOST_CHECKED: usize = 1024;
+/// In the count of a check: the answer is to be signed, with proofs. Set in the answer's count as well.
+pub const SIGNED: u16 = 1 << 15;
 /// The longest signed transaction passed on, bytes.
 pub const LONGEST_TRANSACTION: usize = 3 * 1024;
 
@@ -68,6 +70,33 @@ pub struct RevokeNotice {
     pub transaction: Hash,
 }
 
+/// Whose the session's name is from now on: P of a lent device (64), or P (64) || the topic id of its notices (16).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct DeviceNotice {
+    /// Its public key.
+    pub key: PublicKey,
+    /// Where its owner's notices to it are filed; `None` from owners who did not tell.
+    pub notices: Option<TopicId>,
+}
+
+impl DeviceNotice {
+    fn encode(&self) -> Vec<u8> {
+        [&self.key.0[..], self.notices.as_ref().map_or(&[][..], |id| &id.0)].concat()
+    }
+
+    fn read(reader: &mut Reader<'_>) -> Result<Self, WireError> {
+        let key = PublicKey(reader.array("device key")?);
+        let notices = if reader.rest().is_empty() { None } else { Some(TopicId(reader.array("topic id")?)) };
+        Ok(Self { key, notices })
+    }
+}
+
+impl From<PublicKey> for DeviceNotice {
+    fn from(key: PublicKey) -> Self {
+        Self { key, notices: None }
+    }
+}
+
 /// A client's message.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Request {
@@ -85,6 +114,8 @@ pub enum Request {
     Query(Query),
     /// How digests stand: count (2), then 32 bytes each.
     Check(Vec<Digest>),
+    /// The same, signed and with the proofs of their anchors: the highest bit of the count is set.
+    Prove(Vec<Digest>),
     /// One record: digest (32).
     Fetch(Digest),
     /// Records as they come.
@@ -95,8 +126,8 @@ pub enum Request {
     GrantNotice(GrantNotice),
     /// A revoke.
     RevokeNotice(RevokeNotice),
-    /// A lent device's public key (64).
-    DeviceNotice(PublicKey),
+    /// The name of this session is a lent device's.
+    DeviceNotice(DeviceNotice),
     /// Nothing.
     Ping,
     /// A request to the chain.
@@ -113,7 +144,7 @@ impl Request {
             Self::Upload(_) => Command::Upload,
             Self::UploadMany(_) => Command::UploadMany,
             Self::Query(_) => Command::Query,
-            Self::Check(_) => Command::Check,
+            Self::Check(_) | Self::Prove(_) => Command::Check,
             Self::Fetch(_) => Command::Fetch,
             Self::Subscribe(_) => Command::Subscribe,
             Self::Unsubscribe(_) => Command::Unsubscribe,
@@ -137,13 +168,18 @@ impl Request {
             Self::UploadMany(uploads) => encode_uploads(uploads),
             Self::Query(query) => query.encode(),
             Self::Check(digests) => encode_digests(digests),
+            Self::Prove(digests) => {
+                let mut body = encode_digests(digests);
+                body.iter_mut().take(1).for_each(|first| *first |= SIGNED.to_be_bytes()[0]);
+                body
+            }
             Self::Fetch(digest) => digest.0.to_vec(),
             Self::Subscribe(selection) => selection.encode(),
             Self::Unsubscribe(request) => request.to_be_bytes().to_vec(),
             Self::GrantNotice(notice) => notice.encode(),
             Self::RevokeNotice(notice) => notice.encode(),
             Self::Relay(call) => call.encode(),
-            Self::DeviceNotice(key) => key.0.to_vec(),
+            Self::DeviceNotice(notice) => notice.encode(),
         }
     }
 
@@ -163,13 +199,17 @@ impl Request {
             }),
             Command::UploadMany => Self::UploadMany(read_uploads(&mut reader)?),
             Command::Query => Self::Query(Query::read(&mut reader)?),
-            Command::Check => Self::Check(read_digests(&mut reader)?),
+            Command::Check => {
+                let signed = body.first().is_some_and(|first| first & SIGNED.to_be_bytes()[0] != 0);
+                let digests = read_digests(&mut reader)?;
+                if signed { Self::Prove(digests) } else { Self::Check(digests) }
+            }
             Command::Fetch => Self::Fetch(Digest(reader.array("digest")?)),
             Command::Subscribe => Self::Subscribe(Selection::read(&mut reader)?),
             Command::Unsubscribe => Self::Unsubscribe(reader.u32("subscription")?),
             Command::GrantNotice => Self::GrantNotice(GrantNotice::read(&mut reader)?),
             Command::RevokeNotice => Self::RevokeNotice(RevokeNotice::read(&mut reader)?),
-            Command::DeviceNotice => Self::DeviceNotice(PublicKey(reader.array("device key")?)),
+            Command::DeviceNotice => Self::DeviceNotice(DeviceNotice::read(&mut reader)?),
             Command::Ping => Self::Ping,
             Command::Relay => Self::Relay(RelayCall::read(&mut reader)?),
             Command::Event | Command::End | Command::Refuse => return Err(WireError::Value("command")),
@@ -259,6 +299,9 @@ fn encode_digests(digests: &[Digest]) -> Vec<u8> {
 }
 
 fn read_digests(reader: &mut Reader<'_>) -> Result<Vec<Digest>, WireError> {
-    let count = read_count(reader, MOST_CHECKED, "digest count")?;
+    let count = usize::from(reader.u16("digest count")? & !SIGNED);
+    if !(1..=MOST_CHECKED).contains(&count) {
+        return Err(WireError::Value("digest count"));
+    }
     (0..count).map(|_| reader.array("digest").map(Digest)).collect()
 }

@@ -1,14 +1,17 @@
 //! What a session may ask, and the order of its checks: token, then signature, then account, then the desk.
 
+use crate::crypto::signer_id;
 use crate::gateway::code::{Code, Refusal};
+use crate::gateway::command::relay::{LONGEST_FOR_VISITOR, LONGEST_RESULT};
 use crate::gateway::command::{Answer, Command, RelayCall, Relayed, Request, Upload};
-use crate::gateway::desk::{Binding, Caller, Desk};
+use crate::gateway::desk::{Binding, BoundDevice, Caller, Desk};
 use crate::gateway::hello::Agreed;
 use crate::gateway::identity_check::{
-    allocate, check_account, check_records, check_registration, check_signed, check_token,
+    allocate, check_account, check_reach, check_records, check_registration, check_signed, check_token,
 };
 use crate::gateway::limits::Charge;
 use crate::gateway::parts::Message;
+use crate::gateway::standings::SignedStandings;
 use crate::model::{Digest, ProfileName, Timestamp};
 
 use super::Shared;
@@ -49,7 +52,8 @@ impl Shared {
 
 async fn relayed(desk: &dyn Desk, caller: Option<&Caller>, call: &RelayCall) -> Result<Answer, Refusal> {
     let parameters = serde_json::from_str(&call.parameters).map_err(Refusal::because(Code::Malformed))?;
-    Relayed::of(desk.relay(caller, &call.method, &parameters).await).map(Answer::Relayed)
+    let most = if caller.is_some() { LONGEST_RESULT } else { LONGEST_FOR_VISITOR };
+    Relayed::of(desk.relay(caller, &call.method, &parameters).await, most).map(Answer::Relayed)
 }
 
 /// What a session under a transport key may do.
@@ -64,10 +68,12 @@ impl Commands {
     pub async fn answer(&mut self, shared: &Shared, message: &Message<Charge>) -> Result<Answer, Refusal> {
         let desk = shared.desk.as_ref();
         check_token(desk, &self.caller, message.token).await?;
+        desk.admits(&self.caller.account).await?;
         let request = Request::parse(message.command, &message.body)?;
         if message.command.is_signed() {
             check_signed(&shared.context, &self.agreed, &self.caller, message)?;
         }
+        check_reach(&self.caller, &request)?;
         match request {
             Request::Ping => return Ok(Answer::Time(Timestamp::now())),
             Request::SystemKeys => return Ok(Answer::SystemKeys(shared.list().1)),
@@ -80,6 +86,12 @@ impl Commands {
         match request {
             Request::Query(query) => desk.query(&self.caller, &query).await.map(Answer::Page),
             Request::Check(digests) => desk.check(&self.caller, &digests).await.map(Answer::Standings),
+            Request::Prove(digests) => {
+                let stood = desk.prove(&self.caller, &digests).await?;
+                let (domain, identity) = (&shared.context.domain, &shared.identity);
+                let signed = SignedStandings::sign(shared.provider(), domain, identity, &digests, stood);
+                signed.map(|signed| Answer::Proven(Box::new(signed))).map_err(Refusal::because(Code::Internal))
+            }
             Request::Fetch(digest) => {
                 desk.fetch(&self.caller, &digest).await.map(|record| Answer::Record(Box::new(record)))
             }
@@ -102,9 +114,11 @@ impl Commands {
                 desk.revoke(&self.caller, &notice).await?;
                 self.noted(shared, message)
             }
-            Request::DeviceNotice(key) => {
-                shared.provider().check_public_key(&key).map_err(Refusal::because(Code::Malformed))?;
-                desk.device(&self.caller, &key).await?;
+            Request::DeviceNotice(notice) => {
+                shared.provider().check_public_key(&notice.key).map_err(Refusal::because(Code::Malformed))?;
+                desk.device(&self.caller, &notice).await?;
+                let device = BoundDevice { id: signer_id(&notice.key), notices: notice.notices };
+                (self.caller.device, self.binding.device) = (Some(device), Some(device));
                 self.noted(shared, message)
             }
             _ => Err(Refusal::new(Code::NotHere, "a command for a session without a transport key")),

@@ -83,14 +83,24 @@ impl Cabinet {
             let secret = read_secret(&key_path(&directory, &key.id()))?;
             keys.push((*key, secret));
         }
+        let first = stored.is_none();
         let list = match stored {
             Some(list) => list,
             None => first_list(&directory, provider, domain, &identity, schedule, now, &mut keys)?,
         };
         let mut cabinet = Self { directory, provider, domain, schedule, identity, list, keys };
-        cabinet.rotate(now)?;
+        if !cabinet.rotate(now)?.published && !first {
+            cabinet.publish_anew(now)?;
+        }
         cabinet.erase_strays()?;
         Ok(cabinet)
+    }
+
+    /// The fingerprint of the gateway whose list lies in a directory; `None` where there is none, or none that can be
+    /// read.
+    pub fn founded_in(directory: &Path) -> Option<SignerId> {
+        let bytes = read_private(&directory.join(LIST), LONGEST_LIST).ok()?;
+        SystemKeyList::parse(&bytes).ok().map(|list| list.gateway)
     }
 
     /// The identity key.
@@ -130,6 +140,17 @@ impl Cabinet {
         }
         rotation.erased = self.erase_retired(now)?;
         Ok(rotation)
+    }
+
+    /// Signs the keys in use again under a newer version. A home that was restored has an older list than its clients
+    /// have seen, which they refuse: that it was restored cannot be told, so this is done at each opening.
+    fn publish_anew(&mut self, now: Timestamp) -> Result<(), CryptoError> {
+        let version = (self.list.version + 1).max(now.seconds());
+        let keys = self.list.keys.clone();
+        let list = sign_list(self.provider, self.domain, &self.identity, version, now, keys)?;
+        write_private(&self.directory.join(LIST), &list.encode())?;
+        self.list = list;
+        Ok(())
     }
 
     fn publish_next(&mut self, now: Timestamp) -> Result<(), CryptoError> {

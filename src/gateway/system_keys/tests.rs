@@ -139,6 +139,30 @@ fn keys_rotate_on_schedule_and_retired_secrets_are_erased() {
 }
 
 #[test]
+fn a_restored_gateway_is_not_taken_for_one_that_was_rolled_back() {
+    let home = tempfile::tempdir().expect("directory");
+    let path = home.path().join("gateway");
+    drop(open(&path, day(0)));
+    let backup: Vec<_> = fs::read_dir(&path)
+        .expect("lists")
+        .map(|entry| entry.expect("entry").path())
+        .map(|file| (fs::read(&file).expect("reads"), file))
+        .collect();
+    // Clients saw this one.
+    let mut later = open(&path, day(6));
+    later.rotate(day(7)).expect("rotates");
+    let seen = later.list().version;
+    drop(later);
+    for entry in fs::read_dir(&path).expect("lists") {
+        fs::remove_file(entry.expect("entry").path()).expect("removes");
+    }
+    for (bytes, file) in backup {
+        crate::crypto::private_file::write_private(&file, &bytes).expect("restores");
+    }
+    assert!(open(&path, day(8)).list().version > seen);
+}
+
+#[test]
 fn files_are_private_and_strays_and_damage_are_noticed() {
     let home = tempfile::tempdir().expect("directory");
     let path = home.path().join("gateway");
@@ -151,7 +175,11 @@ fn files_are_private_and_strays_and_damage_are_noticed() {
     let stray = path.join("system-00.key");
     crate::crypto::private_file::write_private(&stray, &[5; 32]).expect("writes");
     drop(cabinet);
-    assert_eq!(open(&path, day(1)).list(), &listed, "the same list after a restart");
+    let again = open(&path, day(1));
+    assert_eq!(again.list().keys, listed.keys, "the same keys after a restart");
+    assert_eq!(again.list().version, day(1).seconds(), "under a version that no older list can have");
+    drop(again);
+    assert!(open(&path, day(0)).list().version > day(1).seconds(), "also with a clock that was put back");
     assert!(!stray.exists(), "a key that no list names is erased");
 
     fs::set_permissions(&path, fs::Permissions::from_mode(0o755)).expect("chmod");

@@ -127,9 +127,10 @@ fn accepted_requests(stage: &Stage, member: &Member) -> Vec<Request> {
         Request::Unsubscribe(9),
         Request::GrantNotice(GrantNotice { grantee, epoch: 1, expiry: 0, transaction }),
         Request::RevokeNotice(RevokeNotice { grantee, epoch: 2, token: Token([2; 32]), transaction }),
-        Request::DeviceNotice(device.public),
         Request::Ping,
         Request::Relay(RelayCall { method: "eth_blockNumber".to_owned(), parameters: "[]".to_owned() }),
+        // The last one: from then on the name is the device's.
+        Request::DeviceNotice(device.public.into()),
     ]
 }
 

@@ -68,7 +68,7 @@ async fn serve(home: &std::path::Path, desk: &Arc<MemoryDesk>, limits: Limits) -
 
 pub(super) fn refusal<T>(outcome: Result<T, GatewayError>) -> Option<Code> {
     match outcome {
-        Err(GatewayError::Refused(code)) => Some(code),
+        Err(GatewayError::Refused(code) | GatewayError::RefusedInClear(code)) => Some(code),
         Err(other) => panic!("another error: {other}"),
         Ok(_) => None,
     }

@@ -9,14 +9,15 @@ use serde_json::Value;
 use tokio::sync::mpsc;
 
 use super::{Member, network};
-use crate::chain::RelayError;
+use crate::chain::merkle::{Inclusion, Leaf};
+use crate::chain::{AnchorProof, RelayError};
 use crate::crypto::{SmKeyPair, signer_id};
 use crate::gateway::command::{
-    Entry, Fetched, GrantNotice, Page, Query, Registration, RevokeNotice, Selection, Standing,
+    DeviceNotice, Entry, Fetched, GrantNotice, Page, Query, Registration, RevokeNotice, Selection, Standing,
 };
-use crate::gateway::desk::{Account, Binding, Caller, Desk, Received};
-use crate::gateway::{Code, NetworkName, Refusal};
-use crate::model::{Address, Digest, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token};
+use crate::gateway::desk::{Account, Binding, BoundDevice, Caller, Desk, Received};
+use crate::gateway::{Code, NetworkName, Refusal, Stood};
+use crate::model::{Address, Digest, Hash, Header, ProfileName, PublicKey, SignerId, Timestamp, Token};
 
 #[derive(Default)]
 pub(crate) struct State {
@@ -39,6 +40,12 @@ pub(crate) struct State {
     pub relayed: Vec<(Option<Address>, String)>,
     /// How every record stands; acknowledged unless said otherwise.
     pub standing: Option<Standing>,
+    /// It is of a version that signs no standings.
+    pub earlier: bool,
+    /// It says what it says without proofs.
+    pub proofless: bool,
+    /// Accounts that the keeper does not admit.
+    pub dismissed: HashSet<Address>,
     /// Everything that ever changed.
     pub changes: usize,
 }
@@ -59,6 +66,14 @@ fn entry(record: &Received) -> Entry {
         kind: record.header.kind,
         standing: Standing::Acknowledged,
     }
+}
+
+fn anchor_of(record: &Received) -> AnchorProof {
+    let Header { owner, recorder, topic_id, seq, .. } = record.header;
+    let root = Leaf { owner, recorder, topic_id, seq, digest: record.digest }.hash();
+    let inclusion = Inclusion { index: 0, count: 1, path: Vec::new(), root };
+    let (transaction, block_hash) = (Hash([1; 32]), Hash([2; 32]));
+    AnchorProof { account: owner, transaction, block: 3, block_hash, inclusion: Some(inclusion) }
 }
 
 impl MemoryDesk {
@@ -117,8 +132,17 @@ impl Desk for MemoryDesk {
         found.ok_or_else(|| Refusal::new(Code::NotRegistered, "unknown account"))
     }
 
+    async fn admits(&self, account: &Address) -> Result<(), Refusal> {
+        let dismissed = self.state().dismissed.contains(account);
+        if dismissed { Err(Refusal::new(Code::NotAuthorised, "not admitted")) } else { Ok(()) }
+    }
+
     async fn is_token(&self, account: &Address, token: &Token) -> Result<bool, Refusal> {
         Ok(self.state().tokens.contains(&(*account, *token)))
+    }
+
+    async fn is_lent(&self, owner: &Address, device: &SignerId) -> Result<bool, Refusal> {
+        Ok(self.state().lent.contains(&(*owner, *device)))
     }
 
     async fn signer(&self, owner: &Address, signer: &SignerId) -> Result<Option<PublicKey>, Refusal> {
@@ -185,6 +209,21 @@ impl Desk for MemoryDesk {
         Ok(digests.iter().map(standing).collect())
     }
 
+    /// Each record stands alone in its batch.
+    async fn prove(&self, caller: &Caller, digests: &[Digest]) -> Result<Vec<Stood>, Refusal> {
+        let standings = self.check(caller, digests).await?;
+        if self.state().earlier {
+            return Err(Refusal::new(Code::Malformed, "a count that is too high"));
+        }
+        let state = self.state();
+        let stood = digests.iter().zip(standings).map(|(digest, standing)| {
+            let found = state.records.values().find(|record| record.digest == *digest);
+            let proof = found.filter(|_| standing == Standing::Verified && !state.proofless).map(anchor_of);
+            Stood { standing, proof: proof.map(|proof| proof.encode()).unwrap_or_default() }
+        });
+        Ok(stood.collect())
+    }
+
     async fn fetch(&self, caller: &Caller, digest: &Digest) -> Result<Fetched, Refusal> {
         let state = self.state();
         let found = state.records.values().find(|record| record.digest == *digest);
@@ -238,13 +277,16 @@ impl Desk for MemoryDesk {
         }
     }
 
-    async fn device(&self, caller: &Caller, key: &PublicKey) -> Result<(), Refusal> {
+    async fn device(&self, caller: &Caller, notice: &DeviceNotice) -> Result<(), Refusal> {
         let mut state = self.state();
-        let device = (caller.account, signer_id(key));
+        let device = (caller.account, signer_id(&notice.key));
         if !state.lent.contains(&device) {
             return Err(Refusal::new(Code::Signature, "not lent"));
         }
-        state.signers.insert(device, *key);
+        state.signers.insert(device, notice.key);
+        if let Some(binding) = state.bindings.get_mut(&caller.name) {
+            binding.device = Some(BoundDevice { id: device.1, notices: notice.notices });
+        }
         state.changes += 1;
         Ok(())
     }

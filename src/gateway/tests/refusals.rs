@@ -260,7 +260,7 @@ async fn signed_commands_are_refused_each_with_their_code() {
     let (grantee, transaction) = (bob.account(), Hash([1; 32]));
     let grant = Request::GrantNotice(GrantNotice { grantee, epoch: 1, expiry: 0, transaction });
     let revoke = Request::RevokeNotice(RevokeNotice { grantee, epoch: 2, token: Token([2; 32]), transaction });
-    let device = Request::DeviceNotice(pair(0x66).public);
+    let device = Request::DeviceNotice(pair(0x66).public.into());
     let mut cases = Vec::new();
     for sent in [&grant, &revoke, &device] {
         let name = format!("{:?}", sent.command());
@@ -286,7 +286,7 @@ async fn signed_commands_are_refused_each_with_their_code() {
         }
     }
     for (what, point) in no_points() {
-        let sent = Request::DeviceNotice(point);
+        let sent = Request::DeviceNotice(point.into());
         let found = signed(&stage, &credentials, &good(&sent, &alice.signing)).await;
         cases.push(case(format!("a device's key {what}"), Code::Malformed, found));
     }
@@ -341,6 +341,12 @@ async fn records_are_refused_each_with_their_code() {
         cases.push(case(name, code, refusal(client.upload(vec![upload]).await)));
     }
     assert_eq!(stage.desk.state().changes, before);
+    assert_eq!(
+        refusal(client.upload(vec![record.clone()]).await),
+        Some(Code::NotAuthorised),
+        "the name ended with the loan"
+    );
+    stage.desk.lend(&alice, &device);
     client.upload(vec![record]).await.expect("unaltered it is accepted");
     expect_all(&cases);
 }

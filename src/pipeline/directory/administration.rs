@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use serde::{Deserialize, Serialize};
 
 use crate::chain::{Event, EventAt};
-use crate::model::{Address, Hash};
+use crate::model::{Address, Hash, Timestamp};
 
 /// A lost account and who continues its work.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -20,6 +20,50 @@ pub struct Succession {
     pub transaction: Hash,
 }
 
+/// A succession that waits.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Proposal {
+    /// The account whose key is said to be lost or stolen.
+    pub lost: Address,
+    /// The account that is to continue.
+    pub successor: Address,
+    /// Who may stop it, besides the administrator; `None` where its owner had named nobody.
+    pub recovery: Option<Address>,
+    /// It can be completed from then on.
+    pub due: Timestamp,
+    /// Block in which the administrator proposed it.
+    pub block: u64,
+}
+
+/// Who may stop a succession of an account.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Recovery {
+    /// Until `from`.
+    pub current: Option<Address>,
+    /// From then on.
+    pub next: Option<Address>,
+    /// When `next` takes effect, or took.
+    pub from: Timestamp,
+}
+
+impl Recovery {
+    /// After another naming, which takes effect at `from`, `delay` seconds after it was made. One that was read before
+    /// changes nothing.
+    pub(super) fn named(known: Option<Self>, next: Option<Address>, from: Timestamp, delay: u64) -> Self {
+        let made = Timestamp::from_seconds(from.seconds().saturating_sub(delay));
+        match known {
+            Some(known) if known.from > from => known,
+            Some(known) => Self { current: known.in_effect(made), next, from },
+            None => Self { current: None, next, from },
+        }
+    }
+
+    /// Who may stop a succession that is proposed at `now`.
+    pub fn in_effect(&self, now: Timestamp) -> Option<Address> {
+        if now >= self.from { self.next } else { self.current }
+    }
+}
+
 /// The administrator and what was decided.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Administration {
@@ -29,8 +73,17 @@ pub struct Administration {
     pub nominee: Option<Address>,
     /// Whether anyone may register.
     pub open: bool,
-    /// Whether all changes are stopped but those that take rights away.
+    /// Whether all changes are stopped but those that take rights away, without end (first revision).
     pub paused: bool,
+    /// Until when they are stopped, or were last; `None` = they never were.
+    #[serde(default)]
+    pub paused_until: Option<Timestamp>,
+    /// How long a succession waits, seconds; `None` = it does not (first revision).
+    #[serde(default)]
+    pub delay: Option<u64>,
+    /// Successions that wait, oldest first.
+    #[serde(default)]
+    pub proposals: Vec<Proposal>,
     /// Accounts whose changes are stopped.
     pub suspended: BTreeSet<Address>,
     /// Successors named, oldest first.
@@ -45,8 +98,17 @@ impl Administration {
             Event::Restored { account } => drop(self.suspended.remove(account)),
             Event::OpenChanged { open } => self.open = *open,
             Event::PausedChanged { paused } => self.paused = *paused,
+            Event::PausedUntil { until } => self.paused_until = Some(*until),
+            Event::DelayFixed { seconds } => self.delay = Some(*seconds),
+            Event::SuccessionProposed { lost, successor, recovery, due } => {
+                self.proposals.retain(|proposal| proposal.lost != *lost);
+                let (lost, successor, recovery, due) = (*lost, *successor, *recovery, *due);
+                self.proposals.push(Proposal { lost, successor, recovery, due, block: at.block });
+            }
+            Event::SuccessionCancelled { lost, .. } => self.proposals.retain(|proposal| proposal.lost != *lost),
             Event::Succeeded { lost, successor } => {
                 let (lost, successor) = (*lost, *successor);
+                self.proposals.retain(|proposal| proposal.lost != lost);
                 let named = Succession { lost, successor, block: at.block, transaction: at.transaction };
                 if !self.successions.contains(&named) {
                     self.successions.push(named);
@@ -62,6 +124,11 @@ impl Administration {
             }
             _ => {}
         }
+    }
+
+    /// Whether all changes are stopped at `now` but those that take rights away.
+    pub fn is_paused(&self, now: Timestamp) -> bool {
+        self.paused || self.paused_until.is_some_and(|until| now < until)
     }
 
     /// Who continues the work of `account`, at the end of the line; `None` where no successor was named.
@@ -106,6 +173,43 @@ mod tests {
         // No contract of ours says this; it must end all the same.
         told(&mut administration, 4, Event::Succeeded { lost: d, successor: a });
         assert!(administration.successor(a).is_none_or(|found| found != a));
+    }
+
+    #[test]
+    fn a_succession_waits_until_it_is_stopped_or_completed() {
+        let [a, b, c] = [1, 2, 3].map(|byte| Address([byte; 20]));
+        let at = Timestamp::from_seconds;
+        let mut administration = Administration::default();
+        told(&mut administration, 1, Event::DelayFixed { seconds: 100 });
+        let proposed = |due| Event::SuccessionProposed { lost: a, successor: b, recovery: Some(c), due: at(due) };
+        told(&mut administration, 2, proposed(500));
+        let waits = Proposal { lost: a, successor: b, recovery: Some(c), due: at(500), block: 2 };
+        assert_eq!((&administration.proposals, administration.successor(a)), (&vec![waits], None));
+        told(&mut administration, 3, Event::SuccessionCancelled { lost: a, by: c });
+        assert!(administration.proposals.is_empty() && administration.suspended.is_empty());
+        told(&mut administration, 4, proposed(600));
+        told(&mut administration, 5, Event::Succeeded { lost: a, successor: b });
+        assert_eq!((administration.proposals.len(), administration.successor(a)), (0, Some(b)));
+        told(&mut administration, 6, Event::PausedUntil { until: at(700) });
+        assert!(administration.is_paused(at(699)) && !administration.is_paused(at(700)));
+    }
+
+    #[test]
+    fn a_recovery_account_is_counted_as_the_contract_counts() {
+        let [a, b, c] = [1, 2, 3].map(|byte| Some(Address([byte; 20])));
+        let at = Timestamp::from_seconds;
+        let named = |known, next, from| Recovery::named(known, next, at(from), 100);
+        let first = named(None, a, 200);
+        assert_eq!((first.in_effect(at(199)), first.in_effect(at(200))), (None, a));
+        assert_eq!(named(Some(first), a, 200), first, "twice is once");
+        let hasty = named(Some(first), b, 250);
+        assert_eq!((hasty.in_effect(at(249)), hasty.in_effect(at(250))), (None, b), "the first never took effect");
+        let second = named(Some(first), b, 300);
+        assert_eq!((second.in_effect(at(299)), second.in_effect(at(300))), (a, b));
+        assert_eq!(named(Some(second), a, 200), second, "an older one");
+        let none = named(Some(second), None, 500);
+        assert_eq!((none.in_effect(at(499)), none.in_effect(at(500))), (b, None));
+        assert_eq!(named(Some(none), c, 500), Recovery { current: b, next: c, from: at(500) }, "in the same block");
     }
 
     #[test]

@@ -2,15 +2,19 @@
 
 use tokio::task::block_in_place;
 
-use crate::gateway::{Client, Standing};
-use crate::model::{Digest, RecordState};
+use crate::chain::AnchorProof;
+use crate::chain::merkle::Leaf;
+use crate::gateway::standings::statement;
+use crate::gateway::{Client, Code, GatewayError, SignedStandings, Standing};
+use crate::model::{Digest, Header, RecordState, Timestamp};
 use crate::pipeline::PipelineError;
-use crate::store::RecordQuery;
+use crate::store::files::free_bytes;
+use crate::store::{KeptStanding, RecordQuery, RecordRow};
 
 use super::{ForwardError, Forwarder};
 
-/// Records asked about at once.
-const PAGE: usize = 1024;
+/// Records asked about at once; with their proofs they fit into a message.
+const PAGE: usize = 256;
 
 impl Forwarder {
     /// Asks how the next page of submitted records stands, and moves those that the gateway decided about.
@@ -25,16 +29,80 @@ impl Forwarder {
         if page.rows.is_empty() {
             return Ok(());
         }
-        let digests: Vec<Digest> = page.rows.iter().map(|row| row.digest).collect();
-        let standings = client.check(&digests).await?;
+        let stood = self.standings(client, &page.rows).await?;
         let of = |wanted: Standing| -> Vec<Digest> {
-            digests.iter().zip(&standings).filter(|(_, found)| **found == wanted).map(|(digest, _)| *digest).collect()
+            page.rows
+                .iter()
+                .zip(&stood.each)
+                .filter(|(_, found)| **found == wanted)
+                .map(|(row, _)| row.digest)
+                .collect()
         };
         let (verified, unknown, tampered) = (of(Standing::Verified), of(Standing::Unknown), of(Standing::Tampered));
         self.cursor = page.next;
         self.moved |= !verified.is_empty();
+        if let Some(proven) = stood.proven {
+            let ledger = &self.plant.ledger;
+            // Before its state says so: what is verified without it is kept for ever.
+            block_in_place(|| ledger.keep_proven(proven)).map_err(PipelineError::from)?;
+        }
         block_in_place(|| self.decide(&verified, &unknown, &tampered))?;
         Ok(())
+    }
+
+    /// How these records stand: signed, and of those that are said to be verified only such whose proof holds; from an
+    /// earlier gateway by its word.
+    async fn standings(&mut self, client: &mut Client, rows: &[RecordRow]) -> Result<Standings, ForwardError> {
+        let digests: Vec<Digest> = rows.iter().map(|row| row.digest).collect();
+        if self.signs {
+            match client.prove(&digests).await {
+                Ok(signed) => return Ok(block_in_place(|| self.proven(rows, &digests, signed))),
+                Err(GatewayError::Refused(Code::Malformed)) => {
+                    self.signs = false;
+                    let text = "the gateway is of a version that does not sign how records stand: this robot keeps the \
+                                ciphertext of all its records until the gateway is brought up to date";
+                    self.plant.observer.alert(false, text.to_owned());
+                }
+                Err(error) => return Err(error.into()),
+            }
+        }
+        Ok(Standings { each: client.check(&digests).await?, proven: None })
+    }
+
+    fn proven(&self, rows: &[RecordRow], digests: &[Digest], signed: SignedStandings) -> Standings {
+        let (mut proofs, mut doubted) = (Vec::new(), 0usize);
+        let each = rows.iter().zip(&signed.stood).map(|(row, stood)| {
+            if stood.standing != Standing::Verified {
+                return stood.standing;
+            }
+            if self.holds(row, &stood.proof) {
+                proofs.push((row.digest, stood.proof.clone()));
+                return Standing::Verified;
+            }
+            doubted += 1;
+            Standing::Anchored
+        });
+        let each = each.collect();
+        if doubted > 0 {
+            let text = format!(
+                "the gateway says that {doubted} records are verified, but its proofs do not show them in an anchored \
+                 batch; they are kept here as not verified"
+            );
+            self.plant.observer.alert(true, text);
+        }
+        let statement = statement(self.plant.provider, signed.time, digests, &signed.stood);
+        let proven = KeptStanding { time: signed.time, statement, signature: signed.signature, proofs };
+        Standings { each, proven: (!proven.proofs.is_empty()).then_some(proven) }
+    }
+
+    /// Whether a proof leads from the very bytes that are kept here to the root of a batch that was anchored.
+    fn holds(&self, row: &RecordRow, proof: &[u8]) -> bool {
+        let Ok(AnchorProof { inclusion: Some(inclusion), .. }) = AnchorProof::parse(proof) else { return false };
+        let Ok(Some(blob)) = self.plant.vault.get(row.digest) else { return false };
+        let Ok((header, _)) = Header::parse(&blob) else { return false };
+        let Header { owner, recorder, topic_id, seq, .. } = header;
+        let digest = Digest(self.plant.provider.sm3(&[&blob]));
+        digest == row.digest && inclusion.proves(&Leaf { owner, recorder, topic_id, seq, digest })
     }
 
     fn decide(&self, verified: &[Digest], unknown: &[Digest], tampered: &[Digest]) -> Result<(), PipelineError> {
@@ -42,7 +110,6 @@ impl Forwarder {
         if !verified.is_empty() {
             ledger.settle_forwarded(verified, RecordState::Verified)?;
             observer.verified(verified);
-            self.forget(verified)?;
         }
         if !unknown.is_empty() && ledger.settle_forwarded(unknown, RecordState::Stored)? > 0 {
             let count = unknown.len();
@@ -69,36 +136,45 @@ impl Forwarder {
         Ok(())
     }
 
-    fn forget(&self, digests: &[Digest]) -> Result<(), PipelineError> {
-        Ok(self.plant.vault.discard(digests)?)
-    }
-
-    /// Deletes ciphertext of verified records that an end between the two steps has left behind.
+    /// Gives up ciphertext whose proof was checked and signed for long enough ago; on a tight disk the oldest of it before
+    /// its time. What no gateway has signed for stays.
     ///
     /// # Errors
     /// Of ledger and vault.
     pub fn tidy(&self) -> Result<(), PipelineError> {
-        let mut after = None;
+        let time = u64::try_from(self.keeping.time.as_nanos()).unwrap_or(u64::MAX);
+        let due = Timestamp(Timestamp::now().0.saturating_sub(time));
         loop {
-            let query = RecordQuery {
-                state: Some(RecordState::Verified),
-                limit: PAGE,
-                newest_first: true,
-                after,
-                ..RecordQuery::default()
-            };
-            let page = self.plant.ledger.list(&query)?;
-            let mut left = Vec::new();
-            for row in &page.rows {
-                if self.plant.vault.contains(row.digest)? {
-                    left.push(row.digest);
-                }
+            let old = self.plant.ledger.proven_before(due, PAGE)?;
+            if old.is_empty() {
+                break;
             }
-            self.forget(&left)?;
-            after = page.next;
-            if left.is_empty() || after.is_none() {
-                return Ok(());
+            self.give_up(&old)?;
+        }
+        // A little more than the reserve, so that records are taken on.
+        let wanted = self.keeping.reserve.saturating_add(self.keeping.reserve / 2);
+        let home = self.trust_file.parent().unwrap_or(&self.trust_file);
+        if wanted > 0 && free_bytes(home)? < wanted {
+            let oldest = self.plant.ledger.proven_before(Timestamp(i64::MAX.unsigned_abs()), PAGE)?;
+            if !oldest.is_empty() {
+                self.give_up(&oldest)?;
+                let text =
+                    format!("the disk is nearly full: {} proven records were given up before their time", oldest.len());
+                self.plant.observer.alert(false, text);
             }
         }
+        Ok(())
     }
+
+    fn give_up(&self, digests: &[Digest]) -> Result<(), PipelineError> {
+        // Deleted first: an end in between deletes again.
+        self.plant.vault.discard(digests)?;
+        Ok(self.plant.ledger.proven_gone(digests)?)
+    }
+}
+
+/// How records stand, in their order, with the evidence for those that are verified.
+struct Standings {
+    each: Vec<Standing>,
+    proven: Option<KeptStanding>,
 }

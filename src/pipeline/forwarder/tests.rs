@@ -16,6 +16,8 @@ const QUICK: Pace = Pace {
     first_pause: Duration::from_millis(10),
     longest_pause: Duration::from_millis(100),
     check: Duration::from_millis(30),
+    tidy: Duration::from_millis(30),
+    retry: Duration::from_secs(3600),
 };
 
 /// A robot of alice, a gateway, and the line between them.
@@ -30,6 +32,8 @@ struct Scene {
     notes: Arc<Notes>,
     stored: Arc<Notify>,
     numbers: u64,
+    /// How long copies stay that the gateway has proven to hold.
+    keep: Duration,
 }
 
 /// A forwarder at work; dropping it is as abrupt as an end of its process.
@@ -67,7 +71,7 @@ impl Scene {
         let notes = Arc::new(Notes::default());
         let plant = plant(home.path(), &notes);
         let stored = Arc::new(Notify::new());
-        Self { stage, relay, alice, device, credentials, home, plant, notes, stored, numbers: 0 }
+        Self { stage, relay, alice, device, credentials, home, plant, notes, stored, numbers: 0, keep: Duration::ZERO }
     }
 
     fn forwarder(&self) -> Forwarder {
@@ -75,11 +79,18 @@ impl Scene {
         let endpoint = Endpoint { address, context: context(), patience: Duration::from_secs(2) };
         let file = self.home.path().join("gateway.json");
         let trust = trust_in(&file, self.stage.server.id()).expect("trusts");
-        Forwarder::new(self.plant.clone(), endpoint, self.credentials.clone(), trust, file).paced(QUICK)
+        let keeping = CopyKeeping { time: self.keep, reserve: 0 };
+        Forwarder::new(self.plant.clone(), endpoint, self.credentials.clone(), trust, file)
+            .paced(QUICK)
+            .keeping(keeping)
     }
 
     fn work(&self) -> Work {
-        let mut forwarder = self.forwarder();
+        self.work_at(QUICK)
+    }
+
+    fn work_at(&self, pace: Pace) -> Work {
+        let mut forwarder = self.forwarder().paced(pace);
         let (link, refused, stored) = (forwarder.link(), forwarder.refused(), Arc::clone(&self.stored));
         Work { link, refused, task: tokio::spawn(async move { forwarder.run(&stored).await }) }
     }
@@ -248,7 +259,7 @@ async fn a_recalled_device_is_refused_and_its_records_wait() {
     scene.capture(4, 100);
     scene.until("refused", |_| matches!(*work.link.borrow_and_update(), Link::Refused(_))).await;
     assert_eq!((scene.at_gateway(), scene.counts().data_in(RecordState::Stored)), (3, 4));
-    assert!(scene.notes.with("sign with the registered key or a lent one") > 0);
+    assert!(scene.notes.with("the owner has to enrol it again") > 0);
     scene.stage.desk.lend(&scene.alice, &scene.device);
     let mut owner = scene.stage.connect(&scene.credentials).await.expect("connects");
     owner.device(&scene.alice.signing, scene.device.public).await.expect("told again");
@@ -277,9 +288,32 @@ async fn one_bad_record_does_not_hold_up_the_others() {
     assert_eq!(scene.at_gateway(), 19);
 }
 
+#[test]
+fn what_was_said_in_clear_is_about_no_record() {
+    for code in Code::ALL {
+        let said = GatewayError::RefusedInClear(*code);
+        assert!(!is_about_a_record(&said), "{code:?}");
+        assert!(matches!(ForwardError::from(said).link(), Link::Away(_)), "{code:?}");
+    }
+    assert!(is_about_a_record(&GatewayError::Refused(Code::Malformed)));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_record_refused_for_itself_is_sent_again_after_its_pause() {
+    let scene = Scene::new().await;
+    let bob = Member::new("bob", 0x31);
+    let foreign = bob.record(&scene.device, 1, b"not alice's");
+    let row = scene.row(&foreign);
+    scene.plant.vault.put(&[(row.digest, &foreign.blob)]).expect("kept");
+    scene.plant.ledger.append(vec![row]).expect("acknowledged");
+    let _work = scene.work_at(Pace { retry: Duration::from_millis(20), ..QUICK });
+    scene.until("refused again and again", |scene| scene.notes.with("stays in the outbox") >= 3).await;
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn abrupt_ends_at_any_moment_lose_and_double_nothing() {
     let mut scene = Scene::new().await;
+    scene.keep = Duration::from_secs(3600);
     scene.capture(600, 500);
     for round in 0..12u64 {
         let work = scene.work();
@@ -290,13 +324,50 @@ async fn abrupt_ends_at_any_moment_lose_and_double_nothing() {
     let _work = scene.work();
     scene.until_state(RecordState::Verified, 600).await;
     assert_eq!(scene.at_gateway(), 600);
-    // The end came between the two steps: what was left behind is tidied up at the next start.
-    let verified = scene.plant.ledger.in_state(None, RecordState::Verified, 5).expect("rows");
-    for row in &verified {
-        scene.plant.vault.put(&[(row.digest, b"left behind")]).expect("kept");
-    }
+    // The time is not over, nor is it at the next start; then it is.
+    assert_eq!(scene.kept_here(), 600);
+    scene.forwarder().tidy().expect("tidies");
+    assert_eq!(scene.kept_here(), 600);
+    scene.keep = Duration::ZERO;
     scene.forwarder().tidy().expect("tidies");
     scene.until("tidied", |scene| scene.kept_here() == 0).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_the_gateway_cannot_prove_stays_unverified_and_here() {
+    let mut scene = Scene::new().await;
+    scene.capture(20, 100);
+    scene.stage.desk.state().proofless = true;
+    scene.verify();
+    let _work = scene.work();
+    scene.until("told", |scene| scene.notes.with("its proofs do not show them") > 0).await;
+    scene.forwarder().tidy().expect("tidies");
+    assert_eq!((scene.counts().data_in(RecordState::Verified), scene.kept_here()), (0, 20));
+    scene.stage.desk.state().proofless = false;
+    scene.until_state(RecordState::Verified, 20).await;
+    scene.until("given up", |scene| scene.kept_here() == 0).await;
+    let verified = scene.plant.ledger.in_state(None, RecordState::Verified, 20).expect("rows");
+    for row in verified {
+        let kept = scene.plant.ledger.proven(row.digest).expect("reads").expect("kept");
+        let signed = [&b"AuthROS/standing/1"[..], &context().domain.0, &kept.statement].concat();
+        context().provider.verify(&pair(0x21).public, &signed, &kept.signature).expect("signed by the gateway");
+        assert!(kept.statement.windows(32).any(|bytes| bytes == row.digest.0), "and about this record");
+        assert!(crate::chain::AnchorProof::parse(&kept.proofs[0].1).is_ok());
+    }
+    assert_eq!(scene.plant.ledger.unproven(), Ok(0));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_earlier_gateway_is_believed_and_nothing_is_given_up() {
+    let mut scene = Scene::new().await;
+    scene.capture(20, 100);
+    scene.stage.desk.state().earlier = true;
+    scene.verify();
+    let _work = scene.work();
+    scene.until_state(RecordState::Verified, 20).await;
+    scene.until("told", |scene| scene.notes.with("does not sign how records stand") > 0).await;
+    scene.forwarder().tidy().expect("tidies");
+    assert_eq!((scene.kept_here(), scene.plant.ledger.unproven()), (20, Ok(20)));
 }
 
 #[test]

@@ -8,7 +8,7 @@ use tokio::task::JoinSet;
 
 use super::report::{FindingKind, Tally};
 use super::{Network, Plant, Scope};
-use crate::chain::{ChainError, Event, EventAt};
+use crate::chain::{Chain, ChainError, Event, EventAt};
 use crate::model::{Address, Digest, Hash};
 use crate::store::{AuditedBatch, Ledger, StoreError};
 
@@ -90,9 +90,20 @@ async fn compare_page(
     Ok(Ok(()))
 }
 
-/// What the chain says otherwise about a batch that the ledger has in a block.
+/// What the chain says otherwise about a batch that the ledger has in a block: no contract that was in use then has it
+/// as the ledger does.
 async fn differs(network: &Network, batch: &AuditedBatch) -> Result<Option<String>, ChainError> {
-    let chain = &network.chain;
+    let mut told = None;
+    for chain in network.chains_at(batch.block.unwrap_or(0)) {
+        match differs_from(chain, batch).await? {
+            None => return Ok(None),
+            other => told = told.or(other),
+        }
+    }
+    Ok(told)
+}
+
+async fn differs_from(chain: &Chain, batch: &AuditedBatch) -> Result<Option<String>, ChainError> {
     let (Some(block), Some(account)) = (batch.block, batch.account) else {
         return Ok(Some("the ledger has it in a block and does not say who anchored it".to_owned()));
     };
@@ -134,14 +145,19 @@ async fn walk(
         Ok(head) => head.number,
         Err(error) => return Ok(Err(error)),
     };
-    let mut from = network.chain.pin().map_or(0, |pin| pin.deployed_at);
-    while from <= head {
-        let to = head.min(from + STRIDE - 1);
-        match network.chain.events(from, to).await {
-            Ok(events) => walk.take(ledger, &events, tally)?,
-            Err(error) => return Ok(Err(error)),
+    let former = network.former.iter().map(|former| (&former.chain, former.until.min(head)));
+    for (chain, last) in former.chain([(&network.chain, head)]) {
+        // Each contract has heads of its own.
+        walk.previous.clear();
+        let mut from = chain.pin().map_or(0, |pin| pin.deployed_at);
+        while from <= last {
+            let to = last.min(from + STRIDE - 1);
+            match chain.events(from, to).await {
+                Ok(events) => walk.take(ledger, &events, tally)?,
+                Err(error) => return Ok(Err(error)),
+            }
+            from = to + 1;
         }
-        from = to + 1;
     }
     if walk.elsewhere > 0 {
         tally.note(&format!(

@@ -116,6 +116,16 @@ pub(super) struct Tally {
     pub pending: u64,
     pub given_up: u64,
     pub unchecked: u64,
+    /// Entries of the index of tags that headers tell of.
+    pub indexed: u64,
+    /// Records of before the index, with tags.
+    pub not_indexed: u64,
+    /// Records whose names could not be compared.
+    pub unnamed: u64,
+    /// Records whose headers are not here.
+    pub unread: u64,
+    /// The highest number of a row.
+    pub last: u64,
     tampered: u64,
     missing: u64,
     found: u64,
@@ -158,6 +168,11 @@ impl Tally {
         self.pending += other.pending;
         self.given_up += other.given_up;
         self.unchecked += other.unchecked;
+        self.indexed += other.indexed;
+        self.not_indexed += other.not_indexed;
+        self.unnamed += other.unnamed;
+        self.unread += other.unread;
+        self.last = self.last.max(other.last);
         self.tampered += other.tampered;
         self.missing += other.missing;
         self.found += other.found;

@@ -1,7 +1,8 @@
-//! Numbers of topics: from 1, without holes, wherever this home gave them or anchors them.
+//! Numbers of topics: from 1, without holes, wherever this home gave them or anchors them; and the times beside them.
 
 use super::report::{FindingKind, Tally};
 use super::{Plant, Scope};
+use crate::model::clean;
 use crate::store::StoreError;
 
 /// Holes told of one topic.
@@ -26,6 +27,13 @@ pub(super) fn compare(plant: &Plant, scope: &Scope, tally: &mut Tally) -> Result
             words.join(", ")
         );
         tally.find(FindingKind::Gap, &sequence.name, &text);
+    }
+    for (topic, count) in plant.ledger.backwards()? {
+        tally.note(&format!(
+            "{count} records of {} are stamped earlier than the record before them: the clock was set back, or a \
+             recording was imported",
+            clean(&topic, 200)
+        ));
     }
     Ok(())
 }

@@ -5,9 +5,8 @@ use super::records::{Bench, Looked, subject};
 use super::report::{FindingKind, Tally};
 use crate::crypto::record::{Checked, signed_bytes};
 use crate::crypto::{Anchor, CryptoError, Unchecked, check_alone};
-use crate::model::header::TAG_LENGTH;
 use crate::model::{Digest, Header, PublicKey, RecordKind, RecordState};
-use crate::pipeline::{PipelineError, signers};
+use crate::pipeline::{PipelineError, authority, columns};
 use crate::store::{AuditedRecord, RecordRow, StoreError};
 
 /// Looks at the stored bytes of some records: read in one go, and their digests taken side by side.
@@ -21,7 +20,14 @@ pub(super) fn look_deep(bench: Bench<'_>, piece: &[Looked], tally: &mut Tally) -
         };
         match blob {
             Some(blob) => found.push((record, blob, signer_of(bench, &record.row)?)),
-            None => gone(bench, record, tally)?,
+            None => {
+                match bench.plant.ledger.retained(record.row.digest)?.and_then(|kept| Header::parse(&kept.header).ok())
+                {
+                    Some((header, _)) => compare_tags(bench, record, &header, tally)?,
+                    None => tally.unread += 1,
+                }
+                gone(bench, record, tally)?;
+            }
         }
     }
     let mut records = Vec::with_capacity(found.len());
@@ -33,6 +39,10 @@ pub(super) fn look_deep(bench: Bench<'_>, piece: &[Looked], tally: &mut Tally) -
     for (record, blob, signer) in &found {
         tally.bytes += u64::try_from(blob.len()).unwrap_or(0);
         let checked = if signer.is_some() { checked.next() } else { None };
+        if let Ok((header, _)) = Header::parse(blob) {
+            compare_names(bench, &record.row, &header, tally);
+            compare_tags(bench, record, &header, tally)?;
+        }
         match bytes_fault(bench, record, blob, checked) {
             Fault::None => {}
             Fault::Unchecked => tally.unchecked += 1,
@@ -88,7 +98,7 @@ fn retention_fault(
 /// The key that could sign the record; `None` where that is not known here.
 fn signer_of(bench: Bench<'_>, row: &RecordRow) -> Result<Option<PublicKey>, StoreError> {
     match bench.network {
-        Some(network) => match signers::key_of(bench.plant, network, row) {
+        Some(network) => match authority::key_of(bench.plant, network, row) {
             Ok(signer) => Ok(signer),
             Err(PipelineError::Store(error)) => Err(error),
             Err(_) => Ok(None),
@@ -117,7 +127,7 @@ fn bytes_fault(bench: Bench<'_>, record: &AuditedRecord, blob: &[u8], checked: O
         Some(Err(_)) => return altered("another digest"),
         None if Digest(bench.plant.provider.sm3(&[blob])) != row.digest => return altered("another digest"),
         None if row.block.is_some() && bench.network.is_some() => {
-            return Fault::Text("its signer was not its owner's at the anchoring block".to_owned());
+            return Fault::Text("its signer had no right to sign for its owner at the anchoring block".to_owned());
         }
         None => match Header::parse(blob) {
             Ok((header, _)) => (header, Fault::Unchecked),
@@ -130,26 +140,72 @@ fn bytes_fault(bench: Bench<'_>, record: &AuditedRecord, blob: &[u8], checked: O
     }
 }
 
-/// Whether a message of `plain` bytes can be sealed in `sealed`: as it is, or compressed, which is done only where it
-/// saves an eighth.
-fn is_length(sealed: u64, plain: u64) -> bool {
-    sealed == plain || sealed <= plain - plain / 8
-}
-
 /// The field in which a row and the header of its record differ.
 fn header_fault(bench: Bench<'_>, row: &RecordRow, header: &Header) -> Option<&'static str> {
-    let length = header.body_length.saturating_sub(TAG_LENGTH as u64);
-    let fields = [
-        ("owner", header.owner == row.owner),
-        ("kind", header.kind == row.kind),
-        ("signer", header.signer == row.signer),
-        ("epoch", header.epoch == row.epoch),
-        ("recorder", header.recorder == row.recorder),
-        ("number", header.seq == row.seq),
-        ("topic", header.topic_id == row.topic_id),
-        ("time", header.captured_at == row.captured_at),
-        ("length", is_length(length, row.bytes)),
-        ("network", bench.network.is_none_or(|network| network.accepts(&header.domain))),
-    ];
-    fields.iter().find(|(_, same)| !same).map(|(field, _)| *field)
+    let accepted = bench.network.is_none_or(|network| network.accepts(&header.domain));
+    columns::header_difference(row, header).or((!accepted).then_some("network"))
+}
+
+/// Looks at the headers of some records, without a key and without a look at their bytes: what a row says is what its
+/// record says.
+pub(super) fn look_at_headers(bench: Bench<'_>, piece: &[Looked], tally: &mut Tally) -> Result<(), StoreError> {
+    let digests: Vec<Digest> = piece.iter().map(|(record, _)| record.row.digest).collect();
+    for ((record, _), front) in piece.iter().zip(bench.plant.vault.fronts(&digests, columns::FRONT)?) {
+        let front = match front {
+            None if record.has_copy => bench.plant.ledger.local_copy(record.row.digest)?,
+            // What is missing altogether is told by the deep look.
+            None => bench.plant.ledger.retained(record.row.digest)?.map(|retained| retained.header),
+            front => front,
+        };
+        let Some(front) = front else {
+            tally.unread += 1;
+            continue;
+        };
+        match Header::parse(&front) {
+            Ok((header, _)) => compare(bench, record, &header, tally)?,
+            Err(error) => {
+                tally.find(FindingKind::Tampered, &subject(record), &format!("its stored bytes were altered: {error}"));
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Holds a row and the index of tags against the header.
+fn compare(bench: Bench<'_>, record: &AuditedRecord, header: &Header, tally: &mut Tally) -> Result<(), StoreError> {
+    if let Some(field) = header_fault(bench, &record.row, header) {
+        tally.find(FindingKind::Tampered, &subject(record), &format!("its row and its header differ in their {field}"));
+    }
+    compare_names(bench, &record.row, header, tally);
+    compare_tags(bench, record, header, tally)
+}
+
+/// Holds the names in a row against their pseudonyms in the header, where these can be made.
+fn compare_names(bench: Bench<'_>, row: &RecordRow, header: &Header, tally: &mut Tally) {
+    let Some(indices) = bench.indices else { return };
+    match indices.get(&row.owner).map(|index| columns::name_difference(row, header, index)) {
+        None => tally.unnamed += 1,
+        Some(None) => {}
+        Some(Some(field)) => {
+            let subject = format!("record {} (number {})", row.id, row.seq);
+            tally.find(FindingKind::Tampered, &subject, &format!("its row and its header differ in their {field}"));
+        }
+    }
+}
+
+/// Whether the record is found by every id of its header, but for those kept before there was an index of them.
+fn compare_tags(
+    bench: Bench<'_>,
+    record: &AuditedRecord,
+    header: &Header,
+    tally: &mut Tally,
+) -> Result<(), StoreError> {
+    let indexed = bench.plant.ledger.indexed(record.number, &header.filters)?;
+    tally.indexed += indexed;
+    if indexed == 0 && record.number < bench.first_indexed {
+        tally.not_indexed += u64::from(!header.filters.is_empty());
+    } else if indexed < u64::try_from(header.filters.len()).unwrap_or(u64::MAX) {
+        tally.find(FindingKind::Tampered, &subject(record), "the index of tags does not lead to it by all of its own");
+    }
+    Ok(())
 }

@@ -61,7 +61,7 @@ impl Task<'_> {
     fn seal(&self, plant: &Plant, boot_id: [u8; 16]) -> Result<Ready, PipelineError> {
         let (message, body, tags) = (&*self.item.message, self.body(), tags(self.item));
         let packed = self.pack();
-        let filters = self.keys.filters(&message.type_name, &tags);
+        let filters = self.topic.filters(&message.type_name, &tags);
         let compression = packed.as_ref().map_or(Compression::None, |packed| packed.compression);
         let request = SealRequest {
             domain: self.keys.domain,

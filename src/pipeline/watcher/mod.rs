@@ -1,6 +1,7 @@
 //! Follows the chain: which records are in a block, which blocks are deep enough, who was
 //! registered, granted and revoked. A function of the ledger's cursor; a restart runs it again.
 
+pub mod foreign;
 mod reorg;
 #[cfg(test)]
 mod tests;
@@ -18,7 +19,7 @@ use super::stages::Milestone;
 use super::{Network, PipelineError, Plant};
 
 /// Name of the scan position in the ledger.
-pub(super) const CURSOR: &str = "watcher";
+pub const CURSOR: &str = "watcher";
 /// Name of the written-down directory in the ledger.
 const DIRECTORY: &str = "directory";
 /// Blocks scanned at a time.
@@ -59,6 +60,7 @@ fn first_block(network: &Network) -> u64 {
 pub async fn watch_round(plant: &Plant, network: &Network) -> Result<BlockRef, PipelineError> {
     for _ in 0..ATTEMPTS {
         let head = network.chain.head().await?;
+        network.directory.saw_head_of(head.timestamp);
         reorg::follow(plant, network).await?;
         if !scan(plant, network, head).await? {
             continue;
@@ -95,6 +97,7 @@ async fn scan(plant: &Plant, network: &Network, head: BlockRef) -> Result<bool, 
             return Ok(false);
         }
         block_in_place(|| write(plant, network, &events, (to, last.hash)))?;
+        block_in_place(|| foreign::look(plant, &events, head.number))?;
         below = Some((to, last.hash));
         from = to + 1;
     }
@@ -118,6 +121,7 @@ fn write(plant: &Plant, network: &Network, events: &[EventAt], to: (u64, Hash)) 
     if changed {
         fault::point("mined");
     }
+    events.iter().for_each(|event| network.times.note(event));
     let applied = events.iter().filter(|event| network.directory.apply(event)).count();
     if applied > 0 {
         plant.ledger.put_setting(DIRECTORY, &network.directory.write_down())?;

@@ -62,6 +62,7 @@ async fn last_common(network: &Network, trail: &[(u64, Hash)]) -> Result<Option<
 /// finds the same reorg.
 async fn go_back(plant: &Plant, network: &Network, common: (u64, Hash), was_at: u64) -> Result<(), PipelineError> {
     let from = common.0 + 1;
+    network.times.forget_from(from);
     let deep = block_in_place(|| plant.ledger.verified_from(from))?;
     // Confirmed ones first: what the verifier advances meanwhile is then among the verified ones.
     let moved = block_in_place(|| Ok::<_, PipelineError>(plant.ledger.unmine(from)? + plant.ledger.unverify(from)?))?;

@@ -24,6 +24,8 @@ struct Chunk {
     position: u64,
     /// Whether its end is missing, which was noted already.
     cut: bool,
+    /// Whether a checksum covered its bytes.
+    guarded: bool,
 }
 
 /// What stands at a position of the file.
@@ -49,6 +51,10 @@ pub struct BagReader<R> {
     connections: HashMap<u32, Arc<Channel>>,
     connection_bytes: usize,
     findings: Findings,
+    /// How many messages the index counts, where it is whole.
+    counted: Option<u64>,
+    /// How many were met.
+    met: u64,
     ended: bool,
 }
 
@@ -74,6 +80,8 @@ impl<R: BufRead + Seek> BagReader<R> {
             connections: HashMap::new(),
             connection_bytes: 0,
             findings: Findings::default(),
+            counted: None,
+            met: 0,
             ended: false,
         };
         reader.read_index()?;
@@ -100,6 +108,7 @@ impl<R: BufRead + Seek> BagReader<R> {
                 return Ok(Some(message));
             }
             if self.ended {
+                self.findings.compare(self.length, self.counted.take(), self.met);
                 return Ok(None);
             }
             if let Some(message) = self.advance().map_err(|error| RosError::unreadable(&error))? {
@@ -122,15 +131,30 @@ impl<R: BufRead + Seek> BagReader<R> {
         if at > self.length {
             self.findings.note(self.length, &format!("the bag is cut off: its index should begin at byte {at}"));
         }
+        let mut counted = 0_u64;
         while let Found::Record { header, data, length } = self.look(at).map_err(unreadable)? {
-            let Some(fields) = Fields::parse(&header).filter(|fields| fields.op() == Some(Op::Connection)) else {
+            let Some(fields) = Fields::parse(&header) else { return Ok(()) };
+            if fields.op() == Some(Op::ChunkInfo) {
+                counted += self.counted_in(data, length).map_err(unreadable)?;
+                at = data + length;
+                self.counted = (at == self.length).then_some(counted);
+                continue;
+            }
+            if fields.op() != Some(Op::Connection) {
                 break;
-            };
+            }
             let bytes = read_at(&mut self.file, data, length.min(LONGEST_CONNECTION as u64 + 1)).map_err(unreadable)?;
             self.learn(&fields, &bytes);
             at = data + length;
         }
         Ok(())
+    }
+
+    /// How many messages a chunk holds, by its index: pairs of connection and count.
+    fn counted_in(&mut self, data: u64, length: u64) -> std::io::Result<u64> {
+        let bytes = read_at(&mut self.file, data, length.min(8 * MOST_CHANNELS as u64))?;
+        let counts = bytes.chunks_exact(8).filter_map(|pair| pair.last_chunk::<4>());
+        Ok(counts.map(|count| u64::from(u32::from_le_bytes(*count))).sum())
     }
 
     /// Takes a connection in; of one number the last counts, as in rosbag.
@@ -205,7 +229,7 @@ impl<R: BufRead + Seek> BagReader<R> {
             }
             Some(Op::Message) if length <= LONGEST_MESSAGE as u64 && self.position <= self.length => {
                 let body = read_at(&mut self.file, data, length)?;
-                return Ok(self.message(&fields, body));
+                return Ok(self.message(&fields, body, false));
             }
             Some(Op::Message | Op::Connection) => self.search(start, data, "it is cut off or damaged here")?,
             _ if self.position > self.length => self.search(start, data, "it is cut off or damaged here")?,
@@ -214,12 +238,14 @@ impl<R: BufRead + Seek> BagReader<R> {
         Ok(None)
     }
 
-    fn message(&mut self, fields: &Fields<'_>, body: Vec<u8>) -> Option<RecordedMessage> {
+    fn message(&mut self, fields: &Fields<'_>, body: Vec<u8>, guarded: bool) -> Option<RecordedMessage> {
+        self.met += 1;
         let channel = fields.u32("conn").and_then(|number| self.connections.get(&number));
         let message = channel.zip(fields.time("time"));
         let message = message.map(|(channel, time)| RecordedMessage { channel: Arc::clone(channel), time, body });
-        if message.is_none() {
-            self.findings.messages_skipped += 1;
+        match message {
+            None => self.findings.messages_skipped += 1,
+            Some(_) => self.findings.unguarded += u64::from(!guarded),
         }
         message
     }
@@ -260,7 +286,8 @@ impl<R: BufRead + Seek> BagReader<R> {
         let unpacked = unpack(compression, self.file.by_ref().take(length), limit, &mut bytes);
         let missing = unfinished || data + length > self.length;
         let whole = unpacked.is_ok() && (bytes.len() as u64 == size || unfinished);
-        self.chunk = Chunk { bytes, at: 0, position: data, cut: missing && !whole };
+        let guarded = unpacked.as_ref().is_ok_and(|guarded| *guarded);
+        self.chunk = Chunk { bytes, at: 0, position: data, cut: missing && !whole, guarded };
         if whole && !missing {
             return Ok(());
         }
@@ -299,7 +326,7 @@ impl<R: BufRead + Seek> BagReader<R> {
             };
             let found = match Fields::parse(header).map(|fields| (fields.op(), fields)) {
                 Some((Some(Op::Message), fields)) if data.len() <= LONGEST_MESSAGE => {
-                    Some(self.message(&fields, data.to_vec()))
+                    Some(self.message(&fields, data.to_vec(), chunk.guarded))
                 }
                 Some((Some(Op::Connection), fields)) if self.learn(&fields, data) => Some(None),
                 _ => None,

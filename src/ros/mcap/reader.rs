@@ -37,6 +37,8 @@ struct Chunk {
     at: usize,
     position: u64,
     cut: bool,
+    /// Whether a checksum covered its bytes.
+    guarded: bool,
 }
 
 /// What a chunk's head says.
@@ -62,6 +64,10 @@ pub struct McapReader<R> {
     /// Where chunks begin, by the summary.
     places: BTreeSet<u64>,
     findings: Findings,
+    /// How many messages the summary counts.
+    counted: Option<u64>,
+    /// How many were met.
+    met: u64,
     ended: bool,
 }
 
@@ -84,6 +90,8 @@ impl<R: BufRead + Seek> McapReader<R> {
             texts: 0,
             places: BTreeSet::new(),
             findings: Findings::default(),
+            counted: None,
+            met: 0,
             ended: false,
         };
         if read_at(&mut reader.file, 0, position).map_err(unreadable)? != MAGIC {
@@ -113,6 +121,7 @@ impl<R: BufRead + Seek> McapReader<R> {
                 return Ok(Some(message));
             }
             if self.ended {
+                self.findings.compare(self.length, self.counted.take(), self.met);
                 return Ok(None);
             }
             if let Some(message) = self.advance().map_err(|error| RosError::unreadable(&error))? {
@@ -137,24 +146,66 @@ impl<R: BufRead + Seek> McapReader<R> {
         let tail = read_at(&mut self.file, footer, TAIL)?;
         let mut fields = Fields(&tail);
         let start = match fields.record() {
-            Some((code, content)) if code == Code::Footer as u8 && fields.0 == MAGIC => Fields(content).u64(),
+            Some((code, content)) if code == Code::Footer as u8 && fields.0 == MAGIC => {
+                let mut content = Fields(content);
+                content.u64().zip(content.u64().and(content.u32()))
+            }
             _ => None,
         };
-        let Some(mut at) = start.filter(|start| *start > 0) else { return Ok(()) };
+        let Some((mut at, checksum)) = start.filter(|(start, _)| *start > 0) else { return Ok(()) };
+        // The checksum covers the summary and the footer up to itself.
+        if checksum != 0 && self.checksum_of(at, footer + LEAD + 16)? != checksum {
+            self.findings.note(at, "the summary at the end is damaged: its checksum is another one; it was not used");
+            return Ok(());
+        }
         while at < footer {
             let Some((code, length)) = self.look(at)? else { break };
             if length > LONGEST_RECORD {
                 break;
             }
             let content = read_at(&mut self.file, at + LEAD, length)?;
-            if Code::from_byte(code) == Some(Code::ChunkIndex) {
-                let mut fields = Fields(&content);
-                let place = fields.u64().and(fields.u64()).and(fields.u64());
-                self.places.extend(place.filter(|_| self.places.len() < MOST_PLACES));
-            } else {
-                self.learn(code, &content);
+            match Code::from_byte(code) {
+                Some(Code::ChunkIndex) => {
+                    let mut fields = Fields(&content);
+                    let place = fields.u64().and(fields.u64()).and(fields.u64());
+                    self.places.extend(place.filter(|_| self.places.len() < MOST_PLACES));
+                }
+                Some(Code::Statistics) => self.counted = Fields(&content).u64(),
+                _ => {
+                    self.learn(code, &content);
+                }
             }
             at += LEAD + length;
+        }
+        Ok(())
+    }
+
+    /// CRC-32 of the file from a position up to another.
+    fn checksum_of(&mut self, from: u64, until: u64) -> std::io::Result<u32> {
+        let mut hasher = crc32fast::Hasher::new();
+        go_to(&mut self.file, from)?;
+        let mut left = self.file.by_ref().take(until.saturating_sub(from));
+        loop {
+            let bytes = left.fill_buf()?;
+            if bytes.is_empty() {
+                return Ok(hasher.finalize());
+            }
+            hasher.update(bytes);
+            let used = bytes.len();
+            left.consume(used);
+        }
+    }
+
+    /// Behind the last record of data. Where messages had no checksum of their own, that of all data is compared.
+    fn end_data(&mut self, start: u64, length: u64) -> std::io::Result<()> {
+        self.ended = true;
+        let content = read_at(&mut self.file, start + LEAD, length.min(4))?;
+        let checksum = Fields(&content).u32().filter(|checksum| *checksum != 0);
+        let Some(checksum) = checksum.filter(|_| self.findings.unguarded > 0) else { return Ok(()) };
+        if self.checksum_of(0, start)? == checksum {
+            self.findings.unguarded = 0;
+        } else {
+            self.findings.note(start, "the data was altered: its checksum at the end is another one");
         }
         Ok(())
     }
@@ -208,10 +259,11 @@ impl<R: BufRead + Seek> McapReader<R> {
         self.position = end.unwrap_or(self.length).min(self.length);
         match code {
             Some(Code::Chunk) => self.read_chunk(start, missing)?,
-            Some(Code::Footer | Code::DataEnd) => self.ended = true,
+            Some(Code::DataEnd) => self.end_data(start, length)?,
+            Some(Code::Footer) => self.ended = true,
             Some(Code::Message) if length <= LONGEST_MESSAGE as u64 + 64 => {
                 let content = read_at(&mut self.file, data, length)?;
-                return Ok(self.message(Fields(&content)));
+                return Ok(self.message(Fields(&content), false));
             }
             Some(Code::Schema | Code::Channel) if length <= LONGEST_RECORD => {
                 let content = read_at(&mut self.file, data, length)?;
@@ -222,17 +274,22 @@ impl<R: BufRead + Seek> McapReader<R> {
             Some(Code::Message | Code::Schema | Code::Channel) => {
                 self.findings.note(start, &format!("a record of {length} bytes was skipped, it is too large"));
             }
+            _ if self.places.contains(&start) => {
+                self.findings.note(start, "the summary names a chunk here, and there is none: it was skipped");
+            }
             _ => {}
         }
         Ok(None)
     }
 
-    fn message(&mut self, mut fields: Fields<'_>) -> Option<RecordedMessage> {
+    fn message(&mut self, mut fields: Fields<'_>, guarded: bool) -> Option<RecordedMessage> {
+        self.met += 1;
         let channel = fields.u16().and_then(|number| self.channels.get(&number).cloned().flatten());
         let time = fields.u32().and(fields.u64()).filter(|time| *time <= LATEST);
         let message = channel.zip(time).zip(fields.u64());
-        if message.is_none() {
-            self.findings.messages_skipped += 1;
+        match message {
+            None => self.findings.messages_skipped += 1,
+            Some(_) => self.findings.unguarded += u64::from(!guarded),
         }
         message.map(|((channel, time), _)| RecordedMessage { channel, time: Timestamp(time), body: fields.0.to_vec() })
     }
@@ -286,7 +343,8 @@ impl<R: BufRead + Seek> McapReader<R> {
         let sound = head.checksum == 0 || crc32fast::hash(&bytes) == head.checksum;
         let whole = unpacked.is_ok() && bytes.len() as u64 == head.size && sound;
         let followed = self.places.range(start + 1..).next().is_some_and(|next| *next < self.length);
-        self.chunk = Chunk { bytes, at: 0, position: head.data, cut: missing && !whole };
+        let guarded = head.checksum != 0 || unpacked.as_ref().is_ok_and(|guarded| *guarded);
+        self.chunk = Chunk { bytes, at: 0, position: head.data, cut: missing && !whole, guarded };
         if whole && !missing {
             return Ok(());
         }
@@ -311,7 +369,9 @@ impl<R: BufRead + Seek> McapReader<R> {
             let chunk = std::mem::take(&mut self.chunk);
             let mut fields = Fields(chunk.bytes.get(chunk.at..).unwrap_or_default());
             let message = match fields.record() {
-                Some((code, content)) if code == Code::Message as u8 => Some(self.message(Fields(content))),
+                Some((code, content)) if code == Code::Message as u8 => {
+                    Some(self.message(Fields(content), chunk.guarded))
+                }
                 Some((code, content)) if self.learn(code, content) => Some(None),
                 _ => None,
             };

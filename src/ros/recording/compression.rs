@@ -50,25 +50,48 @@ impl FromStr for ChunkCompression {
     }
 }
 
-/// Unpacks at most `limit` bytes from `source` into `out`. Memory grows with what really comes out.
+/// Unpacks at most `limit` bytes from `source` into `out`; gives whether a checksum of the compression itself covered
+/// all of them. Memory grows with what really comes out.
 ///
 /// # Errors
-/// Where the data is damaged or longer than `limit`; what came out before lies in `out`.
+/// Where the data is damaged, its checksum is another one, or it is longer than `limit`; what came out before lies in
+/// `out`.
 pub(in crate::ros) fn unpack(
     compression: ChunkCompression,
     source: impl BufRead,
     limit: usize,
     out: &mut Vec<u8>,
-) -> Result<(), String> {
+) -> Result<bool, String> {
     match compression {
-        ChunkCompression::None => drain(source, limit, out),
-        ChunkCompression::Bz2 => drain(bzip2::bufread::BzDecoder::new(source), limit, out),
-        ChunkCompression::Lz4 => drain(lz4_flex::frame::FrameDecoder::new(source), limit, out),
-        ChunkCompression::Zstd => {
-            let window = u64::try_from(super::LARGEST_CHUNK).unwrap_or(u64::MAX);
-            let decoder = ruzstd::decoding::StreamingDecoder::new_with_max_window_size(source, window);
-            drain(decoder.map_err(|error| error.to_string())?, limit, out)
-        }
+        ChunkCompression::None => drain(source, limit, out).map(|()| false),
+        // Every block and the whole have a CRC.
+        ChunkCompression::Bz2 => drain(bzip2::bufread::BzDecoder::new(source), limit, out).map(|()| true),
+        ChunkCompression::Lz4 => unpack_lz4(source, limit, out),
+        ChunkCompression::Zstd => unpack_zstd(source, limit, out),
+    }
+}
+
+/// The frame's descriptor tells which checksums it has; the decoder compares those.
+fn unpack_lz4(mut source: impl BufRead, limit: usize, out: &mut Vec<u8>) -> Result<bool, String> {
+    /// Magic number (4), then flags: bit 4 for checksums of blocks, bit 2 for one of the content.
+    const CHECKSUMS: u8 = 0b0001_0100;
+    let mut lead = Vec::with_capacity(5);
+    source.by_ref().take(5).read_to_end(&mut lead).map_err(|error| error.to_string())?;
+    let covered = lead.get(4).is_some_and(|flags| flags & CHECKSUMS != 0);
+    drain(lz4_flex::frame::FrameDecoder::new(lead.as_slice().chain(source)), limit, out).map(|()| covered)
+}
+
+/// The decoder computes the checksum of the content; comparing it is the caller's.
+fn unpack_zstd(source: impl BufRead, limit: usize, out: &mut Vec<u8>) -> Result<bool, String> {
+    let window = u64::try_from(super::LARGEST_CHUNK).unwrap_or(u64::MAX);
+    let decoder = ruzstd::decoding::StreamingDecoder::new_with_max_window_size(source, window);
+    let mut decoder = decoder.map_err(|error| error.to_string())?;
+    drain(&mut decoder, limit, out)?;
+    let decoder = decoder.into_frame_decoder();
+    match decoder.get_checksum_from_data() {
+        Some(told) if decoder.get_calculated_checksum() == Some(told) => Ok(true),
+        Some(_) => Err(String::from("what was unpacked does not match its zstd checksum")),
+        None => Ok(false),
     }
 }
 

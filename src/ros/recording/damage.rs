@@ -25,6 +25,9 @@ pub struct Findings {
     pub more_damages: u64,
     /// Messages that are there, but cannot be used: of a channel that is described nowhere, or of no encoding of ROS.
     pub messages_skipped: u64,
+    /// Messages that no checksum covers: whether they were altered cannot be told from the file.
+    #[serde(default)]
+    pub unguarded: u64,
 }
 
 impl Findings {
@@ -35,6 +38,12 @@ impl Findings {
         } else {
             self.more_damages += 1;
         }
+    }
+
+    /// Compares how many messages the file's own index counts with how many were met, where nothing else tells of a loss.
+    pub(in crate::ros) fn compare(&mut self, end: u64, counted: Option<u64>, met: u64) {
+        let Some(counted) = counted.filter(|counted| self.damages.is_empty() && *counted != met) else { return };
+        self.note(end, &format!("the file's index counts {counted} messages, {met} could be read"));
     }
 
     /// Whether all of the recording was read.

@@ -82,4 +82,6 @@ pub struct RecordedMessage {
 }
 
 #[cfg(test)]
+mod altered_tests;
+#[cfg(test)]
 mod tests;

@@ -12,7 +12,7 @@ use crate::ros::mcap::{McapReader, McapWriter};
 
 const DEFINITION: &str = "uint32 data\n";
 
-fn channel(topic: &str, caller_id: &str) -> Arc<Channel> {
+pub(super) fn channel(topic: &str, caller_id: &str) -> Arc<Channel> {
     Arc::new(Channel {
         topic: topic.into(),
         type_name: "std_msgs/UInt32".into(),
@@ -24,11 +24,11 @@ fn channel(topic: &str, caller_id: &str) -> Arc<Channel> {
     })
 }
 
-fn message(channel: &Arc<Channel>, time: u64, body: &[u8]) -> RecordedMessage {
+pub(super) fn message(channel: &Arc<Channel>, time: u64, body: &[u8]) -> RecordedMessage {
     RecordedMessage { channel: Arc::clone(channel), time: Timestamp(time), body: body.to_vec() }
 }
 
-fn write(format: RecordingFormat, compression: ChunkCompression, messages: &[RecordedMessage]) -> Vec<u8> {
+pub(super) fn write(format: RecordingFormat, compression: ChunkCompression, messages: &[RecordedMessage]) -> Vec<u8> {
     let out = Cursor::new(Vec::new());
     let each = |write: &mut dyn FnMut(&RecordedMessage) -> Result<(), RosError>| {
         messages.iter().for_each(|message| write(message).expect("written"));
@@ -47,7 +47,7 @@ fn write(format: RecordingFormat, compression: ChunkCompression, messages: &[Rec
     }
 }
 
-fn read(format: RecordingFormat, bytes: &[u8]) -> Result<(Vec<RecordedMessage>, Findings), RosError> {
+pub(super) fn read(format: RecordingFormat, bytes: &[u8]) -> Result<(Vec<RecordedMessage>, Findings), RosError> {
     let mut messages = Vec::new();
     let file = Cursor::new(bytes);
     match format {
@@ -68,7 +68,7 @@ fn read(format: RecordingFormat, bytes: &[u8]) -> Result<(Vec<RecordedMessage>, 
     }
 }
 
-const WAYS: [(RecordingFormat, ChunkCompression); 6] = [
+pub(super) const WAYS: [(RecordingFormat, ChunkCompression); 6] = [
     (RecordingFormat::Bag, ChunkCompression::None),
     (RecordingFormat::Bag, ChunkCompression::Bz2),
     (RecordingFormat::Bag, ChunkCompression::Lz4),
@@ -80,7 +80,8 @@ const WAYS: [(RecordingFormat, ChunkCompression); 6] = [
 /// Three chunks and a bit, of two publishers.
 fn several_chunks() -> Vec<RecordedMessage> {
     let (odometry, picture) = (channel("/odom", "/base"), channel("/camera", "/lens"));
-    let large: Vec<u8> = (0..300_000_u32).map(|index| u8::try_from(index * index % 251).expect("a byte")).collect();
+    let large: Vec<u8> =
+        (0..300_000_u32).map(|index| u8::try_from(index.wrapping_mul(index) % 251).expect("a byte")).collect();
     let mut messages = Vec::new();
     for number in 0..10_u8 {
         messages.push(message(&odometry, 1_000_000_007 + u64::from(number) * 50, &[number; 4]));

@@ -13,6 +13,11 @@ pub enum Administration {
         /// Who.
         account: Party,
     },
+    /// Withdraws an admission.
+    Dismiss {
+        /// Who.
+        account: Party,
+    },
     /// Stops an account's changes but those that take rights away.
     Suspend {
         /// Who.
@@ -32,8 +37,28 @@ pub enum Administration {
     Pause {
         /// Whether they are stopped.
         paused: bool,
+        /// For how long, seconds; `None` = a day. On a contract of the first revision they are stopped without end.
+        #[serde(default)]
+        seconds: Option<u64>,
     },
-    /// Names the account that continues for a lost one.
+    /// Proposes the account that is to continue for a lost one.
+    Propose {
+        /// The account whose key is lost.
+        lost: Party,
+        /// Who is to continue.
+        successor: Party,
+    },
+    /// Stops a succession that waits; the recovery account may, too.
+    Cancel {
+        /// Whose.
+        lost: Party,
+    },
+    /// Completes a succession whose time has come; anybody may.
+    Complete {
+        /// Whose.
+        lost: Party,
+    },
+    /// Names the account that continues for a lost one, at once (first revision).
     Succeed {
         /// The account whose key is lost.
         lost: Party,

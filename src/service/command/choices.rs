@@ -64,3 +64,13 @@ pub struct Held {
     /// Ids; only where no topic is given.
     pub ids: Vec<String>,
 }
+
+/// A pair of SM2 keys.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PairKind {
+    /// (d_C, P_C).
+    Signing,
+    /// (d_E, P_E).
+    Envelope,
+}

@@ -1,7 +1,7 @@
 //! The chain: does it answer, is it the pinned one, is the contract's code what was pinned, and do the clocks agree.
 
 use super::Sheet;
-use crate::chain::{Chain, ChainOptions, Endpoint, Pin};
+use crate::chain::{Chain, ChainOptions, Endpoint, Pin, SealedBy};
 use crate::config::{Config, without_password};
 use crate::model::Timestamp;
 use crate::paths::Home;
@@ -22,7 +22,12 @@ pub(super) async fn look(home: &Home, config: &Config, site_runs: bool, sheet: &
     }
     let (endpoint, name) = match &config.chain_url {
         Some(url) => (Endpoint::Node { url: url.clone() }, without_password(url)),
-        None if site_runs => return sheet.ok("chain", "embedded; the running site has it open"),
+        None if site_runs => {
+            sheet.ok("chain", "embedded; the running site has it open");
+            return if pinned.is_some() {
+                who_seals(&SealedBy::embedded(), sheet)
+            };
+        }
         None if !home.chain().join("chain.db").exists() => {
             return match pinned {
                 None => sheet.ok("chain", "embedded; begins with the first registration"),
@@ -58,10 +63,15 @@ async fn answered(chain: &Chain, name: &str, has_pin: bool, sheet: &mut Sheet) {
     sheet.ok("chain", &format!("{name}, chain id {}, block {}", chain.chain_id(), head.number));
     match chain.pin() {
         Some(pin) if has_pin => {
-            sheet.ok("contract", &format!("{}, its code has the pinned hash {}", pin.contract, pin.code_hash));
+            let revision = chain.revision().map_or_else(|_| "unknown".to_owned(), |revision| revision.to_string());
+            let (contract, hash) = (pin.contract, pin.code_hash);
+            sheet.ok("contract", &format!("{contract}, revision {revision}, its code has the pinned hash {hash}"));
         }
         Some(pin) => sheet.ok("contract", &format!("{}, its code is this program's", pin.contract)),
         None => sheet.ok("contract", "none yet; `authros register` or `authros chain deploy` puts it there"),
+    }
+    if has_pin && let Ok(sealed_by) = chain.sealed_by().await {
+        who_seals(&sealed_by, sheet);
     }
     let now = Timestamp::now().seconds();
     let ahead = head.timestamp.saturating_sub(now);
@@ -74,6 +84,20 @@ async fn answered(chain: &Chain, name: &str, has_pin: bool, sheet: &mut Sheet) {
     } else {
         let age = now.saturating_sub(head.timestamp);
         sheet.ok("clock", &format!("the newest block is {age} s old by this clock, none is in its future"));
+    }
+}
+
+/// Records are anchored on it: whether that says anything against whoever runs it.
+fn who_seals(sealed_by: &SealedBy, sheet: &mut Sheet) {
+    if sealed_by.alone {
+        let text = format!("records are anchored on a chain that one alone seals: {}", sealed_by.text);
+        sheet.warn(
+            "sealers",
+            &text,
+            "where that is not enough as evidence, set chain.url to a chain that several seal",
+        );
+    } else {
+        sheet.ok("sealers", &sealed_by.text);
     }
 }
 

@@ -56,6 +56,23 @@ pub struct KeysView {
     pub epochs: Vec<EpochView>,
 }
 
+/// Whom a change of an SM2 key touches, and how.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct KeyChangeView {
+    /// Accounts with an active grant of this profile.
+    pub readers: Vec<Address>,
+    /// Accounts that share with this profile.
+    pub sharers: Vec<Address>,
+    /// Names of robots that are lent.
+    pub robots: Vec<ProfileName>,
+    /// Whether this profile keeps the gateway of this home.
+    pub keeps_gateway: bool,
+    /// The gateway that this home has joined.
+    pub joined: Option<String>,
+    /// What happens, in words.
+    pub lines: Vec<String>,
+}
+
 /// A robot that was enrolled.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct EnrolledView {
@@ -69,6 +86,19 @@ pub struct EnrolledView {
     pub gateway_key: SignerId,
     /// The enrolment file, sealed.
     pub file: SecretBytes,
+}
+
+/// What an enrolled robot covers by now.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct DeviceTopicsView {
+    /// N.
+    pub name: ProfileName,
+    /// SM3 of its public key.
+    pub device: SignerId,
+    /// Topics that were added.
+    pub added: Vec<String>,
+    /// All that it covers.
+    pub topics: Vec<String>,
 }
 
 /// What a transaction of the profile did (register, grant, revoke, rotate).

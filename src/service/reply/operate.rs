@@ -50,6 +50,19 @@ pub struct RefusedView {
     pub count: u64,
 }
 
+/// An owner who may use the gateway of this home.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct AdmittedView {
+    /// Who.
+    pub owner: Address,
+    /// Its name in the address book.
+    pub name: Option<String>,
+    /// Since when.
+    pub since: Timestamp,
+    /// Which profile admitted it, or why it is here.
+    pub by: String,
+}
+
 /// The gateway of this site at a glance.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct GatewayStatusView {

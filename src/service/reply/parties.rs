@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::chain::Revision;
 use crate::model::{Address, ContactName, Hash, SignerId, Timestamp};
 
 /// One account of the address book.
@@ -51,6 +52,36 @@ pub struct SuccessionView {
     pub block: u64,
 }
 
+/// A succession that waits.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ProposalView {
+    /// The account said to be lost.
+    pub lost: Address,
+    /// Its name in the address book.
+    pub lost_name: Option<String>,
+    /// Who is to continue.
+    pub successor: Address,
+    /// Its name in the address book.
+    pub successor_name: Option<String>,
+    /// Who may stop it, besides the administrator.
+    pub recovery: Option<Address>,
+    /// It can be completed from then on.
+    pub due: Timestamp,
+    /// Since which block it waits.
+    pub block: u64,
+}
+
+/// Who may stop a succession of the profile's account.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RecoveryView {
+    /// Who may now.
+    pub account: Option<Address>,
+    /// Who was named last, where that is still to take effect.
+    pub next: Option<Address>,
+    /// When it does.
+    pub from: Option<Timestamp>,
+}
+
 /// What the administrator of the contract decided.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AdministrationView {
@@ -60,8 +91,23 @@ pub struct AdministrationView {
     pub nominee: Option<Address>,
     /// Whether anyone may register.
     pub open: bool,
-    /// Whether all changes are stopped but those that take rights away.
+    /// Whether all changes are stopped now but those that take rights away.
     pub paused: bool,
+    /// When a pause ends by itself; `None` = there is none, or it has no end.
+    #[serde(default)]
+    pub paused_until: Option<Timestamp>,
+    /// The contract's revision.
+    #[serde(default)]
+    pub revision: Option<Revision>,
+    /// How long a succession waits, seconds; `None` = not at all.
+    #[serde(default)]
+    pub delay: Option<u64>,
+    /// Successions that wait.
+    #[serde(default)]
+    pub proposals: Vec<ProposalView>,
+    /// Who may stop a succession of the profile's account.
+    #[serde(default)]
+    pub recovery: RecoveryView,
     /// Accounts whose changes are stopped.
     pub suspended: Vec<Address>,
     /// Lost accounts with their successors.

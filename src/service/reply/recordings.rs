@@ -18,6 +18,17 @@ pub struct ImportedTopic {
     pub already: u64,
 }
 
+/// Messages of one topic that an import left out.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LeftOut {
+    /// Topic as it was recorded, cleaned.
+    pub topic: String,
+    /// The reason.
+    pub why: String,
+    /// How many.
+    pub messages: u64,
+}
+
 /// What an import did.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct ImportView {
@@ -33,8 +44,14 @@ pub struct ImportView {
     pub already: u64,
     /// Messages that were given up, their profile having no keys in force.
     pub lost: u64,
-    /// Messages that cannot be used: of a channel that is described nowhere, without a usable name, or damaged.
+    /// Messages that cannot be used: those left out, of a channel that is described nowhere, or damaged.
     pub skipped: u64,
+    /// Messages left out by their topic, with the reason.
+    #[serde(default)]
+    pub left_out: Vec<LeftOut>,
+    /// Messages that no checksum of the file covers: whether they were altered cannot be told from it.
+    #[serde(default)]
+    pub unguarded: u64,
     /// What could not be read, and why.
     pub damages: Vec<Damage>,
     /// Further places of damage.

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::model::{Address, Digest, Hash, Timestamp, Verdict, base64_text};
+use crate::pipeline::columns::Compared;
 use crate::ros::readable::Readable;
 
 /// One record in a list.
@@ -25,7 +26,7 @@ pub struct RecordView {
     pub type_name: String,
     /// Kind of record in one word.
     pub kind: String,
-    /// State in one word.
+    /// State in one word; `unread` for a verified one whose bytes are not here to be compared.
     pub state: String,
     /// SM3 of the stored bytes.
     pub digest: Digest,
@@ -41,6 +42,12 @@ pub struct RecordView {
     pub transaction: Option<Hash>,
     /// Its block.
     pub block: Option<u64>,
+    /// How far the ledger's row was compared with the record.
+    #[serde(default)]
+    pub compared: Compared,
+    /// The field in which they differ: then the record's own word is shown, and it is `tampered`.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub differs: Option<String>,
 }
 
 /// A page of records.

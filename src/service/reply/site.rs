@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::model::ProfileName;
+use crate::model::{ProfileName, Timestamp};
 
 /// How a part of the site is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -25,8 +25,14 @@ pub struct PartHealth {
     pub part: String,
     /// How it is.
     pub level: HealthLevel,
-    /// In words: `embedded master http://127.0.0.1:4711`, `retry in 4 s`.
+    /// In words: `embedded master http://127.0.0.1:4711`, `retry in 4 s: …`.
     pub text: String,
+    /// Since when it has not been well, where that is known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub since: Option<Timestamp>,
+    /// Seconds between two attempts, where it is tried again.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub retry: Option<u64>,
 }
 
 /// How many records passed each station of the life line (data records of one profile). At every moment

@@ -1,4 +1,5 @@
-//! `chain adopt`: the operator decides to go on with the chain that is there now instead of the pinned one.
+//! `chain adopt`: the operator decides to go on with the chain that is there now instead of the pinned one, or on the
+//! pinned one with a contract of the newest revision.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -6,10 +7,10 @@ use std::time::Duration;
 use tokio::task::block_in_place;
 
 use super::{NetworkState, Site};
-use crate::chain::{Chain, ChainError, ChainOptions, Endpoint, Pin};
+use crate::chain::{Chain, ChainError, ChainOptions, Endpoint, Pin, Revision};
 use crate::model::Timestamp;
 use crate::pipeline::adoption::{self, Step};
-use crate::pipeline::{Network, Owner};
+use crate::pipeline::{Network, Owner, PipelineError, watcher};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::{input, internal, refused};
 use crate::service::reply::{Failure, TransactionView};
@@ -19,6 +20,10 @@ use crate::store::StoreError;
 const PATIENCE: Duration = Duration::from_secs(120);
 /// How long the embedded chain's file may take to be closed.
 const CLOSING: Duration = Duration::from_secs(5);
+/// How long what is on its way to a contract that is to be left may take to get there.
+const REST: Duration = Duration::from_secs(60);
+/// How often in a row nothing must be on its way.
+const QUIET: usize = 5;
 /// How many contracts are deployed at most until one has an address of its own.
 const DEPLOYMENTS: usize = 4;
 
@@ -30,11 +35,26 @@ impl Site {
         let known = self.network().await;
         let left = {
             let _one_at_a_time = self.deploying.lock().await;
-            let pinned = self.pinned_elsewhere(known)?;
+            let (pinned, outgrown) = self.to_leave(known)?;
             self.audit_first(owner, "adopt chain", &format!("in place of {}", pinned.contract)).await?;
-            let chain = self.chain_there().await?;
+            let chain = match &outgrown {
+                Some(network) => network.chain.apart(),
+                None => self.chain_there().await?,
+            };
             let pin = self.contract_there(&chain, owner, &pinned).await?;
-            let left = self.leave(pinned, &pin)?;
+            let moved = match &outgrown {
+                Some(network) => self.come_to_rest(network).await,
+                None => Ok(()),
+            };
+            let left = match moved {
+                Ok(()) => self.leave(&chain, pinned, &pin).await,
+                Err(failure) => Err(failure),
+            };
+            // Where nothing was left, the contract in use stays in use.
+            if let (Err(_), Some(network)) = (&left, outgrown) {
+                self.network.send_replace(NetworkState::Up(Box::new(network)));
+            }
+            let left = left?;
             self.save_pin(&pin)?;
             self.use_network(chain, &pin).await?;
             left
@@ -52,32 +72,67 @@ impl Site {
         self.wait_for_word(owner, &network).await?;
         self.record_audit(&owner.profile, "adopt chain", &network.domain.to_string(), "done").await?;
         let (kept, anew) = (left.kept, left.anew);
+        let stays = if left.is_same_chain {
+            "stay anchored in the earlier contract and are checked there"
+        } else {
+            "keep their anchors on the earlier chain, where they can no longer be checked from here"
+        };
         let text = format!(
-            "chain {} with contract {} is used from now on; {kept} verified records keep their anchors on the earlier \
-             chain, where they can no longer be checked from here, {anew} others are anchored here; grants are to be \
-             given again",
+            "chain {} with contract {} is used from now on; {kept} {} {stays}, {anew} others are anchored here; grants \
+             and loans are to be given again",
             network.chain.chain_id(),
             network.chain.pin().map_or_else(String::new, |pin| pin.contract.to_string()),
+            if left.is_same_chain { "records" } else { "verified records" },
         );
         self.hub.notice(NoticeLevel::Info, &text);
         let epoch = network.directory.epoch(owner.address);
         Ok(TransactionView { transaction: None, block: None, epoch, text })
     }
 
-    /// The home's pin, where another chain than the pinned one answers.
-    fn pinned_elsewhere(&self, known: Result<Network, Failure>) -> Result<Pin, Failure> {
+    /// The home's pin, where another chain or contract than the pinned one answers, or the contract is outgrown: then with
+    /// the network in use.
+    fn to_leave(&self, known: Result<Network, Failure>) -> Result<(Pin, Option<Network>), Failure> {
         let swapped = matches!(*self.network.borrow(), NetworkState::Swapped(_));
         let pin = self.pin()?;
         match pin {
-            Some(pin) if swapped => Ok(pin),
-            Some(_) => {
-                known?;
-                Err(refused("the chain is the pinned one, so there is nothing to adopt; see `authros chain status`"))
+            Some(pin) if swapped => Ok((pin, None)),
+            Some(pin) => {
+                let network = known?;
+                if network.chain.revision()? < Revision::NEWEST && self.config.contract.is_none() {
+                    return Ok((pin, Some(network)));
+                }
+                let advice = if network.chain.revision()? < Revision::NEWEST {
+                    "; chain.contract names a contract of an earlier revision, leave it empty or name a newer one"
+                } else {
+                    ""
+                };
+                Err(refused(format!(
+                    "the chain is the pinned one, so there is nothing to adopt{advice}; see `authros chain status`"
+                )))
             }
             None => {
                 Err(input("this home is bound to no chain yet; `authros register` binds it to the one that is there"))
             }
         }
+    }
+
+    /// Lets nothing new go to a contract that is to be left, and waits until what is on its way there is in a block, as
+    /// long as that is to be expected.
+    async fn come_to_rest(self: &Arc<Self>, network: &Network) -> Result<(), Failure> {
+        self.network.send_replace(NetworkState::Connecting);
+        let deadline = tokio::time::Instant::now() + REST;
+        let mut quiet = 0usize;
+        while quiet < QUIET && tokio::time::Instant::now() < deadline {
+            self.tend_lanes(network).await;
+            watcher::watch_round(&self.plant, network).await?;
+            let mut open = 0;
+            for owner in self.all_owners() {
+                open += self.lane_states(&owner, network)?.iter().map(|lane| lane.open).sum::<u64>();
+            }
+            quiet = if open == 0 { quiet + 1 } else { 0 };
+            tokio::time::sleep(Duration::from_millis(200)).await;
+        }
+        Ok(())
     }
 
     /// A connection to whatever answers.
@@ -120,7 +175,12 @@ impl Site {
         }
         for known in self.known_contracts(chain, left)? {
             match chain.use_contract(known).await {
-                Ok(pin) if adoption::domain_of(&pin) != adoption::domain_of(left) => return Ok(pin),
+                // Back to a contract of an earlier revision only on a chain that has nothing newer of this home's.
+                Ok(pin)
+                    if adoption::domain_of(&pin) != adoption::domain_of(left) && !self.is_outgrown(chain, left)? =>
+                {
+                    return Ok(pin);
+                }
                 Ok(_) | Err(ChainError::NotTheContract(_)) => {}
                 Err(error) => return Err(error.into()),
             }
@@ -143,13 +203,30 @@ impl Site {
         Ok(used.chain([left]).map(|pin| pin.contract).collect())
     }
 
-    fn leave(&self, from: Pin, to: &Pin) -> Result<crate::store::Left, Failure> {
+    /// Whether what is left is on this chain, and the contract now in use there is of an earlier revision: only a newer
+    /// one is worth a move.
+    fn is_outgrown(&self, chain: &Chain, left: &Pin) -> Result<bool, Failure> {
+        let here = (left.chain_id, left.genesis) == (chain.chain_id(), chain.genesis());
+        Ok(here && self.config.contract.is_none() && chain.revision()? < Revision::NEWEST)
+    }
+
+    /// Writes down that the contract, or the whole chain, was left: on the same chain records keep their blocks.
+    async fn leave(&self, chain: &Chain, from: Pin, to: &Pin) -> Result<Left, Failure> {
+        let ledger = &self.plant.ledger;
+        let seen = block_in_place(|| Ok::<_, StoreError>(ledger.trail_end()?.max(ledger.cursor(watcher::CURSOR)?)))?;
+        let is_same_chain = to.contract != from.contract && chain.still_has(&from, seen).await?;
+        let until = if is_same_chain { Some(chain.head().await?.number) } else { None };
         block_in_place(|| {
-            let mut steps = adoption::steps(&self.plant.ledger)?;
+            let mut steps = adoption::steps(ledger)?;
             let domain = adoption::domain_of(&from);
-            steps.push(Step { from, to: to.clone(), at: Timestamp::now() });
+            steps.push(Step { from, to: to.clone(), at: Timestamp::now(), until });
             let text = serde_json::to_string(&steps).map_err(|error| internal(error.to_string()))?;
-            Ok::<_, Failure>(self.plant.ledger.leave_chain(domain, adoption::STEPS, &text)?)
+            let left = if is_same_chain {
+                ledger.leave_contract(domain, adoption::STEPS, &text)?
+            } else {
+                ledger.leave_chain(domain, adoption::STEPS, &text)?
+            };
+            Ok::<_, Failure>(Left { kept: left.kept, anew: left.anew, is_same_chain })
         })
     }
 
@@ -171,10 +248,19 @@ impl Site {
     }
 
     /// The network with everything bound to it, and what this home was bound to before.
-    pub(super) fn network_of(&self, chain: Chain, pin: &Pin) -> Result<Network, StoreError> {
+    pub(super) async fn network_of(&self, chain: Chain, pin: &Pin) -> Result<Network, PipelineError> {
         let domain = adoption::domain_of(pin);
         let directory = Arc::new(crate::pipeline::Directory::new(domain, self.plant.provider));
         let earlier = Arc::new(block_in_place(|| adoption::earlier(&self.plant.ledger, domain))?);
-        Ok(Network { chain, domain, directory, earlier, confirmations: self.config.confirmations })
+        let former = Arc::new(adoption::former(&self.plant, &chain).await?);
+        let confirmations = self.config.confirmations;
+        Ok(Network { chain, domain, directory, earlier, former, confirmations, times: Arc::default() })
     }
+}
+
+/// What leaving did.
+struct Left {
+    kept: u64,
+    anew: u64,
+    is_same_chain: bool,
 }

@@ -12,9 +12,11 @@ use super::Site;
 use crate::crypto::{Enrolment, SealedEnrolment};
 use crate::gateway::{Context, Credentials, Endpoint};
 use crate::model::{Digest, ErrorKind, ProfileName, RecordState, TopicName, clean};
-use crate::pipeline::forwarder::{Forwarder, Link, trust_in};
+use crate::pipeline::forwarder::{CopyKeeping, Forwarder, Link, trust_in};
 use crate::pipeline::notices::Notices;
+use crate::pipeline::session::TopicFigures;
 use crate::pipeline::{Author, CaptureSession, Observer as _};
+use crate::service::event::NoticeLevel;
 use crate::service::failure::{input, internal, refused};
 use crate::service::reply::Failure;
 use crate::store::{StateCounts, TopicCounts};
@@ -54,6 +56,9 @@ pub struct AgentFigures {
     pub pending: u64,
     /// Damaged here, or altered at the gateway after it signed for them.
     pub tampered: u64,
+    /// Verified by the gateway's word alone, which an earlier version does not sign: their ciphertext stays here. Looked
+    /// up every few seconds.
+    pub unproven: u64,
     /// Whether the gateway answers, in words.
     pub gateway: String,
 }
@@ -74,13 +79,16 @@ pub struct Agent {
     site: Arc<Site>,
     name: ProfileName,
     author: Arc<Author>,
-    session: Arc<CaptureSession>,
+    /// The first is of all topics at the start; one more for each topic that the owner has added since.
+    sessions: Vec<Arc<CaptureSession>>,
     topics: Vec<String>,
+    wishes: AgentWishes,
     length: Option<Duration>,
     link: tokio::sync::watch::Receiver<Link>,
     refused: Arc<Mutex<HashSet<Digest>>>,
     /// Messages in the outbox when this run began.
     before: u64,
+    unproven: u64,
     forwarder: JoinHandle<()>,
 }
 
@@ -106,16 +114,23 @@ impl Agent {
         let notices = Notices::new(provider, observer, Arc::clone(&author), sealed, kept);
         let forwarder = forwarder.with_errand(Box::new(notices));
         let before = block_in_place(|| site.plant.ledger.counts(None))?.acknowledged;
-        let session = Arc::new(CaptureSession::unfollowed(&topics, wishes.count, wishes.tags));
+        let session = Arc::new(CaptureSession::unfollowed(&topics, wishes.count, wishes.tags.clone()));
         for topic in &topics {
             site.recorder.join(topic, &author, None, &session);
+            if author.sealing().is_some_and(|keys| keys.topic(topic).is_none()) {
+                let text = format!(
+                    "there is no key for topic {topic}: its messages are refused and counted until the owner adds it with \
+                     `authros devices topics add {name} {topic}`"
+                );
+                site.hub.notice(NoticeLevel::Warning, &text);
+            }
         }
         site.wishes_changed();
         let (link, refused) = (forwarder.link(), forwarder.refused());
         let forwarder = Arc::new(tokio::sync::Mutex::new(forwarder));
         let forwarder = site.supervise("forwarder", move |site| forward(site, Arc::clone(&forwarder)));
-        let (site, length) = (Arc::clone(site), wishes.length);
-        Ok(Self { site, name, author, session, topics, length, link, refused, before, forwarder })
+        let (site, length, sessions) = (Arc::clone(site), wishes.length, vec![session]);
+        Ok(Self { site, name, author, sessions, topics, wishes, length, link, refused, before, unproven: 0, forwarder })
     }
 
     /// Works until all that was asked for is verified, or until `told`. `progress` gets the figures whenever
@@ -142,11 +157,14 @@ impl Agent {
                 _ = &mut told => return Ok(AgentEnd::Told),
                 () = &mut time_is_up, if !up => {
                     up = true;
-                    self.session.close();
+                    self.sessions.iter().for_each(|session| session.close());
                 }
                 () = tokio::time::sleep(LOOK) => {}
             }
             let counts = block_in_place(|| self.site.plant.ledger.counts(None))?;
+            if looks.is_multiple_of(25) {
+                self.unproven = block_in_place(|| self.site.plant.ledger.unproven())?;
+            }
             let figures = self.figures_of(&counts);
             if looks.is_multiple_of(5) && shown.as_ref() != Some(&figures) {
                 progress(&figures);
@@ -154,9 +172,29 @@ impl Agent {
             }
             looks = looks.wrapping_add(1);
             self.warn_of_epoch();
+            self.follow_topics();
             if let Some(end) = self.end(&counts) {
                 return Ok(end);
             }
+        }
+    }
+
+    /// Captures what the owner has added since, where it is the enrolment that says what is captured.
+    fn follow_topics(&mut self) {
+        if !self.wishes.topics.is_empty() || self.sessions.iter().all(|session| session.is_closed()) {
+            return;
+        }
+        let covered = self.author.sealing().and_then(|keys| keys.names()).unwrap_or_default();
+        for topic in covered.into_iter().filter(|topic| topic.parse::<TopicName>().is_ok()) {
+            if self.topics.contains(&topic) {
+                continue;
+            }
+            let (topics, tags) = ([topic.clone()], self.wishes.tags.clone());
+            let session = Arc::new(CaptureSession::unfollowed(&topics, self.wishes.count, tags));
+            self.site.recorder.join(&topic, &self.author, None, &session);
+            self.sessions.push(session);
+            self.topics.push(topic);
+            self.site.wishes_changed();
         }
     }
 
@@ -169,13 +207,17 @@ impl Agent {
     }
 
     fn end(&self, counts: &StateCounts) -> Option<AgentEnd> {
-        let taken: u64 = self.session.figures().iter().map(|topic| topic.captured).sum();
-        if !self.session.is_closed() || counts.acknowledged < self.before + taken {
+        let taken: u64 = self.each_topic().map(|topic| topic.captured).sum();
+        if !self.sessions.iter().all(|session| session.is_closed()) || counts.acknowledged < self.before + taken {
             return None;
         }
-        let aside = self.refused.lock().unwrap_or_else(PoisonError::into_inner).len();
-        if counts.pending_of_any_kind() <= aside as u64 {
+        let pending = counts.pending_of_any_kind();
+        if pending == 0 {
             return Some(AgentEnd::Done);
+        }
+        let aside = self.refused.lock().unwrap_or_else(PoisonError::into_inner).len();
+        if pending <= aside as u64 {
+            return Some(AgentEnd::Refused);
         }
         matches!(&*self.link.borrow(), Link::Refused(_)).then_some(AgentEnd::Refused)
     }
@@ -189,7 +231,7 @@ impl Agent {
     }
 
     fn figures_of(&self, counts: &StateCounts) -> AgentFigures {
-        let lost: u64 = self.session.figures().iter().map(|topic| topic.lost).sum();
+        let lost: u64 = self.each_topic().map(|topic| topic.lost).sum();
         let verified = counts.data_in(RecordState::Verified);
         AgentFigures {
             name: self.name.clone(),
@@ -199,12 +241,17 @@ impl Agent {
             lost,
             pending: counts.pending(),
             tampered: counts.data_in(RecordState::Tampered),
+            unproven: self.unproven,
             gateway: match &*self.link.borrow() {
                 Link::Connecting => "connecting".to_owned(),
                 Link::Up => "connected".to_owned(),
                 Link::Away(text) | Link::Refused(text) => clean(text, 300),
             },
         }
+    }
+
+    fn each_topic(&self) -> impl Iterator<Item = TopicFigures> {
+        self.sessions.iter().flat_map(|session| session.figures())
     }
 
     /// Figures by topic.
@@ -216,10 +263,14 @@ impl Agent {
     }
 
     /// Ends: no further capture, all that was captured fsynced. Its figures can still be read.
-    pub async fn stop(&self) {
-        self.session.close();
-        for topic in &self.topics {
-            self.site.recorder.leave(topic, &self.author, &self.session);
+    pub async fn stop(&mut self) {
+        // Told in the last figures; where it cannot be read the last look counts.
+        self.unproven = block_in_place(|| self.site.plant.ledger.unproven()).unwrap_or(self.unproven);
+        for session in &self.sessions {
+            session.close();
+            for topic in &self.topics {
+                self.site.recorder.leave(topic, &self.author, session);
+            }
         }
         self.forwarder.abort();
         Arc::clone(&self.site).stop().await;
@@ -232,25 +283,33 @@ async fn forward(site: Arc<Site>, forwarder: Arc<tokio::sync::Mutex<Forwarder>>)
 
 fn forwarder(site: &Site, enrolment: &Enrolment) -> Result<Forwarder, Failure> {
     let trust_file = site.home.root().join("gateway.json");
-    let trust = trust_in(&trust_file, enrolment.fingerprint)?;
+    let damaged = |_| internal("the enrolment names no gateway; have its owner enrol the robot again");
+    let gateway = enrolment.gateway().map_err(damaged)?;
+    let trust = trust_in(&trust_file, gateway.fingerprint)?;
     let context = Context { provider: site.plant.provider, domain: enrolment.domain };
-    let endpoint = Endpoint { address: enrolment.gateway.clone(), context, patience: PATIENCE };
+    let endpoint = Endpoint { address: gateway.address.clone(), context, patience: PATIENCE };
     let credentials =
-        Credentials { name: enrolment.name.clone(), key: enrolment.transport.clone(), token: enrolment.token };
+        Credentials { name: enrolment.name.clone(), key: gateway.transport.clone(), token: enrolment.token };
     let forwarder = Forwarder::new(site.plant.clone(), endpoint, credentials, trust, trust_file);
+    let keeping =
+        CopyKeeping { time: site.config.outbox_keep.unwrap_or(Duration::MAX), reserve: site.config.disk_reserve };
+    let forwarder = forwarder.keeping(keeping);
     forwarder.tidy()?;
     Ok(forwarder)
 }
 
-/// What is captured: what was asked for, each with a key, or all that there are keys for.
+/// What is captured: what was asked for, or all that there are keys for. Of what was asked for some may lack a key still:
+/// its messages are refused and counted until the owner sends it.
 fn topics(enrolment: &Enrolment, asked: &[TopicName]) -> Result<Vec<String>, Failure> {
     let covered = enrolment.keys.now.key.topics();
-    if let (Some(covered), Some(strange)) =
-        (&covered, asked.iter().find(|topic| covered.as_ref().is_some_and(|all| !all.contains(&topic.to_string()))))
+    if let (Some(covered), Some(strange)) = (&covered, asked.first())
+        && !asked.iter().any(|topic| covered.iter().any(|name| name == topic.as_str()))
     {
         return Err(refused(format!(
-            "this enrolment has no key for topic {strange}, only for {}; its owner can enrol the robot again",
-            clean(&covered.join(", "), 300)
+            "this enrolment has no key for topic {strange}, only for {}; its owner adds it with `authros devices topics \
+             add {} {strange}`",
+            clean(&covered.join(", "), 300),
+            enrolment.name
         )));
     }
     let mut topics: Vec<String> = match covered {

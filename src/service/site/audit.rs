@@ -80,15 +80,16 @@ impl Site {
     }
 
     /// Counts a refusal; a line per peer, code and minute tells how many there were. `peer` is a profile's name, or
-    /// what is known of a remote peer (no port: each connection has another); `code` is one of the program's.
-    pub(crate) fn refused(&self, peer: &str, code: &str) {
-        self.refusals.add(Timestamp::now(), peer, code);
+    /// what is known of a remote peer (no port: each connection has another); `code` is one of the program's. Returns
+    /// whether it is the first of its minute.
+    pub(crate) fn refused(&self, peer: &str, code: &str) -> bool {
+        self.refusals.add(Timestamp::now(), peer, code)
     }
 
     /// Counts a local refusal where there is one.
     pub(super) fn count_refusal<T>(&self, owner: &Owner, outcome: &Result<T, PipelineError>) {
         if let Err(PipelineError::NotGranted { .. }) = outcome {
-            self.refused(owner.profile.as_str(), "not_granted");
+            let _first = self.refused(owner.profile.as_str(), "not_granted");
         }
     }
 

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use tokio::task::block_in_place;
 
 use super::Site;
-use crate::chain::{BlockRef, Chain, ChainError, ChainOptions, Endpoint, Pin};
+use crate::chain::{BlockRef, Chain, ChainError, ChainOptions, DEFAULT_DELAY, Endpoint, Pin, Revision};
 use crate::model::ErrorKind;
 use crate::pipeline::{Network, Owner, PipelineError, watcher};
 use crate::service::event::{NoticeLevel, Part};
@@ -55,8 +55,12 @@ impl Site {
         }
     }
 
+    /// Writes the pin where it is not what the file says already: nothing is written by a command that only looks.
     pub(super) fn save_pin(&self, pin: &Pin) -> Result<(), Failure> {
         let bytes = serde_json::to_vec_pretty(pin).map_err(|error| internal(error.to_string()))?;
+        if std::fs::read(self.home.pin()).is_ok_and(|there| there == bytes) {
+            return Ok(());
+        }
         Ok(atomic_write(&self.home.pin(), &bytes)?)
     }
 
@@ -140,7 +144,7 @@ impl Site {
     }
 
     pub(super) async fn use_network(self: &Arc<Self>, chain: Chain, pin: &Pin) -> Result<(), Lost> {
-        let network = self.network_of(chain, pin).map_err(Failure::from)?;
+        let network = self.network_of(chain, pin).await?;
         block_in_place(|| watcher::restore(&self.plant, &network))?;
         let head = watcher::watch_round(&self.plant, &network).await?;
         self.scanned.send_replace(head.number);
@@ -201,13 +205,23 @@ impl Site {
 
     /// The network; deploys the contract with the owner's account where there is none yet.
     pub(super) async fn network_or_deploy(self: &Arc<Self>, owner: &Owner) -> Result<Network, Failure> {
+        self.network_or_deploy_as(owner, Revision::NEWEST, DEFAULT_DELAY).await
+    }
+
+    /// The same, of a chosen revision and with a chosen delay of successions.
+    pub(super) async fn network_or_deploy_as(
+        self: &Arc<Self>,
+        owner: &Owner,
+        revision: Revision,
+        delay: Duration,
+    ) -> Result<Network, Failure> {
         // Not before the first attempt has ended, which needs the lock as well.
         self.settled_network().await?;
         let _one_at_a_time = self.deploying.lock().await;
         let NetworkState::Bare(chain) = self.settled_network().await? else { return self.network().await };
         let eoa = owner.eoa();
         self.fund(&chain, owner).await?;
-        let pin = chain.deploy(&eoa).await?;
+        let pin = chain.deploy_revision(&eoa, revision, delay).await?;
         self.save_pin(&pin)?;
         self.use_network(chain, &pin).await?;
         self.record_audit(&owner.profile, "deploy", &pin.contract.to_string(), "done").await?;

@@ -87,6 +87,12 @@ impl Site {
         fingerprint: Option<String>,
     ) -> Result<Vec<ContactRow>, Failure> {
         let given = fingerprint.is_some();
+        if !given && self.remote.is_some() {
+            return Err(refused(format!(
+                "which key {address} has is known here from a gateway's word alone; have its owner tell its fingerprint \
+                 by another way, then `authros contacts add {name} {address} --fingerprint FINGERPRINT`"
+            )));
+        }
         let fingerprint = fingerprint.map(|text| read(&text)).transpose()?.map(|found| found.to_string());
         let network = self.network().await.ok();
         let found = || network.as_ref().and_then(|network| Self::registered_fingerprint(network, address));
@@ -139,6 +145,12 @@ impl Site {
         {
             let _one_at_a_time = self.contacts.lock().await;
             let contact = self.contact(name)?;
+            if fingerprint.is_none() && self.remote.is_some() {
+                return Err(refused(format!(
+                    "which key '{name}' has is known here from a gateway's word alone; have its owner tell its \
+                     fingerprint by another way, then `authros contacts confirm {name} --fingerprint FINGERPRINT`"
+                )));
+            }
             let identity = network.directory.identity(contact.address)?;
             let registered = Fingerprint::of(&identity.signing);
             if let Some(given) = fingerprint.map(|text| read(&text)).transpose()?
@@ -195,7 +207,12 @@ impl Site {
     pub(super) async fn check_contact(self: &Arc<Self>, network: &Network, account: Address) -> Result<(), Failure> {
         let _one_at_a_time = self.contacts.lock().await;
         let mut book = self.book()?;
-        let Some(contact) = book.iter_mut().find(|contact| contact.address == account) else { return Ok(()) };
+        let contact = book.iter_mut().find(|contact| contact.address == account);
+        if self.remote.is_some() && contact.as_ref().is_none_or(|contact| !contact.given) {
+            let known = contact.as_ref().map(|contact| contact.name.clone());
+            return Err(refused(uncompared_text(known.as_ref(), account)));
+        }
+        let Some(contact) = contact else { return Ok(()) };
         let Some(found) = Self::registered_fingerprint(network, account) else { return Ok(()) };
         match &contact.fingerprint {
             Some(noted) if *noted == found => Ok(()),
@@ -205,6 +222,29 @@ impl Site {
                 self.write_book(&book)
             }
         }
+    }
+
+    /// Whether the keys of a further epoch may be wrapped for a reader who had them before: not for another key than
+    /// then, where the chain is known from a gateway's word, unless that key was compared. Notes the key at first.
+    ///
+    /// # Errors
+    /// `Refused`, until the contact is confirmed.
+    pub(super) async fn check_reader(
+        self: &Arc<Self>,
+        network: &Network,
+        owner: Address,
+        reader: Address,
+    ) -> Result<(), Failure> {
+        let Some(found) = Self::registered_fingerprint(network, reader).filter(|_| self.remote.is_some()) else {
+            return Ok(());
+        };
+        let place = format!("wrapped for:{owner}:{reader}");
+        match block_in_place(|| self.plant.ledger.setting(&place))? {
+            Some(noted) if noted == found => return Ok(()),
+            Some(_) => self.check_contact(network, reader).await?,
+            None => {}
+        }
+        Ok(block_in_place(|| self.plant.ledger.put_setting(&place, &found))?)
     }
 
     /// A fingerprint beside that of an account's registered key, or of this profile's own.
@@ -238,6 +278,17 @@ impl Site {
             equal: fingerprint == given,
         })
     }
+}
+
+fn uncompared_text(known: Option<&ContactName>, account: Address) -> String {
+    let how = match known {
+        Some(name) => format!("authros contacts confirm {name} --fingerprint FINGERPRINT"),
+        None => format!("authros contacts add NAME {account} --fingerprint FINGERPRINT"),
+    };
+    format!(
+        "which key {account} has is known here from a gateway's word alone, which could show one of its own: nothing is \
+         granted to it until its owner told its fingerprint by another way; then `{how}`"
+    )
 }
 
 fn changed_text(contact: &Contact, found: &str) -> String {

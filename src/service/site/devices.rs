@@ -42,7 +42,8 @@ impl Site {
         self.change_devices(owner, &network, Call::Lend { device, until }, "lend", text).await
     }
 
-    /// Takes a loan back.
+    /// Takes a loan back and begins a new epoch, so that what the device holds opens nothing sealed from now on. Gateways
+    /// heed the chain's word: the device's name ends, its subscriptions are cut, its next Command is refused.
     pub(super) async fn recall_device(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
@@ -50,11 +51,40 @@ impl Site {
     ) -> Result<TransactionView, Failure> {
         let network = self.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
-        let device = find(&self.lendings(&network, owner), device)?;
+        let device = self.lent_device(&network, owner, device)?;
         self.audit_first(owner, "recall device", &device.to_string()).await?;
-        let text =
-            format!("device {device} may no longer sign for {}; what it signed before stays valid", owner.address);
-        self.change_devices(owner, &network, Call::Recall { device }, "recall", text).await
+        // In the keyring before anything is sent: an end in between is taken up at the next start.
+        owner.prepare_epoch(network.domain, network.directory.epoch(owner.address) + 1)?;
+        let recalled = self.send_recall(owner, &network, device).await?;
+        self.note_recalled(owner, device)?;
+        let rotated = self.next_epoch(owner, &network, "recall").await.map_err(|failure| {
+            let what = "is recalled, but the new epoch is not on the chain yet and what it holds still opens new records; \
+                        `authros keys rotate` begins it";
+            Failure { message: format!("device {device} {what}: {}", failure.message), ..failure }
+        })?;
+        let text = format!(
+            "device {device} may no longer sign or read for {}: gateways end its session, and records are sealed under \
+             epoch {} from now on; what it signed before stays valid, what it has read cannot be taken back",
+            owner.address, rotated.epoch
+        );
+        Ok(TransactionView { epoch: rotated.epoch, text, ..recalled })
+    }
+
+    /// Takes back the loan of a device that nobody has used.
+    pub(super) async fn unlend_device(self: &Arc<Self>, owner: &Arc<Owner>, device: SignerId) -> Result<(), Failure> {
+        let network = self.network().await?;
+        let _one_at_a_time = owner.changes.lock().await;
+        self.audit_first(owner, "recall device", &device.to_string()).await?;
+        self.send_recall(owner, &network, device).await.map(drop)
+    }
+
+    async fn send_recall(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        network: &Network,
+        device: SignerId,
+    ) -> Result<TransactionView, Failure> {
+        self.change_devices(owner, network, Call::Recall { device }, "recall", String::new()).await
     }
 
     async fn change_devices(
@@ -89,6 +119,17 @@ impl Site {
             recalled: lending.recalled,
         };
         Ok(self.lendings(&network, owner).iter().rev().map(row).collect())
+    }
+
+    /// The lent device that a person names.
+    pub(super) fn lent_device(&self, network: &Network, owner: &Owner, text: &str) -> Result<SignerId, Failure> {
+        let lendings = self.lendings(network, owner);
+        let enrolled = self.enrolled_devices(owner)?;
+        let named = enrolled.iter().rfind(|device| device.name.as_str() == text && !device.ended);
+        match named.filter(|named| lendings.iter().any(|loan| loan.device == named.device && loan.recalled.is_none())) {
+            Some(named) => Ok(named.device),
+            None => find(&lendings, text),
+        }
     }
 
     fn lendings(&self, network: &Network, owner: &Owner) -> Vec<Lending> {

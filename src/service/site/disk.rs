@@ -22,10 +22,11 @@ const MOST_FOR_STATES: u64 = 4 << 20;
 const LAST: u64 = 512 << 10;
 
 /// The ledger of a home; on a full disk what was set aside for the states of its records is given up for it.
-pub(super) fn open_ledger(home: &Home) -> Result<Ledger, StoreError> {
-    match Ledger::open(&home.ledger()) {
+/// Whether it is a copy says the second part.
+pub(super) fn open_ledger(home: &Home) -> Result<(Ledger, bool), StoreError> {
+    match Ledger::open_in_place(&home.ledger()) {
         Err(StoreError::DiskFull { .. }) if std::fs::remove_file(home.working_reserve()).is_ok() => {
-            Ledger::open(&home.ledger())
+            Ledger::open_in_place(&home.ledger())
         }
         opened => opened,
     }

@@ -6,9 +6,9 @@ use std::sync::Arc;
 use super::Site;
 use crate::chain::Call;
 use crate::crypto::{GrantedKeys, WrappedKeys, wrap};
-use crate::model::{GrantTerms, Scope, Timestamp};
+use crate::model::{GrantTerms, Scope};
 use crate::pipeline::directory::Granted;
-use crate::pipeline::{Network, Owner};
+use crate::pipeline::{Network, Owner, authority};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::refused;
 use crate::service::reply::{Failure, TransactionView};
@@ -87,12 +87,12 @@ impl Site {
         Err(refused(format!("transactions of '{}' from before are still not in a block", owner.profile)))
     }
 
-    /// Active readers who lack the envelope of the current epoch; not those whose revocation is on its way.
+    /// Active readers who lack an envelope of the current epoch for the key that they have now; not those whose revocation is on its way.
     pub(super) fn lacking(&self, owner: &Owner, network: &Network) -> Result<Vec<Granted>, Failure> {
-        let (epoch, now) = (network.directory.epoch(owner.address), Timestamp::now());
-        let mut lacking = network.directory.grants(|grant| {
-            grant.terms.owner == owner.address && grant.is_active(now) && !grant.envelopes.contains_key(&epoch)
-        });
+        let epoch = network.directory.epoch(owner.address);
+        let mut lacking = authority::standing_grants(&network.directory, owner.address);
+        lacking
+            .retain(|grant| !grant.is_wrapped_since(epoch, network.directory.envelope_key_since(grant.terms.grantee)));
         if !lacking.is_empty() {
             let leaving = self.owed_revocations(owner, network)?;
             lacking.retain(|grant| !leaving.contains(&grant.terms.grantee));
@@ -109,7 +109,8 @@ impl Site {
         let epoch = network.directory.epoch(owner.address);
         let (mut envelopes, mut failed) = (Vec::new(), None);
         for grant in self.lacking(owner, network)? {
-            match self.envelope_for(owner, network, &grant, epoch) {
+            let checked = self.check_reader(network, owner.address, grant.terms.grantee).await;
+            match checked.and_then(|()| self.envelope_for(owner, network, &grant, epoch)) {
                 Ok(envelope) => envelopes.push((grant.terms.grantee, envelope)),
                 Err(failure) => failed = Some(failure),
             }
@@ -131,7 +132,7 @@ impl Site {
     fn envelope_for(&self, owner: &Owner, network: &Network, grant: &Granted, epoch: u64) -> Result<Vec<u8>, Failure> {
         let topics = match &grant.terms.scope {
             Scope::All => Vec::new(),
-            Scope::Topics(_) => self.granted_topics(owner, grant.terms.grantee)?,
+            Scope::Topics(ids) => self.granted_topics(owner, grant.terms.grantee, ids)?.into_iter().flatten().collect(),
         };
         let terms = GrantTerms { epoch, ..grant.terms.clone() };
         self.wrap_keys(owner, network, terms, &topics, vec![epoch])

@@ -2,11 +2,12 @@
 
 use std::net::SocketAddr;
 use std::sync::Arc;
+use std::time::Duration;
 
 use tokio::sync::oneshot;
 
 use super::{NetworkState, Site};
-use crate::chain::serve;
+use crate::chain::{DEFAULT_DELAY, LONGEST_DELAY, Revision, SHORTEST_DELAY, serve};
 use crate::model::ProfileName;
 use crate::pipeline::Owner;
 use crate::service::event::NoticeLevel;
@@ -15,7 +16,16 @@ use crate::service::reply::{DeployedView, Failure, ServedView};
 
 impl Site {
     /// Deploys the contract with the owner's account and pins it.
-    pub(super) async fn deploy_contract(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<DeployedView, Failure> {
+    pub(super) async fn deploy_contract(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        delay: Option<u64>,
+        revision: Option<Revision>,
+    ) -> Result<DeployedView, Failure> {
+        let delay = delay.map_or(DEFAULT_DELAY, Duration::from_secs);
+        if !(SHORTEST_DELAY..=LONGEST_DELAY).contains(&delay) {
+            return Err(input("a succession waits at least a day and at most 365 days; give another --delay"));
+        }
         self.chain().await?;
         if let NetworkState::Up(network) = &*self.network.borrow() {
             let contract = network.chain.pin().map_or_else(|| "a contract".to_owned(), |pin| pin.contract.to_string());
@@ -23,7 +33,7 @@ impl Site {
                 "{contract} is pinned for this home already, nothing was deployed; use another --home for another one"
             )));
         }
-        let network = self.network_or_deploy(owner).await?;
+        let network = self.network_or_deploy_as(owner, revision.unwrap_or(Revision::NEWEST), delay).await?;
         let pin = network.chain.pin().ok_or_else(|| input("the chain is gone; run the command again"))?;
         Ok(DeployedView { pin, administrator: owner.address })
     }

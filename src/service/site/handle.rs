@@ -40,6 +40,9 @@ impl Site {
             }
             Command::ShowIdentity => self.identity_view(&profile).await.map(Reply::Identity),
             Command::Unlock { passphrase } => self.unlock(profile, passphrase).await.map(Reply::Identity),
+            Command::ChangePassphrase { old, new } => {
+                self.change_passphrase(&profile, old, new).await.map(|()| Reply::Done)
+            }
             Command::ListTopics => Ok(Reply::Topics(self.topic_rows(&profile).await?)),
             Command::WatchTopic { topic, type_name } => self.watch_topic(&profile, topic, type_name).await,
             Command::UnwatchTopic { topic } => self.unwatch_topic(&profile, &topic).await,
@@ -62,7 +65,11 @@ impl Site {
                 Ok(Reply::Served(served))
             }
             Command::Operate(operation) => self.operate(&profile, operation).await,
-            Command::ChainStatus => self.chain_view(&profile).await.map(Reply::Chain),
+            Command::ChainStatus => self.chain_view(&profile).await.map(Box::new).map(Reply::Chain),
+            Command::ListSuccessions => {
+                let view = self.chain_view(&profile).await?;
+                Ok(Reply::Administration(Box::new(view.administration)))
+            }
             Command::SiteStatus => self.site_view(&profile).await.map(Reply::Site),
             Command::ListAudit(query) => self.audit_lines(query).await.map(Reply::Audit),
             Command::VerifyAudit { heads } => {
@@ -108,11 +115,15 @@ impl Site {
         let owner = self.unlocked(profile)?;
         match command {
             Command::Register => self.register(&owner).await.map(Reply::Identity),
-            Command::DeployContract => self.deploy_contract(&owner).await.map(Reply::Deployed),
+            Command::DeployContract { delay, revision } => {
+                self.deploy_contract(&owner, delay, revision).await.map(Reply::Deployed)
+            }
             Command::ListKeys => self.keys_view(&owner).await.map(Reply::Keys),
             Command::LoadKey { kind, path, passphrase } => {
                 self.load_key(&owner, kind, path, passphrase).await.map(Reply::Keys)
             }
+            Command::RotateEnvelope => self.rotate_envelope(&owner).await.map(Reply::Keys),
+            Command::ForeseeKeyChange { kind } => self.foresee_key_change(&owner, kind).await.map(Reply::KeyChange),
             Command::RotateKeys => self.rotate(&owner, "asked for").await.map(Reply::Transaction),
             Command::ExportKey { kind, passphrase } => self.export_key(&owner, kind, passphrase).await.map(Reply::Key),
             Command::Capture { topics, type_name, count, milliseconds, tags } => {
@@ -128,10 +139,16 @@ impl Site {
             Command::Grant { grantee, topics, epochs, expires } => {
                 self.grant(&owner, &grantee, &topics, epochs, expires).await.map(Reply::Transaction)
             }
+            Command::ExtendGrant { grantee, expires } => {
+                self.extend(&owner, &grantee, expires).await.map(Reply::Transaction)
+            }
+            Command::NameRecovery { recovery } => {
+                self.name_recovery(&owner, recovery.as_ref()).await.map(Reply::Transaction)
+            }
             Command::Revoke { grantee } => self.revoke(&owner, self.resolve(&grantee)?).await.map(Reply::Transaction),
-            Command::ServeGateway { address } => {
+            Command::ServeGateway { address, open } => {
                 let (end, ended) = oneshot::channel();
-                let served = self.serve_gateway(&owner, address, ended).await?;
+                let served = self.serve_gateway(&owner, address, open, ended).await?;
                 claims.lock().unwrap_or_else(PoisonError::into_inner).servers.push(end);
                 Ok(Reply::Gateway(served))
             }
@@ -139,6 +156,9 @@ impl Site {
                 self.lend_device(&owner, device, until).await.map(Reply::Transaction)
             }
             Command::RecallDevice { device } => self.recall_device(&owner, &device).await.map(Reply::Transaction),
+            Command::AddDeviceTopics { device, topics } => {
+                self.add_device_topics(&owner, &device, &topics).await.map(Reply::DeviceTopics)
+            }
             Command::EnrolDevice(wishes) => self.enrol_device(&owner, wishes).await.map(Reply::Enrolled),
             Command::ListDevices => self.device_rows(&owner).await.map(Reply::Devices),
             Command::Administer(act) => self.administer(&owner, &act).await.map(Reply::Transaction),

@@ -49,6 +49,14 @@ impl Site {
         let site = Arc::clone(self);
         let owner = Arc::clone(owner);
         tokio::spawn(async move {
+            let pairs = async {
+                let network = site.network().await?;
+                let _one_at_a_time = owner.changes.lock().await;
+                site.finish_pairs(&owner, &network).await
+            };
+            if let Err(failure) = pairs.await {
+                site.hub.notice(NoticeLevel::Error, &format!("the change of an SM2 key: {}", failure.message));
+            }
             if let Err(failure) = site.finish_epoch(&owner).await {
                 site.hub.notice(NoticeLevel::Error, &failure.message);
             }

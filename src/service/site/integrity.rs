@@ -1,15 +1,34 @@
 //! After an unclean end: whether the ledger agrees with itself, and the newest records with the vault.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use super::Site;
+use crate::model::ProfileName;
 use crate::service::event::NoticeLevel;
 use crate::service::reply::Failure;
 
 /// Records re-read from the vault; a crash can only have touched what was written last.
 const NEWEST: usize = 256;
 
+/// How long whoever started the site may take to listen.
+const LISTENING: Duration = Duration::from_millis(500);
+
 impl Site {
+    /// This home is a copy of another one.
+    pub(super) async fn tell_of_copy(self: Arc<Self>) {
+        let text = "this home is a copy: its ledger is another file than when it was last used. New records are numbered \
+                    under a new recorder; do not run it beside the one it was copied from";
+        if let Ok(profile) = "site".parse::<ProfileName>() {
+            let written = self.record_audit(&profile, "copied home", "a new recorder begins", "noticed").await;
+            if let Err(failure) = written {
+                self.hub.notice(NoticeLevel::Error, &failure.message);
+            }
+        }
+        tokio::time::sleep(LISTENING).await;
+        self.hub.notice(NoticeLevel::Warning, text);
+    }
+
     /// Looks once, in the background, where the run before did not close its files.
     pub(super) async fn check_after_crash(self: Arc<Self>) {
         if self.plant.ledger.ended_cleanly() {

@@ -2,22 +2,18 @@
 
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::Duration;
 
 use tokio::task::block_in_place;
 
 use super::Site;
-use crate::chain::Call;
-use crate::crypto::{Fingerprint, SmKeyPair, keyfile, prove};
+use super::pairs::NewPairs;
+use crate::crypto::{Fingerprint, SmKeyPair, keyfile};
 use crate::model::RecordState;
 use crate::pipeline::{Network, Owner};
 use crate::service::command::{KeyKind, SecretBytes, SecretText};
 use crate::service::event::Part;
 use crate::service::failure::{input, refused};
 use crate::service::reply::{EpochView, Failure, KeysView};
-
-/// How long a change of the signing key waits for records that the old one signed.
-const DRAIN: Duration = Duration::from_secs(60);
 
 impl Site {
     /// Keys with fingerprints and epochs; no secret.
@@ -50,13 +46,7 @@ impl Site {
         path: PathBuf,
         passphrase: Option<SecretText>,
     ) -> Result<KeysView, Failure> {
-        let registered = match self.network().await {
-            Ok(network) => network.directory.identity(owner.address).is_ok().then_some(network),
-            Err(_) if self.home.pin().exists() => {
-                return Err(self.network().await.err().unwrap_or_else(|| refused("the chain is not up")));
-            }
-            Err(_) => None,
-        };
+        let registered = self.registered_network(owner).await?;
         self.audit_first(owner, "load key", &format!("{kind:?}").to_lowercase()).await?;
         let owner = match kind {
             KeyKind::Sm4 => self.load_sm4(owner, path, registered.is_some()).await?,
@@ -93,48 +83,28 @@ impl Site {
     ) -> Result<Arc<Owner>, Failure> {
         let provider = self.plant.provider;
         let pair = self.blocking(move |_| Ok(SmKeyPair::from_secret(provider, keyfile::load_sm2(&path)?)?)).await?;
-        // Until the new key signs: nothing may be signed by the old one once the chain has the new one.
-        let _one_at_a_time = owner.changes.lock().await;
-        if let Some(network) = network {
-            self.drain(owner).await?;
-            let epoch = network.directory.epoch(owner.address);
-            let token =
-                owner.token(network.domain, epoch).ok_or_else(|| refused("the keyring lacks the current epoch"))?;
-            let envelope = owner.envelope();
-            let identity = prove(provider, &network.domain, &owner.address, &pair, &envelope.public, token)?;
-            let call = Call::RotateKeys { identity };
-            let (_, receipt) = self.sender.send(&network.chain, &owner.eoa(), call, "rotateKeys").await?;
-            self.scanned(receipt.block).await;
-        }
-        {
-            let mut keyring = owner.keyring();
-            keyring.keyring.signing = pair;
-            block_in_place(|| keyring.save())?;
-        }
-        if let Some(keys) = owner.sealing() {
-            owner.seal_under(keys.domain, keys.epoch)?;
-        }
+        let new = NewPairs { signing: Some(pair), ..NewPairs::default() };
+        self.change_pairs(owner, network, new).await?;
         Ok(Arc::clone(owner))
     }
 
-    /// Waits until no record signed by the present key is still on its way.
-    async fn drain(&self, owner: &Owner) -> Result<(), Failure> {
-        if !self.recorder.wanted_by(&owner.author).is_empty() {
-            return Err(refused("topics are being captured; unwatch them before the signing key is changed"));
-        }
-        let deadline = tokio::time::Instant::now() + DRAIN;
-        loop {
-            let counts = block_in_place(|| self.plant.ledger.counts(Some(owner.address)))?;
-            if counts.pending_of_any_kind() == 0 {
-                return Ok(());
-            }
-            if tokio::time::Instant::now() > deadline {
-                let pending = counts.pending_of_any_kind();
-                return Err(refused(format!(
-                    "{pending} records signed by the present key are not verified yet; try again when they are"
-                )));
-            }
-            tokio::time::sleep(Duration::from_millis(100)).await;
+    /// Makes a new envelope pair; the former one opens what was sealed to it.
+    pub(super) async fn rotate_envelope(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<KeysView, Failure> {
+        let registered = self.registered_network(owner).await?;
+        self.audit_first(owner, "rotate envelope key", &owner.address.to_string()).await?;
+        let pair = SmKeyPair::generate(self.plant.provider)?;
+        let new = NewPairs { envelope: Some(pair), ..NewPairs::default() };
+        self.change_pairs(owner, registered.as_ref(), new).await?;
+        self.changed(Part::Identity);
+        self.keys_view(owner).await
+    }
+
+    /// The network, where the owner is registered on it; nothing where this home has none.
+    pub(super) async fn registered_network(self: &Arc<Self>, owner: &Owner) -> Result<Option<Network>, Failure> {
+        match self.network().await {
+            Ok(network) => Ok(network.directory.identity(owner.address).is_ok().then_some(network)),
+            Err(failure) if self.home.pin().exists() => Err(failure),
+            Err(_) => Ok(None),
         }
     }
 

@@ -10,12 +10,14 @@ mod backing_up;
 mod beat;
 mod capture;
 mod chain_link;
+mod clock;
 mod contacts;
 mod devices;
 mod disk;
 mod enrolling;
 mod epochs;
 mod exposure;
+mod foreseeing;
 mod gateway;
 mod handle;
 mod identity;
@@ -28,6 +30,7 @@ mod opening;
 mod operating;
 mod overdue;
 mod owners;
+mod pairs;
 mod pins;
 mod policy;
 mod quarantine;
@@ -50,7 +53,7 @@ mod view;
 mod viewing;
 mod workers;
 
-use std::collections::{BTreeMap, HashSet};
+use std::collections::{BTreeMap, BTreeSet, HashSet};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, RwLock};
 use std::time::{Duration, Instant};
@@ -60,6 +63,7 @@ use tokio::sync::{broadcast, mpsc, watch};
 pub use agent::{Agent, AgentEnd, AgentFigures, AgentWishes};
 pub use chain_link::NetworkState;
 pub use enrolling::EnrolWishes;
+pub(super) use enrolling::Enrolled;
 pub use robots::RosState;
 pub use view::record_page;
 
@@ -71,8 +75,9 @@ use super::reply::Failure;
 use crate::chain::BlockRef;
 use crate::config::Config;
 use crate::crypto::provider;
-use crate::model::ProfileName;
+use crate::model::{Address, ProfileName};
 use crate::paths::Home;
+use crate::pipeline::columns::Heads;
 use crate::pipeline::recorder::CapturedMessage;
 use crate::pipeline::ring::Rings;
 use crate::pipeline::sender::Policy;
@@ -109,6 +114,8 @@ pub struct Site {
     rings: Arc<Rings<CapturedMessage>>,
     losses: Arc<Losses>,
     audit: AuditLog,
+    /// Heads of records opened for lists.
+    heads: Heads,
     refusals: refusals::Refusals,
     reserve: Reserve,
     /// Space for the states of records on a full disk.
@@ -137,6 +144,9 @@ pub struct Site {
     remote: Option<remote::Remote>,
     guests: AtomicUsize,
     deploying: tokio::sync::Mutex<()>,
+    /// Who may use the gateway of this home, as far as it was read; changes happen one at a time.
+    admitted: RwLock<Option<BTreeSet<Address>>>,
+    admitting: tokio::sync::Mutex<()>,
     witnesses: Mutex<lanes::Witnesses>,
     sealer: Mutex<Option<std::thread::JoinHandle<()>>>,
     ros_task: Mutex<Option<tokio::task::JoinHandle<()>>>,
@@ -164,7 +174,7 @@ impl Site {
         let remote = config.site.as_ref().map(|site| remote::Remote::new(site, &home, provider)).transpose()?;
         let (events, _) = broadcast::channel(1024);
         let hub = Arc::new(Hub::new(events));
-        let ledger = disk::open_ledger(&home)?;
+        let (ledger, copied) = disk::open_ledger(&home)?;
         let vault = open_vault(config.vault_url.as_deref(), &home.vault())?;
         let plant = Plant { ledger: ledger.clone(), vault, provider, observer: hub.clone() };
         let rings = Arc::new(Rings::new(usize::try_from(config.capture_memory).unwrap_or(usize::MAX)));
@@ -181,6 +191,7 @@ impl Site {
             reporting: tokio::sync::Mutex::default(),
             sender: Arc::new(Sender::new(ledger, hub.clone(), Policy { cap: config.max_fee })),
             audit: AuditLog::new(plant.ledger.clone()),
+            heads: Heads::default(),
             refusals: refusals::Refusals::default(),
             served_gateway: Mutex::default(),
             reserve,
@@ -209,6 +220,8 @@ impl Site {
             remote,
             guests: AtomicUsize::new(0),
             deploying: tokio::sync::Mutex::default(),
+            admitted: RwLock::default(),
+            admitting: tokio::sync::Mutex::default(),
             witnesses: Mutex::default(),
             sealer: Mutex::default(),
             ros_task: Mutex::default(),
@@ -220,6 +233,9 @@ impl Site {
             site.hub.notice(super::event::NoticeLevel::Warning, &text);
         }
         workers::start(&site, needs)?;
+        if copied {
+            tokio::spawn(Arc::clone(&site).tell_of_copy());
+        }
         Ok(site)
     }
 

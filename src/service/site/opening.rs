@@ -6,15 +6,15 @@ use std::sync::Arc;
 use super::Site;
 use super::view::{record_page, record_query};
 use crate::crypto::GrantedKeys;
-use crate::model::{Address, FilterId, Scope, Timestamp, TopicId};
+use crate::model::{Address, Scope, TopicId};
 use crate::pipeline::directory::Granted;
-use crate::pipeline::epoch::tag_filter;
+use crate::pipeline::epoch::tag_choice;
 use crate::pipeline::reader::{Reader, is_held};
-use crate::pipeline::{Network, Owner};
+use crate::pipeline::{Network, Owner, authority};
 use crate::service::command::UploadQuery;
 use crate::service::failure::input;
 use crate::service::reply::{CheckView, Failure, RecordPage};
-use crate::store::{RecordQuery, RecordRow};
+use crate::store::{FilterChoice, RecordQuery, RecordRow};
 
 impl Site {
     /// Records of all owners with an active grant to this profile, within each grant's scope.
@@ -24,12 +24,9 @@ impl Site {
         query: UploadQuery,
     ) -> Result<RecordPage, Failure> {
         let network = self.network().await?;
-        let (me, now) = (owner.address, Timestamp::now());
         let wanted = query.owner.as_ref().map(|owner| self.resolve(owner)).transpose()?;
-        let grants = network.directory.grants(|grant| {
-            let of_wanted = wanted.is_none_or(|wanted| wanted == grant.terms.owner);
-            of_wanted && grant.terms.grantee == me && grant.is_active(now)
-        });
+        let mut grants = authority::shared_with(&network.directory, owner.address);
+        grants.retain(|grant| wanted.is_none_or(|wanted| wanted == grant.terms.owner));
         let mut scopes: HashMap<Address, Scope> = HashMap::new();
         for grant in &grants {
             scopes.insert(grant.terms.owner, grant.terms.scope.clone());
@@ -44,14 +41,14 @@ impl Site {
             owners: Some(scopes.keys().copied().collect()),
             owner: None,
             topic_ids: Some(readable),
-            filters,
+            filters: filters.clone(),
             ..record_query(query)
         };
         let reader = Reader { plant: &self.plant, network: &network, reader: owner };
         for owner in scopes.keys() {
             self.learn_names(&reader, *owner).await?;
         }
-        let mut page = self.readable_page(&reader, query).await?;
+        let mut page = self.readable_page(&reader, query, &filters).await?;
         let names = self.names();
         for record in &mut page.records {
             record.owner_name = record.owner.and_then(|owner| names.get(&owner).cloned());
@@ -64,13 +61,14 @@ impl Site {
         self: &Arc<Self>,
         reader: &Reader<'_>,
         mut query: RecordQuery,
+        filters: &[FilterChoice],
     ) -> Result<RecordPage, Failure> {
         loop {
             let asked = query.clone();
             let mut page = self.blocking(move |site| Ok(site.plant.ledger.list(&asked)?)).await?;
             page.rows.retain(|row| !is_held(row) && reader.topic_key(row).is_ok());
             if !page.rows.is_empty() || page.next.is_none() {
-                return Ok(record_page(page, true));
+                return Ok(record_page(&self.compared(page.rows, reader, filters)?, page.next, true));
             }
             query.after = page.next;
         }
@@ -84,7 +82,7 @@ impl Site {
         owner: &Owner,
         grants: &[Granted],
         tags: &[(String, String)],
-    ) -> Result<Vec<FilterId>, Failure> {
+    ) -> Result<Vec<FilterChoice>, Failure> {
         if tags.is_empty() {
             return Ok(Vec::new());
         }
@@ -94,7 +92,8 @@ impl Site {
         let reader = Reader { plant: &self.plant, network, reader: owner };
         match reader.open_envelope(grant, grant.terms.epoch)?.keys {
             GrantedKeys::All { ref index_key, .. } => {
-                Ok(tags.iter().map(|(name, value)| tag_filter(index_key, name, value)).collect())
+                let topics = self.topics_of(grant.terms.owner)?;
+                Ok(tags.iter().map(|(name, value)| tag_choice(index_key, name, value, &topics)).collect())
             }
             GrantedKeys::Topics { .. } => Err(input(
                 "a grant of some topics does not carry the key by which tags are found; search by topic or type",

@@ -10,6 +10,7 @@ use super::Site;
 use crate::gateway::ServerWatch;
 use crate::gateway::tally::Sender;
 use crate::model::{Address, ProfileName, Timestamp};
+use crate::pipeline::Owner;
 use crate::service::command::{Operation, SecretBytes};
 use crate::service::event::Part;
 use crate::service::failure::{input, internal};
@@ -26,6 +27,8 @@ pub(super) struct Serving {
     pub view: GatewayView,
     /// Its server.
     pub watch: ServerWatch,
+    /// What transport keys lie under.
+    pub under: super::gateway::KeptUnder,
 }
 
 impl Site {
@@ -39,6 +42,9 @@ impl Site {
             Operation::Lock => self.lock_profile(profile).await.map(Reply::Identity),
             Operation::BackUpKeys => self.back_up_keys(profile).await.map(Reply::Key),
             Operation::GatewayStatus => self.gateway_status().map(Reply::GatewayStatus),
+            Operation::Admit { owner } => self.admit(profile, &owner).await.map(Reply::Admitted),
+            Operation::Dismiss { owner } => self.dismiss(profile, &owner).await.map(Reply::Admitted),
+            Operation::ListAdmitted => self.admitted_rows().map(Reply::Admitted),
         }
     }
 
@@ -53,6 +59,7 @@ impl Site {
                     block_in_place(|| self.foresee_locked(&owner, &network))?;
                 }
                 owner.lock(self.plant.provider)?;
+                self.heads.forget();
             }
             self.changed(Part::Identity);
             self.record_audit(profile, "lock", "keyring", "done").await?;
@@ -70,6 +77,15 @@ impl Site {
             std::fs::read(&path).map_err(|error| internal(format!("the keyring cannot be read: {error}")))
         };
         Ok(SecretBytes::new(self.blocking(read).await?))
+    }
+
+    /// What the transport keys of the gateway that this owner serves here lie under.
+    pub(super) fn kept_under(&self, owner: &Owner) -> Option<super::gateway::KeptUnder> {
+        let serving = self.served_gateway.lock().unwrap_or_else(PoisonError::into_inner);
+        serving
+            .as_ref()
+            .filter(|serving| serving.view.account == owner.address)
+            .map(|serving| Arc::clone(&serving.under))
     }
 
     fn gateway_status(&self) -> Result<GatewayStatusView, Failure> {

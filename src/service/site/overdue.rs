@@ -29,7 +29,7 @@ impl Site {
             return Ok(());
         };
         let earliest = self.earliest_expiry(owner, network, epoch).into_iter().chain(also).min();
-        if let Some(moment) = earliest.filter(|moment| moment.0 < Timestamp::now().0 + FORESIGHT) {
+        if let Some(moment) = earliest.filter(|moment| moment.0 < network.directory.now().0 + FORESIGHT) {
             owner.prepare_epoch(network.domain, epoch + 1)?;
             owner.seal_from(moment, network.domain, epoch + 1)?;
         }
@@ -50,11 +50,9 @@ impl Site {
 
     /// When the first of the grants that cover an epoch runs out.
     pub(super) fn earliest_expiry(&self, owner: &Owner, network: &Network, epoch: u64) -> Option<Timestamp> {
-        let covering = network.directory.grants(|grant| {
-            let runs_out = grant.terms.expiry.is_some() && grant.revoked.is_none();
-            runs_out && grant.terms.owner == owner.address && grant.envelopes.contains_key(&epoch)
-        });
-        covering.iter().filter_map(|grant| grant.terms.expiry).min()
+        let grants = network.directory.grants_of(owner.address);
+        let covering = grants.iter().filter(|grant| grant.envelopes.contains_key(&epoch));
+        covering.filter_map(Granted::expiry).min()
     }
 
     /// Sends what is overdue: the next epoch where a grant that covers the current one has run out or records
@@ -74,15 +72,14 @@ impl Site {
     }
 
     fn is_behind(&self, owner: &Owner, network: &Network) -> Result<bool, Failure> {
-        let (epoch, now) = (network.directory.epoch(owner.address), Timestamp::now());
+        let (epoch, now) = (network.directory.epoch(owner.address), network.directory.now());
         if epoch == 0 {
             return Ok(false);
         }
         let sealing = owner.sealing().filter(|keys| keys.domain == network.domain);
-        let covered = |grant: &Granted| {
-            grant.terms.owner == owner.address && grant.word(now) == "expired" && grant.envelopes.contains_key(&epoch)
-        };
-        let ended = sealing.is_some_and(|keys| keys.epoch > epoch) || !network.directory.grants(covered).is_empty();
+        let covered = |grant: &Granted| grant.word(now) == "expired" && grant.envelopes.contains_key(&epoch);
+        let expired = network.directory.grants_of(owner.address).iter().any(covered);
+        let ended = sealing.is_some_and(|keys| keys.epoch > epoch) || expired;
         Ok(ended || !self.owed_revocations(owner, network)?.is_empty())
     }
 

@@ -61,6 +61,41 @@ impl Site {
         self.identity_view(&profile).await
     }
 
+    /// Protects a keyring by another passphrase. The file is replaced in one step: it opens with the one or the other.
+    pub(super) async fn change_passphrase(
+        self: &Arc<Self>,
+        profile: &ProfileName,
+        old: SecretText,
+        new: SecretText,
+    ) -> Result<(), Failure> {
+        let path = self.home.keyring(profile);
+        if !path.exists() {
+            return Err(refused(format!("profile '{profile}' has no identity yet; there is no passphrase to change")));
+        }
+        let (old, new) = (Passphrase::new(old.expose().to_owned())?, Passphrase::new(new.expose().to_owned())?);
+        self.record_audit(profile, "change passphrase", "keyring", "begun").await?;
+        let owner = self.owner(profile).filter(|owner| !owner.is_locked());
+        // No save of the keyring under the old passphrase may come after it.
+        let _one_at_a_time = match &owner {
+            Some(owner) => Some(owner.changes.lock().await),
+            None => None,
+        };
+        let open = owner.clone();
+        let changed = self.blocking(move |_| {
+            // Also of an open keyring: who asks knows the present one.
+            let mut kept = UnlockedKeyring::open(&path, &old)?;
+            match &open {
+                Some(owner) => owner.keyring().change_passphrase(&new)?,
+                None => kept.change_passphrase(&new)?,
+            }
+            Ok(())
+        });
+        let changed = changed.await;
+        let outcome = if changed.is_ok() { "done" } else { "refused" };
+        self.record_audit(profile, "change passphrase", "keyring", outcome).await?;
+        changed
+    }
+
     /// Puts an open keyring into the site, in place of the profile's former one.
     pub(super) fn adopt_owner(self: &Arc<Self>, profile: ProfileName, keyring: UnlockedKeyring) -> Arc<Owner> {
         let owner = Arc::new(Owner::new(profile.clone(), keyring));

@@ -9,6 +9,7 @@ use tokio::task::block_in_place;
 use super::Site;
 use super::view::record_view;
 use crate::model::{Digest, ErrorKind, ProfileName, RecordState, Timestamp, TopicName, clean};
+use crate::pipeline::columns::Shown;
 use crate::pipeline::{Owner, quarantine};
 use crate::service::command::Held;
 use crate::service::event::{NoticeLevel, Part};
@@ -63,15 +64,17 @@ impl Site {
             .blocking(move |site| Ok((site.plant.ledger.held(owner, &query)?, site.plant.ledger.counts(Some(owner))?)))
             .await?;
         let wanted = counts.topics.iter().filter(|counts| name.as_ref().is_none_or(|name| *name == counts.topic));
-        let view = |row: HeldRow| HeldView {
-            record: record_view(&row.record, false),
+        let keys = self.own_keys();
+        let shown = self.compared(rows.iter().map(|row| row.record.clone()).collect(), &keys, &[])?;
+        let view = |(row, shown): (HeldRow, Shown)| HeldView {
+            record: record_view(&shown, false),
             reason: row.reason,
             publisher: clean(&row.publisher, 400),
             report: row.report,
         };
         Ok(QuarantineView {
             messages: wanted.map(|topic| topic.quarantined).sum(),
-            records: rows.into_iter().map(view).collect(),
+            records: rows.into_iter().zip(shown).map(view).collect(),
         })
     }
 

@@ -34,7 +34,8 @@ impl Site {
         let network = if pinned { Some(self.network().await) } else { None };
         let runtime = Handle::current();
         self.blocking(move |site| {
-            let scope = Scope { deep, since: since.unwrap_or_default(), accounts: site.accounts() };
+            let indices = site.all_owners().into_iter().map(|owner| (owner.address, owner.index())).collect();
+            let scope = Scope { deep, since: since.unwrap_or_default(), accounts: site.accounts(), indices };
             let chain = network.as_ref().map(|network| network.as_ref().map_err(|failure| failure.message.clone()));
             Ok(record_audit::audit(&site.plant, chain, &site.audit, &scope, &runtime)?)
         })

@@ -46,8 +46,8 @@ impl Refusals {
         self.asked.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Counts a refusal.
-    pub fn add(&self, at: Timestamp, peer: &str, code: &str) {
+    /// Counts a refusal; returns whether it is the first that its counter has.
+    pub fn add(&self, at: Timestamp, peer: &str, code: &str) -> bool {
         let mut counts = self.counts();
         let (peer, code) = (clean(peer, 100), clean(code, 60));
         let mut key = (at.0 / MINUTE, peer, code);
@@ -58,7 +58,9 @@ impl Refusals {
             // Codes are constants of the program, so this takes many minutes without a ledger.
             "refused".clone_into(&mut key.2);
         }
-        *counts.entry(key).or_default() += 1;
+        let count = counts.entry(key).or_default();
+        *count += 1;
+        *count == 1
     }
 
     /// Takes the counters of the minutes that have ended at `now`; all of them where `now` is `None`.

@@ -144,7 +144,8 @@ impl Remote {
         let credentials = |key| Credentials { name: owner.profile.clone(), key, token };
         if let Some(key) = known {
             match self.open(&endpoint, credentials(key)).await {
-                Err(GatewayError::Refused(crate::gateway::Code::Tag)) => {}
+                // Said in clear: before there is a common key nothing else can be. The allocation proves itself.
+                Err(GatewayError::RefusedInClear(crate::gateway::Code::Tag)) => {}
                 opened => return opened,
             }
         }

@@ -6,13 +6,14 @@ use super::Site;
 use crate::chain::Call;
 use crate::gateway::GrantNotice;
 use crate::model::grant::MOST_TOPICS;
-use crate::model::{Address, GrantTerms, Party, Scope, Timestamp, TopicName};
-use crate::pipeline::Owner;
+use crate::model::{Address, GrantTerms, Party, Scope, Timestamp, TopicId, TopicName};
 use crate::pipeline::directory::Granted;
+use crate::pipeline::{Owner, authority};
 use crate::service::command::Epochs;
 use crate::service::event::Part;
 use crate::service::failure::{input, refused};
 use crate::service::reply::{Failure, GrantRow, TransactionView};
+use crate::store::RecordRow;
 
 impl Site {
     /// Shares with an account: its envelope goes on the chain.
@@ -34,18 +35,19 @@ impl Site {
         if topics.len() > MOST_TOPICS {
             return Err(input(format!("a grant names at most {MOST_TOPICS} topics; grant all topics, or fewer")));
         }
-        if expires.is_some_and(|at| at <= Timestamp::now()) {
-            return Err(input("the grant would end before it begins; give a later --expires"));
+        if expires.is_some_and(|at| at <= network.directory.now()) {
+            return Err(input(too_early(network.directory.now())));
         }
         network.directory.identity(grantee)?;
         self.check_contact(&network, grantee).await?;
+        self.check_reader(&network, owner.address, grantee).await?;
         if self.active_grant(&network, owner.address, grantee).is_some() {
             return Err(refused(format!("{grantee} has an active grant already; revoke it first to change its terms")));
         }
         let epoch = network.directory.epoch(owner.address);
         let terms = GrantTerms { owner: owner.address, grantee, epoch, expiry: expires, scope: scope(owner, topics) };
         let names: Vec<String> = topics.iter().map(ToString::to_string).collect();
-        self.remember_topics(owner, grantee, &names)?;
+        self.remember_topics(owner, &names)?;
         let covered = match epochs {
             Epochs::Current => vec![epoch],
             Epochs::All => owner.epochs(network.domain).into_iter().filter(|known| *known <= epoch).collect(),
@@ -71,28 +73,84 @@ impl Site {
         })
     }
 
+    /// Lets an active grant end later; its keys and the epoch stay as they are.
+    pub(super) async fn extend(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        grantee: &Party,
+        expires: Option<Timestamp>,
+    ) -> Result<TransactionView, Failure> {
+        let network = self.network().await?;
+        let _one_at_a_time = owner.changes.lock().await;
+        let grantee = self.resolve(grantee)?;
+        let Some(grant) = self.active_grant(&network, owner.address, grantee) else {
+            return Err(refused(format!("{grantee} has no active grant; `authros grant` gives one")));
+        };
+        let Some(ends) = grant.expiry() else {
+            return Err(refused(format!("the grant to {grantee} has no end, so there is nothing to extend")));
+        };
+        if expires.is_some_and(|expires| expires <= ends) {
+            return Err(refused(format!(
+                "the grant to {grantee} ends at {ends} already; `extend` only lengthens, revoke it to end it sooner"
+            )));
+        }
+        let call = Call::Extend { grantee, expiry: expires };
+        call.expect_offered(network.chain.revision()?)?;
+        let subject = grantee.to_string();
+        self.audit_first(owner, "extend", &subject).await?;
+        let sent = self.sender.send(&network.chain, &owner.eoa(), call, "extend").await.map_err(Failure::from);
+        let (transaction, receipt) = self.audit_end(owner, "extend", &subject, sent).await?;
+        self.scanned(receipt.block).await;
+        self.changed(Part::Grants);
+        let end = expires.map_or_else(|| "has no end".to_owned(), |expires| format!("ends at {expires}"));
+        Ok(TransactionView {
+            transaction: Some(transaction),
+            block: Some(receipt.block),
+            epoch: network.directory.epoch(owner.address),
+            text: format!("the grant to {grantee} {end} now, instead of {ends}"),
+        })
+    }
+
     pub(super) fn active_grant(
         &self,
         network: &crate::pipeline::Network,
         owner: Address,
         grantee: Address,
     ) -> Option<Granted> {
-        let now = Timestamp::now();
-        network
-            .directory
-            .grants(|grant| grant.terms.owner == owner && grant.terms.grantee == grantee && grant.is_active(now))
-            .pop()
+        authority::standing_grant(&network.directory, owner, grantee)
     }
 
-    fn remember_topics(&self, owner: &Owner, grantee: Address, topics: &[String]) -> Result<(), Failure> {
-        let text = serde_json::to_string(topics).unwrap_or_default();
-        Ok(tokio::task::block_in_place(|| self.plant.ledger.put_setting(&topics_key(owner, grantee), &text))?)
+    /// Names are kept by the pseudonyms that the chain has, so that each grant finds its own.
+    fn remember_topics(&self, owner: &Owner, topics: &[String]) -> Result<(), Failure> {
+        tokio::task::block_in_place(|| {
+            topics.iter().try_for_each(|topic| {
+                let id = owner.topic_id(topic);
+                Ok(self.plant.ledger.put_setting(&topic_key(owner.address, id), topic)?)
+            })
+        })
     }
 
-    /// Names of the topics that a scoped grant of this owner covers.
-    pub(super) fn granted_topics(&self, owner: &Owner, grantee: Address) -> Result<Vec<String>, Failure> {
-        let text = tokio::task::block_in_place(|| self.plant.ledger.setting(&topics_key(owner, grantee)))?;
-        Ok(text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default())
+    /// The names of the topics that a scoped grant of this owner covers, in the order of its event; `None` where no
+    /// name that is known here leads to the pseudonym on the chain.
+    pub(super) fn granted_topics(
+        &self,
+        owner: &Owner,
+        grantee: Address,
+        ids: &[TopicId],
+    ) -> Result<Vec<Option<String>>, Failure> {
+        tokio::task::block_in_place(|| {
+            let ledger = &self.plant.ledger;
+            // Before, the names of the last grant alone were kept, one list for each account.
+            let last = ledger.setting(&format!("granted:{}:{grantee}", owner.address))?;
+            let last: Vec<String> = last.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default();
+            let name_of = |id: &TopicId| {
+                let kept = ledger.setting(&topic_key(owner.address, *id))?;
+                let others = ledger.topic_names(owner.address, *id)?;
+                let mut known = kept.into_iter().chain(last.iter().cloned()).chain(others);
+                Ok(known.find(|name| owner.topic_id(name) == *id))
+            };
+            ids.iter().map(name_of).collect()
+        })
     }
 
     /// Grants given and received.
@@ -120,8 +178,11 @@ impl Site {
         let topics = match &grant.terms.scope {
             Scope::All => Vec::new(),
             Scope::Topics(ids) if given => {
-                let names = self.granted_topics(owner, grant.terms.grantee)?;
-                if names.is_empty() { ids.iter().map(ToString::to_string).collect() } else { names }
+                let names = self.granted_topics(owner, grant.terms.grantee, ids)?;
+                let shown = |(name, id): (Option<String>, &TopicId)| {
+                    name.map_or_else(|| RecordRow::unnamed(*id), |name| crate::model::clean(&name, 255))
+                };
+                names.into_iter().zip(ids).map(shown).collect()
             }
             Scope::Topics(ids) => self.received_topics(owner, network, grant, ids),
         };
@@ -130,9 +191,9 @@ impl Site {
             owner: grant.terms.owner,
             grantee: grant.terms.grantee,
             epoch: grant.terms.epoch,
-            expires: grant.terms.expiry,
+            expires: grant.expiry(),
             topics,
-            state: grant.word(Timestamp::now()).to_owned(),
+            state: grant.word(network.directory.now()).to_owned(),
             block: grant.block,
             transaction: grant.transaction,
             name: None,
@@ -145,7 +206,7 @@ impl Site {
         owner: &Owner,
         network: &crate::pipeline::Network,
         grant: &Granted,
-        ids: &[crate::model::TopicId],
+        ids: &[TopicId],
     ) -> Vec<String> {
         let reader = crate::pipeline::reader::Reader { plant: &self.plant, network, reader: owner };
         match reader.open_envelope(grant, grant.terms.epoch).as_deref() {
@@ -156,9 +217,20 @@ impl Site {
                 names.dedup();
                 names
             }
-            _ => ids.iter().map(ToString::to_string).collect(),
+            _ => ids.iter().map(|id| RecordRow::unnamed(*id)).collect(),
         }
     }
+}
+
+/// Why a grant cannot end when it is asked to; the chain's time may be ahead of this machine's clock.
+fn too_early(now: Timestamp) -> String {
+    let ahead = now.seconds().saturating_sub(Timestamp::now().seconds());
+    let chain = if ahead > 60 {
+        format!(": rights go by the chain's time, which is {ahead} s ahead of this machine's clock")
+    } else {
+        String::new()
+    };
+    format!("the grant would end before it begins{chain}; give a later --expires")
 }
 
 fn scope(owner: &Owner, topics: &[TopicName]) -> Scope {
@@ -175,6 +247,6 @@ fn scope(owner: &Owner, topics: &[TopicName]) -> Scope {
     Scope::Topics(ids)
 }
 
-fn topics_key(owner: &Owner, grantee: Address) -> String {
-    format!("granted:{}:{grantee}", owner.address)
+fn topic_key(owner: Address, topic: TopicId) -> String {
+    format!("granted-topic:{owner}:{topic}")
 }

@@ -8,7 +8,10 @@ use super::{NetworkState, RosState, Site};
 use crate::config::without_password;
 use crate::model::{ProfileName, RecordState, clean};
 use crate::pipeline::sender::LaneState;
+use crate::pipeline::storer::Condition;
+use crate::pipeline::watcher::foreign;
 use crate::service::event::Part;
+use crate::service::hub::lacking;
 use crate::service::reply::{ChainView, Failure, GasView, HealthLevel, LifeLine, PartHealth, QueueView, SiteView};
 
 /// The most transactions that the gas per record is taken over.
@@ -22,7 +25,9 @@ impl Site {
             _ => 0,
         };
         let profiles = self.all_owners().iter().map(|owner| owner.profile.clone()).collect();
-        let health = vec![self.ros_health(), self.chain_health(), self.vault_health(), self.gateway_health()];
+        let mut health = vec![self.ros_health(), self.chain_health(), self.vault_health(), self.gateway_health()];
+        health.extend(self.clock_health());
+        health.extend(block_in_place(|| self.account_health())?);
         let life = block_in_place(|| self.life_line(profile))?;
         Ok(SiteView { health, life, robots, profiles, queue: self.queue_view(), tasks: self.task_views() })
     }
@@ -63,7 +68,8 @@ impl Site {
             },
             NetworkState::Swapped(failure) => (HealthLevel::Failed, failure.message.clone()),
             NetworkState::Down { failure, retry } => {
-                (HealthLevel::Failed, format!("retry in {retry} s: {}", failure.message))
+                let text = format!("retry in {retry} s: {}", failure.message);
+                return PartHealth { retry: Some(*retry), ..part("chain", HealthLevel::Failed, &text) };
             }
         };
         part("chain", level, &text)
@@ -71,8 +77,29 @@ impl Site {
 
     fn vault_health(&self) -> PartHealth {
         let name = self.config.vault_url.as_deref().map_or_else(|| "embedded vault".to_owned(), without_password);
-        let (level, text) = self.room_health().unwrap_or((HealthLevel::Ok, name));
-        part("vault", level, &text)
+        if let Some((level, text)) = self.room_health() {
+            return part("vault", level, &text);
+        }
+        match self.hub.vault_condition() {
+            (Condition::Takes, _) => part("vault", HealthLevel::Ok, &name),
+            (Condition::Lacks(count), since) => {
+                PartHealth { since, ..part("vault", HealthLevel::Failed, &lacking(count)) }
+            }
+            (Condition::Waits { why, records }, since) => {
+                let at = since.map_or_else(String::new, |at| format!(", since {} UTC", at.clock()));
+                let text = format!("retry in 1 s: {records} records wait on disk{at}: {why}");
+                PartHealth { since, retry: Some(1), ..part("vault", HealthLevel::Failed, &text) }
+            }
+        }
+    }
+
+    /// How the home's accounts are, where there is something to say of them.
+    fn account_health(&self) -> Result<Option<PartHealth>, Failure> {
+        let found = foreign::recent(&self.plant)?;
+        Ok(found.map(|found| PartHealth {
+            since: Some(found.noted),
+            ..part("account", HealthLevel::Failed, &found.text())
+        }))
     }
 
     fn gateway_health(&self) -> PartHealth {
@@ -168,7 +195,10 @@ impl Site {
             lanes,
             client: clean(&status.client, 100),
             through: self.remote.as_ref().map(|remote| clean(&remote.chain_text(), 300)),
-            administration: self.network_now().map(|network| self.administration_view(&network)).unwrap_or_default(),
+            administration: self
+                .network_now()
+                .map(|network| self.administration_view(&network, address))
+                .unwrap_or_default(),
             sealing: chain.sealing().await?,
         })
     }
@@ -190,5 +220,5 @@ impl Site {
 }
 
 fn part(name: &str, level: HealthLevel, text: &str) -> PartHealth {
-    PartHealth { part: name.to_owned(), level, text: clean(text, 200) }
+    PartHealth { part: name.to_owned(), level, text: clean(text, 300), since: None, retry: None }
 }

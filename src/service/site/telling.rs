@@ -2,8 +2,9 @@
 
 use super::Site;
 use super::enrolling::Enrolled;
-use crate::crypto::{IssuedKeys, notice_key, notice_topic};
-use crate::model::{RecordKind, Timestamp};
+use crate::crypto::{IssuedKeys, Notice, OwnerKeyChange, notice_key, notice_topic};
+use crate::model::{PublicKey, RecordKind, Timestamp};
+use crate::pipeline::authority::{Moment, may_sign};
 use crate::pipeline::statement::{self, Speaker, Statement};
 use crate::pipeline::{Network, Owner};
 use crate::service::reply::Failure;
@@ -20,16 +21,45 @@ impl Site {
     pub(super) fn tell_devices(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
         let sealing = owner.sealing().is_some_and(|keys| keys.domain == network.domain);
         for device in self.enrolled_devices(owner)?.iter().filter(|_| sealing) {
-            if !network.directory.is_lent(owner.address, device.device, None, Timestamp::now()) {
+            let now = Moment::newest(network.directory.now());
+            if device.ended || may_sign(&network.directory, owner.address, device.device, now).is_err() {
+                continue;
+            }
+            // Until a new key is in its place there is nobody whom robots would believe.
+            if owner.keyring().keyring.further.next_signing.is_some() {
                 continue;
             }
             let keys = self.issue(owner, network, device)?;
             let told = self.plant.ledger.setting(&place(owner, device))?;
             if told.as_deref() != Some(summary(&keys).as_str()) {
-                self.seal_notice(owner, network, device, &keys)?;
+                let epoch = keys.now.epoch;
+                self.seal_notice(owner, network, device, epoch, &Notice::Keys(keys.clone()))?;
                 self.note_told(owner, device, &keys)?;
                 self.hub.stored.notify_waiters();
             }
+        }
+        Ok(())
+    }
+
+    /// Seals a notice for each lent robot that is to know its owner by `new` from now on: signed by the present key, and
+    /// within it by the account. Called again, it does what is left.
+    ///
+    /// # Errors
+    /// Of ledger and vault.
+    pub(super) fn tell_owner_key(&self, owner: &Owner, network: &Network, new: &PublicKey) -> Result<(), Failure> {
+        let old = owner.signing().public;
+        let change = OwnerKeyChange::sign(&network.domain, &owner.eoa(), old, *new)?;
+        let (epoch, told) = (network.directory.epoch(owner.address), format!("{old} {new}"));
+        for device in self.enrolled_devices(owner)? {
+            let place = format!("rekeyed:{}:{}", owner.address, device.device);
+            let now = Moment::newest(network.directory.now());
+            let lent = may_sign(&network.directory, owner.address, device.device, now).is_ok();
+            if !lent || self.plant.ledger.setting(&place)?.as_deref() == Some(&told) {
+                continue;
+            }
+            self.seal_notice(owner, network, &device, epoch, &Notice::OwnerKey(change))?;
+            self.plant.ledger.put_setting(&place, &told)?;
+            self.hub.stored.notify_waiters();
         }
         Ok(())
     }
@@ -44,14 +74,15 @@ impl Site {
         owner: &Owner,
         network: &Network,
         device: &Enrolled,
-        keys: &IssuedKeys,
+        epoch: u64,
+        notice: &Notice,
     ) -> Result<(), Failure> {
-        let (name, body) = (notice_topic(&device.device), keys.encode());
+        let (name, body) = (notice_topic(&device.device), notice.encode());
         let speaker = Speaker {
             domain: network.domain,
             owner: owner.address,
             signing: &owner.signing(),
-            epoch: keys.now.epoch,
+            epoch,
             topic_id: owner.topic_id(&name),
             topic_key: &notice_key(&owner.eoa(), &network.domain, &device.device),
         };
@@ -66,9 +97,10 @@ fn place(owner: &Owner, device: &Enrolled) -> String {
     format!("told:{}:{}", owner.address, device.device)
 }
 
-/// What tells two issues apart; no secret.
+/// What tells two issues apart; no secret. Topics are told by how many there are: they are only ever added.
 fn summary(keys: &IssuedKeys) -> String {
     let moment = |time: Option<Timestamp>| time.map_or(0, |time| time.0);
     let next = keys.next.as_ref().map_or((0, 0), |(moment, next)| (moment.0, next.epoch));
-    format!("{}/{}/{}/{}", keys.now.epoch, moment(keys.now.ends), next.0, next.1)
+    let topics = keys.now.key.topics().map_or(String::new(), |topics| format!("/{}", topics.len()));
+    format!("{}/{}/{}/{}{topics}", keys.now.epoch, moment(keys.now.ends), next.0, next.1)
 }

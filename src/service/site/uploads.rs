@@ -2,18 +2,20 @@
 
 use std::sync::Arc;
 
+use tokio::task::block_in_place;
+
 use super::Site;
 use super::view::{record_page, record_query, record_view};
 use crate::crypto::{keyfile, read_public, record};
 use crate::model::bytes::hex;
-use crate::model::{Address, FilterId, ProfileName, RecordState, Timestamp};
-use crate::pipeline::epoch::tag_filter;
+use crate::model::{Address, ProfileName, RecordState, Timestamp, TopicId};
+use crate::pipeline::epoch::tag_choice;
 use crate::pipeline::reader::Reader;
-use crate::pipeline::{Owner, PipelineError};
+use crate::pipeline::{Owner, PipelineError, authority, columns};
 use crate::service::command::UploadQuery;
-use crate::service::failure::{input, internal, refused};
+use crate::service::failure::{input, internal};
 use crate::service::reply::{ExportedFile, Failure, Provenance, RecordPage};
-use crate::store::{BatchPlace, RecordQuery, RecordRow};
+use crate::store::{BatchPlace, FilterChoice, RecordQuery, RecordRow};
 
 impl Site {
     pub(super) fn address_of(&self, profile: &ProfileName) -> Result<Address, Failure> {
@@ -43,9 +45,9 @@ impl Site {
             self.learn_names(&reader, owner).await?;
         }
         let filters = self.own_tag_filters(profile, &query.tags)?;
-        let query = RecordQuery { owner: Some(owner), filters, ..record_query(query) };
+        let query = RecordQuery { owner: Some(owner), filters: filters.clone(), ..record_query(query) };
         let page = self.blocking(move |site| Ok(site.plant.ledger.list(&query)?)).await?;
-        Ok(record_page(page, false))
+        Ok(record_page(&self.compared(page.rows, &self.own_keys(), &filters)?, page.next, false))
     }
 
     /// Records of all profiles of the home, each with its owner; needs no passphrase.
@@ -56,7 +58,7 @@ impl Site {
                 Ok(site.plant.ledger.list(&RecordQuery { owners, owner: None, ..record_query(query) })?)
             })
             .await?;
-        let mut page = record_page(page, true);
+        let mut page = record_page(&self.compared(page.rows, &self.own_keys(), &[])?, page.next, true);
         let names = self.names();
         for record in &mut page.records {
             record.owner_name = record.owner.and_then(|owner| names.get(&owner).cloned());
@@ -65,7 +67,7 @@ impl Site {
     }
 
     /// The ids by which a profile's own records are found by their tags; they follow from IK.
-    fn own_tag_filters(&self, profile: &ProfileName, tags: &[(String, String)]) -> Result<Vec<FilterId>, Failure> {
+    fn own_tag_filters(&self, profile: &ProfileName, tags: &[(String, String)]) -> Result<Vec<FilterChoice>, Failure> {
         if tags.is_empty() {
             return Ok(Vec::new());
         }
@@ -73,7 +75,14 @@ impl Site {
         let index = self
             .owner(profile)
             .map_or_else(|| self.unlocked(profile).map(|owner| owner.index()), |owner| Ok(owner.index()))?;
-        Ok(tags.iter().map(|(name, value)| tag_filter(&index, name, value)).collect())
+        let topics = self.topics_of(self.address_of(profile)?)?;
+        Ok(tags.iter().map(|(name, value)| tag_choice(&index, name, value, &topics)).collect())
+    }
+
+    /// The topics that an owner has records of here.
+    pub(super) fn topics_of(&self, owner: Address) -> Result<Vec<TopicId>, Failure> {
+        let counts = block_in_place(|| self.plant.ledger.counts(Some(owner)))?;
+        Ok(counts.topics.iter().filter_map(|topic| topic.topic_id).collect())
     }
 
     /// A record by its id, whoever owns it.
@@ -93,7 +102,8 @@ impl Site {
 
     /// Where a record came from and where it stands, step by step.
     pub(super) async fn provenance(self: &Arc<Self>, profile: &ProfileName, id: &str) -> Result<Provenance, Failure> {
-        let row = self.own_record(profile, id).await?;
+        let shown = self.compared_one(&self.own_record(profile, id).await?, &self.own_keys())?;
+        let row = &shown.row;
         let step = |word: &str, text: String| (word.to_owned(), text);
         let of = if row.is_named() { row.topic.as_str() } else { "a topic whose name is not known here" };
         let mut steps = vec![
@@ -128,14 +138,26 @@ impl Site {
         }
         if let Some(earlier) = self.blocking(move |site| Ok(site.plant.ledger.earlier_anchor(digest)?)).await? {
             let (block, domain) = (earlier.block, earlier.domain);
-            steps.push(step("earlier chain", format!("anchored in block {block} of domain {domain}, which was left")));
+            let (name, text) = if row.block == Some(block) {
+                (
+                    "earlier contract",
+                    format!("anchored in the contract of domain {domain}, which was left, and checked there"),
+                )
+            } else {
+                ("earlier chain", format!("anchored in block {block} of domain {domain}, which was left"))
+            };
+            steps.push(step(name, text));
         }
         if let Some(retained) = self.blocking(move |site| Ok(site.plant.ledger.retained(digest)?)).await? {
             let done = retained.deleted_at.map_or("to be deleted".to_owned(), |at| format!("ciphertext deleted {at}"));
             steps.push(step("retention", format!("{done}; named in retention record {}", retained.report)));
         }
-        steps.push(step(row.state.word(), standing(row.state).to_owned()));
-        Ok(Provenance { record: record_view(&row, false), steps })
+        steps.push(match (shown.differs, shown.state()) {
+            (Some(field), state) => step(state, altered(field)),
+            (None, "unread") => step("unread", "verified once; its bytes are not here to be compared now".to_owned()),
+            (None, _) => step(row.state.word(), standing(row.state).to_owned()),
+        });
+        Ok(Provenance { record: record_view(&shown, false), steps })
     }
 
     /// The files by which others check a record with openssl and a node; accounts are redacted in `proof.json` unless
@@ -158,15 +180,29 @@ impl Site {
             Some(retained) => PipelineError::Deleted(row.id.clone(), retained.report),
             None => PipelineError::Missing(row.id.clone()),
         })?;
+        let header = crate::model::Header::parse(&blob).ok().map(|(header, _)| header);
+        if let Some(field) = header.as_ref().and_then(|header| columns::header_difference(&row, header)) {
+            return Err(PipelineError::RowDiffers { id: row.id, field }.into());
+        }
         // A record of a chain that was left is bound to that one's domain.
-        let bound = crate::model::Header::parse(&blob).map_or(network.domain, |(header, _)| header.domain);
-        let signer = network.directory.signing_key(row.owner, row.signer, row.block);
-        let signer =
-            signer.ok_or_else(|| refused("the record's signing key is not among those registered on the chain"))?;
+        let bound = header.map_or(network.domain, |header| header.domain);
+        let contract = tokio::task::block_in_place(|| network.place_of(&self.plant, &row))?;
+        let (asked, asking) = (row.clone(), network.clone());
+        let signer = self.blocking(move |site| Ok(authority::signer_of(&site.plant, &asking, &asked)?)).await?;
+        let signer = signer.map_err(|why| PipelineError::NoRight { id: row.id.clone(), why: Box::new(why) })?;
         let signed = record::signed_bytes(&bound, &row.digest);
-        let pin = network.chain.pin();
+        let pin = contract.chain.pin();
         // The record's own header and leaf hold the owner, and cannot do without: only what lies beside is redacted.
         let shown = |account: Address| if addresses { account.to_string() } else { account.redacted() };
+        let mut anchor = anchor_json(&row, place.as_ref(), &shown);
+        let block = match row.block {
+            Some(number) => network.chain.block(number).await.ok().flatten(),
+            None => None,
+        };
+        if let Some(block) = block.filter(|block| row.block_hash == Some(block.hash)) {
+            // By the clock of those who seal the chain: whoever checks compares it with the chain's own.
+            anchor["block_time"] = serde_json::json!(Timestamp::from_seconds(block.timestamp));
+        }
         let proof = serde_json::json!({
             "format": "authros-proof/1",
             "digest": row.digest,
@@ -184,7 +220,7 @@ impl Site {
             "chain_id": network.chain.chain_id(),
             "genesis": network.chain.genesis(),
             "contract": pin.map(|pin| pin.contract),
-            "anchor": anchor_json(&row, place.as_ref(), &shown),
+            "anchor": anchor,
             "state": row.state.word(),
         });
         let proof = serde_json::to_vec_pretty(&proof).map_err(|error| internal(error.to_string()))?;
@@ -197,6 +233,14 @@ impl Site {
             file("proof.json", proof),
         ])
     }
+}
+
+/// What is said where a row and its record differ.
+fn altered(field: &str) -> String {
+    format!(
+        "the ledger was altered: its row differs from the record in its {field}; the record's own word is shown, \
+         `authros audit` names every such row"
+    )
 }
 
 /// A moment to the millisecond.

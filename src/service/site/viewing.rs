@@ -10,6 +10,7 @@ use super::view::record_view;
 use crate::crypto::OpenedRecord;
 use crate::model::{ErrorKind, RecordKind, RecordState, clean};
 use crate::pipeline::Owner;
+use crate::pipeline::columns::{Compared, Shown, is_simulated};
 use crate::pipeline::reader::Reader;
 use crate::ros::readable::{self, Exported};
 use crate::ros::{Definition, Limits};
@@ -87,6 +88,7 @@ impl Site {
         self.audit_first(owner, deed, &row.id).await?;
         let record = reader.open(&row).await?;
         let definition = reader.definition(&row, &record).await?;
+        let row = as_signed(row, &record);
         Ok(Opened { row, record, definition })
     }
 
@@ -132,6 +134,22 @@ impl Site {
     }
 }
 
+/// What is shown of an opened record is its own word, also where a gateway's row could only know pseudonyms.
+fn as_signed(row: RecordRow, record: &OpenedRecord) -> RecordRow {
+    let (header, head) = (&record.header, &record.head);
+    RecordRow {
+        seq: header.seq,
+        epoch: header.epoch,
+        kind: header.kind,
+        captured_at: header.captured_at,
+        topic: head.topic.clone(),
+        type_name: head.type_name.clone(),
+        bytes: head.plain_length,
+        simulated: is_simulated(head),
+        ..row
+    }
+}
+
 fn without_definition(row: &RecordRow) -> Failure {
     let text = format!("the definition of {}'s type was not found, so it can only be written as .bin", row.id);
     Failure::new(ErrorKind::Input, text)
@@ -150,8 +168,9 @@ fn view_of(opened: &Opened, owner: &Owner) -> OpenedView {
     let fields = decoded.as_ref().map(|value| value.flatten()).unwrap_or_default();
     let stated = statements::view(row.kind, &record.body);
     let fields = stated.as_ref().map_or(fields, statements::fields);
+    let of_another = row.owner != owner.address;
     OpenedView {
-        record: record_view(row, row.owner != owner.address),
+        record: record_view(&Shown { row: row.clone(), compared: Compared::Head, differs: None }, of_another),
         verdict: record.verdict,
         caller_id: clean(&record.head.caller_id, 255),
         tags: record.head.tags.iter().map(|(key, value)| (clean(key, 64), clean(value, 200))).collect(),

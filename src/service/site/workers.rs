@@ -24,6 +24,7 @@ pub(super) fn start(site: &Arc<Site>, needs: Needs) -> Result<(), Failure> {
     site.supervise("audit", Site::keep_audit);
     site.supervise("quarantine", Site::keep_quarantine);
     site.supervise("room", Site::keep_room);
+    site.supervise("clock", Site::keep_clock);
     tokio::spawn(Arc::clone(site).check_after_crash());
     site.supervise("retention", Site::keep_retention);
     if needs.ros {
@@ -131,7 +132,12 @@ async fn verify(site: Arc<Site>) {
                 Ok(Ok(0)) => break,
                 Ok(Ok(_)) => {}
                 Ok(Err(error)) => {
-                    site.hub.notice(NoticeLevel::Error, &format!("records cannot be verified now, they wait: {error}"));
+                    // What a Redis does not do now its health says, and the one alert about it.
+                    let is_told = matches!(&error, PipelineError::Store(error) if error.is_of_redis());
+                    if !is_told {
+                        let text = format!("records cannot be verified now, they wait: {error}");
+                        site.hub.notice(NoticeLevel::Error, &text);
+                    }
                     tokio::time::sleep(Duration::from_secs(1)).await;
                     break;
                 }

@@ -59,6 +59,10 @@ pub struct BatchPlace {
     pub account: Option<Address>,
     /// The block of the root's first anchoring.
     pub block: Option<u64>,
+    /// That block's hash.
+    pub block_hash: Option<Hash>,
+    /// The transaction that anchored it, or is to.
+    pub transaction: Option<Hash>,
 }
 
 /// What a transaction anchors.
@@ -179,7 +183,7 @@ impl Ledger {
         self.read(|connection| {
             let place = connection
                 .prepare_cached(
-                    "SELECT leaf, count, path, root, closed_at, account, batches.block
+                    "SELECT leaf, count, path, root, closed_at, account, batches.block, batches.block_hash, batches.tx
                      FROM records JOIN leaves ON record = n JOIN batches ON key = batch WHERE digest = ?1",
                 )?
                 .query_row([digest.0], place)
@@ -201,6 +205,8 @@ fn place(row: &Row<'_>) -> rusqlite::Result<BatchPlace> {
         closed_at: Timestamp(unsigned(row, 4)?),
         account: row.get::<_, Option<_>>(5)?.map(Address),
         block: row.get::<_, Option<i64>>(6)?.map(i64::cast_unsigned),
+        block_hash: row.get::<_, Option<_>>(7)?.map(Hash),
+        transaction: row.get::<_, Option<_>>(8)?.map(Hash),
     })
 }
 

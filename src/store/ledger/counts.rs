@@ -104,12 +104,25 @@ impl Ledger {
     /// [`StoreError::Database`] and its kin.
     pub fn counts(&self, owner: Option<Address>) -> Result<StateCounts, StoreError> {
         self.read(|connection| {
-            let streams = rows::streams(connection)?.into_iter().map(|stream| (stream.key, stream)).collect();
+            let streams =
+                rows::streams(connection, &rows::Which::All)?.into_iter().map(|stream| (stream.key, stream)).collect();
             let mut tally = Tally::default();
             tally.add_records(connection, owner, &streams)?;
             tally.add_intake(connection, owner, &streams)?;
             tally.add_drops(connection, owner)?;
             Ok(tally.finish())
+        })
+    }
+
+    /// Sealed records that wait here for the vault.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn sealed(&self) -> Result<u64, StoreError> {
+        self.read(|connection| {
+            let sql = "SELECT coalesce(sum(records), 0) FROM counters WHERE state = ?1";
+            let state = [i64::from(RecordState::Sealed.code())];
+            Ok(connection.prepare_cached(sql)?.query_row(state, |row| rows::unsigned(row, 0))?)
         })
     }
 

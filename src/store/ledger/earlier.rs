@@ -1,4 +1,5 @@
-//! Leaving a chain for another one: what was verified keeps its old anchor in words, the rest is anchored anew.
+//! Leaving a chain for another one: what was verified keeps its old anchor in words, the rest is anchored anew. Leaving
+//! only the contract: what stands in a block stays as it is, and is remembered to stand in the old contract.
 
 use rusqlite::{Connection, OptionalExtension as _, params};
 use serde::{Deserialize, Serialize};
@@ -61,6 +62,36 @@ impl Ledger {
             connection.execute_batch("DELETE FROM events; DELETE FROM trail; DELETE FROM cursors;")?;
             connection.execute("REPLACE INTO settings VALUES (?1, ?2)", [key, value])?;
             Ok(Left { kept, anew })
+        })
+    }
+
+    /// Gives up the contract of `domain` for another one on the same chain, in one commit: what is in a block stays there
+    /// and is remembered as anchored in that contract; what was on its way is anchored anew. `key` as for
+    /// [`Ledger::leave_chain`].
+    ///
+    /// # Errors
+    /// As [`Ledger::leave_chain`].
+    pub fn leave_contract(&self, domain: Domain, key: &str, value: &str) -> Result<Left, StoreError> {
+        let (key, value) = (key.to_owned(), value.to_owned());
+        self.write(move |session| {
+            let connection = session.connection;
+            let kept = connection.execute(
+                "REPLACE INTO earlier_anchors
+                 SELECT n, ?1, tx, block, block_hash FROM records WHERE block IS NOT NULL AND state IN (?2, ?3, ?4, ?5)
+                 AND NOT EXISTS (SELECT 1 FROM earlier_anchors AS known WHERE record = n AND known.block = records.block)",
+                params![
+                    domain.0,
+                    RecordState::Mined.code(),
+                    RecordState::Confirmed.code(),
+                    RecordState::Verified.code(),
+                    RecordState::Tampered.code()
+                ],
+            )?;
+            connection.execute("UPDATE batches SET tx = NULL, account = NULL WHERE block IS NULL", [])?;
+            connection.execute("UPDATE transactions SET state = 3 WHERE state = 0", [])?;
+            let anew = store_again(connection, RecordState::Submitted)?;
+            connection.execute("REPLACE INTO settings VALUES (?1, ?2)", [key, value])?;
+            Ok(Left { kept: count(kept), anew })
         })
     }
 
@@ -195,7 +226,37 @@ mod tests {
         assert_eq!(ledger.waiting_batches(Address([1; 20]), 9).map(|batches| batches.len()), Ok(1));
         assert_eq!((ledger.cursor("watcher"), ledger.trail_end()), (Ok(None), Ok(None)));
         assert_eq!(ledger.setting("adoptions"), Ok(Some("[1]".to_owned())));
+        let again = ledger.leave_contract(Domain([6; 32]), "adoptions", "[2]");
+        assert_eq!(again, Ok(Left { kept: 0, anew: 0 }), "no block of that chain holds any");
         // A reorg on the new chain leaves them alone.
         assert_eq!((ledger.unverify(0), ledger.unmine(0)), (Ok(0), Ok(0)));
+    }
+
+    #[test]
+    fn what_is_in_a_block_stays_when_only_the_contract_is_left() {
+        let home = tempfile::tempdir().expect("folder");
+        let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opens");
+        ledger.append((1..=3).map(record).collect()).expect("acknowledged");
+        let (hash, account) = (Hash([51; 32]), Address([1; 20]));
+        let anchors = Anchors::Digests(vec![Digest([3; 32])]);
+        let on_its_way = NewTransaction { hash, account, nonce: 2, raw: vec![1], purpose: "x".to_owned(), anchors };
+        ledger.submit(on_its_way).expect("kept");
+        ledger.mined(&[sighting(1, 5), sighting(2, 6)]).expect("seen");
+        ledger.confirm(5).expect("confirmed");
+        ledger.advance(&[Digest([1; 32])], RecordState::Confirmed, RecordState::Verified).expect("verified");
+
+        let left = ledger.leave_contract(Domain([8; 32]), "adoptions", "[1]");
+        assert_eq!(left, Ok(Left { kept: 2, anew: 1 }));
+        let rows: Vec<_> = (1..=3).map(|n| ledger.record(Digest([n; 32])).expect("read").expect("kept")).collect();
+        let found: Vec<_> = rows.iter().map(|row| (row.state, row.block)).collect();
+        let expected = [(RecordState::Verified, Some(5)), (RecordState::Mined, Some(6)), (RecordState::Stored, None)];
+        assert_eq!(found, expected);
+        let anchor =
+            |n| ledger.earlier_anchor(Digest([n; 32])).expect("read").map(|anchor| (anchor.domain, anchor.block));
+        assert_eq!([anchor(1), anchor(2), anchor(3)], [Some((Domain([8; 32]), 5)), Some((Domain([8; 32]), 6)), None]);
+        assert_eq!(ledger.confirm(6).map(|times| times.len()), Ok(1), "it goes on");
+        // The next contract: what stands in the first one is still known to.
+        assert_eq!(ledger.leave_contract(Domain([9; 32]), "adoptions", "[2]").map(|left| left.kept), Ok(0));
+        assert_eq!(anchor(1), Some((Domain([8; 32]), 5)));
     }
 }

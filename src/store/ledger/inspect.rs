@@ -3,12 +3,12 @@
 
 use std::collections::HashMap;
 
-use rusqlite::{Connection, Row, params};
+use rusqlite::{Connection, OptionalExtension as _, Row, params};
 
 use super::rows::{self, RecordRow, Stream, unsigned};
 use super::{Ledger, database::whole};
 use crate::chain::merkle::Inclusion;
-use crate::model::{Address, Digest, Hash, Timestamp, clean};
+use crate::model::{Address, Digest, FilterId, Hash, RecorderId, Timestamp, TopicId, clean};
 use crate::store::StoreError;
 
 /// The setting that says where a restored ledger's back-up stood.
@@ -30,8 +30,11 @@ pub struct AuditedPlace {
 }
 
 /// A record with all that an audit holds against it.
+#[allow(clippy::struct_excessive_bools, reason = "each says another thing of the row")]
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AuditedRecord {
+    /// Its row's number.
+    pub number: u64,
     /// The record.
     pub row: RecordRow,
     /// Its place in a batch.
@@ -42,6 +45,8 @@ pub struct AuditedRecord {
     pub anchored_earlier: bool,
     /// Whether its row names the topic that its stream names.
     pub in_its_topic: bool,
+    /// Whether row and retention agree on when its ciphertext was deleted.
+    pub as_retained: bool,
 }
 
 /// A page of records, in the order they were acknowledged.
@@ -103,14 +108,15 @@ impl Ledger {
         let limit = i64::try_from(limit).unwrap_or(i64::MAX);
         self.read(|connection| {
             let streams: HashMap<i64, Stream> =
-                rows::streams(connection)?.into_iter().map(|stream| (stream.key, stream)).collect();
+                rows::streams(connection, &rows::Which::All)?.into_iter().map(|stream| (stream.key, stream)).collect();
             let columns: Vec<String> =
                 rows::COLUMNS.split(',').map(|name| format!("records.{}", name.trim())).collect();
             let sql = format!(
                 "SELECT {}, n, leaves.batch, leaf, path, root, batches.count, batches.tx, batches.block,
                  batches.block_hash, EXISTS (SELECT 1 FROM copies WHERE record = n),
                  EXISTS (SELECT 1 FROM earlier_anchors WHERE record = n),
-                 records.topic = (SELECT topic FROM streams WHERE streams.key = stream)
+                 records.topic = (SELECT topic FROM streams WHERE streams.key = stream),
+                 records.deleted_at IS (SELECT retained.deleted_at FROM retained WHERE record = n)
                  FROM records LEFT JOIN leaves ON record = n LEFT JOIN batches ON key = leaves.batch
                  WHERE n > ?1 AND captured_at >= ?2 ORDER BY n LIMIT ?3",
                 columns.join(", ")
@@ -129,6 +135,46 @@ impl Ledger {
         })
     }
 
+    /// How many of these ids lead to a record, by its row's number, in the index of tags and of their streams.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn indexed(&self, number: u64, filters: &[FilterId]) -> Result<u64, StoreError> {
+        let number = whole("row", number)?;
+        self.read(|connection| {
+            let mut statement = connection.prepare_cached(
+                "SELECT 1 FROM filters WHERE filter = ?1 AND record = ?2 AND EXISTS (SELECT 1 FROM filter_streams
+                 WHERE filter_streams.filter = ?1 AND stream = (SELECT stream FROM records WHERE n = ?2))",
+            )?;
+            filters
+                .iter()
+                .try_fold(0, |found, filter| Ok(found + u64::from(statement.exists(params![filter.0, number])?)))
+        })
+    }
+
+    /// The first row that the index of tags knows; the highest number where it knows none.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn first_indexed(&self) -> Result<u64, StoreError> {
+        self.read(|connection| {
+            let first: Option<i64> = connection.query_row("SELECT min(record) FROM filters", [], |row| row.get(0))?;
+            Ok(first.map_or(u64::MAX, i64::cast_unsigned))
+        })
+    }
+
+    /// Entries of the index of tags for the rows up to a number.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn size_of_index(&self, last: u64) -> Result<u64, StoreError> {
+        let last = whole("row", last)?;
+        self.read(|connection| {
+            let sql = "SELECT count(*) FROM filters WHERE record <= ?1";
+            Ok(connection.query_row(sql, [last], |row| unsigned(row, 0))?)
+        })
+    }
+
     /// The batches behind number `after`, `limit` at most.
     ///
     /// # Errors
@@ -143,6 +189,18 @@ impl Ledger {
             let mut statement = connection.prepare_cached(sql)?;
             let rows = statement.query_map(params![after, limit], batch)?;
             Ok(rows.collect::<Result<_, _>>()?)
+        })
+    }
+
+    /// When the newest record was captured, as its recorder's clock said.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn newest_capture(&self) -> Result<Option<Timestamp>, StoreError> {
+        self.read(|connection| {
+            let newest: Option<i64> =
+                connection.query_row("SELECT max(captured_at) FROM records", [], |row| row.get(0))?;
+            Ok(newest.and_then(|newest| u64::try_from(newest).ok()).map(Timestamp))
         })
     }
 
@@ -193,6 +251,56 @@ impl Ledger {
             let mut statement = connection.prepare_cached("SELECT DISTINCT account FROM transactions")?;
             let rows = statement.query_map([], |row| row.get(0).map(Address))?;
             Ok(rows.collect::<Result<_, _>>()?)
+        })
+    }
+
+    /// Whether this ledger ever signed for an account.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn signs_for(&self, account: Address) -> Result<bool, StoreError> {
+        self.read(|connection| {
+            let sql = "SELECT EXISTS (SELECT 1 FROM transactions WHERE account = ?1)";
+            Ok(connection.prepare_cached(sql)?.query_row([account.0], |row| row.get(0))?)
+        })
+    }
+
+    /// Topics with records that are stamped more than five seconds earlier than the record before them, and how many.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn backwards(&self) -> Result<Vec<(String, u64)>, StoreError> {
+        self.read(|connection| {
+            let sql = "SELECT coalesce(nullif(name, ''), lower(hex(topic_id))), held FROM
+                       (SELECT topic, count(*) AS held FROM
+                        (SELECT topic, captured_at, lag(captured_at) OVER (PARTITION BY topic ORDER BY seq) AS before
+                         FROM records) WHERE captured_at + 5000000000 < before GROUP BY topic)
+                       JOIN topics ON topics.key = topic ORDER BY topics.key";
+            let mut statement = connection.prepare_cached(sql)?;
+            let rows = statement.query_map([], |row| Ok((row.get(0)?, unsigned(row, 1)?)))?;
+            Ok(rows.collect::<Result<_, _>>()?)
+        })
+    }
+
+    /// The record that has a number of a topic, as `recorder` counts.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn holder(
+        &self,
+        owner: Address,
+        recorder: RecorderId,
+        topic: TopicId,
+        number: u64,
+    ) -> Result<Option<Digest>, StoreError> {
+        let number = whole("sequence number", number)?;
+        self.read(|connection| {
+            let sql = "SELECT digest FROM records JOIN topics ON topics.key = records.topic
+                       JOIN recorders ON recorders.key = topics.recorder
+                       WHERE topics.owner = ?1 AND recorders.id = ?2 AND topics.topic_id = ?3 AND seq = ?4";
+            let mut statement = connection.prepare_cached(sql)?;
+            let digest = statement.query_row(params![owner.0, recorder.0, topic.0, number], |row| row.get(0));
+            Ok(digest.optional()?.map(Digest))
         })
     }
 
@@ -248,11 +356,13 @@ impl Ledger {
 
 fn audited(row: &Row<'_>, streams: &HashMap<i64, Stream>) -> rusqlite::Result<AuditedRecord> {
     Ok(AuditedRecord {
+        number: unsigned(row, RECORD_COLUMNS)?,
         row: rows::record(row, streams)?,
         place: place(row)?,
         has_copy: row.get(RECORD_COLUMNS + 9)?,
         anchored_earlier: row.get(RECORD_COLUMNS + 10)?,
         in_its_topic: row.get::<_, Option<bool>>(RECORD_COLUMNS + 11)?.unwrap_or(false),
+        as_retained: row.get(RECORD_COLUMNS + 12)?,
     })
 }
 

@@ -7,7 +7,9 @@ use super::batches::{self, RootSighting};
 use super::edges::{By, may};
 use super::{Ledger, rows};
 use crate::chain::merkle::Inclusion;
-use crate::model::{Address, Digest, FilterId, Hash, ProfileName, PublicKey, RecordState, SignerId, Timestamp};
+use crate::model::{
+    Address, Digest, FilterId, Hash, ProfileName, PublicKey, RecordState, SignerId, Timestamp, TopicId,
+};
 use crate::store::StoreError;
 use crate::store::database::whole;
 
@@ -22,6 +24,9 @@ pub struct KeptBinding {
     pub envelope: PublicKey,
     /// The transport key, sealed by whoever keeps it here.
     pub sealed_key: Vec<u8>,
+    /// The device that the name belongs to, with the topic id of its owner's notices to it where that was told; `None`
+    /// where the name is its account's own.
+    pub device: Option<(SignerId, Option<TopicId>)>,
 }
 
 impl Ledger {
@@ -60,11 +65,56 @@ impl Ledger {
     pub fn bind(&self, name: &ProfileName, binding: KeptBinding) -> Result<(), StoreError> {
         let name = name.to_string();
         self.write(move |session| {
+            session.connection.prepare_cached("REPLACE INTO bindings VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)")?.execute(
+                params![
+                    name,
+                    binding.account.0,
+                    binding.signing.0,
+                    binding.envelope.0,
+                    binding.sealed_key,
+                    binding.device.map(|(device, _)| device.0),
+                    binding.device.and_then(|(_, notices)| notices).map(|id| id.0)
+                ],
+            )?;
+            Ok(())
+        })
+    }
+
+    /// Puts the same transport key of a name in place of what it was sealed as before; nothing where another one has
+    /// been bound meanwhile.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like: then nothing changed.
+    pub fn reseal_binding(&self, name: &str, before: Vec<u8>, after: Vec<u8>) -> Result<(), StoreError> {
+        let name = name.to_owned();
+        self.write(move |session| {
             session
                 .connection
-                .prepare_cached("REPLACE INTO bindings VALUES (?1, ?2, ?3, ?4, ?5)")?
-                .execute(params![name, binding.account.0, binding.signing.0, binding.envelope.0, binding.sealed_key])?;
+                .prepare_cached("UPDATE bindings SET sealed_key = ?3 WHERE name = ?1 AND sealed_key = ?2")?
+                .execute(params![name, before, after])?;
             Ok(())
+        })
+    }
+
+    /// From now on a name of `account` is that of a device, whose notices are filed under `notices`; its transport key
+    /// stays. Returns whether there was such a name.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like: then nothing changed.
+    pub fn bind_device(
+        &self,
+        name: &str,
+        account: Address,
+        device: SignerId,
+        notices: Option<TopicId>,
+    ) -> Result<bool, StoreError> {
+        let name = name.to_owned();
+        self.write(move |session| {
+            let changed = session
+                .connection
+                .prepare_cached("UPDATE bindings SET device = ?3, notices = ?4 WHERE name = ?1 AND account = ?2")?
+                .execute(params![name, account.0, device.0, notices.map(|id| id.0)])?;
+            Ok(changed > 0)
         })
     }
 
@@ -75,13 +125,19 @@ impl Ledger {
     pub fn binding(&self, name: &ProfileName) -> Result<Option<KeptBinding>, StoreError> {
         self.read(|connection| {
             let binding = connection
-                .prepare_cached("SELECT account, signing, envelope, sealed_key FROM bindings WHERE name = ?1")?
+                .prepare_cached(
+                    "SELECT account, signing, envelope, sealed_key, device, notices FROM bindings WHERE name = ?1",
+                )?
                 .query_row([name.as_str()], |row| {
                     Ok(KeptBinding {
                         account: Address(row.get(0)?),
                         signing: PublicKey(row.get(1)?),
                         envelope: PublicKey(row.get(2)?),
                         sealed_key: row.get(3)?,
+                        device: match row.get::<_, Option<_>>(4)? {
+                            Some(device) => Some((SignerId(device), row.get::<_, Option<_>>(5)?.map(TopicId))),
+                            None => None,
+                        },
                     })
                 })
                 .optional()?;
@@ -112,6 +168,21 @@ impl Ledger {
                 .prepare_cached("INSERT INTO names VALUES (?1, ?2, ?3) ON CONFLICT DO NOTHING")?
                 .execute(params![owner.0, id, name])?;
             Ok(())
+        })
+    }
+
+    /// Every name that a topic of an owner ever went by here: captured, learned or given; nothing proves them.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn topic_names(&self, owner: Address, topic: TopicId) -> Result<Vec<String>, StoreError> {
+        self.read(|connection| {
+            let mut statement = connection.prepare_cached(
+                "SELECT name FROM topics WHERE owner = ?1 AND topic_id = ?2 AND name <> ''
+                 UNION SELECT name FROM names WHERE owner = ?1 AND id = lower(hex(?2))",
+            )?;
+            let rows = statement.query_map(params![owner.0, topic.0], |row| row.get(0))?;
+            Ok(rows.collect::<Result<_, _>>()?)
         })
     }
 

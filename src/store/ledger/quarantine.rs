@@ -85,7 +85,8 @@ impl Ledger {
     /// [`StoreError::Database`] and its kin.
     pub fn held(&self, owner: Address, query: &HeldQuery) -> Result<Vec<HeldRow>, StoreError> {
         self.read(|connection| {
-            let streams = rows::streams(connection)?.into_iter().map(|stream| (stream.key, stream)).collect();
+            let streams =
+                rows::streams(connection, &rows::Which::All)?.into_iter().map(|stream| (stream.key, stream)).collect();
             let sql = format!(
                 "SELECT {}, reason, publisher, report, decision FROM held CROSS JOIN records ON n = record
                  JOIN topics ON key = topic

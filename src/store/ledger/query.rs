@@ -4,13 +4,14 @@
 //! kind), each stream's records of each state are read in order off an index, and these lanes are merged.
 
 use std::cmp::Reverse;
-use std::collections::{BinaryHeap, HashMap, HashSet, VecDeque};
+use std::collections::{BTreeSet, BinaryHeap, HashMap, HashSet, VecDeque};
 
 use rusqlite::types::Value;
 use rusqlite::{CachedStatement, Connection, OptionalExtension as _, Row, params};
 use serde::{Deserialize, Serialize};
 
-use super::rows::{self, ID_LENGTH, RecordRow, Stream};
+use super::filter_choice::FilterChoice;
+use super::rows::{self, ID_LENGTH, RecordRow, Stream, Which};
 use super::{Ledger, database::whole, recent};
 use crate::model::{Address, Digest, FilterId, RecordKind, RecordState, Timestamp, TopicId, clean};
 use crate::store::StoreError;
@@ -29,8 +30,8 @@ pub struct RecordQuery {
     pub topic: Option<String>,
     /// Of any of these topics.
     pub topic_ids: Option<Vec<TopicId>>,
-    /// With all of these ids among its own.
-    pub filters: Vec<FilterId>,
+    /// With one id of each of these among its own.
+    pub filters: Vec<FilterChoice>,
     /// Of this message type.
     pub type_name: Option<String>,
     /// Of this kind.
@@ -100,14 +101,17 @@ impl Ledger {
         let limit = query.limit.clamp(1, LARGEST_PAGE);
         let range = Range::of(query)?;
         self.read(|connection| {
-            let streams = rows::streams(connection)?;
-            let mut wanted: Vec<i64> = streams.iter().filter(|stream| query.wants(stream)).map(|s| s.key).collect();
+            let mut streams = candidates(connection, query)?;
+            streams.retain(|stream| query.wants(stream));
+            let mut wanted: Vec<&Stream> = streams.iter().collect();
             narrow(connection, &mut wanted, &query.filters)?;
+            let topics: HashMap<i64, TopicId> = wanted.iter().map(|stream| (stream.key, stream.topic_id)).collect();
+            let wanted: Vec<i64> = wanted.iter().map(|stream| stream.key).collect();
             let plain = query.state.is_none() && query.filters.is_empty();
             let recent = if plain { recent::keys(connection, &wanted, range, limit + 1)? } else { None };
             let mut keys = match recent {
                 Some(keys) => keys,
-                None => Merge::new(connection, &wanted, query, range, limit + 1)?.take(limit + 1)?,
+                None => Merge::new(connection, (&wanted, &topics), query, range, limit + 1)?.take(limit + 1)?,
             };
             let more = keys.len() > limit;
             keys.truncate(limit);
@@ -136,7 +140,11 @@ impl Ledger {
     /// [`StoreError::Database`] and its kin.
     pub fn record(&self, digest: Digest) -> Result<Option<RecordRow>, StoreError> {
         self.read(|connection| {
-            let by_key = keyed(rows::streams(connection)?);
+            let stream = connection
+                .prepare_cached("SELECT stream FROM records WHERE digest = ?1")?
+                .query_row(params![digest.0], |row| row.get(0))
+                .optional()?;
+            let by_key = rows::keyed_streams(connection, stream)?;
             let sql = format!("SELECT {} FROM records WHERE digest = ?1", rows::COLUMNS);
             let row = connection
                 .prepare_cached(&sql)?
@@ -153,7 +161,11 @@ impl Ledger {
     pub fn record_by_id(&self, id: &str) -> Result<Option<RecordRow>, StoreError> {
         let (low, high) = bounds(id).ok_or_else(|| StoreError::Id(clean(id, 70)))?;
         self.read(|connection| {
-            let by_key = keyed(rows::streams(connection)?);
+            let found: Vec<i64> = connection
+                .prepare_cached("SELECT stream FROM records WHERE digest BETWEEN ?1 AND ?2 LIMIT 2")?
+                .query_map(params![low.0, high.0], |row| row.get(0))?
+                .collect::<Result<_, _>>()?;
+            let by_key = rows::keyed_streams(connection, found)?;
             let sql = format!("SELECT {} FROM records WHERE digest BETWEEN ?1 AND ?2 LIMIT 2", rows::COLUMNS);
             let mut found = connection
                 .prepare_cached(&sql)?
@@ -170,6 +182,41 @@ fn bounds(id: &str) -> Option<(Digest, Digest)> {
     let valid = (ID_LENGTH..=whole).contains(&id.len()) && id.bytes().all(|b| b.is_ascii_hexdigit());
     let fill = |digit: &str| format!("{id}{}", digit.repeat(whole - id.len())).parse().ok();
     if valid { fill("0").zip(fill("f")) } else { None }
+}
+
+/// The streams among which those of a query are: never more than its owner has, or than have records in its state.
+fn candidates(connection: &Connection, query: &RecordQuery) -> Result<Vec<Stream>, StoreError> {
+    match (query.owner, &query.owners, query.state) {
+        (Some(owner), ..) => rows::streams(connection, &Which::Of(owner)),
+        (None, Some(owners), _) => {
+            let distinct: BTreeSet<&Address> = owners.iter().collect();
+            let mut found = Vec::new();
+            for owner in distinct {
+                found.extend(rows::streams(connection, &Which::Of(*owner))?);
+            }
+            found.sort_by_key(|stream| stream.key);
+            Ok(found)
+        }
+        (None, None, Some(state)) => {
+            // From stream to stream along the index of states; SQLite would read every entry for a DISTINCT.
+            let keys: Vec<i64> = connection
+                .prepare_cached(
+                    "WITH RECURSIVE found (stream) AS (
+                         SELECT min(stream) FROM records INDEXED BY records_by_state WHERE state = ?1
+                         UNION ALL
+                         SELECT (SELECT min(r.stream) FROM records r INDEXED BY records_by_state
+                                 WHERE r.state = ?1 AND r.stream > found.stream)
+                         FROM found WHERE found.stream IS NOT NULL)
+                     SELECT stream FROM found WHERE stream IS NOT NULL",
+                )?
+                .query_map([state.code()], |row| row.get(0))?
+                .collect::<Result<_, _>>()?;
+            let mut found: Vec<Stream> = rows::keyed_streams(connection, keys)?.into_values().collect();
+            found.sort_by_key(|stream| stream.key);
+            Ok(found)
+        }
+        (None, None, None) => rows::streams(connection, &Which::All),
+    }
 }
 
 fn keyed(streams: Vec<Stream>) -> HashMap<i64, Stream> {
@@ -232,8 +279,11 @@ impl Range {
 
     fn sql(self, filters: usize) -> String {
         let order = if self.newest_first { "DESC" } else { "ASC" };
-        let filters: String = (8..8 + filters)
-            .map(|place| format!(" AND EXISTS (SELECT 1 FROM filters WHERE filter = ?{place} AND record = n)"))
+        let filters: String = (0..filters)
+            .map(|choice| (8 + 2 * choice, 9 + 2 * choice))
+            .map(|(one, other)| {
+                format!(" AND EXISTS (SELECT 1 FROM filters WHERE filter IN (?{one}, ?{other}) AND record = n)")
+            })
             .collect();
         format!(
             "SELECT captured_at, n FROM records INDEXED BY records_by_state WHERE state = ?7 AND stream = ?1{filters}
@@ -247,18 +297,33 @@ impl Range {
 struct Lane {
     stream: i64,
     state: u8,
+    /// Two for each choice.
+    filters: Vec<FilterId>,
     ahead: VecDeque<Key>,
     range: Range,
     exhausted: bool,
 }
 
-/// Leaves the streams that ever had records with each of these filter ids.
-fn narrow(connection: &Connection, streams: &mut Vec<i64>, filters: &[FilterId]) -> Result<(), StoreError> {
-    let mut statement = connection.prepare_cached("SELECT stream FROM filter_streams WHERE filter = ?1")?;
-    for filter in filters {
+/// Leaves the streams that ever had records with an id of each of these choices.
+fn narrow(connection: &Connection, streams: &mut Vec<&Stream>, choices: &[FilterChoice]) -> Result<(), StoreError> {
+    let mut on_any = connection.prepare_cached("SELECT stream FROM filter_streams WHERE filter = ?1")?;
+    let mut on_one =
+        connection.prepare_cached("SELECT EXISTS (SELECT 1 FROM filter_streams WHERE filter = ?1 AND stream = ?2)")?;
+    for choice in choices {
         let having: HashSet<i64> =
-            statement.query_map([filter.0], |row| row.get(0))?.collect::<rusqlite::Result<_>>()?;
-        streams.retain(|stream| having.contains(stream));
+            on_any.query_map([choice.id.0], |row| row.get(0))?.collect::<rusqlite::Result<_>>()?;
+        let mut left = Vec::with_capacity(streams.len());
+        for stream in streams.iter() {
+            let has = match choice.by_topic.get(&stream.topic_id) {
+                _ if having.contains(&stream.key) => true,
+                Some(id) => on_one.query_row(params![id.0, stream.key], |row| row.get(0))?,
+                None => false,
+            };
+            if has {
+                left.push(*stream);
+            }
+        }
+        *streams = left;
     }
     Ok(())
 }
@@ -291,7 +356,6 @@ fn lanes(connection: &Connection, streams: &[i64], wanted: Option<RecordState>) 
 /// Merges the lanes of a query into one order.
 struct Merge<'a> {
     statement: CachedStatement<'a>,
-    filters: Vec<FilterId>,
     lanes: Vec<Lane>,
     heap: BinaryHeap<(Reverse<Key>, usize)>,
     chunk: usize,
@@ -300,17 +364,24 @@ struct Merge<'a> {
 impl<'a> Merge<'a> {
     fn new(
         connection: &'a Connection,
-        streams: &[i64],
+        (streams, topics): (&[i64], &HashMap<i64, TopicId>),
         query: &RecordQuery,
         range: Range,
         wanted: usize,
     ) -> Result<Self, StoreError> {
         let statement = connection.prepare_cached(&range.sql(query.filters.len()))?;
-        let lane = |(stream, state)| Lane { stream, state, ahead: VecDeque::new(), range, exhausted: false };
+        let filters = |stream: i64| {
+            let topic = topics.get(&stream).copied().unwrap_or(TopicId([0; 16]));
+            query.filters.iter().flat_map(|choice| choice.of(topic)).collect()
+        };
+        let lane = |(stream, state)| {
+            let (filters, ahead) = (filters(stream), VecDeque::new());
+            Lane { stream, state, filters, ahead, range, exhausted: false }
+        };
         let lanes: Vec<Lane> = lanes(connection, streams, query.state)?.into_iter().map(lane).collect();
-        let (count, filters) = (lanes.len(), query.filters.clone());
+        let count = lanes.len();
         let chunk = (wanted * 2).div_ceil(count.max(1)).clamp(4, wanted.max(4));
-        let mut merge = Self { statement, filters, lanes, heap: BinaryHeap::new(), chunk };
+        let mut merge = Self { statement, lanes, heap: BinaryHeap::new(), chunk };
         for index in 0..count {
             merge.offer(index)?;
         }
@@ -335,7 +406,7 @@ impl<'a> Merge<'a> {
     fn offer(&mut self, index: usize) -> Result<(), StoreError> {
         let Some(lane) = self.lanes.get_mut(index) else { return Ok(()) };
         if lane.ahead.is_empty() && !lane.exhausted {
-            lane.read(&mut self.statement, &self.filters, self.chunk)?;
+            lane.read(&mut self.statement, self.chunk)?;
         }
         if let Some(key) = lane.ahead.pop_front() {
             let rank = if lane.range.newest_first { flip(key) } else { key };
@@ -346,17 +417,12 @@ impl<'a> Merge<'a> {
 }
 
 impl Lane {
-    fn read(
-        &mut self,
-        statement: &mut CachedStatement<'_>,
-        filters: &[FilterId],
-        chunk: usize,
-    ) -> Result<(), StoreError> {
+    fn read(&mut self, statement: &mut CachedStatement<'_>, chunk: usize) -> Result<(), StoreError> {
         let Range { low, high, .. } = self.range;
         let limit = i64::try_from(chunk).unwrap_or(i64::MAX);
         let state = i64::from(self.state);
         let bounds = [self.stream, low.captured_at, low.n, high.captured_at, high.n, limit, state].map(Value::from);
-        let filters = filters.iter().map(|filter| Value::from(filter.0.to_vec()));
+        let filters = self.filters.iter().map(|filter| Value::from(filter.0.to_vec()));
         let values = bounds.into_iter().chain(filters);
         let keys = statement.query_map(rusqlite::params_from_iter(values), |row| {
             Ok(Key { captured_at: row.get(0)?, n: row.get(1)? })

@@ -2,7 +2,8 @@
 
 use std::collections::HashMap;
 
-use rusqlite::{Connection, Row};
+use rusqlite::types::Value;
+use rusqlite::{Connection, Row, params_from_iter};
 use serde::{Deserialize, Serialize};
 
 use crate::chain::merkle::Leaf;
@@ -134,10 +135,25 @@ const STREAMS: &str = "SELECT s.key, t.owner, r.id, t.topic_id,
     LEFT JOIN names topic_name ON topic_name.owner = t.owner AND topic_name.id = lower(hex(t.topic_id))
     LEFT JOIN names type_name ON type_name.owner = t.owner AND type_name.id = s.type_name";
 
-/// All streams; there are as many as topics, types and signers, not as records.
-pub(super) fn streams(connection: &Connection) -> Result<Vec<Stream>, StoreError> {
-    let mut statement = connection.prepare_cached(STREAMS)?;
-    let rows = statement.query_map([], |row| {
+/// Which streams are meant.
+pub(super) enum Which {
+    /// All; there are as many as topics, types and signers, not as records.
+    All,
+    /// One owner's.
+    Of(Address),
+    /// The one with this key.
+    Key(i64),
+}
+
+/// The streams that are meant.
+pub(super) fn streams(connection: &Connection, which: &Which) -> Result<Vec<Stream>, StoreError> {
+    let (condition, value): (&str, Option<Value>) = match which {
+        Which::All => ("", None),
+        Which::Of(owner) => (" WHERE t.owner = ?1", Some(Value::from(owner.0.to_vec()))),
+        Which::Key(key) => (" WHERE s.key = ?1", Some(Value::from(*key))),
+    };
+    let mut statement = connection.prepare_cached(&format!("{STREAMS}{condition}"))?;
+    let rows = statement.query_map(params_from_iter(value), |row| {
         Ok(Stream {
             key: row.get(0)?,
             owner: Address(row.get(1)?),
@@ -150,6 +166,20 @@ pub(super) fn streams(connection: &Connection) -> Result<Vec<Stream>, StoreError
         })
     })?;
     Ok(rows.collect::<Result<_, _>>()?)
+}
+
+/// The streams with these keys, by key: a lookup of a few records costs the same however many streams there are.
+pub(super) fn keyed_streams(
+    connection: &Connection,
+    keys: impl IntoIterator<Item = i64>,
+) -> Result<HashMap<i64, Stream>, StoreError> {
+    let mut found = HashMap::new();
+    for key in keys {
+        if !found.contains_key(&key) {
+            found.extend(streams(connection, &Which::Key(key))?.into_iter().map(|stream| (stream.key, stream)));
+        }
+    }
+    Ok(found)
 }
 
 impl RecordRow {

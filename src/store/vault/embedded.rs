@@ -83,6 +83,23 @@ impl Vault for EmbeddedVault {
         })
     }
 
+    fn fronts(&self, digests: &[Digest], length: usize) -> Result<Vec<Option<Vec<u8>>>, StoreError> {
+        self.on(&self.reader, |connection| {
+            let page = connection.transaction()?;
+            let mut statement = page.prepare_cached("SELECT n FROM blobs WHERE digest = ?1")?;
+            let front = |digest: &Digest| {
+                let found = statement.query_row([digest.0], |row| row.get(0)).optional()?;
+                let Some(n) = found else { return Ok(None) };
+                // Opened as a blob: the pages of a long one are not all read.
+                let blob = page.blob_open("main", "blobs", "bytes", n, true)?;
+                let mut bytes = vec![0; length.min(blob.len())];
+                blob.read_at_exact(&mut bytes, 0)?;
+                Ok(Some(bytes))
+            };
+            digests.iter().map(front).collect()
+        })
+    }
+
     fn delete(&self, digest: Digest) -> Result<bool, StoreError> {
         self.on(&self.writer, |connection| {
             Ok(connection.prepare_cached("DELETE FROM blobs WHERE digest = ?1")?.execute([digest.0])? > 0)

@@ -182,7 +182,8 @@ impl RedisVault {
                     scan.arg(cursor).arg("MATCH").arg(format!("{PREFIX}*")).arg("COUNT").arg(KEYS_PER_SCAN);
                     scan.query::<(u64, Vec<String>)>(connection)
                 });
-                let (next, keys) = found.map_err(|failure| failure.error)?;
+                let (next, mut keys) = found.map_err(|failure| failure.error)?;
+                keys.retain(|key| !key.starts_with(node::MARK));
                 if !keys.is_empty() {
                     each(&server, keys)?;
                 }
@@ -257,6 +258,26 @@ impl Vault for RedisVault {
         found.map_err(|failure| failure.error)
     }
 
+    fn fronts(&self, digests: &[Digest], length: usize) -> Result<Vec<Option<Vec<u8>>>, StoreError> {
+        let last = length.saturating_sub(1);
+        // Nothing under a key is an empty text here.
+        let some = |bytes: Vec<u8>| (!bytes.is_empty()).then_some(bytes);
+        if !self.is_one() {
+            let front = |digest: &Digest| {
+                self.with(*digest, |connection| cmd("GETRANGE").arg(key(*digest)).arg(0).arg(last).query(connection))
+            };
+            return digests.iter().map(|digest| front(digest).map(some)).collect();
+        }
+        let found: Result<Vec<Vec<u8>>, Failure> = self.on(&Server::One, |connection| {
+            let mut pipeline = pipe();
+            for digest in digests {
+                pipeline.cmd("GETRANGE").arg(key(*digest)).arg(0).arg(last);
+            }
+            pipeline.query(connection)
+        });
+        Ok(found.map_err(|failure| failure.error)?.into_iter().map(some).collect())
+    }
+
     fn delete(&self, digest: Digest) -> Result<bool, StoreError> {
         self.with(digest, |connection| cmd("DEL").arg(key(digest)).query(connection))
     }
@@ -300,23 +321,54 @@ impl Vault for RedisVault {
 
     fn runs(&self) -> Result<String, StoreError> {
         match &self.servers {
-            Servers::One(node) => node.run(),
+            Servers::One(node) => node.run(node::MARK),
             Servers::Many(cluster) => {
-                // One that does not answer now counts as it was, until it does.
-                let run = |member: &Arc<Member>| {
-                    let run = if member.rests().is_none() { member.node.run().ok() } else { None };
-                    format!("{}={}", member.host, run.or_else(|| member.node.known_run()).unwrap_or_default())
-                };
-                let mut runs: Vec<String> = cluster.members().iter().map(run).collect();
+                let mut runs =
+                    cluster.members().iter().map(|member| run_of(cluster, member)).collect::<Result<Vec<_>, _>>()?;
                 runs.sort();
                 Ok(runs.join(" "))
             }
         }
     }
 
+    fn ailing(&self) -> Option<StoreError> {
+        match &self.servers {
+            Servers::One(node) => node.ailing(),
+            Servers::Many(cluster) => cluster.members().iter().find_map(|member| member.node.ailing()),
+        }
+    }
+
     fn is_one(&self) -> bool {
         matches!(self.servers, Servers::One(_))
     }
+
+    fn contains_many(&self, digests: &[Digest]) -> Result<Vec<bool>, StoreError> {
+        if digests.len() < 2 || !self.is_one() {
+            return digests.iter().map(|digest| self.contains(*digest)).collect();
+        }
+        let found = self.on(&Server::One, |connection| {
+            let mut pipeline = pipe();
+            for digest in digests {
+                pipeline.cmd("EXISTS").arg(key(*digest));
+            }
+            pipeline.query(connection)
+        });
+        found.map_err(|failure| failure.error)
+    }
+}
+
+/// What a node of a cluster holds now, as [`Node::run`] names it. One that does not answer counts as it was, until it
+/// does; one that may throw records away is told.
+fn run_of(cluster: &Cluster, member: &Member) -> Result<String, StoreError> {
+    let found = match (member.rests(), cluster.mark_of(member)) {
+        (None, Some(mark)) => match member.node.run(&mark) {
+            Ok(run) => Some(run),
+            Err(error @ (StoreError::Policy { .. } | StoreError::VaultFull { .. })) => return Err(error),
+            Err(_) => None,
+        },
+        _ => None,
+    };
+    Ok(format!("{}={}", member.host, found.or_else(|| member.node.known_run()).unwrap_or_default()))
 }
 
 fn key(digest: Digest) -> String {

@@ -159,6 +159,53 @@ fn a_restart_is_noticed_and_the_connection_heals() {
 }
 
 #[test]
+fn a_flush_and_an_eviction_show_in_what_the_server_holds() {
+    let Some(server) = Server::start(&["--maxmemory", "4mb"]) else { return };
+    let vault = RedisVault::open(&server.url()).expect("opens");
+    let (digest, bytes) = blob(1, 100);
+    vault.put(&[(digest, &bytes)]).expect("put");
+    let first = vault.runs().expect("told");
+    assert_eq!(vault.usage(), Ok(Usage { entries: 1, bytes: 100 }), "the mark is no record");
+    server.command(&["FLUSHALL"]);
+    let second = vault.runs().expect("told");
+    assert_ne!(first, second);
+    let other = RedisVault::open(&server.url()).expect("opens");
+    assert_eq!((other.runs(), vault.runs()), (Ok(second.clone()), Ok(second.clone())), "all who use it see one mark");
+    assert_eq!(vault.contains_many(&[digest, digest]), Ok(vec![false, false]));
+
+    server.command(&["CONFIG", "SET", "maxmemory-policy", "allkeys-random"]);
+    let told = (0..100).find_map(|_| {
+        std::thread::sleep(std::time::Duration::from_millis(100));
+        vault.runs().err()
+    });
+    assert!(matches!(told, Some(StoreError::Policy { .. })), "{told:?}");
+    assert!(matches!(vault.put(&[(digest, &bytes)]), Err(StoreError::Policy { .. })), "nothing is put into it");
+    for number in 0..60u32 {
+        server.command(&["SET", &format!("other:{number}"), &"x".repeat(100_000)]);
+    }
+    server.command(&["CONFIG", "SET", "maxmemory-policy", "noeviction"]);
+    server.command(&["CONFIG", "SET", "maxmemory", "100mb"]);
+    assert_ne!(vault.runs().expect("used again"), second, "keys were thrown away");
+}
+
+#[test]
+fn a_server_that_is_silent_is_told_of_until_it_answers() {
+    let Some(server) = Server::start(&[]) else { return };
+    let vault = RedisVault::open(&server.url()).expect("opens");
+    server.signal("STOP");
+    let (digest, _) = blob(1, 100);
+    assert_eq!(vault.get(digest).map_err(|error| error.kind()), Err(ErrorKind::Unreachable));
+    assert!(vault.ailing().is_some());
+    assert_eq!(vault.get(digest).map_err(|error| error.kind()), Err(ErrorKind::Unreachable));
+    server.signal("CONT");
+    let back = (0..100).find_map(|_| {
+        std::thread::sleep(std::time::Duration::from_millis(100));
+        vault.get(digest).ok()
+    });
+    assert_eq!((back, vault.ailing()), (Some(None), None));
+}
+
+#[test]
 fn a_hidden_configuration_is_a_warning_and_a_wrong_password_a_refusal() {
     let Some(server) = Server::start(&["--rename-command", "CONFIG", "", "--requirepass", "hush"]) else { return };
     let vault = RedisVault::open(&server.url().replace("://", "://:hush@")).expect("opens");

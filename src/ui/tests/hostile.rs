@@ -53,7 +53,12 @@ fn infect(robot: &mut Robot, text: &str) {
         chain.client = text.to_owned();
         chain.balance = text.to_owned();
     }
-    robot.act(Action::Told(Event::Notice { at: fixtures::NOW, level: NoticeLevel::Error, text: text.to_owned() }));
+    robot.act(Action::Told(Event::Notice {
+        at: fixtures::NOW,
+        level: NoticeLevel::Error,
+        text: text.to_owned(),
+        about: None,
+    }));
     robot.hears_of(Part::Health);
     robot.is_answered(&Tag::Feed(crate::app::feed::Feed::Site, 0), Err(failure));
 }

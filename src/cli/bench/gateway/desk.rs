@@ -14,8 +14,8 @@ use crate::chain::RelayError;
 use crate::crypto::{TransportKey, signer_id};
 use crate::gateway::desk::Account;
 use crate::gateway::{
-    Binding, Caller, Code, Credentials, Desk, Entry, Fetched, GrantNotice, NetworkName, Page, Query, Received, Refusal,
-    Registration, RevokeNotice, Selection, Standing,
+    Binding, Caller, Code, Credentials, Desk, DeviceNotice, Entry, Fetched, GrantNotice, NetworkName, Page, Query,
+    Received, Refusal, Registration, RevokeNotice, Selection, Standing, Stood,
 };
 use crate::model::header::TAG_LENGTH;
 use crate::model::{Address, Digest, Hash, ProfileName, PublicKey, RecordState, SignerId, Timestamp, Token};
@@ -44,7 +44,7 @@ impl BenchDesk {
         let credentials = Credentials { name: name.clone(), key: key.clone(), token: sender.token };
         let store = Store { ledger: Ledger::open(&directory.join("ledger.db"))?, vault: open_vault(None, directory)? };
         let (signing, envelope) = (sender.signing.public, sender.envelope.public);
-        let binding = Binding { account: sender.address, key, signing, envelope };
+        let binding = Binding { account: sender.address, key, signing, envelope, device: None };
         Ok((Self { store: Arc::new(store), name, binding, token: sender.token }, credentials))
     }
 
@@ -97,8 +97,16 @@ impl Desk for BenchDesk {
         Ok(Account { signing: self.binding.signing, envelope: self.binding.envelope })
     }
 
+    async fn admits(&self, _: &Address) -> Result<(), Refusal> {
+        Ok(())
+    }
+
     async fn is_token(&self, account: &Address, token: &Token) -> Result<bool, Refusal> {
         Ok((account, token) == (&self.binding.account, &self.token))
+    }
+
+    async fn is_lent(&self, _: &Address, _: &SignerId) -> Result<bool, Refusal> {
+        not_measured()
     }
 
     async fn signer(&self, owner: &Address, signer: &SignerId) -> Result<Option<PublicKey>, Refusal> {
@@ -136,6 +144,10 @@ impl Desk for BenchDesk {
         not_measured()
     }
 
+    async fn prove(&self, _: &Caller, _: &[Digest]) -> Result<Vec<Stood>, Refusal> {
+        not_measured()
+    }
+
     async fn fetch(&self, _: &Caller, _: &Digest) -> Result<Fetched, Refusal> {
         not_measured()
     }
@@ -152,7 +164,7 @@ impl Desk for BenchDesk {
         not_measured()
     }
 
-    async fn device(&self, _: &Caller, _: &PublicKey) -> Result<(), Refusal> {
+    async fn device(&self, _: &Caller, _: &DeviceNotice) -> Result<(), Refusal> {
         not_measured()
     }
 

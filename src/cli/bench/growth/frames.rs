@@ -7,6 +7,7 @@ use super::fill::{OWNER, name, record};
 use super::{Figures, timed};
 use crate::app::{Action, Key, Screen, Settings, State, Verb, update};
 use crate::model::Timestamp;
+use crate::pipeline::columns::Shown;
 use crate::service::failure::internal;
 use crate::service::reply::TopicRow;
 use crate::service::{Failure, Reply, UploadQuery, record_page};
@@ -78,7 +79,9 @@ fn console(ledger: &Ledger, screen: Screen) -> Result<State, Failure> {
     state.topics.set(topics()?, NOW);
     let query = UploadQuery { limit: state.page_rows(), newest_first: true, ..UploadQuery::default() };
     let page = RecordQuery { owner: Some(OWNER), newest_first: true, limit: query.limit, ..RecordQuery::default() };
-    state.uploads.set(record_page(ledger.list(&page)?, false), query.limit);
+    let page = ledger.list(&page)?;
+    let rows: Vec<Shown> = page.rows.into_iter().map(Shown::unread).collect();
+    state.uploads.set(record_page(&rows, page.next, false), query.limit);
     Ok(state)
 }
 

@@ -23,7 +23,7 @@ pub(super) fn time(ledger: &Ledger) -> Result<Figures, Failure> {
     let held = RecordQuery { state: Some(RecordState::Quarantined), ..page.clone() };
     let none = RecordQuery { state: Some(RecordState::Tampered), ..page.clone() };
     let time = RecordQuery { until: Some(Timestamp(BEGIN + 500_000_000)), ..page.clone() };
-    let tag = RecordQuery { filters: vec![RARE], ..page.clone() };
+    let tag = RecordQuery { filters: vec![RARE.into()], ..page.clone() };
     let asked = [
         ("page", page),
         ("next", next),

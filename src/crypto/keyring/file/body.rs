@@ -1,22 +1,30 @@
 //! The sealed part of a keyring file: EOA (32), d_C (32), d_E (32), K_C (16), IK (32), then a counted
-//! list of networks (domain, current epoch, counted epochs of number, salt, K_C and state).
+//! list of networks (domain, current epoch, counted epochs of number, salt, K_C and state). Version 2 has further
+//! pairs after it: their count (4), then for each its use (1: former d_E, 2: next d_C, 3: next d_E, 4: gateway) and its
+//! secret (32), in the order of uses.
 
 use std::collections::BTreeMap;
 
 use zeroize::Zeroizing;
 
-use crate::crypto::keyring::{EpochSecret, EpochState, Keyring, NetworkKeys};
+use crate::crypto::keyring::{EpochSecret, EpochState, FurtherPairs, Keyring, NetworkKeys};
 use crate::crypto::{EoaSecret, EpochSalt, IndexKey, ProviderName, Sm4Key, SmKeyPair, SmSecret, provider};
 use crate::model::Domain;
 use crate::model::wire::{Reader, WireError};
 
 const PENDING: u8 = 0;
 const ACTIVE: u8 = 1;
+const FORMER_ENVELOPE: u8 = 1;
+const NEXT_SIGNING: u8 = 2;
+const NEXT_ENVELOPE: u8 = 3;
+const GATEWAY: u8 = 4;
 
 pub(super) fn encode(keyring: &Keyring) -> Zeroizing<Vec<u8>> {
     let epochs: usize = keyring.networks.values().map(|network| network.epochs.len()).sum();
     // Reserved in one piece, tag included: growing would leave unwiped copies behind.
-    let mut out = Zeroizing::new(Vec::with_capacity(256 + keyring.networks.len() * 44 + epochs * 57));
+    let further = further(keyring);
+    let length = 256 + keyring.networks.len() * 44 + epochs * 57 + further.len() * 33;
+    let mut out = Zeroizing::new(Vec::with_capacity(length));
     out.extend_from_slice(keyring.eoa.expose());
     out.extend_from_slice(keyring.signing.secret.expose());
     out.extend_from_slice(keyring.envelope.secret.expose());
@@ -34,14 +42,29 @@ pub(super) fn encode(keyring: &Keyring) -> Zeroizing<Vec<u8>> {
             out.push(if secret.state == EpochState::Active { ACTIVE } else { PENDING });
         }
     }
+    if !further.is_empty() {
+        put_count(&mut out, further.len());
+        for (usage, pair) in further {
+            out.push(usage);
+            out.extend_from_slice(pair.secret.expose());
+        }
+    }
     out
+}
+
+fn further(keyring: &Keyring) -> Vec<(u8, &SmKeyPair)> {
+    let FurtherPairs { envelopes, next_signing, next_envelope, gateway } = &keyring.further;
+    let former = envelopes.iter().map(|pair| (FORMER_ENVELOPE, pair));
+    let signing = next_signing.iter().map(|pair| (NEXT_SIGNING, pair));
+    let envelope = next_envelope.iter().map(|pair| (NEXT_ENVELOPE, pair));
+    former.chain(signing).chain(envelope).chain(gateway.iter().map(|pair| (GATEWAY, pair))).collect()
 }
 
 fn put_count(out: &mut Vec<u8>, count: usize) {
     out.extend_from_slice(&u32::try_from(count).unwrap_or(u32::MAX).to_be_bytes());
 }
 
-pub(super) fn parse(plain: &[u8]) -> Result<Keyring, WireError> {
+pub(super) fn parse(plain: &[u8], has_further: bool) -> Result<Keyring, WireError> {
     let mut reader = Reader::new(plain);
     let keyring = Keyring {
         eoa: EoaSecret::from_slice(reader.take(32, "EOA key")?).map_err(|_| WireError::Value("EOA key"))?,
@@ -50,6 +73,7 @@ pub(super) fn parse(plain: &[u8]) -> Result<Keyring, WireError> {
         sm4: Sm4Key::new(reader.array("SM4 key")?),
         index: IndexKey::new(reader.array("index key")?),
         networks: read_networks(&mut reader)?,
+        further: if has_further { read_further(&mut reader)? } else { FurtherPairs::default() },
     };
     reader.end()?;
     Ok(keyring)
@@ -59,6 +83,28 @@ fn read_pair(reader: &mut Reader<'_>, field: &'static str) -> Result<SmKeyPair, 
     SmSecret::from_slice(reader.take(32, field)?)
         .and_then(|secret| SmKeyPair::from_secret(provider(ProviderName::RustCrypto), secret))
         .map_err(|_| WireError::Value(field))
+}
+
+fn read_further(reader: &mut Reader<'_>) -> Result<FurtherPairs, WireError> {
+    let count = reader.u32("number of further pairs")?;
+    let (mut further, mut before) = (FurtherPairs::default(), FORMER_ENVELOPE);
+    for _ in 0..count {
+        let usage = reader.u8("use of a pair")?;
+        let pair = read_pair(reader, "further pair")?;
+        // In the order of uses, all but the first once, so that what parses has one encoding.
+        if usage < before || (usage == before && usage != FORMER_ENVELOPE) {
+            return Err(WireError::Value("use of a pair"));
+        }
+        before = usage;
+        match usage {
+            FORMER_ENVELOPE => further.envelopes.push(pair),
+            NEXT_SIGNING => further.next_signing = Some(pair),
+            NEXT_ENVELOPE => further.next_envelope = Some(pair),
+            GATEWAY => further.gateway = Some(pair),
+            _ => return Err(WireError::Value("use of a pair")),
+        }
+    }
+    if further.is_empty() { Err(WireError::Value("number of further pairs")) } else { Ok(further) }
 }
 
 fn read_networks(reader: &mut Reader<'_>) -> Result<BTreeMap<Domain, NetworkKeys>, WireError> {

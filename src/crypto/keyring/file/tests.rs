@@ -29,6 +29,42 @@ static SAMPLE: LazyLock<(Keyring, Vec<u8>)> = LazyLock::new(|| {
     (keyring, bytes)
 });
 
+static WITH_FURTHER: LazyLock<Keyring> = LazyLock::new(|| {
+    let pair = || SmKeyPair::generate(provider(ProviderName::RustCrypto)).expect("generates");
+    let mut keyring = SAMPLE.0.clone();
+    keyring.further.envelopes = vec![pair(), pair()];
+    keyring.further.next_signing = Some(pair());
+    keyring.further.next_envelope = Some(pair());
+    keyring.further.gateway = Some(pair());
+    keyring
+});
+
+#[test]
+fn further_pairs_come_back_and_a_keyring_without_stays_of_version_1() {
+    assert_eq!((SAMPLE.1[8], body::parse(&body::encode(&SAMPLE.0), false).as_ref()), (1, Ok(&SAMPLE.0)));
+    let bytes = seal(&WITH_FURTHER, &quick_key()).expect("seals");
+    assert_eq!(bytes[8], 2);
+    assert!(open(&bytes, &quick_key()).is_ok_and(|opened| opened == *WITH_FURTHER));
+    let mut one = SAMPLE.0.clone();
+    for take in 0..4 {
+        one.further = crate::crypto::keyring::FurtherPairs::default();
+        match take {
+            0 => one.further.envelopes = WITH_FURTHER.further.envelopes.clone(),
+            1 => one.further.next_signing = WITH_FURTHER.further.next_signing.clone(),
+            2 => one.further.next_envelope = WITH_FURTHER.further.next_envelope.clone(),
+            _ => one.further.gateway = WITH_FURTHER.further.gateway.clone(),
+        }
+        assert_eq!(body::parse(&body::encode(&one), true).as_ref(), Ok(&one));
+    }
+    let plain = body::encode(&SAMPLE.0);
+    assert!(body::parse(&[&plain[..], &[0; 4]].concat(), true).is_err(), "none is no version 2");
+    let secret = WITH_FURTHER.signing.secret.expose();
+    let twice = [&plain[..], &[0, 0, 0, 2, 4], secret, &[4], secret].concat();
+    assert!(body::parse(&twice, true).is_err(), "one gateway");
+    let plain = body::encode(&WITH_FURTHER);
+    assert!(plain.capacity() >= plain.len() + 16);
+}
+
 fn passphrase(text: &str) -> Passphrase {
     Passphrase::new(text.into()).expect("long enough")
 }
@@ -125,12 +161,14 @@ proptest! {
     fn noise_never_panics(noise in proptest::collection::vec(any::<u8>(), 0..500),
                           at in any::<prop::sample::Index>(), bit in 0u8..8) {
         prop_assert!(open(&noise, &quick_key()).is_err());
-        prop_assert!(body::parse(&noise).is_err());
-        let mut plain = body::encode(&SAMPLE.0);
-        let at = at.index(plain.len());
-        plain[at] ^= 1 << bit;
-        let _ = body::parse(&plain);
-        prop_assert!(body::parse(&plain[..at]).is_err());
+        prop_assert!(body::parse(&noise, false).is_err() && body::parse(&noise, true).is_err());
+        for (keyring, further) in [(&SAMPLE.0, false), (&*WITH_FURTHER, true)] {
+            let mut plain = body::encode(keyring);
+            let at = at.index(plain.len());
+            plain[at] ^= 1 << bit;
+            let _ = body::parse(&plain, further);
+            prop_assert!(body::parse(&plain[..at], further).is_err());
+        }
     }
 }
 
@@ -142,6 +180,7 @@ fn a_stripped_keyring_keeps_what_seals_and_never_takes_the_files_place() {
     let domain = crate::model::Domain([1; 32]);
     let mut keyring = Keyring::generate(provider(ProviderName::RustCrypto)).expect("generates");
     keyring.start_epoch(&domain).expect("starts");
+    keyring.further = WITH_FURTHER.further.clone();
     let mut unlocked = UnlockedKeyring::create(keyring.clone(), &path, &passphrase).expect("written");
     let before = std::fs::read(&path).expect("a file");
 
@@ -150,6 +189,7 @@ fn a_stripped_keyring_keeps_what_seals_and_never_takes_the_files_place() {
     assert_eq!((&left.eoa, &left.signing, &left.index), (&keyring.eoa, &keyring.signing, &keyring.index));
     assert_ne!(left.envelope.secret, keyring.envelope.secret, "d_E is gone");
     assert_eq!(left.envelope.public, keyring.envelope.public);
+    assert!(left.further.envelopes.is_empty() && left.further.next_envelope.is_none(), "and those before and after it");
     assert!(left.sm4 != keyring.sm4 && left.networks[&domain].epochs.is_empty(), "K_C and the epochs are gone");
     assert!(matches!(unlocked.save(), Err(CryptoError::Locked(_))));
     assert!(matches!(unlocked.change_passphrase(&passphrase), Err(CryptoError::Locked(_))));

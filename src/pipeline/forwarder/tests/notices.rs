@@ -2,8 +2,8 @@
 
 use super::*;
 use crate::crypto::{
-    Enrolment, EpochIssue, EpochKey, IndexKey, IssuedKeys, Passphrase, SealRequest, SealedEnrolment, SealingKey,
-    TopicKey, notice_topic, seal, signer_id, topic_id,
+    Enrolment, EoaSecret, EpochIssue, EpochKey, GatewayAccess, IndexKey, IssuedKeys, Notice, OwnerKeyChange,
+    Passphrase, SealRequest, SealedEnrolment, SealingKey, TopicKey, notice_topic, seal, signer_id, topic_id,
 };
 use crate::model::head::Compression;
 use crate::model::{Head, RecorderId, SignerId, Timestamp, Token};
@@ -19,24 +19,33 @@ fn enrolment(scene: &Scene) -> Enrolment {
     Enrolment {
         domain: context().domain,
         chain_id: 1,
-        gateway: scene.relay.address.to_string(),
-        fingerprint: scene.stage.server.id(),
+        gateways: vec![GatewayAccess {
+            address: scene.relay.address.to_string(),
+            fingerprint: scene.stage.server.id(),
+            transport: scene.credentials.key.clone(),
+        }],
         name: scene.credentials.name.clone(),
         owner: scene.alice.account(),
         owner_key: scene.alice.signing.public,
-        transport: scene.credentials.key.clone(),
         device: scene.device.clone(),
-        index: IndexKey::new([3; 32]),
+        index: Some(IndexKey::new([3; 32])),
+        notice_id: topic_id(&IndexKey::new([3; 32]), &notice_topic(&signer_id(&scene.device.public))),
         notice_key: TopicKey::new([4; 32]),
         token: scene.credentials.token,
         noticed: None,
         keys: issued(1),
+        version: 2,
     }
 }
 
-/// A notice to a device.
+/// A notice of keys to a device.
 fn notice(scene: &Scene, signer: &SmKeyPair, device: SignerId, seq: u64, epoch: u64) -> Upload {
-    let (name, body) = (notice_topic(&device), issued(epoch).encode());
+    record(scene, signer, device, (seq, epoch), &Notice::Keys(issued(epoch)))
+}
+
+/// A notice to a device.
+fn record(scene: &Scene, signer: &SmKeyPair, device: SignerId, (seq, epoch): (u64, u64), notice: &Notice) -> Upload {
+    let (name, body) = (notice_topic(&device), notice.encode());
     let head = Head {
         topic: name.clone(),
         type_name: "authros/Keys".into(),
@@ -107,6 +116,59 @@ async fn only_the_owners_newest_notice_to_this_device_is_obeyed() {
     assert_eq!((again.enrolment.keys.now.epoch, again.enrolment.noticed), (5, Some((RecorderId([8; 16]), 11))));
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn another_key_of_the_owner_needs_the_old_one_and_the_account() {
+    let scene = Scene::new().await;
+    let passphrase = Passphrase::new("correct horse".to_owned()).expect("long enough");
+    let sealed = SealedEnrolment::new(enrolment(&scene), &passphrase).expect("stretches");
+    let (kept, given) = (SealedEnrolment::kept_in(scene.home.path()), scene.home.path().join("given"));
+    sealed.create(&given).expect("writes");
+    let author = Arc::new(Author::new(scene.alice.account()));
+    author.obey(&sealed.enrolment);
+    let observer = Arc::clone(&scene.plant.observer);
+    let notices = Notices::new(context().provider, observer, Arc::clone(&author), sealed, kept.clone());
+    let mut forwarder = scene.forwarder().with_errand(Box::new(notices));
+    let (stored, epoch) = (Arc::clone(&scene.stored), || author.sealing().expect("keys").epoch);
+    let known = || {
+        let mut robot = SealedEnrolment::open(&given, &passphrase).expect("opens");
+        robot.catch_up(&kept).expect("reads");
+        robot.enrolment.owner_key
+    };
+
+    let mut owner = scene.stage.connect(&scene.credentials).await.expect("connects");
+    let (own, old) = (signer_id(&scene.device.public), scene.alice.signing.clone());
+    // The gateway takes what they sign, so that it is the robot that refuses.
+    let (new, thief) = (pair(0x77), pair(0x78));
+    for other in [&new, &thief] {
+        scene.stage.desk.lend(&scene.alice, other);
+        owner.device(&old, other.public).await.expect("told");
+    }
+    let change = |account: &EoaSecret, to: &SmKeyPair| {
+        let domain = context().domain;
+        Notice::OwnerKey(OwnerKeyChange::sign(&domain, account, old.public, to.public).expect("signs"))
+    };
+    let work = tokio::spawn(async move { forwarder.run(&stored).await });
+
+    // Who stole d_C alone, and who stole the account alone.
+    let stolen_key = record(&scene, &old, own, (2, 1), &change(&EoaSecret::generate().expect("an account"), &thief));
+    let stolen_account = record(&scene, &thief, own, (3, 1), &change(&scene.alice.eoa, &thief));
+    for (passed, forged) in [(1, stolen_key), (2, stolen_account)] {
+        owner.upload(vec![forged]).await.expect("the gateway takes it");
+        scene.until("passed over", |scene| scene.notes.with("was passed over") >= passed).await;
+        assert_eq!(known(), old.public);
+    }
+    owner.upload(vec![notice(&scene, &new, own, 4, 7)]).await.expect("receipt");
+    scene.until("passed over", |scene| scene.notes.with("was passed over") >= 3).await;
+
+    owner.upload(vec![record(&scene, &old, own, (5, 1), &change(&scene.alice.eoa, &new))]).await.expect("receipt");
+    scene.until("the new key is kept", |_| known() == new.public).await;
+    owner.upload(vec![notice(&scene, &old, own, 6, 8)]).await.expect("the gateway takes it");
+    scene.until("the old key says nothing any more", |scene| scene.notes.with("was passed over") >= 4).await;
+    owner.upload(vec![notice(&scene, &new, own, 7, 5)]).await.expect("receipt");
+    scene.until("the new key's keys", |_| epoch() == 5).await;
+    work.abort();
+}
+
 #[test]
 fn nothing_is_sealed_under_an_epoch_that_has_ended() {
     let device = pair(0x66);
@@ -116,18 +178,18 @@ fn nothing_is_sealed_under_an_epoch_that_has_ended() {
         let enrolment = Enrolment {
             domain: context().domain,
             chain_id: 1,
-            gateway: String::new(),
-            fingerprint: SignerId([0; 32]),
+            gateways: Vec::new(),
             name: "robot".parse().expect("a name"),
             owner: crate::model::Address([1; 20]),
             owner_key: device.public,
-            transport: crate::crypto::TransportKey::new([0; 32]),
             device: device.clone(),
-            index: IndexKey::new([3; 32]),
+            index: Some(IndexKey::new([3; 32])),
+            notice_id: crate::model::TopicId([0; 16]),
             notice_key: TopicKey::new([4; 32]),
             token: Token([0; 32]),
             noticed: None,
             keys: IssuedKeys { next, ..keys },
+            version: 2,
         };
         let author = Author::new(enrolment.owner);
         author.obey(&enrolment);

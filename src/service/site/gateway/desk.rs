@@ -1,25 +1,28 @@
 //! What the site's gateway does with each command.
 
 use std::net::SocketAddr;
-use std::sync::Arc;
+use std::sync::{Arc, PoisonError};
 
 use async_trait::async_trait;
 use serde_json::Value;
 use tokio::sync::mpsc;
 
 use super::GatewayDesk;
+use super::admission::Standing as Access;
 use super::live::Watch;
 use super::reading::announced_key;
 use crate::chain::{Call, RelayError};
-use crate::crypto::{open_transport_key, seal_transport_key, signer_id};
+use crate::crypto::{SmKeyPair, open_transport_key, seal_transport_key, signer_id};
 use crate::gateway::desk::Account;
 use crate::gateway::{
-    Binding, Caller, Code, Desk, Entry, Fetched, GrantNotice, NetworkName, Page, Query, Received, Refusal,
-    Registration, RevokeNotice, Selection, Standing,
+    Binding, BoundDevice, Caller, Code, Desk, DeviceNotice, Entry, Fetched, GrantNotice, NetworkName, Page, Query,
+    Received, Refusal, Registration, RevokeNotice, Selection, Standing, Stood,
 };
 use crate::model::bytes::hex;
 use crate::model::header::TAG_LENGTH;
 use crate::model::{Address, Digest, Hash, ProfileName, PublicKey, RecordState, SignerId, Timestamp, Token};
+use crate::pipeline::authority::SigningRight;
+use crate::pipeline::equivocation::{self, Claim};
 use crate::service::event::NoticeLevel;
 use crate::store::{Foreign, KeptBinding, NewRecord, StoreError};
 
@@ -35,8 +38,7 @@ impl GatewayDesk {
     }
 
     pub(super) fn share(&self) -> Arc<Self> {
-        let (site, keeper) = (Arc::clone(&self.site), Arc::clone(&self.keeper));
-        Arc::new(Self { site, keeper, envelope: self.envelope.clone(), domain: self.domain })
+        Arc::new(self.clone())
     }
 
     async fn audit(&self, caller: &Caller, action: &str, subject: &str) -> Result<(), Refusal> {
@@ -70,7 +72,43 @@ impl GatewayDesk {
         }
     }
 
-    fn keep(&self, records: &[Received]) -> Result<Timestamp, Refusal> {
+    /// A record contradicts the ledger: where its number is another's, both signatures are kept.
+    fn tell_conflict(&self, records: &[Received], error: &StoreError) {
+        let claims = records.iter().filter_map(|record| Claim::of(&self.row(record)));
+        let told = claims.map(|claim| equivocation::tell(&self.site.plant, &claim));
+        if told.filter(|told| matches!(told, Ok(true))).count() == 0 {
+            let text = format!("a sender's record contradicts another one: {error}");
+            self.site.hub.notice(NoticeLevel::Error, &text);
+        }
+    }
+
+    /// As [`Self::audit`], but the same of the same caller only once a minute; repetitions are counted.
+    async fn audit_once(&self, caller: &Caller, action: &str, subject: &str) -> Result<(), Refusal> {
+        let (refusals, query) = (&self.site.refusals, format!("{action} {subject}"));
+        if !refusals.is_new_query(Timestamp::now(), caller.name.as_str(), &query) {
+            return Ok(());
+        }
+        let written = self.audit(caller, action, subject).await;
+        if written.is_err() {
+            refusals.forget_query(caller.name.as_str(), &query);
+        }
+        written
+    }
+
+    /// The caller may read something of this owner, or is refused before anything is written down.
+    async fn check_reach(&self, caller: &Caller, owner: Address) -> Result<(), Refusal> {
+        let reader = caller.account;
+        self.blocking(move |desk| desk.reach(&desk.fresh_network()?, &reader, &owner).map(drop)).await
+    }
+
+    fn keep(&self, account: &Address, records: &[Received]) -> Result<Timestamp, Refusal> {
+        let network = self.fresh_network()?;
+        let guest = self.standing_of(&network, account)? == Access::Guest;
+        // What is counted must not grow before it is kept.
+        let _counting = guest.then(|| self.guests.lock().unwrap_or_else(PoisonError::into_inner));
+        if guest {
+            self.check_quota(account, records)?;
+        }
         let plant = &self.site.plant;
         plant.ledger.takes_records().map_err(Refusal::because(Code::Internal))?;
         if plant.vault.durable() {
@@ -79,8 +117,7 @@ impl GatewayDesk {
         }
         plant.ledger.append(records.iter().map(|record| self.row(record)).collect()).map_err(|error| match error {
             StoreError::Conflict { .. } => {
-                let text = format!("a sender gave two records the same number: {error}");
-                self.site.hub.notice(NoticeLevel::Error, &text);
+                self.tell_conflict(records, &error);
                 Refusal::new(Code::Malformed, error)
             }
             error => Refusal::new(Code::Internal, error),
@@ -96,21 +133,29 @@ impl Desk for GatewayDesk {
     async fn account(&self, account: &Address) -> Result<Account, Refusal> {
         let network = self.fresh_network()?;
         let identity = network.directory.identity(*account).map_err(Refusal::because(Code::NotRegistered))?;
-        if network.directory.account(*account).is_some_and(|account| account.suspended) {
+        if network.directory.account(*account).is_some_and(|account| account.suspended_at(None).is_some()) {
             return Err(Refusal::new(Code::Suspended, format_args!("{account} is suspended")));
         }
         Ok(Account { signing: identity.signing, envelope: identity.envelope })
+    }
+
+    async fn admits(&self, account: &Address) -> Result<(), Refusal> {
+        self.standing_of(&self.fresh_network()?, account).map(drop)
     }
 
     async fn is_token(&self, account: &Address, token: &Token) -> Result<bool, Refusal> {
         Ok(self.fresh_network()?.directory.has_token(*account, *token))
     }
 
+    async fn is_lent(&self, owner: &Address, device: &SignerId) -> Result<bool, Refusal> {
+        Ok(self.may_sign_now(owner, device)?.is_ok())
+    }
+
     async fn signer(&self, owner: &Address, signer: &SignerId) -> Result<Option<PublicKey>, Refusal> {
-        let network = self.fresh_network()?;
-        let own = network.directory.signing_key(*owner, *signer, None);
-        if own.is_some() || !network.directory.is_lent(*owner, *signer, None, Timestamp::now()) {
-            return Ok(own);
+        match self.may_sign_now(owner, signer)? {
+            Ok(SigningRight::Owner(key)) => return Ok(Some(key)),
+            Ok(SigningRight::Device(_)) => {}
+            Err(_) => return Ok(None),
         }
         let signer = *signer;
         self.blocking(move |desk| {
@@ -125,10 +170,21 @@ impl Desk for GatewayDesk {
         self.blocking(move |desk| {
             let internal = Refusal::because(Code::Internal);
             let Some(kept) = desk.site.plant.ledger.binding(&name).map_err(&internal)? else { return Ok(None) };
-            let (provider, keeper) = (desk.site.plant.provider, desk.envelope.secret.clone());
-            let key = open_transport_key(provider, &keeper, name.as_str(), &kept.sealed_key);
-            let key = key.map_err(Refusal::because(Code::Internal))?;
-            Ok(Some(Binding { account: kept.account, key, signing: kept.signing, envelope: kept.envelope }))
+            let provider = desk.site.plant.provider;
+            let under = desk.under.read().unwrap_or_else(PoisonError::into_inner);
+            let open =
+                |pair: &SmKeyPair| open_transport_key(provider, &pair.secret, name.as_str(), &kept.sealed_key).ok();
+            let key = under.iter().find_map(open);
+            let key = key.ok_or_else(|| Refusal::new(Code::Internal, "the transport key at rest does not open"))?;
+            drop(under);
+            let KeptBinding { account, signing, envelope, device, .. } = kept;
+            let device = device.map(|(id, notices)| BoundDevice { id, notices });
+            if let Some(device) = &device
+                && desk.is_recalled(&account, &device.id)?
+            {
+                return Ok(None);
+            }
+            Ok(Some(Binding { account, key, signing, envelope, device }))
         })
         .await
     }
@@ -139,15 +195,20 @@ impl Desk for GatewayDesk {
 
     async fn bind(&self, name: &ProfileName, binding: Binding) -> Result<(), Refusal> {
         let subject = format!("{name} for {}", binding.account);
+        let (asked, account) = (name.clone(), binding.account);
+        self.blocking(move |desk| desk.check_name(&desk.fresh_network()?, &account, &asked)).await?;
         let audited = self.site.record_audit(&self.keeper.profile, "allocate key", &subject, "begun").await;
         audited.map_err(|failure| Refusal::new(Code::Internal, failure.message))?;
         let name = name.clone();
         self.blocking(move |desk| {
-            let (provider, keeper) = (desk.site.plant.provider, desk.envelope.secret.clone());
-            let sealed_key = seal_transport_key(provider, &keeper, name.as_str(), &binding.key);
+            // Held until it is kept: a change of the keeper's pair seals anew what is there.
+            let under = desk.under.read().unwrap_or_else(PoisonError::into_inner);
+            let pair =
+                under.first().ok_or_else(|| Refusal::new(Code::Internal, "no key to keep transport keys under"))?;
+            let sealed_key = seal_transport_key(desk.site.plant.provider, &pair.secret, name.as_str(), &binding.key);
             let sealed_key = sealed_key.map_err(Refusal::because(Code::Internal))?;
             let Binding { account, signing, envelope, .. } = binding;
-            let kept = KeptBinding { account, signing, envelope, sealed_key };
+            let kept = KeptBinding { account, signing, envelope, sealed_key, device: None };
             desk.site.plant.ledger.bind(&name, kept).map_err(Refusal::because(Code::Internal))
         })
         .await
@@ -158,20 +219,20 @@ impl Desk for GatewayDesk {
         let call = Call::Register { identity: registration.identity };
         let transaction = network.chain.expect_call(&registration.transaction, registration.account, &call);
         let transaction = transaction.map_err(Refusal::because(Code::Transaction))?;
-        let account = registration.account.to_string();
-        let audited = self.site.record_audit(&self.keeper.profile, "pass registration", &account, "begun").await;
-        audited.map_err(|failure| Refusal::new(Code::Internal, failure.message))?;
+        // Nobody has authorised a newcomer: no line of the log for it, the chain itself tells of the registration.
         let sent = network.chain.broadcast(&registration.transaction).await;
         sent.map_err(Refusal::because(Code::Transaction))?;
         Ok(transaction)
     }
 
-    async fn store(&self, _: &Caller, records: Vec<Received>) -> Result<Timestamp, Refusal> {
-        self.blocking(move |desk| desk.keep(&records)).await
+    async fn store(&self, caller: &Caller, records: Vec<Received>) -> Result<Timestamp, Refusal> {
+        let account = caller.account;
+        self.blocking(move |desk| desk.keep(&account, &records)).await
     }
 
     async fn query(&self, caller: &Caller, query: &Query) -> Result<Page, Refusal> {
-        self.audit(caller, "query", &format!("records of {}", query.selection.owner)).await?;
+        self.check_reach(caller, query.selection.owner).await?;
+        self.audit_once(caller, "query", &format!("records of {}", query.selection.owner)).await?;
         let (caller, query) = (caller.clone(), query.clone());
         self.blocking(move |desk| desk.page(&caller, &query)).await
     }
@@ -181,13 +242,19 @@ impl Desk for GatewayDesk {
         self.blocking(move |desk| desk.standings(&caller, &digests)).await
     }
 
+    async fn prove(&self, caller: &Caller, digests: &[Digest]) -> Result<Vec<Stood>, Refusal> {
+        let (caller, digests) = (caller.clone(), digests.to_vec());
+        self.blocking(move |desk| desk.proven(&caller, &digests)).await
+    }
+
     async fn fetch(&self, caller: &Caller, digest: &Digest) -> Result<Fetched, Refusal> {
         let (caller, digest) = (caller.clone(), *digest);
         self.blocking(move |desk| desk.record(&caller, &digest)).await
     }
 
     async fn subscribe(&self, caller: &Caller, selection: &Selection) -> Result<mpsc::Receiver<Entry>, Refusal> {
-        self.audit(caller, "subscribe", &format!("records of {}", selection.owner)).await?;
+        self.check_reach(caller, selection.owner).await?;
+        self.audit_once(caller, "subscribe", &format!("records of {}", selection.owner)).await?;
         let watch = Watch { desk: self.share(), caller: caller.clone(), selection: selection.clone() };
         tokio::task::block_in_place(|| watch.begin())
     }
@@ -212,27 +279,31 @@ impl Desk for GatewayDesk {
         Ok(NetworkName { chain_id: pin.chain_id, genesis: pin.genesis, contract: pin.contract })
     }
 
-    async fn relay(&self, _: Option<&Caller>, method: &str, parameters: &Value) -> Result<Value, RelayError> {
-        let silent = |refusal: Refusal| RelayError::Silent(refusal.to_string());
-        self.fresh_network().map_err(silent)?.chain.relay(method, parameters).await
+    async fn relay(&self, caller: Option<&Caller>, method: &str, parameters: &Value) -> Result<Value, RelayError> {
+        self.pass_on(caller, method, parameters).await
     }
 
-    async fn device(&self, caller: &Caller, key: &PublicKey) -> Result<(), Refusal> {
-        let (key, device) = (*key, signer_id(key));
-        if !self.fresh_network()?.directory.is_lent(caller.account, device, None, Timestamp::now()) {
-            return Err(Refusal::new(Code::Signature, format_args!("device {device} is not lent")));
+    async fn device(&self, caller: &Caller, notice: &DeviceNotice) -> Result<(), Refusal> {
+        let DeviceNotice { key, notices } = *notice;
+        let device = signer_id(&key);
+        if let Err(why) = self.may_sign_now(&caller.account, &device)? {
+            return Err(Refusal::new(Code::Signature, why));
         }
         self.audit(caller, "device notice", &device.to_string()).await?;
+        let (name, account) = (caller.name.to_string(), caller.account);
         self.blocking(move |desk| {
-            desk.site.plant.ledger.keep_signer(device, key).map_err(Refusal::because(Code::Internal))
+            let ledger = &desk.site.plant.ledger;
+            ledger.keep_signer(device, key).map_err(Refusal::because(Code::Internal))?;
+            ledger.bind_device(&name, account, device, notices).map(drop).map_err(Refusal::because(Code::Internal))
         })
         .await
     }
 
     fn refused(&self, peer: SocketAddr, refusal: &Refusal) {
-        // A line per peer, code and minute: whoever is refused again and again cannot fill the log.
-        self.site.refused(&peer.ip().to_string(), &format!("{:?}", refusal.code));
-        let text = format!("the gateway refused {}: {refusal}", peer.ip());
-        self.site.hub.notice(NoticeLevel::Info, &text);
+        // A line per peer, code and minute: whoever is refused again and again can fill neither log.
+        if self.site.refused(&peer.ip().to_string(), &format!("{:?}", refusal.code)) {
+            let text = format!("the gateway refused {}: {refusal}", peer.ip());
+            self.site.hub.notice(NoticeLevel::Info, &text);
+        }
     }
 }

@@ -6,10 +6,10 @@ use tokio::sync::broadcast::error::RecvError;
 use tokio::sync::mpsc;
 
 use super::GatewayDesk;
-use super::reading::Reach;
 use super::standing::entry;
 use crate::gateway::{Caller, Entry, Refusal, Selection};
 use crate::model::{Digest, RecordState};
+use crate::pipeline::authority::ReadingRight;
 use crate::store::RecordRow;
 
 /// Entries that may wait for a slow reader; then the subscription waits with it.
@@ -60,18 +60,19 @@ impl Watch {
         Ok(receiver)
     }
 
-    fn reach(&self) -> Result<Reach, Refusal> {
+    fn reach(&self) -> Result<ReadingRight, Refusal> {
         let network = self.desk.fresh_network()?;
+        self.desk.check_loan(&network, &self.caller)?;
         self.desk.reach(&network, &self.caller.account, &self.selection.owner)
     }
 
-    fn entries(&self, digests: &[Digest], reach: &Reach) -> Vec<Entry> {
+    fn entries(&self, digests: &[Digest], reach: &ReadingRight) -> Vec<Entry> {
         let ledger = &self.desk.site.plant.ledger;
         let rows = digests.iter().filter_map(|digest| ledger.record(*digest).ok().flatten());
         rows.filter(|row| self.wants(row, reach)).map(|row| entry(&row)).collect()
     }
 
-    fn wants(&self, row: &RecordRow, reach: &Reach) -> bool {
+    fn wants(&self, row: &RecordRow, reach: &ReadingRight) -> bool {
         let Selection { owner, topic_id, kind, filters } = &self.selection;
         let ledger = &self.desk.site.plant.ledger;
         row.owner == *owner

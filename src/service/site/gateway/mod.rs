@@ -1,13 +1,17 @@
 //! The gateway of a site (the paper's CR): takes frames over TCP, keeps what robots send, anchors it with the account
 //! of the profile that runs it, and answers queries by the chain's grants at that moment.
 
+mod admission;
 mod desk;
+mod devices;
 mod live;
+mod passing;
 mod reading;
 mod standing;
 
+use std::collections::BTreeSet;
 use std::net::SocketAddr;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::Duration;
 
 use tokio::sync::{oneshot, watch};
@@ -17,7 +21,7 @@ use super::Site;
 use super::operating::Serving;
 use crate::crypto::{Fingerprint, SmKeyPair};
 use crate::gateway::{Cabinet, Context, Limits, Schedule, Server};
-use crate::model::{AnchorMode, Domain, Timestamp};
+use crate::model::{Address, AnchorMode, Domain, Timestamp};
 use crate::pipeline::Owner;
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::{input, refused};
@@ -26,18 +30,25 @@ use crate::service::reply::{Failure, GatewayView};
 /// How long requests under way may take when the gateway ends.
 const FAREWELL: Duration = Duration::from_secs(3);
 
+/// The keeper's envelope pairs, under which transport keys lie at rest, the present one first: kept beside the keyring,
+/// for robots connect also while that is locked.
+pub(super) type KeptUnder = Arc<RwLock<Vec<SmKeyPair>>>;
+
 /// Where a gateway listens, and for whom.
+#[derive(Clone)]
 struct Place {
     keeper: Arc<Owner>,
+    under: KeptUnder,
     domain: Domain,
     address: SocketAddr,
+    open: bool,
 }
 
 /// Serves with the server that is there, or with a new one at the same place; returns early where it breaks.
 async fn serve_until(site: Arc<Site>, place: Place, server: Option<Server>, mut over: watch::Receiver<bool>) {
     let server = match server {
         Some(server) => Ok(server),
-        None => site.listen(&place.keeper, &place.domain, place.address).await,
+        None => site.listen(&place).await,
     };
     let mut server = match server {
         Ok(server) => server,
@@ -53,13 +64,19 @@ async fn serve_until(site: Arc<Site>, place: Place, server: Option<Server>, mut 
 }
 
 /// What a gateway does with commands; one profile of the site keeps it.
+#[derive(Clone)]
 pub(super) struct GatewayDesk {
     site: Arc<Site>,
-    /// Whose account anchors, and whose SM2 key is the gateway's identity.
+    /// Whose account anchors, and whose SM2 key is, or was when it was founded, the gateway's identity.
     keeper: Arc<Owner>,
-    /// The keeper's d_E, under which transport keys lie at rest: robots connect also while the keyring is locked.
-    envelope: SmKeyPair,
+    under: KeptUnder,
     domain: Domain,
+    /// Also owners whom nobody admitted, within quotas.
+    open: bool,
+    /// Accounts of the home's profiles when the gateway was started.
+    home_accounts: Arc<BTreeSet<Address>>,
+    /// Held while a guest's records are counted and kept.
+    guests: Arc<Mutex<()>>,
 }
 
 impl Site {
@@ -68,6 +85,7 @@ impl Site {
         self: &Arc<Self>,
         keeper: &Arc<Owner>,
         address: SocketAddr,
+        open: bool,
         ended: oneshot::Receiver<()>,
     ) -> Result<GatewayView, Failure> {
         if self.config.anchor_mode == AnchorMode::Each {
@@ -83,8 +101,13 @@ impl Site {
                 keeper.profile
             )));
         }
-        let server = self.listen(keeper, &network.domain, address).await?;
-        let fingerprint = Fingerprint::of(&keeper.signing().public).to_string();
+        self.open_admissions()?;
+        let open = open || self.config.gateway.open;
+        let under = Arc::new(RwLock::new(keeper.envelopes()));
+        let (keeper_of, kept) = (Arc::clone(keeper), Arc::clone(&under));
+        let place = Place { keeper: keeper_of, under: kept, domain: network.domain, address, open };
+        let server = self.listen(&place).await?;
+        let fingerprint = Fingerprint::of(&keeper.gateway_identity().public).to_string();
         let view = GatewayView {
             address: server.address().to_string(),
             gateway: server.id(),
@@ -95,20 +118,14 @@ impl Site {
         self.record_audit(&keeper.profile, "gateway", &view.address, "serving").await?;
         self.hub.notice(NoticeLevel::Info, &format!("the gateway listens at {}", view.address));
         *self.served_gateway.lock().unwrap_or_else(PoisonError::into_inner) =
-            Some(Serving { view: view.clone(), watch: server.watch() });
+            Some(Serving { view: view.clone(), watch: server.watch(), under: Arc::clone(&under) });
         self.changed(Part::Health);
-        self.keep_gateway(keeper, network.domain, server, ended);
+        self.keep_gateway(place, server, ended);
         Ok(view)
     }
 
     /// Keeps the gateway open at its address until `ended`, or the site's end.
-    fn keep_gateway(
-        self: &Arc<Self>,
-        keeper: &Arc<Owner>,
-        domain: Domain,
-        server: Server,
-        ended: oneshot::Receiver<()>,
-    ) {
+    fn keep_gateway(self: &Arc<Self>, place: Place, server: Server, ended: oneshot::Receiver<()>) {
         let (over, is_over) = watch::channel(false);
         let site = Arc::clone(self);
         tokio::spawn(async move {
@@ -118,38 +135,37 @@ impl Site {
             *site.served_gateway.lock().unwrap_or_else(PoisonError::into_inner) = None;
             site.changed(Part::Health);
         });
-        let (keeper, address, first) = (Arc::clone(keeper), server.address(), Mutex::new(Some(server)));
+        let (place, first) = (Place { address: server.address(), ..place }, Mutex::new(Some(server)));
         let over = is_over.clone();
         self.supervise_while(
             "gateway",
             move |_| !*is_over.borrow(),
             move |site| {
                 let first = first.lock().unwrap_or_else(PoisonError::into_inner).take();
-                let place = Place { keeper: Arc::clone(&keeper), domain, address };
-                serve_until(site, place, first, over.clone())
+                serve_until(site, place.clone(), first, over.clone())
             },
         );
     }
 
-    async fn listen(
-        self: &Arc<Self>,
-        keeper: &Arc<Owner>,
-        domain: &Domain,
-        address: SocketAddr,
-    ) -> Result<Server, Failure> {
+    async fn listen(self: &Arc<Self>, place: &Place) -> Result<Server, Failure> {
+        let Place { keeper, under, domain, address, open } = place;
         let provider = self.plant.provider;
+        block_in_place(|| self.resolve_devices())?;
         let cabinet = block_in_place(|| {
-            let (directory, identity) = (self.home.gateway(), keeper.signing());
+            let (directory, identity) = (self.home.gateway(), keeper.gateway_identity());
             Cabinet::open(&directory, provider, *domain, identity, Schedule::default(), Timestamp::now())
         })?;
         let desk = Arc::new(GatewayDesk {
             site: Arc::clone(self),
             keeper: Arc::clone(keeper),
-            envelope: keeper.envelope(),
+            under: Arc::clone(under),
             domain: *domain,
+            open: *open,
+            home_accounts: Arc::new(GatewayDesk::accounts_of(self)),
+            guests: Arc::default(),
         });
         let context = Context { provider, domain: *domain };
-        Server::start(address, desk, context, cabinet, Limits::default())
+        Server::start(*address, desk, context, cabinet, Limits::default())
             .await
             .map_err(|error| input(format!("the gateway cannot listen at {address}: {error}; choose another --listen")))
     }

@@ -4,32 +4,15 @@ use std::time::Duration;
 
 use super::GatewayDesk;
 use super::standing::{entry, proof, standing};
-use crate::gateway::{Caller, Code, Fetched, Page, Query, Refusal, Selection, Standing};
-use crate::model::{Address, Digest, Scope, Timestamp, TopicId};
-use crate::pipeline::{Network, signers};
+use crate::gateway::{Caller, Code, Fetched, Page, Query, Refusal, Selection, Standing, Stood};
+use crate::model::{Address, Digest, Scope, SignerId, Timestamp};
+use crate::pipeline::Network;
+use crate::pipeline::authority::{self, Moment, NoRight, Policy, ReadRefused, ReadingRight, SigningRight};
+use crate::pipeline::authority::{may_read, may_sign};
 use crate::store::{RecordQuery, RecordRow};
 
 /// How long the chain may be silent before nobody is authorised any more.
-const LONGEST_SILENCE: Duration = Duration::from_secs(30);
-
-/// What a caller may read of an owner.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) enum Reach {
-    /// Everything.
-    All,
-    /// These topics.
-    Topics(Vec<TopicId>),
-}
-
-impl Reach {
-    /// Whether a topic is within it.
-    pub(super) fn covers(&self, topic: TopicId) -> bool {
-        match self {
-            Self::All => true,
-            Self::Topics(topics) => topics.contains(&topic),
-        }
-    }
-}
+pub(super) const LONGEST_SILENCE: Duration = Duration::from_secs(30);
 
 /// The setting that holds a revoke announced and not on the chain yet: the epoch that it begins.
 pub(super) fn announced_key(owner: &Address, grantee: &Address) -> String {
@@ -48,28 +31,34 @@ impl GatewayDesk {
         network.filter(|_| fresh.is_some()).ok_or_else(|| Refusal::new(Code::Stale, "no fresh head of the chain"))
     }
 
-    /// What `reader` may read of `owner` now: by confirmed grants, unexpired by the later of block time and clock,
-    /// and denied at the first sign of a revoke. Waits for the ledger: not on the network's threads.
-    pub(super) fn reach(&self, network: &Network, reader: &Address, owner: &Address) -> Result<Reach, Refusal> {
+    /// By what right `reader` reads what `owner` has here, now. Waits for the ledger: not on the network's threads.
+    pub(super) fn reach(&self, network: &Network, reader: &Address, owner: &Address) -> Result<ReadingRight, Refusal> {
         if reader == owner {
-            return Ok(Reach::All);
+            return Ok(ReadingRight::Own);
         }
-        let head = self.site.fresh_head(LONGEST_SILENCE);
-        let head = head.ok_or_else(|| Refusal::new(Code::Stale, "no fresh head of the chain"))?;
-        let now = Timestamp::now().max(Timestamp::from_seconds(head.timestamp));
-        let deep = |block: u64| block + network.confirmations <= head.number + 1;
-        let grants = network.directory.grants(|grant| {
-            let terms = &grant.terms;
-            terms.owner == *owner && terms.grantee == *reader && grant.is_active(now) && deep(grant.block)
-        });
-        let Some(grant) = grants.last() else { return Err(not_authorised(owner, reader)) };
-        if self.is_revoke_announced(network, owner, reader)? {
-            return Err(not_authorised(owner, reader));
-        }
-        Ok(match &grant.terms.scope {
-            Scope::All => Reach::All,
-            Scope::Topics(topics) => Reach::Topics(topics.clone()),
+        let policy = Policy::Gateway {
+            head: self.site.fresh_head(LONGEST_SILENCE),
+            confirmations: network.confirmations,
+            revoke_announced: self.is_revoke_announced(network, owner, reader)?,
+        };
+        let right = may_read(&network.directory, *reader, *owner, None, policy);
+        right.map_err(|why| match why {
+            ReadRefused::Stale => Refusal::new(Code::Stale, why),
+            ReadRefused::Suspended { .. } => Refusal::new(Code::Suspended, why),
+            ReadRefused::NotGranted { .. } | ReadRefused::NotCovered { .. } => Refusal::new(Code::NotAuthorised, why),
         })
+    }
+
+    /// By what right a key signs for `owner` now: the later of the head's time and the clock here decides.
+    pub(super) fn may_sign_now(
+        &self,
+        owner: &Address,
+        signer: &SignerId,
+    ) -> Result<Result<SigningRight, NoRight>, Refusal> {
+        let network = self.fresh_network()?;
+        let head = self.site.fresh_head(LONGEST_SILENCE).map_or(0, |head| head.timestamp);
+        let at = Moment::newest(network.directory.now().max(Timestamp::from_seconds(head)));
+        Ok(may_sign(&network.directory, *owner, *signer, at))
     }
 
     fn is_revoke_announced(&self, network: &Network, owner: &Address, reader: &Address) -> Result<bool, Refusal> {
@@ -89,6 +78,7 @@ impl GatewayDesk {
 
     pub(super) fn page(&self, caller: &Caller, query: &Query) -> Result<Page, Refusal> {
         let network = self.fresh_network()?;
+        self.check_loan(&network, caller)?;
         let reach = self.reach(&network, &caller.account, &query.selection.owner)?;
         let asked = record_query(query, &reach, &caller.account)?;
         let found = self.site.plant.ledger.list(&asked).map_err(Refusal::because(Code::Internal))?;
@@ -98,7 +88,8 @@ impl GatewayDesk {
 
     pub(super) fn standings(&self, caller: &Caller, digests: &[Digest]) -> Result<Vec<Standing>, Refusal> {
         let network = self.fresh_network()?;
-        let mut known: Vec<(Address, Option<Reach>)> = Vec::new();
+        self.check_loan(&network, caller)?;
+        let mut known: Vec<(Address, Option<ReadingRight>)> = Vec::new();
         let mut standings = Vec::with_capacity(digests.len());
         for digest in digests {
             let row = self.site.plant.ledger.record(*digest).map_err(Refusal::because(Code::Internal))?;
@@ -110,10 +101,27 @@ impl GatewayDesk {
                 known.push((row.owner, self.reach(&network, &caller.account, &row.owner).ok()));
             }
             let reach = known.iter().find(|(owner, _)| *owner == row.owner).and_then(|(_, reach)| reach.as_ref());
-            let seen = reach.is_some_and(|reach| reach.covers(row.topic_id));
+            let own = caller.device.is_none_or(|device| is_of_a_device(&network, &row, &device.id));
+            let seen = own && reach.is_some_and(|reach| reach.covers(row.topic_id));
             standings.push(if seen { standing(row.state) } else { Standing::Unknown });
         }
         Ok(standings)
+    }
+
+    /// How digests stand, each with where the chain has it.
+    pub(super) fn proven(&self, caller: &Caller, digests: &[Digest]) -> Result<Vec<Stood>, Refusal> {
+        let ledger = &self.site.plant.ledger;
+        let mut stood = Vec::with_capacity(digests.len());
+        for (digest, standing) in digests.iter().zip(self.standings(caller, digests)?) {
+            let mut found = None;
+            if matches!(standing, Standing::Anchored | Standing::Verified) {
+                let row = ledger.record(*digest).map_err(Refusal::because(Code::Internal))?;
+                let place = ledger.batch_place(*digest).map_err(Refusal::because(Code::Internal))?;
+                found = row.and_then(|row| proof(&row, place));
+            }
+            stood.push(Stood { standing, proof: found.map(|proof| proof.encode()).unwrap_or_default() });
+        }
+        Ok(stood)
     }
 
     /// A record's bytes, compared with its digest before any of them leaves.
@@ -124,7 +132,9 @@ impl GatewayDesk {
         let row = plant.ledger.record(*digest).map_err(&internal)?;
         let row = row.filter(is_offered);
         let row = row.ok_or_else(|| Refusal::new(Code::NotFound, format_args!("no record {digest}")))?;
-        if !self.reach(&network, &caller.account, &row.owner)?.covers(row.topic_id) {
+        self.check_loan(&network, caller)?;
+        let beyond = caller.device.is_some_and(|device| !device.is_for(row.kind, row.topic_id));
+        if beyond || !self.reach(&network, &caller.account, &row.owner)?.covers(row.topic_id) {
             return Err(not_authorised(&row.owner, &caller.account));
         }
         let stored = plant.vault.get(row.digest).map_err(&internal)?;
@@ -136,7 +146,7 @@ impl GatewayDesk {
         if Digest(plant.provider.sm3(&[&blob])) != row.digest {
             return Err(Refusal::new(Code::Tampered, format_args!("record {} is not what it was", row.id)));
         }
-        let signer = signers::key_of(plant, &network, &row).map_err(Refusal::because(Code::Internal))?;
+        let signer = authority::key_of(plant, &network, &row).map_err(Refusal::because(Code::Internal))?;
         let unknown = || Refusal::new(Code::Tampered, format_args!("the signer of record {} is not known", row.id));
         let place = plant.ledger.batch_place(row.digest).map_err(&internal)?;
         let proof = proof(&row, place).map(|proof| proof.encode()).unwrap_or_default();
@@ -144,23 +154,30 @@ impl GatewayDesk {
     }
 }
 
+/// Whether a device signed a record: the one that asks, or another one of the same owner, for a robot that is enrolled
+/// anew has another key. Whoever does not have a record does not know its digest.
+fn is_of_a_device(network: &Network, row: &RecordRow, asking: &SignerId) -> bool {
+    let account = network.directory.account(row.owner);
+    row.signer == *asking || account.is_some_and(|account| account.devices.iter().any(|loan| loan.device == row.signer))
+}
+
 /// Whether a record may leave: what is quarantined or found altered is only listed.
 fn is_offered(row: &RecordRow) -> bool {
     !matches!(standing(row.state), Standing::Unknown | Standing::Tampered | Standing::Quarantined)
 }
 
-fn record_query(query: &Query, reach: &Reach, reader: &Address) -> Result<RecordQuery, Refusal> {
+fn record_query(query: &Query, reach: &ReadingRight, reader: &Address) -> Result<RecordQuery, Refusal> {
     let Selection { owner, topic_id, kind, filters } = &query.selection;
-    let topic_ids = match (topic_id, reach) {
-        (Some(topic), reach) if !reach.covers(*topic) => return Err(not_authorised(owner, reader)),
+    let topic_ids = match (topic_id, reach.scope()) {
+        (Some(topic), scope) if !scope.covers(*topic) => return Err(not_authorised(owner, reader)),
         (Some(topic), _) => Some(vec![*topic]),
-        (None, Reach::All) => None,
-        (None, Reach::Topics(topics)) => Some(topics.clone()),
+        (None, Scope::All) => None,
+        (None, Scope::Topics(topics)) => Some(topics.clone()),
     };
     Ok(RecordQuery {
         owner: Some(*owner),
         topic_ids,
-        filters: filters.clone(),
+        filters: filters.iter().copied().map(Into::into).collect(),
         kind: *kind,
         since: (query.from.0 > 0).then_some(query.from),
         until: (query.until.0 <= i64::MAX.unsigned_abs()).then_some(query.until),

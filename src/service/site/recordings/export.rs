@@ -10,7 +10,7 @@ use super::{Run, Site};
 use crate::crypto::OpenedRecord;
 use crate::model::{Address, Digest, ErrorKind, RecordKind, Scope, Timestamp, TopicPattern, Verdict, clean};
 use crate::pipeline::reader::{Reader, is_held};
-use crate::pipeline::{Network, Owner, PipelineError, importer};
+use crate::pipeline::{Network, Owner, PipelineError, authority, importer};
 use crate::ros::recording::{Channel, RecordingFormat, RecordingWriter};
 use crate::service::command::ExportWishes;
 use crate::service::failure::{input, internal};
@@ -64,11 +64,12 @@ impl Site {
         network: &Network,
         wishes: &ExportWishes,
     ) -> Result<HashMap<Address, Scope>, Failure> {
-        let (me, now) = (owner.address, Timestamp::now());
+        let me = owner.address;
         let wanted = wishes.owner.as_ref().map(|party| self.resolve(party)).transpose()?;
         let is_wanted = |address: Address| wanted.is_none_or(|wanted| wanted == address);
-        let grants = network.directory.grants(|grant| grant.terms.grantee == me && grant.is_active(now));
-        let granted = grants.into_iter().map(|grant| (grant.terms.owner, grant.terms.scope));
+        let granted = authority::shared_with(&network.directory, me)
+            .into_iter()
+            .map(|grant| (grant.terms.owner, grant.terms.scope));
         let mut scopes: HashMap<Address, Scope> = granted.filter(|(address, _)| is_wanted(*address)).collect();
         if is_wanted(me) {
             scopes.insert(me, Scope::All);
@@ -165,7 +166,7 @@ impl<'a> Export<'a> {
             return Ok(());
         }
         let encoding = importer::encoding(&opened.head.tags);
-        if !self.wishes.format.holds(encoding) || !fits(self.wishes.format, row) {
+        if !self.wishes.format.holds(encoding) || !fits(self.wishes.format, opened.header.captured_at) {
             self.view.refused.unsuitable += 1;
             return Ok(());
         }
@@ -175,7 +176,7 @@ impl<'a> Export<'a> {
         };
         let head = &opened.head;
         let channel = self.channel(Channel {
-            topic: head.topic.as_str().into(),
+            topic: head.tags.get(importer::RECORDED_TOPIC).unwrap_or(&head.topic).as_str().into(),
             type_name: head.type_name.as_str().into(),
             md5sum: head.md5sum.as_str().into(),
             definition,
@@ -183,7 +184,7 @@ impl<'a> Export<'a> {
             latching: head.tags.contains_key(importer::LATCHING),
             encoding,
         });
-        block_in_place(|| self.writer.write(&channel, row.captured_at, &opened.body))?;
+        block_in_place(|| self.writer.write(&channel, opened.header.captured_at, &opened.body))?;
         self.view.messages += 1;
         self.view.bytes += opened.body.len() as u64;
         *self.topics.entry((head.topic.clone(), head.type_name.clone())).or_default() += 1;
@@ -251,6 +252,6 @@ impl<'a> Export<'a> {
 }
 
 /// Whether the format has room for the record's time.
-fn fits(format: RecordingFormat, row: &RecordRow) -> bool {
-    format == RecordingFormat::Mcap || u32::try_from(row.captured_at.seconds()).is_ok()
+fn fits(format: RecordingFormat, captured_at: Timestamp) -> bool {
+    format == RecordingFormat::Mcap || u32::try_from(captured_at.seconds()).is_ok()
 }

@@ -3,7 +3,7 @@
 //! The file is known by its SM3. Which of its topics were begun and which are whole lies in the ledger, so that a second
 //! import of the file seals nothing twice, and one that was cut goes on where it was.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::Read;
 use std::path::Path;
@@ -12,23 +12,25 @@ use std::sync::{Arc, PoisonError};
 use serde::{Deserialize, Serialize};
 
 use super::super::workers;
+use super::sealed_before::SealedBefore;
 use super::{Run, Site};
 use crate::crypto::Sm3Hasher;
-use crate::model::{Address, Digest, ErrorKind, RecordKind, Timestamp, TopicPattern, clean};
+use crate::model::{Address, Digest, ErrorKind, TopicPattern, clean};
 use crate::pipeline::importer::{Importer, fault};
-use crate::pipeline::{CaptureSession, Owner};
-use crate::ros::recording::{RecordedMessage, Recording};
+use crate::pipeline::reader::Reader;
+use crate::pipeline::recorded_names::RecordedNames;
+use crate::pipeline::{CaptureSession, Network, Owner};
+use crate::ros::recording::Recording;
 use crate::service::command::ImportWishes;
 use crate::service::event::NoticeLevel;
 use crate::service::failure::{input, refused};
-use crate::service::reply::{Failure, ImportView, ImportedTopic};
-use crate::store::RecordQuery;
+use crate::service::reply::{Failure, ImportView, ImportedTopic, LeftOut};
 
 /// Tags that a person may give: with the importer's own they stay far below what a head takes.
 const MOST_TAGS: usize = 24;
 
 /// The tag that names the file by the beginning of its digest.
-const RECORDING: &str = "recording";
+pub(super) const RECORDING: &str = "recording";
 
 /// How far a topic of a file is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -49,9 +51,6 @@ struct ReadOut {
     standings: Standings,
 }
 
-/// Topic, time and length of messages met on topics that were begun before, and how many there were.
-type Met = HashMap<(String, Timestamp, usize), u64>;
-
 impl Site {
     pub(super) async fn import_recording(
         self: &Arc<Self>,
@@ -65,7 +64,7 @@ impl Site {
             self.register(owner).await?;
         }
         // Without a chain nothing would ever be verified.
-        self.network().await?;
+        let network = self.network().await?;
         workers::seal_here(self)?;
         let file = clean(&wishes.path.display().to_string(), 300);
         if self.is_running(&owner.profile, &file) {
@@ -79,7 +78,7 @@ impl Site {
         self.captures.lock().unwrap_or_else(PoisonError::into_inner).push(control_of);
         let (run, author) = (Arc::clone(&running.run), Arc::clone(owner));
         let (stop, again) = (Arc::clone(&control), wishes.again);
-        let read = self.blocking(move |site| site.read_recording(&author, &wishes, &run, &stop)).await;
+        let read = self.blocking(move |site| site.read_recording(&author, &network, &wishes, &run, &stop)).await;
         let imported = self.audit_end(owner, "import recording", &file, read).await;
         let ended = match imported {
             Ok(read) => self.settle_import(owner, read, &running.run, again).await,
@@ -139,6 +138,7 @@ impl Site {
     fn read_recording(
         &self,
         owner: &Arc<Owner>,
+        network: &Network,
         wishes: &ImportWishes,
         run: &Run,
         control: &CaptureSession,
@@ -148,36 +148,44 @@ impl Site {
         let digest = digest_of(&wishes.path, run, &goes_on)?;
         let mut standings = if wishes.again { Standings::new() } else { self.standings(owner.address, digest)? };
         let before = standings.clone();
+        let file: String = digest.to_hex().chars().take(16).collect();
         let mut tags = wishes.tags.clone();
-        tags.push((RECORDING.to_owned(), digest.to_hex().chars().take(16).collect()));
+        tags.push((RECORDING.to_owned(), file.clone()));
+        let reader = Reader { plant: &self.plant, network, reader: owner };
+        let mut sealed = SealedBefore::new(reader, &file);
         run.step("importing");
         let mut importer = Importer::new(&self.rings, Arc::clone(&owner.author), &self.config.topic_rules, tags);
-        let (mut view, mut already, mut met) = (ImportView::default(), BTreeMap::<String, u64>::new(), Met::new());
+        let (mut names, mut left_out) = (RecordedNames::default(), BTreeMap::new());
+        let (mut view, mut already) = (ImportView::default(), BTreeMap::<String, u64>::new());
         while let Some(message) = recording.next_message()? {
-            let topic = &message.channel.topic;
-            if !is_wanted(&wishes.topics, topic) {
+            let recorded = &message.channel.topic;
+            let named = names.resolve(recorded);
+            if ![Ok(recorded), named.as_ref()].into_iter().flatten().any(|name| is_wanted(&wishes.topics, name)) {
                 continue;
             }
-            if fault(&message.channel).is_some() {
-                view.skipped += 1;
-                continue;
-            }
-            let known = match before.get(&**topic) {
+            let topic = match (named, fault(&message.channel)) {
+                (Ok(topic), None) => topic,
+                (Err(why), _) | (_, Some(why)) => {
+                    *left_out.entry((Arc::clone(recorded), why)).or_default() += 1;
+                    continue;
+                }
+            };
+            let known = match before.get(&*topic) {
                 Some(Standing::Whole) => true,
-                Some(Standing::Begun) => self.is_sealed(owner.address, &message, &mut met)?,
+                Some(Standing::Begun) => sealed.take(&topic, &message)?,
                 None => false,
             };
             if known {
                 *already.entry(topic.to_string()).or_default() += 1;
                 continue;
             }
-            if !standings.contains_key(&**topic) {
+            if !standings.contains_key(&*topic) {
                 standings.insert(topic.to_string(), Standing::Begun);
                 if !wishes.again {
                     self.put_standings(owner.address, digest, &standings)?;
                 }
             }
-            if !importer.take(message, &goes_on) {
+            if !importer.take(message, &topic, &goes_on) {
                 view.ended_early = true;
                 break;
             }
@@ -187,7 +195,9 @@ impl Site {
         let findings = recording.findings();
         view.file = clean(&wishes.path.display().to_string(), 300);
         view.digest = Some(digest);
-        view.skipped += findings.messages_skipped;
+        view.left_out = left_out_list(left_out);
+        view.skipped = findings.messages_skipped + view.left_out.iter().map(|topic| topic.messages).sum::<u64>();
+        view.unguarded = findings.unguarded;
         view.damages.clone_from(&findings.damages);
         view.more_damages = findings.more_damages;
         view.already = already.values().sum();
@@ -195,29 +205,20 @@ impl Site {
         view.topics = already.into_iter().map(topic).collect();
         Ok(ReadOut { view, sessions: importer.finish(), standings })
     }
-
-    /// Whether a message of an import that was cut is sealed already: as many of its topic, time and length are there
-    /// as were met.
-    fn is_sealed(&self, owner: Address, message: &RecordedMessage, met: &mut Met) -> Result<bool, Failure> {
-        let query = RecordQuery {
-            owner: Some(owner),
-            topic: Some(message.channel.topic.to_string()),
-            kind: Some(RecordKind::Data),
-            since: Some(message.time),
-            until: Some(Timestamp(message.time.0.saturating_add(1))),
-            limit: 1000,
-            ..RecordQuery::default()
-        };
-        let rows = self.plant.ledger.list(&query)?.rows;
-        let there = rows.iter().filter(|row| row.bytes == message.body.len() as u64).count() as u64;
-        let seen = met.entry((message.channel.topic.to_string(), message.time, message.body.len())).or_default();
-        *seen += 1;
-        Ok(there >= *seen)
-    }
 }
 
 fn key(owner: Address, digest: Digest) -> String {
     format!("import:{owner}:{digest}")
+}
+
+/// By topic and reason; names come from the file, so they are cleaned.
+fn left_out_list(counts: BTreeMap<(Arc<str>, &'static str), u64>) -> Vec<LeftOut> {
+    let list = counts.into_iter().map(|((topic, why), messages)| LeftOut {
+        topic: clean(&topic, 255),
+        why: why.to_owned(),
+        messages,
+    });
+    list.collect()
 }
 
 fn is_wanted(patterns: &[TopicPattern], topic: &str) -> bool {

@@ -2,6 +2,7 @@
 
 mod export;
 mod import;
+mod sealed_before;
 mod writing;
 
 use std::path::Path;

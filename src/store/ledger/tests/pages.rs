@@ -44,7 +44,7 @@ proptest! {
             until: until.map(Timestamp),
             limit,
             newest_first,
-            filters: tagged.map(tag).into_iter().collect(),
+            filters: tagged.map(|number| tag(number).into()).into_iter().collect(),
             ..RecordQuery::default()
         };
         let mut expected: Vec<&NewRecord> = records.iter().filter(|record| {
@@ -85,7 +85,9 @@ proptest! {
 
 #[test]
 fn a_ledger_of_version_7_is_brought_up_and_finds_its_tags() {
-    const BACK: &str = "DROP TABLE filter_streams; CREATE INDEX records_by_stream ON records (stream, captured_at);
+    const BACK: &str = "DROP TABLE standings; DROP TABLE proven;
+                        ALTER TABLE bindings DROP COLUMN device; ALTER TABLE bindings DROP COLUMN notices;
+                        DROP TABLE filter_streams; CREATE INDEX records_by_stream ON records (stream, captured_at);
                         PRAGMA user_version = 7";
     let (home, ledger) = open();
     let tagged = NewRecord { filters: vec![tag(1), tag(2)], ..record(1, 1, 1) };
@@ -95,10 +97,30 @@ fn a_ledger_of_version_7_is_brought_up_and_finds_its_tags() {
     rusqlite::Connection::open(&path).and_then(|file| file.execute_batch(BACK)).expect("as it was");
     let ledger = Ledger::open(&path).expect("brought up");
     let found = |filters: Vec<FilterId>| {
-        let page = ledger.list(&RecordQuery { filters, ..RecordQuery::default() }).expect("page");
+        let page = ledger
+            .list(&RecordQuery { filters: filters.into_iter().map(Into::into).collect(), ..RecordQuery::default() })
+            .expect("page");
         page.rows.iter().map(|row| row.digest).collect::<Vec<_>>()
     };
     assert_eq!(found(vec![tag(1), tag(2)]), [tagged.digest]);
     assert_eq!(found(vec![tag(1), tag(3)]), []);
     assert_eq!(found(Vec::new()).len(), 2);
+}
+
+#[test]
+fn a_choice_finds_the_id_of_all_topics_and_that_of_its_own() {
+    let (_home, ledger) = open();
+    let with = |topic: u8, number: u64, seq: u64| NewRecord { filters: vec![tag(number)], ..record(1, topic, seq) };
+    // Tag 1 is IK's; 2 and 3 are what the filter keys of topics 1 and 2 make of the same words.
+    let rows = [with(1, 1, 1), with(1, 2, 2), with(2, 3, 1), with(2, 2, 2), with(3, 4, 1)];
+    ledger.append(rows.to_vec()).expect("acknowledged");
+    let by_topic = [(TopicId([1; 16]), tag(2)), (TopicId([2; 16]), tag(3))].into();
+    let choice = crate::store::FilterChoice { id: tag(1), by_topic };
+    let found = |filters: Vec<crate::store::FilterChoice>| {
+        let page = ledger.list(&RecordQuery { filters, ..RecordQuery::default() }).expect("page");
+        page.rows.iter().map(|row| row.digest).collect::<std::collections::BTreeSet<_>>()
+    };
+    let expected = rows[..3].iter().map(|row| row.digest).collect();
+    assert_eq!(found(vec![choice.clone()]), expected, "that of topic 1 says nothing on topic 2");
+    assert!(found(vec![choice, tag(4).into()]).is_empty());
 }

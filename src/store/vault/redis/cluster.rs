@@ -8,8 +8,8 @@ use std::time::{Duration, Instant};
 use redis::{Connection, RedisResult, Value, cmd, from_redis_value};
 
 use super::address::{Address, Place};
-use super::node::{Failure, Node};
-use super::slots::SLOTS;
+use super::node::{Failure, MARK, Node};
+use super::slots::{SLOTS, slot};
 use crate::model::clean;
 use crate::store::StoreError;
 
@@ -17,6 +17,8 @@ use crate::store::StoreError;
 const REST: Duration = Duration::from_secs(1);
 /// The shortest time between two questions for the map of slots that no node asked for.
 const ASKED_EVERY: Duration = Duration::from_secs(1);
+/// Names tried for the mark of a node.
+const MARKS_TRIED: u32 = 4096;
 
 /// One node with when it may be tried again.
 pub(super) struct Member {
@@ -98,6 +100,12 @@ impl Cluster {
         let index = map.slots.get(usize::from(slot)).copied().flatten();
         let member = index.and_then(|index| map.members.get(usize::from(index)));
         member.cloned().ok_or_else(|| self.unreachable(&format!("no node has slot {slot}")))
+    }
+
+    /// A name for the mark of a node, in one of its own slots; `None` where it has too few of them to find one.
+    pub(super) fn mark_of(&self, member: &Member) -> Option<String> {
+        let is_there = |name: &String| self.of(slot(name)).is_ok_and(|other| other.host == member.host);
+        (0..MARKS_TRIED).map(|number| format!("{MARK}:{number}")).find(is_there)
     }
 
     fn unreachable(&self, detail: &str) -> StoreError {

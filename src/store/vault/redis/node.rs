@@ -4,16 +4,25 @@
 //! configuration.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use redis::{Client, Connection, ErrorKind, RedisError, RedisResult, ServerErrorKind, cmd};
 
 use super::address::{Address, Place};
-use crate::model::clean;
+use crate::model::{Timestamp, clean};
 use crate::store::StoreError;
 use crate::store::vault::policy::{Finding, Gravity, Setup};
 
 const TIMEOUT: Duration = Duration::from_secs(3);
+/// How long a server that did not answer is left alone: whoever asks meanwhile is told at once what was found, and
+/// nobody waits a second time for the same silence.
+const REST: Duration = Duration::from_secs(1);
+/// An answer that takes longer than this is waited for.
+const SILENCE: Duration = Duration::from_secs(1);
+/// How often it is looked at how the server is set up, and whether it takes what is written.
+const LOOK: Duration = Duration::from_secs(2);
+/// The mark's name; no record's key begins so.
+pub(super) const MARK: &str = "authros:mark";
 
 /// Why a node did not do what was asked.
 #[derive(Debug)]
@@ -53,6 +62,27 @@ pub(super) struct Node {
 struct Link {
     connection: Option<Connection>,
     run_id: Option<String>,
+    /// Until when it is left alone, and why.
+    resting: Option<(Instant, StoreError)>,
+    /// When its set-up was last looked at.
+    looked: Option<Instant>,
+}
+
+impl Link {
+    fn rests(&self) -> Option<StoreError> {
+        self.resting.as_ref().filter(|(until, _)| Instant::now() < *until).map(|(_, why)| why.clone())
+    }
+
+    /// Notes that the server does not answer. It is left alone where that was waited for since `begun`; one that
+    /// refuses at once may be tried again at once.
+    fn rest(&mut self, why: &StoreError, begun: Instant) {
+        self.connection = None;
+        if matches!(why, StoreError::Unreachable { .. }) {
+            let now = Instant::now();
+            let rest = if now.duration_since(begun) >= SILENCE { REST } else { Duration::ZERO };
+            self.resting = Some((now + rest, why.clone()));
+        }
+    }
 }
 
 impl Node {
@@ -104,16 +134,42 @@ impl Node {
     }
 
     fn connect(&self, link: &mut Link) -> Result<(), StoreError> {
+        if let Some(why) = link.rests() {
+            return Err(why);
+        }
+        let begun = Instant::now();
+        let connected = self.connected();
+        match connected {
+            Ok(connection) => {
+                (link.connection, link.resting, link.looked) = (Some(connection), None, Some(Instant::now()));
+                Ok(())
+            }
+            Err(error) => {
+                link.rest(&error, begun);
+                Err(error)
+            }
+        }
+    }
+
+    fn connected(&self) -> Result<Connection, StoreError> {
         let mut connection = self.dial()?;
         cmd("PING").exec(&mut connection).map_err(|e| self.error(&e))?;
-        let findings = self.look(&mut connection)?;
+        self.examine(&mut connection)?;
+        Ok(connection)
+    }
+
+    /// Looks at how the server is set up.
+    ///
+    /// # Errors
+    /// [`StoreError::Policy`] where it may throw records away.
+    fn examine(&self, connection: &mut Connection) -> Result<(), StoreError> {
+        let findings = self.look(connection)?;
         let refused = findings.iter().find(|finding| finding.gravity == Gravity::Refused).cloned();
         *self.findings.lock().unwrap_or_else(PoisonError::into_inner) = findings;
-        if let Some(Finding { server, text, advice, .. }) = refused {
-            return Err(StoreError::Policy { url: server, detail: text, advice });
+        match refused {
+            Some(Finding { server, text, advice, .. }) => Err(StoreError::Policy { url: server, detail: text, advice }),
+            None => Ok(()),
         }
-        link.connection = Some(connection);
-        Ok(())
     }
 
     fn dial(&self) -> Result<Connection, StoreError> {
@@ -178,12 +234,15 @@ impl Node {
     /// Does idempotent `work`; where an old connection turns out to be dead, once more on a new one.
     pub(super) fn with<T>(&self, work: impl Fn(&mut Connection) -> RedisResult<T>) -> Result<T, Failure> {
         let mut link = self.link();
+        let begun = Instant::now();
         if let Some(connection) = link.connection.as_mut() {
             match work(connection) {
                 Err(error) if is_lost(&error) => {
                     link.connection = None;
                     if error.is_timeout() {
-                        return Err(self.error(&error).into());
+                        let why = self.error(&error);
+                        link.rest(&why, begun);
+                        return Err(why.into());
                     }
                 }
                 other => return other.map_err(|error| self.failure(&error)),
@@ -192,21 +251,45 @@ impl Node {
         self.connect(&mut link)?;
         let Some(connection) = link.connection.as_mut() else { return Err(self.gone("it closed").into()) };
         work(connection).map_err(|error| {
+            let failure = self.failure(&error);
             if is_lost(&error) {
                 link.connection = None;
+                if failure.redirect.is_none() {
+                    link.rest(&failure.error, begun);
+                }
             }
-            self.failure(&error)
+            failure
         })
     }
 
-    /// The id of its present run; empty where it does not say.
+    /// Names what the server holds now: the id of its run, how often it threw a key away, and the mark under `mark`,
+    /// which is gone after a FLUSHALL and is then set anew. Where this is another text than before, records may be
+    /// gone. Every two seconds the set-up is looked at too, and whether the server takes what is written.
     ///
     /// # Errors
-    /// [`StoreError::Unreachable`] and the like.
-    pub(super) fn run(&self) -> Result<String, StoreError> {
-        let found = self.with(run_id).map_err(|failure| failure.error)?;
-        self.link().run_id.clone_from(&found);
-        Ok(found.unwrap_or_default())
+    /// [`StoreError::Unreachable`], [`StoreError::Policy`], [`StoreError::VaultFull`] and the like.
+    pub(super) fn run(&self, mark: &str) -> Result<String, StoreError> {
+        let due = self.link().looked.is_none_or(|at| at.elapsed() >= LOOK);
+        let found = self.with(|connection| held(connection, mark, due)).map_err(|failure| failure.error)?;
+        if due {
+            self.look_again()?;
+        }
+        self.link().run_id = Some(found.clone());
+        Ok(found)
+    }
+
+    /// Why it was not reached the last time.
+    pub(super) fn ailing(&self) -> Option<StoreError> {
+        self.link().resting.as_ref().map(|(_, why)| why.clone())
+    }
+
+    /// Looks at the set-up of a server that is connected to; one that may throw records away is not used any more.
+    fn look_again(&self) -> Result<(), StoreError> {
+        let mut link = self.link();
+        link.looked = Some(Instant::now());
+        let Some(connection) = link.connection.as_mut() else { return Ok(()) };
+        let begun = Instant::now();
+        self.examine(connection).inspect_err(|error| link.rest(error, begun))
     }
 
     /// The id of the last run that it told of.
@@ -276,11 +359,40 @@ fn configuration(connection: &mut Connection, name: &str) -> RedisResult<Option<
     Ok(found.into_iter().nth(1))
 }
 
-/// The server's id of this run; nothing where it does not say.
-fn run_id(connection: &mut Connection) -> RedisResult<Option<String>> {
-    match cmd("INFO").arg("server").query::<String>(connection) {
-        Ok(text) => Ok(text.lines().find_map(|line| line.strip_prefix("run_id:")).map(|id| id.trim().to_owned())),
+/// Run, evictions and mark in one text. `write`: the mark is written again, which a server that is full refuses.
+fn held(connection: &mut Connection, mark: &str, write: bool) -> RedisResult<String> {
+    let run = figure(connection, "server", "run_id:")?;
+    let evicted = figure(connection, "stats", "evicted_keys:")?;
+    let found: Option<String> = cmd("GET").arg(mark).query(connection)?;
+    let token = match found {
+        Some(token) if write => {
+            // Only where it is still there: one that is gone by now is to be missed the next time.
+            cmd("SET").arg(mark).arg(&token).arg("XX").exec(connection)?;
+            token
+        }
+        Some(token) => token,
+        None => {
+            cmd("SET").arg(mark).arg(fresh_token()).arg("NX").exec(connection)?;
+            cmd("GET").arg(mark).query::<Option<String>>(connection)?.unwrap_or_default()
+        }
+    };
+    Ok(format!("{run}/{evicted}/{}", clean(&token, 40)))
+}
+
+/// A figure of the server; empty where it does not say.
+fn figure(connection: &mut Connection, section: &str, name: &str) -> RedisResult<String> {
+    match cmd("INFO").arg(section).query::<String>(connection) {
+        Ok(text) => Ok(text.lines().find_map(|line| line.strip_prefix(name)).unwrap_or_default().trim().to_owned()),
         Err(error) if is_lost(&error) => Err(error),
-        Err(_) => Ok(None),
+        Err(_) => Ok(String::new()),
     }
+}
+
+/// A mark that was never set before. Without random numbers the time must do.
+fn fresh_token() -> String {
+    let mut token = [0; 8];
+    if getrandom::fill(&mut token).is_err() {
+        token = Timestamp::now().0.to_be_bytes();
+    }
+    format!("{:016x}", u64::from_be_bytes(token))
 }

@@ -45,6 +45,11 @@ impl Server {
         redis::cmd(words[0]).arg(&words[1..]).exec(&mut connection).expect("done");
     }
 
+    pub(super) fn signal(&self, name: &str) {
+        let sent = Command::new("kill").arg(format!("-{name}")).arg(self.child.id().to_string()).status();
+        assert!(sent.is_ok_and(|status| status.success()), "the signal is sent");
+    }
+
     pub(super) fn kill(&mut self) {
         self.child.kill().expect("killed");
         self.child.wait().expect("ended");

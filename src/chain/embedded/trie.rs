@@ -1,0 +1,434 @@
+//! Merkle-Patricia tries (Yellow Paper, appendix D) whose nodes lie elsewhere under their hash and are read on demand.
+//!
+//! Keys are of one length, or none is the beginning of another, so that no branch holds a value. A change reads the
+//! nodes on its path alone; what it makes and what it leaves behind is told at the end, each node once per place.
+
+use std::sync::Arc;
+
+use ethers::utils::keccak256;
+use ethers::utils::rlp::{Rlp, RlpStream};
+
+use crate::chain::ChainError;
+use crate::model::Hash;
+
+/// Root of a trie without keys: Keccak-256 of the RLP of nothing.
+pub const EMPTY_ROOT: Hash = Hash([
+    0x56, 0xe8, 0x1f, 0x17, 0x1b, 0xcc, 0x55, 0xa6, 0xff, 0x83, 0x45, 0xe6, 0x92, 0xc0, 0xf8, 0x6e, 0x5b, 0x48, 0xe0,
+    0x1b, 0x99, 0x6c, 0xad, 0xc0, 0x01, 0x62, 0x2f, 0xb5, 0xe3, 0x63, 0xb4, 0x21,
+]);
+/// A node shorter than this lies in the one above it.
+const SHORTEST: usize = 32;
+
+/// Where nodes lie.
+pub trait Nodes {
+    /// The node with this hash.
+    ///
+    /// # Errors
+    /// [`ChainError::Tampered`] naming the node where it is gone or another one, or where it cannot be read.
+    fn node(&self, hash: Hash) -> Result<Arc<[u8]>, ChainError>;
+
+    /// The error that a node is no node of a trie.
+    fn malformed(&self, hash: Hash) -> ChainError;
+}
+
+/// What a change of a trie made and left behind.
+#[derive(Debug, Default)]
+pub struct Turnover {
+    /// New nodes, hash and bytes; one that lies at several places comes several times.
+    pub made: Vec<(Hash, Vec<u8>)>,
+    /// Nodes that are at one place fewer.
+    pub left: Vec<Hash>,
+}
+
+#[derive(Debug, Default)]
+enum Child {
+    #[default]
+    Nothing,
+    Stored(Hash),
+    Open(Box<Node>),
+}
+
+#[derive(Debug)]
+enum Node {
+    Leaf { path: Vec<u8>, value: Vec<u8> },
+    Extension { path: Vec<u8>, child: Child },
+    Branch(Box<[Child; 16]>),
+}
+
+/// A trie, with the changes since it was opened.
+pub struct Trie<'a, N: ?Sized> {
+    nodes: &'a N,
+    root: Child,
+    left: Vec<Hash>,
+}
+
+impl<'a, N: Nodes + ?Sized> Trie<'a, N> {
+    /// The trie with this root.
+    pub fn new(nodes: &'a N, root: Hash) -> Self {
+        let root = if root == EMPTY_ROOT { Child::Nothing } else { Child::Stored(root) };
+        Self { nodes, root, left: Vec::new() }
+    }
+
+    /// The value of a key.
+    ///
+    /// # Errors
+    /// Those of [`Nodes`].
+    pub fn get(&self, key: &[u8]) -> Result<Option<Vec<u8>>, ChainError> {
+        let path = nibbles(key);
+        let (mut at, mut rest) = (&self.root, &path[..]);
+        loop {
+            match at {
+                Child::Nothing => return Ok(None),
+                Child::Stored(hash) => return look_up(self.nodes, *hash, rest, &mut |_| ()),
+                Child::Open(node) => match &**node {
+                    Node::Leaf { path, value } => return Ok((path == rest).then(|| value.clone())),
+                    Node::Extension { path, child } => match rest.strip_prefix(&path[..]) {
+                        Some(after) => (at, rest) = (child, after),
+                        None => return Ok(None),
+                    },
+                    Node::Branch(children) => match rest.split_first() {
+                        Some((nibble, after)) => (at, rest) = (&children[usize::from(*nibble)], after),
+                        None => return Ok(None),
+                    },
+                },
+            }
+        }
+    }
+
+    /// Sets the value of a key, or takes the key out.
+    ///
+    /// # Errors
+    /// Those of [`Nodes`].
+    pub fn set(&mut self, key: &[u8], value: Option<Vec<u8>>) -> Result<(), ChainError> {
+        if self.get(key)? == value {
+            return Ok(());
+        }
+        let path = nibbles(key);
+        let root = std::mem::take(&mut self.root);
+        self.root = match value {
+            Some(value) => self.insert(root, &path, value)?,
+            None => self.remove(root, &path)?,
+        };
+        Ok(())
+    }
+
+    /// The root with all changes, and what they made and left behind.
+    pub fn finish(self) -> (Hash, Turnover) {
+        let mut turnover = Turnover { made: Vec::new(), left: self.left };
+        let root = match &self.root {
+            Child::Nothing => EMPTY_ROOT,
+            Child::Stored(hash) => *hash,
+            Child::Open(node) => {
+                let bytes = encode(node, &mut turnover.made);
+                let hash = Hash(keccak256(&bytes));
+                turnover.made.push((hash, bytes));
+                hash
+            }
+        };
+        (root, turnover)
+    }
+
+    fn load(&self, hash: Hash) -> Result<Node, ChainError> {
+        let bytes = self.nodes.node(hash)?;
+        decode(&Rlp::new(&bytes)).ok_or_else(|| self.nodes.malformed(hash))
+    }
+
+    /// A node that is about to be changed.
+    fn open(&mut self, child: Child) -> Result<Option<Node>, ChainError> {
+        match child {
+            Child::Nothing => Ok(None),
+            Child::Open(node) => Ok(Some(*node)),
+            Child::Stored(hash) => {
+                let node = self.load(hash)?;
+                self.left.push(hash);
+                Ok(Some(node))
+            }
+        }
+    }
+
+    fn insert(&mut self, at: Child, path: &[u8], value: Vec<u8>) -> Result<Child, ChainError> {
+        let node = match self.open(at)? {
+            None => Node::Leaf { path: path.to_vec(), value },
+            Some(Node::Leaf { path: own, .. }) if own == path => Node::Leaf { path: own, value },
+            Some(Node::Leaf { path: own, value: old }) => {
+                let common = common(&own, path);
+                let mut children = <[Child; 16]>::default();
+                put(&mut children, &own[common..], |rest| open(Node::Leaf { path: rest.to_vec(), value: old }));
+                put(&mut children, &path[common..], |rest| open(Node::Leaf { path: rest.to_vec(), value }));
+                extended(&path[..common], Node::Branch(Box::new(children)))
+            }
+            Some(Node::Extension { path: own, child }) => {
+                let common = common(&own, path);
+                if common == own.len() {
+                    let child = self.insert(child, &path[common..], value)?;
+                    Node::Extension { path: own, child }
+                } else {
+                    let mut children = <[Child; 16]>::default();
+                    put(&mut children, &own[common..], |rest| match rest {
+                        [] => child,
+                        _ => open(Node::Extension { path: rest.to_vec(), child }),
+                    });
+                    put(&mut children, &path[common..], |rest| open(Node::Leaf { path: rest.to_vec(), value }));
+                    extended(&path[..common], Node::Branch(Box::new(children)))
+                }
+            }
+            Some(Node::Branch(mut children)) => {
+                if let Some((nibble, rest)) = path.split_first() {
+                    let place = &mut children[usize::from(*nibble)];
+                    *place = self.insert(std::mem::take(place), rest, value)?;
+                }
+                Node::Branch(children)
+            }
+        };
+        Ok(open(node))
+    }
+
+    /// Takes out a key that is there.
+    fn remove(&mut self, at: Child, path: &[u8]) -> Result<Child, ChainError> {
+        match self.open(at)? {
+            None | Some(Node::Leaf { .. }) => Ok(Child::Nothing),
+            Some(Node::Extension { path: own, child }) => {
+                let child = self.remove(child, path.get(own.len()..).unwrap_or_default())?;
+                self.joined(own, child)
+            }
+            Some(Node::Branch(mut children)) => {
+                if let Some((nibble, rest)) = path.split_first() {
+                    let place = &mut children[usize::from(*nibble)];
+                    *place = self.remove(std::mem::take(place), rest)?;
+                }
+                let mut full = children.iter_mut().zip(0u8..).filter(|(child, _)| !matches!(child, Child::Nothing));
+                match (full.next(), full.next()) {
+                    (Some((child, nibble)), None) => {
+                        let only = std::mem::take(child);
+                        self.joined(vec![nibble], only)
+                    }
+                    _ => Ok(open(Node::Branch(children))),
+                }
+            }
+        }
+    }
+
+    /// What `path` and then `child` are as one.
+    fn joined(&mut self, mut path: Vec<u8>, child: Child) -> Result<Child, ChainError> {
+        let below = match child {
+            Child::Nothing => return Ok(Child::Nothing),
+            Child::Open(node) => *node,
+            // A branch stays where it is; the others grow by the path.
+            Child::Stored(hash) => match self.load(hash)? {
+                Node::Branch(_) => return Ok(open(Node::Extension { path, child: Child::Stored(hash) })),
+                grown => {
+                    self.left.push(hash);
+                    grown
+                }
+            },
+        };
+        Ok(open(match below {
+            Node::Leaf { path: rest, value } => {
+                path.extend(rest);
+                Node::Leaf { path, value }
+            }
+            Node::Extension { path: rest, child } => {
+                path.extend(rest);
+                Node::Extension { path, child }
+            }
+            branch @ Node::Branch(_) => Node::Extension { path, child: open(branch) },
+        }))
+    }
+}
+
+/// A value, where there is one, and the nodes on the way to it, from the root down.
+pub type Proof = (Option<Vec<u8>>, Vec<Arc<[u8]>>);
+
+/// The value of a key, and every stored node on the way to it or to the place where it would be (EIP-1186).
+///
+/// # Errors
+/// Those of [`Nodes`].
+pub fn prove<N: Nodes + ?Sized>(nodes: &N, root: Hash, key: &[u8]) -> Result<Proof, ChainError> {
+    let mut way = Vec::new();
+    if root == EMPTY_ROOT {
+        return Ok((None, way));
+    }
+    let value = look_up(nodes, root, &nibbles(key), &mut |node| way.push(Arc::clone(node)))?;
+    Ok((value, way))
+}
+
+/// Follows `path` from a stored node on.
+fn look_up<N: Nodes + ?Sized>(
+    nodes: &N,
+    root: Hash,
+    path: &[u8],
+    seen: &mut impl FnMut(&Arc<[u8]>),
+) -> Result<Option<Vec<u8>>, ChainError> {
+    let (mut hash, mut rest) = (root, path);
+    loop {
+        let bytes = nodes.node(hash)?;
+        seen(&bytes);
+        match follow(&Rlp::new(&bytes), rest) {
+            Some(Step::End(value)) => return Ok(value),
+            Some(Step::Down(next, length)) => (hash, rest) = (next, &rest[rest.len() - length..]),
+            None => return Err(nodes.malformed(hash)),
+        }
+    }
+}
+
+enum Step {
+    End(Option<Vec<u8>>),
+    /// To a stored node, with so many nibbles left.
+    Down(Hash, usize),
+}
+
+/// Follows `path` within one stored node; `None` where it is no node.
+fn follow(node: &Rlp<'_>, path: &[u8]) -> Option<Step> {
+    let (child, rest) = match node.item_count().ok()? {
+        2 => {
+            let (own, leaf) = unpacked(node.at(0).ok()?.data().ok()?)?;
+            let Some(rest) = path.strip_prefix(&own[..]) else { return Some(Step::End(None)) };
+            if leaf {
+                let value = node.at(1).ok()?.data().ok()?.to_vec();
+                return Some(Step::End(rest.is_empty().then_some(value)));
+            }
+            (node.at(1).ok()?, rest)
+        }
+        17 => {
+            let Some((nibble, rest)) = path.split_first() else { return Some(Step::End(None)) };
+            (node.at(usize::from(*nibble)).ok()?, rest)
+        }
+        _ => return None,
+    };
+    if child.is_list() {
+        return follow(&child, rest);
+    }
+    match child.data().ok()? {
+        [] => Some(Step::End(None)),
+        hash => Some(Step::Down(Hash::from_slice(hash)?, rest.len())),
+    }
+}
+
+/// The stored nodes right below a stored node; `None` where it is no node.
+pub fn below(bytes: &[u8]) -> Option<Vec<Hash>> {
+    fn collect(node: &Node, found: &mut Vec<Hash>) {
+        let children = match node {
+            Node::Leaf { .. } => return,
+            Node::Extension { child, .. } => std::slice::from_ref(child),
+            Node::Branch(children) => &children[..],
+        };
+        for child in children {
+            match child {
+                Child::Nothing => {}
+                Child::Stored(hash) => found.push(*hash),
+                Child::Open(node) => collect(node, found),
+            }
+        }
+    }
+    let mut found = Vec::new();
+    collect(&decode(&Rlp::new(bytes))?, &mut found);
+    Some(found)
+}
+
+fn nibbles(key: &[u8]) -> Vec<u8> {
+    key.iter().flat_map(|byte| [byte >> 4, byte & 15]).collect()
+}
+
+fn common(one: &[u8], other: &[u8]) -> usize {
+    one.iter().zip(other).take_while(|(one, other)| one == other).count()
+}
+
+fn open(node: Node) -> Child {
+    Child::Open(Box::new(node))
+}
+
+fn put(children: &mut [Child; 16], path: &[u8], child: impl FnOnce(&[u8]) -> Child) {
+    if let Some((nibble, rest)) = path.split_first() {
+        children[usize::from(*nibble)] = child(rest);
+    }
+}
+
+fn extended(path: &[u8], branch: Node) -> Node {
+    if path.is_empty() { branch } else { Node::Extension { path: path.to_vec(), child: open(branch) } }
+}
+
+/// Nibbles in the hex-prefix encoding (appendix C).
+fn packed(path: &[u8], leaf: bool) -> Vec<u8> {
+    let odd = path.len() % 2;
+    let mark = if leaf { 2 } else { 0 } + u8::from(odd == 1);
+    let first = (mark << 4) | if odd == 1 { path[0] } else { 0 };
+    std::iter::once(first).chain(path[odd..].chunks(2).map(|pair| pair[0] << 4 | pair[1])).collect()
+}
+
+fn unpacked(bytes: &[u8]) -> Option<(Vec<u8>, bool)> {
+    let all = nibbles(bytes);
+    let mark = *all.first()?;
+    let begin = if mark & 1 == 1 { 1 } else { 2 };
+    (mark < 4).then(|| (all[begin..].to_vec(), mark & 2 == 2))
+}
+
+fn decode(rlp: &Rlp<'_>) -> Option<Node> {
+    let child = |rlp: Rlp<'_>| {
+        if rlp.is_list() {
+            return decode(&rlp).map(open);
+        }
+        match rlp.data().ok()? {
+            [] => Some(Child::Nothing),
+            hash => Hash::from_slice(hash).map(Child::Stored),
+        }
+    };
+    match rlp.item_count().ok()? {
+        2 => {
+            let (path, leaf) = unpacked(rlp.at(0).ok()?.data().ok()?)?;
+            let below = rlp.at(1).ok()?;
+            if leaf {
+                return Some(Node::Leaf { path, value: below.data().ok()?.to_vec() });
+            }
+            Some(Node::Extension { path, child: child(below)? })
+        }
+        17 => {
+            let mut children = <[Child; 16]>::default();
+            for (place, below) in children.iter_mut().zip(rlp.iter()) {
+                *place = child(below)?;
+            }
+            Some(Node::Branch(Box::new(children)))
+        }
+        _ => None,
+    }
+}
+
+/// A node's RLP; the nodes below that are long enough go to `made`.
+fn encode(node: &Node, made: &mut Vec<(Hash, Vec<u8>)>) -> Vec<u8> {
+    let mut list = RlpStream::new();
+    match node {
+        Node::Leaf { path, value } => {
+            list.begin_list(2).append(&packed(path, true)).append(value);
+        }
+        Node::Extension { path, child } => {
+            list.begin_list(2).append(&packed(path, false));
+            append(&mut list, child, made);
+        }
+        Node::Branch(children) => {
+            list.begin_list(17);
+            children.iter().for_each(|child| append(&mut list, child, made));
+            list.append_empty_data();
+        }
+    }
+    list.out().to_vec()
+}
+
+fn append(list: &mut RlpStream, child: &Child, made: &mut Vec<(Hash, Vec<u8>)>) {
+    match child {
+        Child::Nothing => {
+            list.append_empty_data();
+        }
+        Child::Stored(hash) => {
+            list.append(&&hash.0[..]);
+        }
+        Child::Open(node) => {
+            let bytes = encode(node, made);
+            if bytes.len() < SHORTEST {
+                list.append_raw(&bytes, 1);
+            } else {
+                let hash = Hash(keccak256(&bytes));
+                list.append(&&hash.0[..]);
+                made.push((hash, bytes));
+            }
+        }
+    }
+}

@@ -1,0 +1,203 @@
+//! What of somebody else's request is passed on to the chain: a visitor's reads, a registered caller's transactions
+//! too, and of both only what concerns the one contract, in bounded portions.
+
+use serde_json::{Value, json};
+
+use super::{LONGEST_RAW, RelayError, check};
+use crate::chain::Pin;
+use crate::chain::call::Call;
+use crate::chain::embedded::Transaction;
+use crate::model::bytes::unhex;
+use crate::model::{Address, Identity};
+
+/// The most gas of a transaction that is passed on: several times what the dearest call of the contract uses.
+pub const MOST_GAS: u64 = 10_000_000;
+/// The most blocks whose logs a visitor asks for at once: as many as this program's own clients do.
+const VISITORS_BLOCKS: u64 = 2_000;
+/// The same for registered callers.
+const MOST_BLOCKS: u64 = 10_000;
+/// The longest call data of a read, bytes: what the longest transaction may carry.
+const LONGEST_DATA: usize = LONGEST_RAW;
+/// The most slots of one proof.
+const MOST_SLOTS: usize = 64;
+/// A registration's call data: selector, offset, length, identity.
+const REGISTRATION: usize = 4 + 2 * 32 + Identity::LENGTH;
+
+/// Who asks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Asker {
+    /// Somebody without a transport key.
+    Visitor,
+    /// The holder of a transport key, which belongs to a registered account.
+    Registered,
+}
+
+/// What is known of the chain without asking it.
+#[derive(Debug, Clone, Copy)]
+pub struct Ground<'a> {
+    /// The chain and its contract.
+    pub pin: &'a Pin,
+    /// The number of the newest block that was seen; only what `latest` is reckoned as.
+    pub head: u64,
+}
+
+/// A request that may pass, so far as it can be told from the request alone.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Passed {
+    /// It reads, with these parameters.
+    Read(Value),
+    /// It asks for logs of blocks that have none.
+    NoLogs,
+    /// It asks what a call of the contract would use.
+    Estimate {
+        /// Who would make it, unproven.
+        from: Option<Address>,
+        /// The identity, where it would register one.
+        registers: Option<Box<Identity>>,
+    },
+    /// It sends a transaction to the contract.
+    Transaction {
+        /// Who signed it.
+        sender: Address,
+        /// The signed bytes.
+        raw: Vec<u8>,
+        /// The identity, where it registers one.
+        registers: Option<Box<Identity>>,
+    },
+}
+
+fn refused<T>(code: i64, words: impl Into<String>) -> Result<T, RelayError> {
+    Err(RelayError::Answered { code, message: words.into(), data: None })
+}
+
+/// Looks at a request.
+///
+/// # Errors
+/// [`RelayError::NotAllowed`] for a method that is not passed on for this asker, [`RelayError::Answered`] with what is
+/// wrong with the rest.
+pub fn examine(ground: Ground<'_>, asker: Asker, method: &str, parameters: &Value) -> Result<Passed, RelayError> {
+    check(method, parameters)?;
+    let first = parameters.get(0).unwrap_or(&Value::Null);
+    match (method, asker) {
+        ("eth_getProof" | "eth_feeHistory", Asker::Visitor) => Err(RelayError::NotAllowed),
+        ("eth_getProof", _) => {
+            let slots = parameters.get(1).and_then(Value::as_array).map_or(0, Vec::len);
+            if slots > MOST_SLOTS { refused(-32602, "too many slots at once") } else { read(parameters) }
+        }
+        ("eth_sendRawTransaction", _) => transaction(ground.pin, first),
+        ("eth_call", _) => message(ground.pin, parameters).and_then(|_| read(parameters)),
+        ("eth_estimateGas", _) => {
+            let data = message(ground.pin, parameters)?;
+            Ok(Passed::Estimate { from: address(first.get("from")), registers: registration(&data) })
+        }
+        ("eth_getLogs", _) => logs(ground, asker, first),
+        ("eth_getBlockByNumber" | "eth_getBlockByHash", Asker::Visitor) => match parameters.get(1) {
+            Some(Value::Bool(true)) => refused(-32602, "a visitor gets blocks without their transactions"),
+            _ => read(parameters),
+        },
+        _ => read(parameters),
+    }
+}
+
+#[expect(clippy::unnecessary_wraps, reason = "one of several outcomes")]
+fn read(parameters: &Value) -> Result<Passed, RelayError> {
+    Ok(Passed::Read(parameters.clone()))
+}
+
+fn address(value: Option<&Value>) -> Option<Address> {
+    value?.as_str()?.to_lowercase().parse().ok()
+}
+
+fn bytes(value: &Value) -> Option<Vec<u8>> {
+    unhex(value.as_str()?)
+}
+
+/// The data of a call of the contract; the block may follow it, nothing else.
+fn message(pin: &Pin, parameters: &Value) -> Result<Vec<u8>, RelayError> {
+    const FIELDS: [&str; 5] = ["from", "to", "data", "input", "gas"];
+    let Some(call) = parameters.get(0).and_then(Value::as_object) else { return refused(-32602, "no call") };
+    if parameters.get(2).is_some() || !call.keys().all(|key| FIELDS.contains(&key.as_str())) {
+        return refused(-32602, "a call has from, to and data, and a block; nothing else is passed on");
+    }
+    if address(call.get("to")) != Some(pin.contract) {
+        return refused(-32602, format!("only calls of the contract {} are passed on", pin.contract));
+    }
+    let data = match (call.get("data"), call.get("input")) {
+        (Some(_), Some(_)) => None,
+        (Some(data), None) | (None, Some(data)) => bytes(data),
+        (None, None) => Some(Vec::new()),
+    };
+    match data.filter(|data| data.len() <= LONGEST_DATA) {
+        Some(data) => Ok(data),
+        None => refused(-32602, "call data that is no hex, or too long"),
+    }
+}
+
+fn transaction(pin: &Pin, raw: &Value) -> Result<Passed, RelayError> {
+    let rejected = |words: String| refused(-32003, words);
+    let Some(raw) = bytes(raw) else { return refused(-32602, "no signed transaction") };
+    let decoded = match Transaction::decode(&raw, pin.chain_id, None) {
+        Ok(decoded) => decoded,
+        Err(reason) => return refused(-32000, reason),
+    };
+    if decoded.to != Some(pin.contract) || !decoded.value.is_zero() {
+        return rejected(format!("only transactions to the contract {}, without value, are passed on", pin.contract));
+    }
+    if decoded.gas_limit > MOST_GAS {
+        return rejected(format!(
+            "the transaction may use {} gas; at most {MOST_GAS} are passed on",
+            decoded.gas_limit
+        ));
+    }
+    Ok(Passed::Transaction { sender: decoded.sender, registers: registration(&decoded.input), raw })
+}
+
+/// The identity that this call data registers, where it does exactly that.
+fn registration(data: &[u8]) -> Option<Box<Identity>> {
+    let padded = REGISTRATION.next_multiple_of(32) + 4;
+    if data.len() < REGISTRATION || data.len() > padded {
+        return None;
+    }
+    let identity = Identity::parse(data.get(4 + 64..REGISTRATION)?).ok()?;
+    let call = Call::Register { identity }.encode().ok()?;
+    (call == data).then(|| Box::new(identity))
+}
+
+/// Logs of the contract alone, of a bounded number of blocks; blocks before the contract's are left out.
+fn logs(ground: Ground<'_>, asker: Asker, filter: &Value) -> Result<Passed, RelayError> {
+    let Some(fields) = filter.as_object() else { return refused(-32602, "no filter") };
+    let place = match fields.get("address") {
+        Some(Value::Array(all)) if all.len() == 1 => address(all.first()),
+        one => address(one),
+    };
+    if place != Some(ground.pin.contract) {
+        return refused(-32602, format!("only logs of the contract {} are passed on", ground.pin.contract));
+    }
+    if fields.contains_key("blockHash") {
+        return read(&json!([filter]));
+    }
+    let bound = |name: &str| match fields.get(name).map(|value| value.as_str()) {
+        None | Some(Some("latest" | "pending" | "safe" | "finalized")) => Some(ground.head),
+        Some(Some("earliest")) => Some(0),
+        Some(Some(number)) => u64::from_str_radix(number.strip_prefix("0x")?, 16).ok(),
+        Some(None) => None,
+    };
+    let (Some(from), Some(to)) = (bound("fromBlock"), bound("toBlock")) else { return refused(-32602, "no blocks") };
+    let first = from.max(ground.pin.deployed_at);
+    if to < first {
+        return Ok(Passed::NoLogs);
+    }
+    let most = if asker == Asker::Visitor { VISITORS_BLOCKS } else { MOST_BLOCKS };
+    if to - first >= most {
+        return refused(-32005, format!("logs of more than {most} blocks; ask for fewer at once"));
+    }
+    let mut bounded = fields.clone();
+    if first > from {
+        bounded.insert("fromBlock".to_owned(), json!(format!("{first:#x}")));
+    }
+    // The end stays as it was asked for: the chain may be further than is known here.
+    read(&json!([bounded]))
+}
+
+#[cfg(test)]
+mod tests;

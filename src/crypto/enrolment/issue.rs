@@ -1,0 +1,220 @@
+//! The keys of an epoch as an owner gives them to a device, and their bytes.
+
+use std::collections::BTreeMap;
+
+use zeroize::Zeroizing;
+
+use crate::crypto::{EpochKey, FilterKey, TopicKey};
+use crate::model::wire::{Reader, WireError, put_text};
+use crate::model::{Timestamp, Token, TopicId};
+
+/// The most topics whose keys are issued at once, those of statements included.
+const MOST_ISSUED: usize = super::MOST_TOPICS;
+
+const EPOCH: u8 = 0;
+const NAMED_TOPICS: u8 = 1;
+const TOPICS: u8 = 2;
+/// What names of topics begin with that are no topics of ROS: statements are filed under them.
+const STATEMENTS: &str = "authros/";
+
+/// What a device files a topic's records under and finds them by; it need not hold IK for it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Pseudonyms {
+    /// The topic's.
+    pub id: TopicId,
+    /// What those of its types and tags are made with.
+    pub filters: FilterKey,
+}
+
+/// What an epoch's records of one topic are sealed with.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct IssuedTopic {
+    /// Its key.
+    pub key: TopicKey,
+    /// `None` for a device enrolled by version 1, which makes them with IK.
+    pub pseudonyms: Option<Pseudonyms>,
+}
+
+/// What an epoch's topic keys come from.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum SealingKey {
+    /// EK: any topic.
+    Epoch(EpochKey),
+    /// What some topics need, by name; others cannot be sealed. Either all of them have pseudonyms or none has.
+    Topics(BTreeMap<String, IssuedTopic>),
+}
+
+impl SealingKey {
+    /// The topics that it is limited to, without those that statements are filed under; `None` where it covers all.
+    pub fn topics(&self) -> Option<Vec<String>> {
+        match self {
+            Self::Epoch(_) => None,
+            Self::Topics(keys) => Some(keys.keys().filter(|name| !name.starts_with(STATEMENTS)).cloned().collect()),
+        }
+    }
+}
+
+/// The keys of one epoch, as an owner gives them to a device.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct EpochIssue {
+    /// The epoch's number.
+    pub epoch: u64,
+    /// Its token.
+    pub token: Token,
+    /// When its earliest grant runs out: nothing captured from then on may be sealed under it.
+    pub ends: Option<Timestamp>,
+    /// Its keys.
+    pub key: SealingKey,
+}
+
+/// What a device seals under now, and from a known moment on.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct IssuedKeys {
+    /// Now.
+    pub now: EpochIssue,
+    /// From the moment on at which the earliest grant of the present epoch runs out.
+    pub next: Option<(Timestamp, EpochIssue)>,
+}
+
+impl IssuedKeys {
+    /// Of no topic; what was read takes its place.
+    pub(super) fn none() -> Self {
+        let key = SealingKey::Topics(BTreeMap::new());
+        Self { now: EpochIssue { epoch: 0, token: Token([0; 32]), ends: None, key }, next: None }
+    }
+
+    /// Its bytes, the body of a notice: issue || 0 or 1 || [moment (8) || issue]; an issue is epoch (8) ||
+    /// token (32) || end (8, 0 for none) || 0 || EK (32), or instead of the last two 1 || count (2) || topic and
+    /// key (32) each, or 2 || count (2) || topic, topic id (16), filter key (32) and key (32) each.
+    pub fn encode(&self) -> Zeroizing<Vec<u8>> {
+        let length = self.now.length() + self.next.as_ref().map_or(1, |(_, next)| 9 + next.length());
+        // Reserved in one piece, tag included: growing would leave unwiped copies behind.
+        let mut out = Zeroizing::new(Vec::with_capacity(length + 16));
+        self.now.put(&mut out);
+        match &self.next {
+            None => out.push(0),
+            Some((moment, next)) => {
+                out.push(1);
+                out.extend_from_slice(&moment.0.to_be_bytes());
+                next.put(&mut out);
+            }
+        }
+        out
+    }
+
+    /// From the body of a notice.
+    ///
+    /// # Errors
+    /// [`WireError`] where it is none.
+    pub fn parse(body: &[u8]) -> Result<Self, WireError> {
+        let mut reader = Reader::new(body);
+        let issued = Self::read(&mut reader)?;
+        reader.end()?;
+        Ok(issued)
+    }
+
+    pub(super) fn read(reader: &mut Reader<'_>) -> Result<Self, WireError> {
+        let now = EpochIssue::read(reader)?;
+        let next = match reader.u8("next epoch")? {
+            0 => None,
+            1 => Some((Timestamp(reader.u64("moment")?), EpochIssue::read(reader)?)),
+            _ => return Err(WireError::Value("next epoch")),
+        };
+        if next.as_ref().is_some_and(|(_, next)| next.epoch <= now.epoch) {
+            return Err(WireError::Value("next epoch"));
+        }
+        Ok(Self { now, next })
+    }
+}
+
+impl EpochIssue {
+    /// Whether a device without IK can seal with it.
+    pub(super) fn stands_alone(&self) -> bool {
+        match &self.key {
+            SealingKey::Epoch(_) => false,
+            SealingKey::Topics(topics) => topics.values().all(|issued| issued.pseudonyms.is_some()),
+        }
+    }
+
+    fn length(&self) -> usize {
+        49 + match &self.key {
+            SealingKey::Epoch(_) => 32,
+            SealingKey::Topics(keys) => {
+                2 + keys.iter().map(|(topic, issued)| topic.len() + issued.length()).sum::<usize>()
+            }
+        }
+    }
+
+    fn put(&self, out: &mut Vec<u8>) {
+        out.extend_from_slice(&self.epoch.to_be_bytes());
+        out.extend_from_slice(&self.token.0);
+        out.extend_from_slice(&self.ends.map_or(0, |ends| ends.0).to_be_bytes());
+        match &self.key {
+            SealingKey::Epoch(key) => {
+                out.push(EPOCH);
+                out.extend_from_slice(key.expose());
+            }
+            SealingKey::Topics(keys) => {
+                let named = keys.values().all(|issued| issued.pseudonyms.is_none());
+                out.push(if named { NAMED_TOPICS } else { TOPICS });
+                let count = keys.len().min(MOST_ISSUED);
+                out.extend_from_slice(&u16::try_from(count).unwrap_or(0).to_be_bytes());
+                for (topic, issued) in keys.iter().take(count) {
+                    put_text(out, topic);
+                    if let Some(Pseudonyms { id, filters }) = &issued.pseudonyms {
+                        out.extend_from_slice(&id.0);
+                        out.extend_from_slice(filters.expose());
+                    }
+                    out.extend_from_slice(issued.key.expose());
+                }
+            }
+        }
+    }
+
+    fn read(reader: &mut Reader<'_>) -> Result<Self, WireError> {
+        let (epoch, token) = (reader.u64("epoch")?, Token(reader.array("token")?));
+        if epoch == 0 {
+            return Err(WireError::Value("epoch"));
+        }
+        let ends = Some(Timestamp(reader.u64("end")?)).filter(|ends| ends.0 > 0);
+        let key = match reader.u8("key")? {
+            EPOCH => SealingKey::Epoch(EpochKey::new(reader.array("epoch key")?)),
+            NAMED_TOPICS => SealingKey::Topics(read_topics(reader, false)?),
+            TOPICS => SealingKey::Topics(read_topics(reader, true)?),
+            _ => return Err(WireError::Value("key")),
+        };
+        Ok(Self { epoch, token, ends, key })
+    }
+}
+
+impl IssuedTopic {
+    /// Bytes of its encoding, the topic's name apart.
+    fn length(&self) -> usize {
+        if self.pseudonyms.is_some() { 82 } else { 34 }
+    }
+}
+
+fn read_topics(reader: &mut Reader<'_>, pseudonyms: bool) -> Result<BTreeMap<String, IssuedTopic>, WireError> {
+    let count = usize::from(reader.u16("topic count")?);
+    // None at all is written as names alone.
+    if count > MOST_ISSUED || (pseudonyms && count == 0) {
+        return Err(WireError::Value("topic count"));
+    }
+    let mut keys = BTreeMap::new();
+    for _ in 0..count {
+        let topic = reader.text("topic")?;
+        // In the order of names, so that what parses has one encoding.
+        if keys.last_key_value().is_some_and(|(last, _)| *last >= topic) {
+            return Err(WireError::Value("topic"));
+        }
+        let pseudonyms = match pseudonyms {
+            true => Some(Pseudonyms {
+                id: TopicId(reader.array("topic id")?),
+                filters: FilterKey::new(reader.array("filter key")?),
+            }),
+            false => None,
+        };
+        keys.insert(topic, IssuedTopic { key: TopicKey::new(reader.array("topic key")?), pseudonyms });
+    }
+    Ok(keys)
+}

@@ -1,0 +1,47 @@
+//! What a notice of an owner to a device says. Its first byte is its kind: 0 for keys, whose first field, an epoch, is far
+//! below 2^56; 1 for another P_C of the owner; further kinds take the next numbers.
+
+use zeroize::Zeroizing;
+
+use super::IssuedKeys;
+use crate::crypto::OwnerKeyChange;
+use crate::model::wire::WireError;
+
+/// What an owner tells a device.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Notice {
+    /// What to seal under from now on.
+    Keys(IssuedKeys),
+    /// With which key the owner signs from now on.
+    OwnerKey(OwnerKeyChange),
+    /// A kind that this version does not know, by its number: nothing follows from it.
+    Unknown(u8),
+}
+
+impl Notice {
+    /// The kind of [`Self::Keys`].
+    const KEYS: u8 = 0;
+    /// The kind of [`Self::OwnerKey`].
+    const OWNER_KEY: u8 = 1;
+
+    /// Its bytes, the body of the record.
+    pub fn encode(&self) -> Zeroizing<Vec<u8>> {
+        match self {
+            Self::Keys(keys) => keys.encode(),
+            Self::OwnerKey(change) => Zeroizing::new([&[Self::OWNER_KEY], &change.encode()[..]].concat()),
+            Self::Unknown(kind) => Zeroizing::new(vec![*kind]),
+        }
+    }
+
+    /// From the body of a record.
+    ///
+    /// # Errors
+    /// [`WireError`] where it is none.
+    pub fn parse(body: &[u8]) -> Result<Self, WireError> {
+        match body.split_first() {
+            Some((&Self::KEYS, _)) | None => IssuedKeys::parse(body).map(Self::Keys),
+            Some((&Self::OWNER_KEY, change)) => OwnerKeyChange::parse(change).map(Self::OwnerKey),
+            Some((kind, _)) => Ok(Self::Unknown(*kind)),
+        }
+    }
+}

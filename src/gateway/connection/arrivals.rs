@@ -1,0 +1,119 @@
+//! What comes in on a connection: the next frame in time, charged and paced, or an entry of a subscription.
+
+use std::time::Duration;
+
+use tokio::time::{Instant, sleep, sleep_until};
+
+use super::feeds::{Fed, Feeds};
+use super::{Connection, End};
+use crate::chain::relay::weight;
+use crate::gateway::code::{Code, Refusal};
+use crate::gateway::command::{Command, Request};
+use crate::gateway::frame::FrameKind;
+use crate::gateway::parts::Message;
+use crate::gateway::server::stopped;
+
+/// Frames announced to be longer are charged before they are read, bytes.
+const CHARGED: usize = 16 * 1024;
+/// How often a frame that waits for room is tried again.
+const ROOM: Duration = Duration::from_millis(50);
+
+/// What came next.
+pub(super) enum Next {
+    Frame(FrameKind, Vec<u8>),
+    Fed(Fed),
+}
+
+impl Connection {
+    pub(super) async fn expect(&mut self, wanted: FrameKind, deadline: Instant) -> Result<Vec<u8>, End> {
+        match self.next(deadline, None).await? {
+            Next::Frame(kind, payload) if kind == wanted => Ok(payload),
+            _ => Err(Refusal::new(Code::Malformed, format_args!("a frame that is no {wanted:?}")).into()),
+        }
+    }
+
+    /// The next frame or entry of a subscription, until `deadline` or the limits' patience ends.
+    pub(super) async fn next(&mut self, deadline: Instant, mut feeds: Option<&mut Feeds>) -> Result<Next, End> {
+        self.charge = None;
+        loop {
+            if let Some((kind, payload)) = self.line.arrived()? {
+                self.since = Instant::now();
+                self.partial = false;
+                return Ok(Next::Frame(kind, payload));
+            }
+            let partial = self.line.is_partial();
+            if partial && !self.partial {
+                self.since = Instant::now();
+            }
+            self.partial = partial;
+            let limits = self.shared.limits();
+            let patience = if partial { limits.frame_time } else { limits.idle_time };
+            let deadline = deadline.min(self.since + patience);
+            let has_room = self.has_room();
+            tokio::select! {
+                filled = self.line.fill(), if has_room => filled?,
+                () = sleep(ROOM), if !has_room => {}
+                () = self.seat.evicted() => {
+                    return Err(Refusal::new(Code::Busy, "newer handshakes need its place").into());
+                }
+                fed = next_fed(feeds.as_deref_mut()) => return Ok(Next::Fed(fed)),
+                () = sleep_until(deadline) => {
+                    return Err(Refusal::new(Code::TooSlow, "nothing whole came in time").into());
+                }
+                () = stopped(&mut self.stop) => {
+                    return Err(Refusal::new(Code::Closing, "the gateway stops").into());
+                }
+            }
+        }
+    }
+
+    /// Whether what is announced may be read: a large frame is charged to its peer first, and waits where the peer has
+    /// too many of them under way.
+    fn has_room(&mut self) -> bool {
+        let charged = self.in_parts || self.charge.is_some();
+        let large = self.line.announced().filter(|length| *length > CHARGED && !charged);
+        let Some(length) = large else { return true };
+        self.charge = self.seat.charge(length).ok();
+        self.charge.is_some()
+    }
+
+    /// Counts what came, and waits where the peer sends more than it may.
+    pub(super) async fn pace(&self, bytes: usize) {
+        let pause = self.seat.pace(std::time::Instant::now(), bytes);
+        if pause > Duration::ZERO {
+            sleep(pause.min(self.shared.limits().frame_time)).await;
+        }
+    }
+
+    /// Counts what somebody without a transport key sends to the chain.
+    ///
+    /// # Errors
+    /// [`Refusal`] with `Quota`.
+    pub(super) fn count_newcomer<C>(&self, message: &Message<C>) -> Result<(), Refusal> {
+        let sends = match message.command {
+            Command::Register => true,
+            Command::Relay => matches!(
+                Request::parse(Command::Relay, &message.body),
+                Ok(Request::Relay(call)) if call.method == "eth_sendRawTransaction"
+            ),
+            _ => false,
+        };
+        if sends { self.seat.newcomer(std::time::Instant::now()) } else { Ok(()) }
+    }
+
+    /// Counts a request to the chain by what it costs there, and waits where the peer asks more than it may.
+    pub(super) async fn pace_relay(&self, body: &[u8]) {
+        let Ok(Request::Relay(call)) = Request::parse(Command::Relay, body) else { return };
+        let pause = self.seat.pace_relay(std::time::Instant::now(), weight(&call.method));
+        if pause > Duration::ZERO {
+            sleep(pause.min(self.shared.limits().frame_time)).await;
+        }
+    }
+}
+
+async fn next_fed(feeds: Option<&mut Feeds>) -> Fed {
+    match feeds {
+        Some(feeds) => feeds.next().await,
+        None => std::future::pending().await,
+    }
+}

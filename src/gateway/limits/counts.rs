@@ -1,0 +1,227 @@
+//! Who holds what at a gateway, and who waits to authenticate, oldest first.
+
+use std::collections::{BTreeMap, HashMap};
+use std::net::{IpAddr, Ipv6Addr};
+use std::time::{Duration, Instant};
+
+use tokio::sync::oneshot;
+
+use super::Limits;
+use super::bucket::Bucket;
+use crate::gateway::code::{Code, Refusal};
+
+/// Peers, and networks, remembered at most.
+pub(super) const MOST_REMEMBERED: usize = 16_384;
+/// Between two looks for peers to forget.
+const FORGETTING: Duration = Duration::from_secs(1);
+/// How many times as much a network of IPv6 may do as one peer.
+const PEERS_OF_NETWORK: usize = 4;
+/// Who is not remembered shares one peer: forgetting the debts of others would pay them.
+const UNREMEMBERED: IpAddr = IpAddr::V6(Ipv6Addr::UNSPECIFIED);
+
+/// Whose a connection is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Place {
+    pub peer: IpAddr,
+    /// Of IPv6 alone.
+    pub network: Option<IpAddr>,
+}
+
+#[derive(Debug)]
+pub(super) struct Peer {
+    pub connections: usize,
+    pub handshakes: usize,
+    pub visits: usize,
+    pub charged: usize,
+    arrivals: Bucket,
+    pub frames: Bucket,
+    pub bytes: Bucket,
+    pub relays: Bucket,
+    pub newcomers: Bucket,
+}
+
+/// What the peers of a network hold together.
+#[derive(Debug)]
+pub(super) struct Network {
+    pub connections: usize,
+    pub handshakes: usize,
+    pub visits: usize,
+    arrivals: Bucket,
+}
+
+/// A connection that has not authenticated.
+#[derive(Debug)]
+struct Handshake {
+    place: Place,
+    evict: oneshot::Sender<()>,
+}
+
+#[derive(Debug, Default)]
+pub(super) struct Counts {
+    pub connections: usize,
+    pub visits: usize,
+    pub charged: usize,
+    /// By number: the oldest first.
+    handshaking: BTreeMap<u64, Handshake>,
+    numbers: u64,
+    /// When idle peers were forgotten.
+    forgot: Option<Instant>,
+    pub peers: HashMap<IpAddr, Peer>,
+    pub networks: HashMap<IpAddr, Network>,
+}
+
+fn masked(address: Ipv6Addr, bits: u32) -> IpAddr {
+    IpAddr::V6((address.to_bits() & (u128::MAX << (128 - bits))).into())
+}
+
+/// The peer that an address belongs to, and its network.
+pub(super) fn place_of(address: IpAddr) -> Place {
+    match address.to_canonical() {
+        IpAddr::V6(address) => Place { peer: masked(address, 64), network: Some(masked(address, 48)) },
+        address @ IpAddr::V4(_) => Place { peer: address, network: None },
+    }
+}
+
+impl Peer {
+    fn new(limits: &Limits, now: Instant) -> Self {
+        Self {
+            connections: 0,
+            handshakes: 0,
+            visits: 0,
+            charged: 0,
+            arrivals: Bucket::new(limits.handshake_rate, limits.handshake_burst, now),
+            frames: Bucket::new(limits.frame_rate, limits.frame_rate, now),
+            bytes: Bucket::new(limits.byte_rate, limits.byte_rate, now),
+            relays: Bucket::new(limits.relay_rate, limits.relay_burst, now),
+            newcomers: Bucket::new(limits.newcomer_rate, limits.newcomer_burst, now),
+        }
+    }
+
+    /// Whether it holds nothing and owes nothing.
+    fn is_idle(&mut self, now: Instant) -> bool {
+        let buckets = [&mut self.arrivals, &mut self.relays, &mut self.newcomers];
+        let owes = buckets.into_iter().any(|bucket| !bucket.is_full(now));
+        self.connections == 0 && self.charged == 0 && !owes
+    }
+}
+
+impl Network {
+    fn new(limits: &Limits, now: Instant) -> Self {
+        #[expect(clippy::cast_precision_loss, reason = "a handful")]
+        let peers = PEERS_OF_NETWORK as f64;
+        let arrivals = Bucket::new(limits.handshake_rate * peers, limits.handshake_burst * peers, now);
+        Self { connections: 0, handshakes: 0, visits: 0, arrivals }
+    }
+}
+
+impl Counts {
+    /// Where a connection from `address` is counted; its peer and network are there from then on.
+    pub fn place_of(&mut self, address: IpAddr, limits: &Limits, now: Instant) -> Place {
+        let mut place = place_of(address);
+        if !self.peers.contains_key(&place.peer) && self.peers.len() >= MOST_REMEMBERED {
+            self.forget_idle(now);
+            if self.peers.len() >= MOST_REMEMBERED {
+                place.peer = UNREMEMBERED;
+            }
+        }
+        self.peers.entry(place.peer).or_insert_with(|| Peer::new(limits, now));
+        if let Some(mut network) = place.network {
+            if !self.networks.contains_key(&network) && self.networks.len() >= MOST_REMEMBERED {
+                self.forget_idle(now);
+                if self.networks.len() >= MOST_REMEMBERED {
+                    network = UNREMEMBERED;
+                }
+            }
+            self.networks.entry(network).or_insert_with(|| Network::new(limits, now));
+            place.network = Some(network);
+        }
+        place
+    }
+
+    /// Forgets those that hold nothing and owe nothing; in a flood not for every connection.
+    fn forget_idle(&mut self, now: Instant) {
+        if self.forgot.is_some_and(|at| now.saturating_duration_since(at) < FORGETTING) {
+            return;
+        }
+        self.forgot = Some(now);
+        self.peers.retain(|_, peer| !peer.is_idle(now));
+        self.networks.retain(|_, network| network.connections > 0 || !network.arrivals.is_full(now));
+    }
+
+    /// Whether one more connection of this place fits; it is counted as an arrival then.
+    ///
+    /// # Errors
+    /// [`Refusal`] with `Busy`.
+    pub fn check_room(&mut self, place: &Place, limits: &Limits, now: Instant) -> Result<(), Refusal> {
+        let busy = |what: &str, of: &IpAddr| Err(Refusal::new(Code::Busy, format_args!("too many {what} of {of}")));
+        let network = place.network.and_then(|key| self.networks.get_mut(&key).map(|network| (key, network)));
+        if let Some((key, network)) = network {
+            if network.connections >= limits.connections_of_peer.saturating_mul(PEERS_OF_NETWORK) {
+                return busy("connections", &key);
+            }
+            if network.handshakes >= limits.handshakes_of_network() || !network.arrivals.take_if_there(now) {
+                return busy("handshakes", &key);
+            }
+        }
+        let Some(peer) = self.peers.get_mut(&place.peer) else { return Ok(()) };
+        if peer.connections >= limits.connections_of_peer {
+            return busy("connections", &place.peer);
+        }
+        // Those that are under way may finish: a crowd behind one address would else drop each other for ever.
+        if peer.handshakes >= limits.handshakes_of_peer() || !peer.arrivals.take_if_there(now) {
+            return busy("handshakes", &place.peer);
+        }
+        Ok(())
+    }
+
+    /// Counts a connection and gives its handshake a place, if need be the one of the oldest.
+    pub fn enter(&mut self, place: Place, most: usize) -> (u64, oneshot::Receiver<()>) {
+        while self.handshaking.len() >= most.max(1) {
+            let Some(oldest) = self.handshaking.keys().next().copied() else { break };
+            if let Some(dropped) = self.leave_handshake(oldest) {
+                // One that ends by itself just now needs no telling.
+                let _ = dropped.send(());
+            }
+        }
+        let (evict, evicted) = oneshot::channel();
+        self.numbers += 1;
+        self.handshaking.insert(self.numbers, Handshake { place, evict });
+        self.connections += 1;
+        self.change(&place, |peer| (peer.connections, peer.handshakes) = (peer.connections + 1, peer.handshakes + 1));
+        self.change_network(&place, |network| {
+            (network.connections, network.handshakes) = (network.connections + 1, network.handshakes + 1);
+        });
+        (self.numbers, evicted)
+    }
+
+    /// Gives a handshake's place back; nothing where it has none any more.
+    pub fn leave_handshake(&mut self, number: u64) -> Option<oneshot::Sender<()>> {
+        let Handshake { place, evict } = self.handshaking.remove(&number)?;
+        self.change(&place, |peer| peer.handshakes = peer.handshakes.saturating_sub(1));
+        self.change_network(&place, |network| network.handshakes = network.handshakes.saturating_sub(1));
+        Some(evict)
+    }
+
+    /// Changes what is counted of a place's peer.
+    pub fn change(&mut self, place: &Place, change: impl FnOnce(&mut Peer)) {
+        if let Some(peer) = self.peers.get_mut(&place.peer) {
+            change(peer);
+        }
+    }
+
+    /// Changes what is counted of a place's network.
+    pub fn change_network(&mut self, place: &Place, change: impl FnOnce(&mut Network)) {
+        if let Some(network) = place.network.and_then(|key| self.networks.get_mut(&key)) {
+            change(network);
+        }
+    }
+
+    /// Whether a visitor's place is left for this peer.
+    pub fn has_room_for_visit(&self, place: &Place, limits: &Limits) -> bool {
+        let of_network = limits.visits_of_peer.saturating_mul(2);
+        let network = place.network.and_then(|key| self.networks.get(&key));
+        self.visits < limits.visits
+            && network.is_none_or(|network| network.visits < of_network)
+            && self.peers.get(&place.peer).is_some_and(|peer| peer.visits < limits.visits_of_peer)
+    }
+}

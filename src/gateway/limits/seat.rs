@@ -1,0 +1,148 @@
+//! A connection's place at a gateway, and memory charged to its peer; both are given back when dropped.
+
+use std::time::{Duration, Instant};
+
+use tokio::sync::oneshot;
+
+use super::Peers;
+use super::counts::Place;
+use crate::gateway::code::{Code, Refusal};
+
+/// A connection's place; given back when dropped.
+#[derive(Debug)]
+pub struct Seat {
+    peers: Peers,
+    place: Place,
+    /// Its number among the handshakes, and where it learns that it must go.
+    handshake: Option<(u64, oneshot::Receiver<()>)>,
+    visits: bool,
+}
+
+impl Seat {
+    pub(super) fn new(peers: Peers, place: Place, number: u64, evicted: oneshot::Receiver<()>) -> Self {
+        Self { peers, place, handshake: Some((number, evicted)), visits: false }
+    }
+
+    /// The handshake is over.
+    pub fn authenticated(&mut self) {
+        if let Some((number, _)) = self.handshake.take() {
+            self.peers.lock().leave_handshake(number);
+        }
+    }
+
+    /// Ends when the connection has to make room for another handshake: never once it has authenticated. Can be
+    /// cancelled at any point.
+    pub async fn evicted(&mut self) {
+        if let Some((_, evicted)) = &mut self.handshake
+            && evicted.await.is_ok()
+        {
+            self.handshake = None;
+            return;
+        }
+        std::future::pending().await
+    }
+
+    /// The connection reads the chain without a transport key: the handshake is over, and it takes a visitor's place
+    /// until it ends.
+    ///
+    /// # Errors
+    /// [`Refusal`] with `Busy`.
+    pub fn visit(&mut self) -> Result<(), Refusal> {
+        if self.visits {
+            return Ok(());
+        }
+        {
+            let mut counts = self.peers.lock();
+            if !counts.has_room_for_visit(&self.place, &self.peers.limits) {
+                return Err(Refusal::new(
+                    Code::Busy,
+                    format_args!("too many visitors, one more of {}", self.place.peer),
+                ));
+            }
+            counts.visits += 1;
+            counts.change(&self.place, |peer| peer.visits += 1);
+            counts.change_network(&self.place, |network| network.visits += 1);
+        }
+        self.visits = true;
+        self.authenticated();
+        Ok(())
+    }
+
+    /// Counts one frame; how long the connection must wait before it reads on.
+    pub fn pace(&self, now: Instant, bytes: usize) -> Duration {
+        let mut counts = self.peers.lock();
+        let Some(peer) = counts.peers.get_mut(&self.place.peer) else { return Duration::ZERO };
+        let bytes = u32::try_from(bytes).map_or(f64::MAX, f64::from);
+        peer.frames.take(now, 1.0).max(peer.bytes.take(now, bytes))
+    }
+
+    /// Counts a request to the chain by its weight; how long it must wait before it is passed on.
+    pub fn pace_relay(&self, now: Instant, weight: u32) -> Duration {
+        let mut counts = self.peers.lock();
+        let Some(peer) = counts.peers.get_mut(&self.place.peer) else { return Duration::ZERO };
+        peer.relays.take(now, f64::from(weight))
+    }
+
+    /// Counts a transaction of somebody without a transport key: each one makes the chain longer for ever.
+    ///
+    /// # Errors
+    /// [`Refusal`] with `Quota`.
+    pub fn newcomer(&self, now: Instant) -> Result<(), Refusal> {
+        let mut counts = self.peers.lock();
+        let peer = counts.peers.get_mut(&self.place.peer);
+        if peer.is_none_or(|peer| peer.newcomers.take_if_there(now)) {
+            return Ok(());
+        }
+        Err(Refusal::new(Code::Quota, format_args!("too many newcomers of {}", self.place.peer)))
+    }
+
+    /// Charges memory to the peer until the charge is dropped.
+    ///
+    /// # Errors
+    /// [`Refusal`] with `Quota`.
+    pub fn charge(&self, bytes: usize) -> Result<Charge, Refusal> {
+        let mut counts = self.peers.lock();
+        let limits = &self.peers.limits;
+        let fits = counts.charged.saturating_add(bytes) <= limits.quota;
+        let peer = counts.peers.get_mut(&self.place.peer);
+        let Some(peer) = peer.filter(|peer| fits && peer.charged.saturating_add(bytes) <= limits.quota_of_peer) else {
+            return Err(Refusal::new(Code::Quota, format_args!("no room for {bytes} bytes of {}", self.place.peer)));
+        };
+        peer.charged += bytes;
+        counts.charged += bytes;
+        Ok(Charge { peers: self.peers.clone(), place: self.place, bytes })
+    }
+}
+
+impl Drop for Seat {
+    fn drop(&mut self) {
+        self.authenticated();
+        let (mut counts, visits) = (self.peers.lock(), usize::from(self.visits));
+        counts.connections = counts.connections.saturating_sub(1);
+        counts.visits = counts.visits.saturating_sub(visits);
+        counts.change(&self.place, |peer| {
+            peer.connections = peer.connections.saturating_sub(1);
+            peer.visits = peer.visits.saturating_sub(visits);
+        });
+        counts.change_network(&self.place, |network| {
+            network.connections = network.connections.saturating_sub(1);
+            network.visits = network.visits.saturating_sub(visits);
+        });
+    }
+}
+
+/// Memory charged to a peer.
+#[derive(Debug)]
+pub struct Charge {
+    peers: Peers,
+    place: Place,
+    bytes: usize,
+}
+
+impl Drop for Charge {
+    fn drop(&mut self) {
+        let mut counts = self.peers.lock();
+        counts.charged = counts.charged.saturating_sub(self.bytes);
+        counts.change(&self.place, |peer| peer.charged = peer.charged.saturating_sub(self.bytes));
+    }
+}

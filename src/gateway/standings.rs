@@ -1,0 +1,151 @@
+//! How records stand, signed by the gateway like a receipt: a robot keeps it and may then give its only copy away.
+//! In an answer: count (2, its highest bit set) || standings (1 each) || time (8) || signature (64) || for each: length (4) || proof.
+
+use crate::crypto::{CryptoError, Provider, SmKeyPair};
+use crate::model::wire::{Reader, WireError};
+use crate::model::{Digest, Domain, PublicKey, Signature, Timestamp};
+
+use super::command::Standing;
+use super::command::answer::LONGEST_PROOF;
+use super::command::request::{MOST_CHECKED, SIGNED};
+
+/// How one record stands, with where the chain has it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Stood {
+    /// How it stands.
+    pub standing: Standing,
+    /// Proof of the anchor, as the chain room writes it; empty before there is one.
+    pub proof: Vec<u8>,
+}
+
+/// How records stand, in the order in which they were asked for.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SignedStandings {
+    /// When they stood so.
+    pub time: Timestamp,
+    /// How each stands.
+    pub stood: Vec<Stood>,
+    /// By the gateway's identity key.
+    pub signature: Signature,
+}
+
+/// What is signed after the domain: time (8) || count (2) || for each: digest (32) || standing (1) || SM3 of its proof
+/// (32, zeros where there is none).
+pub fn statement(provider: &dyn Provider, time: Timestamp, digests: &[Digest], stood: &[Stood]) -> Vec<u8> {
+    let mut out = time.0.to_be_bytes().to_vec();
+    out.extend_from_slice(&u16::try_from(stood.len()).unwrap_or(u16::MAX).to_be_bytes());
+    for (digest, one) in digests.iter().zip(stood) {
+        out.extend_from_slice(&digest.0);
+        out.push(one.standing.code());
+        let proof = if one.proof.is_empty() { [0; 32] } else { provider.sm3(&[&one.proof]) };
+        out.extend_from_slice(&proof);
+    }
+    out
+}
+
+fn signed_bytes(domain: &Domain, statement: &[u8]) -> Vec<u8> {
+    [&b"AuthROS/standing/1"[..], &domain.0, statement].concat()
+}
+
+impl SignedStandings {
+    /// Signs how these records stand.
+    ///
+    /// # Errors
+    /// [`CryptoError::Length`] where there are not as many standings as digests, or more than fit; [`CryptoError::Random`].
+    pub fn sign(
+        provider: &dyn Provider,
+        domain: &Domain,
+        identity: &SmKeyPair,
+        digests: &[Digest],
+        stood: Vec<Stood>,
+    ) -> Result<Self, CryptoError> {
+        if stood.len() != digests.len() || stood.len() > MOST_CHECKED {
+            return Err(CryptoError::Length { what: "standings", found: stood.len(), allowed: "one for each digest" });
+        }
+        let time = Timestamp::now();
+        let signed = signed_bytes(domain, &statement(provider, time, digests, &stood));
+        Ok(Self { time, stood, signature: provider.sign(&identity.secret, &signed)? })
+    }
+
+    /// Checks the signature for the digests that were asked for.
+    ///
+    /// # Errors
+    /// [`CryptoError::Length`] where it is of another number of them, [`CryptoError::BadSignature`].
+    pub fn verify(
+        &self,
+        provider: &dyn Provider,
+        domain: &Domain,
+        gateway: &PublicKey,
+        digests: &[Digest],
+    ) -> Result<(), CryptoError> {
+        if self.stood.len() != digests.len() {
+            let found = self.stood.len();
+            return Err(CryptoError::Length { what: "standings", found, allowed: "one for each digest" });
+        }
+        let signed = signed_bytes(domain, &statement(provider, self.time, digests, &self.stood));
+        provider.verify(gateway, &signed, &self.signature)
+    }
+
+    pub(super) fn encode(&self) -> Vec<u8> {
+        let stood = &self.stood[..self.stood.len().min(MOST_CHECKED)];
+        let count = u16::try_from(stood.len()).unwrap_or(u16::MAX);
+        let mut out = (count | SIGNED).to_be_bytes().to_vec();
+        out.extend(stood.iter().map(|one| one.standing.code()));
+        out.extend_from_slice(&self.time.0.to_be_bytes());
+        out.extend_from_slice(&self.signature.0);
+        for one in stood {
+            let proof = &one.proof[..one.proof.len().min(LONGEST_PROOF)];
+            out.extend_from_slice(&u32::try_from(proof.len()).unwrap_or(u32::MAX).to_be_bytes());
+            out.extend_from_slice(proof);
+        }
+        out
+    }
+
+    /// What follows the standings themselves.
+    pub(super) fn read(reader: &mut Reader<'_>, standings: Vec<Standing>) -> Result<Self, WireError> {
+        let (time, signature) = (Timestamp(reader.u64("time")?), Signature(reader.array("signature")?));
+        let mut stood = Vec::with_capacity(standings.len());
+        for standing in standings {
+            let length = usize::try_from(reader.u32("proof length")?).unwrap_or(usize::MAX);
+            if length > LONGEST_PROOF {
+                return Err(WireError::Value("proof length"));
+            }
+            stood.push(Stood { standing, proof: reader.take(length, "proof")?.to_vec() });
+        }
+        Ok(Self { time, stood, signature })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::crypto::{ProviderName, provider};
+
+    #[test]
+    fn a_statement_binds_digests_standings_proofs_and_network() {
+        let provider = provider(ProviderName::RustCrypto);
+        let (identity, domain) = (SmKeyPair::generate(provider).expect("pair"), Domain([4; 32]));
+        let digests = [Digest([1; 32]), Digest([2; 32])];
+        let stood = |proof: u8| {
+            vec![
+                Stood { standing: Standing::Verified, proof: vec![proof; 40] },
+                Stood { standing: Standing::Acknowledged, proof: Vec::new() },
+            ]
+        };
+        let signed = SignedStandings::sign(provider, &domain, &identity, &digests, stood(7)).expect("signs");
+        let holds = |signed: &SignedStandings, domain: &Domain, digests: &[Digest]| {
+            signed.verify(provider, domain, &identity.public, digests).is_ok()
+        };
+        assert!(holds(&signed, &domain, &digests));
+        assert!(!holds(&signed, &Domain([5; 32]), &digests));
+        assert!(!holds(&signed, &domain, &[digests[1], digests[0]]) && !holds(&signed, &domain, &digests[..1]));
+        let mut later = signed.clone();
+        later.time.0 += 1;
+        let other = SignedStandings { stood: stood(8), ..signed.clone() };
+        assert!(!holds(&later, &domain, &digests) && !holds(&other, &domain, &digests));
+        let mut better = signed;
+        better.stood[1].standing = Standing::Verified;
+        assert!(!holds(&better, &domain, &digests));
+        assert!(SignedStandings::sign(provider, &domain, &identity, &digests[..1], stood(7)).is_err());
+    }
+}

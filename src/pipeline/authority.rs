@@ -1,0 +1,13 @@
+//! The one place that decides who may sign and who may read; nobody else does.
+//!
+//! A right to sign is judged at the block that anchors a record: by the state after all events of that block, at that
+//! block's own time. A right to read is judged at the moment of reading, by a policy that has a name. Both answers say
+//! by what right, or in words why there is none.
+
+mod reading;
+mod signing;
+#[cfg(test)]
+mod tests;
+
+pub use reading::{Policy, ReadRefused, ReadingRight, may_read, shared_with, standing_grant, standing_grants};
+pub use signing::{Moment, NoRight, SigningRight, key_of, may_sign, right_of, signer_of};

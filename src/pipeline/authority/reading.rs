@@ -1,0 +1,135 @@
+//! Who may read: the owner, and whom the chain's grants let, by a policy that has a name.
+//!
+//! Which epochs a grant opens is said by the keys in its envelope, not by the chain: one envelope may hold the keys of
+//! earlier epochs too. So a policy asks for owner, reader and topic.
+
+use crate::chain::BlockRef;
+use crate::model::{Address, Scope, Timestamp, TopicId};
+use crate::pipeline::directory::{Directory, Granted};
+
+/// What is demanded before somebody may read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Policy {
+    /// What a reader's own site shows: a grant in force by the clock here, and the reader not suspended.
+    OwnSite,
+    /// What a gateway demands before it serves a stranger: a fresh head, a grant deep enough under it and in force by
+    /// the later of its time and the clock here, no revoke announced, and the reader not suspended.
+    Gateway {
+        /// The newest block; `None` where the chain has told none lately.
+        head: Option<BlockRef>,
+        /// Blocks on top of a grant, its own included.
+        confirmations: u64,
+        /// Whether the owner has announced a revoke that is not on the chain yet.
+        revoke_announced: bool,
+    },
+}
+
+/// By what right somebody reads.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum ReadingRight {
+    /// The records are the reader's own.
+    Own,
+    /// By this grant.
+    Granted(Box<Granted>),
+}
+
+impl ReadingRight {
+    /// What it covers.
+    pub fn scope(&self) -> &Scope {
+        match self {
+            Self::Own => &Scope::All,
+            Self::Granted(grant) => &grant.terms.scope,
+        }
+    }
+
+    /// Whether records of a topic are covered.
+    pub fn covers(&self, topic: TopicId) -> bool {
+        self.scope().covers(topic)
+    }
+}
+
+/// Why somebody may not read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "each variant's line names its fields")]
+pub enum ReadRefused {
+    /// No grant is in force.
+    #[error("{reader} has no grant of {owner}")]
+    NotGranted { owner: Address, reader: Address },
+    /// A grant is in force that does not cover the topic.
+    #[error("the grant of {owner} to {reader} does not cover this topic")]
+    NotCovered { owner: Address, reader: Address },
+    /// The reader is suspended.
+    #[error("{reader} is suspended since block {since}")]
+    Suspended { reader: Address, since: u64 },
+    /// The chain has told no head lately, so nobody's right is known.
+    #[error("no fresh head of the chain")]
+    Stale,
+}
+
+/// Whether `reader` may read what `owner` has of a topic (of any, where `topic` is `None`).
+///
+/// # Errors
+/// [`ReadRefused`]: why not.
+pub fn may_read(
+    directory: &Directory,
+    reader: Address,
+    owner: Address,
+    topic: Option<TopicId>,
+    policy: Policy,
+) -> Result<ReadingRight, ReadRefused> {
+    if reader == owner {
+        return Ok(ReadingRight::Own);
+    }
+    let now = match policy {
+        Policy::OwnSite => directory.now(),
+        Policy::Gateway { head, .. } => {
+            let head = head.ok_or(ReadRefused::Stale)?;
+            directory.now().max(Timestamp::from_seconds(head.timestamp))
+        }
+    };
+    not_suspended(directory, reader)?;
+    let grant = directory.grant_between(owner, reader).filter(|grant| stands(grant, now, policy));
+    let grant = grant.ok_or(ReadRefused::NotGranted { owner, reader })?;
+    if topic.is_some_and(|topic| !grant.terms.scope.covers(topic)) {
+        return Err(ReadRefused::NotCovered { owner, reader });
+    }
+    Ok(ReadingRight::Granted(Box::new(grant)))
+}
+
+fn not_suspended(directory: &Directory, reader: Address) -> Result<(), ReadRefused> {
+    let since = directory.with_account(reader, |account| {
+        account.and_then(|account| account.suspended_at(None)).map(|interval| interval.from)
+    });
+    since.map_or(Ok(()), |since| Err(ReadRefused::Suspended { reader, since }))
+}
+
+fn stands(grant: &Granted, now: Timestamp, policy: Policy) -> bool {
+    let demanded = match policy {
+        Policy::OwnSite => true,
+        Policy::Gateway { head, confirmations, revoke_announced } => {
+            let deep = head.is_some_and(|head| grant.block.saturating_add(confirmations) <= head.number + 1);
+            deep && !revoke_announced
+        }
+    };
+    demanded && grant.is_active(now)
+}
+
+/// The grants by which others let `reader` read on its own site now.
+pub fn shared_with(directory: &Directory, reader: Address) -> Vec<Granted> {
+    if not_suspended(directory, reader).is_err() {
+        return Vec::new();
+    }
+    let now = directory.now();
+    directory.grants_to(reader).into_iter().filter(|grant| grant.is_active(now)).collect()
+}
+
+/// The grant of `owner` to `grantee` that is in force now, as its owner manages it.
+pub fn standing_grant(directory: &Directory, owner: Address, grantee: Address) -> Option<Granted> {
+    directory.grant_between(owner, grantee).filter(|grant| grant.is_active(directory.now()))
+}
+
+/// All grants that `owner` gave and that are in force now.
+pub fn standing_grants(directory: &Directory, owner: Address) -> Vec<Granted> {
+    let now = directory.now();
+    directory.grants_of(owner).into_iter().filter(|grant| grant.is_active(now)).collect()
+}

@@ -1,0 +1,213 @@
+//! Who may sign: the owner by the key registered at that block, or a device lent at it; nobody for a suspended owner.
+
+use crate::crypto::signer_id;
+use crate::model::{Address, PublicKey, SignerId, Timestamp};
+use crate::pipeline::directory::{Account, Directory, Lending};
+use crate::pipeline::{Network, PipelineError, Plant};
+use crate::store::RecordRow;
+
+/// The moment that decides about a right: the state after all events of a block, and that block's own time.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Moment {
+    /// The block; `None` = after every event that is known.
+    pub block: Option<u64>,
+    /// The block's time, as its maker says.
+    pub time: Timestamp,
+}
+
+impl Moment {
+    /// After a block's events.
+    pub fn of_block(block: u64, time: Timestamp) -> Self {
+        Self { block: Some(block), time }
+    }
+
+    /// After every event that is known.
+    pub fn newest(time: Timestamp) -> Self {
+        Self { block: None, time }
+    }
+}
+
+/// By what right a record was signed.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum SigningRight {
+    /// With the owner's own key.
+    Owner(PublicKey),
+    /// With the key of a device that the owner lent.
+    Device(Lending),
+}
+
+/// Why a signer had no right to sign for an owner.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "each variant's line names its fields")]
+pub enum NoRight {
+    /// The owner had no identity yet.
+    #[error("{owner} was not registered yet {}", when(.block))]
+    Unregistered { owner: Address, block: Option<u64> },
+    /// The owner's identity does not prove itself.
+    #[error("the identity that {owner} had registered does not verify")]
+    Unproven { owner: Address },
+    /// The owner was suspended.
+    #[error("{owner} was suspended {}, since block {since}", when(.block))]
+    Suspended { owner: Address, since: u64, block: Option<u64> },
+    /// The owner was lost and another account continued.
+    #[error("{owner} was lost {}, and {successor} its successor since block {since}", when(.block))]
+    Succeeded { owner: Address, successor: Address, since: u64, block: Option<u64> },
+    /// The key was the owner's, and replaced.
+    #[error("{owner} had replaced the signer's key {}, in block {since}", when(.block))]
+    Replaced { owner: Address, since: u64, block: Option<u64> },
+    /// The device was lent later.
+    #[error("the signer is a device that {owner} lent only in block {from}, and the record was anchored before")]
+    LentLater { owner: Address, from: u64 },
+    /// The device was recalled.
+    #[error("the signer is a device that {owner} had recalled in block {recalled}")]
+    Recalled { owner: Address, recalled: u64 },
+    /// The device's loan was over.
+    #[error("the signer is a device that {owner} had lent until {until}, and the anchoring block is of {time}")]
+    Ended { owner: Address, until: Timestamp, time: Timestamp },
+    /// Neither.
+    #[error("{owner} had not registered the signer's key {}, nor lent it", when(.block))]
+    Unknown { owner: Address, block: Option<u64> },
+    /// The device was lent, and its key is not known here.
+    #[error("the signer is a device of {owner} whose key is not known here; ask its owner for an export")]
+    KeyUnknown { owner: Address },
+}
+
+#[allow(clippy::ref_option, reason = "as the messages above hand it over")]
+fn when(block: &Option<u64>) -> String {
+    block.map_or_else(|| "by now".to_owned(), |block| format!("at block {block}"))
+}
+
+/// Whether the key with this id could sign for `owner` at a moment.
+///
+/// # Errors
+/// [`NoRight`]: why not.
+pub fn may_sign(directory: &Directory, owner: Address, signer: SignerId, at: Moment) -> Result<SigningRight, NoRight> {
+    let right = directory.with_account(owner, |account| by_block(account, owner, signer, at.block))?;
+    in_time(right, owner, at.time)
+}
+
+/// As far as blocks decide; a loan may still have an end.
+fn by_block(
+    account: Option<&Account>,
+    owner: Address,
+    signer: SignerId,
+    block: Option<u64>,
+) -> Result<SigningRight, NoRight> {
+    let unregistered = NoRight::Unregistered { owner, block };
+    let account = account.ok_or(unregistered.clone())?;
+    let begun = |from: u64| block.is_none_or(|block| from <= block);
+    let identities = account.identities.iter().filter(|identity| begun(identity.block));
+    let current = identities.clone().next_back().ok_or(unregistered)?;
+    if let Some(interval) = account.suspended_at(block) {
+        let since = interval.from;
+        return Err(match interval.successor {
+            Some(successor) => NoRight::Succeeded { owner, successor, since, block },
+            None => NoRight::Suspended { owner, since, block },
+        });
+    }
+    if signer_id(&current.signing) == signer {
+        return match current.proven {
+            true => Ok(SigningRight::Owner(current.signing)),
+            false => Err(NoRight::Unproven { owner }),
+        };
+    }
+    let mut loans = account.devices.iter().filter(|lending| lending.device == signer);
+    if let Some(lending) = loans.clone().rfind(|lending| begun(lending.from)) {
+        return match lending.recalled.filter(|recalled| begun(*recalled)) {
+            Some(recalled) => Err(NoRight::Recalled { owner, recalled }),
+            None => Ok(SigningRight::Device(lending.clone())),
+        };
+    }
+    if let Some(lending) = loans.next() {
+        return Err(NoRight::LentLater { owner, from: lending.from });
+    }
+    let mut before = identities.rev().skip_while(|identity| signer_id(&identity.signing) != signer);
+    Err(match before.next() {
+        Some(_) => NoRight::Replaced { owner, since: current.block, block },
+        None => NoRight::Unknown { owner, block },
+    })
+}
+
+fn in_time(right: SigningRight, owner: Address, time: Timestamp) -> Result<SigningRight, NoRight> {
+    match &right {
+        SigningRight::Device(Lending { until: Some(until), .. }) if *until <= time => {
+            Err(NoRight::Ended { owner, until: *until, time })
+        }
+        _ => Ok(right),
+    }
+}
+
+/// By what right a key signed for `owner`, at a block of the chain; its time is asked for only where it decides.
+///
+/// # Errors
+/// Of the chain; that there is no right is the answer.
+pub fn right_of(
+    network: &Network,
+    owner: Address,
+    signer: SignerId,
+    block: u64,
+) -> Result<Result<SigningRight, NoRight>, PipelineError> {
+    right_in(network, &network.directory, owner, signer, block)
+}
+
+/// The same in a contract's own directory: records of one that was left are judged by what it said.
+fn right_in(
+    network: &Network,
+    directory: &Directory,
+    owner: Address,
+    signer: SignerId,
+    block: u64,
+) -> Result<Result<SigningRight, NoRight>, PipelineError> {
+    let right = match directory.with_account(owner, |account| by_block(account, owner, signer, Some(block))) {
+        Ok(right) => right,
+        Err(why) => return Ok(Err(why)),
+    };
+    if matches!(right, SigningRight::Device(Lending { until: Some(_), .. })) {
+        return Ok(in_time(right, owner, network.time_of(block)?));
+    }
+    Ok(Ok(right))
+}
+
+/// The key that signed a record, where its signer had the right at the anchoring block. Before a record is anchored
+/// nothing is decided: then it is the key that its owner ever registered or lent. The chain has only the ids of
+/// devices; their keys are those that the ledger has met.
+///
+/// # Errors
+/// Of chain and ledger; that there is no right is the answer.
+pub fn signer_of(
+    plant: &Plant,
+    network: &Network,
+    row: &RecordRow,
+) -> Result<Result<PublicKey, NoRight>, PipelineError> {
+    let directory = network.place_of(plant, row)?.directory;
+    let right = match row.block {
+        Some(block) => right_in(network, directory, row.owner, row.signer, block)?,
+        None => directory.with_account(row.owner, |account| ever(account, row.owner, row.signer)),
+    };
+    Ok(match right {
+        Ok(SigningRight::Owner(key)) => Ok(key),
+        Ok(SigningRight::Device(_)) => {
+            let key = plant.ledger.signer(row.signer)?.filter(|key| signer_id(key) == row.signer);
+            key.ok_or(NoRight::KeyUnknown { owner: row.owner })
+        }
+        Err(why) => Err(why),
+    })
+}
+
+/// As [`signer_of`], without the reason.
+///
+/// # Errors
+/// As [`signer_of`].
+pub fn key_of(plant: &Plant, network: &Network, row: &RecordRow) -> Result<Option<PublicKey>, PipelineError> {
+    Ok(signer_of(plant, network, row)?.ok())
+}
+
+fn ever(account: Option<&Account>, owner: Address, signer: SignerId) -> Result<SigningRight, NoRight> {
+    let account = account.ok_or(NoRight::Unregistered { owner, block: None })?;
+    let own = account.identities.iter().find(|known| known.proven && signer_id(&known.signing) == signer);
+    if let Some(identity) = own {
+        return Ok(SigningRight::Owner(identity.signing));
+    }
+    let lent = account.devices.iter().find(|lending| lending.device == signer);
+    lent.map(|lending| SigningRight::Device(lending.clone())).ok_or(NoRight::Unknown { owner, block: None })
+}

@@ -1,0 +1,82 @@
+//! Times of blocks: told with the events where a node does so, else asked of the chain, and remembered.
+
+use std::collections::BTreeMap;
+use std::sync::{Mutex, PoisonError};
+
+use tokio::runtime::Handle;
+use tokio::task::block_in_place;
+
+use crate::chain::EventAt;
+use crate::model::Timestamp;
+
+use super::{Network, PipelineError};
+
+/// Times remembered at most.
+const MOST: usize = 16_384;
+
+/// Times of blocks that were met.
+pub struct BlockTimes {
+    known: Mutex<BTreeMap<u64, Timestamp>>,
+    /// Where threads that are no tasks ask the chain.
+    runtime: Option<Handle>,
+}
+
+impl Default for BlockTimes {
+    fn default() -> Self {
+        Self { known: Mutex::default(), runtime: Handle::try_current().ok() }
+    }
+}
+
+impl BlockTimes {
+    /// Notes the time of a block that an event came with.
+    pub(super) fn note(&self, at: &EventAt) {
+        if let Some(time) = at.timestamp {
+            self.keep(at.block, Timestamp::from_seconds(time));
+        }
+    }
+
+    fn keep(&self, block: u64, time: Timestamp) {
+        let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        if known.len() >= MOST && !known.contains_key(&block) {
+            known.pop_first();
+        }
+        known.insert(block, time);
+    }
+
+    /// Blocks from this one on were replaced.
+    pub(super) fn forget_from(&self, block: u64) {
+        drop(self.known.lock().unwrap_or_else(PoisonError::into_inner).split_off(&block));
+    }
+
+    fn of(&self, block: u64) -> Option<Timestamp> {
+        self.known.lock().unwrap_or_else(PoisonError::into_inner).get(&block).copied()
+    }
+}
+
+impl Network {
+    /// The time of a block, as its maker says. Waits for the chain where it is not known yet.
+    ///
+    /// # Errors
+    /// Of the chain; `Unsteady` where it has no such block (any more).
+    pub fn time_of(&self, block: u64) -> Result<Timestamp, PipelineError> {
+        if let Some(time) = self.times.of(block) {
+            return Ok(time);
+        }
+        let runtime = self.times.runtime.as_ref().ok_or(PipelineError::Unsteady)?;
+        block_in_place(|| runtime.block_on(self.ask_time(block)))
+    }
+
+    /// As [`Network::time_of`], for tasks.
+    ///
+    /// # Errors
+    /// As [`Network::time_of`].
+    pub async fn ask_time(&self, block: u64) -> Result<Timestamp, PipelineError> {
+        if let Some(time) = self.times.of(block) {
+            return Ok(time);
+        }
+        let found = self.chain.block(block).await?.ok_or(PipelineError::Unsteady)?;
+        let time = Timestamp::from_seconds(found.timestamp);
+        self.times.keep(block, time);
+        Ok(time)
+    }
+}

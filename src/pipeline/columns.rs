@@ -1,0 +1,346 @@
+//! A ledger's row against the record that it tells of. A row is a note for lists and workers; what was captured, when
+//! and by whom is what the signed header says, and the sealed head wherever a key is here. A row that says anything
+//! else is shown with the record's own word, and never as verified.
+
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use serde::{Deserialize, Serialize};
+
+use crate::crypto::record::open_front;
+use crate::crypto::{
+    CryptoError, EpochKey, IndexKey, OpenedRecord, TopicKey, filter_id, filter_key, topic_filter_id, topic_id,
+    topic_key, topic_key_by_name,
+};
+use crate::model::bytes::hex;
+use crate::model::header::TAG_LENGTH;
+use crate::model::{Digest, FilterId, Head, Header, RecordKind, RecordState, RecorderId};
+use crate::store::{FilterChoice, RecordRow, StoreError};
+
+use super::epoch::SIMULATED;
+use super::{Plant, proof};
+
+/// First bytes of a record that are read for its header and, but for very long ones, its sealed head.
+pub const FRONT: usize = 2048;
+/// Heads kept in memory.
+const MOST_HEADS: usize = 8192;
+
+/// How far a row was compared with its record.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Compared {
+    /// Not at all: its bytes are not here.
+    #[default]
+    Nothing,
+    /// With the public header; names, length and the mark of simulation lie sealed.
+    Header,
+    /// With the header, names and mark by their pseudonyms too.
+    Names,
+    /// With header and sealed head: all of it.
+    Head,
+}
+
+/// A row as it may be shown.
+#[derive(Debug, Clone)]
+pub struct Shown {
+    /// The row; where it was compared, with the record's own word in the place of the ledger's.
+    pub row: RecordRow,
+    /// How far it was compared.
+    pub compared: Compared,
+    /// The field in which ledger and record differ.
+    pub differs: Option<&'static str>,
+}
+
+impl Shown {
+    /// A row that is the ledger's word.
+    pub fn unread(row: RecordRow) -> Self {
+        Self { row, compared: Compared::Nothing, differs: None }
+    }
+
+    /// Where the record stands, in one word: as the ledger has it, but never as verified where it was not compared.
+    pub fn state(&self) -> &'static str {
+        match (self.differs, self.compared, self.row.state) {
+            (Some(_), ..) => RecordState::Tampered.word(),
+            _ if self.row.deleted_at.is_some() => "deleted",
+            (None, Compared::Nothing, RecordState::Verified) => "unread",
+            (None, _, state) => state.word(),
+        }
+    }
+}
+
+/// What may open the sealed head of a row's record.
+pub trait Keys {
+    /// Every key that may have sealed it; the likeliest first.
+    fn topic_keys(&self, row: &RecordRow, header: &Header) -> Vec<TopicKey>;
+    /// IK of the record's owner, where it is here.
+    fn index_key(&self, row: &RecordRow) -> Option<IndexKey>;
+}
+
+/// Header and head of records whose seal was opened since the site began, for pages that are shown again and again.
+#[derive(Default)]
+pub struct Heads(Mutex<HashMap<Digest, Arc<(Header, Head)>>>);
+
+impl Heads {
+    fn of(&self, digest: Digest) -> Option<Arc<(Header, Head)>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).get(&digest).cloned()
+    }
+
+    fn keep(&self, digest: Digest, header: Header, head: Head) -> Arc<(Header, Head)> {
+        let mut kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if kept.len() >= MOST_HEADS {
+            kept.clear();
+        }
+        let opened = Arc::new((header, head));
+        kept.insert(digest, Arc::clone(&opened));
+        opened
+    }
+
+    /// Forgets all of them: a keyring was locked.
+    pub fn forget(&self) {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).clear();
+    }
+}
+
+/// What rows are compared with.
+pub struct Comparison<'a> {
+    /// Ledger and vault.
+    pub plant: &'a Plant,
+    /// What opens sealed heads.
+    pub keys: &'a dyn Keys,
+    /// Heads opened before.
+    pub heads: &'a Heads,
+    /// By what the rows were found: each header must have it.
+    pub filters: &'a [FilterChoice],
+}
+
+impl Comparison<'_> {
+    /// Compares rows with the first bytes of their records. Where the vault does not answer, rows are the ledger's word.
+    ///
+    /// # Errors
+    /// Of the ledger.
+    pub fn of(&self, rows: Vec<RecordRow>) -> Result<Vec<Shown>, StoreError> {
+        let unknown: Vec<Digest> =
+            rows.iter().map(|row| row.digest).filter(|digest| self.heads.of(*digest).is_none()).collect();
+        let mut fronts = self.fronts(&unknown);
+        rows.into_iter().map(|row| self.one(row, &mut fronts)).collect()
+    }
+
+    fn fronts(&self, digests: &[Digest]) -> HashMap<Digest, Vec<u8>> {
+        let vault = &self.plant.vault;
+        if digests.is_empty() || !digests.iter().all(|digest| vault.answers(*digest)) {
+            return HashMap::new();
+        }
+        let fronts = vault.fronts(digests, FRONT).unwrap_or_default();
+        digests.iter().copied().zip(fronts).filter_map(|(digest, front)| Some((digest, front?))).collect()
+    }
+
+    fn one(&self, mut row: RecordRow, fronts: &mut HashMap<Digest, Vec<u8>>) -> Result<Shown, StoreError> {
+        let place = place_difference(self.plant, &row)?;
+        let sight = match (self.heads.of(row.digest), fronts.remove(&row.digest)) {
+            (Some(opened), _) => Sight::Head(opened),
+            (None, Some(front)) => self.look(&row, &front, true),
+            (None, None) => match kept_front(self.plant, &row)? {
+                Some(front) => self.look(&row, &front, row.deleted_at.is_none()),
+                None => Sight::Nothing,
+            },
+        };
+        let here = self.plant.ledger.recorder();
+        let (compared, sealed) = match &sight {
+            Sight::Nothing => return Ok(Shown { row, compared: Compared::Nothing, differs: place }),
+            Sight::Broken(what) => return Ok(Shown { row, compared: Compared::Nothing, differs: Some(what) }),
+            Sight::Head(opened) => (Compared::Head, head_difference(&row, &opened.1, here)),
+            Sight::Header(header) => match self.keys.index_key(&row) {
+                Some(index) => (Compared::Names, name_difference(&row, header, &index)),
+                None => (Compared::Header, None),
+            },
+        };
+        let Some((header, head)) = sight.parts() else { return Ok(Shown { row, compared, differs: place }) };
+        let found = self.filters.iter().all(|choice| choice.is_in(header.topic_id, &header.filters));
+        let differs = header_difference(&row, header).or(sealed).or(place).or((!found).then_some("tags"));
+        take_over(&mut row, header, head);
+        Ok(Shown { row, compared, differs })
+    }
+
+    /// What the first bytes of a record say; `whole` where its head must be among them.
+    fn look(&self, row: &RecordRow, front: &[u8], whole: bool) -> Sight {
+        let Ok((header, length)) = Header::parse(front) else { return Sight::Broken("stored bytes") };
+        let end = length.saturating_add(usize::try_from(header.head_length).unwrap_or(usize::MAX));
+        let keys = if whole { self.keys.topic_keys(row, &header) } else { Vec::new() };
+        if keys.is_empty() {
+            return Sight::Header(Box::new(header));
+        }
+        let longer = if front.len() < end { self.fronts_of(row.digest, end) } else { None };
+        for key in &keys {
+            match open_front(self.plant.provider, longer.as_deref().unwrap_or(front), key) {
+                Ok((header, head)) => return Sight::Head(self.heads.keep(row.digest, header, head)),
+                Err(CryptoError::WrongKey) => {}
+                Err(_) => return Sight::Broken("stored bytes"),
+            }
+        }
+        Sight::Header(Box::new(header))
+    }
+
+    fn fronts_of(&self, digest: Digest, length: usize) -> Option<Vec<u8>> {
+        self.plant.vault.fronts(&[digest], length).ok()?.into_iter().next().flatten()
+    }
+}
+
+/// What was seen of a record.
+enum Sight {
+    Nothing,
+    Broken(&'static str),
+    Header(Box<Header>),
+    Head(Arc<(Header, Head)>),
+}
+
+impl Sight {
+    fn parts(&self) -> Option<(&Header, Option<&Head>)> {
+        match self {
+            Self::Nothing | Self::Broken(_) => None,
+            Self::Header(header) => Some((header, None)),
+            Self::Head(opened) => Some((&opened.0, Some(&opened.1))),
+        }
+    }
+}
+
+/// What the ledger keeps of a record that is not in the vault: its copy, or its header after it was given up.
+fn kept_front(plant: &Plant, row: &RecordRow) -> Result<Option<Vec<u8>>, StoreError> {
+    match plant.ledger.local_copy(row.digest)? {
+        Some(copy) => Ok(Some(copy)),
+        None if row.deleted_at.is_some() => Ok(plant.ledger.retained(row.digest)?.map(|retained| retained.header)),
+        None => Ok(None),
+    }
+}
+
+/// The field in which a row and the signed header of its record differ.
+pub fn header_difference(row: &RecordRow, header: &Header) -> Option<&'static str> {
+    let length = header.body_length.saturating_sub(TAG_LENGTH as u64);
+    let fields = [
+        ("owner", header.owner == row.owner),
+        ("kind", header.kind == row.kind),
+        ("signer", header.signer == row.signer),
+        ("epoch", header.epoch == row.epoch),
+        ("recorder", header.recorder == row.recorder),
+        ("number", header.seq == row.seq),
+        ("topic", header.topic_id == row.topic_id),
+        ("time", header.captured_at == row.captured_at),
+        ("length", is_length(length, row.bytes)),
+    ];
+    fields.iter().find(|(_, same)| !same).map(|(field, _)| *field)
+}
+
+/// Whether a message of `plain` bytes can be sealed in `sealed`: as it is, or compressed, which is done only where it
+/// saves an eighth.
+fn is_length(sealed: u64, plain: u64) -> bool {
+    sealed == plain || sealed <= plain - plain / 8
+}
+
+/// The field in which a row and the sealed head of its record differ; `here` is this ledger's recorder. A gateway
+/// that could not open a record keeps its pseudonyms, its sealed length and no mark of simulation.
+pub fn head_difference(row: &RecordRow, head: &Head, here: RecorderId) -> Option<&'static str> {
+    let simulated = is_simulated(head);
+    let foreign = row.recorder != here;
+    let fields = [
+        ("topic", !row.is_named() || head.topic == row.topic),
+        ("type", is_pseudonym(&row.type_name) || head.type_name == row.type_name),
+        ("length", foreign || head.plain_length == row.bytes),
+        ("mark of simulation", simulated == row.simulated || (foreign && !row.simulated)),
+    ];
+    fields.iter().find(|(_, same)| !same).map(|(field, _)| *field)
+}
+
+/// Whether a simulated robot sent it, as its head says.
+pub fn is_simulated(head: &Head) -> bool {
+    head.tags.get(SIMULATED.0).is_some_and(|value| value == SIMULATED.1)
+}
+
+/// The field in which a row and an opened record differ.
+pub fn difference(row: &RecordRow, opened: &OpenedRecord, here: RecorderId) -> Option<&'static str> {
+    header_difference(row, &opened.header).or_else(|| head_difference(row, &opened.head, here))
+}
+
+/// As [`head_difference`], without a key that opens the head: names and mark by the pseudonyms in the header.
+pub fn name_difference(row: &RecordRow, header: &Header, index: &IndexKey) -> Option<&'static str> {
+    if row.is_named() && topic_id(index, &row.topic) != header.topic_id {
+        return Some("topic");
+    }
+    // Only what publishers sent has filters.
+    if !matches!(header.kind, RecordKind::Data | RecordKind::Definition) {
+        return None;
+    }
+    // Robots enrolled for some topics make their ids under a key of the topic.
+    let own = filter_key(index, &header.topic_id);
+    let named = |id: &FilterId| {
+        let known = [filter_id(index, "type", &row.type_name), topic_filter_id(&own, "type", &row.type_name)];
+        known.contains(id) || hex(&id.0) == row.type_name || row.type_name.is_empty()
+    };
+    if !header.filters.first().is_none_or(named) {
+        return Some("type");
+    }
+    let mark = format!("{}={}", SIMULATED.0, SIMULATED.1);
+    let marks = [filter_id(index, "tag", &mark), topic_filter_id(&own, "tag", &mark)];
+    let simulated = marks.iter().any(|mark| header.filters.contains(mark));
+    (row.simulated && !simulated).then_some("mark of simulation")
+}
+
+/// Whether a type's name is not known here: its filter id, or nothing, stands in its place.
+fn is_pseudonym(type_name: &str) -> bool {
+    type_name.is_empty() || (type_name.len() == 16 && type_name.bytes().all(|byte| byte.is_ascii_hexdigit()))
+}
+
+/// The record's own word in the place of the ledger's.
+fn take_over(row: &mut RecordRow, header: &Header, head: Option<&Head>) {
+    row.owner = header.owner;
+    row.recorder = header.recorder;
+    row.kind = header.kind;
+    row.signer = header.signer;
+    row.epoch = header.epoch;
+    row.seq = header.seq;
+    row.captured_at = header.captured_at;
+    if row.topic_id != header.topic_id {
+        row.topic_id = header.topic_id;
+        row.topic = RecordRow::unnamed(header.topic_id);
+    }
+    if let Some(head) = head {
+        row.topic.clone_from(&head.topic);
+        row.type_name.clone_from(&head.type_name);
+        row.bytes = head.plain_length;
+        row.simulated = is_simulated(head);
+    }
+}
+
+/// What does not fit between a row, its place in a batch and its state.
+fn place_difference(plant: &Plant, row: &RecordRow) -> Result<Option<&'static str>, StoreError> {
+    let settled = matches!(row.state, RecordState::Mined | RecordState::Confirmed | RecordState::Verified);
+    if settled && row.block.is_none() {
+        return Ok(plant.ledger.earlier_anchor(row.digest)?.is_none().then_some("state"));
+    }
+    if row.state < RecordState::Mined && row.block.is_some() {
+        return Ok(Some("state"));
+    }
+    anchor_difference(plant, row)
+}
+
+/// What does not fit between a row and its place in a batch.
+pub(super) fn anchor_difference(plant: &Plant, row: &RecordRow) -> Result<Option<&'static str>, StoreError> {
+    let Some(place) = plant.ledger.batch_place(row.digest)? else { return Ok(None) };
+    if !proof::is_included(&place, row) {
+        return Ok(Some("place in its batch"));
+    }
+    if row.block.is_none() || place.block.is_none() {
+        return Ok(None);
+    }
+    let (same_block, same_transaction) = (row.block == place.block, row.transaction == place.transaction);
+    Ok(match (same_block, same_transaction) {
+        (true, false) => Some("transaction"),
+        (false, true) => Some("block"),
+        (true, true) if row.block_hash != place.block_hash => Some("block's hash"),
+        _ => None,
+    })
+}
+
+/// Both keys that an epoch gives a record: by its topic's pseudonym, and as it was done before, by its name.
+pub fn of_epoch(key: &EpochKey, row: &RecordRow, header: &Header) -> Vec<TopicKey> {
+    let named = row.is_named().then(|| topic_key_by_name(key, &row.topic));
+    [topic_key(key, &header.topic_id)].into_iter().chain(named).collect()
+}

@@ -1,0 +1,137 @@
+//! Two signed records under one number: whoever gave (owner, recorder, topic, number) twice lied, or ran twice. What was
+//! there stays; the other one is refused, told, and kept in the audit log with both signatures, as evidence.
+
+use crate::model::{Address, Digest, RecorderId, Signature, Timestamp, TopicId};
+use crate::store::{AuditEntry, AuditLog, NewRecord};
+
+use super::{PipelineError, Plant};
+
+/// The ledger's note of those told of a recorder.
+const TOLD: &str = "equivocation:";
+/// So many of one recorder are told; more prove nothing more.
+const MOST: usize = 16;
+
+/// A record that claims a number.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Claim {
+    /// Whose it is.
+    pub owner: Address,
+    /// The ledger that its number counts in.
+    pub recorder: RecorderId,
+    /// Its topic.
+    pub topic: TopicId,
+    /// Its number.
+    pub number: u64,
+    /// Its digest.
+    pub digest: Digest,
+    /// Its owner's or a device's signature over that.
+    pub signature: Signature,
+}
+
+impl Claim {
+    /// What a record claims that came from elsewhere; `None` of one that was recorded here.
+    pub fn of(record: &NewRecord) -> Option<Self> {
+        let recorder = record.foreign?.recorder;
+        let (owner, topic, number) = (record.owner, record.topic_id, record.seq);
+        Some(Self { owner, recorder, topic, number, digest: record.digest, signature: record.signature })
+    }
+}
+
+/// Tells of a refused record whose number another one has; both must be signed, which is the caller's to have checked.
+/// Whether that is so, told before or not.
+///
+/// # Errors
+/// Of the ledger.
+pub fn tell(plant: &Plant, claim: &Claim) -> Result<bool, PipelineError> {
+    let held = plant.ledger.holder(claim.owner, claim.recorder, claim.topic, claim.number)?;
+    let Some(held) = held.filter(|held| *held != claim.digest) else { return Ok(false) };
+    let Some(row) = plant.ledger.record(held)? else { return Ok(false) };
+    let name = format!("{TOLD}{}", claim.recorder);
+    let known = plant.ledger.setting(&name)?.and_then(|text| serde_json::from_str::<Vec<Digest>>(&text).ok());
+    let mut known = known.unwrap_or_default();
+    if known.contains(&claim.digest) || known.len() >= MOST {
+        return Ok(true);
+    }
+    let Claim { owner, recorder, topic, number, digest, signature } = claim;
+    AuditLog::new(plant.ledger.clone()).append(AuditEntry {
+        at: Timestamp::now(),
+        profile: owner.to_string(),
+        action: "equivocation".to_owned(),
+        subject: format!("number {number} of topic {topic}, recorder {recorder}"),
+        outcome: format!("{held} signed {}; {digest} signed {signature}", row.signature),
+    })?;
+    known.push(*digest);
+    plant.ledger.put_setting(&name, &serde_json::to_string(&known).unwrap_or_default())?;
+    plant.observer.alert(
+        true,
+        format!(
+            "equivocation: {owner} signed two records under number {number} of topic {topic} (recorder {recorder}): {held} is \
+             kept, {digest} refused; the audit log keeps both signatures. Its home runs twice, or it lies"
+        ),
+    );
+    Ok(true)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::crypto::{ProviderName, provider};
+    use crate::model::{RecordKind, RecordState, SignerId};
+    use crate::pipeline::fixture::Notes;
+    use crate::store::{AuditQuery, Foreign, Ledger, open_vault};
+
+    fn record(digest: u8, seq: u64) -> NewRecord {
+        let foreign = Foreign { recorder: RecorderId([7; RecorderId::LENGTH]), keeper: Address([9; 20]) };
+        NewRecord {
+            digest: Digest([digest; 32]),
+            owner: Address([1; 20]),
+            topic_id: TopicId([2; TopicId::LENGTH]),
+            seq,
+            foreign: Some(foreign),
+            epoch: 1,
+            kind: RecordKind::Data,
+            signer: SignerId([3; 32]),
+            signature: Signature([digest; 64]),
+            filters: Vec::new(),
+            topic: String::new(),
+            type_name: String::new(),
+            bytes: 1,
+            captured_at: Timestamp(1),
+            simulated: false,
+            state: RecordState::Stored,
+            local_copy: None,
+        }
+    }
+
+    #[test]
+    fn two_records_of_one_number_are_told_once_with_both_signatures() {
+        let home = tempfile::tempdir().expect("a folder");
+        let notes = Arc::new(Notes::default());
+        let plant = Plant {
+            ledger: Ledger::open(&home.path().join("ledger.db")).expect("a ledger"),
+            vault: open_vault(None, home.path()).expect("a vault"),
+            provider: provider(ProviderName::RustCrypto),
+            observer: Arc::clone(&notes) as _,
+        };
+        plant.ledger.append(vec![record(1, 5)]).expect("taken");
+        let claim = |digest, seq| Claim::of(&record(digest, seq)).expect("from elsewhere");
+        assert!(plant.ledger.append(vec![record(2, 5)]).is_err(), "the number is taken");
+        assert!(!tell(&plant, &claim(1, 5)).expect("asked"), "the same record is none");
+        assert!(!tell(&plant, &claim(2, 6)).expect("asked"), "another number is none");
+        for _ in 0..3 {
+            assert!(tell(&plant, &claim(2, 5)).expect("asked"));
+        }
+        assert_eq!(notes.with("equivocation"), 1);
+        let query = AuditQuery { action: Some("equivocation".to_owned()), limit: 9, ..AuditQuery::default() };
+        let lines = AuditLog::new(plant.ledger.clone()).list(&query).expect("listed");
+        let [line] = lines.as_slice() else { panic!("one line: {lines:?}") };
+        let both = [Signature([1; 64]), Signature([2; 64])].map(|signature| signature.to_string());
+        assert!(both.iter().all(|signature| line.entry.outcome.contains(signature)), "{line:?}");
+        for digest in 10..60 {
+            assert!(tell(&plant, &claim(digest, 5)).expect("asked"));
+        }
+        assert_eq!(notes.with("equivocation"), MOST, "a flood of them is bounded");
+    }
+}

@@ -1,0 +1,32 @@
+//! The contents of a reader's own record, whether or not the chain has it yet: what an import compares with.
+
+use super::Reader;
+use crate::crypto::{Anchor, Expected, OpenedRecord, open};
+use crate::model::Header;
+use crate::pipeline::PipelineError;
+use crate::store::RecordRow;
+
+impl Reader<'_> {
+    /// What this reader sealed in a record; `None` where its bytes are gone or do not open. Waits for ledger and vault.
+    ///
+    /// # Errors
+    /// Of ledger and vault.
+    pub fn own_contents(&self, row: &RecordRow) -> Result<Option<OpenedRecord>, PipelineError> {
+        let stored = match self.plant.vault.get(row.digest)? {
+            Some(blob) => Some(blob),
+            None => self.plant.ledger.local_copy(row.digest)?,
+        };
+        let Some(blob) = stored.filter(|_| row.owner == self.reader.address) else { return Ok(None) };
+        let domain = Header::parse(&blob).map_or(self.network.domain, |(header, _)| header.domain);
+        let Ok(keys) = self.topic_keys_in(domain, row) else { return Ok(None) };
+        let signers = [Some(self.reader.signing().public), self.plant.ledger.signer(row.signer)?];
+        let expected = Expected::any_of(domain, row.owner);
+        let opened = signers.iter().flatten().find_map(|signer| {
+            let mut tried = keys.iter().map(|key| {
+                open(self.plant.provider, &blob, &row.signature, signer, Anchor::Unanchored, key, &expected)
+            });
+            tried.find_map(Result::ok)
+        });
+        Ok(opened)
+    }
+}

@@ -1,0 +1,83 @@
+//! What the vault should hold and no local copy can replace: whether it is there. What is not becomes `tampered`,
+//! as whatever the scrubber finds, and what is there again goes on.
+
+use crate::crypto::fault;
+use crate::model::{Digest, RecordState, Timestamp};
+use crate::pipeline::{PipelineError, Plant};
+use crate::store::{AuditedRecord, RecordRow};
+
+/// Records asked for at once.
+const ROUND: usize = 256;
+
+/// What a look at all verified records without a local copy found.
+#[derive(Debug, Default, PartialEq, Eq)]
+pub struct Missing {
+    /// Records that are gone, those that were known to be included.
+    pub gone: u64,
+    /// Of these the ones that were not known to be.
+    pub newly: u64,
+    /// Records that were gone or altered and are there again as they were stored.
+    pub back: u64,
+}
+
+/// Looks for every verified record of which the vault alone has the bytes.
+///
+/// # Errors
+/// Of ledger and vault.
+pub fn look_for_all(plant: &Plant, stopped: &dyn Fn() -> bool) -> Result<Missing, PipelineError> {
+    let (mut found, mut after) = (Missing::default(), Some(0));
+    while let Some(from) = after.filter(|_| !stopped()) {
+        let page = plant.ledger.audit_page(from, Timestamp(0), ROUND)?;
+        after = page.next;
+        let rows: Vec<RecordRow> =
+            page.records.into_iter().flatten().filter(depends_on_vault).map(|one| one.row).collect();
+        look_for(plant, &rows, &mut found)?;
+    }
+    Ok(found)
+}
+
+/// Whether nothing but the vault can have its bytes. A robot has handed what is in no block over to its gateway.
+fn depends_on_vault(record: &AuditedRecord) -> bool {
+    let settled = matches!(record.row.state, RecordState::Verified | RecordState::Tampered);
+    settled && !record.has_copy && record.row.block.is_some() && record.row.deleted_at.is_none()
+}
+
+fn look_for(plant: &Plant, rows: &[RecordRow], found: &mut Missing) -> Result<(), PipelineError> {
+    let digests: Vec<Digest> = rows.iter().map(|row| row.digest).collect();
+    let (mut lost, mut back) = (Vec::new(), Vec::new());
+    for (row, there) in rows.iter().zip(plant.vault.contains_many(&digests)?) {
+        match row.state {
+            RecordState::Verified if !there && is_gone(plant, row.digest)? => lost.push(row.digest),
+            RecordState::Tampered if !there => found.gone += 1,
+            RecordState::Tampered if is_right(plant, row.digest)? => back.push(row.digest),
+            _ => {}
+        }
+    }
+    if !lost.is_empty() {
+        let marked = plant.ledger.advance(&lost, RecordState::Verified, RecordState::Tampered)?;
+        fault::point("missing");
+        (found.gone, found.newly) = (found.gone + marked, found.newly + marked);
+        plant.observer.tampered(&lost);
+        plant.observer.records_changed();
+    }
+    if !back.is_empty() {
+        found.back += plant.ledger.heal(&back)?;
+        plant.observer.records_changed();
+    }
+    Ok(())
+}
+
+/// Whether it is still gone when looked at again: retention may have deleted it since its row was read.
+fn is_gone(plant: &Plant, digest: Digest) -> Result<bool, PipelineError> {
+    let now = plant.ledger.record(digest)?;
+    let kept = now.is_some_and(|row| row.state == RecordState::Verified && row.deleted_at.is_none());
+    Ok(kept
+        && plant.ledger.retained(digest)?.is_none()
+        && plant.ledger.local_copy(digest)?.is_none()
+        && !plant.vault.contains(digest)?)
+}
+
+fn is_right(plant: &Plant, digest: Digest) -> Result<bool, PipelineError> {
+    let bytes = plant.vault.get(digest)?;
+    Ok(bytes.is_some_and(|bytes| plant.provider.sm3(&[&bytes]) == digest.0))
+}

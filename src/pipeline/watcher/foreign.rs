@@ -1,0 +1,135 @@
+//! Anchors of this home's accounts that this home did not send: a copy of it runs elsewhere, or a key is stolen. Told
+//! at once, noted in the ledger for `status`, and written into the audit log.
+
+use std::collections::HashMap;
+
+use serde::{Deserialize, Serialize};
+
+use crate::chain::{Event, EventAt};
+use crate::model::{Address, Digest, Hash, Timestamp};
+use crate::pipeline::{PipelineError, Plant};
+use crate::store::ledger::HISTORY;
+use crate::store::{AuditEntry, AuditLog};
+
+/// The ledger's note of what was seen.
+const SEEN: &str = "foreign:anchors";
+/// So long after the last one it is part of `status`; nanoseconds.
+const RECENT: u64 = 24 * 3600 * 1_000_000_000;
+/// At most one line of the audit log in this time; nanoseconds.
+const LINES_EVERY: u64 = 3600 * 1_000_000_000;
+
+/// What was seen of such anchors.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ForeignAnchors {
+    /// The account, one of this home's.
+    pub account: Address,
+    /// How many transactions anchored for it elsewhere.
+    pub count: u64,
+    /// The block of the last one.
+    pub block: u64,
+    /// Its transaction.
+    pub transaction: Hash,
+    /// When it was seen here.
+    pub seen: Timestamp,
+    /// When the audit log was last told.
+    pub noted: Timestamp,
+}
+
+impl ForeignAnchors {
+    /// In words, with the likely cause and what to do.
+    pub fn text(&self) -> String {
+        format!(
+            "{} anchored {} times what this home did not send, last in block {}: a copy of this home runs elsewhere, or \
+             its key is stolen; end the copy, or have the administrator name a new account (authros chain succeed)",
+            self.account, self.count, self.block
+        )
+    }
+}
+
+/// What was seen of them within the last day.
+///
+/// # Errors
+/// Of the ledger.
+pub fn recent(plant: &Plant) -> Result<Option<ForeignAnchors>, PipelineError> {
+    let now = Timestamp::now().0;
+    Ok(seen(plant)?.filter(|found| now.abs_diff(found.seen.0) < RECENT))
+}
+
+fn seen(plant: &Plant) -> Result<Option<ForeignAnchors>, PipelineError> {
+    Ok(plant.ledger.setting(SEEN)?.and_then(|text| serde_json::from_str(&text).ok()))
+}
+
+/// Looks at events of blocks up to `head` for anchors that this home knows nothing of.
+pub(super) fn look(plant: &Plant, events: &[EventAt], head: u64) -> Result<(), PipelineError> {
+    let found = unknown(plant, events)?;
+    if found.is_empty() {
+        return Ok(());
+    }
+    let history = history(plant, head)?;
+    let mut own: HashMap<Address, bool> = HashMap::new();
+    for (account, at) in found.into_iter().filter(|(_, at)| at.block > history) {
+        let known = own.get(&account).copied();
+        let signs = known.map_or_else(|| plant.ledger.signs_for(account), Ok)?;
+        own.insert(account, signs);
+        if signs {
+            tell(plant, account, at)?;
+        }
+    }
+    Ok(())
+}
+
+/// A ledger that was restored or copied knows nothing of what came between; what is on the chain when it is first
+/// looked at is history, not a rival.
+fn history(plant: &Plant, head: u64) -> Result<u64, PipelineError> {
+    if plant.ledger.copied_at()?.is_none() {
+        return Ok(0);
+    }
+    if let Some(history) = plant.ledger.setting(HISTORY)?.and_then(|text| text.parse().ok()) {
+        return Ok(history);
+    }
+    plant.ledger.put_setting(HISTORY, &head.to_string())?;
+    Ok(head)
+}
+
+/// Anchors of batches and records that the ledger does not hold.
+fn unknown<'a>(plant: &Plant, events: &'a [EventAt]) -> Result<Vec<(Address, &'a EventAt)>, PipelineError> {
+    let (mut roots, mut digests) = (HashMap::new(), HashMap::new());
+    for at in events {
+        match &at.event {
+            Event::Anchored { account, root, .. } => drop(roots.insert(*root, (*account, at))),
+            Event::DataUploaded { owner, digest, .. } => drop(digests.insert(*digest, (*owner, at))),
+            _ => {}
+        }
+    }
+    let asked: Vec<Hash> = roots.keys().copied().collect();
+    let mut found: Vec<_> = plant.ledger.unknown_roots(&asked)?.iter().filter_map(|root| roots.remove(root)).collect();
+    let asked: Vec<Digest> = digests.keys().copied().collect();
+    found.extend(plant.ledger.unknown_digests(&asked)?.iter().filter_map(|digest| digests.remove(digest)));
+    found.sort_by_key(|(_, at)| (at.block, at.log_index));
+    Ok(found)
+}
+
+fn tell(plant: &Plant, account: Address, at: &EventAt) -> Result<(), PipelineError> {
+    let (now, before) = (Timestamp::now(), seen(plant)?.filter(|before| before.account == account));
+    // A chunk of events may be read twice.
+    if before.as_ref().is_some_and(|before| (before.block, before.transaction) == (at.block, at.transaction)) {
+        return Ok(());
+    }
+    let noted = before.as_ref().map(|before| before.noted).filter(|noted| now.0.abs_diff(noted.0) < LINES_EVERY);
+    let count = before.map_or(0, |before| before.count) + 1;
+    let (block, transaction) = (at.block, at.transaction);
+    let found = ForeignAnchors { account, count, block, transaction, seen: now, noted: noted.unwrap_or(now) };
+    let text = serde_json::to_string(&found).unwrap_or_default();
+    plant.ledger.put_setting(SEEN, &text)?;
+    if noted.is_none() {
+        AuditLog::new(plant.ledger.clone()).append(AuditEntry {
+            at: now,
+            profile: account.to_string(),
+            action: "foreign anchor".to_owned(),
+            subject: format!("transaction {transaction} in block {block}"),
+            outcome: "not sent by this home".to_owned(),
+        })?;
+    }
+    plant.observer.foreign_anchors(&found);
+    Ok(())
+}

@@ -1,0 +1,142 @@
+//! The machine's clock beside one that does not jump: a jump is told, written into the audit log, and part of the
+//! site's health until it is over or believed.
+
+use std::sync::{Arc, PoisonError};
+use std::time::{Duration, Instant};
+
+use super::Site;
+use crate::model::ProfileName;
+use crate::model::steady_clock::{Reading, SETTLING, look};
+use crate::service::event::{NoticeLevel, Part};
+use crate::service::reply::{Failure, HealthLevel, PartHealth};
+
+/// Between two looks.
+const LOOK: Duration = Duration::from_secs(1);
+/// Seconds; less is no jump.
+const SHORTEST: i64 = 5;
+/// Seconds that the chain may be ahead of this machine.
+const CHAIN_AHEAD: u64 = 60;
+/// What its notices are about.
+const ABOUT: &str = "clock";
+/// The profile of the audit line where none is open.
+const NOBODY: &str = "site";
+
+/// Seconds that the machine's clock has made more than have passed since `begun`.
+fn gained(reading: &Reading, begun: Instant) -> i64 {
+    let machine = i64::try_from(reading.machine.seconds()).unwrap_or(i64::MAX);
+    machine.saturating_sub(i64::try_from(begun.elapsed().as_secs()).unwrap_or(0))
+}
+
+/// `86400 s ahead`, `3600 s back`.
+fn span(seconds: i64) -> String {
+    let way = if seconds < 0 { "back" } else { "ahead" };
+    format!("{} s {way}", seconds.unsigned_abs())
+}
+
+impl Site {
+    /// Looks at the clock until the site ends.
+    pub(super) async fn keep_clock(self: Arc<Self>) {
+        let begun = Instant::now();
+        let (mut before, mut ahead) = (gained(&look(), begun), 0);
+        self.compare_with_records().await;
+        while !self.is_stopping() {
+            if !self.beat(LOOK).await {
+                return;
+            }
+            let reading = look();
+            let (now, doubted) = (gained(&reading, begun), reading.ahead());
+            let jump = now - before;
+            if jump.abs() >= SHORTEST {
+                self.tell_jump(jump, doubted).await;
+            } else if ahead != 0 && doubted == 0 {
+                self.tell_belief().await;
+            }
+            (before, ahead) = (now, doubted);
+        }
+    }
+
+    async fn tell_jump(self: &Arc<Self>, jump: i64, doubted: i64) {
+        let text = format!("the clock of this machine jumped {}", span(jump));
+        if doubted.abs() < SHORTEST {
+            let text = format!("{text}: it is right again; records stamped meanwhile keep the time they were given");
+            self.hub.notice_about(ABOUT, NoticeLevel::Info, &text);
+        } else {
+            let order = if jump < 0 { "records are stamped earlier than those before them; " } else { "" };
+            let settling = SETTLING.as_secs();
+            let text = format!(
+                "{text}: {order}rights and the embedded chain follow it once it has stood for {settling} s; set it \
+                 right if it is wrong (timedatectl set-ntp true)"
+            );
+            self.hub.notice_about(ABOUT, NoticeLevel::Error, &text);
+        }
+        self.note_clock(&format!("jumped {}", span(jump))).await;
+        self.changed(Part::Health);
+    }
+
+    async fn tell_belief(self: &Arc<Self>) {
+        let text = format!(
+            "the new time of this machine's clock has stood for {} s: rights and the embedded chain go by it from now on",
+            SETTLING.as_secs()
+        );
+        self.hub.notice_about(ABOUT, NoticeLevel::Info, &text);
+        self.note_clock("the new time is gone by").await;
+        self.changed(Part::Health);
+        self.changed(Part::Grants);
+    }
+
+    /// A machine without a battery wakes up in the past.
+    async fn compare_with_records(self: &Arc<Self>) {
+        let Ok(Some(newest)) = self.blocking(|site| Ok(site.plant.ledger.newest_capture()?)).await else { return };
+        let behind = newest.seconds().saturating_sub(look().machine.seconds());
+        if i64::try_from(behind).is_ok_and(|behind| behind >= SHORTEST) {
+            let text = format!(
+                "the clock of this machine is {behind} s behind the newest record: records are stamped earlier than \
+                 those before them; set it right (timedatectl set-ntp true)"
+            );
+            self.hub.notice_about(ABOUT, NoticeLevel::Error, &text);
+            self.note_clock(&format!("{behind} s behind the newest record")).await;
+        }
+    }
+
+    async fn note_clock(self: &Arc<Self>, subject: &str) {
+        let open = self.all_owners().first().map(|owner| owner.profile.clone());
+        let Some(profile) = open.or_else(|| NOBODY.parse::<ProfileName>().ok()) else { return };
+        let written: Result<(), Failure> = self.record_audit(&profile, "clock", subject, "noticed").await;
+        if let Err(failure) = written {
+            self.hub.notice(NoticeLevel::Error, &failure.message);
+        }
+    }
+
+    /// How the clock is, where there is something to say of it.
+    pub(super) fn clock_health(&self) -> Option<PartHealth> {
+        let reading = look();
+        let head = *self.head_seen.lock().unwrap_or_else(PoisonError::into_inner);
+        let chain = head.map_or(0, |(_, head)| head.timestamp.saturating_sub(reading.steady.seconds()));
+        let text = if reading.ahead().abs() >= SHORTEST {
+            format!("jumped {}, not followed until it has stood for {} s", span(reading.ahead()), SETTLING.as_secs())
+        } else if chain > CHAIN_AHEAD {
+            format!("{chain} s behind the chain, by whose time rights begin and end; a grant must end after that")
+        } else {
+            return None;
+        };
+        Some(PartHealth { part: ABOUT.to_owned(), level: HealthLevel::Waiting, text, since: None, retry: None })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::Timestamp;
+
+    #[test]
+    fn a_clock_that_is_set_gains_or_loses_and_one_that_goes_does_neither() {
+        let begun = Instant::now();
+        let at = |seconds| {
+            let time = Timestamp::from_seconds(seconds);
+            gained(&Reading { steady: time, machine: time }, begun)
+        };
+        assert!((at(1_000_000) - at(1_000_000)).abs() <= 1);
+        assert!((at(1_086_400) - at(1_000_000) - 86_400).abs() <= 1);
+        assert_eq!((span(86_400), span(-3_600)), ("86400 s ahead".to_owned(), "3600 s back".to_owned()));
+    }
+}

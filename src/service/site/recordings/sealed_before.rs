@@ -1,0 +1,76 @@
+//! What an import that was cut has sealed of its file already: told by the file, the place in it and the content.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use super::import::RECORDING;
+use crate::crypto::sm3::sm3;
+use crate::model::{RecordKind, Timestamp};
+use crate::pipeline::reader::Reader;
+use crate::ros::recording::RecordedMessage;
+use crate::service::reply::Failure;
+use crate::store::RecordQuery;
+
+/// Records asked of the ledger at a time.
+const PAGE: usize = 1000;
+
+/// How often a content was sealed.
+type Contents = HashMap<[u8; 32], u64>;
+
+/// Looks up messages of one recording among its owner's records.
+pub(super) struct SealedBefore<'a> {
+    reader: Reader<'a>,
+    /// The value of the tag that names the file.
+    file: &'a str,
+    /// Of each topic and time met: what was sealed there and not met yet. Two recordings may have the same topics and
+    /// times, so only records that name this file count, and only by their content.
+    met: HashMap<(Arc<str>, Timestamp), Contents>,
+}
+
+impl<'a> SealedBefore<'a> {
+    /// For the owner who reads, and the file of this tag.
+    pub fn new(reader: Reader<'a>, file: &'a str) -> Self {
+        Self { reader, file, met: HashMap::new() }
+    }
+
+    /// Whether this message is sealed; each sealed record answers for one message.
+    pub fn take(&mut self, topic: &Arc<str>, message: &RecordedMessage) -> Result<bool, Failure> {
+        let key = (Arc::clone(topic), message.time);
+        if !self.met.contains_key(&key) {
+            let contents = self.contents(topic, message.time)?;
+            self.met.insert(key.clone(), contents);
+        }
+        let left = self.met.get_mut(&key).and_then(|contents| contents.get_mut(&sm3(&[&message.body])));
+        Ok(left.is_some_and(|left| {
+            let sealed = *left > 0;
+            *left = left.saturating_sub(1);
+            sealed
+        }))
+    }
+
+    fn contents(&self, topic: &str, time: Timestamp) -> Result<Contents, Failure> {
+        let mut query = RecordQuery {
+            owner: Some(self.reader.reader.address),
+            topic: Some(topic.to_owned()),
+            kind: Some(RecordKind::Data),
+            since: Some(time),
+            until: Some(Timestamp(time.0.saturating_add(1))),
+            limit: PAGE,
+            ..RecordQuery::default()
+        };
+        let mut contents = Contents::new();
+        loop {
+            let page = self.reader.plant.ledger.list(&query)?;
+            for row in &page.rows {
+                let Some(opened) = self.reader.own_contents(row)? else { continue };
+                if opened.head.tags.get(RECORDING).is_some_and(|file| file == self.file) {
+                    *contents.entry(sm3(&[&opened.body])).or_default() += 1;
+                }
+            }
+            query.after = page.next;
+            if query.after.is_none() {
+                return Ok(contents);
+            }
+        }
+    }
+}

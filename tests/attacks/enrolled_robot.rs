@@ -1,0 +1,111 @@
+//! A gateway, an owner and her robots, and a thief who has a robot's enrolment with its passphrase, but nothing of hers.
+
+use std::path::Path;
+use std::time::Duration;
+
+use authros::crypto::{Enrolment, Passphrase, ProviderName, SealedEnrolment, provider};
+use authros::gateway::{Client, Context, Credentials, Endpoint, GatewayError, Query, Selection, Trust};
+use authros::model::Timestamp;
+use serde_json::Value;
+
+use crate::support::{Authros, Home, Running, free_port, text};
+
+/// A gateway of a home in which alice is registered.
+pub struct Scene {
+    pub home: Home,
+    pub port: u16,
+    pub site: Running,
+    pub fingerprint: String,
+    pub alice: Authros,
+}
+
+impl Scene {
+    pub fn new() -> Self {
+        let (home, port) = (Home::new(), free_port());
+        let authros = home.profile("keeper").with(&["--json"]);
+        let mut site = authros.spawn(&["gateway", "serve", "--listen", &format!("127.0.0.1:{port}")]);
+        let said = site.wait_for_text("\"gateway\"", 120);
+        let line = said.lines().find(|line| line.contains("\"gateway\"")).expect("a document");
+        let document: Value = serde_json::from_str(line).expect("JSON");
+        let fingerprint = text(&document["gateway"], "gateway");
+        let alice = home.profile("alice");
+        alice.enrol();
+        admit(&home, &alice);
+        Self { home, port, site, fingerprint, alice }
+    }
+}
+
+/// Where the gateway takes owners by its keeper's word alone, alice has it.
+fn admit(home: &Home, alice: &Authros) {
+    let keeper = home.profile("keeper");
+    if keeper.run(&["gateway", "--help"]).stdout.contains("admit") {
+        let address = text(&alice.json(&["identity", "show"]), "address");
+        keeper.run(&["gateway", "admit", &address]);
+    }
+}
+
+/// A robot of alice.
+pub struct Robot {
+    pub home: Home,
+    pub file: String,
+    pub device: String,
+}
+
+impl Robot {
+    /// Enrolled for some topics, or for all.
+    pub fn enrol(scene: &Scene, name: &str, topics: &[&str]) -> Self {
+        let home = Home::new();
+        let file = home.root().join("robot.enrolment").to_str().expect("UTF-8").to_owned();
+        let address = format!("127.0.0.1:{}", scene.port);
+        let mut arguments = vec!["agent", "enrol", "--gateway", &address, "--gateway-key", &scene.fingerprint];
+        arguments.extend(["--name", name, "--out", &file]);
+        arguments.extend(topics.iter().flat_map(|topic| ["--topic", topic]));
+        // Earlier builds cover all topics unless told otherwise.
+        let asks = scene.alice.run(&["agent", "enrol", "--help"]).stdout.contains("--all-topics");
+        arguments.extend((asks && topics.is_empty()).then_some("--all-topics"));
+        let view = scene.alice.json(&arguments);
+        Self { home, file, device: text(&view, "device") }
+    }
+
+    /// Starts it.
+    pub fn spawn(&self, arguments: &[&str]) -> Running {
+        let agent = self.home.authros().with(&["--json"]);
+        agent.spawn(&[&["agent", "run", &self.file, "--robots", "1"], arguments].concat())
+    }
+
+    /// Captures so many messages, all of them verified at the gateway.
+    pub fn capture(&self, count: u64) {
+        let count = count.to_string();
+        self.spawn(&["--topic", "/robot1/odom", "--count", &count]).wait(180).expect_code(0);
+    }
+
+    /// What the thief reads in its file.
+    pub fn stolen(&self) -> Enrolment {
+        let passphrase = std::fs::read_to_string(format!("{}.passphrase", self.file)).expect("a passphrase");
+        let passphrase = Passphrase::new(passphrase.trim_end().to_owned()).expect("long enough");
+        SealedEnrolment::open(Path::new(&self.file), &passphrase).expect("opens").enrolment
+    }
+}
+
+/// A session of the thief, under the robot's transport key.
+///
+/// # Errors
+/// The gateway's refusal.
+pub async fn session(enrolment: &Enrolment) -> Result<Client, GatewayError> {
+    let gateway = enrolment.gateway().expect("a gateway");
+    let context = Context { provider: provider(ProviderName::RustCrypto), domain: enrolment.domain };
+    let endpoint = Endpoint { address: gateway.address.clone(), context, patience: Duration::from_secs(10) };
+    let mut trust = Trust::pinned(gateway.fingerprint);
+    let (name, key) = (enrolment.name.clone(), gateway.transport.clone());
+    Client::connect(&endpoint, &mut trust, &Credentials { name, key, token: enrolment.token }).await
+}
+
+/// The first page of what alice has.
+pub fn all_of(enrolment: &Enrolment) -> Query {
+    of(Selection::all(enrolment.owner))
+}
+
+/// The first page of a selection.
+pub fn of(selection: Selection) -> Query {
+    Query { selection, from: Timestamp(0), until: Timestamp(u64::MAX), cursor: 0, limit: 500 }
+}

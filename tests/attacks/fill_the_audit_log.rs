@@ -1,0 +1,44 @@
+//! Wants the log that can never be shortened to fill the disk: an account without any right asks for another's records
+//! again and again, and each question costs its keeper a durable line.
+
+use authros::gateway::{Query, Selection};
+use authros::model::Timestamp;
+
+use super::support::gate::Gate;
+use super::support::list;
+use super::support::member::{Member, connect};
+use super::{Outcome, judge};
+
+const QUESTIONS: usize = 200;
+
+#[tokio::test(flavor = "multi_thread")]
+async fn questions_that_are_refused_leave_a_line_each() {
+    let gate = Gate::new();
+    gate.home.profile("alice").enrol();
+    let bob = gate.home.profile("bob");
+    bob.enrol();
+    let alice = Member::of(&gate.home, "alice", gate.gateway.domain);
+    let reader = Member::of(&gate.home, "bob", gate.gateway.domain);
+    let credentials = reader.allocate(&gate.gateway, "bob").await.expect("allocates");
+    let mut session = connect(&gate.gateway, &credentials).await;
+    let query = Query {
+        selection: Selection::all(alice.address()),
+        from: Timestamp(0),
+        until: Timestamp(u64::MAX),
+        cursor: 0,
+        limit: 500,
+    };
+    for _ in 0..QUESTIONS {
+        session.query(&query).await.expect_err("no grant");
+    }
+    let lines = list(&bob.json(&["audit", "list", "--limit", "1000"]), "audit");
+    let lines = lines.iter().filter(|line| line["action"] == "query").count();
+    let outcome = if lines <= 1 {
+        Outcome::Refused(format!(
+            "{QUESTIONS} refused questions left {lines} lines; refusals are counted by the minute"
+        ))
+    } else {
+        Outcome::Succeeded(format!("{QUESTIONS} refused questions left {lines} durable lines"))
+    };
+    judge("fill_the_audit_log", outcome);
+}

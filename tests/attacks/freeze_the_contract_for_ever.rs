@@ -1,0 +1,32 @@
+//! The administrator stops all changes of everybody, and never lets them go on.
+
+use crate::support::clock::days_ahead;
+use crate::support::{Home, skipped, text};
+use crate::{Outcome, judge};
+
+#[test]
+fn freeze_the_contract_for_ever() {
+    let home = Home::new();
+    let (boss, owner) = (home.profile("boss"), home.profile("owner"));
+    boss.enrol();
+    owner.enrol();
+    boss.json(&["chain", "pause"]);
+    let device = "ab".repeat(32);
+    let lend = ["devices", "lend", &device];
+    let stopped = owner.fails(5, &lend);
+    assert!(stopped.contains("paused"), "{stopped}");
+    let Some(later) = days_ahead(&owner, 4) else { skipped!("no libfaketime (package faketime)") };
+    let outcome = later.with(&["--json"]).run(&lend);
+    if outcome.code != Some(0) {
+        let reached = format!("four days later still: {}", text(&outcome.document()["error"], "message"));
+        return judge("freeze_the_contract_for_ever", Outcome::Succeeded(reached));
+    }
+    // It ended by itself; she goes on with the next pause at once.
+    let again = days_ahead(&boss, 4).expect("libfaketime").with(&["--json"]).run(&["chain", "pause"]);
+    let outcome = if again.code == Some(0) {
+        Outcome::Succeeded("one pause after the other".to_owned())
+    } else {
+        Outcome::Refused(text(&again.document()["error"], "message"))
+    };
+    judge("freeze_the_contract_for_ever", outcome);
+}

@@ -1,0 +1,23 @@
+//! Wants the keys of an owner who joins through its gateway: whoever passes the chain on can show a key of its own as the
+//! reader's. What it needs is an owner who grants to a key that nobody compared.
+
+use super::support::Home;
+use super::support::gate::Gate;
+use super::{Outcome, judge};
+
+#[test]
+fn an_owner_grants_to_a_key_known_from_the_gateway_alone() {
+    let (gate, away) = (Gate::new(), Home::new());
+    let bob = gate.home.profile("bob").enrol();
+    let alice = away.profile("alice").with(&gate.options());
+    alice.enrol();
+    let granted = alice.run(&["grant", &bob]);
+    let words = granted.stderr.lines().last().unwrap_or_default().to_owned();
+    let outcome = if granted.code == Some(0) {
+        Outcome::Succeeded("the keys were wrapped for whatever key the gateway showed as the reader's".to_owned())
+    } else {
+        assert!(words.contains("--fingerprint"), "another refusal: {}", granted.stderr);
+        Outcome::Refused(words)
+    };
+    judge("grant_to_a_gateways_key", outcome);
+}

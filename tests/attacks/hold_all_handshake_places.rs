@@ -1,0 +1,39 @@
+//! Wants nobody else to enter: three addresses open connections and say nothing, until every place is taken.
+
+use std::time::Duration;
+
+use authros::gateway::{Client, GatewayError};
+use tokio::net::TcpStream;
+
+use super::support::gate::Gate;
+use super::support::member::Gateway;
+use super::support::source::{connect_from, line_from};
+use super::{Outcome, judge};
+
+/// What one address may open at once on any build.
+const EACH: usize = 190;
+
+#[tokio::test(flavor = "multi_thread")]
+async fn three_addresses_hold_every_place() {
+    let gate = Gate::new();
+    let to = gate.gateway.address.parse().expect("an address");
+    let mut held: Vec<TcpStream> = Vec::new();
+    for _ in 0..EACH {
+        for last in 1..=3 {
+            held.extend(connect_from(last, to).await);
+        }
+    }
+    // The gateway takes them one after the other.
+    tokio::time::sleep(Duration::from_millis(500)).await;
+    let fourth = Gateway { address: line_from(4, to).await.to_string(), ..gate.gateway.clone() };
+    let name = "fourth".parse().expect("a name");
+    let entered = Client::visit(&fourth.endpoint(), &mut fourth.trust(), &name).await;
+    let outcome = match entered {
+        Ok(_) => Outcome::Refused(format!("a fourth entered beside {} silent connections", held.len())),
+        Err(error @ (GatewayError::Unreachable { .. } | GatewayError::Closed)) => Outcome::Succeeded(error.to_string()),
+        Err(error) => {
+            Outcome::Succeeded(format!("{} connections of three addresses, and a fourth: {error}", held.len()))
+        }
+    };
+    judge("hold_all_handshake_places", outcome);
+}

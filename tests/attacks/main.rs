@@ -1,0 +1,53 @@
+//! What attackers want, one file each, named after the wish. Every attack is made from outside: by the program's command
+//! line, its files, or a second client of its protocols. It ends in [`Outcome::Refused`] with the refusal that was read, or
+//! in [`Outcome::Succeeded`] with what was reached; `tests/attacks/against BINARY` makes them on another build.
+#![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
+#![allow(clippy::print_stdout, reason = "what an attack reached is told")]
+
+#[path = "../support/mod.rs"]
+mod support;
+
+mod anchor_as_somebody_else;
+mod ask_for_every_log;
+mod brick_the_chain_through_the_gateway;
+mod enrolled_robot;
+mod fill_the_audit_log;
+mod fill_the_pool;
+mod forge_a_refusal;
+mod freeze_the_contract_for_ever;
+mod grant_to_a_gateways_key;
+mod hold_all_handshake_places;
+mod pass_off_an_old_chain;
+mod read_the_core_dump;
+mod read_the_owner_with_a_scoped_robot;
+mod read_with_a_recalled_robot;
+mod readmit_oneself;
+mod rekey_the_fleet_with_a_stolen_signing_key;
+mod run_a_copied_home;
+mod served;
+mod show_an_edited_time;
+mod stall_the_chain;
+mod take_over_an_account_as_administrator;
+mod take_the_robots_only_copy;
+mod use_a_gateway_uninvited;
+
+/// How an attack ended.
+#[derive(Debug)]
+pub enum Outcome {
+    /// It reached nothing; this is the refusal that was read.
+    Refused(String),
+    /// It reached what it wanted.
+    Succeeded(String),
+}
+
+/// Ends a test: an attack that succeeded fails it, unless only a report is wanted.
+pub fn judge(attack: &str, outcome: Outcome) {
+    match outcome {
+        Outcome::Refused(refusal) => println!("REFUSED {attack}: {refusal}"),
+        Outcome::Succeeded(reached) => {
+            println!("SUCCEEDED {attack}: {reached}");
+            let report = std::env::var_os("AUTHROS_ATTACKS_REPORT").is_some();
+            assert!(report, "{attack} succeeded: {reached}");
+        }
+    }
+}

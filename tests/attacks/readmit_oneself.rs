@@ -1,0 +1,23 @@
+//! Somebody whom the administrator admitted by mistake registers after she has withdrawn that.
+
+use crate::support::{Home, text};
+use crate::{Outcome, judge};
+
+#[test]
+fn readmit_oneself() {
+    let home = Home::new();
+    let (boss, stranger) = (home.profile("boss"), home.profile("stranger"));
+    boss.enrol();
+    boss.json(&["chain", "close"]);
+    let address = text(&stranger.json(&["identity", "create"]), "address");
+    boss.json(&["chain", "admit", &address]);
+    let withdrawn = boss.run(&["chain", "dismiss", &address]);
+    let registered = stranger.with(&["--json"]).run(&["register"]);
+    let outcome = if registered.code == Some(0) {
+        let how = if withdrawn.code == Some(0) { "although it was withdrawn" } else { "which cannot be withdrawn" };
+        Outcome::Succeeded(format!("{address} registered on its admission, {how}"))
+    } else {
+        Outcome::Refused(text(&registered.document()["error"], "message"))
+    };
+    judge("readmit_oneself", outcome);
+}

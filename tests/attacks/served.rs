@@ -1,0 +1,92 @@
+//! The embedded chain through `chain serve`, and strangers who sign for it with keys of their own.
+
+use std::io::{Read, Write};
+use std::net::{SocketAddr, TcpStream};
+use std::time::Duration;
+
+use ethers::signers::LocalWallet;
+use ethers::types::transaction::eip2718::TypedTransaction;
+use ethers::types::{H160, TransactionRequest};
+use serde_json::{Value, json};
+
+use crate::support::{Home, Running, text};
+
+/// How long an answer may take.
+const PATIENCE: Duration = Duration::from_secs(20);
+
+/// A chain that is served.
+pub struct Served {
+    _site: Running,
+    address: SocketAddr,
+    chain_id: u64,
+}
+
+impl Served {
+    /// A new one in `home`.
+    pub fn start(home: &Home) -> Self {
+        let authros = home.authros().with(&["--robots", "0", "--json"]);
+        let mut site = authros.spawn(&["chain", "serve", "--listen", "127.0.0.1:0"]);
+        let line = site.wait_for_text("serving", 60);
+        let document: Value = line.lines().find_map(|line| serde_json::from_str(line).ok()).expect("one JSON line");
+        let address = text(&document["serving"], "url").trim_start_matches("http://").parse().expect("an address");
+        let mut served = Self { _site: site, address, chain_id: 0 };
+        served.chain_id = number(&served.ask("eth_chainId", json!([])).expect("a chain id"));
+        served
+    }
+
+    /// The answer to a body, or nothing where none comes in time.
+    pub fn post(&self, body: &Value) -> Option<Value> {
+        let body = body.to_string();
+        let mut stream = TcpStream::connect(self.address).ok()?;
+        stream.set_read_timeout(Some(PATIENCE)).ok()?;
+        let head = format!(
+            "POST / HTTP/1.1\r\nHost: {}\r\nContent-Type: application/json\r\nConnection: close\r\nContent-Length: {}\r\n\r\n",
+            self.address,
+            body.len()
+        );
+        stream.write_all((head + &body).as_bytes()).ok()?;
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).ok()?;
+        serde_json::from_str(answer.split_once("\r\n\r\n")?.1).ok()
+    }
+
+    /// One request: its result, or the words of the refusal.
+    pub fn ask(&self, method: &str, parameters: Value) -> Result<Value, String> {
+        let body = json!({ "jsonrpc": "2.0", "id": 1, "method": method, "params": parameters });
+        let answer = self.post(&body).ok_or("no answer")?;
+        match answer.get("error") {
+            Some(error) => Err(format!("{} {}", error["code"], error["message"].as_str().unwrap_or("?"))),
+            None => Ok(answer["result"].clone()),
+        }
+    }
+
+    /// Sends a signed transaction.
+    pub fn send(&self, raw: &str) -> Result<Value, String> {
+        self.ask("eth_sendRawTransaction", json!([raw]))
+    }
+
+    /// The block of a transaction.
+    pub fn block_of(&self, hash: &Value) -> Option<u64> {
+        let receipt = self.ask("eth_getTransactionReceipt", json!([hash])).ok()?;
+        receipt.get("blockNumber").map(number)
+    }
+
+    /// A creation by `code`, or without it a plain transfer, of a stranger who is a number, at price 0.
+    pub fn signed(&self, stranger: u8, nonce: u64, gas: u64, code: Option<&[u8]>) -> String {
+        let wallet = LocalWallet::from_bytes(&[stranger; 32]).expect("a key");
+        let request = TransactionRequest::new().nonce(nonce).gas(gas).gas_price(0).value(0).chain_id(self.chain_id);
+        let request = match code {
+            Some(code) => request.data(code.to_vec()),
+            None => request.to(H160([1; 20])),
+        };
+        let request: TypedTransaction = request.into();
+        let signature = wallet.sign_transaction_sync(&request).expect("signs");
+        request.rlp_signed(&signature).to_string()
+    }
+}
+
+/// A quantity of JSON-RPC.
+pub fn number(value: &Value) -> u64 {
+    let digits = value.as_str().unwrap_or_default().trim_start_matches("0x");
+    u64::from_str_radix(digits, 16).expect("a quantity")
+}

@@ -1,0 +1,88 @@
+//! To keep everybody's transactions out of the chain with one short frame that costs nothing: BLAKE2F at a gas a round,
+//! new storage slots, MODEXP with a long exponent.
+
+use std::time::{Duration, Instant};
+
+use crate::support::Home;
+use crate::{Outcome, judge, served::Served};
+
+/// What a block of the chain could hold before.
+const ALL_GAS: u64 = 0xffff_ffff;
+/// What a transaction may have now.
+const CAPPED_GAS: u64 = 10_000_000;
+
+/// MSTORE(0, rounds << 224), then STATICCALL(gas, 9, 0, 213, 0, 64).
+fn blake2f(rounds: u32) -> Vec<u8> {
+    let mut code = vec![0x63];
+    code.extend(rounds.to_be_bytes());
+    code.extend([0x60, 0xe0, 0x1b, 0x60, 0, 0x52]);
+    code.extend([0x60, 64, 0x60, 0, 0x60, 213, 0x60, 0, 0x60, 9, 0x5a, 0xfa, 0]);
+    code
+}
+
+/// SSTORE(n, n) for n from 1 on.
+const SSTORE: [u8; 11] = [0x60, 1, 0x5b, 0x80, 0x80, 0x55, 0x60, 1, 0x01, 0x60, 2];
+
+/// MODEXP of one byte to 20,000 bytes of nothing, over and over.
+const MODEXP: [u8; 34] = [
+    0x60, 1, 0x60, 0, 0x52, 0x61, 0x4e, 0x20, 0x60, 32, 0x52, 0x60, 1, 0x60, 64, 0x52, 0x5b, 0x60, 1, 0x60, 0, 0x61,
+    0x4f, 0, 0x60, 0, 0x60, 5, 0x5a, 0xfa, 0x50, 0x60, 16, 0x56,
+];
+
+fn looped(code: &[u8]) -> Vec<u8> {
+    [code, &[0x56]].concat()
+}
+
+#[test]
+fn stall_the_chain() {
+    let home = Home::new();
+    let chain = Served::start(&home);
+    let payloads = [("BLAKE2F", blake2f(4_209_000_000)), ("SSTORE", looped(&SSTORE)), ("MODEXP", MODEXP.to_vec())];
+    let mut refusals = Vec::new();
+    for (stranger, (name, code)) in (1u8..).zip(&payloads) {
+        match chain.send(&chain.signed(stranger, 0, ALL_GAS, Some(code))) {
+            Err(words) => refusals.push(format!("{name}: {words}")),
+            Ok(_) => {
+                let reached = format!("{name} with {ALL_GAS} gas was taken{}", kept_out(&chain));
+                return judge("stall the chain", Outcome::Succeeded(reached));
+            }
+        }
+    }
+    // As much as is taken: a small transaction that comes after goes before most of it.
+    for stranger in 20..60u8 {
+        let code = blake2f(9_800_000);
+        if let Err(words) = chain.send(&chain.signed(stranger, 0, CAPPED_GAS, Some(&code))) {
+            refusals.push(words);
+        }
+    }
+    let honest = chain.send(&chain.signed(99, 0, 21_000, None)).expect("the honest one is taken");
+    let last = chain.send(&chain.signed(19, 0, CAPPED_GAS, Some(&blake2f(9_800_000)))).expect("taken");
+    let deadline = Instant::now() + Duration::from_secs(120);
+    let (mut early, mut late) = (None, None);
+    while (early.is_none() || late.is_none()) && Instant::now() < deadline {
+        early = early.or_else(|| chain.block_of(&honest));
+        late = late.or_else(|| chain.block_of(&last));
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    let outcome = match (early, late) {
+        (Some(early), Some(late)) if early < late => Outcome::Refused(format!(
+            "{}; an honest one of block {early} passed those up to {late}",
+            refusals.join("; ")
+        )),
+        other => Outcome::Succeeded(format!("an honest transaction waited for all of it: {other:?}")),
+    };
+    judge("stall the chain", outcome);
+}
+
+/// Whether an honest transaction is kept out, in words.
+fn kept_out(chain: &Served) -> String {
+    let honest = chain.send(&chain.signed(99, 0, 21_000, None));
+    let begun = Instant::now();
+    while begun.elapsed() < Duration::from_secs(5) {
+        if honest.as_ref().is_ok_and(|hash| chain.block_of(hash).is_some()) {
+            return String::new();
+        }
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    format!(", and an honest transaction was in no block {} s later", begun.elapsed().as_secs())
+}

@@ -1,0 +1,370 @@
+//! The audit log: what is a line, what is counted, heads on the chain, and a disk that takes no more.
+#![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
+
+use crate::support;
+
+use std::fs;
+use std::io::Write as _;
+use std::path::Path;
+use std::process::Command;
+
+use serde_json::Value;
+use support::{Authros, Home, Running, count, list, skipped, text, wait_until};
+
+const TAMPERED: i32 = 6;
+const HOME: i32 = 7;
+const TOPIC: &str = "/robot1/odom";
+
+fn lines(authros: &Authros, filter: &[&str]) -> Vec<Value> {
+    list(&authros.json(&[&["audit", "list", "--limit", "1000"], filter].concat()), "audit")
+}
+
+fn has(lines: &[Value], action: &str, subject: &str, outcome: &str) -> bool {
+    let field = |line: &Value, name: &str, wanted: &str| text(line, name).contains(wanted);
+    let is = |line: &&Value| line["action"] == action && field(line, "subject", subject);
+    lines.iter().filter(is).any(|line| field(line, "outcome", outcome))
+}
+
+#[test]
+fn every_deed_is_a_line_and_refusals_are_counted() {
+    let home = Home::new();
+    let site = home.authros().with(&["--robots", "1"]).serve(&home);
+    let (alice, bob) = (home.profile("alice"), home.profile("bob"));
+    let (own, reader) = (alice.enrol(), bob.enrol());
+    alice.capture(&[TOPIC], 2);
+    let id = text(&alice.records(&["uploads", "list"])[0], "id");
+    for _ in 0..3 {
+        bob.is_refused(&["shared", "open", &id]);
+    }
+    alice.run(&["grant", &reader]).expect_code(0);
+    for _ in 0..4 {
+        bob.json(&["shared", "list"]);
+    }
+    bob.run(&["shared", "check", &id]).expect_code(0);
+    bob.run(&["shared", "open", &id]).expect_code(0);
+    alice.run(&["topics", "watch", TOPIC]).expect_code(0);
+    alice.run(&["topics", "unwatch", TOPIC]).expect_code(0);
+    alice.run(&["revoke", &reader]).expect_code(0);
+    let secret = home.root().join("out.pem");
+    alice.run(&["keys", "export", "sm2", "--out", secret.to_str().expect("UTF-8")]).expect_code(0);
+    let device = "ab".repeat(32);
+    alice.run(&["devices", "lend", &device]).expect_code(0);
+    alice.run(&["devices", "recall", &device]).expect_code(0);
+    let wrong = home.file("wrong", "not the passphrase\n", 0o600);
+    site.stop("INT", 30).expect_code(0);
+    home.profile("bob").with(&["--passphrase-file", &wrong]).run(&["grants", "list"]);
+
+    let all = lines(&alice, &[]);
+    for (action, subject, outcome) in [
+        ("create identity", "keys", "done"),
+        ("register", own.as_str(), "done"),
+        ("deploy", "0x", "done"),
+        ("capture start", TOPIC, "begun"),
+        ("capture stop", TOPIC, "2 captured"),
+        ("refused", "not_granted", "3 in the minute from"),
+        ("grant", &reader, "begun"),
+        ("grant", &reader, "done"),
+        ("list shared", "records", "done"),
+        ("list shared", "records", "3 times again"),
+        ("check", &id, "begun"),
+        ("decrypt", &id, "begun"),
+        ("watch", TOPIC, "done"),
+        ("unwatch", TOPIC, "done"),
+        ("revoke", &format!("{reader} epoch 2"), "done"),
+        ("export key", "sm2", "begun"),
+        ("lend device", &device, "begun"),
+        ("recall device", &device, "begun"),
+        ("unlock", "keyring", "refused"),
+    ] {
+        assert!(has(&all, action, subject, outcome), "{action} {subject}: {outcome} in {all:#?}");
+    }
+    let refused = lines(&alice, &["--action", "refused"]);
+    assert!(refused.len() == 1 && refused[0]["profile"] == "bob", "one line for three refusals: {refused:?}");
+    assert!(lines(&alice, &["--by", "bob"]).iter().all(|line| line["profile"] == "bob"));
+    assert!(lines(&alice, &["--since", "2099-01-01T00:00:00Z"]).is_empty());
+    assert_eq!(alice.json(&["audit", "verify", "--without-heads"])["ok"], true);
+
+    let directory = home.root().join("export");
+    let export = ["audit", "export", "--dir", directory.to_str().expect("UTF-8")];
+    let exported = || fs::read_to_string(directory.join("audit.jsonl")).expect("written");
+    alice.run(&export).expect_code(0);
+    assert!(!exported().contains(&reader) && exported().contains(&format!("{}…", &reader[..6])), "redacted");
+    alice.run(&[&export[..], &["--addresses"]].concat()).expect_code(0);
+    assert!(exported().contains(&reader) && exported().lines().count() > all.len());
+}
+
+fn anchored_heads(authros: &Authros) -> Vec<Value> {
+    let records = authros.records(&["uploads", "list", "--kind", "audit"]);
+    records.into_iter().filter(|record| record["state"] == "verified").collect()
+}
+
+/// The body of an owner's own record.
+fn body(home: &Home, authros: &Authros, record: &Value) -> Vec<u8> {
+    let path = home.root().join("body");
+    let out = path.to_str().expect("UTF-8");
+    authros.run(&["shared", "open", &text(record, "id"), "--out", out]).expect_code(0);
+    fs::read(path).expect("written")
+}
+
+/// Changes the ledger behind the program's back, tells what the check says, and puts the ledger back.
+fn forged(home: &Home, authros: &Authros, sql: &str) -> Value {
+    let (ledger, kept) = (home.path().join("ledger.db"), home.root().join("kept.db"));
+    let connection = rusqlite::Connection::open(&ledger).expect("opens");
+    connection.execute_batch("PRAGMA wal_checkpoint(TRUNCATE)").expect("one file");
+    fs::copy(&ledger, &kept).expect("copied");
+    connection.execute_batch(sql).expect(sql);
+    drop(connection);
+    let found = authros.with(&["--json"]).run(&["audit", "verify"]).expect_code(TAMPERED).document();
+    for end in ["db-wal", "db-shm"] {
+        drop(fs::remove_file(ledger.with_extension(end)));
+    }
+    fs::copy(&kept, &ledger).expect("put back");
+    assert_eq!(found["ok"], false, "{found}");
+    found
+}
+
+#[test]
+fn heads_are_anchored_while_the_log_changes_and_find_what_was_cut_off() {
+    let home = Home::new();
+    let authros = home.authros().with(&["--robots", "0"]).with_variable("AUTHROS_AUDIT_ANCHOR_EVERY", "1");
+    let site = authros.serve(&home);
+    authros.enrol();
+    let heads = wait_until(60, "a head is anchored and verified", || {
+        Some(anchored_heads(&authros)).filter(|heads| !heads.is_empty())
+    });
+    // Nothing more is written, so at most one head that was on its way follows; then none.
+    let quiet = wait_until(60, "no head without a change", || {
+        let before = authros.records(&["uploads", "list", "--kind", "audit"]).len();
+        std::thread::sleep(std::time::Duration::from_secs(3));
+        let after = authros.records(&["uploads", "list", "--kind", "audit"]).len();
+        (before == after).then_some(after)
+    });
+    assert!(quiet >= heads.len());
+    site.stop("INT", 30).expect_code(0);
+
+    let site = authros.serve(&home);
+    authros.run(&["devices", "lend", &"ab".repeat(32)]).expect_code(0);
+    let heads = wait_until(60, "a restart goes on with the heads", || {
+        Some(anchored_heads(&authros)).filter(|heads| heads.len() > quiet)
+    });
+    let (first, second) = (body(&home, &authros, &heads[quiet - 1]), body(&home, &authros, &heads[quiet]));
+    assert!(first.starts_with(b"AuthROS/audit-head/1") && first.len() == 100);
+    assert_eq!(first[20..60], second[60..100], "each names the one before");
+    let found = authros.json(&["audit", "verify"]);
+    assert!(found["ok"] == true && count(&found, "anchored") > 1, "{found}");
+    site.stop("INT", 30).expect_code(0);
+
+    let covered = count(&authros.json(&["audit", "verify"]), "covered");
+    let edited = forged(&home, &authros, "UPDATE audit SET subject = 'nothing' WHERE line = 2");
+    assert_eq!(count(&edited, "broken_line"), 2, "{edited}");
+    let removed = forged(&home, &authros, "DELETE FROM audit WHERE line = 3");
+    assert_eq!(count(&removed, "broken_line"), 3, "{removed}");
+    // The note in the ledger goes with it: what tells is the record that the chain holds.
+    let cut =
+        format!("DELETE FROM audit WHERE line > {}; DELETE FROM settings WHERE key LIKE 'audit-head:%'", covered - 3);
+    let found = forged(&home, &authros, &cut);
+    // Opening the keyring for the check wrote a line in place of those cut off.
+    let told = text(&found, "text");
+    assert!(told.contains("is missing: a head over") || told.contains("another head was anchored"), "{found}");
+    assert!(count(&found, "broken_line") <= covered, "{covered}: {found}");
+
+    fs::rename(home.path().join("chain"), home.root().join("lost")).expect("moved away");
+    authros.json(&["chain", "adopt"]);
+    let found = authros.json(&["audit", "verify"]);
+    assert!(found["ok"] == true && count(&found, "covered") >= covered, "the log goes on across chains: {found}");
+}
+
+/// A site whose home is a small tmpfs of its own; others reach it through its process.
+fn on_small_disk(home: &Home) -> Option<(Running, Authros)> {
+    let unshare = support::system_program("unshare")?;
+    fs::create_dir(home.path()).expect("a place to mount");
+    let mount = "mount -t tmpfs -o size=40m,mode=0700 none \"$0\" 2>/dev/null || exit 99; exec \"$@\"";
+    let mut command = Command::new(unshare);
+    command.args(["-m", "sh", "-c", mount]).arg(home.path()).arg(env!("CARGO_BIN_EXE_authros"));
+    let authros = home.authros().with(&["--robots", "1"]).with_variable("AUTHROS_DISK_RESERVE", "0");
+    command.args(authros.arguments(&["serve"])).env_clear().envs(authros.variables()).current_dir(home.root());
+    let mut site = Running::start(command);
+    support::poll(60, || {
+        (!site.is_running() || site.stdout().contains("serving") || site.stderr().contains("serving")).then_some(())
+    })?;
+    if !site.is_running() {
+        return None;
+    }
+    let inside = format!("/proc/{}/root{}", site.id(), home.path().display());
+    Some((site, Authros::bare(home.root()).with(&["--home", &inside])))
+}
+
+/// Fills the disk to the last byte.
+fn fill(path: &Path) {
+    let mut file = fs::File::create(path).expect("a file");
+    for piece in [1 << 20, 1 << 12, 1] {
+        while file.write_all(&vec![7; piece]).is_ok() {}
+    }
+}
+
+#[test]
+fn on_a_full_disk_nothing_is_granted_or_opened_but_a_revoke_goes_through() {
+    let home = Home::new();
+    let Some((_site, authros)) = on_small_disk(&home) else { skipped!("no tmpfs of its own (unshare -m)") };
+    let inside = |name: &str| Path::new(&authros.arguments(&[])[1]).join(name);
+    let [alice, bob, carol] = ["alice", "bob", "carol"].map(|name| authros.with(&["--profile", name]));
+    let [_, reader, third] = [&alice, &bob, &carol].map(Authros::enrol);
+    alice.capture(&[TOPIC], 2);
+    let id = text(&alice.records(&["uploads", "list"])[0], "id");
+    alice.run(&["grant", &reader]).expect_code(0);
+    bob.run(&["shared", "open", &id]).expect_code(0);
+    assert_eq!(fs::metadata(inside("reserve")).expect("set aside").len(), 4 << 20);
+    alice.run(&["topics", "watch", TOPIC]).expect_code(0);
+
+    fill(&inside("fill"));
+    // What the ledger has of space in its own files is used up first.
+    wait_until(120, "the ledger is full", || (bob.run(&["shared", "check", &id]).code == Some(HOME)).then_some(()));
+    bob.fails(HOME, &["shared", "open", &id]);
+    alice.fails(HOME, &["grant", &third]);
+    let given = |state: &str| {
+        let rows = list(&alice.json(&["grants", "list"]), "grants");
+        rows.into_iter().filter(|row| row["state"] == state).map(|row| text(&row, "grantee")).collect::<Vec<_>>()
+    };
+    assert!(given("active").iter().eq([&reader]), "no line, no grant");
+
+    let revoked = alice.json(&["revoke", &reader]);
+    assert_eq!(revoked["epoch"], 2, "{revoked}");
+    assert!(!inside("reserve").exists(), "out of the reserve");
+    assert_eq!((given("active").len(), given("revoked")), (0, vec![reader.clone()]));
+    let told = lines(&alice, &["--action", "revoke"]);
+    assert!(has(&told, "revoke", &format!("{reader} epoch 2"), "done"), "{told:?}");
+
+    fs::remove_file(inside("fill")).expect("space again");
+    alice.run(&["topics", "unwatch", TOPIC]).expect_code(0);
+    wait_until(120, "what waited in memory is stored and verified", || {
+        let records = alice.records(&["uploads", "list"]);
+        let late = records.iter().any(|record| record["epoch"] == 2);
+        (late && records.iter().all(|record| record["state"] == "verified")).then_some(())
+    });
+    assert_eq!(alice.json(&["audit", "verify"])["ok"], true);
+}
+
+/// An edit of the ledger, and what is to be said of it.
+struct Edit {
+    column: &'static str,
+    sql: &'static str,
+    /// The field of a list that it changes; empty where the edit hides the record or changes none.
+    field: &'static str,
+    /// Whether it can only be seen by whoever has a key.
+    sealed: bool,
+}
+
+const EDITS: [Edit; 19] = [
+    edit("captured_at", "UPDATE records SET captured_at = captured_at - 86400000000000 WHERE n = {n}", "captured_at"),
+    edit("epoch", "UPDATE records SET epoch = 7 WHERE n = {n}", "epoch"),
+    edit("seq", "UPDATE records SET seq = 900 WHERE n = {n}", "seq"),
+    Edit { sealed: true, ..edit("bytes", "UPDATE records SET bytes = bytes + 1000 WHERE n = {n}", "bytes") },
+    edit("bytes, less than sealed", "UPDATE records SET bytes = 9 WHERE n = {n}", "bytes"),
+    Edit { sealed: true, ..edit("simulated", "UPDATE records SET simulated = 0 WHERE n = {n}", "simulated") },
+    edit("topic", "UPDATE records SET topic = (SELECT max(key) FROM topics), seq = 90 WHERE n = {n}", ""),
+    edit("stream", "UPDATE records SET stream = (SELECT max(key) FROM streams) WHERE n = {n}", "topic"),
+    edit("block", "UPDATE records SET block = block + 1 WHERE n = {n}", "block"),
+    edit("tx", "UPDATE records SET tx = zeroblob(32) WHERE n = {n}", "transaction"),
+    edit("block_hash", "UPDATE records SET block_hash = zeroblob(32) WHERE n = {n}", ""),
+    edit("deleted_at", "UPDATE records SET deleted_at = 1 WHERE n = {n}", ""),
+    edit("streams.kind", "UPDATE streams SET kind = 3 WHERE key = {stream}", "kind"),
+    edit("streams.signer", "UPDATE streams SET signer = zeroblob(32) WHERE key = {stream}", ""),
+    Edit {
+        sealed: true,
+        ..edit("streams.type_name", "UPDATE streams SET type_name = 'a/B' WHERE key = {stream}", "type")
+    },
+    edit("topics.topic_id", "UPDATE topics SET topic_id = zeroblob(16) WHERE key = {topic}", ""),
+    Edit { sealed: true, ..edit("topics.name", "UPDATE topics SET name = '/other' WHERE key = {topic}", "topic") },
+    edit("topics.owner", "UPDATE topics SET owner = zeroblob(20) WHERE key = {topic}", "owner"),
+    edit(
+        "filters",
+        "UPDATE filters SET filter = x'0102030405060708' WHERE record = {n} AND filter = (SELECT min(filter) FROM filters WHERE record = {n})",
+        "",
+    ),
+];
+
+const fn edit(column: &'static str, sql: &'static str, field: &'static str) -> Edit {
+    Edit { column, sql, field, sealed: false }
+}
+
+/// Whether a document shows the record as verified with another value of the field than the true one.
+fn shows_falsely(edit: &Edit, document: &Value, record: &Value) -> bool {
+    let verified =
+        document["state"] == "verified" && (document["verdict"].is_null() || document["verdict"] == "verified");
+    // Without a key, what lies sealed is told as the ledger's word.
+    let told = edit.sealed && document["compared"] == "header";
+    verified && !told && !edit.field.is_empty() && document[edit.field] != record[edit.field]
+}
+
+#[test]
+fn no_edited_column_is_shown_as_verified() {
+    let home = Home::new();
+    let (alice, bob) = (home.profile("alice").with(&["--robots", "1"]), home.profile("bob").with(&["--robots", "1"]));
+    alice.enrol();
+    let reader = bob.enrol();
+    alice.capture(&[TOPIC, "/robot1/camera/compressed"], 1);
+    alice.run(&["grant", &reader]).expect_code(0);
+    let own = alice.records(&["uploads", "list"]);
+    let shared = bob.records(&["shared", "list"]);
+    let of = |rows: &[Value], topic: &str| rows.iter().find(|row| row["topic"] == topic).expect("listed").clone();
+    let (record, seen) = (of(&own, TOPIC), of(&shared, TOPIC));
+    let id = text(&record, "id");
+    assert_eq!((&record["compared"], &seen["compared"]), (&"header".into(), &"head".into()));
+    alice.run(&["audit"]).expect_code(0);
+
+    let (ledger, kept) = (home.path().join("ledger.db"), home.root().join("kept.db"));
+    let connection = rusqlite::Connection::open(&ledger).expect("opens");
+    connection.execute_batch("PRAGMA wal_checkpoint(TRUNCATE)").expect("one file");
+    let keys = "SELECT n, stream, topic FROM records WHERE lower(hex(digest)) LIKE ?1";
+    let [n, stream, topic]: [i64; 3] = connection
+        .query_row(keys, [format!("{id}%")], |row| Ok([row.get(0)?, row.get(1)?, row.get(2)?]))
+        .expect("its row");
+    drop(connection);
+    fs::copy(&ledger, &kept).expect("copied");
+    let find = |rows: Vec<Value>| rows.into_iter().find(|row| row["id"] == id.as_str());
+    println!("column | uploads list | shared list | shared open | audit | audit --deep");
+    for edit in &EDITS {
+        let column = edit.column;
+        let connection = rusqlite::Connection::open(&ledger).expect("opens");
+        let named = [("{n}", n), ("{stream}", stream), ("{topic}", topic)];
+        let sql = named.iter().fold(edit.sql.to_owned(), |sql, (name, key)| sql.replace(name, &key.to_string()));
+        connection.execute_batch(&sql).expect(column);
+        connection.execute_batch("PRAGMA wal_checkpoint(TRUNCATE)").expect("one file");
+        drop(connection);
+
+        let listed = find(alice.records(&["uploads", "list"]));
+        let shared = find(bob.records(&["shared", "list"]));
+        let opened = bob.with(&["--json"]).run(&["shared", "open", &id]);
+        let document = opened.document();
+        for (face, document, truth) in [
+            ("uploads list", listed.as_ref(), &record),
+            ("shared list", shared.as_ref(), &seen),
+            ("shared open", Some(&document), &seen),
+        ] {
+            let falsely = document.is_some_and(|document| shows_falsely(edit, document, truth));
+            assert!(!falsely, "{face} shows an edited {column}: {document:?}");
+        }
+        let (audit, deep) = (alice.run(&["audit"]), alice.run(&["audit", "--deep"]));
+        let word = |row: &Option<Value>| row.as_ref().map_or("not there".to_owned(), |row| text(row, "state"));
+        let code = |code: Option<i32>| code.map_or("-".to_owned(), |code| code.to_string());
+        let (listed, shared) = (word(&listed), word(&shared));
+        println!("{column} | {listed} | {shared} | {} | {} | {}", code(opened.code), code(audit.code), code(deep.code));
+        if edit.sealed {
+            let told = audit.stdout.contains("were not compared") || edit.field == "bytes";
+            assert!(shared != "verified" && opened.code == Some(TAMPERED) && told, "{column}: {opened} {audit}");
+        } else {
+            assert_eq!((audit.code, deep.code), (Some(TAMPERED), Some(TAMPERED)), "{column}: {audit} {deep}");
+        }
+        for end in ["db-wal", "db-shm"] {
+            drop(fs::remove_file(ledger.with_extension(end)));
+        }
+        fs::copy(&kept, &ledger).expect("put back");
+    }
+    let connection = rusqlite::Connection::open(&ledger).expect("opens");
+    let renamed = format!("UPDATE topics SET name = '/other' WHERE key = {topic}");
+    connection.execute_batch(&renamed).expect("renamed");
+    drop(connection);
+    let site = alice.serve(&home);
+    alice.run(&["audit"]).expect_code(TAMPERED);
+    site.stop("INT", 30).expect_code(0);
+}

@@ -1,0 +1,17 @@
+//! Faults of a real chain: whatever it does, no record is lost, none is anchored twice, and the states tell the truth.
+//!
+//! The chain is asked by plain JSON-RPC, beside the program: what it holds is compared with what the program says.
+#![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
+
+mod answers;
+mod evidence;
+mod field;
+mod kept_keys;
+mod merkle_proof;
+mod mining;
+mod reorganisation;
+mod same_account;
+mod wiped;
+
+/// Why a test of this file is skipped.
+const NO_NODE: &str = "no anvil; tests/run installs it into target/peers";

@@ -1,0 +1,237 @@
+//! `authros audit`: clean stores, each kind of damage, the scrubber.
+
+use rusqlite::Connection;
+use serde_json::Value;
+
+use super::{TAMPERED, damaged, database};
+use crate::support::{Authros, Home, Redis, count, heavy, list, long, poll, skipped, text, wait_until};
+
+/// What an audit says; it must find something.
+fn finds(authros: &Authros, deep: bool) -> Value {
+    let arguments: &[&str] = if deep { &["audit", "--deep"] } else { &["audit"] };
+    let found = authros.with(&["--json"]).run(arguments).expect_code(TAMPERED).document();
+    assert_eq!(found["ok"], false, "{found}");
+    found
+}
+
+fn clean(authros: &Authros, deep: bool) -> Value {
+    let arguments: &[&str] = if deep { &["audit", "--deep"] } else { &["audit"] };
+    let found = authros.json_within(600, arguments);
+    let nothing = ["missing", "tampered", "gaps", "unchecked"].map(|field| count(&found, field));
+    assert_eq!((&found["ok"], nothing), (&true.into(), [0; 4]), "{found}");
+    found
+}
+
+/// Whether a finding of this kind names the subject, or says these words.
+fn tells(found: &Value, kind: &str, words: &str) -> bool {
+    list(found, "findings").iter().any(|finding| {
+        finding["kind"] == kind && (text(finding, "subject").contains(words) || text(finding, "text").contains(words))
+    })
+}
+
+fn id(connection: &Connection, row: i64) -> String {
+    let found = connection.query_row("SELECT lower(hex(digest)) FROM records WHERE n = ?1", [row], |row| row.get(0));
+    let digest: String = found.expect("a record");
+    digest[..16].to_owned()
+}
+
+/// One byte in the middle of what is stored under row `n` of the vault; the id of its record.
+fn flip(connection: &Connection, n: i64) -> String {
+    let found = connection.query_row("SELECT digest, bytes FROM blobs WHERE n = ?1", [n], |row| {
+        Ok((row.get::<_, [u8; 32]>(0)?, row.get::<_, Vec<u8>>(1)?))
+    });
+    let (digest, mut bytes) = found.expect("a blob");
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    connection.execute("UPDATE blobs SET bytes = ?2 WHERE n = ?1", rusqlite::params![n, bytes]).expect("altered");
+    crate::support::hex(&digest)[..16].to_owned()
+}
+
+/// A home with some thousand records, all verified and nobody in it.
+fn filled() -> (Home, Authros) {
+    let home = Home::new();
+    let authros = home.authros().with(&["--robots", "16"]);
+    let topics: Vec<String> = (1..=16).map(|robot| format!("/robot{robot}/odom")).collect();
+    authros.enrol();
+    authros.capture(&topics.iter().map(String::as_str).collect::<Vec<_>>(), 64);
+    (home, authros)
+}
+
+#[test]
+fn an_audit_finds_every_kind_of_damage_and_nothing_on_a_clean_store() {
+    let _alone = heavy();
+    let (home, authros) = filled();
+    let found = clean(&authros, true);
+    assert!(count(&found, "records") >= 1024 && count(&found, "bytes") > 500_000, "{found}");
+    assert!(count(&found, "batches") >= 2 && count(&found, "audit_lines") >= 2, "{found}");
+    assert!(found["records_per_second"].as_f64() > Some(0.0), "{found}");
+    assert!(found["sm3_megabytes_per_second"].as_f64() > Some(0.0), "{found}");
+    let later = authros.json(&["audit", "--since", "2100-01-01T00:00:00Z"]);
+    assert_eq!(count(&later, "records"), 0, "{later}");
+
+    in_the_vault(&home, &authros);
+    in_rows(&home, &authros);
+    in_batches(&home, &authros);
+
+    let edit = "UPDATE audit SET subject = 'nothing' WHERE line = 2";
+    let found =
+        damaged(&home, "ledger.db", |ledger| ledger.execute_batch(edit).expect("edited"), || finds(&authros, false));
+    assert!(tells(&found, "tampered", "line 2 of the audit log"), "{found}");
+    let cut = "DELETE FROM audit WHERE line = 2";
+    let found =
+        damaged(&home, "ledger.db", |ledger| ledger.execute_batch(cut).expect("cut"), || finds(&authros, false));
+    assert!(tells(&found, "tampered", "audit log"), "{found}");
+    clean(&authros, true);
+}
+
+/// One payload byte, one payload.
+fn in_the_vault(home: &Home, authros: &Authros) {
+    let mut altered = String::new();
+    let found = damaged(home, "vault/vault.db", |vault| altered = flip(vault, 500), || finds(authros, true));
+    assert_eq!((count(&found, "tampered"), count(&found, "missing")), (1, 0), "{found}");
+    assert!(tells(&found, "tampered", &altered), "{altered}: {found}");
+
+    let mut lost = String::new();
+    let delete = |vault: &Connection| {
+        let row = vault.query_row("SELECT lower(hex(digest)) FROM blobs WHERE n = 700", [], |row| row.get(0));
+        lost = row.expect("a blob");
+        vault.execute("DELETE FROM blobs WHERE n = 700", []).expect("deleted");
+    };
+    let found = damaged(home, "vault/vault.db", delete, || finds(authros, true));
+    assert_eq!((count(&found, "tampered"), count(&found, "missing")), (0, 1), "{found}");
+    assert!(tells(&found, "missing", &lost[..16]), "{lost}: {found}");
+}
+
+/// Every field of a row that anything outside it can contradict.
+fn in_rows(home: &Home, authros: &Authros) {
+    let edits: [(&str, bool); 10] = [
+        ("seq = seq + 1000000", true),
+        ("digest = zeroblob(32)", true),
+        ("tx = zeroblob(32)", true),
+        ("block = block + 1", true),
+        ("state = 2", true),
+        ("epoch = epoch + 1", false),
+        ("signature = zeroblob(64)", false),
+        ("bytes = 1", false),
+        ("captured_at = captured_at + 1", false),
+        ("stream = (SELECT min(key) FROM streams)", true),
+    ];
+    for deep in [false, true] {
+        let mut named = Vec::new();
+        let damage = |ledger: &Connection| {
+            for (row, (edit, quick)) in (100..).zip(edits) {
+                if deep || quick {
+                    let before = id(ledger, row);
+                    ledger.execute(&format!("UPDATE records SET {edit} WHERE n = ?1"), [row]).expect(edit);
+                    named.push((edit, if edit.starts_with("digest") { "0".repeat(16) } else { before }));
+                }
+            }
+        };
+        let found = damaged(home, "ledger.db", damage, || finds(authros, deep));
+        for (edit, id) in named {
+            assert!(tells(&found, "tampered", &id), "{edit}: {id} is not in {found}");
+        }
+    }
+    let cut = "DELETE FROM records WHERE n = 300";
+    let found = damaged(home, "ledger.db", |ledger| ledger.execute_batch(cut).expect("cut"), || finds(authros, false));
+    assert_eq!(count(&found, "gaps"), 1, "{found}");
+    assert!(tells(&found, "missing", "of its") && tells(&found, "gap", "/odom"), "{found}");
+}
+
+/// A batch without its row, and one of which nothing is left but the chain's word.
+fn in_batches(home: &Home, authros: &Authros) {
+    let removed = "DELETE FROM batches WHERE key = (SELECT max(key) FROM batches)";
+    let found =
+        damaged(home, "ledger.db", |ledger| ledger.execute_batch(removed).expect("removed"), || finds(authros, false));
+    assert!(tells(&found, "tampered", "its batch is gone from the ledger"), "{found}");
+
+    let mut root = String::new();
+    let whole = |ledger: &Connection| {
+        let newest = "SELECT lower(hex(root)) FROM batches ORDER BY key DESC LIMIT 1";
+        root = ledger.query_row(newest, [], |row| row.get(0)).expect("a batch");
+        let removed =
+            "DELETE FROM records WHERE n IN (SELECT record FROM leaves WHERE batch = (SELECT max(key) FROM batches));
+                       DELETE FROM leaves WHERE batch = (SELECT max(key) FROM batches);
+                       DELETE FROM batches WHERE key = (SELECT max(key) FROM batches);";
+        ledger.execute_batch(removed).expect("removed");
+    };
+    let found = damaged(home, "ledger.db", whole, || finds(authros, false));
+    assert!(tells(&found, "missing", &root), "{root}: {found}");
+}
+
+#[test]
+fn a_vault_on_redis_is_audited_the_same() {
+    let Some(redis) = Redis::start(&["--appendonly", "yes"]) else { skipped!("no redis-server") };
+    let home = Home::new();
+    let authros = home.authros().with(&["--robots", "1", "--vault", &redis.url()]);
+    authros.enrol();
+    authros.capture(&["/robot1/odom"], 10);
+    assert!(count(&clean(&authros, true), "bytes") > 5_000);
+    let keys = redis.cli(&["KEYS", "authros:*"]);
+    let keys = keys.lines().filter_map(|line| line.split('"').find(|part| part.starts_with("authros:")));
+    let keys: Vec<&str> = keys.filter(|key| *key != "authros:mark").collect();
+    // A copy beside Redis would do as well.
+    database(&home, "ledger.db").execute("DELETE FROM copies", []).expect("deleted");
+    redis.cli(&["DEL", keys[3]]);
+    redis.cli(&["SETRANGE", keys[4], "300", "tampered"]);
+    let found = finds(&authros, true);
+    assert_eq!((count(&found, "tampered"), count(&found, "missing")), (1, 1), "{found}");
+    let id = |key: &str| key["authros:".len()..][..16].to_owned();
+    assert!(tells(&found, "missing", &id(keys[3])) && tells(&found, "tampered", &id(keys[4])), "{keys:?}: {found}");
+}
+
+#[test]
+fn the_scrubber_finds_damage_by_itself_and_says_so() {
+    let home = Home::new();
+    let authros = home.authros().with(&["--robots", "1"]).with_variable("AUTHROS_AUDIT_SCRUB", "1000000");
+    authros.enrol();
+    authros.capture(&["/robot1/odom"], 20);
+    let site = authros.serve(&home);
+    let altered = flip(&database(&home, "vault/vault.db"), 5);
+    let tampered = || {
+        let records = authros.records(&["uploads", "list", "--state", "tampered"]);
+        (!records.is_empty()).then_some(records)
+    };
+    let records = wait_until(60, "the scrubber found it", tampered);
+    assert_eq!((records.len(), text(&records[0], "id")), (1, altered));
+    let told = site.stop("INT", 30).expect_code(0);
+    assert!(told.stderr.contains("altered") || told.stdout.contains("altered"), "{told}");
+}
+
+#[test]
+fn a_hundred_thousand_records_are_audited_beside_the_bound_of_sm3() {
+    if !long() {
+        return;
+    }
+    let _alone = heavy();
+    let home = Home::new();
+    let authros = home.authros().with(&["--robots", "32"]);
+    authros.enrol();
+    let topics: Vec<String> = (1..=32).map(|robot| format!("/robot{robot}/odom")).collect();
+    let site = authros.serve(&home);
+    for topic in &topics {
+        authros.run(&["topics", "watch", topic]).expect_code(0);
+    }
+    let total = || {
+        let ledger = rusqlite::Connection::open(home.path().join("ledger.db")).ok()?;
+        let records: i64 = ledger.query_row("SELECT sum(records) FROM counters", [], |row| row.get(0)).ok()?;
+        (records >= 100_000).then_some(())
+    };
+    poll(1800, total).expect("so many records within half an hour");
+    for topic in &topics {
+        authros.run(&["topics", "unwatch", topic]).expect_code(0);
+    }
+    let open = || {
+        let ledger = rusqlite::Connection::open(home.path().join("ledger.db")).ok()?;
+        let sql = "SELECT coalesce(sum(records), 0) FROM counters WHERE state <> 7";
+        let open: i64 = ledger.query_row(sql, [], |row| row.get(0)).ok()?;
+        (open == 0).then_some(())
+    };
+    poll(1800, open).expect("all verified within half an hour");
+    site.stop("INT", 60).expect_code(0);
+    for deep in [false, true] {
+        let found = clean(&authros, deep);
+        assert!(count(&found, "records") >= 100_000, "{found}");
+        println!("audit, deep {deep}: {found}");
+    }
+}

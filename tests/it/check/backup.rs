@@ -1,0 +1,100 @@
+//! Back-up under load, and the drill: another home out of it, audited and at work.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::os::unix::fs::PermissionsExt;
+
+use super::{INPUT, REFUSED, TAMPERED, all_verified};
+use crate::support::{Authros, Home, count, heavy, wait_until};
+
+const TOPICS: [&str; 2] = ["/robot1/odom", "/robot2/camera/compressed"];
+
+fn path(home: &Home, name: &str) -> String {
+    home.root().join(name).to_str().expect("UTF-8").to_owned()
+}
+
+/// Every (recorder, topic, number) of a home's ledger.
+fn numbers(home: &Home) -> BTreeSet<(Vec<u8>, Vec<u8>, i64)> {
+    let ledger = rusqlite::Connection::open(home.path().join("ledger.db")).expect("opens");
+    let sql = "SELECT recorders.id, topic_id, seq FROM records JOIN topics ON topics.key = topic JOIN recorders ON recorders.key = recorder";
+    let mut statement = ledger.prepare(sql).expect("a query");
+    let rows = statement.query_map([], |row| Ok((row.get(0)?, row.get(1)?, row.get(2)?))).expect("rows");
+    rows.collect::<Result<_, _>>().expect("rows")
+}
+
+fn audited(authros: &Authros) -> u64 {
+    let found = authros.json(&["audit", "--deep"]);
+    assert_eq!((&found["ok"], count(&found, "missing")), (&true.into(), 0), "{found}");
+    count(&found, "records")
+}
+
+#[test]
+fn a_back_up_under_load_becomes_a_home_that_goes_on() {
+    let _alone = heavy();
+    let (home, other) = (Home::new(), Home::new());
+    let authros = home.authros().with(&["--robots", "2"]);
+    let site = authros.serve(&home);
+    authros.enrol();
+    for topic in TOPICS {
+        authros.run(&["topics", "watch", topic]).expect_code(0);
+    }
+    let enough = |least: usize| {
+        wait_until(60, "records arrive", || (authros.records(&["uploads", "list"]).len() >= least).then_some(()))
+    };
+    enough(60);
+    let (file, secret) = (path(&home, "home.backup"), home.file("secret", "a passphrase of its own\n", 0o600));
+    let backup = ["backup", &file, "--passphrase-file", &secret];
+    let told = authros.json(&backup);
+    assert!(count(&told, "files") >= 5 && told["profiles"][0] == "default", "{told}");
+    assert_eq!(fs::metadata(&file).expect("there").permissions().mode() & 0o777, 0o600);
+    authros.fails(INPUT, &backup);
+    authros.fails(INPUT, &["backup", home.path().join("x").to_str().expect("UTF-8"), "--passphrase-file", &secret]);
+    enough(120);
+    site.stop("INT", 30).expect_code(0);
+    assert!(
+        !fs::read_dir(home.path())
+            .expect("there")
+            .flatten()
+            .any(|entry| entry.file_name().to_string_lossy().starts_with(".back-up"))
+    );
+
+    let restored = other.authros().with(&["--robots", "2"]);
+    let wrong = home.file("wrong", "another passphrase\n", 0o600);
+    restored.fails(REFUSED, &["restore", &file, "--passphrase-file", &wrong]);
+    let bytes = fs::read(&file).expect("read");
+    for (name, spoiled) in
+        [("cut", bytes[..bytes.len() - 1].to_vec()), ("altered", altered(&bytes)), ("none", b"x".repeat(5000))]
+    {
+        let spoiled = home.file(name, spoiled, 0o600);
+        restored.fails(TAMPERED, &["restore", &spoiled, "--passphrase-file", &secret]);
+    }
+    assert!(!other.path().exists(), "a restore that failed leaves nothing");
+    authros.fails(REFUSED, &["restore", &file, "--passphrase-file", &secret]);
+    restored.json(&["restore", &file, "--passphrase-file", &secret]);
+    assert_eq!(fs::metadata(other.path()).expect("there").permissions().mode() & 0o777, 0o700);
+
+    // What the back-up saw, before anything goes on.
+    let copied = numbers(&other);
+    assert!(copied.len() >= 60 && copied.is_subset(&numbers(&home)), "{} records", copied.len());
+    let before = audited(&restored);
+    assert!(before >= 60, "{before}");
+    for topic in TOPICS {
+        restored.run(&["topics", "unwatch", topic]).expect_code(0);
+    }
+    restored.capture(&[TOPICS[0]], 5);
+    all_verified(&restored, 60);
+    assert!(audited(&restored) > before);
+    let here = numbers(&other);
+    let new: Vec<_> = here.difference(&copied).collect();
+    assert!(new.len() >= 5, "the restored home goes on");
+    let there = numbers(&home);
+    assert!(new.iter().all(|number| !there.contains(*number)), "no number is given twice");
+    audited(&authros);
+}
+
+fn altered(bytes: &[u8]) -> Vec<u8> {
+    let mut bytes = bytes.to_vec();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    bytes
+}

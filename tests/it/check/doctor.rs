@@ -1,0 +1,101 @@
+//! `authros doctor`: what is as it should be, what is not, and what to do about it.
+
+use std::fs;
+use std::os::unix::fs::PermissionsExt;
+
+use authros::ros::EmbeddedMaster;
+use serde_json::Value;
+
+use super::{INCOMPLETE, damaged};
+use crate::support::{Authros, Home, Redis, free_port, list, skipped, text};
+
+fn examined(authros: &Authros, code: i32) -> Value {
+    let found = authros.with(&["--json"]).run(&["doctor"]).expect_code(code).document();
+    assert_eq!(found["ok"], code == 0, "{found}");
+    for check in list(&found, "checks") {
+        assert!(!text(&check, "name").is_empty() && !text(&check, "detail").is_empty(), "{check}");
+        assert_eq!(check["status"] == "ok", text(&check, "advice").is_empty(), "advice where it is needed: {check}");
+    }
+    found
+}
+
+fn status(found: &Value, name: &str) -> String {
+    let of = |check: &Value| check["name"] == name;
+    let check = list(found, "checks").into_iter().find(of).unwrap_or_else(|| panic!("no check '{name}': {found}"));
+    text(&check, "status")
+}
+
+#[test]
+fn the_doctor_looks_at_a_home_without_a_passphrase_and_names_what_is_wrong() {
+    let home = Home::new();
+    let authros = home.authros().with(&["--robots", "1"]);
+    let fresh = examined(&authros, 0);
+    assert_eq!((status(&fresh, "chain"), status(&fresh, "keys")), ("ok".into(), "warn".into()), "{fresh}");
+    authros.enrol();
+    fs::rename(home.path().join("profiles/default/passphrase"), home.root().join("kept")).expect("moved");
+    let found = examined(&authros, 0);
+    for name in ["home", "keys default", "ledger", "vault", "chain", "contract", "clock", "ros", "site"] {
+        assert_eq!(status(&found, name), "ok", "{name}: {found}");
+    }
+    assert_ne!(status(&found, "disk"), "");
+
+    let keyring = home.path().join("profiles/default/keyring");
+    fs::set_permissions(&keyring, fs::Permissions::from_mode(0o644)).expect("opened");
+    let found = examined(&authros, INCOMPLETE);
+    assert_eq!((status(&found, "home"), status(&found, "keys default")), ("fail".into(), "fail".into()), "{found}");
+    assert!(found.to_string().contains("chmod"), "{found}");
+    fs::set_permissions(&keyring, fs::Permissions::from_mode(0o600)).expect("closed");
+
+    let nowhere = format!("http://127.0.0.1:{}", free_port());
+    let found = examined(&authros.with(&["--ros-master", &nowhere]), INCOMPLETE);
+    assert_eq!((status(&found, "ros"), status(&found, "chain")), ("fail".into(), "ok".into()), "{found}");
+    let found = examined(&authros.with(&["--chain", &nowhere]), INCOMPLETE);
+    assert_eq!(status(&found, "chain"), "fail", "{found}");
+
+    let tear = |ledger: &rusqlite::Connection| {
+        let page: i64 = ledger
+            .query_row("SELECT rootpage FROM sqlite_schema WHERE name = 'records'", [], |row| row.get(0))
+            .expect("a page");
+        let size: i64 = ledger.query_row("PRAGMA page_size", [], |row| row.get(0)).expect("a size");
+        let path = ledger.path().expect("a file").to_owned();
+        let mut bytes = fs::read(&path).expect("read");
+        let at = usize::try_from((page - 1) * size).expect("small");
+        bytes[at..at + 100].fill(0xa5);
+        fs::write(&path, bytes).expect("torn");
+    };
+    let found = damaged(&home, "ledger.db", tear, || examined(&authros, INCOMPLETE));
+    assert_eq!(status(&found, "ledger"), "fail", "{found}");
+
+    fs::rename(home.root().join("kept"), home.path().join("profiles/default/passphrase")).expect("moved back");
+    let site = authros.serve(&home);
+    let found = examined(&authros, 0);
+    assert_eq!(status(&found, "site"), "ok", "{found}");
+    site.stop("INT", 30).expect_code(0);
+}
+
+#[test]
+fn host_names_that_lead_nowhere_are_told() {
+    let home = Home::new();
+    let master = EmbeddedMaster::start().expect("a master");
+    let authros = home.authros().with(&["--ros-master", master.uri()]);
+    let good = examined(&authros, 0);
+    assert_eq!((status(&good, "ros"), status(&good, "ros host")), ("ok".into(), "ok".into()), "{good}");
+    for name in ["nowhere.invalid", "192.0.2.7"] {
+        let found = examined(&authros.with_variable("ROS_HOSTNAME", name), INCOMPLETE);
+        assert_eq!((status(&found, "ros"), status(&found, "ros host")), ("ok".into(), "fail".into()), "{found}");
+        assert!(found.to_string().contains("ROS_HOSTNAME"), "{found}");
+    }
+}
+
+#[test]
+fn a_redis_that_forgets_or_evicts_is_told() {
+    let Some(redis) = Redis::start(&["--appendonly", "no"]) else { skipped!("no redis-server") };
+    let home = Home::new();
+    let authros = home.authros().with(&["--vault", &redis.url()]);
+    let found = examined(&authros, 0);
+    assert_eq!(status(&found, "vault"), "warn", "{found}");
+    redis.cli(&["CONFIG", "SET", "maxmemory-policy", "allkeys-lru"]);
+    let found = examined(&authros, INCOMPLETE);
+    assert_eq!(status(&found, "vault"), "fail", "{found}");
+    assert!(found.to_string().contains("noeviction"), "{found}");
+}

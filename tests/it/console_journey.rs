@@ -1,0 +1,172 @@
+//! Robot users at the console, in a pseudo-terminal of 80x24: one script for each behaviour, as an operator tells it.
+#![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
+
+use crate::support;
+
+use support::{Authros, Console, Home, Terminal, heavy, text, wait_until};
+
+const ODOMETRY: &str = "/robot1/odom";
+const CAMERA: &str = "/robot1/camera/compressed";
+const PASSPHRASE: &str = "an operator's passphrase";
+/// Seconds that anything may take on a busy machine.
+const PATIENCE: u64 = 60;
+
+fn one_robot(authros: Authros) -> Authros {
+    authros.with(&["--robots", "1"])
+}
+
+/// An operator at a terminal of 80x24.
+struct Operator(Console);
+
+impl Operator {
+    fn opens(authros: &Authros) -> Self {
+        Self(Console::open_in(&Terminal::of(80, 24), authros, &[]))
+    }
+
+    fn presses(&mut self, keys: &str) -> &mut Self {
+        self.0.press(keys);
+        self
+    }
+
+    fn sees(&mut self, text: &str) -> &mut Self {
+        self.0.wait_for(text, PATIENCE);
+        self
+    }
+
+    fn no_longer_sees(&mut self, text: &str) -> &mut Self {
+        wait_until(PATIENCE, &format!("'{text}' to go"), || Some(()).filter(|()| !self.0.shown().contains(text)));
+        self
+    }
+
+    fn sees_so_often(&mut self, text: &str, times: usize) -> &mut Self {
+        let shown = || self.0.shown().matches(text).count() >= times;
+        wait_until(PATIENCE, &format!("'{text}' {times} times"), || Some(()).filter(|()| shown()));
+        self
+    }
+
+    /// Leaves, also where records are still on their way.
+    fn leaves(&mut self) {
+        self.presses("\u{3}");
+        let gone = |operator: &mut Self| {
+            operator.0.has_ended() || operator.0.shown().contains("Quit?") && operator.presses("y").0.has_ended()
+        };
+        wait_until(PATIENCE, "the console to end", || Some(()).filter(|()| gone(self)));
+        self.0.expect_restored();
+    }
+}
+
+#[test]
+fn from_nothing_to_verified_records_of_two_topics() {
+    let _alone = heavy();
+    let home = Home::new();
+    let key = home.file("k_c", "00112233445566778899aabbccddeeff", 0o600);
+    let mut operator = Operator::opens(&one_robot(home.authros()));
+    operator.sees("First steps").sees(ODOMETRY);
+
+    operator.presses("n").sees("Once more").presses(PASSPHRASE).presses("\r").presses(PASSPHRASE).presses("\r");
+    assert!(!operator.0.shown().contains(PASSPHRASE), "a passphrase is never shown");
+    operator.sees("done 1 identity");
+
+    operator.presses("6").sees("registered").presses("L").sees("Load a key file");
+    operator.presses("\r").presses(&key).presses("\r\r").sees("Replace the SM4 key?");
+    operator.presses("L").no_longer_sees("Replace the SM4 key?").presses("\r").sees("Replace the SM4 key?");
+    operator.presses("y").sees("loading the SM4 key: done");
+
+    operator.presses("2").sees(CAMERA).presses("/robot1/\r").presses("a").sees("marked").presses("w");
+    operator.sees_so_often("watched", 2);
+    operator.presses("3").sees("verified").sees("/robot1/");
+    operator.presses("f").sees("PAUSED").presses("/verified\r").presses("\u{1b}[H");
+    operator.presses("f").no_longer_sees("PAUSED").sees("verified").presses("\r");
+    operator.sees("SM3 ").presses("\u{1b}[6~").sees("hashes to the root").presses("q");
+    operator.presses("1").sees(" = ").sees("holds");
+    operator.leaves();
+}
+
+/// Alice has verified records; Bob is registered.
+fn alice_and_bob(home: &Home) -> (Authros, Authros, String) {
+    let (alice, bob) = (one_robot(home.profile("alice")), one_robot(home.profile("bob")));
+    alice.enrol();
+    let address = bob.enrol();
+    alice.run(&["capture", "--count", "3", "--topic", ODOMETRY, "--tag", "mission=harbour"]).expect_code(0);
+    (alice, bob, address)
+}
+
+#[test]
+fn a_grant_reaches_a_second_console_that_opens_a_record_and_a_revoke_ends_it() {
+    let _alone = heavy();
+    let home = Home::new();
+    let (alice, bob, address) = alice_and_bob(&home);
+    let mut alice = Operator::opens(&alice);
+    alice.sees(ODOMETRY).presses("5").sees("Nothing granted");
+    alice.presses("g").sees("Lets another account").presses(&address).presses("\r\r\r\r");
+    alice.sees("Who can read this now:").presses("g").no_longer_sees("Who can read this now:");
+    alice.presses("\r").sees("Who can read this now:").presses("y").sees("1 can read new records now");
+    alice.presses("i").sees("Whoever read something before").presses("q");
+
+    let mut bob = Operator::opens(&bob);
+    bob.presses("4").sees(ODOMETRY).presses("b").sees("everything").presses("\u{1b}[B\r").sees("of 0x");
+    bob.presses("/").presses(" tag:mission=elsewhere\r").no_longer_sees(ODOMETRY);
+    bob.presses("\u{1b}").sees(ODOMETRY).presses("/tag:mission=harbour type:nav_msgs/Odometry\r").sees("tag mission");
+    bob.presses("\r").sees("equal to the chain's digest").sees("nav_msgs/Odometry").presses("q");
+
+    alice.presses("x").sees("cannot be recalled").presses("x").no_longer_sees("cannot be recalled");
+    alice.presses("x").sees("cannot be recalled").presses("y").sees("0 can read new records now");
+    bob.no_longer_sees(ODOMETRY);
+    bob.leaves();
+    alice.leaves();
+}
+
+#[test]
+fn filter_order_and_screen_are_there_again_at_the_next_start() {
+    let home = Home::new();
+    let authros = one_robot(home.authros());
+    let mut operator = Operator::opens(&authros);
+    operator.presses("2").sees(CAMERA).presses("s").sees("by Hz").presses("/odom\r").no_longer_sees(CAMERA);
+    operator.presses("t").sees("Tasks").presses("q").presses("f").sees("PAUSED").presses("f").no_longer_sees("PAUSED");
+    operator.leaves();
+    let mut again = Operator::opens(&authros);
+    again.sees("by Hz").sees("filter: odom").sees(ODOMETRY);
+    assert!(!again.0.shown().contains(CAMERA), "the filter holds");
+    again.presses("\u{1b}").sees(CAMERA);
+    again.leaves();
+}
+
+#[test]
+fn a_locked_console_captures_on_and_opens_nothing_until_it_is_unlocked() {
+    let _alone = heavy();
+    let home = Home::new();
+    let authros = one_robot(home.authros());
+    let passphrase = home.file("passphrase", PASSPHRASE, 0o600);
+    authros.with(&["--passphrase-file", &passphrase]).enrol();
+    let mut operator = Operator::opens(&authros);
+    operator.sees(ODOMETRY).presses("u").sees("Unlock").presses(PASSPHRASE).presses("\r").sees("keyring unlocked");
+    authros.run(&["topics", "watch", ODOMETRY]).expect_code(0);
+    operator.presses("3").sees("verified");
+
+    // What is said about it may be overtaken by other news at once; the keys' screen says it as long as it is so.
+    operator.presses(":lock\r");
+    operator.presses("6").sees("capture and anchoring go on");
+    let verified = || {
+        let records = authros.records(&["uploads", "list", "--state", "verified"]);
+        records.len()
+    };
+    let before = verified();
+    wait_until(PATIENCE, "records are verified while the keyring is locked", || {
+        Some(()).filter(|()| verified() > before + 3)
+    });
+    let id = text(&authros.records(&["uploads", "list"])[0], "id");
+    let refused = authros.fails(5, &["shared", "open", &id]);
+    assert!(refused.contains("locked"), "{refused}");
+
+    operator.presses("u").sees("Unlock").presses("not the passphrase\r").sees("does not open");
+    operator.presses("\u{15}").presses(PASSPHRASE).presses("\r");
+    wait_until(PATIENCE, "the keyring to be open again", || {
+        Some(()).filter(|()| authros.json(&["identity", "show"])["unlocked"] == true)
+    });
+    authros.run(&["topics", "unwatch", ODOMETRY]).expect_code(0);
+    let opened = authros.json(&["shared", "open", &id]);
+    assert_eq!(opened["topic"], ODOMETRY);
+    let audit = authros.json(&["audit", "list"])["audit"].to_string();
+    assert!(audit.contains("\"lock\"") && audit.contains("\"unlock\"") && audit.contains("refused"), "{audit}");
+    operator.leaves();
+}

@@ -1,0 +1,93 @@
+//! `authros demo`: the mission from capture to refusal, without a terminal and without a question.
+#![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
+
+use crate::support;
+
+use std::fs;
+
+use serde_json::Value;
+use support::{Authros, Home, count, heavy, skipped};
+
+/// The story must hold whatever the number of robots and the length.
+fn expect_the_whole_story(told: &Value) {
+    let captured = count(told, "captured");
+    assert!(captured > 0, "{told}");
+    assert_eq!(count(told, "verified"), captured, "every captured record is verified: {told}");
+    assert!(count(told, "anchored") >= captured, "{told}");
+    assert_eq!(count(told, "lost"), 0, "{told}");
+    let opened = count(told, "opened_by_grantee");
+    assert!(opened > 0 && opened < captured, "what came after the revoke stays closed: {told}");
+    assert_eq!(count(told, "opened_after_revoke"), 0, "{told}");
+    let pictures = count(told, "restored_images");
+    assert!(pictures > 0 && pictures < opened, "{told}");
+    assert_eq!(told["refused_stranger"], true, "{told}");
+    assert_eq!(told["refused_tampered"], true, "{told}");
+    // Three registrations, a grant, a revoke, about a batch a second (of 20 records and more), and four that may come
+    // early.
+    let transactions = count(&told["chain"], "transactions");
+    assert!(transactions >= 7 && transactions < 11 + captured / 10, "{told}");
+    assert!(count(&told["chain"], "gas") > 21_000 * count(&told["chain"], "transactions"), "{told}");
+    assert_eq!(told["ok"], true, "{told}");
+}
+
+#[test]
+fn the_demo_of_the_readme_shows_the_whole_mission() {
+    let _alone = heavy();
+    let home = Home::new();
+    let temporary = home.root().to_str().expect("UTF-8");
+    let told = Authros::bare(home.root()).with_variable("TMPDIR", temporary).json_within(180, &["demo"]);
+    expect_the_whole_story(&told);
+    // Four robots for ten seconds at 20 Hz odometry and 2 Hz pictures: 880; a slow machine may be late by a third.
+    assert!((580..=960).contains(&count(&told, "captured")), "{told}");
+    assert_eq!(fs::read_dir(home.root()).expect("HOME").count(), 0, "a demo without --home leaves nothing behind");
+}
+
+#[test]
+fn a_home_with_foreign_files_is_kept_and_they_stay() {
+    let _alone = heavy();
+    let home = Home::new();
+    fs::create_dir(home.path()).expect("the home");
+    fs::write(home.path().join("notes.txt"), "not mine").expect("a foreign file");
+    let told = home.authros().json_within(180, &["demo", "--seconds", "3", "--robots", "1"]);
+    expect_the_whole_story(&told);
+    assert_eq!(fs::read_to_string(home.path().join("notes.txt")).expect("still there"), "not mine");
+    assert!(support::authros::files_below(&home.path()).len() > 1, "the demo's home is kept");
+}
+
+#[test]
+fn without_json_it_is_a_story_with_figures_and_no_escape_codes() {
+    let _alone = heavy();
+    let home = Home::new();
+    let outcome = home.authros().spawn(&["demo", "--seconds", "2", "--robots", "2"]).wait(180).expect_code(0);
+    assert!(outcome.stdout.lines().count() >= 8, "{outcome}");
+    assert!(outcome.stdout.chars().any(|character| character.is_ascii_digit()), "{outcome}");
+    for word in ["verified", "grant", "refused", "revoke"] {
+        assert!(outcome.stdout.to_lowercase().contains(word), "no word of '{word}': {outcome}");
+    }
+    assert!(!outcome.stdout.contains('\u{1b}'), "{outcome}");
+}
+
+/// The build whose checks can be switched off one by one lies beside the product's own.
+fn faulty() -> Option<std::path::PathBuf> {
+    let built = std::path::Path::new(env!("CARGO_BIN_EXE_authros")).with_file_name("authros-faulty");
+    built.exists().then_some(built)
+}
+
+#[test]
+fn each_check_switched_off_makes_the_demo_say_that_it_is_not_ok() {
+    let Some(program) = faulty() else {
+        skipped!("authros-faulty is not built; tests/run builds it");
+    };
+    let _alone = heavy();
+    let checks = ["digest", "signature", "commit", "tag", "anchor", "proof", "revoke", "restore", "authorise"];
+    for fault in checks {
+        let home = Home::new();
+        let authros = home.authros().with_program(&program).with_variable("AUTHROS_FAULT", fault).with(&["--json"]);
+        let told = authros.spawn(&["demo", "--seconds", "2", "--robots", "1"]).wait(120).expect_code(1).document();
+        assert_eq!(told["ok"], false, "without the check '{fault}': {told}");
+    }
+    let home = Home::new();
+    let authros = home.authros().with_program(&program).with(&["--json"]);
+    let told = authros.spawn(&["demo", "--seconds", "2", "--robots", "1"]).wait(120).expect_code(0).document();
+    assert_eq!(told["ok"], true, "with every check on: {told}");
+}

@@ -1,0 +1,421 @@
+//! `authros gateway serve`: records of robots kept, anchored and answered for; revocation; replay; what a kill leaves.
+#![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
+#![allow(clippy::print_stdout, reason = "figures that the run shows")]
+
+use crate::support;
+
+use std::io::{Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::time::{Duration, Instant};
+
+use authros::chain::AnchorProof;
+use authros::crypto::{Anchor, Expected, SmKeyPair, open, signer_id};
+use authros::gateway::{Client, Code, Credentials, GatewayError, Query, Request, Selection, Standing, Upload};
+use authros::model::{Digest, Header, RecordKind, Timestamp};
+use support::client_stream::Recorder;
+use support::member::{Gateway, Member, connect};
+use support::{Authros, Home, Redis, Running, count, heavy, holds, long, poll, skipped, text, wait_until};
+
+const TOPIC: &str = "/robot7/log";
+
+struct Site {
+    home: Home,
+    process: Running,
+    gateway: Gateway,
+}
+
+fn gateway_process(home: &Home, listen: &str, options: &[&str]) -> (Running, Gateway) {
+    let keeper = home.profile("gateway").with(&["--json"]).with(options);
+    let mut process = keeper.spawn(&["gateway", "serve", "--listen", listen]);
+    let told = process.wait_for_text("\"joined\"", 60);
+    let line = told.lines().find(|line| line.contains("\"joined\"")).expect("one line").to_owned();
+    let gateway = Gateway::of(&serde_json::from_str(&line).expect("JSON"));
+    (process, gateway)
+}
+
+fn site() -> Site {
+    let home = Home::new();
+    let (process, gateway) = gateway_process(&home, "127.0.0.1:0", &[]);
+    Site { home, process, gateway }
+}
+
+fn digest(member: &Member, upload: &Upload) -> Digest {
+    Digest(member.provider().sm3(&[&upload.blob]))
+}
+
+fn all_of(owner: &Member) -> Query {
+    Query {
+        selection: Selection::all(owner.address()),
+        from: Timestamp(0),
+        until: Timestamp(u64::MAX),
+        cursor: 0,
+        limit: 500,
+    }
+}
+
+async fn until_verified(client: &mut Client, digests: &[Digest]) {
+    let end = Instant::now() + Duration::from_secs(60);
+    loop {
+        let standings = client.check(digests).await.expect("answers");
+        if standings.iter().all(|standing| *standing == Standing::Verified) {
+            return;
+        }
+        assert!(Instant::now() < end, "not verified in time: {standings:?}");
+        tokio::time::sleep(Duration::from_millis(200)).await;
+    }
+}
+
+fn refused(result: Result<impl std::fmt::Debug, GatewayError>) -> Code {
+    match result {
+        Err(GatewayError::Refused(code) | GatewayError::RefusedInClear(code)) => code,
+        other => panic!("not refused: {other:?}"),
+    }
+}
+
+/// The name under which a record of these bytes is kept; also the order in which they were written.
+fn bodies(count: u64) -> Vec<Vec<u8>> {
+    (1..=count).map(|number| format!("entry {number} of the log").into_bytes()).collect()
+}
+
+/// The operator sees who is connected, which system keys are in use, and what was refused.
+fn expect_status(site: &Site) {
+    let status = site.home.authros().json(&["gateway", "status"]);
+    let robot = support::list(&status, "senders").into_iter().find(|sender| sender["name"] == "robot-7");
+    let robot = robot.expect("the robot is among the senders");
+    assert!(robot["sessions"] == 1 && robot["frames"].as_u64() >= Some(2) && robot["peer"].is_string(), "{robot}");
+    let keys = support::list(&status, "keys");
+    assert!(keys.len() == 2 && keys[0]["current"] == true && keys[1]["current"] == false, "{status}");
+    let refused = support::list(&status, "refused");
+    assert!(refused.iter().any(|row| row["code"] == Code::NotAuthorised.number() && row["count"] == 2), "{status}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_robots_send_is_anchored_by_the_gateway_and_read_by_a_grantee_until_the_revoke() {
+    let site = site();
+    let (alice, bob) = (site.home.profile("alice"), site.home.profile("bob"));
+    let (_, bob_address) = (alice.enrol(), bob.enrol());
+    let owner = Member::of(&site.home, "alice", site.gateway.domain);
+    let credentials = owner.allocate(&site.gateway, "robot-7").await.expect("allocates");
+    let mut robot = connect(&site.gateway, &credentials).await;
+    let sent = bodies(120);
+    let uploads: Vec<Upload> =
+        (1..).zip(&sent).map(|(seq, body)| owner.record(&owner.keyring.signing, TOPIC, seq, body)).collect();
+    let digests: Vec<Digest> = uploads.iter().map(|upload| digest(&owner, upload)).collect();
+    let receipt = robot.upload(uploads.clone()).await.expect("accepted");
+    assert_eq!(receipt.digests, digests, "a receipt, checked by the client, over exactly these");
+    robot.upload(uploads.clone()).await.expect("known ones are acknowledged again");
+    until_verified(&mut robot, &digests).await;
+
+    let own = alice.records(&["uploads", "list"]);
+    assert_eq!(own.len(), 120, "each once");
+    assert!(own.iter().all(|record| record["state"] == "verified" && record["topic"] == TOPIC), "{:?}", own[0]);
+    assert_eq!(own[0]["type"], "std_msgs/String");
+    let shown = alice.json(&["uploads", "show", &text(&own[0], "id")]);
+    assert!(shown.to_string().contains(&site.gateway.account), "the gateway's account is the witness: {shown}");
+
+    // A reader without a grant learns nothing, not even that there is something.
+    let reader = Member::of(&site.home, "bob", site.gateway.domain);
+    let reader_credentials = reader.allocate(&site.gateway, "bob").await.expect("allocates");
+    let mut session = connect(&site.gateway, &reader_credentials).await;
+    assert_eq!(refused(session.query(&all_of(&owner)).await), Code::NotAuthorised);
+    assert_eq!(refused(session.fetch(&digests[0]).await), Code::NotAuthorised);
+    assert_eq!(session.check(&digests[..2]).await.expect("answers"), [Standing::Unknown; 2]);
+    expect_status(&site);
+
+    alice.json(&["grant", &bob_address]);
+    let read = read_all(&mut session, &owner, &reader).await;
+    assert_eq!(read, sent, "in the order of capture, each with its proof");
+    let filtered = Query {
+        selection: Selection {
+            filters: vec![authros::crypto::filter_id(owner.index(), "type", "std_msgs/String")],
+            topic_id: Some(owner.topic(TOPIC).0),
+            kind: Some(RecordKind::Data),
+            ..Selection::all(owner.address())
+        },
+        limit: 7,
+        ..all_of(&owner)
+    };
+    assert_eq!(session.query(&filtered).await.expect("a page").entries.len(), 7);
+    let none =
+        Selection { filters: vec![authros::crypto::filter_id(owner.index(), "type", "a/B")], ..filtered.selection };
+    assert!(session.query(&Query { selection: none, ..all_of(&owner) }).await.expect("a page").entries.is_empty());
+
+    revoked_while_live(&alice, &bob_address, (&owner, &mut robot), &mut session).await;
+    site.process.stop("TERM", 20).expect_code(0);
+}
+
+/// Pages through everything and opens it as a second client would: digest, proof, signature, keys.
+async fn read_all(session: &mut Client, owner: &Member, reader: &Member) -> Vec<Vec<u8>> {
+    let (mut query, mut read) = (Query { limit: 50, ..all_of(owner) }, Vec::new());
+    loop {
+        let page = session.query(&query).await.expect("a page");
+        for entry in &page.entries {
+            let fetched = session.fetch(&entry.digest).await.expect("a record");
+            let (header, _) = Header::parse(&fetched.blob).expect("a record");
+            let proof = AnchorProof::parse(&fetched.proof).expect("a proof");
+            let leaf = authros::chain::merkle::Leaf {
+                owner: header.owner,
+                recorder: header.recorder,
+                topic_id: header.topic_id,
+                seq: header.seq,
+                digest: entry.digest,
+            };
+            assert!(proof.inclusion.expect("batched").proves(&leaf));
+            let expected = Expected::any_of(owner.domain, owner.address());
+            let (_, key) = owner.topic(TOPIC);
+            let signer = &fetched.signer;
+            let anchor = Anchor::Chain(entry.digest);
+            let opened = open(reader.provider(), &fetched.blob, &fetched.signature, signer, anchor, &key, &expected);
+            read.push(opened.expect("opens").body);
+        }
+        let Some(next) = page.next else { return read };
+        query.cursor = next;
+    }
+}
+
+/// No further record reaches a live subscriber after the block of the revoke.
+async fn revoked_while_live(alice: &Authros, bob: &str, (owner, robot): (&Member, &mut Client), session: &mut Client) {
+    session.subscribe(&Selection::all(owner.address())).await.expect("subscribes");
+    let send = async |robot: &mut Client, seq: u64| {
+        let upload = owner.record(&owner.keyring.signing, TOPIC, seq, b"live");
+        robot.upload(vec![upload]).await.expect("accepted");
+    };
+    send(robot, 121).await;
+    let (_, entry, _) = session.next_event(Duration::from_secs(30)).await.expect("reaches the subscriber");
+    assert_eq!(entry.seq, 121);
+    let revoking = {
+        let (alice, bob) = (alice.clone(), bob.to_owned());
+        tokio::task::spawn_blocking(move || alice.json(&["revoke", &bob]))
+    };
+    let mut cut = None;
+    let mut last = 121;
+    while cut.is_none() {
+        send(robot, last + 1).await;
+        last += 1;
+        match session.next_event(Duration::from_millis(300)).await {
+            Ok(_) | Err(GatewayError::TimedOut) => {}
+            Err(error) => cut = Some((error, Timestamp::now())),
+        }
+        assert!(last < 500, "never cut");
+    }
+    let (error, cut_at) = cut.expect("cut");
+    let told = tokio::task::spawn_blocking(move || revoking).await.expect("runs").await.expect("revoked");
+    let block = count(&told, "block");
+    println!("revoked in block {block}; {error}; cut at {cut_at}");
+    let since = Timestamp::now().0.saturating_sub(cut_at.0);
+    println!("the command that revoked answered {} ms after the cut", since / 1_000_000);
+    assert!(matches!(error, GatewayError::Refused(Code::NotAuthorised)), "{error}");
+    for seq in last + 1..last + 4 {
+        send(robot, seq).await;
+    }
+    assert!(session.next_event(Duration::from_secs(3)).await.is_err(), "nothing after the cut");
+    assert_eq!(refused(session.query(&all_of(owner)).await), Code::NotAuthorised);
+    assert_eq!(refused(session.subscribe(&Selection::all(owner.address())).await), Code::NotAuthorised);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn devices_sign_while_they_are_lent_and_names_belong_to_one_account() {
+    let site = site();
+    let (alice, bob) = (site.home.profile("alice"), site.home.profile("bob"));
+    alice.enrol();
+    bob.enrol();
+    let owner = Member::of(&site.home, "alice", site.gateway.domain);
+    let other = Member::of(&site.home, "bob", site.gateway.domain);
+    let credentials = owner.allocate(&site.gateway, "robot-1").await.expect("allocates");
+    assert_eq!(refused(other.allocate(&site.gateway, "robot-1").await.map(|_| ())), Code::NameBound);
+    let device = SmKeyPair::generate(owner.provider()).expect("a pair");
+    let id = signer_id(&device.public);
+    let mut robot = connect(&site.gateway, &credentials).await;
+    let upload = owner.record(&device, TOPIC, 1, b"signed by a device");
+    assert_eq!(refused(robot.upload(vec![upload.clone()]).await), Code::Signature, "not lent");
+    assert_eq!(refused(robot.device(&owner.keyring.signing, device.public).await), Code::Signature, "not lent");
+    alice.json(&["devices", "lend", &id.to_string()]);
+    assert_eq!(refused(robot.upload(vec![upload.clone()]).await), Code::Signature, "lent, but its key is not known");
+    robot.device(&owner.keyring.signing, device.public).await.expect("noted");
+    robot.upload(vec![upload.clone()]).await.expect("accepted");
+    until_verified(&mut robot, &[digest(&owner, &upload)]).await;
+    let opened = alice.json(&["shared", "open", &digest(&owner, &upload).to_string()]);
+    assert_eq!(opened["verdict"], "verified", "the owner reads what her device signed: {opened}");
+    alice.json(&["devices", "recall", &id.to_string()]);
+    let late = owner.record(&device, TOPIC, 2, b"signed by a stolen device");
+    assert_eq!(refused(robot.upload(vec![late]).await), Code::Signature, "recalled");
+    let stranger = other.record(&other.keyring.signing, TOPIC, 1, b"of another owner");
+    assert_eq!(refused(robot.upload(vec![stranger]).await), Code::NotYours);
+    site.process.stop("TERM", 20).expect_code(0);
+}
+
+/// What a vault of a gateway must not hold: names, types, tags, plaintext, keys.
+fn expect_blind(dump: &[u8], owner: &Member, credentials: &Credentials, record: &Upload) {
+    assert!(holds(dump, &record.blob), "the ciphertext is there, so the search is worth something");
+    let (_, topic_key) = owner.topic(TOPIC);
+    let epoch_key = owner.epoch_key();
+    let secrets: [(&str, &[u8]); 9] = [
+        ("topic", TOPIC.as_bytes()),
+        ("type", b"std_msgs/String"),
+        ("profile", b"alice"),
+        ("name", b"robot-blind"),
+        ("plaintext", b"the burglar wore a hat"),
+        ("topic key", topic_key.expose()),
+        ("epoch key", epoch_key.expose()),
+        ("index key", owner.index().expose()),
+        ("transport key", credentials.key.expose()),
+    ];
+    for (what, secret) in secrets {
+        assert!(!holds(dump, secret), "the vault holds the {what}");
+    }
+}
+
+async fn keep_one(home: &Home, gateway: &Gateway) -> (Member, Credentials, Upload) {
+    home.profile("alice").enrol();
+    let owner = Member::of(home, "alice", gateway.domain);
+    let credentials = owner.allocate(gateway, "robot-blind").await.expect("allocates");
+    let upload = owner.record(&owner.keyring.signing, TOPIC, 1, b"the burglar wore a hat");
+    let mut robot = connect(gateway, &credentials).await;
+    robot.upload(vec![upload.clone()]).await.expect("accepted");
+    until_verified(&mut robot, &[digest(&owner, &upload)]).await;
+    (owner, credentials, upload)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_gateways_vault_is_blind() {
+    let site = site();
+    let (owner, credentials, upload) = keep_one(&site.home, &site.gateway).await;
+    site.process.stop("TERM", 20).expect_code(0);
+    let files = support::authros::files_below(&site.home.path().join("vault"));
+    let dump: Vec<u8> = files.iter().flat_map(|file| std::fs::read(file).expect("reads")).collect();
+    expect_blind(&dump, &owner, &credentials, &upload);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_gateways_redis_is_blind() {
+    let Some(redis) = Redis::start(&[]) else { skipped!("no redis-server and redis-cli") };
+    let home = Home::new();
+    let (process, gateway) = gateway_process(&home, "127.0.0.1:0", &["--vault", &redis.url()]);
+    let (owner, credentials, upload) = keep_one(&home, &gateway).await;
+    expect_blind(&redis.dump(), &owner, &credentials, &upload);
+    process.stop("TERM", 20).expect_code(0);
+}
+
+/// The frames of a stream: length (4), then so many bytes.
+fn frames(stream: &[u8]) -> Vec<&[u8]> {
+    let (mut rest, mut found) = (stream, Vec::new());
+    while let Some((length, _)) = rest.split_first_chunk::<4>() {
+        let end = 4 + usize::try_from(u32::from_be_bytes(*length)).expect("fits");
+        let Some((frame, more)) = rest.split_at_checked(end) else { break };
+        found.push(frame);
+        rest = more;
+    }
+    found
+}
+
+/// Sends bytes to the gateway and gives how many bytes it answered before it closed.
+fn replay(address: &str, bytes: &[u8]) -> Vec<u8> {
+    let mut stream = TcpStream::connect(address).expect("connects");
+    stream.set_read_timeout(Some(Duration::from_secs(20))).expect("sets");
+    // A gateway that closes in between is what is wanted.
+    drop(stream.write_all(bytes));
+    let mut answer = Vec::new();
+    drop(stream.read_to_end(&mut answer));
+    answer
+}
+
+/// Replays every recorded stream whole: the answers are a hello and a refusal, never a transfer frame.
+fn expect_refused(address: &str, streams: &[Vec<u8>]) -> usize {
+    const TRANSFER: u8 = 4;
+    let mut replayed = 0;
+    for stream in streams {
+        let answer = replay(address, stream);
+        for frame in frames(&answer) {
+            assert_ne!(frame.get(4), Some(&TRANSFER), "a replayed frame was answered");
+        }
+        replayed += frames(stream).len();
+    }
+    replayed
+}
+
+#[test]
+fn recorded_frames_are_never_accepted_again_not_even_after_a_kill() {
+    let _alone = heavy();
+    tokio::runtime::Runtime::new().expect("a runtime").block_on(replay_all());
+}
+
+async fn replay_all() {
+    let site = site();
+    let alice = site.home.profile("alice");
+    alice.enrol();
+    let owner = Member::of(&site.home, "alice", site.gateway.domain);
+    let recorder = Recorder::before(&site.gateway.address);
+    let through = Gateway { address: recorder.address.clone(), ..site.gateway.clone() };
+    let credentials = owner.allocate(&through, "robot-1").await.expect("allocates");
+    let (sessions, each) = if long() { (20, 5_000) } else { (5, 2_000) };
+    let mut seq = 0;
+    for _ in 0..sessions {
+        let mut robot = connect(&through, &credentials).await;
+        for number in 0..each {
+            if number % 100 == 0 {
+                seq += 1;
+                robot
+                    .send(&Request::Upload(owner.record(&owner.keyring.signing, TOPIC, seq, b"once")))
+                    .await
+                    .expect("sent");
+            } else {
+                robot.send(&Request::Ping).await.expect("sent");
+            }
+            if number % 50 == 49 {
+                for _ in 0..50 {
+                    robot.receive(Duration::from_secs(20)).await.expect("answered");
+                }
+            }
+        }
+    }
+    let records = |home: &Home| home.profile("alice").records(&["uploads", "list"]).len() as u64;
+    wait_until(30, "all are there", || Some(()).filter(|()| records(&site.home) == seq));
+    let streams = recorder.recorded();
+    let before = expect_refused(&site.gateway.address, &streams);
+    assert_eq!(records(&site.home), seq);
+    inject(&site.gateway, &owner, &credentials, &streams).await;
+    assert_eq!(records(&site.home), seq, "nothing twice");
+
+    let address = site.gateway.address.clone();
+    site.process.signal("KILL");
+    site.process.wait(20);
+    let (process, gateway) = gateway_process(&site.home, &address, &[]);
+    let after = expect_refused(&gateway.address, &streams);
+    assert_eq!(records(&site.home), seq);
+    inject(&gateway, &owner, &credentials, &streams).await;
+    assert_eq!(records(&site.home), seq, "nothing twice after a kill");
+    println!("{before} recorded frames replayed before the kill and {after} after it: 0 accepted");
+    assert!(before >= sessions * each && after == before);
+    process.stop("TERM", 20).expect_code(0);
+}
+
+/// Recorded frames inside a session of today: it ends at the first, and nothing came of it.
+async fn inject(gateway: &Gateway, owner: &Member, credentials: &Credentials, streams: &[Vec<u8>]) {
+    let stream = streams.last().expect("recorded");
+    for frame in frames(stream).iter().rev().take(5) {
+        let recorder = Recorder::before(&gateway.address);
+        let through = Gateway { address: recorder.address.clone(), ..gateway.clone() };
+        let mut session = connect(&through, credentials).await;
+        session.ping().await.expect("alive");
+        let own = recorder.recorded().concat();
+        // The same bytes again on a line of their own, then the old frame: neither opens.
+        assert!(!replay(&gateway.address, &[&own[..], frame].concat()).is_empty(), "refused in words");
+    }
+    let mut session = connect(gateway, credentials).await;
+    assert!(session.query(&all_of(owner)).await.is_ok(), "an honest session works");
+}
+
+#[test]
+fn a_gateway_says_what_it_cannot_do() {
+    let home = Home::new();
+    let told = home
+        .profile("gateway")
+        .with(&["--anchor-mode", "each"])
+        .fails(3, &["gateway", "serve", "--listen", "127.0.0.1:0"]);
+    assert!(told.contains("anchor.mode"), "{told}");
+    let taken = TcpListener::bind("127.0.0.1:0").expect("a port");
+    let address = taken.local_addr().expect("an address").to_string();
+    let told = home.profile("gateway").fails(3, &["gateway", "serve", "--listen", &address]);
+    assert!(told.contains(&address), "{told}");
+    assert!(poll(1, || home.socket()).is_none(), "no site is left behind");
+}

@@ -1,0 +1,156 @@
+//! Keys: listed without secrets, loaded from files, rotated into epochs, exported for other programs.
+#![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
+
+use crate::support;
+
+use std::fs;
+use std::os::unix::fs::PermissionsExt;
+
+use serde_json::Value;
+use support::process::output_of;
+use support::{Authros, Home, hex, list, skipped, system_program, text};
+
+/// The published key and address of the first development account.
+const KNOWN_EOA: &str = "ac0974bec39a17e36ba4a6b4d238ff944bacb478cbed5efcae784d7bf4f2ff80";
+const KNOWN_ADDRESS: &str = "0xf39Fd6e51aad88F6F4ce6aB8827279cffFb92266";
+
+fn quiet(home: &Home) -> Authros {
+    home.authros().with(&["--robots", "0"])
+}
+
+fn current_epochs(keys: &Value) -> Vec<Value> {
+    list(keys, "epochs").into_iter().filter(|epoch| epoch["current"] == true).collect()
+}
+
+/// x || y of a key file, as OpenSSL reads it.
+fn public_key(pem: &str) -> String {
+    let der = format!("{pem}.der");
+    output_of("openssl", &["pkey", "-in", pem, "-pubout", "-outform", "DER", "-out", &der]);
+    let der = fs::read(der).expect("written by openssl");
+    hex(&der[der.len() - 64..])
+}
+
+#[test]
+fn a_rotation_begins_a_new_epoch_and_keeps_the_old_one() {
+    let home = Home::new();
+    let authros = quiet(&home);
+    authros.enrol();
+    let before = authros.json(&["keys", "list"]);
+    assert_eq!(list(&before, "epochs").len(), 1, "{before}");
+    let rotated = authros.json(&["keys", "rotate"]);
+    assert_eq!(rotated["epoch"], 2, "{rotated}");
+    assert!(rotated["transaction"].is_string() && rotated["block"].is_u64(), "{rotated}");
+
+    let after = authros.json(&["keys", "list"]);
+    assert_eq!(list(&after, "epochs").len(), 2, "{after}");
+    let current = current_epochs(&after);
+    assert_eq!(current.len(), 1, "{after}");
+    assert_eq!(current[0]["epoch"], 2);
+    let tokens: Vec<String> = list(&after, "epochs").iter().map(|epoch| text(epoch, "token")).collect();
+    assert_ne!(tokens[0], tokens[1]);
+    assert_eq!(
+        text(&list(&before, "epochs")[0], "token"),
+        tokens[usize::from(list(&after, "epochs")[0]["epoch"] != 1)]
+    );
+    for field in ["address", "signing_key", "envelope_key"] {
+        assert_eq!(before[field], after[field], "{field} is no part of an epoch");
+    }
+}
+
+#[test]
+fn the_exported_signing_key_is_read_by_openssl() {
+    if system_program("openssl").is_none() {
+        skipped!("no openssl");
+    }
+    let home = Home::new();
+    let authros = quiet(&home);
+    let made = authros.json(&["identity", "create"]);
+    let out = home.root().join("sm2.pem");
+    let out = out.to_str().expect("UTF-8");
+    authros.run(&["keys", "export", "sm2", "--out", out]).expect_code(0);
+    assert_eq!(fs::metadata(out).expect("written").permissions().mode() & 0o777, 0o600);
+    assert_eq!(public_key(out), text(&made, "signing_key"));
+
+    let kept = fs::read(out).expect("written");
+    let again = authros.run(&["keys", "export", "sm2", "--out", out]);
+    assert!(again.code.is_some_and(|code| code != 0), "never over a file: {again}");
+    assert_eq!(fs::read(out).expect("still there"), kept);
+}
+
+#[test]
+fn a_signing_key_made_by_openssl_is_loaded() {
+    if system_program("openssl").is_none() {
+        skipped!("no openssl");
+    }
+    let home = Home::new();
+    let authros = quiet(&home);
+    let made = authros.json(&["identity", "create"]);
+    let pem = home.file("openssl.pem", "", 0o600);
+    output_of("openssl", &["genpkey", "-algorithm", "SM2", "-out", &pem]);
+    let loaded = authros.json(&["keys", "load", "--sm2", &pem]);
+    assert_ne!(loaded["signing_key"], made["signing_key"]);
+    assert_eq!(text(&loaded, "signing_key"), public_key(&pem));
+    assert_eq!(loaded["envelope_key"], made["envelope_key"], "the envelope key is another key");
+    assert_eq!(authros.json(&["register"])["signing_key"], loaded["signing_key"]);
+}
+
+#[test]
+fn a_known_account_key_gives_its_known_address() {
+    let home = Home::new();
+    let authros = quiet(&home);
+    authros.json(&["identity", "create"]);
+    let file = home.file("eoa.hex", KNOWN_EOA, 0o600);
+    assert_eq!(authros.json(&["keys", "load", "--eoa", &file])["address"], KNOWN_ADDRESS);
+    assert_eq!(authros.json(&["register"])["address"], KNOWN_ADDRESS);
+}
+
+#[test]
+fn an_account_key_travels_as_a_keystore_under_its_own_passphrase() {
+    let home = Home::new();
+    let alice = home.profile("alice").with(&["--robots", "0"]);
+    let bob = home.profile("bob").with(&["--robots", "0"]);
+    let address = text(&alice.json(&["identity", "create"]), "address");
+    bob.json(&["identity", "create"]);
+    let passphrase = home.file("keystore-passphrase", "a passphrase for the road\n", 0o600);
+    let keystore = home.root().join("keystore.json");
+    let keystore = keystore.to_str().expect("UTF-8");
+    let with_passphrase = ["--keystore-passphrase-file", &passphrase];
+    alice.run(&[&["keys", "export", "eoa", "--out", keystore][..], &with_passphrase].concat()).expect_code(0);
+    let written: Value = serde_json::from_slice(&fs::read(keystore).expect("written")).expect("JSON");
+    assert_eq!(written["version"], 3, "an Ethereum V3 keystore");
+
+    let loaded = bob.json(&[&["keys", "load", "--eoa", keystore][..], &with_passphrase].concat());
+    assert_eq!(text(&loaded, "address"), address);
+}
+
+#[test]
+fn a_loaded_data_key_begins_an_epoch_and_is_what_is_exported() {
+    let home = Home::new();
+    let authros = quiet(&home);
+    authros.enrol();
+    let key: Vec<u8> = (1..=16).collect();
+    let file = home.file("sm4.bin", &key, 0o600);
+    let loaded = authros.json(&["keys", "load", "--sm4", &file]);
+    assert_eq!(current_epochs(&loaded)[0]["epoch"], 2, "{loaded}");
+    let out = home.root().join("sm4.hex");
+    authros.run(&["keys", "export", "sm4", "--out", out.to_str().expect("UTF-8")]).expect_code(0);
+    assert_eq!(fs::read_to_string(out).expect("written").trim(), hex(&key));
+}
+
+#[test]
+fn no_list_of_keys_shows_a_secret() {
+    let home = Home::new();
+    let authros = quiet(&home);
+    authros.enrol();
+    let secret: [u8; 16] =
+        [0x9e, 0xd1, 0x0b, 0xf7, 0x83, 0xac, 0x1e, 0xc5, 0xee, 0x04, 0xb9, 0xd8, 0x8f, 0x61, 0xfa, 0x97];
+    let sm4 = home.file("sm4.bin", secret, 0o600);
+    authros.json(&["keys", "load", "--sm4", &sm4]);
+    let shown = authros.run(&["keys", "list"]).expect_code(0).stdout + &authros.json(&["keys", "list"]).to_string();
+    assert!(!shown.to_lowercase().contains(&hex(&secret)), "{shown}");
+    for path in support::authros::files_below(&home.path()) {
+        let bytes = fs::read(&path).unwrap_or_default();
+        let in_clear = support::holds(&bytes, &secret) || support::holds(&bytes, hex(&secret).as_bytes());
+        assert!(!in_clear, "in clear in {}", path.display());
+    }
+}

@@ -1,0 +1,39 @@
+//! The flows through the public face: the program, the console in a pseudo-terminal, the real peers. A file per behaviour,
+//! and one binary for all, so that it is compiled once and its tests share the machine.
+#![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
+
+#[path = "../support/mod.rs"]
+mod support;
+
+mod admission;
+mod adoption;
+mod agent;
+mod audit;
+mod bags;
+mod bench;
+mod chain_commands;
+mod chain_faults;
+mod check;
+mod command_line;
+mod console;
+mod console_journey;
+mod console_terminal;
+mod contacts;
+mod demo;
+mod faults;
+mod gateway;
+mod identity;
+mod key_changes;
+mod keys;
+mod messages;
+mod node_forging;
+mod real_chain;
+mod real_redis;
+mod real_ros;
+mod remote;
+mod restart;
+mod sharing;
+mod succession;
+mod units;
+mod uploads_export;
+mod vault_faults;

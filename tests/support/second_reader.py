@@ -1,0 +1,289 @@
+"""A second reader of records, written from src/gateway/PROTOCOL.md, section 9, with nothing but the standard library.
+
+    second_reader.py FOLDER EK_HEX IK_HEX
+
+Opens the record of an `uploads export` folder by its epoch's key, checks digest, signature, commit, tags and the Merkle path, and
+prints what it found as JSON. It ends with an error where anything does not hold.
+"""
+import hmac
+import json
+import pathlib
+import struct
+import sys
+
+M32 = 0xFFFFFFFF
+
+
+def rotl(x, n):
+    n %= 32
+    return ((x << n) | (x >> (32 - n))) & M32
+
+
+def sm3(data):  # GB/T 32905
+    v = [0x7380166F, 0x4914B2B9, 0x172442D7, 0xDA8A0600, 0xA96F30BC, 0x163138AA, 0xE38DEE4D, 0xB0FB0E4E]
+    data += b"\x80" + bytes((55 - len(data)) % 64) + struct.pack(">Q", len(data) * 8)
+    p1 = lambda x: x ^ rotl(x, 15) ^ rotl(x, 23)
+    for at in range(0, len(data), 64):
+        w = list(struct.unpack(">16I", data[at:at + 64]))
+        for j in range(16, 68):
+            w.append(p1(w[j - 16] ^ w[j - 9] ^ rotl(w[j - 3], 15)) ^ rotl(w[j - 13], 7) ^ w[j - 6])
+        a, b, c, d, e, f, g, h = v
+        for j in range(64):
+            ss1 = rotl((rotl(a, 12) + e + rotl(0x79CC4519 if j < 16 else 0x7A879D8A, j)) & M32, 7)
+            ff = a ^ b ^ c if j < 16 else (a & b) | (a & c) | (b & c)
+            gg = e ^ f ^ g if j < 16 else (e & f) | (~e & g)
+            tt1 = (ff + d + (ss1 ^ rotl(a, 12)) + (w[j] ^ w[j + 4])) & M32
+            tt2 = (gg + h + ss1 + w[j]) & M32
+            a, b, c, d = tt1, a, rotl(b, 9), c
+            e, f, g, h = tt2 ^ rotl(tt2, 9) ^ rotl(tt2, 17), e, rotl(f, 19), g
+        v = [x ^ y for x, y in zip(v, (a, b, c, d, e, f, g, h))]
+    return struct.pack(">8I", *v)
+
+
+def hmac_sm3(key, data):
+    key = (sm3(key) if len(key) > 64 else key).ljust(64, b"\0")
+    return sm3(bytes(b ^ 0x5C for b in key) + sm3(bytes(b ^ 0x36 for b in key) + data))
+
+
+def hkdf(key, salt, info, length):  # RFC 5869
+    prk, out, block = hmac_sm3(salt or bytes(32), key), b"", b""
+    for number in range(1, -(-length // 32) + 1):
+        block = hmac_sm3(prk, block + info + bytes([number]))
+        out += block
+    return out[:length]
+
+
+def text(value):
+    value = value.encode()
+    return struct.pack(">H", len(value)) + value
+
+
+def sbox():  # GB/T 32907: affine, inversion modulo x^8 + x^7 + x^6 + x^5 + x^4 + x^2 + 1, affine
+    def times(a, b):
+        product = 0
+        while b:
+            product ^= a if b & 1 else 0
+            a, b = (a << 1) ^ (0x1F5 if a & 0x80 else 0), b >> 1
+        return product
+
+    def affine(x):
+        return sum((bin(x & row).count("1") & 1) << (7 - at) for at, row in enumerate(rows)) ^ 0xD3
+
+    rows = [(0xD3 >> at | 0xD3 << (8 - at)) & 0xFF for at in range(8)]
+    inverse = {0: 0}
+    inverse.update({a: b for a in range(1, 256) for b in range(1, 256) if times(a, b) == 1})
+    return [affine(inverse[affine(x)]) for x in range(256)]
+
+
+SBOX = sbox()
+assert (SBOX[0x00], SBOX[0x01], SBOX[0xEF], SBOX[0xFF]) == (0xD6, 0x90, 0x84, 0x48), "SM4's S-box"
+
+
+def tau(x):
+    return int.from_bytes(bytes(SBOX[b] for b in x.to_bytes(4, "big")), "big")
+
+
+def sm4_keys(key):
+    k = [a ^ b for a, b in zip(struct.unpack(">4I", key), (0xA3B1BAC6, 0x56AA3350, 0x677D9197, 0xB27022DC))]
+    for i in range(32):
+        ck = int.from_bytes(bytes((4 * i + j) * 7 % 256 for j in range(4)), "big")
+        b = tau(k[i + 1] ^ k[i + 2] ^ k[i + 3] ^ ck)
+        k.append(k[i] ^ b ^ rotl(b, 13) ^ rotl(b, 23))
+    return k[4:]
+
+
+def sm4(keys, block):
+    x = list(struct.unpack(">4I", block))
+    for rk in keys:
+        b = tau(x[1] ^ x[2] ^ x[3] ^ rk)
+        x = x[1:] + [x[0] ^ b ^ rotl(b, 2) ^ rotl(b, 10) ^ rotl(b, 18) ^ rotl(b, 24)]
+    return struct.pack(">4I", *reversed(x))
+
+
+def gcm_open(key, nonce, aad, sealed):  # NIST SP 800-38D over SM4, RFC 8998
+    keys = sm4_keys(key)
+    h = int.from_bytes(sm4(keys, bytes(16)), "big")
+
+    def times(x):
+        product, v = 0, h
+        for bit in range(127, -1, -1):
+            product ^= v if x >> bit & 1 else 0
+            v = (v >> 1) ^ (0xE1 << 120 if v & 1 else 0)
+        return product
+
+    text_, tag = sealed[:-16], sealed[-16:]
+    pad = lambda data: data + bytes(-len(data) % 16)
+    y, hashed = 0, pad(aad) + pad(text_) + struct.pack(">2Q", len(aad) * 8, len(text_) * 8)
+    for at in range(0, len(hashed), 16):
+        y = times(y ^ int.from_bytes(hashed[at:at + 16], "big"))
+    first = sm4(keys, nonce + b"\0\0\0\1")
+    if not hmac.compare_digest(tag, bytes(a ^ b for a, b in zip(first, y.to_bytes(16, "big")))):
+        raise SystemExit("a tag does not hold")
+    stream = b"".join(sm4(keys, nonce + struct.pack(">I", n + 2)) for n in range(-(-len(text_) // 16)))
+    return bytes(a ^ b for a, b in zip(text_, stream))
+
+
+# GB/T 32918: the recommended curve.
+P = 0xFFFFFFFEFFFFFFFFFFFFFFFFFFFFFFFFFFFFFFFF00000000FFFFFFFFFFFFFFFF
+A = P - 3
+B = 0x28E9FA9E9D9F5E344D5A9E4BCF6509A7F39789F515AB8F92DDBCBD414D940E93
+N = 0xFFFFFFFEFFFFFFFFFFFFFFFFFFFFFFFF7203DF6B21C6052B53BBF40939D54123
+G = (0x32C4AE2C1F1981195F9904466A39C9948FE30BBFF2660BE1715A4589334C74C7,
+     0xBC3736A2F4F6779C59BDCEE36B692153D0A9877CC62A474002DF32E52139F0A0)
+
+
+def add(p, q):
+    if p is None or q is None:
+        return p or q
+    if p[0] == q[0] and (p[1] + q[1]) % P == 0:
+        return None
+    slope = (3 * p[0] * p[0] + A) * pow(2 * p[1], -1, P) if p == q else (q[1] - p[1]) * pow(q[0] - p[0], -1, P)
+    x = (slope * slope - p[0] - q[0]) % P
+    return x, (slope * (p[0] - x) - p[1]) % P
+
+
+def mul(k, p):
+    total = None
+    while k:
+        total, p, k = add(total, p) if k & 1 else total, add(p, p), k >> 1
+    return total
+
+
+def sm2_verify(public, message, r, s):
+    point = tuple(int.from_bytes(public[at:at + 32], "big") for at in (0, 32))
+    number = lambda x: x.to_bytes(32, "big")
+    name = b"1234567812345678"
+    z = sm3(struct.pack(">H", len(name) * 8) + name + b"".join(map(number, (A, B, *G, *point))))
+    e = int.from_bytes(sm3(z + message), "big")
+    t = (r + s) % N
+    return 0 < r < N and 0 < s < N and t != 0 and (e + add(mul(s, G), mul(t, point))[0]) % N == r
+
+
+def der_numbers(der):  # SEQUENCE of two INTEGERs
+    length = der[3]
+    return int.from_bytes(der[4:4 + length], "big"), int.from_bytes(der[6 + length:], "big")
+
+
+def lz4(packed):
+    out, at = bytearray(), 0
+
+    def more(length):
+        nonlocal at
+        while length[-1:] == [15] or (len(length) > 1 and length[-1] == 255):
+            length.append(packed[at])
+            at += 1
+        return sum(length)
+
+    while at < len(packed):
+        token = packed[at]
+        at += 1
+        literals = more([token >> 4])
+        out += packed[at:at + literals]
+        at += literals
+        if at >= len(packed):
+            break
+        back = packed[at] | packed[at + 1] << 8
+        at += 2
+        for _ in range(more([token & 15]) + 4):
+            out.append(out[-back])
+    return bytes(out)
+
+
+def fields(data, *widths):
+    at = 0
+    for width in widths:
+        yield data[at:at + width]
+        at += width
+
+
+def parse_header(record):
+    if record[:10] != b"\x89AuthROS\x01\x01":
+        raise SystemExit("no record of this version and suite")
+    names = ("kind", "domain", "owner", "signer", "epoch", "recorder", "seq", "topic_id", "count")
+    header = dict(zip(names, fields(record[10:], 1, 32, 20, 32, 8, 16, 8, 16, 1)))
+    at = 10 + 134
+    header["filters"] = [record[at + 8 * n:at + 8 * n + 8] for n in range(header["count"][0])]
+    at += 8 * len(header["filters"])
+    names = ("time", "head_length", "body_length", "salt", "commit")
+    header.update(zip(names, fields(record[at:], 8, 4, 8, 24, 32)))
+    return header, at + 76
+
+
+def parse_head(head):
+    at = 0
+
+    def take(length):
+        nonlocal at
+        at += length
+        return head[at - length:at]
+
+    def word():
+        return take(struct.unpack(">H", take(2))[0]).decode()
+
+    found = {name: word() for name in ("topic", "type", "md5sum")}
+    found["definition"], found["caller_id"], found["boot_id"] = take(32).hex(), word(), take(16).hex()
+    found["compression"], found["plain_length"] = take(1)[0], int.from_bytes(take(8), "big")
+    found["tags"] = {word(): word() for _ in range(int.from_bytes(take(2), "big"))}
+    if at != len(head):
+        raise SystemExit("bytes behind the head")
+    return found
+
+
+def root_of(leaf, index, count, path):  # RFC 9162, 2.1.3.2
+    place, last, h = index, count - 1, leaf
+    for p in path:
+        if last == 0:
+            raise SystemExit("the path is too long")
+        if place & 1 or place == last:
+            h = sm3(b"\1" + p + h)
+            while place & 1 == 0 and place:
+                place, last = place >> 1, last >> 1
+        else:
+            h = sm3(b"\1" + h + p)
+        place, last = place >> 1, last >> 1
+    return h if last == 0 else None
+
+
+def main(folder, ek, ik):
+    folder = pathlib.Path(folder)
+    record, proof = (folder / "record.bin").read_bytes(), json.loads((folder / "proof.json").read_text())
+    unhex = lambda value: bytes.fromhex(value.removeprefix("0x"))
+    header, length = parse_header(record)
+    digest = sm3(record)
+    head_length = int.from_bytes(header["head_length"], "big")
+    body_length = int.from_bytes(header["body_length"], "big")
+    assert len(record) == length + head_length + body_length, "length"
+    assert digest == unhex(proof["digest"]), "digest"
+    signer = unhex(proof["signing_key"])[-64:]
+    assert sm3(b"\4" + signer) == header["signer"], "the signer's id"
+    signed = b"AuthROS/signature/1" + header["domain"] + digest
+    assert sm2_verify(signer, signed, *der_numbers((folder / "signature.bin").read_bytes())), "signature"
+
+    topic_key = hkdf(unhex(ek), b"", b"AuthROS/topic/2" + header["topic_id"], 32)
+    info = b"AuthROS/record/1" + b"".join(header[name] for name in ("domain", "owner", "recorder", "epoch", "seq"))
+    keys = hkdf(topic_key, header["salt"], info, 88)
+    body_key, body_nonce, head_key, head_nonce, commit = fields(keys, 16, 12, 16, 12, 32)
+    assert commit == header["commit"], "commit"
+    aad, sealed = record[:length], record[length:]
+    head = parse_head(gcm_open(head_key, head_nonce, aad, sealed[:head_length]))
+    body = gcm_open(body_key, body_nonce, aad, sealed[head_length:])
+    body = {0: lambda: body, 1: lambda: lz4(body)}[head["compression"]]()
+    assert len(body) == head["plain_length"], "plain length"
+    index = unhex(ik)
+    assert hkdf(index, b"", b"AuthROS/topicid/1" + text(head["topic"]), 16) == header["topic_id"], "topic id"
+    by_type = hkdf(index, b"", b"AuthROS/filterid/1" + text("type") + text(head["type"]), 8)
+    assert by_type == header["filters"][0], "filter of the type"
+
+    anchor = proof["anchor"]
+    leaf = sm3(b"\0" + b"".join(header[name] for name in ("owner", "recorder", "topic_id", "seq")) + digest)
+    if anchor["mode"] == "batch":
+        path = [unhex(step) for step in anchor["path"]]
+        assert root_of(leaf, anchor["index"], anchor["count"], path) == unhex(anchor["root"]), "path"
+    print(json.dumps({
+        "digest": digest.hex(), "seq": int.from_bytes(header["seq"], "big"), "head": head, "body": body.hex(),
+        "captured_ns": int.from_bytes(header["time"], "big"), "anchor": anchor["mode"],
+    }))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
