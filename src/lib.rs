@@ -1,16 +1,15 @@
-//! AuthROS: robot data shared under proof. See ARCHITECTURE.md for the rooms.
+//! AuthROS: robot data shared under proof. See ARCHITECTURE.md for the crates.
 
-pub mod app;
-pub mod chain;
 pub mod cli;
-pub mod config;
-pub mod crypto;
-pub mod gateway;
-pub mod model;
-pub mod paths;
-pub mod pipeline;
-pub mod ros;
-pub mod service;
-pub mod store;
-pub mod term;
-pub mod ui;
+
+pub use authros_chain as chain;
+pub use authros_config as config;
+pub use authros_config::paths;
+pub use authros_console::{app, term, ui};
+pub use authros_crypto as crypto;
+pub use authros_gateway as gateway;
+pub use authros_model as model;
+pub use authros_pipeline as pipeline;
+pub use authros_ros as ros;
+pub use authros_service as service;
+pub use authros_store as store;

@@ -4,18 +4,18 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// A room may use only rooms before it.
-const ROOMS: [&str; 12] =
-    ["model", "crypto", "ros", "chain", "store", "gateway", "pipeline", "service", "app", "ui", "term", "cli"];
-/// Files beside the rooms; the service and the rooms after it use them.
-const HALL: [&str; 3] = ["config", "paths", "error"];
-/// All that those files use: words, and the names of the crypto providers.
-const HALL_USES: [&str; 2] = ["model", "crypto"];
+/// The crates in their order: each may depend only on crates before it. The last is the binary's own.
+const CRATES: [&str; 12] = [
+    "model", "fault", "crypto", "ros", "chain", "store", "gateway", "pipeline", "config", "service", "console",
+    "authros",
+];
+/// The rooms of the console, in their order.
+const CONSOLE: [&str; 3] = ["app", "ui", "term"];
 /// The longest file, lines.
 const LONGEST: usize = 450;
 /// The longest opening, lines; the map of the screen may be longer.
 const LONGEST_OPENING: usize = 6;
-const OPENS_WITH_A_MAP: &str = "src/ui/mod.rs";
+const OPENS_WITH_A_MAP: &str = "crates/console/src/ui/mod.rs";
 /// Names that say nothing.
 const EMPTY_NAMES: [&str; 7] = ["util", "utils", "helper", "helpers", "manager", "misc", "common"];
 
@@ -144,29 +144,18 @@ fn words(code: &str) -> impl Iterator<Item = &str> {
     code.split(|character: char| !(character.is_alphanumeric() || character == '_'))
 }
 
-/// The room of a source file, or the name of a file beside the rooms.
-fn room(path: &Path) -> String {
-    let first = path.iter().nth(1).expect("below src").to_str().expect("UTF-8");
-    first.trim_end_matches(".rs").to_owned()
+/// The sources of the product.
+fn product() -> Vec<PathBuf> {
+    ["src", "crates"].into_iter().flat_map(rust_files).collect()
 }
 
-fn place(room: &str) -> Option<usize> {
-    ROOMS.iter().position(|&name| name == room)
-}
-
-/// Whether `user` may use `used`.
-fn may_use(user: &str, used: &str) -> bool {
-    if ["main", "faulty", "lib"].contains(&user) || user == used {
-        return true;
-    }
-    if HALL.contains(&user) {
-        return HALL_USES.contains(&used);
-    }
-    match (place(user), place(used)) {
-        (Some(own), Some(other)) => other < own,
-        (Some(own), None) => HALL.contains(&used) && own >= place("service").expect("a room"),
-        (None, _) => false,
-    }
+/// The crates of this workspace that a crate depends on, as its manifest says.
+fn dependencies(name: &str) -> Vec<String> {
+    let folder = if name == "authros" { PathBuf::new() } else { Path::new("crates").join(name) };
+    let manifest = read(&folder.join("Cargo.toml"));
+    let own = manifest.split_once("\n[dependencies]\n").map_or("", |(_, rest)| rest);
+    let own = own.split("\n[").next().unwrap_or_default();
+    own.lines().filter_map(|line| Some(word(line.strip_prefix("authros-")?))).collect()
 }
 
 fn assert_none(what: &str, found: &[String]) {
@@ -174,12 +163,33 @@ fn assert_none(what: &str, found: &[String]) {
 }
 
 #[test]
-fn every_room_uses_only_rooms_before_it() {
+fn every_crate_depends_only_on_crates_before_it() {
     let mut wrong = Vec::new();
-    for path in rust_files("src") {
-        let user = room(&path);
+    for (place, user) in CRATES.iter().enumerate() {
+        let known = |used: &String| CRATES[..place].contains(&used.as_str());
+        let against = dependencies(user).into_iter().filter(|used| !known(used));
+        wrong.extend(against.map(|used| format!("{user} depends on {used}")));
+    }
+    assert_none("against the order of crates", &wrong);
+    assert!(dependencies("crypto").contains(&"model".to_owned()) && dependencies("model").is_empty());
+}
+
+#[test]
+fn every_folder_of_crates_is_in_the_order() {
+    let folders = fs::read_dir(root().join("crates")).expect("crates").flatten();
+    let names = folders.map(|entry| entry.file_name().to_string_lossy().into_owned());
+    let strange: Vec<_> = names.filter(|name| !CRATES.contains(&name.as_str())).collect();
+    assert_none("not in the list of crates", &strange);
+}
+
+#[test]
+fn every_room_of_the_console_uses_only_rooms_before_it() {
+    let mut wrong = Vec::new();
+    for path in rust_files("crates/console/src") {
+        let room = path.iter().nth(3).and_then(|name| name.to_str()).expect("below src");
+        let Some(own) = CONSOLE.iter().position(|&name| name == room) else { continue };
         for used in crate_names(&code_only(&read(&path))) {
-            if !may_use(&user, &used) {
+            if CONSOLE[own + 1..].contains(&used.as_str()) {
                 wrong.push(format!("{} uses crate::{used}", path.display()));
             }
         }
@@ -188,16 +198,9 @@ fn every_room_uses_only_rooms_before_it() {
 }
 
 #[test]
-fn every_folder_of_the_source_is_a_room() {
-    let known = |name: &str| place(name).is_some() || HALL.contains(&name) || ["main", "faulty", "lib"].contains(&name);
-    let strange: Vec<String> = rust_files("src").iter().map(|path| room(path)).filter(|name| !known(name)).collect();
-    assert_none("not in the list of rooms", &strange);
-}
-
-#[test]
 fn no_file_is_longer_than_450_lines() {
     let mut long = Vec::new();
-    for path in ["src", "tests", "benches", "fuzz"].into_iter().flat_map(rust_files) {
+    for path in ["src", "crates", "tests", "benches", "fuzz"].into_iter().flat_map(rust_files) {
         let lines = read(&path).lines().count();
         if lines > LONGEST {
             long.push(format!("{} has {lines} lines", path.display()));
@@ -208,11 +211,11 @@ fn no_file_is_longer_than_450_lines() {
 
 #[test]
 fn unsafe_code_is_in_the_crypto_kernel_alone() {
-    let outside = |path: &PathBuf| !path.starts_with("src/crypto/kernel");
+    let outside = |path: &PathBuf| !path.starts_with("crates/crypto/src/kernel");
     let uses = |path: &PathBuf| words(&code_only(&read(path))).any(|word| word == "unsafe");
-    let found: Vec<_> = rust_files("src").into_iter().filter(outside).filter(uses).collect();
+    let found: Vec<_> = product().into_iter().filter(outside).filter(uses).collect();
     assert_none(
-        "unsafe outside src/crypto/kernel",
+        "unsafe outside crates/crypto/src/kernel",
         &found.iter().map(|path| path.display().to_string()).collect::<Vec<_>>(),
     );
 }
@@ -220,7 +223,7 @@ fn unsafe_code_is_in_the_crypto_kernel_alone() {
 #[test]
 fn no_file_or_module_has_an_empty_name() {
     let mut empty = Vec::new();
-    for path in ["src", "tests", "benches"].into_iter().flat_map(rust_files) {
+    for path in ["src", "crates", "tests", "benches"].into_iter().flat_map(rust_files) {
         for part in path.iter().filter_map(|part| part.to_str()) {
             if part.trim_end_matches(".rs").split('_').any(|word| EMPTY_NAMES.contains(&word)) {
                 empty.push(path.display().to_string());
@@ -234,7 +237,7 @@ fn no_file_or_module_has_an_empty_name() {
 fn every_module_opens_with_what_lives_in_it() {
     let mut wrong = Vec::new();
     // A file of unit tests says by its name what it is.
-    for path in rust_files("src").into_iter().filter(|path| !path.ends_with("tests.rs")) {
+    for path in product().into_iter().filter(|path| !path.ends_with("tests.rs")) {
         let source = read(&path);
         let opening = source.lines().take_while(|line| line.starts_with("//!")).count();
         let most = if path == Path::new(OPENS_WITH_A_MAP) { usize::MAX } else { LONGEST_OPENING };
@@ -254,7 +257,4 @@ fn these_checks_see_through_comments_quotes_and_groups() {
     assert_eq!(crate_names(&code), ["model", "ros", "chain"]);
     assert_eq!(code.lines().count(), source.lines().count());
     assert!(!words(&code).any(|word| word == "unsafe"));
-    assert!(may_use("cli", "error") && may_use("ros", "crypto") && may_use("main", "cli"));
-    assert!(!may_use("crypto", "ros") && !may_use("store", "config") && !may_use("paths", "ros"));
-    assert!(!may_use("model", "main") && !may_use("cli", "nowhere"));
 }

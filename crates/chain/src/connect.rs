@@ -1,0 +1,338 @@
+//! Connecting: which chain is this, is it the pinned one, and which contract is in use.
+
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
+use std::time::Duration;
+
+use ethers::providers::{Provider, RpcError};
+use ethers::types::{U64, U256};
+use ethers::utils::keccak256;
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+use super::artefact::{Revision, artefact, revision_of};
+use super::transport::Transport;
+use super::{BlockRef, Chain, ChainError, ChainOptions, Endpoint, Pin};
+use crate::model::{Address, Hash, bytes::unhex, clean};
+
+/// How often a node is asked for news.
+pub(super) const POLL: Duration = Duration::from_millis(200);
+
+/// What all clones of a [`Chain`] share.
+#[derive(Debug)]
+pub(super) struct Inner {
+    pub provider: Arc<Provider<Transport>>,
+    pub chain_id: u64,
+    pub genesis: Hash,
+    pub client: String,
+    pub consensus: &'static str,
+    pub confirmations: u64,
+    pub contract: RwLock<Option<Pin>>,
+    pub gas: Mutex<HashMap<(Address, &'static str), u64>>,
+}
+
+/// A block as a node gives it, as far as we read it.
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct RawBlock {
+    number: U64,
+    hash: ethers::types::H256,
+    timestamp: U64,
+    #[serde(default)]
+    difficulty: Value,
+    #[serde(default)]
+    extra_data: String,
+    #[serde(default)]
+    mix_hash: String,
+    #[serde(default)]
+    pub base_fee_per_gas: Option<U256>,
+}
+
+/// Where a log stands.
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct RawPlace {
+    block_number: U64,
+}
+
+impl Chain {
+    /// Opens the embedded chain, or connects to a node, and holds it against the pin.
+    ///
+    /// # Errors
+    /// [`ChainError::Unreachable`] naming the URL where a node does not answer within 5 s,
+    /// [`ChainError::Swapped`] where chain id, genesis block, contract or its code are not the pinned
+    /// ones, [`ChainError::Tampered`] and [`ChainError::File`] for the embedded chain's file.
+    pub async fn connect(options: ChainOptions) -> Result<Self, ChainError> {
+        let transport = Transport::open(&options.endpoint).await?;
+        let provider = Provider::new(transport).interval(POLL);
+        let chain_id: U64 = rpc(&provider, "eth_chainId", json!([])).await?;
+        let genesis: RawBlock = rpc(&provider, "eth_getBlockByNumber", json!(["0x0", false])).await?;
+        let latest: RawBlock = rpc(&provider, "eth_getBlockByNumber", json!(["latest", false])).await?;
+        let client: Option<String> = rpc(&provider, "web3_clientVersion", json!([])).await.ok();
+        let client = clean(&client.unwrap_or_else(|| "unknown".into()), 80);
+        let consensus = match options.endpoint {
+            Endpoint::Embedded { .. } => provider.as_ref().embedded().map_or("poa", |chain| chain.consensus().word()),
+            Endpoint::Node { .. } | Endpoint::Relay(_) => consensus(&latest, &client),
+        };
+        let inner = Inner {
+            provider: Arc::new(provider),
+            chain_id: chain_id.as_u64(),
+            genesis: Hash(genesis.hash.0),
+            client,
+            consensus,
+            confirmations: options.confirmations,
+            contract: RwLock::new(None),
+            gas: Mutex::default(),
+        };
+        let chain = Self { inner: Arc::new(inner) };
+        chain.settle_contract(options.contract, options.pinned).await?;
+        Ok(chain)
+    }
+
+    async fn settle_contract(&self, contract: Option<Address>, pinned: Option<Pin>) -> Result<(), ChainError> {
+        match (contract, pinned) {
+            (_, Some(pin)) => self.hold_against(contract, pin).await,
+            (Some(contract), None) => self.use_contract(contract).await.map(|_| ()),
+            (None, None) => Ok(()),
+        }
+    }
+
+    /// Asks again what is there, and holds it against what is in use: chain id, genesis block, contract code.
+    ///
+    /// # Errors
+    /// [`ChainError::Swapped`] where the chain behind the URL is another one by now, or was wiped;
+    /// [`ChainError::NoContract`] before a contract is used, or the node's.
+    pub async fn identify(&self) -> Result<(), ChainError> {
+        let pin = self.pin().ok_or(ChainError::NoContract)?;
+        let chain_id: U64 = self.rpc("eth_chainId", json!([])).await?;
+        let genesis: RawBlock = self.rpc("eth_getBlockByNumber", json!(["0x0", false])).await?;
+        self.same("chain id", pin.chain_id.to_string(), chain_id.to_string())?;
+        self.same("genesis block", pin.genesis.to_hex(), Hash(genesis.hash.0).to_hex())?;
+        self.same_code(&pin).await
+    }
+
+    fn same(&self, what: &'static str, pinned: String, found: String) -> Result<(), ChainError> {
+        if pinned == found { Ok(()) } else { Err(ChainError::Swapped { url: self.url(), what, pinned, found }) }
+    }
+
+    async fn same_code(&self, pin: &Pin) -> Result<(), ChainError> {
+        let code = self.code_hash(pin.contract).await?;
+        let found = code.map_or_else(|| "no code".to_owned(), |hash| hash.to_hex());
+        self.same("contract code hash", pin.code_hash.to_hex(), found)
+    }
+
+    async fn hold_against(&self, contract: Option<Address>, pin: Pin) -> Result<(), ChainError> {
+        self.same("chain id", pin.chain_id.to_string(), self.chain_id().to_string())?;
+        self.same("genesis block", pin.genesis.to_hex(), self.genesis().to_hex())?;
+        if let Some(contract) = contract {
+            self.same("contract", pin.contract.to_string(), contract.to_string())?;
+        }
+        self.same_code(&pin).await?;
+        self.set_pin(pin);
+        Ok(())
+    }
+
+    /// The same line with another contract of the same chain; nothing is asked. This one stays as it is.
+    pub fn bound_to(&self, pin: Pin) -> Self {
+        let bound = self.apart();
+        bound.set_pin(pin);
+        bound
+    }
+
+    /// The same line without a contract.
+    pub fn apart(&self) -> Self {
+        let inner = Inner {
+            provider: Arc::clone(&self.inner.provider),
+            chain_id: self.inner.chain_id,
+            genesis: self.inner.genesis,
+            client: self.inner.client.clone(),
+            consensus: self.inner.consensus,
+            confirmations: self.inner.confirmations,
+            contract: RwLock::new(None),
+            gas: Mutex::default(),
+        };
+        Self { inner: Arc::new(inner) }
+    }
+
+    /// Whether the contract of a pin still stands here, and the block that was seen last, where one was.
+    ///
+    /// # Errors
+    /// The node's.
+    pub async fn still_has(&self, pin: &Pin, seen: Option<(u64, Hash)>) -> Result<bool, ChainError> {
+        if (pin.chain_id, pin.genesis) != (self.chain_id(), self.genesis()) {
+            return Ok(false);
+        }
+        if self.code_hash(pin.contract).await? != Some(pin.code_hash) {
+            return Ok(false);
+        }
+        let Some((number, hash)) = seen else { return Ok(true) };
+        Ok(self.block(number).await?.is_some_and(|block| block.hash == hash))
+    }
+
+    /// The same line with another pin, as if the chain behind it had been swapped: for the tests of other crates.
+    #[doc(hidden)]
+    pub fn pretending(&self, pin: Pin) -> Self {
+        self.set_pin(pin);
+        self.clone()
+    }
+
+    /// Uses a contract that somebody deployed, after its code was found to be one of this program's artefacts.
+    ///
+    /// # Errors
+    /// [`ChainError::NotTheContract`], or the node's.
+    pub async fn use_contract(&self, contract: Address) -> Result<Pin, ChainError> {
+        let found = self.code_hash(contract).await?;
+        let Some(known) = found.filter(|hash| revision_of(*hash).is_ok_and(|revision| revision.is_some())) else {
+            return Err(ChainError::NotTheContract(contract));
+        };
+        let deployed_at = self.deployment_block(contract).await?;
+        Ok(self.set_pin(self.pin_of(contract, known, deployed_at)))
+    }
+
+    pub(super) fn pin_of(&self, contract: Address, code_hash: Hash, deployed_at: u64) -> Pin {
+        Pin { chain_id: self.chain_id(), genesis: self.genesis(), contract, code_hash, deployed_at }
+    }
+
+    pub(super) fn set_pin(&self, pin: Pin) -> Pin {
+        *self.inner.contract.write().unwrap_or_else(PoisonError::into_inner) = Some(pin.clone());
+        self.forget_gas();
+        pin
+    }
+
+    /// The block of the constructor's event; 0 where the node does not tell, which only makes reading slower.
+    async fn deployment_block(&self, contract: Address) -> Result<u64, ChainError> {
+        let signature = artefact(Revision::NEWEST)?.event_signature("AdministratorChanged")?;
+        let filter = json!({
+            "address": contract.to_string(), "topics": [signature.to_string()], "fromBlock": "0x0", "toBlock": "latest",
+        });
+        match self.rpc::<Vec<RawPlace>>("eth_getLogs", json!([filter])).await {
+            Ok(logs) => Ok(logs.first().map_or(0, |log| log.block_number.as_u64())),
+            Err(ChainError::Rejected { .. }) => Ok(0),
+            Err(error) => Err(error),
+        }
+    }
+
+    /// Keccak-256 of the code at an address; `None` where there is none.
+    pub(super) async fn code_hash(&self, contract: Address) -> Result<Option<Hash>, ChainError> {
+        let code: String = self.rpc("eth_getCode", json!([contract.to_string(), "latest"])).await?;
+        let bytes = unhex(&code).ok_or_else(|| self.misunderstood("eth_getCode", "it is no hex"))?;
+        Ok((!bytes.is_empty()).then(|| Hash(keccak256(bytes))))
+    }
+
+    /// What is pinned: chain, contract, its code and where it was deployed. `None` before a contract is used.
+    pub fn pin(&self) -> Option<Pin> {
+        self.inner.contract.read().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Which revision the contract in use is of.
+    ///
+    /// # Errors
+    /// [`ChainError::NoContract`] before one is used, [`ChainError::NotTheContract`] where its code is unknown here.
+    pub fn revision(&self) -> Result<Revision, ChainError> {
+        let pin = self.pin().ok_or(ChainError::NoContract)?;
+        revision_of(pin.code_hash)?.ok_or(ChainError::NotTheContract(pin.contract))
+    }
+
+    pub(super) fn contract(&self) -> Result<Address, ChainError> {
+        self.pin().map(|pin| pin.contract).ok_or(ChainError::NoContract)
+    }
+
+    /// The chain id.
+    pub fn chain_id(&self) -> u64 {
+        self.inner.chain_id
+    }
+
+    /// Hash of block 0.
+    pub fn genesis(&self) -> Hash {
+        self.inner.genesis
+    }
+
+    /// How many blocks on top make a block count as final.
+    pub fn confirmations(&self) -> u64 {
+        self.inner.confirmations
+    }
+
+    /// Where the chain is, without credentials.
+    pub fn url(&self) -> String {
+        self.transport().url().to_owned()
+    }
+
+    pub(super) fn transport(&self) -> &Transport {
+        (*self.inner.provider).as_ref()
+    }
+
+    pub(super) async fn rpc<R>(&self, method: &str, parameters: Value) -> Result<R, ChainError>
+    where
+        R: DeserializeOwned + Serialize + std::fmt::Debug + Send,
+    {
+        rpc(&self.inner.provider, method, parameters).await
+    }
+
+    pub(super) fn misunderstood(&self, method: &str, reason: &str) -> ChainError {
+        ChainError::Answer { url: self.url(), method: method.to_owned(), reason: clean(reason, 200) }
+    }
+
+    /// The newest block.
+    ///
+    /// # Errors
+    /// The node's.
+    pub async fn head(&self) -> Result<BlockRef, ChainError> {
+        let block: RawBlock = self.rpc("eth_getBlockByNumber", json!(["latest", false])).await?;
+        Ok(block.reference())
+    }
+
+    /// The block of that number; `None` above the head.
+    ///
+    /// # Errors
+    /// The node's.
+    pub async fn block(&self, number: u64) -> Result<Option<BlockRef>, ChainError> {
+        let block: Option<RawBlock> = self.rpc("eth_getBlockByNumber", json!([format!("{number:#x}"), false])).await?;
+        Ok(block.as_ref().map(RawBlock::reference))
+    }
+}
+
+impl RawBlock {
+    pub(super) fn reference(&self) -> BlockRef {
+        let timestamp = self.timestamp.as_u64();
+        BlockRef { number: self.number.as_u64(), hash: Hash(self.hash.0), timestamp }
+    }
+}
+
+async fn rpc<R>(provider: &Provider<Transport>, method: &str, parameters: Value) -> Result<R, ChainError>
+where
+    R: DeserializeOwned + Serialize + std::fmt::Debug + Send,
+{
+    let url = || provider.as_ref().url().to_owned();
+    provider.request(method, parameters).await.map_err(|error| {
+        if let Some(answer) = error.as_error_response() {
+            return ChainError::from_node(method, answer);
+        }
+        match error.as_serde_error() {
+            Some(reason) => {
+                ChainError::Answer { url: url(), method: method.to_owned(), reason: clean(&reason.to_string(), 200) }
+            }
+            None => match provider.as_ref().trouble_behind(&error.to_string()) {
+                Some(trouble) => trouble,
+                None => ChainError::Unreachable { url: url(), reason: clean(&error.to_string(), 200) },
+            },
+        }
+    })
+}
+
+/// How the network agrees, as far as a block shows it.
+fn consensus(latest: &RawBlock, client: &str) -> &'static str {
+    /// What QBFT and IBFT write into the mix hash.
+    const BYZANTINE: &str = "0x63746963616c2062797a616e74696e65206661756c7420746f6c6572616e6365";
+    let difficulty = latest.difficulty.as_str().unwrap_or("0x0");
+    let client = client.to_lowercase();
+    if ["anvil", "ganache", "hardhat"].iter().any(|name| client.contains(name)) {
+        "dev"
+    } else if latest.mix_hash == BYZANTINE || latest.extra_data.len() >= 2 + 2 * 97 {
+        "poa"
+    } else if difficulty == "0x0" {
+        "pos"
+    } else {
+        "pow"
+    }
+}

@@ -1,0 +1,376 @@
+//! Genesis files for private networks of real nodes: geth (clique, ethash) and Besu (qbft).
+//!
+//! The chain id is drawn, and so are the first bytes of the extra data: neither id nor genesis block is
+//! shared with another network by accident. The code of the contract needs Istanbul, no later fork.
+
+use std::collections::HashSet;
+use std::fmt;
+use std::str::FromStr;
+
+use ethers::types::U256;
+use ethers::utils::rlp::RlpStream;
+use serde_json::{Value, json};
+
+use super::ChainError;
+use crate::model::{Address, Timestamp, bytes::hex, clean};
+
+/// How to run three nodes with such a file.
+pub const GUIDE: &str = include_str!("../../../contracts/genesis/README.md");
+
+const CLIQUE: &str = include_str!("../../../contracts/genesis/clique.json");
+const ETHASH: &str = include_str!("../../../contracts/genesis/ethash.json");
+const QBFT: &str = include_str!("../../../contracts/genesis/qbft.json");
+
+/// The most signers: their addresses stand in the extra data of the genesis block.
+const MOST_SIGNERS: usize = 32;
+/// Seconds between blocks where nothing is said.
+const USUAL_PERIOD: u64 = 2;
+/// The longest period, seconds.
+const LONGEST_PERIOD: u64 = 3600;
+/// The highest chain id that every wallet and every JSON reader takes.
+const HIGHEST_ID: u64 = (1 << 52) - 1;
+const VANITY: usize = 32;
+const SEAL: usize = 65;
+
+/// How the network agrees.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum GenesisKind {
+    /// Proof of authority of geth (and Besu until it left it out).
+    Clique,
+    /// Proof of work of geth before 1.12.
+    Ethash,
+    /// Proof of authority of Besu.
+    Qbft,
+}
+
+/// Ether that an account holds from the beginning.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Allocation {
+    account: Address,
+    wei: U256,
+}
+
+/// What a network is founded with.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Genesis {
+    /// How it agrees.
+    pub kind: GenesisKind,
+    /// EIP-155 chain id; drawn where it is not given.
+    pub chain_id: Option<u64>,
+    /// Who seals blocks; none for ethash.
+    pub signers: Vec<Address>,
+    /// Seconds between blocks; not for ethash.
+    pub period: Option<u64>,
+    /// Who holds ether from the beginning.
+    pub allocations: Vec<Allocation>,
+}
+
+impl fmt::Display for GenesisKind {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(match self {
+            Self::Clique => "clique",
+            Self::Ethash => "ethash",
+            Self::Qbft => "qbft",
+        })
+    }
+}
+
+impl FromStr for GenesisKind {
+    type Err = ChainError;
+
+    fn from_str(text: &str) -> Result<Self, ChainError> {
+        let all = [Self::Clique, Self::Ethash, Self::Qbft];
+        let found = all.into_iter().find(|kind| kind.to_string() == text);
+        found.ok_or_else(|| ChainError::Input(format!("'{}' is not clique, ethash or qbft", clean(text, 40))))
+    }
+}
+
+impl FromStr for Allocation {
+    type Err = ChainError;
+
+    fn from_str(text: &str) -> Result<Self, ChainError> {
+        let wrong =
+            || ChainError::Input(format!("'{}' is not ADDRESS=WEI, as 0x and 40 hex, =, digits", clean(text, 120)));
+        let (account, wei) = text.split_once('=').ok_or_else(wrong)?;
+        let plain = !wei.is_empty() && wei.bytes().all(|byte| byte.is_ascii_digit());
+        let wei = plain.then(|| U256::from_dec_str(wei).ok()).flatten().ok_or_else(wrong)?;
+        Ok(Self { account: account.parse().map_err(|_| wrong())?, wei })
+    }
+}
+
+impl Genesis {
+    /// The genesis file.
+    ///
+    /// # Errors
+    /// [`ChainError::Input`] naming what does not fit.
+    pub fn file(&self) -> Result<Value, ChainError> {
+        let signers = self.sorted_signers()?;
+        let vanity: [u8; VANITY] = noise()?;
+        let mut file: Value = serde_json::from_str(match self.kind {
+            GenesisKind::Clique => CLIQUE,
+            GenesisKind::Ethash => ETHASH,
+            GenesisKind::Qbft => QBFT,
+        })
+        .map_err(|error| ChainError::Internal(format!("the template of {}: {error}", self.kind)))?;
+        let extra = match self.kind {
+            GenesisKind::Ethash => vanity.to_vec(),
+            GenesisKind::Clique => clique_extra(&vanity, &signers),
+            GenesisKind::Qbft => qbft_extra(&vanity, &signers),
+        };
+        file["config"]["chainId"] = self.chosen_id()?.into();
+        file["extraData"] = format!("0x{}", hex(&extra)).into();
+        file["timestamp"] = format!("{:#x}", Timestamp::now().seconds()).into();
+        file["alloc"] = self.alloc()?;
+        self.set_period(&mut file)?;
+        Ok(file)
+    }
+
+    fn chosen_id(&self) -> Result<u64, ChainError> {
+        match self.chain_id {
+            Some(id) if (1..=HIGHEST_ID).contains(&id) => Ok(id),
+            Some(id) => Err(ChainError::Input(format!("chain id {id} is not between 1 and {HIGHEST_ID}"))),
+            None => Ok((1 << 40) + u64::from_be_bytes(noise()?) % (1 << 47)),
+        }
+    }
+
+    fn sorted_signers(&self) -> Result<Vec<Address>, ChainError> {
+        let mut signers = self.signers.clone();
+        signers.sort();
+        signers.dedup();
+        let wrong = match (self.kind, signers.len()) {
+            (GenesisKind::Ethash, 0) => None,
+            (GenesisKind::Ethash, _) => Some("ethash has no signers; leave --signer out".to_owned()),
+            (kind, 0) => Some(format!("{kind} needs its signers; name each with --signer")),
+            (_, number) if number > MOST_SIGNERS => Some(format!("{number} signers are more than {MOST_SIGNERS}")),
+            (_, number) if number < self.signers.len() => Some("a signer is named twice".to_owned()),
+            _ => None,
+        };
+        wrong.map_or(Ok(signers), |wrong| Err(ChainError::Input(wrong)))
+    }
+
+    fn set_period(&self, file: &mut Value) -> Result<(), ChainError> {
+        let period = self.period.unwrap_or(USUAL_PERIOD);
+        if !(1..=LONGEST_PERIOD).contains(&period) {
+            return Err(ChainError::Input(format!("a period of {period} s is not between 1 and {LONGEST_PERIOD}")));
+        }
+        let config = &mut file["config"];
+        match self.kind {
+            GenesisKind::Clique => {
+                config["clique"]["period"] = period.into();
+                config["clique"]["blockperiodseconds"] = period.into();
+            }
+            GenesisKind::Qbft => {
+                config["qbft"]["blockperiodseconds"] = period.into();
+                config["qbft"]["requesttimeoutseconds"] = (2 * period).into();
+            }
+            GenesisKind::Ethash if self.period.is_some() => {
+                return Err(ChainError::Input("ethash has no period; leave --period out".into()));
+            }
+            GenesisKind::Ethash => {}
+        }
+        Ok(())
+    }
+
+    fn alloc(&self) -> Result<Value, ChainError> {
+        let mut seen = HashSet::new();
+        let mut alloc = serde_json::Map::new();
+        for Allocation { account, wei } in &self.allocations {
+            if !seen.insert(*account) {
+                return Err(ChainError::Input(format!("{account} is given ether twice; add it up")));
+            }
+            alloc.insert(account.to_string().to_lowercase(), json!({ "balance": format!("{wei:#x}") }));
+        }
+        Ok(Value::Object(alloc))
+    }
+}
+
+/// Vanity, the signers in ascending order, an empty seal (EIP-225).
+fn clique_extra(vanity: &[u8; VANITY], signers: &[Address]) -> Vec<u8> {
+    let signers = signers.iter().flat_map(|signer| signer.0);
+    vanity.iter().copied().chain(signers).chain([0; SEAL]).collect()
+}
+
+/// RLP of \[vanity, \[validators\], no votes, round 0, no seals\].
+fn qbft_extra(vanity: &[u8; VANITY], validators: &[Address]) -> Vec<u8> {
+    let mut list = RlpStream::new_list(5);
+    list.append(&&vanity[..]).begin_list(validators.len());
+    for validator in validators {
+        list.append(&validator.as_bytes());
+    }
+    list.begin_list(0).append(&0u8).begin_list(0);
+    list.out().to_vec()
+}
+
+fn noise<const N: usize>() -> Result<[u8; N], ChainError> {
+    let mut noise = [0; N];
+    getrandom::fill(&mut noise).map_err(|error| ChainError::Internal(format!("no randomness: {error}")))?;
+    Ok(noise)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::bytes::unhex;
+    use ethers::utils::rlp::Rlp;
+
+    fn genesis(kind: GenesisKind, signers: &[u8]) -> Genesis {
+        let signers = signers.iter().map(|number| Address([*number; 20])).collect();
+        Genesis { kind, chain_id: None, signers, period: None, allocations: Vec::new() }
+    }
+
+    fn extra(file: &Value) -> Vec<u8> {
+        unhex(file["extraData"].as_str().expect("text")).expect("hex")
+    }
+
+    fn keys(value: &Value) -> Vec<&str> {
+        value.as_object().expect("an object").keys().map(String::as_str).collect()
+    }
+
+    /// What is the same in all three.
+    fn check_common(file: &Value) {
+        let config = &file["config"];
+        for fork in ["homestead", "eip150", "eip155", "eip158", "byzantium", "constantinople", "petersburg", "istanbul"]
+        {
+            assert_eq!(config[format!("{fork}Block")], json!(0), "{fork}");
+        }
+        let id = config["chainId"].as_u64().expect("a number");
+        assert!((1 << 40..=HIGHEST_ID).contains(&id));
+        assert_eq!(file["gasLimit"], json!("0xffffffff"));
+        for zero in ["number", "gasUsed"] {
+            assert_eq!(file[zero], json!("0x0"));
+        }
+        assert_eq!(file["coinbase"], json!(format!("0x{}", "0".repeat(40))));
+        assert_eq!(file["parentHash"], json!(format!("0x{}", "0".repeat(64))));
+        let time = file["timestamp"].as_str().and_then(|text| u64::from_str_radix(&text[2..], 16).ok());
+        assert!(time.is_some_and(|time| time.abs_diff(Timestamp::now().seconds()) < 600));
+    }
+
+    const ROOT: [&str; 12] = [
+        "alloc",
+        "coinbase",
+        "config",
+        "difficulty",
+        "extraData",
+        "gasLimit",
+        "gasUsed",
+        "mixHash",
+        "nonce",
+        "number",
+        "parentHash",
+        "timestamp",
+    ];
+
+    #[test]
+    fn clique() {
+        let given = Genesis { period: Some(5), ..genesis(GenesisKind::Clique, &[9, 3, 7]) };
+        let file = given.file().expect("a file");
+        check_common(&file);
+        assert_eq!(keys(&file), ROOT);
+        let clique = json!({ "period": 5, "epoch": 30000, "blockperiodseconds": 5, "epochlength": 30000 });
+        assert_eq!(file["config"]["clique"], clique);
+        assert_eq!(keys(&file["config"]).len(), 10, "no fork after Istanbul, so no base fee");
+        assert_eq!((&file["difficulty"], &file["nonce"]), (&json!("0x1"), &json!("0x0")));
+        assert_eq!(file["mixHash"], json!(format!("0x{}", "0".repeat(64))));
+        let extra = extra(&file);
+        let (vanity, rest) = extra.split_at(32);
+        let (signers, seal) = rest.split_at(60);
+        assert_ne!(vanity, [0; 32]);
+        assert_eq!(signers, [[3; 20], [7; 20], [9; 20]].concat(), "in ascending order");
+        assert_eq!(seal, [0; 65]);
+    }
+
+    #[test]
+    fn ethash() {
+        let file = genesis(GenesisKind::Ethash, &[]).file().expect("a file");
+        check_common(&file);
+        assert_eq!(keys(&file), ROOT);
+        assert_eq!(file["config"]["ethash"], json!({ "fixeddifficulty": 0x4c_ccc8 }));
+        assert_eq!(keys(&file["config"]).len(), 10);
+        assert_eq!((&file["difficulty"], &file["nonce"]), (&json!("0x4cccc8"), &json!("0x42")));
+        assert_eq!(extra(&file).len(), 32, "geth takes no more");
+        assert_ne!(file["extraData"], genesis(GenesisKind::Ethash, &[]).file().expect("a file")["extraData"]);
+    }
+
+    #[test]
+    fn qbft() {
+        let file = genesis(GenesisKind::Qbft, &[9, 3, 7, 1]).file().expect("a file");
+        check_common(&file);
+        assert_eq!(file["baseFeePerGas"], json!("0x0"));
+        assert_eq!(keys(&file).len(), ROOT.len() + 1);
+        let config = &file["config"];
+        assert_eq!(
+            (&config["berlinBlock"], &config["londonBlock"], &config["zeroBaseFee"]),
+            (&json!(0), &json!(0), &json!(true))
+        );
+        let qbft = json!({ "blockperiodseconds": 2, "epochlength": 30000, "requesttimeoutseconds": 4 });
+        assert_eq!(config["qbft"], qbft);
+        assert_eq!(keys(config).len(), 13);
+        assert_eq!((&file["difficulty"], &file["nonce"]), (&json!("0x1"), &json!("0x0")));
+        let byzantine = format!("0x{}", hex(b"ctical byzantine fault tolerance"));
+        assert_eq!(file["mixHash"], json!(byzantine));
+        let extra = extra(&file);
+        let list = Rlp::new(&extra);
+        assert_eq!(list.payload_info().expect("a list").total(), extra.len());
+        assert_eq!(list.item_count(), Ok(5));
+        assert_eq!(list.at(0).and_then(|vanity| vanity.data()).map(<[u8]>::len), Ok(32));
+        let validators = list.at(1).expect("validators");
+        let addresses: Vec<&[u8]> = validators.iter().map(|item| item.data().expect("bytes")).collect();
+        assert_eq!(addresses, [[1; 20], [3; 20], [7; 20], [9; 20]]);
+        for (index, nothing) in [(2, 0xc0), (3, 0x80), (4, 0xc0)] {
+            assert_eq!(list.at(index).map(|item| item.as_raw().to_vec()), Ok(vec![nothing]), "{index}");
+        }
+    }
+
+    /// The example of the QBFT page of Besu's documentation.
+    #[test]
+    fn the_extra_data_is_besus() {
+        let validators = [
+            "0x4592c8e45706cc08b8f44b11e43cba0cfc5892cb",
+            "0x06e23768a0f59cf365e18c2e0c89e151bcdedc70",
+            "0xc5327f96ee02d7bcbc1bf1236b8c15148971e1de",
+            "0xab5e7f4061c605820d3744227eed91ff8e2c8908",
+        ]
+        .map(|text| text.parse().expect("address"));
+        let expected = "f87aa00000000000000000000000000000000000000000000000000000000000000000f854944592c8e45706cc08b8f4\
+                        4b11e43cba0cfc5892cb9406e23768a0f59cf365e18c2e0c89e151bcdedc7094c5327f96ee02d7bcbc1bf1236b8c15148\
+                        971e1de94ab5e7f4061c605820d3744227eed91ff8e2c8908c080c0";
+        assert_eq!(hex(&qbft_extra(&[0; 32], &validators)), expected);
+    }
+
+    #[test]
+    fn ether_and_ids() {
+        let allocations: Vec<Allocation> =
+            ["0x0101010101010101010101010101010101010101=255"].map(|text| text.parse().expect("an allocation")).into();
+        let given = Genesis { chain_id: Some(77), allocations, ..genesis(GenesisKind::Ethash, &[]) };
+        let file = given.file().expect("a file");
+        assert_eq!(file["config"]["chainId"], json!(77));
+        assert_eq!(file["alloc"], json!({ "0x0101010101010101010101010101010101010101": { "balance": "0xff" } }));
+        let twice = Genesis { allocations: [given.allocations[0]; 2].into(), ..given };
+        assert!(twice.file().expect_err("twice").to_string().contains("twice"));
+        for bad in
+            ["", "0x01=1", "0x0101010101010101010101010101010101010101", "0x0101010101010101010101010101010101010101="]
+        {
+            assert!(bad.parse::<Allocation>().is_err(), "{bad}");
+        }
+        let above = format!("0x0101010101010101010101010101010101010101=1{}", "0".repeat(80));
+        assert!(above.parse::<Allocation>().is_err(), "more than 256 bits");
+    }
+
+    #[test]
+    fn what_does_not_fit_is_said() {
+        let of = |kind, signers: &[u8]| genesis(kind, signers);
+        for (given, words) in [
+            (of(GenesisKind::Clique, &[]), "--signer"),
+            (of(GenesisKind::Qbft, &[1, 1]), "twice"),
+            (of(GenesisKind::Qbft, &(1..=33).collect::<Vec<u8>>()), "more than 32"),
+            (of(GenesisKind::Ethash, &[1]), "no signers"),
+            (Genesis { period: Some(1), ..of(GenesisKind::Ethash, &[]) }, "no period"),
+            (Genesis { period: Some(0), ..of(GenesisKind::Clique, &[1]) }, "period"),
+            (Genesis { chain_id: Some(0), ..of(GenesisKind::Ethash, &[]) }, "chain id"),
+            (Genesis { chain_id: Some(u64::MAX), ..of(GenesisKind::Ethash, &[]) }, "chain id"),
+        ] {
+            let error = given.file().expect_err(words);
+            assert!(error.to_string().contains(words), "{error}");
+        }
+    }
+}

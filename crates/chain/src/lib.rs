@@ -1,0 +1,235 @@
+//! The Ethereum chain: one [`Chain`] over the embedded EVM and over real nodes by http, ws and ipc.
+//!
+//! All of ethers and revm stays in this room; outside, the words are those of `model`. Here are the
+//! contract's calls and events, signing and sending, reads and news. Which record is in which
+//! transaction, when to resend and what to do after a reorg is the pipeline's business.
+
+use crate as chain;
+use authros_crypto as crypto;
+use authros_model as model;
+
+mod anchor_proof;
+mod artefact;
+mod call;
+mod connect;
+mod deploying;
+mod development;
+mod embedded;
+mod error;
+mod event;
+mod fees;
+mod foreign;
+mod genesis;
+pub mod merkle;
+mod reader;
+pub mod relay;
+mod sealed_by;
+mod sealing;
+mod sender;
+pub mod serve;
+#[cfg(test)]
+mod tests;
+mod transport;
+mod watcher;
+mod work;
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+
+pub use self::anchor_proof::AnchorProof;
+pub use self::artefact::Revision;
+pub use self::call::{Call, LONGEST_ENVELOPE, MOST_WRAPS};
+pub use self::deploying::{DEFAULT_DELAY, LONGEST_DELAY, LONGEST_PAUSE, SHORTEST_DELAY};
+pub use self::error::{ChainError, explain};
+pub use self::event::Event;
+pub use self::fees::{Market, Offered, call_data, is_same_call, offered};
+pub use self::foreign::{ForeignContract, created_address};
+pub use self::genesis::{Allocation, GUIDE, Genesis, GenesisKind};
+pub use self::relay::{Relay, RelayError, RelayLine};
+pub use self::sealed_by::{SealedBy, SealerKind};
+pub use self::sealing::Sealing;
+pub use self::work::BlockWork;
+pub use crate::model::Consensus;
+use crate::model::{Address, Digest, Hash, Identity, Timestamp, Token};
+
+/// Where the chain is.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Endpoint {
+    /// In this process, kept in a folder. One process at a time.
+    Embedded {
+        /// Holds `chain.db`; made where it is missing.
+        directory: PathBuf,
+        /// How its blocks are sealed; `None` = as it was founded, and [`Consensus::POA`] for a new one.
+        /// A chain founded otherwise is refused.
+        consensus: Option<Consensus>,
+    },
+    /// A node.
+    Node {
+        /// `http://…`, `ws://…`, `ipc:/path` or `/path.ipc`.
+        url: String,
+    },
+    /// Somebody who passes requests on, and whose word has to be taken for the answers.
+    Relay(RelayLine),
+}
+
+/// How to connect.
+#[derive(Debug, Clone)]
+pub struct ChainOptions {
+    /// Where.
+    pub endpoint: Endpoint,
+    /// The contract to use, where it is known.
+    pub contract: Option<Address>,
+    /// What the chain must be.
+    pub pinned: Option<Pin>,
+    /// How many blocks on top make a block count as final.
+    pub confirmations: u64,
+}
+
+/// What tells one chain and contract from another.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Pin {
+    /// Chain id (EIP-155).
+    pub chain_id: u64,
+    /// Hash of block 0.
+    pub genesis: Hash,
+    /// Address of the contract.
+    pub contract: Address,
+    /// Keccak-256 of the contract's code.
+    pub code_hash: Hash,
+    /// The block to read events from: the deployment's, or 0 where it is not known.
+    pub deployed_at: u64,
+}
+
+/// A connection to the chain. Clones share it.
+#[derive(Debug, Clone)]
+pub struct Chain {
+    inner: Arc<connect::Inner>,
+}
+
+/// A block.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct BlockRef {
+    /// Height.
+    pub number: u64,
+    /// Its hash.
+    pub hash: Hash,
+    /// Seconds since 1970, as its maker says.
+    pub timestamp: u64,
+}
+
+/// A chain and an account on it, for `authros chain status`.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ChainStatus {
+    /// `embedded`, `node` or `relay`.
+    pub kind: String,
+    /// `poa`, `pow`, `pos` or `dev`, as far as a block shows it.
+    pub consensus: String,
+    /// Chain id.
+    pub chain_id: u64,
+    /// Hash of block 0.
+    pub genesis: Hash,
+    /// Height.
+    pub block: u64,
+    /// The contract in use.
+    pub contract: Option<Address>,
+    /// Wei, decimal; `None` without an account.
+    pub balance: Option<String>,
+    /// The account's next nonce, mined transactions only.
+    pub nonce: Option<u64>,
+    /// How many of the account's transactions wait.
+    pub pending: Option<u64>,
+    /// The node's name and version, in its own words.
+    pub client: String,
+}
+
+/// A transaction, ready to be kept and sent.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SignedTransaction {
+    /// Its hash.
+    pub hash: Hash,
+    /// Its nonce.
+    pub nonce: u64,
+    /// The bytes for [`Chain::broadcast`].
+    pub raw: Vec<u8>,
+    /// The most gas it may use.
+    pub gas_limit: u64,
+    /// Wei per gas.
+    pub gas_price: u128,
+}
+
+/// What became of a transaction.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Receipt {
+    /// Its block.
+    pub block: u64,
+    /// Its block's hash: another one later means a reorg.
+    pub block_hash: Hash,
+    /// Whether it took effect.
+    pub success: bool,
+    /// Gas used.
+    pub gas_used: u64,
+    /// Why it failed, in plain words, where that can be found out.
+    pub reason: Option<String>,
+}
+
+/// An event and where it stands.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct EventAt {
+    /// Block number.
+    pub block: u64,
+    /// Block hash.
+    pub block_hash: Hash,
+    /// Block time, seconds, where the node gives it with the event.
+    pub timestamp: Option<u64>,
+    /// The transaction's hash.
+    pub transaction: Hash,
+    /// Its place among the block's events.
+    pub log_index: u64,
+    /// What happened.
+    pub event: Event,
+}
+
+/// The state of a registered account.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct AccountState {
+    /// The registered keys. The contract cannot check the proof in it: whoever reads it does.
+    pub identity: Identity,
+    /// The current epoch, from 1.
+    pub epoch: u64,
+    /// The current epoch's token (the one in `identity` is of the registration or key rotation).
+    pub token: Token,
+    /// Whether the administrator stopped its changes.
+    pub suspended: bool,
+    /// Version of the SM2 keys, from 1.
+    pub keys: u64,
+    /// How many digests it uploaded one by one.
+    pub count: u64,
+    /// The last of them.
+    pub last: Option<Digest>,
+}
+
+/// What an owner granted to an account.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct GrantState {
+    /// Whether it was not revoked; it may have expired.
+    pub active: bool,
+    /// The epoch it begins with.
+    pub epoch: u64,
+    /// When it ends; `None` = no end.
+    pub expiry: Option<Timestamp>,
+}
+
+/// The contract's answer to a dataQuery.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct QueryAnswer {
+    /// Whether the asker may read records of the token's epoch.
+    pub authorised: bool,
+    /// The token's epoch; 0 where the owner never registered it.
+    pub epoch: u64,
+    /// How many digests the owner uploaded; 0 where not authorised.
+    pub count: u64,
+    /// The last of them; zero where not authorised.
+    pub last: Digest,
+}

@@ -1,0 +1,244 @@
+//! Settings: flag over environment over `config.toml` over default, each with where it came from.
+
+use authros_crypto as crypto;
+use authros_model as model;
+
+mod console;
+mod definitions;
+mod error;
+pub mod paths;
+mod read;
+mod source;
+#[cfg(test)]
+mod tests;
+mod topic_rules;
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::time::Duration;
+
+pub use self::console::{ConsoleSettings, Pictures};
+pub use self::definitions::{DEFINITIONS, Definition};
+pub use self::error::ConfigError;
+pub use self::read::without_password;
+use self::read::{Values, bytes, find, number, parsed, read_file, span, switch, url, value, wrong};
+pub use self::source::{SettingView, Source};
+use crate::crypto::{Kernel, ProviderName};
+use crate::model::{
+    Address, AnchorMode, Consensus, Keeping, ListedPublishers, PinMode, RetentionRules, SignerId, TopicRules, clean,
+};
+
+/// How the URL of a vault begins.
+const VAULTS: &[&str] = &["redis://", "redis+unix://", "unix://", "redis+cluster://", "redis+sentinel://"];
+
+/// Which topics' rates are measured.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum MeterMode {
+    /// Every topic of the graph.
+    All,
+    /// Only watched topics.
+    Watched,
+}
+
+/// All settings in force.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Config {
+    values: BTreeMap<&'static str, (String, Source)>,
+    /// URI of a real ROS master.
+    pub ros_master: Option<String>,
+    /// How other ROS nodes reach this machine.
+    pub ros_host: Option<String>,
+    /// Which topics are measured.
+    pub meter: MeterMode,
+    /// How captured topics come to their pinned publishers.
+    pub pin_mode: PinMode,
+    /// Publishers that are pinned by the settings.
+    pub publishers: ListedPublishers,
+    /// Simulated robots; 0 with a real master.
+    pub robots: u16,
+    /// Node of a real chain.
+    pub chain_url: Option<String>,
+    /// The contract's address.
+    pub contract: Option<Address>,
+    /// The most wei per gas that a transaction may offer.
+    pub max_fee: Option<u128>,
+    /// Accounts that anchor side by side, the owner's included.
+    pub lanes: u8,
+    /// What the embedded chain's consensus must be; a new one is founded with it.
+    pub consensus: Option<Consensus>,
+    /// Memory for captured messages that wait to be stored, bytes.
+    pub capture_memory: u64,
+    /// A real Redis.
+    pub vault_url: Option<String>,
+    /// Disk space for records that wait for the vault, bytes.
+    pub vault_backlog: u64,
+    /// How long verified records stay on this disk beside a vault that is only a cache; `None` = always.
+    pub vault_local: Option<Duration>,
+    /// How long a robot keeps ciphertext that its gateway has proven to hold; `None` = always.
+    pub outbox_keep: Option<Duration>,
+    /// What the setting says of ciphertext that is kept; see [`Config::keeping`].
+    pub retention: RetentionRules,
+    /// Disk space that records leave free, bytes.
+    pub disk_reserve: u64,
+    /// Whether messages are compressed before they are sealed.
+    pub compression: bool,
+    /// Which SM implementation.
+    pub provider: ProviderName,
+    /// Which SM4 kernel, where it is not to be the fastest.
+    pub sm4_kernel: Option<Kernel>,
+    /// How digests go on the chain.
+    pub anchor_mode: AnchorMode,
+    /// How long a line of the audit log may wait until a head over it is anchored.
+    pub audit_every: Duration,
+    /// Per cent of the stored records that a running site re-hashes an hour.
+    pub scrub_percent: u64,
+    /// Blocks until confirmed.
+    pub confirmations: u64,
+    /// Whom the gateway of this home takes.
+    pub gateway: GatewayRules,
+    /// The gateway of the remote site that this one joins.
+    pub site: Option<RemoteSite>,
+    /// Rules for topics (`[[topic]]` tables of the file).
+    pub topic_rules: TopicRules,
+    /// How the console looks.
+    pub console: ConsoleSettings,
+}
+
+/// Whom the gateway of this home takes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct GatewayRules {
+    /// Also owners whom nobody admitted, within the quotas that follow.
+    pub open: bool,
+    /// Bytes of such an owner's records.
+    pub bytes: u64,
+    /// Names of such an owner.
+    pub names: u64,
+    /// Streams of such an owner: combinations of recorder, topic, kind, type and signer.
+    pub streams: u64,
+}
+
+/// A remote site as the settings name it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct RemoteSite {
+    /// HOST:PORT of its gateway.
+    pub address: String,
+    /// SM3 of its gateway's identity key.
+    pub gateway_key: Option<SignerId>,
+    /// Whether to pin whatever gateway answers first.
+    pub trust_first: bool,
+}
+
+impl Config {
+    /// Resolves flags, environment and file. `flags` and `environment` look a value up by
+    /// setting and variable name; `file` is the text of `config.toml` where there is one.
+    ///
+    /// # Errors
+    /// [`ConfigError`] names the file and line, variable or flag at fault.
+    pub fn resolve(
+        flags: &dyn Fn(&str) -> Option<String>,
+        environment: &dyn Fn(&str) -> Option<String>,
+        file: Option<(&Path, &str)>,
+    ) -> Result<Self, ConfigError> {
+        let (from_file, topic_rules) = file.map(|(path, text)| read_file(path, text)).transpose()?.unwrap_or_default();
+        let mut values = BTreeMap::new();
+        for definition in DEFINITIONS {
+            values.insert(definition.name, find(definition, flags, environment, &from_file));
+        }
+        Ok(Self { topic_rules, ..Self::typed(values)? })
+    }
+
+    fn typed(values: BTreeMap<&'static str, (String, Source)>) -> Result<Self, ConfigError> {
+        let text =
+            |name: &'static str| values.get(name).map(|(value, _)| value.as_str()).filter(|value| !value.is_empty());
+        let ros_master = url(&values, "ros.master", &["http://"])?;
+        let meter = match (text("ros.meter"), &ros_master) {
+            (Some("all"), _) | (Some("auto"), None) => MeterMode::All,
+            (Some("watched"), _) | (Some("auto"), Some(_)) => MeterMode::Watched,
+            _ => return Err(wrong(&values, "ros.meter", "write all, watched or auto")),
+        };
+        let robots = number(&values, "robots", 0, 32)?;
+        Ok(Self {
+            ros_host: text("ros.host").map(str::to_owned),
+            meter,
+            pin_mode: parsed(&values, "ros.pins")?.unwrap_or_default(),
+            publishers: parsed(&values, "ros.publishers")?.unwrap_or_default(),
+            robots: if ros_master.is_some() { 0 } else { u16::try_from(robots).unwrap_or(0) },
+            ros_master,
+            chain_url: url(&values, "chain.url", &["http://", "ws://", "ipc://", "/"])?,
+            contract: parsed(&values, "chain.contract")?,
+            max_fee: match text("chain.max_fee") {
+                Some(_) => Some(u128::from(number(&values, "chain.max_fee", 0, 1_000_000_000)?) * 1_000_000_000),
+                None => None,
+            },
+            lanes: u8::try_from(number(&values, "anchor.lanes", 1, 8)?).unwrap_or(1),
+            consensus: parsed(&values, "chain.consensus")?,
+            capture_memory: bytes(&values, "capture.memory", 1 << 20)?,
+            vault_url: url(&values, "vault.url", VAULTS)?,
+            vault_backlog: bytes(&values, "vault.backlog", 0)?,
+            vault_local: span(&values, "vault.local", "always")?,
+            outbox_keep: span(&values, "outbox.keep", "always")?,
+            retention: parsed(&values, "retention")?.unwrap_or_default(),
+            disk_reserve: bytes(&values, "disk.reserve", 0)?,
+            compression: switch(&values, "record.compression", ("auto", "off"))?,
+            provider: parsed(&values, "crypto.provider")?.unwrap_or_default(),
+            sm4_kernel: parsed(&values, "crypto.sm4_kernel")?,
+            anchor_mode: parsed(&values, "anchor.mode")?.unwrap_or_default(),
+            audit_every: Duration::from_secs(number(&values, "audit.anchor_every", 1, 86_400)?),
+            scrub_percent: number(&values, "audit.scrub", 0, 1_000_000)?,
+            confirmations: number(&values, "confirmations", 1, 1000)?,
+            gateway: GatewayRules {
+                open: switch(&values, "gateway.admission", ("open", "closed"))?,
+                bytes: bytes(&values, "gateway.quota_bytes", 0)?,
+                names: number(&values, "gateway.quota_names", 1, 10_000)?,
+                streams: number(&values, "gateway.quota_streams", 1, 1_000_000)?,
+            },
+            site: remote_site(&values)?,
+            topic_rules: TopicRules::default(),
+            console: ConsoleSettings::read(&values)?,
+            values,
+        })
+    }
+
+    /// What ciphertext is kept, by the setting and the rules of topics.
+    pub fn keeping(&self) -> Keeping {
+        Keeping::new(self.topic_rules.clone(), self.retention.clone())
+    }
+
+    /// All settings for people, passwords in URLs hidden.
+    pub fn show(&self) -> Vec<SettingView> {
+        let view = |definition: &Definition| {
+            let (value, source) = self.values.get(definition.name).cloned().unwrap_or((String::new(), Source::Default));
+            SettingView {
+                name: definition.name,
+                value: clean(&without_password(&value), 200),
+                source: source.to_string(),
+                text: definition.text,
+            }
+        };
+        DEFINITIONS.iter().map(view).collect()
+    }
+
+    /// Where a setting came from.
+    pub fn source(&self, name: &str) -> Source {
+        self.values.get(name).map_or(Source::Default, |(_, source)| source.clone())
+    }
+}
+
+fn remote_site(values: &Values) -> Result<Option<RemoteSite>, ConfigError> {
+    let gateway_key = parsed(values, "site.gateway_key")?;
+    let trust_first = match value(values, "site.trust_first") {
+        Some("yes") => true,
+        Some("no") | None => false,
+        Some(_) => return Err(wrong(values, "site.trust_first", "write yes or no")),
+    };
+    let Some(address) = value(values, "site.address") else { return Ok(None) };
+    let parts = address.rsplit_once(':').filter(|(host, port)| !host.is_empty() && port.parse::<u16>().is_ok());
+    let plain = address.len() <= 260 && address.bytes().all(|byte| byte.is_ascii_graphic() && byte != b'/');
+    if parts.is_none() || !plain {
+        return Err(wrong(values, "site.address", "write HOST:PORT"));
+    }
+    if value(values, "chain.url").is_some() {
+        return Err(wrong(values, "chain.url", "leave it empty where site.address is set: the chain comes through it"));
+    }
+    Ok(Some(RemoteSite { address: address.to_owned(), gateway_key, trust_first }))
+}

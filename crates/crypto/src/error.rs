@@ -1,0 +1,181 @@
+//! What can go wrong with keys, records and envelopes, in words that say what to do next.
+//! No message carries a secret, and no text of a peer enters one uncleaned.
+
+use std::path::{Path, PathBuf};
+
+use crate::model::wire::WireError;
+use crate::model::{ErrorKind, clean};
+
+/// Why an operation on keys, records, envelopes or key files failed.
+#[derive(Debug, thiserror::Error)]
+pub enum CryptoError {
+    /// The operating system's random source failed.
+    #[error("the operating system gave no random bytes; nothing was sealed or generated, try again")]
+    Random,
+    /// An algorithm refused what it should accept.
+    #[error("{0} failed inside the crypto provider; try the other one with crypto.provider")]
+    Internal(&'static str),
+    /// A private key out of range.
+    #[error("the {0} private key is out of its range; use one made for its curve")]
+    SecretRange(&'static str),
+    /// A public key that is no point of the curve.
+    #[error("the SM2 public key is not a point of the curve; ask its owner to register again")]
+    PublicPoint,
+    /// A signature that does not verify.
+    #[error("the SM2 signature is not valid; do not trust what it came with, and fetch it again")]
+    BadSignature,
+    /// A signature of an account that recovers no address.
+    #[error("the account's signature is not valid; do not trust what it came with, and ask its sender to sign again")]
+    BadAccountSignature,
+    /// A GCM tag or an SM2 check value that does not match.
+    #[error("the ciphertext does not belong to this key, or it was altered; fetch it again")]
+    BadCiphertext,
+    /// More or fewer bytes than the format allows.
+    #[error("the {what} is {found} bytes long, {allowed} are allowed; split it or make it smaller")]
+    Length {
+        /// What it is.
+        what: &'static str,
+        /// Its length, bytes.
+        found: usize,
+        /// What would be accepted.
+        allowed: &'static str,
+    },
+    /// Bytes that are not the structure they should be.
+    #[error("the {what} is malformed ({why}); get it again from where it came from")]
+    Malformed {
+        /// The structure.
+        what: &'static str,
+        /// What is wrong with it.
+        why: WireError,
+    },
+    /// A field whose value contradicts another.
+    #[error("the {0} does not fit the rest; correct it and try again")]
+    Inconsistent(&'static str),
+    /// A record that does not parse.
+    #[error("the record is damaged ({0}); fetch it again, its owner may hold an intact copy")]
+    DamagedRecord(WireError),
+    /// A record whose bytes are not the ones anchored, signed or sealed.
+    #[error("the record was tampered with: its {0} does not match; keep it as evidence and fetch it again")]
+    Tampered(&'static str),
+    /// A record that is intact, but is not the one asked for.
+    #[error("the record is not the one asked for: its {0} differs; the vault may have swapped it")]
+    NotAsked(&'static str),
+    /// The topic key does not open the record.
+    #[error("this key does not open the record; ask its owner for a grant of its epoch and topic")]
+    WrongKey,
+    /// An envelope or identity that names other terms than the chain.
+    #[error("the {what} was not accepted: its {field} is not what the chain says; ask its owner to issue it again")]
+    NotAccepted {
+        /// Envelope or identity.
+        what: &'static str,
+        /// The field that differs.
+        field: &'static str,
+    },
+    /// The keyring's passphrase is wrong.
+    #[error("the passphrase does not open {0}; type it again, nothing was changed")]
+    WrongPassphrase(String),
+    /// A keyring whose keys were wiped from memory.
+    #[error("the keyring {0} is locked; unlock it with its passphrase, nothing was changed")]
+    Locked(String),
+    /// A passphrase that is too short.
+    #[error("the passphrase has {0} characters; use 8 or more")]
+    ShortPassphrase(usize),
+    /// A protected key file without a passphrase.
+    #[error("{0} is protected by a passphrase; give it with --passphrase-file or --passphrase-fd")]
+    PassphraseNeeded(String),
+    /// A file or directory that others can read.
+    #[error("{path} is open to others (mode {mode:04o}); run: chmod {wanted:o} {path}")]
+    OpenToOthers {
+        /// The file or directory.
+        path: String,
+        /// Its permission bits.
+        mode: u32,
+        /// The permission bits it should have.
+        wanted: u32,
+    },
+    /// A file that is not what it should be.
+    #[error("{path} is not {wanted}: {found}")]
+    NotAKey {
+        /// The file.
+        path: String,
+        /// What was wanted, with its article.
+        wanted: &'static str,
+        /// What was found, and what to do.
+        found: String,
+    },
+    /// A file that cannot be read.
+    #[error("{path} cannot be read ({source}); check the path and its permissions")]
+    Read {
+        /// The file.
+        path: String,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// A file that cannot be written.
+    #[error("{path} cannot be written ({source}); check the directory, its permissions and the free space")]
+    Write {
+        /// The file.
+        path: String,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// A keyring whose bytes were altered.
+    #[error("the keyring {0} is damaged; restore it from its backup")]
+    DamagedKeyring(String),
+    /// A keyring that lacks an epoch.
+    #[error("the keyring holds no key of epoch {0} on this chain; it may be older than the chain, restore a newer one")]
+    NoEpoch(u64),
+}
+
+impl CryptoError {
+    /// What sort of failure it is.
+    pub fn kind(&self) -> ErrorKind {
+        match self {
+            Self::Random | Self::Internal(_) => ErrorKind::Internal,
+            Self::SecretRange(_)
+            | Self::PublicPoint
+            | Self::Length { .. }
+            | Self::Malformed { .. }
+            | Self::Inconsistent(_)
+            | Self::ShortPassphrase(_)
+            | Self::PassphraseNeeded(_)
+            | Self::OpenToOthers { .. }
+            | Self::NotAKey { .. }
+            | Self::Read { .. }
+            | Self::NoEpoch(_) => ErrorKind::Input,
+            Self::BadSignature
+            | Self::BadAccountSignature
+            | Self::BadCiphertext
+            | Self::WrongKey
+            | Self::NotAccepted { .. }
+            | Self::WrongPassphrase(_)
+            | Self::Locked(_) => ErrorKind::Refused,
+            Self::DamagedRecord(_) | Self::Tampered(_) | Self::NotAsked(_) | Self::DamagedKeyring(_) => {
+                ErrorKind::Tampered
+            }
+            Self::Write { .. } => ErrorKind::Home,
+        }
+    }
+
+    /// That something read is not what it should be.
+    pub fn malformed(what: &'static str) -> impl Fn(WireError) -> Self {
+        move |why| Self::Malformed { what, why }
+    }
+
+    /// That a file could not be read.
+    pub fn read(path: &Path) -> impl Fn(std::io::Error) -> Self {
+        let path = shown(path);
+        move |source| Self::Read { path: path.clone(), source }
+    }
+
+    /// That a file could not be written.
+    pub fn write(path: &Path) -> impl Fn(std::io::Error) -> Self {
+        let path = shown(path);
+        move |source| Self::Write { path: path.clone(), source }
+    }
+}
+
+/// A path as it may be shown in a message.
+pub fn shown(path: &Path) -> String {
+    clean(&PathBuf::from(path).display().to_string(), 240)
+}

@@ -1,0 +1,79 @@
+//! SM2, SM3, SM4-GCM and HKDF-SM3, and what is built of them: records, envelopes, identities,
+//! and keys at rest. Two providers compute the algorithms; nothing here knows ROS, the chain
+//! or the ledger.
+
+use crate as crypto;
+pub use authros_fault as fault;
+use authros_model as model;
+
+pub mod account;
+pub mod agreement;
+pub mod compression;
+pub mod der;
+pub mod derive;
+pub mod enrolment;
+pub mod envelope;
+pub mod error;
+mod file_key;
+mod gcm;
+pub mod identity;
+pub mod kdf;
+pub mod kept_key;
+pub mod kernel;
+pub mod keyfile;
+pub mod keyring;
+pub mod keystore;
+mod libsm_provider;
+pub mod owner_key;
+pub mod passphrase;
+pub mod pool;
+pub mod private_file;
+pub mod provider;
+pub mod random;
+pub mod record;
+mod rustcrypto;
+pub mod sealed_stream;
+pub mod secret;
+pub mod sm3;
+mod sm4_gcm;
+pub mod transport_file;
+
+#[cfg(test)]
+mod differential_tests;
+#[cfg(test)]
+mod openssl_tests;
+#[cfg(test)]
+mod vector_tests;
+
+pub use account::{AccountSignature, TypedStructure, keccak256, recover_account, sign_hash};
+pub use agreement::Ephemeral;
+pub use der::{signature_der, signature_from_der};
+pub use derive::{
+    domain, epoch_key, filter_id, filter_key, notice_key, notice_topic, signer_id, token, topic_filter_id, topic_id,
+    topic_key, topic_key_by_name, witness_secret,
+};
+pub use enrolment::{
+    Enrolment, EpochIssue, GatewayAccess, IssuedKeys, IssuedTopic, Notice, Pseudonyms, SealedEnrolment, SealingKey,
+};
+pub use envelope::{GrantedKeys, WrappedKeys, unwrap, wrap};
+pub use error::CryptoError;
+pub use identity::{check_identity, prove};
+pub use kdf::{hkdf_sm3, hmac_sm3};
+pub use kept_key::{open_transport_key, seal_transport_key};
+pub use kernel::{Kernel, KernelError};
+pub use keyring::{EpochSecret, EpochState, Keyring, NetworkKeys, PublicIdentity, UnlockedKeyring, read_public};
+pub use libsm_provider::seal_by_libsm;
+pub use owner_key::OwnerKeyChange;
+pub use passphrase::Passphrase;
+pub use provider::{Provider, ProviderName, provider};
+pub use random::random_bytes;
+pub use record::{
+    Anchor, Expected, OpenedRecord, SealRequest, SealedRecord, Unchecked, check, check_alone, check_deleted,
+    check_many, open, seal,
+};
+pub use rustcrypto::seal_by_crates;
+pub use secret::{
+    EoaSecret, EpochKey, EpochSalt, FilterKey, Fingerprint, FingerprintError, IndexKey, Sm4Key, SmKeyPair, SmSecret,
+    TopicKey, TransportKey,
+};
+pub use sm3::{Sm3Hasher, sm3_many};

@@ -1,0 +1,265 @@
+//! SM2 private keys and pairs, and what a person compares of a public key.
+
+use std::fmt;
+use std::hint::black_box;
+use std::str::FromStr;
+use std::sync::{LazyLock, OnceLock};
+
+use sm2::dsa::SigningKey;
+use subtle::ConstantTimeEq as _;
+use zeroize::Zeroizing;
+
+use crate::crypto::provider::Provider;
+use crate::crypto::random::random_bytes;
+use crate::crypto::{CryptoError, derive, rustcrypto};
+use crate::model::bytes::{hex, unhex};
+use crate::model::{PublicKey, SignerId, clean};
+
+/// The order n of the SM2 group (GB/T 32918.5-2017, 4), big endian.
+pub(crate) const ORDER: [u8; 32] = [
+    0xff, 0xff, 0xff, 0xfe, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0x72, 0x03, 0xdf,
+    0x6b, 0x21, 0xc6, 0x05, 0x2b, 0x53, 0xbb, 0xf4, 0x09, 0x39, 0xd5, 0x41, 0x23,
+];
+
+/// 04 || x || y, the uncompressed encoding of a point.
+pub(crate) fn uncompressed(public: &PublicKey) -> [u8; 65] {
+    let mut bytes = [4; 65];
+    bytes[1..].copy_from_slice(&public.0);
+    bytes
+}
+
+/// x || y as a public key, not yet checked.
+pub(crate) fn unprefixed(x: &[u8; 32], y: &[u8; 32]) -> PublicKey {
+    let mut bytes = [0; 64];
+    bytes[..32].copy_from_slice(x);
+    bytes[32..].copy_from_slice(y);
+    PublicKey(bytes)
+}
+
+/// Whether `number` + 1 < n and `number` > 0, in constant time.
+fn is_secret(number: &[u8; 32]) -> bool {
+    let mut bound = ORDER;
+    bound[31] -= 1;
+    let borrow = number.iter().zip(bound).rev().fold(0u16, |borrow, (digit, limit)| {
+        u16::from(*digit).wrapping_sub(u16::from(limit)).wrapping_sub(borrow) >> 15
+    });
+    let any = number.iter().fold(0, |any, digit| any | digit);
+    borrow == 1 && any != 0
+}
+
+/// An SM2 private key d, 1 to n - 2 (GB/T 32918.1-2016, 6.1).
+///
+/// The signing key that follows from it (public point, ZA) is computed once and wiped with it.
+pub struct SmSecret {
+    bytes: Zeroizing<[u8; 32]>,
+    signing: OnceLock<Box<SigningKey>>,
+    public: OnceLock<PublicKey>,
+}
+
+impl SmSecret {
+    /// Fresh, from the operating system's random source.
+    ///
+    /// # Errors
+    /// [`CryptoError::Random`] where that fails.
+    pub fn generate() -> Result<Self, CryptoError> {
+        loop {
+            let bytes = Zeroizing::new(random_bytes::<32>()?);
+            if let Ok(secret) = Self::from_slice(&*bytes) {
+                return Ok(secret);
+            }
+        }
+    }
+
+    /// From 32 bytes, big endian.
+    ///
+    /// # Errors
+    /// [`CryptoError::SecretRange`] where it is out of range or of another length.
+    pub fn from_slice(bytes: &[u8]) -> Result<Self, CryptoError> {
+        let array = <[u8; 32]>::try_from(bytes).map(Zeroizing::new).map_err(|_| CryptoError::SecretRange("SM2"))?;
+        if !is_secret(&array) {
+            return Err(CryptoError::SecretRange("SM2"));
+        }
+        Ok(Self { bytes: array, signing: OnceLock::new(), public: OnceLock::new() })
+    }
+
+    /// The secret bytes; do not copy them anywhere that outlives their use.
+    pub fn expose(&self) -> &[u8; 32] {
+        &self.bytes
+    }
+
+    pub(crate) fn signing_key(&self) -> Result<&SigningKey, CryptoError> {
+        if self.signing.get().is_none() {
+            // Another thread may have been first; its key is the same.
+            if let Err(mut second) = self.signing.set(Box::new(rustcrypto::signing_key(&self.bytes)?)) {
+                wipe(&mut second);
+            }
+        }
+        self.signing.get().map(|key| &**key).ok_or(CryptoError::Internal("SM2"))
+    }
+
+    /// The public key, computed by `provider` the first time.
+    pub(crate) fn public_key(&self, provider: &dyn Provider) -> Result<&PublicKey, CryptoError> {
+        if self.public.get().is_none() {
+            let _ = self.public.set(provider.public_key(self)?);
+        }
+        self.public.get().ok_or(CryptoError::Internal("SM2"))
+    }
+}
+
+impl Clone for SmSecret {
+    fn clone(&self) -> Self {
+        Self { bytes: self.bytes.clone(), signing: OnceLock::new(), public: self.public.clone() }
+    }
+}
+
+impl Drop for SmSecret {
+    fn drop(&mut self) {
+        if let Some(key) = self.signing.get_mut() {
+            wipe(key);
+        }
+    }
+}
+
+/// The crate's key does not wipe itself: overwrites it where it lies.
+fn wipe(key: &mut SigningKey) {
+    static BLANK: LazyLock<Option<SigningKey>> = LazyLock::new(|| rustcrypto::signing_key(&[1; 32]).ok());
+    if let Some(blank) = BLANK.as_ref() {
+        *key = blank.clone();
+        black_box(key);
+    }
+}
+
+/// In constant time.
+impl PartialEq for SmSecret {
+    fn eq(&self, other: &Self) -> bool {
+        self.bytes.ct_eq(&*other.bytes).into()
+    }
+}
+
+impl Eq for SmSecret {}
+
+impl fmt::Debug for SmSecret {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str("SmSecret(secret)")
+    }
+}
+
+/// An SM2 private key and its public key.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SmKeyPair {
+    /// d.
+    pub secret: SmSecret,
+    /// P = [d]G.
+    pub public: PublicKey,
+}
+
+impl SmKeyPair {
+    /// A fresh pair.
+    ///
+    /// # Errors
+    /// [`CryptoError::Random`] where the random source fails.
+    pub fn generate(provider: &dyn Provider) -> Result<Self, CryptoError> {
+        Self::from_secret(provider, SmSecret::generate()?)
+    }
+
+    /// The pair of a private key.
+    ///
+    /// # Errors
+    /// [`CryptoError::Internal`] where the algorithm fails.
+    pub fn from_secret(provider: &dyn Provider, secret: SmSecret) -> Result<Self, CryptoError> {
+        let public = *secret.public_key(provider)?;
+        Ok(Self { secret, public })
+    }
+
+    /// What a person compares of the public key.
+    pub fn fingerprint(&self) -> Fingerprint {
+        Fingerprint::of(&self.public)
+    }
+}
+
+/// The first 16 bytes of SM3 of a public key, in eight groups of four hex characters.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct Fingerprint([u8; 16]);
+
+/// Why a text is not a fingerprint.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "'{0}' is not a whole fingerprint: it has eight groups of four hex characters, as `authros identity show` prints it"
+)]
+pub struct FingerprintError(String);
+
+impl Fingerprint {
+    /// Of `public`.
+    pub fn of(public: &PublicKey) -> Self {
+        Self::of_signer(&derive::signer_id(public))
+    }
+
+    /// Of the key whose SM3 is `signer`.
+    pub fn of_signer(signer: &SignerId) -> Self {
+        let mut first = [0; 16];
+        first.copy_from_slice(&signer.0[..16]);
+        Self(first)
+    }
+}
+
+/// As it is shown; other ways to part the groups (none, `:`, `-`) and capitals are read, too. A part of one is not
+/// taken: what is not compared may differ.
+impl FromStr for Fingerprint {
+    type Err = FingerprintError;
+
+    fn from_str(text: &str) -> Result<Self, FingerprintError> {
+        let parting = |character: &char| character.is_whitespace() || *character == ':' || *character == '-';
+        let digits: String = text.chars().filter(|character| !parting(character)).collect();
+        let bytes = unhex(&digits).filter(|_| !digits.starts_with("0x"));
+        let bytes = bytes.and_then(|bytes| bytes.try_into().ok());
+        bytes.map(Self).ok_or_else(|| FingerprintError(clean(text, 60)))
+    }
+}
+
+impl fmt::Display for Fingerprint {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let groups: Vec<String> = self.0.chunks(2).map(hex).collect();
+        formatter.write_str(&groups.join(" "))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::crypto::{ProviderName, provider};
+
+    #[test]
+    fn the_range_is_one_to_n_minus_two() {
+        let with_last = |last: u8| {
+            let mut bytes = ORDER;
+            bytes[31] = last;
+            bytes
+        };
+        let mut one = [0; 32];
+        one[31] = 1;
+        assert!(SmSecret::from_slice(&one).is_ok());
+        assert!(SmSecret::from_slice(&with_last(0x21)).is_ok(), "n - 2");
+        for bad in [[0; 32], with_last(0x22), with_last(0x23), with_last(0x24), [0xff; 32]] {
+            assert!(SmSecret::from_slice(&bad).is_err(), "{bad:02x?}");
+        }
+        assert!(SmSecret::from_slice(&one[..31]).is_err());
+    }
+
+    #[test]
+    fn fingerprints_are_eight_groups_and_debug_is_redacted() {
+        let provider = provider(ProviderName::RustCrypto);
+        let pair = SmKeyPair::generate(provider).expect("pair");
+        provider.sign(&pair.secret, b"x").expect("signs");
+        let shown = pair.fingerprint().to_string();
+        assert_eq!(shown.len(), 39);
+        for way in [shown.clone(), shown.to_uppercase(), shown.replace(' ', ""), shown.replace(' ', ":")] {
+            assert_eq!(way.parse(), Ok(pair.fingerprint()), "{way}");
+        }
+        for bad in ["", &shown[..34], &format!("{shown}00"), &shown.replace(' ', "g")] {
+            assert!(bad.parse::<Fingerprint>().is_err(), "{bad}");
+        }
+        assert_eq!(shown.replace(' ', ""), derive::signer_id(&pair.public).to_hex()[..32]);
+        assert!(!format!("{pair:?}").contains(&hex(pair.secret.expose())));
+        assert_eq!(pair.clone(), pair);
+    }
+}

@@ -1,0 +1,54 @@
+//! The gateway's protocol, version 1 (PROTOCOL.md has every byte): state machines without I/O first
+//! (frame, hello, session, parts, command, allocation, system_keys, receipt, identity_check, limits), then
+//! the server with its `Desk` and the client over TCP.
+
+use crate as gateway;
+use authros_chain as chain;
+use authros_crypto as crypto;
+use authros_model as model;
+// Fixtures that other crates' tests use as well name this crate as those do.
+#[cfg(test)]
+extern crate self as authros_gateway;
+
+pub mod allocation;
+pub mod chain_line;
+pub mod client;
+pub mod code;
+pub mod command;
+mod connection;
+pub mod desk;
+pub mod error;
+pub mod frame;
+pub mod hello;
+pub mod identity_check;
+pub mod limits;
+mod line;
+pub mod parts;
+pub mod receipt;
+pub mod server;
+pub mod session;
+pub mod standings;
+pub mod system_keys;
+pub mod tally;
+pub mod trust;
+
+pub use allocation::Applicant;
+pub use chain_line::ChainLine;
+pub use client::{Client, Credentials, Endpoint};
+pub use code::{Code, Refusal};
+pub use command::{
+    Answer, Command, DeviceNotice, Entry, Fetched, GrantNotice, Page, Query, Registration, RelayCall, Relayed, Request,
+    RevokeNotice, Selection, Standing, Upload,
+};
+pub use desk::{Account, Binding, BoundDevice, Caller, Desk, Received};
+pub use error::GatewayError;
+pub use hello::{Context, NetworkName};
+pub use limits::Limits;
+pub use receipt::Receipt;
+pub use server::{Server, ServerWatch};
+pub use standings::{SignedStandings, Stood};
+pub use system_keys::cabinet::{Cabinet, Schedule};
+pub use trust::{KeptTrust, Trust};
+
+#[cfg(test)]
+pub(crate) mod tests;

@@ -1,0 +1,14 @@
+use super::*;
+
+mod fixtures;
+mod flipped_bits;
+mod hostile;
+mod loopback;
+mod memory_desk;
+mod refusals;
+mod relaying;
+mod stage;
+mod vectors;
+
+pub(crate) use fixtures::{Member, context, pair};
+pub(super) use fixtures::{greet, network, sample_answers, sample_requests, sessions};

@@ -1,0 +1,203 @@
+//! Keys, sessions and messages that the gateway's tests share.
+
+use std::collections::BTreeMap;
+
+use authros_crypto::{
+    AccountSignature, EoaSecret, ProviderName, SealRequest, SmKeyPair, SmSecret, TopicKey, TransportKey, provider, seal,
+};
+use authros_gateway::allocation::{AllocationRequest, Applicant};
+use authros_gateway::command::{
+    Answer, Command, Entry, Fetched, GrantNotice, Page, Query, Registration, RelayCall, Relayed, Request, RevokeNotice,
+    Selection, Standing, Upload,
+};
+use authros_gateway::hello::{ClientHello, Context, GatewayHello, ListSummary, NetworkName};
+use authros_gateway::session::Session;
+use authros_gateway::{Code, Receipt};
+use authros_model::head::Compression;
+use authros_model::{
+    Address, Digest, Domain, FilterId, Hash, Head, Identity, ProfileName, PublicKey, RecordKind, RecorderId, Signature,
+    SignerId, Timestamp, Token, TopicId,
+};
+
+pub(crate) fn context() -> Context {
+    Context { provider: provider(ProviderName::RustCrypto), domain: Domain([0x11; 32]) }
+}
+
+/// What the memory desk says it stands on; not the network of [`context`], which no chain id leads to.
+pub(crate) fn network() -> NetworkName {
+    NetworkName { chain_id: 7, genesis: Hash([0x61; 32]), contract: Address([0x62; 20]) }
+}
+
+/// The pair of a known secret.
+pub(crate) fn pair(byte: u8) -> SmKeyPair {
+    let secret = SmSecret::from_slice(&[byte; 32]).expect("in range");
+    SmKeyPair::from_secret(context().provider, secret).expect("pair")
+}
+
+/// A profile with all its keys.
+pub(crate) struct Member {
+    pub name: ProfileName,
+    pub signing: SmKeyPair,
+    pub envelope: SmKeyPair,
+    pub eoa: EoaSecret,
+    pub token: Token,
+}
+
+impl Member {
+    /// Different seeds give different keys.
+    pub fn new(name: &str, seed: u8) -> Self {
+        Self {
+            name: name.parse().expect("a name"),
+            signing: pair(seed),
+            envelope: pair(seed + 1),
+            eoa: EoaSecret::from_slice(&[seed + 2; 32]).expect("in range"),
+            token: Token([seed; 32]),
+        }
+    }
+
+    pub fn applicant(&self) -> Applicant<'_> {
+        Applicant { name: &self.name, signing: &self.signing, envelope: self.envelope.public, account: &self.eoa }
+    }
+
+    pub fn account(&self) -> Address {
+        self.eoa.address()
+    }
+
+    /// A record of this owner.
+    pub fn record(&self, signer: &SmKeyPair, seq: u64, body: &[u8]) -> Upload {
+        let head = Head {
+            topic: "/robot1/odom".into(),
+            type_name: "nav_msgs/Odometry".into(),
+            md5sum: "cd5e73d190d741a2f92e81eda573aca7".into(),
+            definition: Digest([4; 32]),
+            caller_id: "/robot1".into(),
+            boot_id: [5; 16],
+            compression: Compression::None,
+            plain_length: u64::try_from(body.len()).expect("fits"),
+            tags: BTreeMap::new(),
+        };
+        let request = SealRequest {
+            domain: context().domain,
+            owner: self.account(),
+            signer,
+            epoch: 1,
+            topic_key: &TopicKey::new([6; 32]),
+            recorder: RecorderId([4; 16]),
+            seq,
+            topic_id: TopicId([8; 16]),
+            kind: RecordKind::Data,
+            filters: Vec::new(),
+            captured_at: Timestamp(seq),
+            head: &head,
+            body,
+        };
+        Upload::from(&seal(context().provider, &request).expect("seals"))
+    }
+}
+
+pub(crate) fn summary() -> ListSummary {
+    ListSummary { version: 3, digest: Digest([3; 32]) }
+}
+
+/// A hello between a client and the gateway of `pair(0x21)`.
+pub(crate) fn greet() -> (ClientHello, Vec<u8>, GatewayHello) {
+    let client = ClientHello::begin(context()).expect("begins");
+    let (answer, gateway) = GatewayHello::answer(context(), &pair(0x21), summary(), &client.encode()).expect("answers");
+    (client, answer, gateway)
+}
+
+/// Both ends of a session under a transport key.
+pub(crate) fn sessions(key: &TransportKey) -> (Session, Session) {
+    let (client, answer, gateway) = greet();
+    let client = client.agree(&answer).expect("agrees");
+    let (identify, client) = client.identify(&"robot-1".parse().expect("a name"), Some(key)).expect("seals");
+    (client, gateway.identified(&identify).expect("opens").session(Some(key)))
+}
+
+fn entry() -> Entry {
+    Entry {
+        digest: Digest([1; 32]),
+        owner: Address([2; 20]),
+        recorder: RecorderId([3; 16]),
+        seq: 4,
+        topic_id: TopicId([5; 16]),
+        epoch: 6,
+        captured_at: Timestamp(7),
+        length: 8,
+        kind: RecordKind::Gap,
+        standing: Standing::Verified,
+    }
+}
+
+fn receipt() -> Receipt {
+    Receipt { time: Timestamp(9), digests: vec![Digest([1; 32]), Digest([2; 32])], signature: Signature([3; 64]) }
+}
+
+/// One request of each Command and shape.
+pub(crate) fn sample_requests() -> Vec<Request> {
+    let upload = |length| Upload { signature: Signature([7; 64]), blob: vec![8; length] };
+    let selection = Selection {
+        owner: Address([1; 20]),
+        topic_id: Some(TopicId([2; 16])),
+        kind: Some(RecordKind::Data),
+        filters: vec![FilterId([3; 8]); 4],
+    };
+    let query = |selection| Query { selection, from: Timestamp(1), until: Timestamp(u64::MAX), cursor: 9, limit: 500 };
+    let identity = Identity {
+        token: Token([1; 32]),
+        signing: PublicKey([2; 64]),
+        envelope: PublicKey([3; 64]),
+        proof: Signature([4; 64]),
+    };
+    let allocation = AllocationRequest {
+        system_key: SignerId([1; 32]),
+        ciphertext: vec![2; 300],
+        signature: Signature([3; 64]),
+        account_signature: AccountSignature([4; 65]),
+    };
+    let (grantee, transaction) = (Address([5; 20]), Hash([6; 32]));
+    vec![
+        Request::SystemKeys,
+        Request::KeyAllocation(allocation),
+        Request::Register(Box::new(Registration { account: grantee, identity, transaction: vec![9; 200] })),
+        Request::Upload(upload(300)),
+        Request::UploadMany(vec![upload(0), upload(10), upload(200)]),
+        Request::Query(query(selection.clone())),
+        Request::Query(query(Selection::all(Address([1; 20])))),
+        Request::Check(vec![Digest([1; 32]), Digest([2; 32])]),
+        Request::Prove(vec![Digest([1; 32]), Digest([2; 32])]),
+        Request::Fetch(Digest([3; 32])),
+        Request::Subscribe(selection),
+        Request::Unsubscribe(5),
+        Request::GrantNotice(GrantNotice { grantee, epoch: 2, expiry: 3, transaction }),
+        Request::RevokeNotice(RevokeNotice { grantee, epoch: 2, token: Token([7; 32]), transaction }),
+        Request::DeviceNotice(pair(0x66).public.into()),
+        Request::Ping,
+        Request::Relay(RelayCall { method: "eth_call".into(), parameters: "[{},\"latest\"]".into() }),
+    ]
+}
+
+/// One answer of each shape.
+pub(crate) fn sample_answers() -> Vec<Answer> {
+    let record =
+        Fetched { signer: PublicKey([1; 64]), signature: Signature([2; 64]), proof: vec![3; 40], blob: vec![4; 99] };
+    vec![
+        Answer::SystemKeys(vec![1; 300]),
+        Answer::Receipt(Command::KeyAllocation, receipt()),
+        Answer::Receipt(Command::UploadMany, receipt()),
+        Answer::Receipt(Command::DeviceNotice, receipt()),
+        Answer::Registered(Hash([1; 32])),
+        Answer::Page(Page { entries: vec![entry(); 3], next: Some(4) }),
+        Answer::Page(Page { entries: Vec::new(), next: None }),
+        Answer::Standings(vec![Standing::Unknown, Standing::Tampered]),
+        Answer::Record(Box::new(record.clone())),
+        Answer::Done(Command::Subscribe),
+        Answer::Done(Command::Unsubscribe),
+        Answer::Time(Timestamp(5)),
+        Answer::Relayed(Relayed::Result("\"0x7\"".into())),
+        Answer::Relayed(Relayed::Fault { code: -32000, words: "reverted".into(), data: "\"0x08\"".into() }),
+        Answer::Event(Box::new((entry(), record))),
+        Answer::End(Code::NotAuthorised),
+        Answer::Refused(Code::Token),
+    ]
+}

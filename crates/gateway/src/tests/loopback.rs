@@ -1,0 +1,302 @@
+//! Server and client over the loopback, with a desk in memory.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use super::stage::{Stage, refusal};
+use super::*;
+use crate::crypto::{SmKeyPair, prove};
+use crate::model::{Digest, Hash, Timestamp, Token};
+
+fn alice() -> Member {
+    Member::new("alice", 0x11)
+}
+
+fn bob() -> Member {
+    Member::new("bob", 0x31)
+}
+
+#[tokio::test]
+async fn a_robot_enrols_uploads_and_reads_back() {
+    let stage = Stage::new().await;
+    let alice = alice();
+    let credentials = stage.enrol(&alice).await;
+    let mut client = stage.connect(&credentials).await.expect("connects");
+    let small = alice.record(&alice.signing, 1, b"position");
+    let receipt = client.upload(vec![small.clone()]).await.expect("receipt");
+    let again = client.upload(vec![small.clone()]).await.expect("acknowledged again");
+    assert_eq!((stage.desk.record_count(), &receipt.digests), (1, &again.digests));
+
+    // In parts: larger than one frame, and several at once.
+    let image = alice.record(&alice.signing, 2, &vec![0x5a; 3 << 20]);
+    let many: Vec<Upload> = (3..40).map(|seq| alice.record(&alice.signing, seq, &seq.to_be_bytes())).collect();
+    client.upload(vec![image.clone()]).await.expect("in parts");
+    assert_eq!(client.upload(many).await.expect("many").digests.len(), 37);
+    assert_eq!(stage.desk.record_count(), 39);
+
+    let digest = Digest(context().provider.sm3(&[&image.blob]));
+    let fetched = client.fetch(&digest).await.expect("fetches");
+    assert_eq!((fetched.blob, fetched.signature), (image.blob, image.signature));
+    let standings = client.check(&[digest, Digest([0; 32])]).await.expect("checks");
+    assert_eq!(standings, [Standing::Acknowledged, Standing::Unknown]);
+
+    let selection = Selection::all(alice.account());
+    let mut query = Query { selection, from: Timestamp(0), until: Timestamp(u64::MAX), cursor: 0, limit: 15 };
+    let mut seen = Vec::new();
+    loop {
+        let page = client.query(&query).await.expect("page");
+        seen.extend(page.entries.iter().map(|entry| entry.seq));
+        let Some(next) = page.next else { break };
+        query.cursor = next;
+    }
+    assert_eq!(seen, (1..40).collect::<Vec<u64>>());
+    assert_eq!(refusal(client.fetch(&Digest([0; 32])).await), Some(Code::NotFound));
+    client.ping().await.expect("a refusal does not end the session");
+    stage.server.stop(Duration::from_secs(5)).await;
+    assert_eq!(refusal(client.ping().await), Some(Code::Closing));
+}
+
+#[tokio::test]
+async fn only_the_pinned_gateway_is_named_to() {
+    let stage = Stage::new().await;
+    let alice = alice();
+    stage.desk.admit(&alice);
+    let allocate = async |trust: &mut Trust| Client::allocate(&stage.endpoint, trust, &alice.applicant()).await;
+    let mut nobody = Trust::default();
+    assert!(matches!(allocate(&mut nobody).await, Err(GatewayError::NotPinned(found)) if found == stage.server.id()));
+    let mut other = Trust::pinned(crate::crypto::signer_id(&pair(0x77).public));
+    assert!(matches!(allocate(&mut other).await, Err(GatewayError::NotTheGateway { .. })));
+    let mut newer = stage.trust();
+    newer.seen = Some(hello::ListSummary { version: u64::MAX, digest: Digest([0; 32]) });
+    assert!(matches!(allocate(&mut newer).await, Err(GatewayError::RolledBack { .. })));
+    assert_eq!(stage.desk.state().changes, 0);
+    let mut first = Trust::on_first_use();
+    allocate(&mut first).await.expect("by explicit wish");
+    assert_eq!(first.pinned, Some(stage.server.id()));
+}
+
+#[tokio::test]
+async fn a_bound_name_is_rebound_by_its_account_alone() {
+    let stage = Stage::new().await;
+    let alice = alice();
+    let first = stage.enrol(&alice).await;
+    let mut thief = Member::new("alice", 0x31);
+    stage.desk.admit(&thief);
+    let allocate =
+        async |member: &Member| Client::allocate(&stage.endpoint, &mut stage.trust(), &member.applicant()).await;
+    assert_eq!(refusal(allocate(&thief).await), Some(Code::NameBound));
+    assert_eq!(stage.desk.state().changes, 1);
+    stage.connect(&first).await.expect("the first binding stands");
+    let (key, _) = allocate(&alice).await.expect("its own account");
+    assert_eq!(stage.code(&first).await, Some(Code::Tag), "the old key is of no use");
+    stage.connect(&Credentials { key, ..first }).await.expect("the new one is");
+
+    // Keys that the chain does not have for the account, and no account at all.
+    thief.name = "mallory".parse().expect("a name");
+    thief.signing = pair(0x44);
+    assert_eq!(refusal(allocate(&thief).await), Some(Code::NotRegistered));
+    assert_eq!(refusal(allocate(&Member::new("carol", 0x51)).await), Some(Code::NotRegistered));
+    assert_eq!(stage.desk.state().changes, 2);
+}
+
+#[tokio::test]
+async fn wrong_keys_unknown_names_and_tokens_are_refused_alike() {
+    let stage = Stage::new().await;
+    let credentials = stage.enrol(&alice()).await;
+    let wrong = Credentials { key: crate::crypto::TransportKey::new([1; 32]), ..credentials.clone() };
+    assert_eq!(stage.code(&wrong).await, Some(Code::Tag));
+    let unknown = Credentials { name: "nobody".parse().expect("a name"), ..credentials.clone() };
+    assert_eq!(stage.code(&unknown).await, Some(Code::Tag), "names cannot be probed");
+    let token = Credentials { token: Token([0; 32]), ..credentials };
+    assert_eq!(stage.code(&token).await, Some(Code::Token));
+    assert_eq!(stage.desk.state().changes, 1);
+}
+
+#[tokio::test]
+async fn records_of_others_and_of_recalled_devices_are_refused() {
+    let stage = Stage::new().await;
+    let (alice, bob) = (alice(), bob());
+    let credentials = stage.enrol(&alice).await;
+    stage.enrol(&bob).await;
+    let mut client = stage.connect(&credentials).await.expect("connects");
+    let before = stage.desk.state().changes;
+    let mut refused = async |upload: Upload| refusal(client.upload(vec![upload]).await);
+
+    assert_eq!(refused(bob.record(&bob.signing, 1, b"x")).await, Some(Code::NotYours));
+    assert_eq!(refused(alice.record(&bob.signing, 1, b"x")).await, Some(Code::Signature), "bob may not sign");
+    let (one, two) = (alice.record(&alice.signing, 1, b"x"), alice.record(&alice.signing, 2, b"x"));
+    assert_eq!(refused(Upload { signature: two.signature, ..one.clone() }).await, Some(Code::Signature));
+    for at in [12, 200, one.blob.len() - 1] {
+        let mut altered = one.clone();
+        altered.blob[at] ^= 1;
+        assert!(refused(altered).await.is_some(), "byte {at}");
+    }
+    assert_eq!(refused(Upload { blob: one.blob[..100].to_vec(), ..one.clone() }).await, Some(Code::Malformed));
+
+    let device = pair(0x66);
+    let sealed = |seq| alice.record(&device, seq, b"from a lent device");
+    assert_eq!(refused(sealed(5)).await, Some(Code::Signature), "not lent yet");
+    stage.desk.lend(&alice, &device);
+    assert_eq!(refused(sealed(5)).await, Some(Code::Signature), "lent, but its key was not told");
+    assert_eq!(refusal(client.device(&bob.signing, device.public).await), Some(Code::Signature), "not told by alice");
+    assert_eq!(refusal(client.device(&alice.signing, pair(0x67).public).await), Some(Code::Signature), "not lent");
+    let nothing = client.device(&alice.signing, crate::model::PublicKey([1; 64])).await;
+    assert_eq!(refusal(nothing), Some(Code::Malformed), "no point");
+    client.device(&alice.signing, device.public).await.expect("told");
+    assert_eq!(refusal(client.upload(vec![sealed(5)]).await), None);
+    stage.desk.recall(&alice, &device);
+    assert_eq!(refusal(client.upload(vec![sealed(6)]).await), Some(Code::Signature), "recalled");
+    assert_eq!(stage.desk.state().changes, before + 2);
+    // One bad record among many: none is kept.
+    assert_eq!(refusal(client.upload(vec![one, sealed(7), two]).await), Some(Code::Signature));
+    assert_eq!(stage.desk.state().changes, before + 2);
+}
+
+#[tokio::test]
+async fn a_suspended_or_rotated_account_is_refused_within_its_session() {
+    let stage = Stage::new().await;
+    let alice = alice();
+    let credentials = stage.enrol(&alice).await;
+    let mut client = stage.connect(&credentials).await.expect("connects");
+    stage.desk.state().accounts.clear();
+    let upload = alice.record(&alice.signing, 1, b"x");
+    assert_eq!(refusal(client.upload(vec![upload]).await), Some(Code::NotRegistered));
+    assert_eq!(refusal(client.check(&[Digest([0; 32])]).await), Some(Code::NotRegistered));
+    assert_eq!(stage.desk.record_count(), 0);
+}
+
+fn grant_to(reader: &Member) -> GrantNotice {
+    GrantNotice { grantee: reader.account(), epoch: 1, expiry: 0, transaction: Hash([1; 32]) }
+}
+
+fn revoke_of(reader: &Member) -> RevokeNotice {
+    RevokeNotice { grantee: reader.account(), epoch: 2, token: Token([2; 32]), transaction: Hash([2; 32]) }
+}
+
+#[tokio::test]
+async fn a_subscriber_gets_records_until_the_revoke_and_none_after() {
+    let stage = Stage::new().await;
+    let (alice, bob) = (alice(), bob());
+    let (owner, reader) = (stage.enrol(&alice).await, stage.enrol(&bob).await);
+    let (mut owner, mut reader) =
+        (stage.connect(&owner).await.expect("connects"), stage.connect(&reader).await.expect("connects"));
+    let selection = Selection::all(alice.account());
+    assert_eq!(refusal(reader.subscribe(&selection).await), Some(Code::NotAuthorised));
+    let receipt = owner.grant(&alice.signing, grant_to(&bob)).await.expect("noted");
+    assert_eq!(receipt.digests.len(), 1);
+    let subscription = reader.subscribe(&selection).await.expect("subscribes");
+    for seq in 1..4 {
+        owner.upload(vec![alice.record(&alice.signing, seq, b"live")]).await.expect("receipt");
+    }
+    for seq in 1..4 {
+        let (request, entry, record) = reader.next_event(Duration::from_secs(30)).await.expect("a record");
+        assert_eq!((request, entry.seq), (subscription, seq));
+        assert!(!record.blob.is_empty());
+    }
+    owner.revoke(&alice.signing, revoke_of(&bob)).await.expect("obeyed");
+    owner.upload(vec![alice.record(&alice.signing, 4, b"not for bob")]).await.expect("receipt");
+    assert_eq!(refusal(reader.next_event(Duration::from_secs(30)).await.map(|_| ())), Some(Code::NotAuthorised));
+    let quiet = reader.next_event(Duration::from_millis(200)).await;
+    assert!(matches!(quiet, Err(GatewayError::TimedOut)), "nothing after the end");
+    assert_eq!(refusal(reader.subscribe(&selection).await), Some(Code::NotAuthorised));
+    reader.ping().await.expect("the session goes on");
+}
+
+#[tokio::test]
+async fn notices_signed_by_another_key_change_nothing() {
+    let stage = Stage::new().await;
+    let (alice, bob) = (alice(), bob());
+    let mut client = stage.connect(&stage.enrol(&alice).await).await.expect("connects");
+    let before = stage.desk.state().changes;
+    assert_eq!(refusal(client.grant(&bob.signing, grant_to(&bob)).await), Some(Code::Signature));
+    assert_eq!(refusal(client.revoke(&alice.envelope, revoke_of(&bob)).await), Some(Code::Signature));
+    assert_eq!(stage.desk.state().changes, before);
+    client.grant(&alice.signing, grant_to(&bob)).await.expect("noted");
+    assert_eq!(stage.desk.state().changes, before + 1);
+}
+
+#[tokio::test]
+async fn registrations_pass_only_with_a_valid_proof() {
+    let stage = Stage::new().await;
+    let (alice, context) = (alice(), context());
+    let prove = |signing: &SmKeyPair| {
+        let token = Token([1; 32]);
+        prove(context.provider, &context.domain, &alice.account(), signing, &alice.envelope.public, token)
+            .expect("proves")
+    };
+    let register = async |identity| {
+        let registration = Registration { account: alice.account(), identity, transaction: vec![0xf8; 500] };
+        Client::register(&stage.endpoint, &mut stage.trust(), &alice.name, registration).await
+    };
+    let mut forged = prove(&alice.signing);
+    forged.signing = pair(0x44).public;
+    assert_eq!(refusal(register(forged).await), Some(Code::Signature));
+    assert_eq!(stage.desk.state().changes, 0);
+    assert_eq!(register(prove(&alice.signing)).await.expect("passed on"), Hash([0x99; 32]));
+    assert_eq!(stage.desk.state().registrations.len(), 1);
+}
+
+/// Resident memory of this process, KiB.
+fn resident() -> u64 {
+    let status = std::fs::read_to_string("/proc/self/status").expect("Linux");
+    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).expect("a line of resident memory");
+    line.trim().trim_end_matches(" kB").parse().expect("a number")
+}
+
+/// How often: a figure is worth something in the long run, alone.
+fn often(short: u32, long: u32) -> u32 {
+    if std::env::var_os("AUTHROS_LONG").is_some() { long } else { short }
+}
+
+/// For the figure: `AUTHROS_LONG=1 cargo test --release --lib -- --nocapture idle_sessions`
+#[tokio::test(flavor = "multi_thread")]
+async fn many_idle_sessions_are_kept_and_served() {
+    let count = often(200, 5_000) as usize;
+    let generous = Limits { connections_of_peer: count + 10, handshake_burst: 10_000.0, ..Limits::default() };
+    let stage = Stage::with(generous).await;
+    let alice = alice();
+    let credentials = stage.enrol(&alice).await;
+    let (mut clients, before) = (Vec::with_capacity(count), resident());
+    for _ in 0..count {
+        clients.push(stage.connect(&credentials).await.expect("connects"));
+    }
+    assert_eq!(stage.server.connections(), count);
+    let used = resident().saturating_sub(before);
+    println!("{count} idle sessions, both ends in this process: {used} KiB");
+    let last = clients.last_mut().expect("connected");
+    last.upload(vec![alice.record(&alice.signing, 1, b"still served")]).await.expect("receipt");
+}
+
+/// For the figure: `AUTHROS_LONG=1 cargo test --release --lib -- --nocapture uploads_in_windows`
+#[tokio::test(flavor = "multi_thread")]
+async fn uploads_in_windows_are_receipted_in_order() {
+    let stage = Stage::new().await;
+    let alice = alice();
+    let mut client = stage.connect(&stage.enrol(&alice).await).await.expect("connects");
+    for (size, count) in [(1024, often(100, 4_000)), (58 * 1024, often(20, 800))] {
+        let record = |seq| alice.record(&alice.signing, seq, &vec![7; size]);
+        let records: Vec<Upload> = (1..=u64::from(count)).map(record).collect();
+        let begun = std::time::Instant::now();
+        for record in &records {
+            let domain = context().domain;
+            let digest = Digest(context().provider.sm3(&[&record.blob]));
+            let signed = crate::crypto::record::signed_bytes(&domain, &digest);
+            context().provider.verify(&alice.signing.public, &signed, &record.signature).expect("valid");
+        }
+        let bound = begun.elapsed();
+        let begun = std::time::Instant::now();
+        for window in records.chunks(32) {
+            let mut sent = Vec::new();
+            for record in window {
+                sent.push(client.send(&Request::Upload(record.clone())).await.expect("sends"));
+            }
+            for number in sent {
+                let (answered, answer) = client.receive(Duration::from_secs(30)).await.expect("answers");
+                assert!(answered == number && matches!(answer, Answer::Receipt(..)));
+            }
+        }
+        let taken = begun.elapsed();
+        let rate = |time: Duration| f64::from(count) / time.as_secs_f64();
+        println!("{size} bytes: {:.0}/s accepted, SM3 and SM2 verification alone {:.0}/s", rate(taken), rate(bound));
+    }
+}

@@ -1,0 +1,182 @@
+//! Capture -> seal -> store -> anchor -> confirm -> verify, as workers over the ledger's table.
+//!
+//! Every worker is a function of the ledger: a restart just runs it again. What profiles,
+//! commands and sockets are is the service's business; screens know nothing of this room.
+
+use crate as pipeline;
+use authros_chain as chain;
+use authros_crypto as crypto;
+use authros_gateway as gateway;
+use authros_model as model;
+use authros_ros as ros;
+use authros_store as store;
+
+pub mod adoption;
+pub mod anchorer;
+pub mod audit_head;
+pub mod author;
+pub mod authority;
+mod block_times;
+pub mod columns;
+pub mod directory;
+pub mod epoch;
+pub mod equivocation;
+pub mod error;
+pub mod export_folder;
+#[cfg(test)]
+mod fixture;
+pub mod forwarder;
+#[cfg(test)]
+mod gateway_stage;
+pub mod importer;
+pub mod losses;
+pub mod meter;
+pub mod mirror;
+pub mod notices;
+pub mod owner;
+pub mod pace;
+pub mod packing;
+pub mod pins;
+pub mod proof;
+pub mod quarantine;
+pub mod reader;
+pub mod record_audit;
+pub mod recorded_names;
+pub mod recorder;
+pub mod retention;
+pub mod ring;
+mod sampler;
+pub mod sealer;
+pub mod sender;
+pub mod session;
+pub mod stages;
+pub mod statement;
+pub mod storer;
+#[cfg(test)]
+mod tests;
+pub mod verifier;
+pub mod watcher;
+pub mod witness;
+
+pub use author::Author;
+pub use block_times::BlockTimes;
+pub use directory::Directory;
+pub use error::PipelineError;
+pub use forwarder::Forwarder;
+pub use losses::Losses;
+pub use owner::Owner;
+pub use pins::{PinRules, Pins};
+pub use recorder::Recorder;
+pub use sender::{Outgoing, Sender};
+pub use session::CaptureSession;
+
+use std::sync::Arc;
+
+use crate::crypto::Provider;
+use crate::model::{Digest, Domain};
+use crate::store::{Ledger, RecordRow, Vault};
+
+/// What a worker tells the service; short, never blocking.
+pub trait Observer: Send + Sync {
+    /// Records were acknowledged, or changed their state.
+    fn records_changed(&self);
+    /// These records are now verified.
+    fn verified(&self, digests: &[Digest]);
+    /// These records differ from what was anchored, or are gone.
+    fn tampered(&self, digests: &[Digest]);
+    /// Registrations or grants changed on the chain.
+    fn directory_changed(&self);
+    /// A publisher of a watched topic is doubted.
+    fn publishers_doubted(&self) {}
+    /// Where times are counted, if they are.
+    fn stages(&self) -> Option<&stages::Stages> {
+        None
+    }
+    /// An account of this home anchored what this home did not send.
+    fn foreign_anchors(&self, _found: &watcher::foreign::ForeignAnchors) {}
+    /// How the vault is now.
+    fn vault(&self, _condition: storer::Condition) {}
+    /// An operator should know; `urgent` stays on screen.
+    fn alert(&self, urgent: bool, text: String);
+}
+
+/// What all workers of a site share.
+#[derive(Clone)]
+pub struct Plant {
+    /// States of all records.
+    pub ledger: Ledger,
+    /// Ciphertext.
+    pub vault: Arc<dyn Vault>,
+    /// SM2, SM3, SM4.
+    pub provider: &'static dyn Provider,
+    /// Hears what happens.
+    pub observer: Arc<dyn Observer>,
+}
+
+/// The chain in use with everything bound to it.
+#[derive(Clone)]
+pub struct Network {
+    /// The node or embedded chain, with the contract.
+    pub chain: crate::chain::Chain,
+    /// Binds records to this chain and contract.
+    pub domain: Domain,
+    /// Registrations and grants as the chain's events tell them.
+    pub directory: Arc<Directory>,
+    /// Domains that this home used before it adopted this chain.
+    pub earlier: Arc<Vec<Domain>>,
+    /// Contracts that this home used before on this very chain, the first one first: what is anchored there is checked
+    /// there.
+    pub former: Arc<Vec<Former>>,
+    /// Blocks on top of an anchor, itself included, until it counts as confirmed.
+    pub confirmations: u64,
+    /// Times of blocks that were met.
+    pub times: Arc<BlockTimes>,
+}
+
+/// A contract that was left for another one on the same chain, as it was in its last block here.
+#[derive(Clone)]
+pub struct Former {
+    /// The same chain, with that contract.
+    pub chain: crate::chain::Chain,
+    /// What records were bound to.
+    pub domain: Domain,
+    /// Registrations and loans there.
+    pub directory: Arc<Directory>,
+    /// The last block in which it was in use here.
+    pub until: u64,
+}
+
+/// The contract that an anchor stands in, and what it knows of accounts.
+pub struct Place<'a> {
+    /// The chain with that contract.
+    pub chain: &'a crate::chain::Chain,
+    /// Who was registered there.
+    pub directory: &'a Directory,
+}
+
+impl Network {
+    /// Where the record's anchor stands: in a contract that was left, as long as it was in use, else in the network's own.
+    ///
+    /// # Errors
+    /// Of the ledger.
+    pub fn place_of(&self, plant: &Plant, row: &RecordRow) -> Result<Place<'_>, PipelineError> {
+        let own = Place { chain: &self.chain, directory: &self.directory };
+        let Some(block) = row.block.filter(|_| !self.former.is_empty()) else { return Ok(own) };
+        let Some(earlier) = plant.ledger.earlier_anchor(row.digest)?.filter(|earlier| earlier.block == block) else {
+            return Ok(own);
+        };
+        let former = self.former.iter().find(|former| former.domain == earlier.domain && block <= former.until);
+        Ok(former.map_or(own, |former| Place { chain: &former.chain, directory: &former.directory }))
+    }
+
+    /// The contracts in which an anchor of this block can stand, the likeliest first.
+    pub fn chains_at(&self, block: u64) -> Vec<&crate::chain::Chain> {
+        let former = self.former.iter().filter(|former| block <= former.until).map(|former| &former.chain);
+        former.chain([&self.chain]).collect()
+    }
+
+    /// Whether records of this domain belong here: the network's own, or one used before it was adopted.
+    pub fn accepts(&self, domain: &Domain) -> bool {
+        self.domain == *domain || self.earlier.contains(domain)
+    }
+}

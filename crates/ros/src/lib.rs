@@ -1,0 +1,33 @@
+//! ROS 1: the embedded master, the graph, simulated robots, capture of topics, decoding of messages, recordings.
+//!
+//! All network code talks XML-RPC and TCPROS with timeouts and caps; what peers send is untrusted.
+//! No crypto, no storage and no screens here: captured messages leave through [`MessageSink`].
+
+use crate as ros;
+use authros_crypto as crypto;
+use authros_model as model;
+
+mod address;
+pub mod bag;
+pub mod capture;
+mod error;
+pub mod graph;
+pub mod master;
+pub mod mcap;
+pub mod message;
+pub mod readable;
+pub mod recording;
+pub mod robot;
+mod slave;
+mod tcpros;
+mod xmlrpc;
+
+pub use capture::{Capture, CaptureNotice, CaptureOptions, Message, MessageSink, Origin, Rival, TopicCapture};
+pub use error::RosError;
+pub use graph::{Graph, LastLook, TopicInfo};
+pub use master::EmbeddedMaster;
+pub use message::{Definition, Limits, Value, md5sum};
+pub use robot::{Fleet, FleetOptions, MOST_ROBOTS};
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,34 @@
+//! Command in, Event out: everything the product can do, and the owner of all background tasks.
+//!
+//! The console and the command line speak only through [`Client`]: with the site of this
+//! process, or over the home's socket with the site of another. Nothing here draws or prints.
+
+use crate as service;
+use authros_chain as chain;
+use authros_config as config;
+use authros_config::paths;
+use authros_crypto as crypto;
+use authros_gateway as gateway;
+use authros_model as model;
+use authros_pipeline as pipeline;
+use authros_ros as ros;
+use authros_store as store;
+
+pub mod client;
+pub mod command;
+pub mod doctor;
+pub mod event;
+pub mod failure;
+pub mod hub;
+pub mod reply;
+pub mod restoring;
+pub mod site;
+pub mod socket;
+mod verdict;
+pub mod verification;
+
+pub use client::{Call, Client};
+pub use command::{Command, Epochs, KeyKind, Operation, Request, SecretBytes, SecretText, UploadQuery};
+pub use event::{Event, NoticeLevel, Part};
+pub use reply::{Failure, Reply};
+pub use site::{Agent, AgentEnd, AgentFigures, AgentWishes, EnrolWishes, Needs, Site, record_page};

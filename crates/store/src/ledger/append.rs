@@ -1,0 +1,305 @@
+//! Acknowledging records, moving them along their life line, and their local copies.
+
+use std::collections::{HashMap, HashSet};
+
+use rusqlite::{Connection, OptionalExtension as _, params};
+
+use super::edges::{By, may};
+use super::{Foreign, Ledger, NewRecord, Session};
+use crate::model::{Address, Digest, FilterId, RecordState, SignerId, Timestamp, TopicId};
+use crate::store::StoreError;
+use crate::store::database::whole;
+
+type StreamKey = (i64, u8, String, SignerId);
+
+/// Keys of the names met so far; only ever a cache of the tables.
+#[derive(Default)]
+pub(crate) struct Names {
+    topics: HashMap<(Address, TopicId, Option<Foreign>), (i64, String)>,
+    streams: HashMap<StreamKey, i64>,
+    filters: HashSet<(FilterId, i64)>,
+}
+
+impl Names {
+    /// Forgets all: a rollback may have taken some of them back.
+    pub(super) fn clear(&mut self) {
+        self.topics.clear();
+        self.streams.clear();
+        self.filters.clear();
+    }
+}
+
+impl Ledger {
+    /// The highest acknowledged sequence number of a topic in this ledger's recorder, plus 1.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn next_seq(&self, owner: Address, topic: TopicId) -> Result<u64, StoreError> {
+        self.read(|connection| {
+            let highest: Option<i64> = connection
+                .prepare_cached(
+                    "SELECT max(seq) FROM records WHERE topic =
+                     (SELECT key FROM topics WHERE owner = ?1 AND topic_id = ?2
+                      AND recorder = (SELECT recorder FROM about))",
+                )?
+                .query_row(params![owner.0, topic.0], |row| row.get(0))?;
+            Ok(highest.map_or(1, |seq| seq.cast_unsigned() + 1))
+        })
+    }
+
+    /// Acknowledges records: all of them are durable when this returns, or none is. A record that the
+    /// ledger holds already is left as it is.
+    ///
+    /// # Errors
+    /// [`StoreError::Conflict`] where the sequence number is another record's or the topic id has
+    /// another name, [`StoreError::IllegalEdge`] where a record cannot begin in its state,
+    /// [`StoreError::DiskFull`] and the like: then nothing is acknowledged.
+    pub fn append(&self, records: Vec<NewRecord>) -> Result<(), StoreError> {
+        self.takes_records()?;
+        self.write_many(records.len(), move |session| {
+            let now = whole("time", Timestamp::now().0)?;
+            records.iter().try_for_each(|record| add(session, record, now))
+        })
+    }
+
+    /// Moves those of the records that are in state `from` to state `to`; returns how many were moved.
+    ///
+    /// # Errors
+    /// [`StoreError::IllegalEdge`] where no worker may take this edge.
+    pub fn advance(&self, digests: &[Digest], from: RecordState, to: RecordState) -> Result<u64, StoreError> {
+        if !may(By::Worker, from, to) {
+            return Err(StoreError::IllegalEdge { from, to });
+        }
+        let sql = move_sql(from, to);
+        let digests = digests.to_vec();
+        self.write_many(digests.len(), move |session| {
+            let mut statement = session.connection.prepare_cached(sql)?;
+            digests.iter().try_fold(0, |moved, digest| {
+                Ok(moved + count(statement.execute(params![digest.0, from.code(), to.code()])?))
+            })
+        })
+    }
+
+    /// Puts tampered records whose bytes are right again back to where they belong: quarantined where nobody has
+    /// decided about them, else mined, submitted, batched or stored, by what the chain has of them. Returns how many were put back.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn heal(&self, digests: &[Digest]) -> Result<u64, StoreError> {
+        use RecordState::{Batched, Mined, Quarantined, Stored, Submitted};
+        [Quarantined, Mined, Submitted, Batched, Stored]
+            .into_iter()
+            .try_fold(0, |healed, to| Ok(healed + self.advance(digests, RecordState::Tampered, to)?))
+    }
+
+    /// Deletes the local copies of these records; returns how many there were.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn drop_local_copies(&self, digests: &[Digest]) -> Result<u64, StoreError> {
+        let digests = digests.to_vec();
+        self.write_many(digests.len(), move |session| {
+            let mut statement = session
+                .connection
+                .prepare_cached("DELETE FROM copies WHERE record = (SELECT n FROM records WHERE digest = ?1)")?;
+            digests.iter().try_fold(0, |gone, digest| Ok(gone + count(statement.execute(params![digest.0])?)))
+        })
+    }
+
+    /// The local copy of a record's stored bytes, where one is kept.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn local_copy(&self, digest: Digest) -> Result<Option<Vec<u8>>, StoreError> {
+        self.read(|connection| {
+            let copy = connection
+                .prepare_cached("SELECT blob FROM copies JOIN records ON n = record WHERE digest = ?1")?
+                .query_row(params![digest.0], |row| row.get(0))
+                .optional()?;
+            Ok(copy)
+        })
+    }
+
+    /// Records with a local copy, in the order of acknowledgement, behind `after`: what a vault that
+    /// came back empty is filled from.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn held_copies(&self, after: Option<Digest>, limit: usize) -> Result<Vec<Digest>, StoreError> {
+        self.read(|connection| {
+            let mut statement = connection.prepare_cached(
+                "SELECT digest FROM copies JOIN records ON n = record
+                 WHERE record > coalesce((SELECT n FROM records WHERE digest = ?1), 0) ORDER BY record LIMIT ?2",
+            )?;
+            let limit = i64::try_from(limit).unwrap_or(i64::MAX);
+            let rows = statement.query_map(params![after.map(|digest| digest.0), limit], |row| row.get(0))?;
+            Ok(rows.map(|digest| digest.map(Digest)).collect::<Result<_, _>>()?)
+        })
+    }
+}
+
+/// A count of changed rows.
+pub(super) fn count(rows: usize) -> u64 {
+    u64::try_from(rows).unwrap_or(u64::MAX)
+}
+
+/// Out of `tampered` the way back depends on how far the record had come.
+fn move_sql(from: RecordState, to: RecordState) -> &'static str {
+    match to {
+        RecordState::Quarantined if from == RecordState::Tampered => {
+            "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2
+             AND EXISTS (SELECT 1 FROM held WHERE record = n AND decision IS NULL)"
+        }
+        RecordState::Mined | RecordState::Confirmed => {
+            "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2 AND block IS NOT NULL"
+        }
+        RecordState::Submitted => {
+            "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2 AND block IS NULL AND tx IS NOT NULL"
+        }
+        RecordState::Stored => {
+            "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2 AND block IS NULL AND tx IS NULL
+             AND NOT EXISTS (SELECT 1 FROM leaves WHERE record = n)"
+        }
+        RecordState::Batched => {
+            "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2 AND block IS NULL AND tx IS NULL
+             AND EXISTS (SELECT 1 FROM leaves WHERE record = n)"
+        }
+        _ => "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2",
+    }
+}
+
+pub(super) fn add(session: &mut Session<'_>, record: &NewRecord, now: i64) -> Result<(), StoreError> {
+    if !matches!(record.state, RecordState::Sealed | RecordState::Stored | RecordState::Quarantined) {
+        return Err(StoreError::IllegalEdge { from: RecordState::Captured, to: record.state });
+    }
+    let topic = topic_key(session, record)?;
+    let seq = whole("sequence number", record.seq)?;
+    if is_known(session.connection, record, topic, seq)? {
+        return Ok(());
+    }
+    let stream = stream_key(session, record, topic)?;
+    session
+        .connection
+        .prepare_cached(
+            "INSERT INTO records (digest, topic, stream, seq, epoch, signature, bytes, captured_at,
+             acknowledged_at, simulated, state) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11)",
+        )?
+        .execute(params![
+            record.digest.0,
+            topic,
+            stream,
+            seq,
+            whole("epoch", record.epoch)?,
+            record.signature.0,
+            whole("length", record.bytes)?,
+            whole("capture time", record.captured_at.0)?,
+            now,
+            record.simulated,
+            record.state.code(),
+        ])?;
+    let row = session.connection.last_insert_rowid();
+    keep_filters(session, record, row, stream)?;
+    keep_copy(session.connection, record, row)
+}
+
+fn keep_filters(session: &mut Session<'_>, record: &NewRecord, row: i64, stream: i64) -> Result<(), StoreError> {
+    let mut add = session.connection.prepare_cached("INSERT INTO filters VALUES (?1, ?2) ON CONFLICT DO NOTHING")?;
+    for filter in &record.filters {
+        add.execute(params![filter.0, row])?;
+        if session.names.filters.insert((*filter, stream)) {
+            session
+                .connection
+                .prepare_cached("INSERT INTO filter_streams VALUES (?1, ?2) ON CONFLICT DO NOTHING")?
+                .execute(params![filter.0, stream])?;
+        }
+    }
+    Ok(())
+}
+
+fn keep_copy(connection: &Connection, record: &NewRecord, row: i64) -> Result<(), StoreError> {
+    if let Some(copy) = &record.local_copy {
+        connection.prepare_cached("INSERT INTO copies VALUES (?1, ?2)")?.execute(params![row, copy.as_slice()])?;
+    }
+    Ok(())
+}
+
+fn is_known(connection: &Connection, record: &NewRecord, topic: i64, seq: i64) -> Result<bool, StoreError> {
+    let found = connection
+        .prepare_cached(
+            "SELECT digest = ?1, topic = ?2 AND seq = ?3 FROM records
+             WHERE digest = ?1 OR (topic = ?2 AND seq = ?3)",
+        )?
+        .query_map(params![record.digest.0, topic, seq], |row| Ok((row.get(0)?, row.get(1)?)))?
+        .collect::<Result<Vec<(bool, bool)>, _>>()?;
+    match found.as_slice() {
+        [] => Ok(false),
+        [(true, true)] => Ok(true),
+        _ => Err(StoreError::Conflict {
+            digest: record.digest,
+            detail: format!("number {seq} of its topic or its digest belongs to another record"),
+        }),
+    }
+}
+
+fn topic_key(session: &mut Session<'_>, record: &NewRecord) -> Result<i64, StoreError> {
+    let known = (record.owner, record.topic_id, record.foreign);
+    if !session.names.topics.contains_key(&known) {
+        let found = find_topic(session.connection, record)?;
+        session.names.topics.insert(known, found);
+    }
+    match session.names.topics.get(&known) {
+        Some((key, name)) if *name == record.topic || record.topic.is_empty() => Ok(*key),
+        _ => Err(StoreError::Conflict {
+            digest: record.digest,
+            detail: format!("topic id {} already stands for another topic", record.topic_id),
+        }),
+    }
+}
+
+fn find_topic(connection: &Connection, record: &NewRecord) -> Result<(i64, String), StoreError> {
+    let recorder = recorder_key(connection, record.foreign)?;
+    let keeper = record.foreign.map(|foreign| foreign.keeper.0);
+    connection
+        .prepare_cached(
+            "INSERT INTO topics (owner, recorder, topic_id, name, keeper) VALUES (?1, ?2, ?3, ?4, ?5)
+             ON CONFLICT DO UPDATE SET name = CASE name WHEN '' THEN excluded.name ELSE name END",
+        )?
+        .execute(params![record.owner.0, recorder, record.topic_id.0, record.topic, keeper])?;
+    let found = connection
+        .prepare_cached("SELECT key, name FROM topics WHERE owner = ?1 AND topic_id = ?2 AND recorder = ?3")?
+        .query_row(params![record.owner.0, record.topic_id.0, recorder], |row| Ok((row.get(0)?, row.get(1)?)))?;
+    Ok(found)
+}
+
+fn recorder_key(connection: &Connection, foreign: Option<Foreign>) -> Result<i64, StoreError> {
+    let Some(foreign) = foreign else {
+        return Ok(connection.prepare_cached("SELECT recorder FROM about")?.query_row([], |row| row.get(0))?);
+    };
+    connection
+        .prepare_cached("INSERT INTO recorders (id) VALUES (?1) ON CONFLICT DO NOTHING")?
+        .execute([foreign.recorder.0])?;
+    let key = connection
+        .prepare_cached("SELECT key FROM recorders WHERE id = ?1")?
+        .query_row([foreign.recorder.0], |row| row.get(0))?;
+    Ok(key)
+}
+
+fn stream_key(session: &mut Session<'_>, record: &NewRecord, topic: i64) -> Result<i64, StoreError> {
+    let known: StreamKey = (topic, record.kind.code(), record.type_name.clone(), record.signer);
+    if let Some(key) = session.names.streams.get(&known) {
+        return Ok(*key);
+    }
+    let values = params![topic, known.1, known.2, record.signer.0];
+    session
+        .connection
+        .prepare_cached(
+            "INSERT INTO streams (topic, kind, type_name, signer) VALUES (?1, ?2, ?3, ?4) ON CONFLICT DO NOTHING",
+        )?
+        .execute(values)?;
+    let key = session
+        .connection
+        .prepare_cached("SELECT key FROM streams WHERE topic = ?1 AND kind = ?2 AND type_name = ?3 AND signer = ?4")?
+        .query_row(values, |row| row.get(0))?;
+    session.names.streams.insert(known, key);
+    Ok(key)
+}

@@ -1,0 +1,281 @@
+//! The one writing thread: takes all waiting work (up to a bound), does it in one transaction, fsyncs
+//! once, then answers everybody. A failing piece of work leaves its neighbours alone: the first of a
+//! transaction is alone in it so far, the others have savepoints. Work on very many records begins a
+//! transaction: inside of a savepoint SQLite copies every page that changes, and walks all copies so far
+//! after every statement.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
+use std::sync::mpsc::{self, Receiver, Sender, SyncSender};
+use std::sync::{Mutex, PoisonError};
+use std::thread::{self, JoinHandle};
+
+use rusqlite::Connection;
+
+use super::append::Names;
+use crate::crypto::fault;
+use crate::store::StoreError;
+use crate::store::database::Checkpoints;
+
+/// The most pieces of work in one transaction.
+const GROUP: usize = 256;
+/// Work on more records than this begins a transaction; a further fsync is nothing beside it.
+pub(super) const MANY: usize = 1_000;
+
+/// What a piece of work gets: the connection inside the open transaction, and the keys of known names.
+pub(crate) struct Session<'a> {
+    /// Inside a transaction; never commit or roll back here.
+    pub connection: &'a Connection,
+    /// Keys of topics and streams seen before.
+    pub names: &'a mut Names,
+}
+
+trait Job: Send {
+    /// Whether it begins a transaction.
+    fn is_large(&self) -> bool;
+    /// Does the work; whether it may stay.
+    fn run(&mut self, session: &mut Session<'_>) -> bool;
+    /// Tells the caller, who waits.
+    fn answer(self: Box<Self>, committed: Result<(), StoreError>);
+}
+
+struct Task<T, F> {
+    records: usize,
+    work: Option<F>,
+    outcome: Result<T, StoreError>,
+    caller: SyncSender<Result<T, StoreError>>,
+}
+
+impl<T: Send, F: FnOnce(&mut Session<'_>) -> Result<T, StoreError> + Send> Job for Task<T, F> {
+    fn is_large(&self) -> bool {
+        self.records > MANY
+    }
+
+    fn run(&mut self, session: &mut Session<'_>) -> bool {
+        if let Some(work) = self.work.take() {
+            // Stands where the work panics.
+            self.outcome = Err(failed_job());
+            self.outcome = work(session);
+        }
+        self.outcome.is_ok()
+    }
+
+    fn answer(self: Box<Self>, committed: Result<(), StoreError>) {
+        let answer = match (self.work, committed) {
+            (Some(_never_tried), Err(error)) => Err(error),
+            (_, committed) => self.outcome.and_then(|value| committed.map(|()| value)),
+        };
+        // A caller that went away needs no answer.
+        let _ = self.caller.send(answer);
+    }
+}
+
+enum Message {
+    Work(Box<dyn Job>),
+    Close(SyncSender<Result<(), StoreError>>),
+    Leave,
+}
+
+/// The handle of the writing thread. Dropping it ends the thread without marking the file as closed.
+pub(super) struct Writer {
+    messages: Sender<Message>,
+    thread: Mutex<Option<JoinHandle<()>>>,
+}
+
+impl Writer {
+    /// Starts the thread that owns `connection` from now on.
+    pub(super) fn start(connection: Connection, path: &Path) -> Result<Self, StoreError> {
+        let (messages, inbox) = mpsc::channel();
+        let thread = thread::Builder::new()
+            .name("ledger".to_owned())
+            .spawn({
+                let checkpoints = Checkpoints::new(path);
+                move || serve(connection, checkpoints, &inbox)
+            })
+            .map_err(|error| StoreError::home(path, &error))?;
+        Ok(Self { messages, thread: Mutex::new(Some(thread)) })
+    }
+
+    /// Waits until `work`, which changes so many records, is done and durable.
+    pub(super) fn write<T: Send + 'static>(
+        &self,
+        records: usize,
+        work: impl FnOnce(&mut Session<'_>) -> Result<T, StoreError> + Send + 'static,
+    ) -> Result<T, StoreError> {
+        self.ask(records, work)?.recv().map_err(|_| StoreError::Closed)?
+    }
+
+    /// Puts work into the queue; the answer comes when it is durable.
+    pub(super) fn ask<T: Send + 'static>(
+        &self,
+        records: usize,
+        work: impl FnOnce(&mut Session<'_>) -> Result<T, StoreError> + Send + 'static,
+    ) -> Result<Receiver<Result<T, StoreError>>, StoreError> {
+        let (caller, answer) = mpsc::sync_channel(1);
+        let task = Task { records, work: Some(work), outcome: Err(StoreError::Closed), caller };
+        self.messages.send(Message::Work(Box::new(task))).map_err(|_| StoreError::Closed)?;
+        Ok(answer)
+    }
+
+    /// Lets waiting work finish, marks the file as cleanly closed and ends the thread.
+    pub(super) fn close(&self) -> Result<(), StoreError> {
+        let (caller, answer) = mpsc::sync_channel(1);
+        self.messages.send(Message::Close(caller)).map_err(|_| StoreError::Closed)?;
+        let result = answer.recv().map_err(|_| StoreError::Closed)?;
+        self.join();
+        result
+    }
+
+    fn join(&self) {
+        let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take();
+        if let Some(thread) = thread {
+            // A panic in there was answered with `Closed` already.
+            let _ = thread.join();
+        }
+    }
+}
+
+impl Drop for Writer {
+    fn drop(&mut self) {
+        // The thread may have ended before.
+        let _ = self.messages.send(Message::Leave);
+        self.join();
+    }
+}
+
+fn serve(connection: Connection, mut checkpoints: Checkpoints, inbox: &Receiver<Message>) {
+    let mut names = Names::default();
+    while let Ok(first) = inbox.recv() {
+        let mut group = Vec::new();
+        let last = gather(first, inbox, &mut group);
+        checkpoints.adjust(&connection);
+        commit(&connection, &mut names, group);
+        if !connection.is_autocommit() {
+            // What could not be taken back must never be committed; closing the file takes it back.
+            return;
+        }
+        match last {
+            None => {}
+            Some(Message::Close(caller)) => {
+                let _ = caller.send(finish(connection));
+                return;
+            }
+            Some(_) => return,
+        }
+    }
+}
+
+/// Collects what waits; returns the message that ends the thread, if one came.
+fn gather(first: Message, inbox: &Receiver<Message>, group: &mut Vec<Box<dyn Job>>) -> Option<Message> {
+    let mut next = Some(first);
+    while let Some(message) = next {
+        match message {
+            Message::Work(job) => group.push(job),
+            end => return Some(end),
+        }
+        next = if group.len() < GROUP { inbox.try_recv().ok() } else { None };
+    }
+    None
+}
+
+fn commit(connection: &Connection, names: &mut Names, group: Vec<Box<dyn Job>>) {
+    let mut done: Vec<Box<dyn Job>> = Vec::with_capacity(group.len());
+    for mut job in group {
+        if job.is_large() && !done.is_empty() {
+            settle(connection, names, &mut done);
+            if !connection.is_autocommit() {
+                return;
+            }
+        }
+        match attempt(connection, names, job.as_mut()) {
+            Ok(true) => done.push(job),
+            Ok(false) => job.answer(Err(StoreError::Closed)),
+            Err(error) => {
+                job.answer(Err(error));
+                // Its half may be in there still.
+                if !connection.is_autocommit() && run(connection, "ROLLBACK").is_err() {
+                    answer_all(&mut done, &lost_group());
+                    return;
+                }
+            }
+        }
+        if connection.is_autocommit() {
+            // The transaction is gone (disk full, I/O error): nobody in it was acknowledged yet.
+            names.clear();
+            answer_all(&mut done, &lost_group());
+        }
+    }
+    settle(connection, names, &mut done);
+}
+
+/// Ends the transaction, if there is one, and answers those whose work is in it.
+fn settle(connection: &Connection, names: &mut Names, done: &mut Vec<Box<dyn Job>>) {
+    let result = if connection.is_autocommit() { Ok(()) } else { end(connection) };
+    if result.is_err() {
+        names.clear();
+    }
+    answer_all(done, &result);
+}
+
+/// Whether the job did its work; an error means that it could not be tried, kept or taken back.
+fn attempt(connection: &Connection, names: &mut Names, job: &mut dyn Job) -> Result<bool, StoreError> {
+    let is_first = connection.is_autocommit();
+    run(connection, if is_first { "BEGIN IMMEDIATE" } else { "SAVEPOINT job" })?;
+    // A fault of one piece of work must end neither this thread nor its neighbours' work.
+    let done = catch_unwind(AssertUnwindSafe(|| job.run(&mut Session { connection, names })));
+    if matches!(done, Ok(true)) {
+        if !is_first {
+            run(connection, "RELEASE job")?;
+        }
+        return Ok(true);
+    }
+    names.clear();
+    if !connection.is_autocommit() {
+        take_back(connection, is_first)?;
+    }
+    Ok(false)
+}
+
+fn take_back(connection: &Connection, is_first: bool) -> Result<(), StoreError> {
+    if is_first {
+        return run(connection, "ROLLBACK");
+    }
+    run(connection, "ROLLBACK TO job")?;
+    run(connection, "RELEASE job")
+}
+
+fn failed_job() -> StoreError {
+    let detail = "a write failed by a fault of the program and was taken back; please report it".to_owned();
+    StoreError::Database { file: std::path::PathBuf::new(), detail }
+}
+
+fn end(connection: &Connection) -> Result<(), StoreError> {
+    fault::point("commit-begun");
+    let result = run(connection, "COMMIT");
+    fault::point("committed");
+    if result.is_err() && !connection.is_autocommit() {
+        run(connection, "ROLLBACK")?;
+    }
+    result
+}
+
+fn run(connection: &Connection, sql: &str) -> Result<(), StoreError> {
+    connection.prepare_cached(sql)?.execute([])?;
+    Ok(())
+}
+
+fn lost_group() -> Result<(), StoreError> {
+    let detail = "the disk refused a write, so the whole group of writes was taken back".to_owned();
+    Err(StoreError::Database { file: std::path::PathBuf::new(), detail })
+}
+
+fn answer_all(done: &mut Vec<Box<dyn Job>>, result: &Result<(), StoreError>) {
+    for job in done.drain(..) {
+        job.answer(result.clone());
+    }
+}
+
+fn finish(connection: Connection) -> Result<(), StoreError> {
+    connection.execute("UPDATE about SET clean = 1", [])?;
+    connection.close().map_err(|(_, error)| StoreError::from(error))
+}

@@ -1,0 +1,32 @@
+//! What outlives the process: the ledger of records and their states (SQLite), the vault of
+//! ciphertext (embedded or Redis), the hash-chained audit log, and files with their modes and locks.
+//!
+//! Nothing here seals, opens or checks a record, and nothing here talks to the chain.
+
+use crate as store;
+use authros_chain as chain;
+use authros_crypto as crypto;
+use authros_model as model;
+
+pub mod archive;
+pub mod audit;
+mod database;
+mod error;
+pub mod files;
+pub mod ledger;
+mod reserve;
+pub mod snapshot;
+pub mod vault;
+
+pub use audit::{AuditEntry, AuditFault, AuditLine, AuditLog, AuditQuery};
+pub use error::StoreError;
+pub use files::{ConsoleLock, SiteLock, atomic_write};
+pub use ledger::{
+    AlarmRow, Anchors, AuditPage, AuditedBatch, AuditedPlace, AuditedRecord, BatchPlace, EarlierAnchor, FilterChoice,
+    Foreign, GapRow, HeldMinute, HeldQuery, HeldRow, Hold, KeptBinding, KeptEvent, KeptReceipt, KeptStanding,
+    KeptTopic, LaneCount, Ledger, Left, Loss, NewBatch, NewRecord, NewTransaction, OldRecord, OpenTransaction, PinRow,
+    RecordPage, RecordQuery, RecordRow, RecordsHeld, Reissue, Retained, RootSighting, Sequence, Sighting, StateCounts,
+    TopicCounts, TransactionOutcome, TransactionRow, TransactionState, WaitingBatch,
+};
+pub use reserve::{RESERVE_BYTES, Reserve};
+pub use vault::{Stored, Usage, Vault, open_vault};
