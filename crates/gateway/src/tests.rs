@@ -7,6 +7,7 @@ mod loopback;
 mod memory_desk;
 mod refusals;
 mod relaying;
+#[allow(dead_code, reason = "the tests of other crates use the rest")]
 mod stage;
 mod vectors;
 

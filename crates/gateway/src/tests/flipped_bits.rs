@@ -10,7 +10,7 @@ use tokio::sync::watch;
 use tokio::task::JoinSet;
 
 use super::hostile::text;
-use super::loopback::Stage;
+use super::stage::Stage;
 use super::*;
 use crate::crypto::prove;
 use crate::gateway::allocation::apply;

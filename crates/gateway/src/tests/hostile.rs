@@ -7,7 +7,7 @@ use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::time::timeout;
 
-use super::loopback::{Stage, refusal};
+use super::stage::{Stage, refusal};
 use super::*;
 use crate::gateway::command::{Inner, LARGEST_PART, Part};
 use crate::gateway::frame::{FrameKind, encode};

@@ -1,6 +1,5 @@
 //! Server and client over the loopback, with a desk in memory.
 
-use std::sync::Arc;
 use std::time::Duration;
 
 use super::stage::{Stage, refusal};

@@ -2,7 +2,7 @@
 //! loopback, or, where it is the client that must refuse, by the client's own checks.
 
 use super::hostile::{PATIENCE, last_words, raw, session, text};
-use super::loopback::{Stage, refusal};
+use super::stage::{Stage, refusal};
 use super::*;
 use crate::crypto::{AccountSignature, SmKeyPair, TransportKey};
 use crate::gateway::allocation::{AllocationRequest, apply};

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use serde_json::{Value, json};
 
-use super::loopback::{Stage, refusal};
+use super::stage::{Stage, refusal};
 use super::*;
 use crate::gateway::command::relay::LONGEST_PARAMETERS;
 use crate::model::Domain;
