@@ -1,4 +1,4 @@
-"""A second reader of records, written from src/gateway/PROTOCOL.md, section 9, with nothing but the standard library.
+"""A second reader of records, written from crates/gateway/src/PROTOCOL.md, section 9, with nothing but the standard library.
 
     second_reader.py FOLDER EK_HEX IK_HEX
 

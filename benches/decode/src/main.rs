@@ -1,45 +1,11 @@
 //! Decoding of a message with a body of 1 MB by AuthROS, by rosrust's DynamicMsg and by rospy, in one run:
-//! `cargo run --release --manifest-path benches/decode/Cargo.toml`. The decoder's sources are the product's own.
-#![allow(dead_code, unused_imports, reason = "of the product's rooms only the decoder is used")]
-
-#[path = "../../../src/model/mod.rs"]
-mod model;
-
-#[path = "../../../src/crypto"]
-mod crypto {
-    pub mod compression {
-        mod filter;
-        mod matrix;
-        pub use matrix::{MOST_CHANNELS, Matrix};
-    }
-}
-
-#[path = "../../../src/ros"]
-mod ros {
-    mod error;
-    pub use error::RosError;
-    pub const MOST_ROBOTS: u16 = 64;
-
-    pub mod message {
-        mod decode;
-        mod definition;
-        mod digest;
-        mod json;
-        mod line;
-        mod matrix;
-        mod value;
-        pub use decode::{Limits, Picture};
-        pub use definition::{DEEPEST, Definition, LONGEST_DEFINITION};
-        pub use matrix::layout;
-        pub use value::Value;
-    }
-}
+//! `cargo run --release --manifest-path benches/decode/Cargo.toml`. The decoder is the product's own crate.
 
 use std::hint::black_box;
 use std::process::{Command, ExitCode};
 use std::time::Instant;
 
-use ros::message::{Definition, Limits};
+use authros_ros::message::{Definition, Limits};
 
 const TYPE: &str = "sensor_msgs/Image";
 const OWN: &str = "Header header\nuint32 height\nuint32 width\nstring encoding\nuint8 is_bigendian\nuint32 step\nuint8[] data";
