@@ -4,13 +4,13 @@ use std::path::Path;
 
 use clap::Subcommand;
 
-use super::output::table;
 use super::parse;
 use crate::crypto::keyfile::{load_sm2, sm2_public_from_pem};
 use crate::crypto::{ProviderName, SmKeyPair, provider, signer_id};
 use crate::model::{ErrorKind, PublicKey, SignerId, Timestamp, bytes::unhex};
 use crate::service::reply::DeviceRow;
 use crate::service::{Command, Failure};
+use authros_output::table;
 
 /// The longest file that is looked at for a public key, bytes.
 const LONGEST: u64 = 16 * 1024;

@@ -7,7 +7,6 @@ use serde::Serialize;
 
 use super::args::{EnrolArguments, Global, RunArguments};
 use super::connect::{Context, ProfileNeed, unexpected};
-use super::output::Output;
 use super::{parse, passphrase};
 use crate::crypto::{Fingerprint, Passphrase, SealedEnrolment, private_file};
 use crate::model::ErrorKind;
@@ -15,6 +14,7 @@ use crate::service::{
     Agent, AgentEnd, AgentFigures, AgentWishes, Command, EnrolWishes, Failure, Needs, Reply, SecretText, Site,
 };
 use crate::store::TopicCounts;
+use authros_output::Output;
 
 /// Enrols a robot and writes its file.
 ///

@@ -1,7 +1,6 @@
 //! The command line: every verb and flag, in the words of the issue and the console.
 
 mod agent;
-mod bench;
 mod chain;
 mod gateway;
 mod global;
@@ -13,10 +12,6 @@ use std::path::PathBuf;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
 pub use self::agent::{AgentVerb, EnrolArguments, RunArguments};
-pub use self::bench::{
-    AlgorithmArguments, AllArguments, Bench, BenchArguments, BenchName, BenchVerb, ConsensusArguments,
-    GatewayArguments, GrowthArguments, LoadChoice, NetworkChoice, PipelineArguments, SizeArguments,
-};
 pub use self::chain::{ChainVerb, GenesisArguments, SuccessionVerb};
 pub use self::gateway::GatewayVerb;
 pub use self::global::Global;
@@ -124,7 +119,7 @@ pub enum Verb {
     /// The paper's crime-scene mission, from capture to refusal, on embedded parts
     Demo(DemoArguments),
     /// The paper's measurements, repeated on this machine
-    Bench(BenchArguments),
+    Bench(authros_bench::args::BenchArguments),
     /// The operator console (also without any command)
     Console(ConsoleArguments),
     /// Print what a shell needs to complete these commands

@@ -2,12 +2,12 @@
 
 use clap::{Args, Subcommand};
 
-use super::output::table;
 use super::parse;
 use crate::model::{ErrorKind, Timestamp};
 use crate::service::command::AuditQuery;
 use crate::service::reply::{AuditCheck, AuditView};
 use crate::service::{Command, Failure};
+use authros_output::table;
 
 /// `audit`
 #[derive(Debug, Args)]

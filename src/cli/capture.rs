@@ -2,12 +2,12 @@
 
 use super::args::CaptureArguments;
 use super::connect::{Context, ProfileNeed, unexpected};
-use super::output::{Output, table};
 use super::parse;
 use super::serve::Ending;
 use crate::model::ErrorKind;
 use crate::service::reply::CaptureSummary;
 use crate::service::{Client, Command, Failure, Needs, Reply};
+use authros_output::{Output, table};
 
 /// Runs one capture; Ctrl-C ends it early, a second one leaves at once.
 ///

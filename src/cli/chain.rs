@@ -8,12 +8,12 @@ use std::time::Duration;
 
 use super::args::GenesisArguments;
 use super::connect::{Context, unexpected};
-use super::output::Output;
 use super::{parse, serve as site};
 use crate::chain::{GUIDE, Genesis, GenesisKind};
 use crate::model::ErrorKind;
 use crate::service::reply::ServedView;
 use crate::service::{Client, Command, Failure, Needs, Reply};
+use authros_output::Output;
 
 /// Serves the embedded chain's JSON-RPC until a signal: through the running site of this home, or as
 /// the site itself.

@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 
 use super::args::Global;
 use super::connect::{Connection, Context};
-use super::output::{Output, table};
 use super::verbs::NEITHER;
 use super::{parse, passphrase};
 use crate::model::{ErrorKind, Timestamp};
@@ -13,6 +12,7 @@ use crate::service::reply::{BackupView, CheckStatus, DoctorView, RecordAudit, Si
 use crate::service::verification::{self, FolderCheck, Known, verdict};
 use crate::service::{Command, Failure, Needs, Reply, doctor, restoring, socket};
 use crate::store::SiteLock;
+use authros_output::{Output, table};
 
 /// The command of `audit` without a verb of its own.
 pub fn audit_command(deep: bool, since: Option<Timestamp>) -> Command {

@@ -5,7 +5,6 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::args::Global;
-use super::output::Output;
 use super::passphrase;
 use crate::config::{Config, Source};
 use crate::model::{ErrorKind, ProfileName};
@@ -14,6 +13,7 @@ use crate::service::reply::{IdentityView, SiteView};
 use crate::service::socket::{self, Greeting};
 use crate::service::{Client, Command, Failure, Needs, Reply, Site};
 use crate::store::{SiteLock, files};
+use authros_output::Output;
 
 /// How long joined processes may still wait for an answer once a signal has come.
 const FAREWELL: Duration = Duration::from_millis(500);

@@ -15,11 +15,11 @@ use serde::Serialize;
 use self::mission::Mission;
 use super::args::DemoArguments;
 use super::connect::Context;
-use super::output::Output;
 use crate::config::Config;
 use crate::model::ErrorKind;
 use crate::paths::Home;
 use crate::service::Failure;
+use authros_output::Output;
 
 /// Transactions and gas of the mission, deployment and registration included.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]

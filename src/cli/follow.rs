@@ -4,10 +4,10 @@ use std::collections::HashMap;
 use std::time::Duration;
 
 use super::connect::{Context, ProfileNeed, unexpected};
-use super::output::Output;
 use crate::model::Timestamp;
 use crate::service::reply::{RecordPage, RecordView};
 use crate::service::{Client, Command, Event, Failure, Needs, Part, Reply, UploadQuery};
+use authros_output::Output;
 
 /// Records captured longer ago than this before the newest are looked at no more, nanoseconds.
 const WINDOW: u64 = 60_000_000_000;

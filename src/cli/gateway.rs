@@ -4,12 +4,12 @@ use std::net::SocketAddr;
 
 use super::args::GatewayVerb;
 use super::connect::{Connection, Context, ProfileNeed, unexpected};
-use super::output::{Output, table};
 use super::parse;
 use super::serve as site;
 use crate::model::clean;
 use crate::service::reply::{AdmittedView, GatewayStatusView, GatewayView};
 use crate::service::{Command, Failure, Needs, Operation, Reply};
+use authros_output::{Output, table};
 
 /// Serves until a signal: through the running site of this home, or as a site of its own without ROS.
 ///

@@ -1,6 +1,5 @@
 //! Results as text for people.
 
-use super::output::table;
 use super::parties;
 use crate::config::SettingView;
 use crate::model::{Address, Verdict};
@@ -9,6 +8,7 @@ use crate::pipeline::sender::LaneState;
 use crate::service::reply::{
     ChainView, DeployedView, GrantRow, IdentityView, KeysView, Provenance, RecordPage, RecordView, TopicRow,
 };
+use authros_output::table;
 
 fn pairs(rows: &[(&str, String)]) -> String {
     let width = rows.iter().map(|(name, _)| name.len()).max().unwrap_or(0);

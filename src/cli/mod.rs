@@ -7,7 +7,6 @@ mod adopt;
 mod agent;
 pub mod args;
 mod audit;
-mod bench;
 mod capture;
 mod chain;
 mod check;
@@ -19,7 +18,6 @@ mod gateway;
 mod lists;
 mod looks;
 mod memory;
-mod output;
 mod parse;
 mod parties;
 mod passphrase;
@@ -41,8 +39,9 @@ use clap::Parser;
 
 use self::args::{Arguments, ChainVerb, SharedVerb, UploadsVerb, Verb};
 use self::connect::Context;
-use self::output::Output;
+use crate::model::ErrorKind;
 use crate::service::Failure;
+use authros_output::Output;
 
 /// Runs the program; the exit code follows from the kind of error.
 pub fn main() -> ExitCode {
@@ -92,7 +91,7 @@ fn run(runtime: &tokio::runtime::Runtime, arguments: Arguments, output: &Output)
         Some(Verb::Agent(args::AgentVerb::Run(run))) => {
             return runtime.block_on(agent::run(arguments.global, run, output));
         }
-        Some(Verb::Bench(bench)) => return runtime.block_on(bench::run(&arguments.global, bench, output)),
+        Some(Verb::Bench(bench)) => return runtime.block_on(run_bench(&arguments.global, bench, output)),
         other => other,
     };
     if let Some(Verb::Verify { dir, genesis }) = &verb {
@@ -124,5 +123,22 @@ fn run(runtime: &tokio::runtime::Runtime, arguments: Arguments, output: &Output)
             runtime.block_on(follow::run(context, follow::Which::Shared, parse::query(&list)?, output))
         }
         Some(verb) => runtime.block_on(verbs::run(context, verb, output)),
+    }
+}
+
+/// Measures until it is done or somebody asks for the end.
+async fn run_bench(
+    global: &args::Global,
+    arguments: authros_bench::args::BenchArguments,
+    output: &Output,
+) -> Result<u8, Failure> {
+    let provider = global.crypto_provider.as_deref().map(parse::value).transpose()?.unwrap_or_default();
+    let settings = |name: &str| global.setting(name);
+    let global = authros_bench::Global { json: global.json, provider, settings: &settings };
+    tokio::select! {
+        done = authros_bench::run(global, arguments, output) => done,
+        _ = serve::asked_to_end() => {
+            Err(Failure::new(ErrorKind::Incomplete, "the bench was ended before it was done; run it again for its figures"))
+        }
     }
 }

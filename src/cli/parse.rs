@@ -4,7 +4,7 @@ use std::fmt::Display;
 use std::str::FromStr;
 use std::time::Duration;
 
-use crate::model::{ErrorKind, RecordKind, RecordState, SignerId, Timestamp, bytes::unhex, clean};
+use crate::model::{ErrorKind, RecordKind, RecordState, SignerId, Timestamp, bytes::unhex, clean, positive_span};
 use crate::service::{Failure, UploadQuery};
 
 use super::args::ListArguments;
@@ -25,32 +25,12 @@ pub fn values<T: FromStr<Err: Display>>(texts: &[String]) -> Result<Vec<T>, Fail
     texts.iter().map(|text| value(text)).collect()
 }
 
-/// A length of time: a number and `ms`, `s`, `m`, `h` or `d`.
+/// A length of time that is not 0.
 ///
 /// # Errors
 /// A [`Failure`] of kind `Input` that says how to write it.
 pub fn duration(text: &str) -> Result<Duration, Failure> {
-    let split = text.find(|character: char| !character.is_ascii_digit()).unwrap_or(text.len());
-    let (digits, unit) = text.split_at(split);
-    let factor = match unit {
-        "ms" => Some(1),
-        "s" => Some(1_000),
-        "m" => Some(60_000),
-        "h" => Some(3_600_000),
-        "d" => Some(86_400_000),
-        _ => None,
-    };
-    let milliseconds = digits.parse::<u64>().ok().zip(factor).and_then(|(count, factor)| count.checked_mul(factor));
-    match milliseconds {
-        Some(milliseconds) if (1..=315_360_000_000).contains(&milliseconds) => Ok(Duration::from_millis(milliseconds)),
-        _ => Err(Failure::new(
-            ErrorKind::Input,
-            format!(
-                "'{}' is not a length of time; write a number and ms, s, m, h or d, as 10s or 30d",
-                clean(text, 40)
-            ),
-        )),
-    }
+    positive_span(text).map_err(|error| Failure::new(ErrorKind::Input, error.to_string()))
 }
 
 /// A gateway's fingerprint: the whole id, with or without spaces between.

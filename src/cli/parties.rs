@@ -3,13 +3,13 @@
 use clap::Subcommand;
 
 use super::args::{ChainVerb, SuccessionVerb};
-use super::output::table;
 use super::parse;
 use crate::chain::Revision;
 use crate::model::{Address, ErrorKind};
 use crate::service::command::Administration;
 use crate::service::reply::{AdministrationView, CompareView, ContactRow, ProposalView, SuccessionView};
 use crate::service::{Command, Failure};
+use authros_output::table;
 
 /// `contacts …`
 #[derive(Debug, Subcommand)]

@@ -6,7 +6,6 @@ use std::path::Path;
 
 use super::args::Global;
 use super::connect::{Context, ProfileNeed};
-use super::output::Output;
 use super::verbs::{NEITHER, Plan};
 use crate::crypto::{Passphrase, private_file};
 use crate::model::{ErrorKind, ProfileName};
@@ -14,6 +13,7 @@ use crate::paths::Home;
 use crate::service::{Command, Failure, SecretText};
 use crate::store::{atomic_write, files};
 use crate::term::ask;
+use authros_output::Output;
 
 /// The longest passphrase read, bytes.
 const LONGEST: usize = 4096;

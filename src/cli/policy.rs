@@ -4,12 +4,12 @@ use std::collections::BTreeMap;
 
 use clap::Args;
 
-use super::output::{Output, table};
 use super::parse;
 use crate::model::TopicRule;
 use crate::service::command::PolicyCommand;
 use crate::service::reply::{PolicyRow, PolicyView};
 use crate::service::{Command, Failure};
+use authros_output::{Output, table};
 
 /// From so many bytes a second on a rate is suggested.
 const HEAVY: f64 = 500_000.0;

@@ -2,12 +2,12 @@
 
 use clap::{Args, Subcommand};
 
-use super::output::table;
 use super::parse;
 use crate::model::{ErrorKind, Publisher};
 use crate::service::command::Held;
 use crate::service::reply::{PinsView, QuarantineView};
 use crate::service::{Command, Failure};
+use authros_output::table;
 
 /// `topics pin …`
 #[derive(Debug, Args)]

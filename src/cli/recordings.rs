@@ -6,7 +6,6 @@ use std::time::Duration;
 use clap::{Args, Subcommand};
 
 use super::connect::{Context, ProfileNeed, unexpected};
-use super::output::{Output, table};
 use super::parse;
 use super::serve::Ending;
 use crate::model::ErrorKind;
@@ -14,6 +13,7 @@ use crate::ros::recording::{ChunkCompression, RecordingFormat};
 use crate::service::command::{ExportWishes, ImportWishes, RecordingCommand};
 use crate::service::reply::{ExportView, ImportView, ProgressView, RecordingReply};
 use crate::service::{Client, Command, Failure, Needs, Reply};
+use authros_output::{Output, table};
 
 /// Between two looks at the progress.
 const LOOK: Duration = Duration::from_secs(3);

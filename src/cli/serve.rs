@@ -6,10 +6,10 @@ use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::broadcast;
 
 use super::connect::{Context, ProfileNeed};
-use super::output::Output;
 use crate::model::ErrorKind;
 use crate::service::event::NoticeLevel;
 use crate::service::{Command, Event, Failure, Needs};
+use authros_output::Output;
 
 /// Whether whoever started this process wants it to outlive its terminal (nohup), as its signals were at the start.
 static KEEPS_ON: OnceLock<bool> = OnceLock::new();

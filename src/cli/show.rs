@@ -2,11 +2,11 @@
 
 use std::path::Path;
 
-use super::output::Output;
 use super::{lists, parties, quarantine};
 use crate::crypto::private_file;
 use crate::model::ErrorKind;
 use crate::service::{Failure, Reply};
+use authros_output::Output;
 
 /// Prints an answer; `out` is where its files go. The exit code.
 ///

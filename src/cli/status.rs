@@ -2,12 +2,12 @@
 //! are asked here. The exit code is of what is wrong: 6 where records are gone or altered, 4 where a part is not well.
 
 use super::connect::{Context, expect_site};
-use super::output::Output;
 use super::verbs::NEITHER;
 use crate::model::ErrorKind;
 use crate::service::failure::input;
 use crate::service::reply::{HealthLevel, LifeLine, PartHealth, SiteView};
 use crate::service::{Command, Failure, doctor};
+use authros_output::Output;
 
 /// `status`.
 ///

@@ -4,11 +4,11 @@ use std::path::PathBuf;
 
 use super::args::{ChainVerb, ConfigVerb, GrantsVerb, IdentityVerb, SuccessionVerb, TopicsVerb, UploadsVerb, Verb};
 use super::connect::{Context, ProfileNeed};
-use super::output::Output;
 use super::plans::{audit, grant, keys};
 use super::quarantine::{self, QuarantineVerb};
 use super::{check, lists, parse, parties, passphrase, show};
 use crate::service::{Command, Failure, Needs, Operation, Reply};
+use authros_output::Output;
 
 /// The chain alone.
 pub const CHAIN: Needs = Needs { ros: false, chain: true };

@@ -4,13 +4,13 @@ use std::path::Path;
 
 use super::args::SharedVerb;
 use super::connect::ProfileNeed;
-use super::output::table;
 use super::parse;
 use super::verbs::{CHAIN, Plan};
 use crate::ros::readable::{Plot, Readable, Table, file_of};
 use crate::service::command::Viewing;
 use crate::service::reply::{OpenedView, PathView};
 use crate::service::{Command, Failure};
+use authros_output::table;
 
 /// `shared …`
 ///

@@ -124,7 +124,7 @@ pub(super) fn span(values: &Values, name: &'static str, endless: &str) -> Result
         Some(text) if text == endless => Ok(None),
         text => {
             let wrong = || wrong(values, name, &format!("write {endless}, or a time as 0s, 12h, 30d"));
-            text.and_then(time_span).map(Some).ok_or_else(wrong)
+            text.and_then(|text| time_span(text).ok()).map(Some).ok_or_else(wrong)
         }
     }
 }

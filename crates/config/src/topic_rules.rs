@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use crate::model::{TopicRule, TopicRules, TypeName, clean, time_span};
+use crate::model::{TopicRule, TopicRules, TypeName, clean, positive_span};
 
 /// The name of the tables.
 pub const TABLE: &str = "topic";
@@ -122,7 +122,7 @@ fn tags(value: &toml::Value) -> Result<BTreeMap<String, String>, Wrong<'static>>
 /// A number and `s`, `m`, `h`, `d` or `w`, as in the setting.
 fn retention(value: &toml::Value) -> Result<u64, Wrong<'static>> {
     let wrong = || ("retention", "write retention as a time, as \"12h\" or \"30d\"".to_owned());
-    let span = value.as_str().and_then(time_span).filter(|span| !span.is_zero());
+    let span = value.as_str().and_then(|text| positive_span(text).ok());
     span.map(|span| span.as_secs()).ok_or_else(wrong)
 }
 

@@ -5,6 +5,7 @@ use std::fmt;
 use std::str::FromStr;
 use std::time::Duration;
 
+use super::span::time_span;
 use super::topic_rule::{TopicRules, fits};
 use super::wire::{Reader, WireError, put_text};
 use super::{ByteSize, Digest, TopicId, clean};
@@ -37,21 +38,6 @@ pub struct RetentionRules(Vec<RetentionRule>);
 )]
 pub struct RetentionError(String);
 
-/// A length of time: a number with s, m, h, d or w behind it.
-pub fn time_span(text: &str) -> Option<Duration> {
-    let (digits, unit) = text.split_at_checked(text.len().checked_sub(1)?)?;
-    let seconds = match unit {
-        "s" => 1,
-        "m" => 60,
-        "h" => 3_600,
-        "d" => 86_400,
-        "w" => 604_800,
-        _ => return None,
-    };
-    let count: u64 = digits.parse().ok().filter(|_| digits.bytes().all(|byte| byte.is_ascii_digit()))?;
-    count.checked_mul(seconds).filter(|seconds| *seconds <= 100 * 366 * 86_400).map(Duration::from_secs)
-}
-
 impl FromStr for RetentionRules {
     type Err = RetentionError;
 
@@ -81,7 +67,7 @@ impl FromStr for RetentionRule {
             return Ok(rule);
         }
         for limit in limits.split('+').map(str::trim) {
-            match (time_span(limit), limit.parse::<ByteSize>()) {
+            match (time_span(limit).ok(), limit.parse::<ByteSize>()) {
                 (Some(age), _) if rule.age.is_none() => rule.age = Some(age),
                 (None, Ok(size)) if rule.bytes.is_none() => rule.bytes = Some(size.0),
                 _ => return Err(wrong()),

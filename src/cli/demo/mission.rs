@@ -9,13 +9,13 @@ use super::locks::{self, Genuine};
 use super::witness::Witness;
 use super::{Story, Work};
 use crate::cli::connect::{Context, ProfileNeed, unexpected};
-use crate::cli::output::Output;
 use crate::crypto::{Anchor, EpochKey, Expected, GrantedKeys, open, topic_key};
 use crate::model::{Address, ErrorKind, ProfileName, Timestamp, TopicName, Verdict};
 use crate::pipeline::reader::Reader;
 use crate::pipeline::{Network, Owner, authority, proof};
 use crate::service::reply::{CaptureSummary, OpenedView, RecordView};
 use crate::service::{Client, Command, Epochs, Failure, Needs, Reply, Site, UploadQuery};
+use authros_output::Output;
 
 /// How often a capture is repeated while nothing that the story needs was published.
 const MOST_FURTHER_CAPTURES: u32 = 30;

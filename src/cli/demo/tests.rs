@@ -5,7 +5,7 @@ use clap::Parser as _;
 use super::Mission;
 use crate::cli::args::Arguments;
 use crate::cli::connect::Context;
-use crate::cli::output::Output;
+use authros_output::Output;
 
 fn contains(hay: &[u8], needle: &[u8]) -> bool {
     hay.windows(needle.len()).any(|window| window == needle)

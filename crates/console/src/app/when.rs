@@ -1,10 +1,9 @@
 //! Reading of a grant's end as a person writes it: `30d`, `12h`, `2036-12-31`.
 
-use std::time::Duration;
+use crate::model::{Timestamp, positive_span};
 
-use crate::model::Timestamp;
-
-const SECOND: u64 = 1_000_000_000;
+/// Nanoseconds.
+const MINUTE: u64 = 60_000_000_000;
 
 /// The moment `text` means, counted from `now` and rounded up to the whole second; `None` in the answer = no end
 /// (empty text).
@@ -16,28 +15,16 @@ pub fn expiry(text: &str, now: Timestamp) -> Result<Option<Timestamp>, String> {
     if text.is_empty() || text == "never" {
         return Ok(None);
     }
-    let moment = span(text).map(|seconds| now.end_after(Duration::from_secs(seconds)));
+    let moment = positive_span(text).ok().map(|span| now.end_after(span));
     let moment = moment.or_else(|| date(text)).ok_or("write a time such as 30d, 12h, 45m or 2036-12-31, or nothing")?;
     if moment <= now { Err("that moment has passed; write a later one".to_owned()) } else { Ok(Some(moment)) }
 }
 
 /// The moment in the past that `text` means: a span before `now`, to the minute, or a date; `None` = neither.
 pub fn past(text: &str, now: Timestamp) -> Option<Timestamp> {
-    const MINUTE: u64 = 60 * SECOND;
-    let before = |seconds: u64| Timestamp(now.0.saturating_sub(seconds.saturating_mul(SECOND)) / MINUTE * MINUTE);
-    span(text).map(before).or_else(|| date(text))
-}
-
-fn span(text: &str) -> Option<u64> {
-    let (number, unit) = text.split_at_checked(text.len().checked_sub(1)?)?;
-    let seconds = match unit {
-        "m" => 60,
-        "h" => 3_600,
-        "d" => 86_400,
-        "w" => 604_800,
-        _ => return None,
-    };
-    number.parse::<u64>().ok().filter(|number| *number > 0)?.checked_mul(seconds)
+    let before = |nanoseconds: u64| Timestamp(now.0.saturating_sub(nanoseconds) / MINUTE * MINUTE);
+    let span = positive_span(text).ok().map(|span| u64::try_from(span.as_nanos()).unwrap_or(u64::MAX));
+    span.map(before).or_else(|| date(text))
 }
 
 /// Midnight UTC at the beginning of the day.

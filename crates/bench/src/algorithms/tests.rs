@@ -1,0 +1,41 @@
+//! The reckoning, and one short measurement of each algorithm.
+
+use super::*;
+use authros_crypto::{ProviderName, provider};
+
+fn example(work: &'static str, by: &'static str, bytes: usize, times: &[f64]) -> Row {
+    row(work, by, bytes, times.to_vec())
+}
+
+#[test]
+fn outliers_are_told_and_ratios_are_of_the_least_times() {
+    let mut times = vec![10.0; 98];
+    times.extend([20.0, 40.0]);
+    let one = example("seal", "authros", 8192, &times);
+    assert_eq!((one.p5, one.measured.spread.p95), (10.0, 10.0));
+    assert_eq!(one.outliers, [40.0, 20.0]);
+    let rows = [one, example("seal", "libgcrypt", 8192, &[30.0, 25.0])];
+    assert_eq!(ratio(&rows, 8192, ("seal", "libgcrypt"), ("seal", "authros")), Some(2.5));
+    assert_eq!(ratio(&rows, 8192, ("seal", "libsm"), ("seal", "authros")), None);
+}
+
+#[test]
+fn what_was_not_measured_is_not_judged() {
+    assert!(acceptance_of_sm4(&[]).is_empty() && acceptance_of_sm3(&[]).is_empty());
+    let slow = [example("digest", "authros", LARGEST, &[3000.0])];
+    let judged: Vec<bool> = acceptance_of_sm3(&slow).iter().map(|one| one.ok).collect();
+    assert_eq!(judged, [false, true], "over a third of the paper's time, but steady");
+}
+
+#[test]
+fn each_algorithm_is_measured_by_all() {
+    for (algorithm, rows_of_ours) in [(Algorithm::Sm2, 10), (Algorithm::Sm3, 9), (Algorithm::Sm4, 20)] {
+        let (rows, libgcrypt) = measure(algorithm, 1, provider(ProviderName::RustCrypto)).expect("measures");
+        let ours = rows.iter().filter(|row| row.by.starts_with("authros")).count();
+        assert_eq!(ours, rows_of_ours, "{algorithm:?}");
+        assert!(rows.iter().all(|row| row.measured.spread.min > 0.0 && row.measured.runs == 1));
+        assert!(rows.iter().any(|row| row.by == "libsm"));
+        let timed = rows.iter().any(|row| row.by == "libgcrypt");
+        assert_eq!(timed, libgcrypt.starts_with("libgcrypt 1"), "{libgcrypt}");
+    }
+}

@@ -1,0 +1,274 @@
+//! `authros bench consensus`: the paper's figure 11. Many upload at once, on the embedded chain by
+//! authority and by work and on a node, one by one and in batches, beside the authors' figures.
+
+mod plots;
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use serde::Serialize;
+use serde_json::{Map, Value, json};
+
+use super::machine::Machine;
+use super::network::{Directory, Network, Place, reach};
+use super::outlet::Outlet;
+use super::report::{Measured, Report};
+use super::spread::{Spread, decimal, histogram, number};
+use super::uploads::{Load, MESSAGE, Outcome, Way, run as upload};
+use crate::args::ConsensusArguments;
+use authros_chain::Consensus;
+use authros_crypto::Provider;
+use authros_model::ErrorKind;
+use authros_output::table;
+use authros_service::Failure;
+
+const NOTES: [&str; 6] = [
+    "each: one dataUpload transaction per record; batch: Merkle roots, closed at 256 records, after a second, or \
+     when nothing more came for 10 ms and no batch before it waits for a block (at most four times in a row).",
+    "response: from the common start to an uploader's receipt, so it includes sealing, storing and waiting for others; \
+     total: from the start to the last receipt. Both in milliseconds.",
+    "The authors give milliseconds per request; their total here is that times the uploaders, and times theirs is our \
+     uploads a second over one in their shortest request.",
+    "What a chain carries for longer than a burst shows with --uploaders 10000.",
+    "Their networks ran on their machine, by geth, with block periods that the paper does not give; ours have others \
+     (period), so only what a user waits for can be compared, not the consensus itself.",
+    "Our pow is real work at the paper's difficulty, but Keccak-256, not ethash: a hash is cheaper, so a block is too.",
+];
+
+/// The authors' raw figures: milliseconds per request and success, from and to.
+#[derive(Debug, Clone, Copy, Serialize)]
+#[allow(missing_docs, reason = "the type's line says it")]
+pub struct Paper {
+    pub per_request_from: f64,
+    pub per_request_to: f64,
+    pub total_from: f64,
+    pub total_to: f64,
+    pub success_from: f64,
+    pub success_to: f64,
+}
+
+impl Paper {
+    /// Of a consensus they measured, for so many uploads of 1 KB.
+    pub fn of(consensus: &str, uploaders: f64) -> Option<Self> {
+        let (from, to) = match consensus {
+            "poa" => (15.4, 15.8),
+            "pow" => (52.0, 55.0),
+            _ => return None,
+        };
+        Some(Self {
+            per_request_from: from,
+            per_request_to: to,
+            total_from: from * uploaders,
+            total_to: to * uploaders,
+            success_from: 99.7,
+            success_to: 99.9,
+        })
+    }
+}
+
+/// One run.
+#[derive(Debug, Serialize)]
+struct Row {
+    network: &'static str,
+    consensus: String,
+    client: String,
+    mode: &'static str,
+    uploaders: usize,
+    succeeded: usize,
+    /// Percent.
+    success: f64,
+    #[serde(flatten)]
+    measured: Measured,
+    total: f64,
+    /// From the first transaction sent to the last receipt.
+    on_chain: f64,
+    per_request: f64,
+    uploads_per_second: f64,
+    /// That over the authors', whose fastest request is taken.
+    times_authors: Option<f64>,
+    transactions: u64,
+    gas: u64,
+    blocks: usize,
+    /// As set, milliseconds; `None` where the chain has none or does not tell.
+    period_set: Option<u64>,
+    /// Between blocks of the run, as seen, milliseconds; `None` for a single block.
+    period_seen: Option<f64>,
+    difficulty: Option<u64>,
+    gas_limit: u64,
+    paper: Option<Paper>,
+    #[serde(skip)]
+    responses: Vec<f64>,
+    failures: std::collections::BTreeMap<String, u64>,
+}
+
+/// Runs all combinations; exit code 8 where an upload failed.
+///
+/// # Errors
+/// Where a network cannot be opened, or its count differs from the receipts.
+pub async fn run(
+    arguments: ConsensusArguments,
+    provider: &'static dyn Provider,
+    outlet: &Outlet,
+) -> Result<u8, Failure> {
+    if let Some(url) = &arguments.node {
+        reach(url).await?;
+    }
+    let authority = Consensus::Poa { signers: 1, period: Duration::from_millis(arguments.period) };
+    let mut places =
+        vec![Place::Embedded(authority), Place::Embedded(Consensus::Pow { difficulty: arguments.difficulty })];
+    places.extend(arguments.node.map(Place::Node));
+    let (mut results, mut presets) = (Vec::new(), Vec::new());
+    for place in &places {
+        let directory = Directory::new()?;
+        let network = Arc::new(Network::open(place, provider, directory.path()).await?);
+        presets.push(network.preset());
+        for uploaders in &arguments.uploaders {
+            for way in [Way::Each, Way::Batch] {
+                let load = Load { way, bytes: MESSAGE, uploaders: usize::try_from(*uploaders).unwrap_or(usize::MAX) };
+                let outcome = upload(&network, &load).await?;
+                results.push(row(&network, load.way.word(), outcome));
+            }
+        }
+    }
+    let about = about(&presets);
+    let report = Report { name: "consensus", machine: Machine::read(), about, results };
+    outlet.show(&report, || text(&report, &presets), || plots::page(&report))?;
+    Ok(code(&report.results, outlet))
+}
+
+fn code(rows: &[Row], outlet: &Outlet) -> u8 {
+    let mut failed = false;
+    for row in rows {
+        for (why, times) in &row.failures {
+            failed = true;
+            outlet.note(&format!(
+                "authros: {} {}, {}: {times} uploads failed: {why}",
+                row.network, row.consensus, row.mode
+            ));
+        }
+    }
+    if failed { ErrorKind::Incomplete.exit_code() } else { 0 }
+}
+
+fn about(presets: &[String]) -> Map<String, Value> {
+    let preset = json!({ "message_bytes": MESSAGE, "accounts": 2, "vault": "embedded, one commit for all that waits" });
+    let mut about = Map::new();
+    about.insert("preset".to_owned(), preset);
+    about.insert("networks".to_owned(), json!(presets));
+    about.insert("notes".to_owned(), json!(NOTES));
+    about
+}
+
+/// A time in milliseconds.
+pub fn milliseconds(time: Duration) -> f64 {
+    time.as_secs_f64() * 1000.0
+}
+
+fn row(network: &Network, mode: &'static str, outcome: Outcome) -> Row {
+    let uploaders = number(outcome.uploaders);
+    let succeeded = outcome.responses.len();
+    let (total, on_chain) = (milliseconds(outcome.total), milliseconds(outcome.on_chain));
+    let uploads_per_second = number(succeeded) * 1000.0 / total;
+    let paper = Paper::of(&network.consensus, uploaders);
+    Row {
+        network: network.kind,
+        consensus: network.consensus.clone(),
+        client: network.client.clone(),
+        mode,
+        uploaders: outcome.uploaders,
+        succeeded,
+        success: number(succeeded) * 100.0 / uploaders,
+        measured: Measured {
+            bytes: MESSAGE as u64,
+            runs: succeeded as u64,
+            unit: "ms",
+            spread: Spread::of(&outcome.responses),
+        },
+        total,
+        on_chain,
+        per_request: total / number(succeeded),
+        uploads_per_second,
+        times_authors: paper.map(|paper| uploads_per_second * paper.per_request_from / 1000.0),
+        transactions: outcome.transactions,
+        gas: outcome.gas,
+        blocks: outcome.blocks.len(),
+        period_set: network.sealing.period,
+        period_seen: period_seen(&outcome.blocks),
+        difficulty: network.sealing.difficulty.as_ref().and_then(|text| text.parse().ok()),
+        gas_limit: network.gas_limit,
+        paper,
+        responses: outcome.responses,
+        failures: outcome.failures,
+    }
+}
+
+fn period_seen(blocks: &[Instant]) -> Option<f64> {
+    let gaps = blocks.len().checked_sub(1).filter(|gaps| *gaps > 0)?;
+    let whole = blocks.last()?.duration_since(*blocks.first()?);
+    Some(milliseconds(whole) / number(gaps))
+}
+
+fn text(report: &Report<Row>, presets: &[String]) -> String {
+    let responses = ["network", "mode", "uploaders", "succeeded", "min", "p50", "p95", "max"];
+    let totals = [
+        "network",
+        "mode",
+        "uploaders",
+        "total",
+        "per request",
+        "authors' each",
+        "authors' total",
+        "uploads/s",
+        "times theirs",
+        "tx",
+        "blocks",
+        "period",
+    ];
+    let rows = |cells: fn(&Row) -> Vec<String>| report.results.iter().map(cells).collect::<Vec<_>>();
+    let mut lines = vec![
+        format!("consensus: uploads at once, {MESSAGE} bytes each, on two accounts; times in ms"),
+        format!("machine: {}", report.machine.line()),
+        "\nresponse".to_owned(),
+        table(&responses, &rows(response_cells)),
+        "\ntotal".to_owned(),
+        table(&totals, &rows(total_cells)),
+    ];
+    for row in &report.results {
+        lines.push(format!(
+            "\nresponse of {} uploaders, {} {}, {}",
+            row.uploaders, row.network, row.consensus, row.mode
+        ));
+        lines.extend(histogram(&row.responses, "ms"));
+    }
+    lines.push(String::new());
+    lines.extend_from_slice(presets);
+    lines.extend(NOTES.map(str::to_owned));
+    lines.join("\n")
+}
+
+fn names(row: &Row) -> Vec<String> {
+    vec![format!("{} {}", row.network, row.consensus), row.mode.to_owned(), row.uploaders.to_string()]
+}
+
+fn response_cells(row: &Row) -> Vec<String> {
+    let Spread { min, p50, p95, max } = row.measured.spread;
+    let mut cells = names(row);
+    cells.push(format!("{} ({} %)", row.succeeded, decimal(row.success)));
+    cells.extend([min, p50, p95, max].map(decimal));
+    cells
+}
+
+fn total_cells(row: &Row) -> Vec<String> {
+    let range = |from: f64, to: f64| format!("{}-{}", decimal(from), decimal(to));
+    let mut cells = names(row);
+    cells.extend([row.total, row.per_request].map(decimal));
+    cells.extend(match row.paper {
+        Some(paper) => [range(paper.per_request_from, paper.per_request_to), range(paper.total_from, paper.total_to)],
+        None => ["-", "-"].map(str::to_owned),
+    });
+    cells.push(decimal(row.uploads_per_second));
+    cells.push(row.times_authors.map_or("-".to_owned(), decimal));
+    cells.extend([row.transactions.to_string(), row.blocks.to_string()]);
+    cells.push(row.period_seen.map_or("one block".to_owned(), decimal));
+    cells
+}

@@ -1,0 +1,367 @@
+//! `authros bench gateway`: records that a gateway accepts per second and core, beside what SM2 verification and SM3
+//! alone would allow in the same run, and what idle connections cost. Both ends are in this process.
+
+mod desk;
+mod idle;
+mod plots;
+mod sender;
+
+use std::path::Path;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use serde::Serialize;
+use serde_json::{Map, json};
+use tokio::task::{JoinSet, block_in_place};
+
+use self::desk::BenchDesk;
+use self::sender::Sender;
+use super::machine::Machine;
+use super::network::Directory;
+use super::outlet::Outlet;
+use super::progress::Progress;
+use super::report::{Measured, Report};
+use super::spread::{Spread, bars, decimal, number};
+use crate::args::GatewayArguments;
+use authros_crypto::Provider;
+use authros_crypto::record::signed_bytes;
+use authros_gateway::{
+    Answer, Cabinet, Client, Context, Credentials, Endpoint, GatewayError, Limits, Request, Schedule, Server, Trust,
+    Upload,
+};
+use authros_model::{Digest, Timestamp};
+use authros_output::table;
+use authros_service::Failure;
+use authros_service::failure::internal;
+
+/// Bytes of a message, and how many records for each eight asked for.
+const SIZES: [(usize, usize); 2] = [(1024, 8), (58 * 1024, 1)];
+/// Uploads under way at once.
+const WINDOW: usize = 32;
+/// Records in one UploadMany.
+const MANY: usize = 64;
+/// How often everything is measured.
+const RUNS: usize = 3;
+/// How long an answer may take.
+const PATIENCE: Duration = Duration::from_secs(60);
+/// A file system in memory, where fsync costs nothing.
+const MEMORY: &str = "/dev/shm";
+
+const NOTES: [&str; 6] = [
+    "each: an upload, its receipt, the next; window: 32 uploads under way; many: 64 records in one UploadMany.",
+    "disk: ledger and vault in the temporary directory, fsynced before the receipt; memory: the same in /dev/shm, where fsync costs nothing.",
+    "A gateway takes a connection's frames one after the other, so that one connection keeps one core busy; per core = records over the lesser of connections and cores.",
+    "bound: SM3 of the blob and SM2 verification of its signature on one core in the same run; sm2 sign is what a receipt costs on top.",
+    "Both ends are in this process and share its cores; the client checks a receipt's signature with `each` only.",
+    "idle: resident memory of both ends for connections that have authenticated and say nothing.",
+];
+
+/// One way of uploading, or one part of the bound.
+#[derive(Debug, Serialize)]
+struct Row {
+    /// `each`, `window`, `many`; or `sm3`, `sm2 verify`, `bound`, `sm2 sign`.
+    way: &'static str,
+    /// `disk` or `memory`; none for the bound.
+    kept: Option<&'static str>,
+    connections: usize,
+    records: usize,
+    #[serde(flatten)]
+    measured: Measured,
+    /// Of the median: messages' bytes, 10^6 a second.
+    mb_per_second: f64,
+    /// Of the median: records a second and core.
+    per_core: f64,
+    /// `per_core` over the bound's median.
+    of_bound: f64,
+    paper: Option<f64>,
+}
+
+/// Measures.
+///
+/// # Errors
+/// Where the gateway cannot be made, or refuses a record.
+pub async fn run(arguments: GatewayArguments, provider: &'static dyn Provider, outlet: &Outlet) -> Result<u8, Failure> {
+    let sender = Sender::new(provider)?;
+    // First, while the allocator holds nothing that was freed.
+    let idle = idle::measure(&sender, arguments.idle as usize).await?;
+    let places = places()?;
+    let cores = Machine::read().cores;
+    let widths = if cores > 1 { vec![1, 4 * cores] } else { vec![1] };
+    let mut progress = Progress::new("gateway");
+    let mut results = Vec::new();
+    let all = SIZES.len() * (4 + places.len() * widths.len() * Way::ALL.len());
+    for (bytes, share) in SIZES {
+        let count = (arguments.records as usize * share / 8).max(1);
+        let records = block_in_place(|| sender.seal_all(count, bytes))?;
+        let bounds = block_in_place(|| bounds(provider, &sender, &records, bytes))?;
+        let bound = bounds[BOUND].measured.spread.p50;
+        results.extend(bounds);
+        let records = Arc::new(records);
+        for place in &places {
+            for connections in widths.iter().copied().filter(|width| *width <= count) {
+                for way in Way::ALL {
+                    progress.at(results.len(), all);
+                    let rates = rates(&sender, place, &records, connections, way).await?;
+                    let row = row(way.name(), bytes, count, &rates);
+                    let lanes = number(connections.min(cores));
+                    let per_core = row.measured.spread.p50 / lanes;
+                    results.push(Row {
+                        kept: Some(place.name),
+                        connections,
+                        per_core,
+                        of_bound: per_core / bound,
+                        ..row
+                    });
+                }
+            }
+        }
+    }
+    drop(progress);
+    let mut about = Map::new();
+    about.insert("idle".to_owned(), json!(idle));
+    about.insert("notes".to_owned(), json!(NOTES));
+    let report = Report { name: "gateway", machine: Machine::read(), about, results };
+    outlet.show(&report, || text(&report, &idle), || plots::page(&report))?;
+    Ok(0)
+}
+
+/// Where records are kept.
+struct Place {
+    name: &'static str,
+    directory: Directory,
+}
+
+fn places() -> Result<Vec<Place>, Failure> {
+    let mut places = vec![Place { name: "disk", directory: Directory::new()? }];
+    // Without such a file system its rows are left out.
+    places.extend(Directory::within(Path::new(MEMORY)).ok().map(|directory| Place { name: "memory", directory }));
+    Ok(places)
+}
+
+/// How records are sent.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Way {
+    Each,
+    Window,
+    Many,
+}
+
+impl Way {
+    const ALL: [Self; 3] = [Self::Each, Self::Window, Self::Many];
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::Each => "each",
+            Self::Window => "window",
+            Self::Many => "many",
+        }
+    }
+}
+
+fn row(way: &'static str, bytes: usize, records: usize, rates: &[f64]) -> Row {
+    let spread = Spread::of(rates);
+    let measured = Measured { bytes: bytes as u64, runs: rates.len() as u64, unit: "records/s", spread };
+    let mb_per_second = spread.p50 * number(bytes) / 1e6;
+    let (kept, connections, of_bound) = (None, 0, f64::NAN);
+    Row { way, kept, connections, records, measured, mb_per_second, per_core: spread.p50, of_bound, paper: None }
+}
+
+/// Which of [`bounds`] is both together.
+const BOUND: usize = 2;
+
+/// What one core does at most: SM3, SM2 verification, both, and what a receipt's signature costs.
+fn bounds(
+    provider: &'static dyn Provider,
+    sender: &Sender,
+    records: &[Upload],
+    bytes: usize,
+) -> Result<Vec<Row>, Failure> {
+    let digests: Vec<Digest> = records.iter().map(|record| Digest(provider.sm3(&[&record.blob]))).collect();
+    let hash = |index: usize| Ok(Digest(provider.sm3(&[&records[index].blob])));
+    let verify = |index: usize, digest: Digest| {
+        let signed = signed_bytes(&sender.domain, &digest);
+        provider.verify(&sender.signing.public, &signed, &records[index].signature).map(|()| digest)
+    };
+    let sign = |index: usize| {
+        provider.sign(&sender.signing.secret, &signed_bytes(&sender.domain, &digests[index])).map(|_| digests[index])
+    };
+    Ok(vec![
+        row("sm3", bytes, records.len(), &timed(&digests, hash)?),
+        row("sm2 verify", bytes, records.len(), &timed(&digests, |index| verify(index, digests[index]))?),
+        row("bound", bytes, records.len(), &timed(&digests, |index| verify(index, hash(index)?))?),
+        row("sm2 sign", bytes, records.len(), &timed(&digests, sign)?),
+    ])
+}
+
+/// Work done for every record a second, by this thread alone; it must give the record's digest.
+fn timed(
+    digests: &[Digest],
+    work: impl Fn(usize) -> Result<Digest, authros_crypto::CryptoError>,
+) -> Result<Vec<f64>, Failure> {
+    let mut rates = Vec::new();
+    for _ in 0..RUNS {
+        let begun = Instant::now();
+        for (index, digest) in digests.iter().enumerate() {
+            if work(index)? != *digest {
+                return Err(internal("a digest changed"));
+            }
+        }
+        rates.push(number(digests.len()) / begun.elapsed().as_secs_f64());
+    }
+    Ok(rates)
+}
+
+/// A gateway with its own ledger and vault.
+struct Stage {
+    desk: Arc<BenchDesk>,
+    server: Server,
+    endpoint: Endpoint,
+    credentials: Credentials,
+}
+
+impl Stage {
+    async fn open(sender: &Sender, directory: &Path, connections: usize) -> Result<Self, Failure> {
+        let context = Context { provider: sender.provider, domain: sender.domain };
+        let (desk, credentials) = BenchDesk::open(sender, directory)?;
+        let desk = Arc::new(desk);
+        let (path, identity) = (directory.join("gateway"), sender.gateway.clone());
+        let schedule = Schedule::default();
+        let cabinet = Cabinet::open(&path, context.provider, context.domain, identity, schedule, Timestamp::now())?;
+        let most = connections + 10;
+        let limits = Limits {
+            connections: most,
+            connections_of_peer: most,
+            handshakes: most,
+            handshake_burst: 1e9,
+            frame_rate: 1e9,
+            byte_rate: 1e12,
+            ..Limits::default()
+        };
+        let shared = Arc::clone(&desk);
+        let server = Server::start("127.0.0.1:0", shared, context, cabinet, limits).await;
+        let server = server.map_err(|error| internal(format!("the gateway cannot listen: {error}")))?;
+        let address = server.address().to_string();
+        Ok(Self { desk, server, endpoint: Endpoint { address, context, patience: PATIENCE }, credentials })
+    }
+
+    async fn connect(&self) -> Result<Client, Failure> {
+        let mut trust = Trust::pinned(self.server.id());
+        Client::connect(&self.endpoint, &mut trust, &self.credentials).await.map_err(of_gateway)
+    }
+
+    async fn close(self) {
+        self.server.stop(Duration::from_secs(1)).await;
+    }
+}
+
+fn of_gateway(error: GatewayError) -> Failure {
+    Failure::new(error.kind(), error.to_string())
+}
+
+/// Records accepted per second, each run by a new gateway with empty ledger and vault.
+async fn rates(
+    sender: &Sender,
+    place: &Place,
+    records: &Arc<Vec<Upload>>,
+    connections: usize,
+    way: Way,
+) -> Result<Vec<f64>, Failure> {
+    let mut rates = Vec::new();
+    for _ in 0..RUNS {
+        let directory = Directory::within(place.directory.path())?;
+        let stage = Stage::open(sender, directory.path(), connections).await?;
+        let mut clients = Vec::new();
+        for _ in 0..connections {
+            clients.push(stage.connect().await?);
+        }
+        let share = records.len().div_ceil(connections);
+        let (mut uploading, begun) = (JoinSet::new(), Instant::now());
+        for (lane, client) in clients.into_iter().enumerate() {
+            let records = Arc::clone(records);
+            let part = (lane * share).min(records.len())..((lane + 1) * share).min(records.len());
+            uploading.spawn(async move { upload(client, &records[part], way).await });
+        }
+        while let Some(done) = uploading.join_next().await {
+            done.map_err(|error| internal(error.to_string()))?.map_err(of_gateway)?;
+        }
+        rates.push(number(records.len()) / begun.elapsed().as_secs_f64());
+        let kept = stage.desk.kept()?;
+        stage.close().await;
+        if kept != records.len() as u64 {
+            return Err(internal(format!("{kept} of {} records were kept", records.len())));
+        }
+    }
+    Ok(rates)
+}
+
+async fn upload(mut client: Client, records: &[Upload], way: Way) -> Result<(), GatewayError> {
+    match way {
+        Way::Each => {
+            for record in records {
+                client.upload(vec![record.clone()]).await?;
+            }
+        }
+        Way::Window => {
+            for window in records.chunks(WINDOW) {
+                let mut sent = Vec::with_capacity(WINDOW);
+                for record in window {
+                    sent.push(client.send(&Request::Upload(record.clone())).await?);
+                }
+                for number in sent {
+                    receipt(&mut client, number, 1).await?;
+                }
+            }
+        }
+        Way::Many => {
+            for many in records.chunks(MANY) {
+                let number = client.send(&Request::UploadMany(many.to_vec())).await?;
+                receipt(&mut client, number, many.len()).await?;
+            }
+        }
+    }
+    Ok(())
+}
+
+async fn receipt(client: &mut Client, number: u32, count: usize) -> Result<(), GatewayError> {
+    match client.receive(PATIENCE).await? {
+        (answered, Answer::Receipt(_, receipt)) if answered == number && receipt.digests.len() == count => Ok(()),
+        (_, Answer::Refused(code)) => Err(GatewayError::Refused(code)),
+        _ => Err(GatewayError::Unexpected("no receipt")),
+    }
+}
+
+fn text(report: &Report<Row>, idle: &idle::Idle) -> String {
+    let head = ["way", "kept", "connections", "bytes", "records", "records/s", "MB/s", "per core", "of the bound"];
+    let cells = |row: &Row| {
+        let ratio = if row.of_bound.is_finite() { format!("{:.2}", row.of_bound) } else { "-".to_owned() };
+        vec![
+            row.way.to_owned(),
+            row.kept.unwrap_or("-").to_owned(),
+            row.connections.to_string(),
+            row.measured.bytes.to_string(),
+            row.records.to_string(),
+            decimal(row.measured.spread.p50),
+            decimal(row.mb_per_second),
+            decimal(row.per_core),
+            ratio,
+        ]
+    };
+    let rows: Vec<Vec<String>> = report.results.iter().map(cells).collect();
+    let mut lines = vec!["records accepted by a gateway".to_owned(), format!("machine: {}", report.machine.line())];
+    lines.extend([String::new(), table(&head, &rows)]);
+    for (bytes, _) in SIZES {
+        lines.push(format!("\nrecords of {bytes} bytes a second"));
+        let of_size = report.results.iter().filter(|row| row.measured.bytes == bytes as u64);
+        lines.extend(bars(&of_size.map(|row| (name(row), row.measured.spread.p50)).collect::<Vec<_>>(), "a second"));
+    }
+    lines.extend([String::new(), idle.line(), String::new()]);
+    lines.extend(NOTES.map(str::to_owned));
+    lines.join("\n")
+}
+
+fn name(row: &Row) -> String {
+    match row.kept {
+        Some(kept) => format!("{}, {kept}, {} connections", row.way, row.connections),
+        None => format!("{}, one core", row.way),
+    }
+}

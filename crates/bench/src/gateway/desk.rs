@@ -1,0 +1,181 @@
+//! A gateway's desk that keeps what one sender uploads, in a ledger and a vault as a site does, fsynced before the
+//! receipt; it does nothing else.
+
+use std::net::SocketAddr;
+use std::path::Path;
+use std::sync::Arc;
+
+use async_trait::async_trait;
+use serde_json::Value;
+use tokio::sync::mpsc;
+
+use super::Sender;
+use authros_chain::RelayError;
+use authros_crypto::{TransportKey, signer_id};
+use authros_gateway::desk::Account;
+use authros_gateway::{
+    Binding, Caller, Code, Credentials, Desk, DeviceNotice, Entry, Fetched, GrantNotice, NetworkName, Page, Query,
+    Received, Refusal, Registration, RevokeNotice, Selection, Standing, Stood,
+};
+use authros_model::header::TAG_LENGTH;
+use authros_model::{Address, Digest, Hash, ProfileName, PublicKey, RecordState, SignerId, Timestamp, Token};
+use authros_service::Failure;
+use authros_service::failure::internal;
+use authros_store::{Foreign, Ledger, NewRecord, Vault, open_vault};
+
+/// The desk.
+pub(super) struct BenchDesk {
+    store: Arc<Store>,
+    name: ProfileName,
+    binding: Binding,
+    token: Token,
+}
+
+struct Store {
+    ledger: Ledger,
+    vault: Arc<dyn Vault>,
+}
+
+impl BenchDesk {
+    /// With a new ledger and vault in `directory`, and what the sender proves itself with.
+    pub fn open(sender: &Sender, directory: &Path) -> Result<(Self, Credentials), Failure> {
+        let name: ProfileName = "bench".parse().map_err(|_| internal("no name"))?;
+        let key = TransportKey::generate()?;
+        let credentials = Credentials { name: name.clone(), key: key.clone(), token: sender.token };
+        let store = Store { ledger: Ledger::open(&directory.join("ledger.db"))?, vault: open_vault(None, directory)? };
+        let (signing, envelope) = (sender.signing.public, sender.envelope.public);
+        let binding = Binding { account: sender.address, key, signing, envelope, device: None };
+        Ok((Self { store: Arc::new(store), name, binding, token: sender.token }, credentials))
+    }
+
+    /// How many records the vault holds.
+    pub fn kept(&self) -> Result<u64, Failure> {
+        Ok(self.store.vault.usage()?.entries)
+    }
+}
+
+fn row(record: &Received) -> NewRecord {
+    let header = &record.header;
+    NewRecord {
+        digest: record.digest,
+        owner: header.owner,
+        topic_id: header.topic_id,
+        seq: header.seq,
+        foreign: Some(Foreign { recorder: header.recorder, keeper: header.owner }),
+        epoch: header.epoch,
+        kind: header.kind,
+        signer: header.signer,
+        signature: record.signature,
+        filters: header.filters.clone(),
+        topic: String::new(),
+        type_name: String::new(),
+        bytes: header.body_length.saturating_sub(TAG_LENGTH as u64),
+        captured_at: header.captured_at,
+        simulated: true,
+        state: RecordState::Stored,
+        local_copy: None,
+    }
+}
+
+fn keep(store: &Store, records: &[Received]) -> Result<Timestamp, Refusal> {
+    let entries: Vec<_> = records.iter().map(|record| (record.digest, record.blob.as_slice())).collect();
+    store.vault.put(&entries).map_err(Refusal::because(Code::Internal))?;
+    store.ledger.append(records.iter().map(row).collect()).map_err(Refusal::because(Code::Internal))?;
+    Ok(Timestamp::now())
+}
+
+fn not_measured<T>() -> Result<T, Refusal> {
+    Err(Refusal::new(Code::NotHere, "only uploads are measured"))
+}
+
+#[async_trait]
+impl Desk for BenchDesk {
+    async fn account(&self, account: &Address) -> Result<Account, Refusal> {
+        if *account != self.binding.account {
+            return Err(Refusal::new(Code::NotRegistered, "another account"));
+        }
+        Ok(Account { signing: self.binding.signing, envelope: self.binding.envelope })
+    }
+
+    async fn admits(&self, _: &Address) -> Result<(), Refusal> {
+        Ok(())
+    }
+
+    async fn is_token(&self, account: &Address, token: &Token) -> Result<bool, Refusal> {
+        Ok((account, token) == (&self.binding.account, &self.token))
+    }
+
+    async fn is_lent(&self, _: &Address, _: &SignerId) -> Result<bool, Refusal> {
+        not_measured()
+    }
+
+    async fn signer(&self, owner: &Address, signer: &SignerId) -> Result<Option<PublicKey>, Refusal> {
+        let key = self.binding.signing;
+        Ok((*owner == self.binding.account && *signer == signer_id(&key)).then_some(key))
+    }
+
+    async fn binding(&self, name: &ProfileName) -> Result<Option<Binding>, Refusal> {
+        Ok((*name == self.name).then(|| self.binding.clone()))
+    }
+
+    async fn successor(&self, _: &Address) -> Result<Option<Address>, Refusal> {
+        not_measured()
+    }
+
+    async fn bind(&self, _: &ProfileName, _: Binding) -> Result<(), Refusal> {
+        not_measured()
+    }
+
+    async fn register(&self, _: &Registration) -> Result<Hash, Refusal> {
+        not_measured()
+    }
+
+    async fn store(&self, _: &Caller, records: Vec<Received>) -> Result<Timestamp, Refusal> {
+        let store = Arc::clone(&self.store);
+        let kept = tokio::task::spawn_blocking(move || keep(&store, &records)).await;
+        kept.map_err(Refusal::because(Code::Internal))?
+    }
+
+    async fn query(&self, _: &Caller, _: &Query) -> Result<Page, Refusal> {
+        not_measured()
+    }
+
+    async fn check(&self, _: &Caller, _: &[Digest]) -> Result<Vec<Standing>, Refusal> {
+        not_measured()
+    }
+
+    async fn prove(&self, _: &Caller, _: &[Digest]) -> Result<Vec<Stood>, Refusal> {
+        not_measured()
+    }
+
+    async fn fetch(&self, _: &Caller, _: &Digest) -> Result<Fetched, Refusal> {
+        not_measured()
+    }
+
+    async fn subscribe(&self, _: &Caller, _: &Selection) -> Result<mpsc::Receiver<Entry>, Refusal> {
+        not_measured()
+    }
+
+    async fn grant(&self, _: &Caller, _: &GrantNotice) -> Result<(), Refusal> {
+        not_measured()
+    }
+
+    async fn revoke(&self, _: &Caller, _: &RevokeNotice) -> Result<(), Refusal> {
+        not_measured()
+    }
+
+    async fn device(&self, _: &Caller, _: &DeviceNotice) -> Result<(), Refusal> {
+        not_measured()
+    }
+
+    // Whoever uploads is told the code, and the bench ends with it.
+    async fn network_name(&self) -> Result<NetworkName, Refusal> {
+        not_measured()
+    }
+
+    async fn relay(&self, _: Option<&Caller>, _: &str, _: &Value) -> Result<Value, RelayError> {
+        Err(RelayError::NotAllowed)
+    }
+
+    fn refused(&self, _: SocketAddr, _: &Refusal) {}
+}

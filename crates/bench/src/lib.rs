@@ -1,0 +1,98 @@
+//! `authros bench`: the paper's measurements, repeated on this machine. No home and no site: everything
+//! lies in temporary directories that go with the command.
+
+pub mod args;
+
+mod account;
+mod algorithms;
+mod all;
+mod batcher;
+mod consensus;
+mod gas;
+mod gateway;
+mod growth;
+mod lane;
+mod libgcrypt;
+mod machine;
+mod mined;
+mod network;
+mod outlet;
+mod pictures;
+mod pipeline;
+mod progress;
+mod prototype;
+mod record;
+mod report;
+mod size;
+mod spread;
+mod storer;
+mod svg;
+mod uploads;
+mod usage;
+
+use std::fmt::Display;
+use std::str::FromStr;
+
+use self::algorithms::Algorithm;
+use self::outlet::{Form, Outlet};
+use crate::args::{Bench, BenchArguments, BenchVerb};
+use authros_crypto::{Provider, ProviderName, provider};
+use authros_model::ErrorKind;
+use authros_output::Output;
+use authros_service::Failure;
+
+/// What the flags of every command say to a bench.
+#[derive(Clone, Copy)]
+pub struct Global<'a> {
+    /// One JSON document on stdout.
+    pub json: bool,
+    /// Who computes SM2, SM3 and SM4.
+    pub provider: ProviderName,
+    /// The flags' values for settings.
+    pub settings: &'a (dyn Fn(&str) -> Option<String> + Sync),
+}
+
+/// Runs one bench, or all. Dropping the future ends it.
+///
+/// # Errors
+/// What the bench or the arguments say.
+pub async fn run(global: Global<'_>, arguments: BenchArguments, output: &Output) -> Result<u8, Failure> {
+    let form = match (arguments.csv, global.json) {
+        (true, true) => return Err(Failure::new(ErrorKind::Usage, "give --json or --csv, not both")),
+        (true, false) => Form::Csv,
+        (false, true) => Form::Json,
+        (false, false) => Form::Text,
+    };
+    let provider = provider(global.provider);
+    let outlet = Outlet::open(form, *output, arguments.svg)?;
+    match arguments.verb {
+        BenchVerb::One(bench) => measure(global, bench, provider, &outlet).await,
+        BenchVerb::All(all) => all::run(global, all, provider, outlet).await,
+    }
+}
+
+/// Reads a name that a setting or an environment variable gives.
+fn read<T: FromStr<Err: Display>>(text: &str) -> Result<T, Failure> {
+    text.parse().map_err(|error: T::Err| Failure::new(ErrorKind::Input, error.to_string()))
+}
+
+async fn measure(
+    global: Global<'_>,
+    bench: Bench,
+    provider: &'static dyn Provider,
+    outlet: &Outlet,
+) -> Result<u8, Failure> {
+    match bench {
+        Bench::Sm2(runs) => algorithms::run(Algorithm::Sm2, runs.runs, provider, outlet).await,
+        Bench::Sm3(runs) => algorithms::run(Algorithm::Sm3, runs.runs, provider, outlet).await,
+        Bench::Sm4(runs) => algorithms::run(Algorithm::Sm4, runs.runs, provider, outlet).await,
+        Bench::Record(runs) => record::run(runs.runs, provider, outlet).await,
+        Bench::Consensus(consensus) => consensus::run(consensus, provider, outlet).await,
+        Bench::Size(size) => size::run(size, provider, outlet).await,
+        Bench::Pictures => tokio::task::block_in_place(|| pictures::run(provider, outlet)),
+        Bench::Gas => gas::run(provider, outlet).await,
+        Bench::Growth(growth) => growth::run(growth, outlet).await,
+        Bench::Pipeline(pipeline) => pipeline::run(global, pipeline, outlet).await,
+        Bench::Gateway(gateway) => gateway::run(gateway, provider, outlet).await,
+    }
+}

@@ -1,0 +1,251 @@
+//! A network to measure on: a throw-away embedded chain or a node, with the contract freshly deployed and
+//! two throw-away accounts registered.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use tempfile::TempDir;
+use tokio::sync::{Mutex, Semaphore};
+
+use super::account::Account;
+use super::storer::Storer;
+use authros_chain::{Chain, ChainError, ChainOptions, Consensus, Endpoint, Receipt, Sealing, SignedTransaction};
+use authros_crypto::{EoaSecret, Provider};
+use authros_model::{ErrorKind, Hash};
+use authros_service::Failure;
+use authros_service::failure::internal;
+
+/// How long a single transaction may wait for its block.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+/// How often it is tried to remove a directory.
+const REMOVALS: u32 = 10;
+/// How long to wait in between.
+const BETWEEN_REMOVALS: Duration = Duration::from_millis(20);
+/// How long a gas price is good.
+const PRICE_HOLDS: Duration = Duration::from_secs(1);
+/// Requests to a node at once, so that neither runs out of descriptors.
+const MOST_REQUESTS: usize = 64;
+
+/// Where to measure.
+#[derive(Debug, Clone)]
+pub enum Place {
+    /// A chain in a temporary directory.
+    Embedded(Consensus),
+    /// A node by its URL.
+    Node(String),
+}
+
+/// A directory that goes when it is dropped, even while a chain that ends closes its files in it.
+pub struct Directory(TempDir);
+
+impl Directory {
+    /// A new one.
+    ///
+    /// # Errors
+    /// Where none can be made.
+    pub fn new() -> Result<Self, Failure> {
+        Self::within(&std::env::temp_dir())
+    }
+
+    /// A new one in `parent`.
+    ///
+    /// # Errors
+    /// Where none can be made.
+    pub fn within(parent: &Path) -> Result<Self, Failure> {
+        let made = tempfile::Builder::new().prefix("authros-bench-").tempdir_in(parent);
+        let made = made.map_err(|error| {
+            Failure::new(ErrorKind::Home, format!("no temporary directory can be made: {error}; set TMPDIR"))
+        });
+        made.map(Self)
+    }
+
+    /// Where it lies.
+    pub fn path(&self) -> &Path {
+        self.0.path()
+    }
+}
+
+impl Drop for Directory {
+    fn drop(&mut self) {
+        for _ in 0..REMOVALS {
+            if std::fs::remove_dir_all(self.path()).is_ok() || !self.path().exists() {
+                return;
+            }
+            std::thread::sleep(BETWEEN_REMOVALS);
+        }
+    }
+}
+
+/// A network ready for uploads.
+pub struct Network {
+    /// `embedded` or `node`.
+    pub kind: &'static str,
+    /// `poa`, `pow`, `pos` or `dev`.
+    pub consensus: String,
+    /// The node's name and version.
+    pub client: String,
+    /// Its period or difficulty, as far as it tells.
+    pub sealing: Sealing,
+    /// The most gas in a block.
+    pub gas_limit: u64,
+    /// The chain.
+    pub chain: Chain,
+    /// Those who upload.
+    pub accounts: [Arc<Account>; 2],
+    /// The vault.
+    pub storer: Storer,
+    /// Requests in flight.
+    pub line: Semaphore,
+    price: Mutex<Option<(Instant, u128)>>,
+}
+
+impl Network {
+    /// Opens it, deploys the contract, registers the accounts, opens a vault; files lie in `directory`.
+    ///
+    /// # Errors
+    /// Where the node does not answer or gives no ether, or nothing can be written.
+    pub async fn open(place: &Place, provider: &'static dyn Provider, directory: &Path) -> Result<Self, Failure> {
+        let chain = connect(place, directory).await?;
+        let [one, other] = [EoaSecret::generate()?, EoaSecret::generate()?];
+        for eoa in [&one, &other] {
+            chain.fund_from_node(eoa.address()).await?;
+        }
+        chain.deploy(&one).await.map_err(|error| poor(error, &chain))?;
+        let one = join(&chain, one, provider).await?;
+        let other = join(&chain, other, provider).await?;
+        let status = chain.status(None).await?;
+        let head = chain.block_work(status.block).await?.ok_or_else(|| internal("the newest block is gone"))?;
+        let embedded = matches!(place, Place::Embedded(_));
+        Ok(Self {
+            kind: if embedded { "embedded" } else { "node" },
+            consensus: status.consensus,
+            client: status.client,
+            sealing: chain.sealing().await?,
+            gas_limit: head.gas_limit,
+            storer: Storer::open(&directory.join("vault"))?,
+            line: Semaphore::new(if embedded { Semaphore::MAX_PERMITS } else { MOST_REQUESTS }),
+            price: Mutex::default(),
+            chain,
+            accounts: [Arc::new(one), Arc::new(other)],
+        })
+    }
+
+    /// What gas costs, wei, asked again every second: the embedded chain's is zero, a node's may rise.
+    ///
+    /// # Errors
+    /// The node's.
+    pub async fn price(&self) -> Result<u128, ChainError> {
+        let mut known = self.price.lock().await;
+        if let Some((_, price)) = known.filter(|(asked, _)| asked.elapsed() < PRICE_HOLDS) {
+            return Ok(price);
+        }
+        let price = self.chain.market().await?.offer();
+        *known = Some((Instant::now(), price));
+        Ok(price)
+    }
+
+    /// Whether its chain is in this process.
+    pub fn is_embedded(&self) -> bool {
+        self.kind == "embedded"
+    }
+
+    /// What it is and how it is set, in one line.
+    pub fn preset(&self) -> String {
+        let sealing = match (self.sealing.period, &self.sealing.difficulty) {
+            (Some(period), _) => format!("block period at least {period} ms"),
+            (None, Some(difficulty)) => match difficulty.parse::<u64>() {
+                Ok(difficulty) => format!("difficulty {difficulty:#x}, no fixed period"),
+                Err(_) => format!("difficulty {difficulty}, no fixed period"),
+            },
+            (None, None) => "period as the node has it".to_owned(),
+        };
+        format!("{}: {}, {sealing}, gas limit {:#x}", self.name(), self.client, self.gas_limit)
+    }
+
+    /// What to call it.
+    pub fn name(&self) -> String {
+        format!("{} {}", self.kind, self.consensus)
+    }
+}
+
+/// Whether a node answers, so that nobody waits for other networks to learn that it does not.
+///
+/// # Errors
+/// Where it does not.
+pub async fn reach(url: &str) -> Result<(), Failure> {
+    connect(&Place::Node(url.to_owned()), Path::new("")).await.map(drop)
+}
+
+async fn connect(place: &Place, directory: &Path) -> Result<Chain, Failure> {
+    let endpoint = match place {
+        Place::Embedded(consensus) => {
+            Endpoint::Embedded { directory: directory.join("chain"), consensus: Some(*consensus) }
+        }
+        Place::Node(url) => Endpoint::Node { url: url.clone() },
+    };
+    let options = ChainOptions { endpoint, contract: None, pinned: None, confirmations: 1 };
+    // The advice of this error names a setting; here it is an argument.
+    Chain::connect(options).await.map_err(|error| match error {
+        ChainError::Unreachable { url, reason } => {
+            let text = format!("the node at {url} does not answer ({reason}); start it, or correct --node");
+            Failure::new(ErrorKind::Unreachable, text)
+        }
+        other => other.into(),
+    })
+}
+
+fn poor(error: ChainError, chain: &Chain) -> Failure {
+    match error {
+        ChainError::InsufficientFunds => {
+            let text = format!(
+                "the throw-away accounts of the bench hold no ether on {}; use a development node as anvil, or a \
+                 network without fees",
+                chain.url()
+            );
+            Failure::new(ErrorKind::Refused, text)
+        }
+        other => other.into(),
+    }
+}
+
+/// A registered account of these keys.
+///
+/// # Errors
+/// The chain's.
+pub async fn join(chain: &Chain, eoa: EoaSecret, provider: &'static dyn Provider) -> Result<Account, Failure> {
+    let nonce = chain.nonce(eoa.address(), true).await?;
+    let account = Account::new(chain, eoa, nonce, provider)?;
+    let signed = chain.sign(&account.eoa, account.next_nonce(), &account.registration()?).await;
+    settle(chain, signed.map_err(|error| poor(error, chain))?).await?;
+    Ok(account)
+}
+
+/// Sends one signed transaction and waits until it took effect.
+///
+/// # Errors
+/// The chain's, or why it failed.
+pub async fn settle(chain: &Chain, signed: SignedTransaction) -> Result<Receipt, Failure> {
+    chain.broadcast(&signed.raw).await.map_err(|error| poor(error, chain))?;
+    let receipt = receipt(chain, signed.hash).await?;
+    if receipt.success {
+        return Ok(receipt);
+    }
+    Err(Failure::new(
+        ErrorKind::Refused,
+        receipt.reason.unwrap_or_else(|| "a transaction failed on the chain".to_owned()),
+    ))
+}
+
+async fn receipt(chain: &Chain, hash: Hash) -> Result<Receipt, Failure> {
+    let begun = Instant::now();
+    while begun.elapsed() < PATIENCE {
+        let head = chain.head().await?.number;
+        if let Some(receipt) = chain.receipt(hash).await? {
+            return Ok(receipt);
+        }
+        chain.next_block(head, Duration::from_secs(1)).await?;
+    }
+    Err(ChainError::NotMined(PATIENCE.as_secs()).into())
+}

@@ -1,0 +1,132 @@
+//! `authros bench pipeline`: the whole line of a throw-away site at a held rate, publishers included, through real
+//! TCPROS. ROS master, chain and vault are embedded, or those that --ros-master, --chain and --vault name.
+
+mod host;
+mod plots;
+mod run;
+
+use serde::Serialize;
+use serde_json::{Map, json};
+
+use self::run::{Load, Summary};
+use super::machine::Machine;
+use super::outlet::Outlet;
+use super::report::{Measured, Report};
+use super::spread::{Spread, bars, decimal};
+use crate::Global;
+use crate::args::{LoadChoice, PipelineArguments};
+use authros_model::ErrorKind;
+use authros_output::table;
+use authros_pipeline::stages::{Milestone, Stages};
+use authros_service::Failure;
+
+/// Bytes of a picture, as in DESIGN section 10.
+const PICTURE: usize = 58 * 1024;
+/// Pictures a second of each publisher.
+const PICTURES: u32 = 30;
+
+const NOTES: [&str; 5] = [
+    "durable: from the last byte read off the publisher's socket to the fsync that acknowledges it; confirmed: until \
+     its anchor is deep enough; verified: until it is re-read and checked. A percentile is at most 1/16 too high.",
+    "Publishers, site and what is embedded share this process and its cores; cores = processor time over time.",
+    "memory: resident bytes of the process, publishers included: at the start of the load, the most, and at the end.",
+    "law: captured = verified + pending + quarantined + dropped + tampered, asked each second.",
+    "stages: time that each was busy, waiting for disk, vault or node included, over the time of the load. Where much \
+     waits, seal and verify work on several cores at once; what one record costs one core, and in which steps, both ways: \
+     `bench record`.",
+];
+
+/// One milestone of one load.
+#[derive(Debug, Serialize)]
+struct Row {
+    load: &'static str,
+    milestone: &'static str,
+    #[serde(flatten)]
+    measured: Measured,
+    p99: f64,
+    paper: Option<f64>,
+}
+
+/// Runs the loads one after the other, each in a home of its own; exit code 8 where a message was lost or the law did
+/// not hold.
+///
+/// # Errors
+/// Where the site cannot be opened, or a part that was named does not answer.
+pub async fn run(global: Global<'_>, arguments: PipelineArguments, outlet: &Outlet) -> Result<u8, Failure> {
+    let length = authros_model::positive_span(&arguments.length).map_err(|error| Failure::new(ErrorKind::Input, error.to_string()))?;
+    let mut results = Vec::new();
+    let mut summaries = Vec::new();
+    for load in loads(&arguments) {
+        let host = host::Host::open(global, outlet.output()).await?;
+        let ran = run::run(&host, &load, length).await;
+        results.extend(Milestone::ALL.map(|milestone| row(&load, milestone, host.stages())));
+        host.close().await;
+        summaries.push(ran?);
+    }
+    let mut about = Map::new();
+    about.insert("loads".to_owned(), json!(summaries));
+    about.insert("notes".to_owned(), json!(NOTES));
+    let report = Report { name: "pipeline", machine: Machine::read(), about, results };
+    outlet.show(&report, || text(&report, &summaries), || plots::page(&report, &summaries))?;
+    let whole = summaries.iter().all(|summary| summary.is_whole());
+    Ok(if whole { 0 } else { ErrorKind::Incomplete.exit_code() })
+}
+
+fn loads(arguments: &PipelineArguments) -> Vec<Load> {
+    let publishers = arguments.publishers;
+    let messages =
+        Load { name: "messages", bytes: arguments.bytes as usize, per_second: f64::from(arguments.rate), publishers };
+    let per_second = f64::from(PICTURES) * f64::from(publishers);
+    let pictures = Load { name: "pictures", bytes: PICTURE, per_second, publishers };
+    match arguments.load {
+        LoadChoice::Messages => vec![messages],
+        LoadChoice::Pictures => vec![pictures],
+        LoadChoice::Both => vec![messages, pictures],
+    }
+}
+
+fn row(load: &Load, milestone: Milestone, stages: &Stages) -> Row {
+    let within = |percent| stages.within(milestone, percent).map_or(f64::NAN, |time| time.as_secs_f64() * 1000.0);
+    Row {
+        load: load.name,
+        milestone: milestone.word(),
+        measured: Measured {
+            bytes: load.bytes as u64,
+            runs: stages.count_of(milestone),
+            unit: "ms",
+            spread: Spread { min: within(0), p50: within(50), p95: within(95), max: within(100) },
+        },
+        p99: within(99),
+        paper: None,
+    }
+}
+
+fn text(report: &Report<Row>, summaries: &[Summary]) -> String {
+    let latencies = report.results.iter().map(latency_cells).collect::<Vec<_>>();
+    let mut lines = vec![
+        "pipeline: publisher -> captured -> sealed -> stored -> anchored -> confirmed -> verified".to_owned(),
+        format!("machine: {}", report.machine.line()),
+        String::new(),
+        table(&Summary::COLUMNS, &summaries.iter().map(Summary::cells).collect::<Vec<_>>()),
+        "\nfrom capture, ms".to_owned(),
+        table(&["load", "to", "messages", "min", "p50", "p95", "p99", "max"], &latencies),
+    ];
+    lines.push("\nmedians".to_owned());
+    let name = |row: &Row| format!("{} {}", row.load, row.milestone);
+    lines
+        .extend(bars(&report.results.iter().map(|row| (name(row), row.measured.spread.p50)).collect::<Vec<_>>(), "ms"));
+    for summary in summaries {
+        lines.push(format!("\n{}: what is busy, share of the load's time", summary.load));
+        lines.extend(summary.bars());
+    }
+    lines.push(String::new());
+    lines.extend(NOTES.map(str::to_owned));
+    lines.join("\n")
+}
+
+fn latency_cells(row: &Row) -> Vec<String> {
+    let Spread { min, p50, p95, max } = row.measured.spread;
+    let mut cells = vec![row.load.to_owned(), row.milestone.to_owned(), row.measured.runs.to_string()];
+    cells.extend([min, p50, p95, row.p99, max].map(decimal));
+    cells
+}

@@ -1,0 +1,85 @@
+//! A throw-away site with one registered profile, in a directory that goes with it.
+
+use std::sync::Arc;
+
+use crate::Global;
+use crate::network::Directory;
+use authros_config::Config;
+use authros_config::paths::Home;
+use authros_crypto::random_bytes;
+use authros_model::bytes::hex;
+use authros_model::{ErrorKind, ProfileName};
+use authros_output::Output;
+use authros_pipeline::stages::Stages;
+use authros_service::reply::SiteView;
+use authros_service::{Client, Command, Failure, Needs, Reply, SecretText, Site};
+use authros_store::{SiteLock, files};
+
+/// The site.
+pub struct Host {
+    /// Speaks for its only profile.
+    pub client: Client,
+    site: Arc<Site>,
+    _directory: Directory,
+}
+
+impl Host {
+    /// Opens it with the settings that flags and environment name, without robots, and registers its profile.
+    ///
+    /// # Errors
+    /// Where a setting is not usable, nothing can be written, or a part that was named does not answer.
+    pub async fn open(global: Global<'_>, output: Output) -> Result<Self, Failure> {
+        let directory = Directory::new()?;
+        let home = Home::new(directory.path().join("home"));
+        let flags = |name: &str| if name == "robots" { Some("0".to_owned()) } else { (global.settings)(name) };
+        let config = Config::resolve(&flags, &|name| std::env::var(name).ok(), None)?;
+        files::private_directory(home.root())?;
+        let lock = SiteLock::acquire(&home.site_lock())?
+            .ok_or_else(|| Failure::new(ErrorKind::Home, "the bench's own directory is in use; run the bench again"))?;
+        let site = Site::start(home, config, lock, Needs { ros: true, chain: true })?;
+        let profile: ProfileName = crate::read("bench")?;
+        let client = site.client(profile);
+        let host = Self { client, site, _directory: directory };
+        if let Err(failure) = host.register().await {
+            host.close().await;
+            return Err(failure);
+        }
+        output.note("a throw-away profile is registered");
+        Ok(host)
+    }
+
+    async fn register(&self) -> Result<(), Failure> {
+        let passphrase = SecretText::new(hex(&random_bytes::<16>()?));
+        self.client.request(Command::CreateIdentity { passphrase }).await?;
+        self.client.request(Command::Register).await.map(drop)
+    }
+
+    /// The ROS master in use.
+    ///
+    /// # Errors
+    /// Where it does not answer.
+    pub async fn master(&self) -> Result<String, Failure> {
+        self.site.ros_uri().await
+    }
+
+    /// Times of the line.
+    pub fn stages(&self) -> &Stages {
+        self.site.stages()
+    }
+
+    /// Health and counts.
+    ///
+    /// # Errors
+    /// The site's.
+    pub async fn status(&self) -> Result<SiteView, Failure> {
+        match self.client.request(Command::SiteStatus).await? {
+            Reply::Site(view) => Ok(view),
+            _ => Err(Failure::new(ErrorKind::Internal, "the site answered something else than was asked")),
+        }
+    }
+
+    /// Ends the site.
+    pub async fn close(self) {
+        self.site.stop().await;
+    }
+}
