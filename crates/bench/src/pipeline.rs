@@ -53,7 +53,8 @@ struct Row {
 /// # Errors
 /// Where the site cannot be opened, or a part that was named does not answer.
 pub async fn run(global: Global<'_>, arguments: PipelineArguments, outlet: &Outlet) -> Result<u8, Failure> {
-    let length = authros_model::positive_span(&arguments.length).map_err(|error| Failure::new(ErrorKind::Input, error.to_string()))?;
+    let length = authros_model::positive_span(&arguments.length)
+        .map_err(|error| Failure::new(ErrorKind::Input, error.to_string()))?;
     let mut results = Vec::new();
     let mut summaries = Vec::new();
     for load in loads(&arguments) {
