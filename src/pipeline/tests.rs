@@ -10,9 +10,10 @@ use crate::chain::{Call, Chain, ChainOptions, Endpoint};
 use crate::crypto::sm3::sm3;
 use crate::crypto::{
     Anchor, Expected, Keyring, Passphrase, ProviderName, UnlockedKeyring, domain, open, prove, provider,
+    signer_id,
 };
 use crate::model::{
-    AnchorMode, Digest, Domain, ProfileName, RecordKind, RecordState, Signature, SignerId, Timestamp, Token, TopicId,
+    AnchorMode, Digest, Domain, ProfileName, RecordKind, RecordState, Signature, Timestamp, Token, TopicId,
 };
 use crate::store::{Ledger, NewRecord, RecordQuery, RecordRow, open_vault};
 
@@ -169,7 +170,7 @@ fn record(owner: &Owner, topic: u8, seq: u64) -> NewRecord {
         foreign: None,
         epoch: 1,
         kind: RecordKind::Data,
-        signer: SignerId([1; 32]),
+        signer: signer_id(&owner.signing().public),
         signature: Signature([7; 64]),
         filters: Vec::new(),
         topic: format!("/robot{topic}/odom"),
