@@ -35,7 +35,7 @@ impl Line {
     }
 
     async fn witness(&self) -> EoaSecret {
-        let key = witness::witnesses(&self.owner.eoa(), &self.network.domain, 1).expect("keys").remove(0);
+        let key = witness::witnesses(&self.owner.eoa(), &self.network.domain, 2).expect("keys").remove(0);
         witness::ensure_ready(&self.plant, &self.network, &self.sender, &self.owner, &key).await.expect("registers");
         self.watch().await;
         self.tend(std::slice::from_ref(&key)).await;
