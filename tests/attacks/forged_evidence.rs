@@ -104,7 +104,9 @@ impl Scene {
 
     /// What a stranger without a home reads of a folder: refused for `reason`, or taken for evidence.
     pub fn judge(&self, folder: &PathBuf, reason: &str) -> Outcome {
-        let stranger = Authros::bare(&self.home.root().join("stranger"));
+        let place = self.home.root().join("stranger");
+        std::fs::create_dir_all(&place).expect("a folder");
+        let stranger = Authros::bare(&place);
         let folder = folder.to_str().expect("UTF-8");
         let read = stranger.run(&["verify", folder, "--chain", &self.served.url()]);
         let refusal = read.stdout.lines().find(|line| line.contains(reason)).unwrap_or_default().trim().to_owned();

@@ -97,7 +97,7 @@ fn a_robots_record_is_evidence_for_whoever_has_neither_home_nor_keys() {
     let mut chain = alice.spawn(&["chain", "serve", "--listen", &url]);
     chain.wait_for_text(&url, 60);
     let nobody = Home::new();
-    let stranger = Authros::bare(&nobody.root().join("empty"));
+    let stranger = Authros::bare(nobody.root());
     let arguments = ["verify", &folder, "--chain", &format!("http://{url}")];
     let told = stranger.run(&arguments).expect_code(0).stdout;
     assert!(told.contains("VERIFIED") && told.contains("a device that") && told.contains("had lent"), "{told}");
