@@ -8,6 +8,7 @@ use crate::support;
 use support::{Authros, Home, Running, count, free_port, heavy, list, text, wait_until};
 
 const WAITS: &str = "waits: right ended";
+const TOPICS: [&str; 2] = ["/robot1/odom", "/robot2/odom"];
 
 fn life(authros: &Authros) -> Value {
     let life = authros.with(&["--json"]).run(&["status"]).document()["life"].clone();
@@ -38,7 +39,9 @@ fn suspensions_under_load_lose_nothing_and_what_waited_goes_on_by_itself() {
     let site = boss.serve(&home);
     let alice = home.profile("alice");
     let address = alice.enrol();
-    alice.json(&["topics", "watch", "/robot1/odom", "/robot2/odom"]);
+    for topic in TOPICS {
+        alice.json(&["topics", "watch", topic]);
+    }
     wait_until(60, "the witnesses anchor", || (count(&life(&alice), "verified") >= 40).then_some(()));
     // A block or two each, while batches are on their way through accounts that nobody suspended.
     for _ in 0..3 {
@@ -56,7 +59,9 @@ fn suspensions_under_load_lose_nothing_and_what_waited_goes_on_by_itself() {
     let before = count(&life(&alice), "verified");
     boss.json(&["chain", "restore", &address]);
     wait_until(120, "300 are verified", || (count(&life(&alice), "verified") >= before.max(300)).then_some(()));
-    alice.json(&["topics", "unwatch", "/robot1/odom", "/robot2/odom"]);
+    for topic in TOPICS {
+        alice.json(&["topics", "unwatch", topic]);
+    }
     let end = all_verified(&alice, 300);
     assert_eq!((count(&end, "dropped"), count(&end, "tampered"), count(&end, "right_ended")), (0, 0, 0), "{end}");
     assert!(!has_word(&alice, &["uploads", "list"]));
