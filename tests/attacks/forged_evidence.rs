@@ -1,7 +1,7 @@
 //! Evidence of somebody's own making: a record signed with a key that he has, anchored by an account that nobody
 //! suspended, in a folder as `uploads export` writes it; and what `authros verify` says of it.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use authros::chain::merkle::{Leaf, Tree};
 use authros::chain::{Call, Chain, ChainOptions, Endpoint};
@@ -103,7 +103,7 @@ impl Scene {
     }
 
     /// What a stranger without a home reads of a folder: refused for `reason`, or taken for evidence.
-    pub fn judge(&self, folder: &PathBuf, reason: &str) -> Outcome {
+    pub fn judge(&self, folder: &Path, reason: &str) -> Outcome {
         let place = self.home.root().join("stranger");
         std::fs::create_dir_all(&place).expect("a folder");
         let stranger = Authros::bare(&place);

@@ -67,7 +67,7 @@ async fn read_while_suspended() {
     }
     let outcome = match (live, reached.as_slice()) {
         (0, []) => Outcome::Refused(refusals.join("; ")),
-        (live, reached) => Outcome::Succeeded(format!("{live} live records after it; {}", reached.join(", "))),
+        (live, reached) => Outcome::Succeeded(format!("{live} live records after it, asked anew {reached:?}")),
     };
     judge("read_while_suspended", outcome);
 }
