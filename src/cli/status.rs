@@ -77,10 +77,10 @@ fn text(view: &SiteView) -> String {
 }
 
 fn life(life: &LifeLine) -> Vec<String> {
-    let LifeLine { captured, verified, pending, quarantined, dropped, tampered, .. } = *life;
+    let LifeLine { captured, verified, pending, right_ended, quarantined, dropped, tampered, .. } = *life;
     let sum = format!(
-        "captured {captured} = verified {verified} + pending {pending} + quarantined {quarantined} + dropped {dropped} \
-         + tampered {tampered}"
+        "captured {captured} = verified {verified} + pending {pending} + right ended {right_ended} + quarantined \
+         {quarantined} + dropped {dropped} + tampered {tampered}"
     );
     let verdict = if life.conserved { "it adds up" } else { "IT DOES NOT ADD UP: run `authros audit verify`" };
     let lost = format!(
@@ -88,6 +88,12 @@ fn life(life: &LifeLine) -> Vec<String> {
         life.lost_in_transport, life.lost_in_recorder, life.discarded, life.waiting, life.deleted
     );
     let mut lines = vec![format!("{sum}: {verdict}"), lost];
+    if right_ended > 0 {
+        lines.push(format!(
+            "{right_ended} records wait: whoever signed them may not sign for their owner now; they go on by themselves when \
+             the administrator restores the account (authros chain restore) or the loan is renewed (authros devices lend)"
+        ));
+    }
     if tampered > 0 {
         lines.push(format!("{tampered} records are altered or MISSING: `authros audit` names them"));
     }

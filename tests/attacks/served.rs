@@ -34,6 +34,11 @@ impl Served {
         served
     }
 
+    /// Where it answers.
+    pub fn url(&self) -> String {
+        format!("http://{}", self.address)
+    }
+
     /// The answer to a body, or nothing where none comes in time.
     pub fn post(&self, body: &Value) -> Option<Value> {
         let body = body.to_string();

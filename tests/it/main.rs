@@ -32,6 +32,7 @@ mod real_redis;
 mod real_ros;
 mod remote;
 mod restart;
+mod rights;
 mod sharing;
 mod succession;
 mod units;

@@ -141,7 +141,7 @@ fn hold_to_the_law(seen: &mut Seen, view: SiteView) {
     if view.profiles.is_empty() {
         return;
     }
-    let accounted = life.verified + life.pending + life.quarantined + life.dropped + life.tampered;
+    let accounted = life.verified + life.pending + life.right_ended + life.quarantined + life.dropped + life.tampered;
     if life.captured != accounted {
         seen.broken.push(format!("captured {} is not {accounted}: {life:?}", life.captured));
     }

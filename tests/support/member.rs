@@ -94,6 +94,11 @@ impl Member {
 
     /// A sealed record of `std_msgs/String`, as a robot sends it.
     pub fn record(&self, signer: &SmKeyPair, topic: &str, seq: u64, body: &[u8]) -> Upload {
+        self.record_of(signer, topic, seq, body, Timestamp::now())
+    }
+
+    /// The same, said to have been captured at another time.
+    pub fn record_of(&self, signer: &SmKeyPair, topic: &str, seq: u64, body: &[u8], captured_at: Timestamp) -> Upload {
         let (id, key) = self.topic(topic);
         let head = Head {
             topic: topic.to_owned(),
@@ -117,7 +122,7 @@ impl Member {
             topic_id: id,
             kind: RecordKind::Data,
             filters: vec![filter_id(self.index(), "type", "std_msgs/String")],
-            captured_at: Timestamp::now(),
+            captured_at,
             head: &head,
             body,
         };

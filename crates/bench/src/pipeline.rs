@@ -30,7 +30,7 @@ const NOTES: [&str; 5] = [
      its anchor is deep enough; verified: until it is re-read and checked. A percentile is at most 1/16 too high.",
     "Publishers, site and what is embedded share this process and its cores; cores = processor time over time.",
     "memory: resident bytes of the process, publishers included: at the start of the load, the most, and at the end.",
-    "law: captured = verified + pending + quarantined + dropped + tampered, asked each second.",
+    "law: captured = verified + pending + right ended + quarantined + dropped + tampered, asked each second.",
     "stages: time that each was busy, waiting for disk, vault or node included, over the time of the load. Where much \
      waits, seal and verify work on several cores at once; what one record costs one core, and in which steps, both ways: \
      `bench record`.",

@@ -28,11 +28,14 @@ pub enum RecordState {
     Dropped,
     /// The vault's bytes differ from the anchored digest.
     Tampered,
+    /// In the vault; its signer may not sign for its owner now. Nobody here anchors it until that right is back.
+    #[serde(rename = "waits: right ended")]
+    RightEnded,
 }
 
 impl RecordState {
     /// All states, in life-line order.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 12] = [
         Self::Captured,
         Self::Sealed,
         Self::Stored,
@@ -44,6 +47,7 @@ impl RecordState {
         Self::Quarantined,
         Self::Dropped,
         Self::Tampered,
+        Self::RightEnded,
     ];
 
     /// One word for screens, JSON and the ledger.
@@ -60,6 +64,7 @@ impl RecordState {
             Self::Quarantined => "quarantined",
             Self::Dropped => "dropped",
             Self::Tampered => "tampered",
+            Self::RightEnded => "waits: right ended",
         }
     }
 
@@ -73,9 +78,15 @@ impl RecordState {
         Self::ALL.get(usize::from(code)).copied()
     }
 
-    /// Whether work on the record is still to be done.
+    /// Whether work on the record is still to be done. What waits for a right waits for somebody's decision, not for
+    /// work.
     pub fn is_pending(self) -> bool {
         self < Self::Verified
+    }
+
+    /// Whether nothing of the record is in a block yet.
+    pub fn is_before_block(self) -> bool {
+        self < Self::Mined || self == Self::RightEnded
     }
 }
 
@@ -124,5 +135,9 @@ mod tests {
         assert!(RecordState::Confirmed.is_pending());
         assert!(!RecordState::Verified.is_pending());
         assert!(!RecordState::Tampered.is_pending());
+        assert!(!RecordState::RightEnded.is_pending() && RecordState::RightEnded.is_before_block());
+        for state in RecordState::ALL {
+            assert_eq!(serde_json::to_value(state).expect("JSON"), state.word(), "one word everywhere");
+        }
     }
 }

@@ -15,7 +15,7 @@ use crate::store::{Anchors, Ledger, RecordRow, StoreError};
 use super::directory::Account;
 use super::sender::Outgoing;
 use super::statement::{self, Statement};
-use super::{Directory, Former, Network, Owner, PipelineError, Plant, Sender};
+use super::{Directory, Former, Network, Owner, PipelineError, Plant, Sender, authority};
 
 /// Where the steps lie in the ledger.
 pub const STEPS: &str = "adoptions";
@@ -119,11 +119,13 @@ pub async fn give_word(
     sender: &Sender,
     owner: &Owner,
 ) -> Result<Word, PipelineError> {
+    // What waits for its owner's right would be passed by for ever: no other record goes before it.
+    block_in_place(|| authority::settle_waiting(plant, network, owner.address))?;
     let row = match block_in_place(|| word_of(plant, network, owner))? {
         Due::Nothing => return Ok(Word::Given),
         Due::Later => return Ok(Word::OnItsWay),
         // In a batch it goes with that.
-        Due::Sealed(row) if row.state == RecordState::Batched || row.state >= RecordState::Mined => {
+        Due::Sealed(row) if row.state == RecordState::Batched || !row.state.is_before_block() => {
             return Ok(Word::Given);
         }
         Due::Sealed(row) => row,
@@ -174,7 +176,7 @@ pub fn is_given(plant: &Plant, network: &Network, owner: &Owner) -> Result<bool,
     let Some((key, _)) = due(plant, network, owner)? else { return Ok(true) };
     let digest = plant.ledger.setting(&key)?.and_then(|text| text.parse::<Digest>().ok());
     let row = digest.map(|digest| plant.ledger.record(digest)).transpose()?.flatten();
-    Ok(row.is_some_and(|row| row.state >= RecordState::Mined))
+    Ok(row.is_some_and(|row| !row.state.is_before_block()))
 }
 
 /// The token under which a record is uploaded by itself: of its own epoch, or, where it was sealed for a domain

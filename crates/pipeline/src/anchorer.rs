@@ -13,7 +13,7 @@ use crate::store::{Anchors, NewBatch, RecordRow, WaitingBatch};
 
 use super::pace::{LONGEST_WAIT, Pace};
 use super::sender::Outgoing;
-use super::{Network, Owner, PipelineError, Plant, Sender, adoption};
+use super::{Network, Owner, PipelineError, Plant, Sender, adoption, authority};
 
 /// Records a round, one by one: one ledger commit for so many signed transactions.
 const ROUND: usize = 128;
@@ -53,7 +53,7 @@ impl Anchorer {
         Self { mode, pace: Pace::default(), resting: HashMap::new() }
     }
 
-    /// Does what is due now. `lanes` are the accounts that anchor batches side by side, the owner's
+    /// Does what is due now; records whose signer may not sign now wait. `lanes` are the accounts that anchor batches side by side, the owner's
     /// own first; records one by one go through the owner's own alone.
     ///
     /// # Errors
@@ -69,6 +69,7 @@ impl Anchorer {
         if network.directory.epoch(owner.address) == 0 {
             return Ok(Round::wait(IDLE));
         }
+        block_in_place(|| authority::settle_waiting(plant, network, owner.address))?;
         self.resting.retain(|_, until| Instant::now() < *until);
         let free = free_lane(plant, sender, lanes, &self.resting)?;
         let Some((lane, open)) = free else { return Ok(Round::wait(IDLE)) };
@@ -78,7 +79,10 @@ impl Anchorer {
             return self.send(plant, network, sender, lane, owner.address, *batch).await;
         }
         match self.mode {
-            AnchorMode::Each => one_by_one(plant, network, sender, owner).await,
+            AnchorMode::Each => match again(plant, owner.address)? {
+                Some(batch) => self.send(plant, network, sender, lane, owner.address, batch).await,
+                None => one_by_one(plant, network, sender, owner).await,
+            },
             AnchorMode::Batch => match self.close(plant, owner.address, open == 0)? {
                 Ok(batch) => self.send(plant, network, sender, lane, owner.address, batch).await,
                 Err(due_in) => Ok(Round::wait(due_in)),
@@ -143,6 +147,14 @@ pub(super) fn close_batch(
     fault::point("batch-closed");
     plant.observer.records_changed();
     Ok(Some(batch))
+}
+
+/// Records whose own uploads were passed over: the contract takes a digest once, so they go in a batch.
+fn again(plant: &Plant, owner: Address) -> Result<Option<WaitingBatch>, PipelineError> {
+    block_in_place(|| {
+        let leaves = plant.ledger.passed_over_leaves(owner, MOST_LEAVES)?;
+        close_batch(plant, owner, &leaves)
+    })
 }
 
 /// The account with the fewest open batches, and how many; `None` where all have their fill or stand still.

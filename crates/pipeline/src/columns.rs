@@ -315,7 +315,7 @@ fn place_difference(plant: &Plant, row: &RecordRow) -> Result<Option<&'static st
     if settled && row.block.is_none() {
         return Ok(plant.ledger.earlier_anchor(row.digest)?.is_none().then_some("state"));
     }
-    if row.state < RecordState::Mined && row.block.is_some() {
+    if row.state.is_before_block() && row.block.is_some() {
         return Ok(Some("state"));
     }
     anchor_difference(plant, row)

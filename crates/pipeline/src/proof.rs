@@ -2,7 +2,7 @@
 
 use tokio::task::block_in_place;
 
-use crate::chain::{Chain, Event};
+use crate::chain::{Chain, ChainError, Event};
 use crate::crypto::fault;
 use crate::model::{Address, Hash};
 use crate::store::{BatchPlace, RecordRow};
@@ -46,7 +46,7 @@ pub async fn is_root_in(
     root: Hash,
     count: u64,
     block: u64,
-) -> Result<bool, PipelineError> {
+) -> Result<bool, ChainError> {
     match chain.root_anchored(account, root).await? {
         None => return Ok(false),
         Some((first, counted)) if first == block => return Ok(counted == count),

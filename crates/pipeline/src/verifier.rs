@@ -22,8 +22,8 @@ enum ReadBack {
     Bytes(Vec<u8>, PublicKey),
     /// Nothing is to be checked: whether that is as it should be.
     Decided(bool),
-    /// Its signer had no right at the anchoring block, so that anchor decides nothing.
-    Undecided,
+    /// Its signer had no right at the anchoring block: that anchor does not count, a later one may.
+    PassedOver(NoRight),
 }
 
 /// What a page of records came to.
@@ -31,6 +31,8 @@ enum ReadBack {
 struct Outcome<'a> {
     good: Vec<&'a RecordRow>,
     bad: Vec<&'a RecordRow>,
+    /// Anchored without a right.
+    passed: Vec<(&'a RecordRow, NoRight)>,
 }
 
 /// Checks up to [`ROUND`] confirmed records; returns how many it decided about.
@@ -67,17 +69,18 @@ fn verify_page(plant: &Plant, network: &Network, rows: &[RecordRow]) -> Result<u
         piece.push(row);
     }
     outcome.judge(plant, network, &piece)?;
-    let Outcome { good, bad } = outcome;
+    let Outcome { good, bad, passed } = outcome;
     if !rows.is_empty() {
         fault::point("checked");
     }
     settle(plant, &good, RecordState::Verified)?;
     settle(plant, &bad, RecordState::Tampered)?;
+    pass_over(plant, &passed)?;
     if let Some(stages) = plant.observer.stages().filter(|_| !good.is_empty()) {
         stages.spent(Stage::Verify, begun.elapsed());
         stages.reached(Milestone::Verified, good.iter().map(|row| row.captured_at));
     }
-    Ok(good.len() + bad.len())
+    Ok(good.len() + bad.len() + passed.len())
 }
 
 impl<'a> Outcome<'a> {
@@ -88,7 +91,7 @@ impl<'a> Outcome<'a> {
             match read_back(plant, network, row) {
                 Ok(ReadBack::Bytes(blob, signer)) => read.push((*row, blob, signer)),
                 Ok(ReadBack::Decided(sound)) => self.note(plant, row, Ok(sound))?,
-                Ok(ReadBack::Undecided) => {}
+                Ok(ReadBack::PassedOver(why)) => self.passed.push((*row, why)),
                 Err(error) => self.note(plant, row, Err(error))?,
             }
         }
@@ -144,7 +147,7 @@ fn read_back(plant: &Plant, network: &Network, row: &RecordRow) -> Result<ReadBa
     let signer = match authority::signer_of(plant, network, row)? {
         Ok(signer) => signer,
         Err(NoRight::KeyUnknown { .. }) => return Ok(ReadBack::Decided(false)),
-        Err(_) => return Ok(ReadBack::Undecided),
+        Err(why) => return Ok(ReadBack::PassedOver(why)),
     };
     match plant.vault.get(row.digest)? {
         Some(blob) => Ok(ReadBack::Bytes(blob, signer)),
@@ -185,6 +188,16 @@ fn settle(plant: &Plant, rows: &[&RecordRow], state: RecordState) -> Result<(), 
             format!("{} records differ from what was anchored, or are gone from the vault", digests.len()),
         );
     }
+    plant.observer.records_changed();
+    Ok(())
+}
+
+/// Records whose anchors do not count are stored again: they are anchored anew as soon as their signers may sign.
+fn pass_over(plant: &Plant, passed: &[(&RecordRow, NoRight)]) -> Result<(), PipelineError> {
+    let Some((_, why)) = passed.first() else { return Ok(()) };
+    let digests: Vec<Digest> = passed.iter().map(|(row, _)| row.digest).collect();
+    let moved = plant.ledger.pass_over(&digests)?;
+    plant.observer.alert(false, format!("{moved} records are to be anchored anew, their block does not count: {why}"));
     plant.observer.records_changed();
     Ok(())
 }

@@ -26,7 +26,7 @@ pub use ledger::{
     Foreign, GapRow, HeldMinute, HeldQuery, HeldRow, Hold, KeptBinding, KeptEvent, KeptReceipt, KeptStanding,
     KeptTopic, LaneCount, Ledger, Left, Loss, NewBatch, NewRecord, NewTransaction, OldRecord, OpenTransaction, PinRow,
     RecordPage, RecordQuery, RecordRow, RecordsHeld, Reissue, Retained, RootSighting, Sequence, Sighting, StateCounts,
-    TopicCounts, TransactionOutcome, TransactionRow, TransactionState, WaitingBatch,
+    TopicCounts, TransactionOutcome, TransactionRow, TransactionState, WaitingBatch, WaitingSigner,
 };
 pub use reserve::{RESERVE_BYTES, Reserve};
 pub use vault::{Stored, Usage, Vault, open_vault};

@@ -173,7 +173,7 @@ impl Watch {
 
     async fn look(&mut self, host: &Host) -> Result<LifeLine, Failure> {
         let life = host.status().await?.life;
-        let known = life.verified + life.pending + life.quarantined + life.dropped + life.tampered;
+        let known = life.verified + life.pending + life.right_ended + life.quarantined + life.dropped + life.tampered;
         self.asked += 1;
         self.broken += u64::from(known != life.captured);
         self.most_pending = self.most_pending.max(life.pending);

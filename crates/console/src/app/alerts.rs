@@ -58,6 +58,11 @@ fn health(part: &PartHealth) -> Option<(NoticeLevel, String)> {
 fn life(life: &LifeLine) -> Vec<(NoticeLevel, String)> {
     let counted = [
         (life.tampered, NoticeLevel::Error, "tampered: not the bytes that were anchored (3, then / tampered)"),
+        (
+            life.right_ended,
+            NoticeLevel::Warning,
+            "waiting: whoever signed them may not sign now; they go on when the account is restored or the loan renewed",
+        ),
         (life.quarantined, NoticeLevel::Warning, "quarantined: sent by a node that is not the pinned publisher"),
         (
             life.dropped.saturating_sub(life.discarded),

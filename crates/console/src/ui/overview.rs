@@ -95,11 +95,12 @@ fn draw_life(canvas: &mut Canvas, area: Rect, state: &State, life: &LifeLine) ->
     below(area, 4 + u16::from(lost))
 }
 
-/// Captured = verified + pending + quarantined + dropped + tampered, in figures, and whether it holds.
+/// Captured = verified + pending + right ended + quarantined + dropped + tampered, in figures, and whether it holds.
 fn draw_law(canvas: &mut Canvas, area: Rect, life: &LifeLine) {
     let parts = [
         (life.verified, "verified", Role::Good),
         (life.pending, "pending", Role::Accent),
+        (life.right_ended, "right ended", Role::Warning),
         (life.quarantined, "quarantined", Role::Warning),
         (life.dropped, "dropped", Role::Warning),
         (life.tampered, "tampered", Role::Bad),
@@ -118,7 +119,7 @@ fn draw_law(canvas: &mut Canvas, area: Rect, life: &LifeLine) {
         let plus = if place == 0 { "" } else { " + " };
         rest = canvas.puts(rest, &[(plus, Role::Dim), (&words::count(count), role), (" ", role), (name, Role::Dim)]);
     }
-    if life.quarantined + life.dropped + life.tampered == 0 {
+    if life.right_ended + life.quarantined + life.dropped + life.tampered == 0 {
         canvas.put(rest, ", none held, dropped, tampered", Role::Dim);
     }
 }

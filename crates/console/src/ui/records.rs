@@ -96,7 +96,7 @@ fn note(records: &Records, wanted: &Wanted) -> String {
 
 fn cells(state: &State, row: &RecordView, with_owner: bool) -> Vec<(String, Role)> {
     let topic = if row.kind == "data" { row.topic.clone() } else { format!("{} ({})", row.topic, row.kind) };
-    let mut cells = vec![(row.state.clone(), state_role(&row.state))];
+    let mut cells = vec![(short_state(&row.state).to_owned(), state_role(&row.state))];
     if with_owner {
         let short = || row.owner.map(|owner| owner.short());
         cells.push((row.owner_name.clone().or_else(short).unwrap_or_default(), Role::Accent));
@@ -116,12 +116,17 @@ fn cells(state: &State, row: &RecordView, with_owner: bool) -> Vec<(String, Role
     cells
 }
 
+/// A record's state as it fits into its column.
+fn short_state(state: &str) -> &str {
+    state.strip_prefix("waits: ").unwrap_or(state)
+}
+
 /// The role of a record's state.
 pub fn state_role(state: &str) -> Role {
     match state {
         "verified" => Role::Good,
         "tampered" | "missing" => Role::Bad,
-        "quarantined" | "dropped" => Role::Warning,
+        "quarantined" | "dropped" | "waits: right ended" => Role::Warning,
         _ => Role::Accent,
     }
 }

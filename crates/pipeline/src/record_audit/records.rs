@@ -245,7 +245,7 @@ pub(super) fn look(bench: Bench<'_>, piece: &[Looked], tally: &mut Tally) -> Res
     for (record, uploaded) in piece {
         tally.records += 1;
         tally.last = tally.last.max(record.number);
-        tally.pending += u64::from(record.row.state.is_pending());
+        tally.pending += u64::from(record.row.state.is_pending() || record.row.state == RecordState::RightEnded);
         if is_missed(bench, record)? {
             let text = "its stored bytes are gone from the vault, and there is no local copy";
             // A deep audit finds it among the bytes.
@@ -292,7 +292,7 @@ fn row_fault(bench: Bench<'_>, record: &AuditedRecord, uploaded: Uploaded) -> Op
     if settled && row.block.is_none() && !record.anchored_earlier && bench.network.is_some() {
         return Some(format!("is {} and stands in no block", row.state.word()));
     }
-    if row.state < RecordState::Mined && row.block.is_some() {
+    if row.state.is_before_block() && row.block.is_some() {
         return Some(format!("is {} and stands in a block", row.state.word()));
     }
     if let Some(place) = &record.place {

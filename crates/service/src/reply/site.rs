@@ -36,7 +36,7 @@ pub struct PartHealth {
 }
 
 /// How many records passed each station of the life line (data records of one profile). At every moment
-/// captured = verified + pending + quarantined + dropped + tampered, where captured is counted by itself.
+/// captured = verified + pending + right ended + quarantined + dropped + tampered, where captured is counted by itself.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct LifeLine {
     /// Taken from the topic.
@@ -53,6 +53,9 @@ pub struct LifeLine {
     pub verified: u64,
     /// Not yet verified.
     pub pending: u64,
+    /// Their signer may not sign for their owner now; anchored when that right is back.
+    #[serde(default)]
+    pub right_ended: u64,
     /// Held back.
     pub quarantined: u64,
     /// Dropped before acknowledgement, counted, or discarded out of quarantine.

@@ -217,7 +217,7 @@ impl Site {
     /// How many records signed by this key are neither verified nor given up.
     fn pending_of(&self, owner: &Owner, signer: SignerId) -> Result<usize, Failure> {
         let mut pending = 0;
-        for state in RecordState::ALL.iter().copied().filter(|state| state.is_pending()) {
+        for state in unverified() {
             let mut after = None;
             loop {
                 let (owner, state) = (Some(owner.address), Some(state));
@@ -230,4 +230,10 @@ impl Site {
         }
         Ok(pending)
     }
+}
+
+/// States of records that a new key would leave behind: also what waits for its signer's right needs the present one.
+fn unverified() -> impl Iterator<Item = RecordState> {
+    let waits = |state: &RecordState| state.is_pending() || *state == RecordState::RightEnded;
+    RecordState::ALL.into_iter().filter(waits)
 }

@@ -141,15 +141,17 @@ impl Site {
             states.map(|state| counts.data_in(state)).sum()
         };
         let tampered = counts.data_in(RecordState::Tampered);
+        let right_ended = counts.data_in(RecordState::RightEnded);
         let dropped = counts.data_in(RecordState::Dropped);
         Ok(LifeLine {
             captured: counts.captured(),
-            sealed: at_least(RecordState::Sealed) + tampered,
-            stored: at_least(RecordState::Stored) + tampered,
+            sealed: at_least(RecordState::Sealed) + tampered + right_ended,
+            stored: at_least(RecordState::Stored) + tampered + right_ended,
             anchored: at_least(RecordState::Mined) + tampered,
             confirmed: at_least(RecordState::Confirmed) + tampered,
             verified: counts.data_in(RecordState::Verified),
             pending: counts.pending(),
+            right_ended,
             quarantined: counts.data_in(RecordState::Quarantined),
             dropped,
             lost_in_recorder: counts.lost_in_recorder,

@@ -261,6 +261,10 @@ fn standing(state: RecordState) -> &'static str {
         RecordState::Verified => "read back from the vault: digest equal to the chain or its proof, signature valid",
         RecordState::Quarantined => "held back: sent by a node that is not the pinned publisher",
         RecordState::Dropped => "given up, and counted",
+        RecordState::RightEnded => {
+            "in the vault; whoever signed it may not sign for its owner now, and nobody here anchors it: it goes on when \
+             the owner is restored or the loan renewed"
+        }
         RecordState::Tampered => "the stored bytes are not the ones that were anchored and signed",
     }
 }

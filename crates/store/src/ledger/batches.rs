@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::append::count;
 use super::edges::{By, may};
 use super::rows::{self, unsigned};
-use super::{Ledger, database::whole};
+use super::{Ledger, database::whole, rights};
 use crate::chain::merkle::{Inclusion, Leaf};
 use crate::model::{Address, Digest, Hash, RecordState, RecorderId, Timestamp, TopicId};
 use crate::store::StoreError;
@@ -78,7 +78,8 @@ pub enum Anchors {
 
 impl Ledger {
     /// Closes a batch: keeps its root and every record's path, and moves its records from stored to
-    /// batched, in one commit. Closing the same batch again changes nothing.
+    /// batched, in one commit. Closing the same batch again changes nothing, unless its records have left it: then it
+    /// waits anew.
     ///
     /// # Errors
     /// [`StoreError::NotReady`] where a record is not stored: then nothing is kept.
@@ -94,7 +95,8 @@ impl Ledger {
         self.read(|connection| {
             let mut statement = connection.prepare_cached(
                 "SELECT root, count FROM batches INDEXED BY batches_waiting
-                 WHERE owner = ?1 AND tx IS NULL ORDER BY key LIMIT ?2",
+                 WHERE owner = ?1 AND tx IS NULL AND EXISTS (SELECT 1 FROM leaves WHERE batch = key)
+                 ORDER BY key LIMIT ?2",
             )?;
             let limit = i64::try_from(limit).unwrap_or(i64::MAX);
             let rows = statement.query_map(params![owner.0, limit], |row| {
@@ -211,14 +213,17 @@ fn place(row: &Row<'_>) -> rusqlite::Result<BatchPlace> {
 }
 
 fn close(connection: &Connection, batch: &NewBatch) -> Result<(), StoreError> {
-    if key_of(connection, batch.root)?.is_some() {
-        return Ok(());
-    }
-    let leaves = i64::try_from(batch.leaves.len()).unwrap_or(i64::MAX);
-    connection
-        .prepare_cached("INSERT INTO batches (root, owner, count, closed_at) VALUES (?1, ?2, ?3, ?4)")?
-        .execute(params![batch.root.0, batch.owner.0, leaves, whole("time", Timestamp::now().0)?])?;
-    let key = connection.last_insert_rowid();
+    let key = match key_of(connection, batch.root)? {
+        Some(known) if rights::begin_again(connection, known)? => known,
+        Some(_) => return Ok(()),
+        None => {
+            let leaves = i64::try_from(batch.leaves.len()).unwrap_or(i64::MAX);
+            connection
+                .prepare_cached("INSERT INTO batches (root, owner, count, closed_at) VALUES (?1, ?2, ?3, ?4)")?
+                .execute(params![batch.root.0, batch.owner.0, leaves, whole("time", Timestamp::now().0)?])?;
+            connection.last_insert_rowid()
+        }
+    };
     let mut find = connection.prepare_cached("SELECT n, state FROM records WHERE digest = ?1")?;
     let mut add = connection.prepare_cached("INSERT INTO leaves VALUES (?1, ?2, ?3, ?4)")?;
     let mut move_on = connection.prepare_cached("UPDATE records SET state = ?2 WHERE n = ?1")?;

@@ -13,7 +13,8 @@ use crate::store::StoreError;
 /// Bytes that header, head and tags add to a message.
 const AROUND: i64 = 600;
 
-/// How the records of one topic stand. `captured = verified + pending + quarantined + dropped + tampered`.
+/// How the records of one topic stand. `captured = verified + pending + right_ended +
+/// quarantined + dropped + tampered`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TopicCounts {
     /// Whose topic it is.
@@ -31,6 +32,9 @@ pub struct TopicCounts {
     pub verified: u64,
     /// Records on their way to verified.
     pub pending: u64,
+    /// Records that wait for their signer's right.
+    #[serde(default)]
+    pub right_ended: u64,
     /// Records held back.
     pub quarantined: u64,
     /// Records whose stored bytes are wrong.
@@ -64,9 +68,10 @@ pub struct StateCounts {
 }
 
 impl TopicCounts {
-    /// Whether captured = verified + pending + quarantined + dropped + tampered.
+    /// Whether captured = verified + pending + right ended + quarantined + dropped + tampered.
     pub fn is_conserved(&self) -> bool {
-        self.captured == self.verified + self.pending + self.quarantined + self.dropped + self.tampered
+        let settled = self.verified + self.quarantined + self.dropped + self.tampered;
+        self.captured == settled + self.pending + self.right_ended
     }
 }
 
@@ -81,7 +86,7 @@ impl StateCounts {
         self.acknowledged + self.lost_in_recorder
     }
 
-    /// Whether captured = verified + pending + quarantined + dropped + tampered, in all and for each topic.
+    /// Whether captured = verified + pending + right ended + quarantined + dropped + tampered, in all and for each topic.
     pub fn is_conserved(&self) -> bool {
         self.captured() == self.data.values().sum::<u64>() && self.topics.iter().all(TopicCounts::is_conserved)
     }
@@ -197,6 +202,7 @@ impl Tally {
         *match state {
             RecordState::Verified => &mut topic.verified,
             RecordState::Quarantined => &mut topic.quarantined,
+            RecordState::RightEnded => &mut topic.right_ended,
             RecordState::Tampered => &mut topic.tampered,
             RecordState::Dropped => &mut topic.dropped,
             _ => &mut topic.pending,
@@ -233,6 +239,7 @@ impl Tally {
             captured: 0,
             verified: 0,
             pending: 0,
+            right_ended: 0,
             quarantined: 0,
             tampered: 0,
             dropped: 0,

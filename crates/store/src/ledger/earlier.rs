@@ -59,7 +59,9 @@ impl Ledger {
                 "UPDATE records SET tx = NULL, block = NULL, block_hash = NULL WHERE state = ?1",
                 [RecordState::Tampered.code()],
             )?;
-            connection.execute_batch("DELETE FROM events; DELETE FROM trail; DELETE FROM cursors;")?;
+            connection.execute_batch(
+                "DELETE FROM events; DELETE FROM trail; DELETE FROM cursors; DELETE FROM passed_over;",
+            )?;
             connection.execute("REPLACE INTO settings VALUES (?1, ?2)", [key, value])?;
             Ok(Left { kept, anew })
         })

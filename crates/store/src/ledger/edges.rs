@@ -1,7 +1,7 @@
 //! The legal edges of a record's life line, and which part of the program may take each.
 
 use crate::model::RecordState::{
-    self, Batched, Confirmed, Dropped, Mined, Quarantined, Sealed, Stored, Submitted, Tampered, Verified,
+    self, Batched, Confirmed, Dropped, Mined, Quarantined, RightEnded, Sealed, Stored, Submitted, Tampered, Verified,
 };
 
 /// What takes an edge.
@@ -25,9 +25,11 @@ pub(super) enum By {
     Gateway,
     /// The operator decides about a quarantined record.
     Operator,
+    /// The signer's right ended or came back, or its anchor does not count for want of it.
+    Right,
 }
 
-const EDGES: [(RecordState, RecordState, By); 46] = [
+const EDGES: [(RecordState, RecordState, By); 52] = [
     (Sealed, Stored, By::Worker),
     (Sealed, Quarantined, By::Worker),
     (Stored, Quarantined, By::Worker),
@@ -74,6 +76,12 @@ const EDGES: [(RecordState, RecordState, By); 46] = [
     (Submitted, Stored, By::Gateway),
     (Submitted, Verified, By::Gateway),
     (Submitted, Tampered, By::Gateway),
+    (Stored, RightEnded, By::Right),
+    (Batched, Stored, By::Right),
+    (Confirmed, Stored, By::Right),
+    (RightEnded, Stored, By::Right),
+    (RightEnded, Mined, By::Sight),
+    (RightEnded, Tampered, By::Worker),
 ];
 
 /// Whether a record may ever go from one state to another in one step.
@@ -93,10 +101,7 @@ mod tests {
     #[test]
     fn edges_are_distinct_and_leave_no_state_stuck() {
         for (index, edge) in EDGES.iter().enumerate() {
-            let same = |other: &(RecordState, RecordState, By)| {
-                (other.0, other.1) == (edge.0, edge.1) && (other.2 == By::Gateway) == (edge.2 == By::Gateway)
-            };
-            assert!(!EDGES[..index].iter().any(same), "{edge:?}");
+            assert!(!EDGES[..index].contains(edge), "{edge:?}");
             assert_ne!(edge.0, edge.1);
         }
         for state in [Sealed, Stored, Batched, Submitted, Mined, Confirmed] {
@@ -112,6 +117,7 @@ mod tests {
             assert_eq!(may(By::Worker, state, Verified), state == Confirmed);
         }
         assert!(!may(By::Worker, Quarantined, Stored) && !is_legal(Quarantined, Batched) && !is_legal(Dropped, Stored));
+        assert!(!is_legal(RightEnded, Batched) && !is_legal(RightEnded, Submitted), "nobody here anchors it");
         assert!(!may(By::Worker, Stored, Submitted) && !may(By::Worker, Submitted, Mined));
     }
 }

@@ -184,7 +184,8 @@ impl Ledger {
         let limit = i64::try_from(limit).unwrap_or(i64::MAX);
         self.read(|connection| {
             let sql =
-                "SELECT key, root, count, (SELECT count(*) FROM leaves JOIN records ON n = record WHERE batch = key),
+                "SELECT key, root, count, (SELECT count(*) FROM leaves JOIN records ON n = record WHERE batch = key)
+                       + (SELECT count(*) FROM left_places JOIN records ON n = record WHERE batch = key),
                        account, tx, block, block_hash FROM batches WHERE key > ?1 ORDER BY key LIMIT ?2";
             let mut statement = connection.prepare_cached(sql)?;
             let rows = statement.query_map(params![after, limit], batch)?;

@@ -67,11 +67,12 @@ impl Ledger {
 
 fn newest(connection: &Connection, limit: usize) -> Result<Vec<Digest>, StoreError> {
     let mut statement = connection.prepare_cached(
-        "SELECT digest FROM records NOT INDEXED WHERE state BETWEEN ?1 AND ?2
+        "SELECT digest FROM records NOT INDEXED WHERE (state BETWEEN ?1 AND ?2 OR state = ?4)
          AND NOT EXISTS (SELECT 1 FROM retained WHERE record = n) ORDER BY n DESC LIMIT ?3",
     )?;
     let states = (RecordState::Stored.code(), RecordState::Verified.code());
-    let values = (states.0, states.1, i64::try_from(limit).unwrap_or(i64::MAX));
+    let limit = i64::try_from(limit).unwrap_or(i64::MAX);
+    let values = (states.0, states.1, limit, RecordState::RightEnded.code());
     let rows = statement.query_map(values, |row| row.get(0).map(Digest))?;
     Ok(rows.collect::<Result<_, _>>()?)
 }

@@ -255,6 +255,9 @@ impl Ledger {
                 .prepare_cached("SELECT key FROM batches WHERE root = ?1")?
                 .query_row([inclusion.root.0], |row| row.get(0))?;
             let path: Vec<u8> = inclusion.path.iter().flat_map(|step: &Hash| step.0).collect();
+            connection
+                .prepare_cached("DELETE FROM left_places WHERE batch = ?1 AND record = ?2")?
+                .execute(params![batch, record])?;
             connection.prepare_cached("INSERT INTO leaves VALUES (?1, ?2, ?3, ?4)")?.execute(params![
                 record,
                 batch,

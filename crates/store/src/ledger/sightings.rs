@@ -128,6 +128,7 @@ impl Ledger {
                 .execute([block])?;
             connection.prepare_cached("DELETE FROM events WHERE block >= ?1")?.execute([block])?;
             batches::take_back(connection, block)?;
+            connection.prepare_cached("DELETE FROM passed_over WHERE block >= ?1")?.execute([block])?;
             connection
                 .prepare_cached(
                     "UPDATE records SET tx = NULL, block = NULL, block_hash = NULL WHERE state = ?1 AND block >= ?2",

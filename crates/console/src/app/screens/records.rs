@@ -79,6 +79,8 @@ impl Wanted {
             "topic" => self.topic = value.parse().ok(),
             "type" => self.type_name = value.parse().ok(),
             "state" => self.state = RecordState::ALL.into_iter().find(|state| state.word() == value),
+            // As the state's own word begins.
+            "waits" => self.state = Some(RecordState::RightEnded),
             "since" => self.since = when::past(value, now),
             "until" => self.until = when::past(value, now),
             "tag" => {

@@ -9,9 +9,11 @@ use crate::store::{BatchPlace, RecordRow};
 pub(super) fn standing(state: RecordState) -> Standing {
     match state {
         RecordState::Captured | RecordState::Dropped => Standing::Unknown,
-        RecordState::Sealed | RecordState::Stored | RecordState::Batched | RecordState::Submitted => {
-            Standing::Acknowledged
-        }
+        RecordState::Sealed
+        | RecordState::Stored
+        | RecordState::Batched
+        | RecordState::Submitted
+        | RecordState::RightEnded => Standing::Acknowledged,
         RecordState::Mined | RecordState::Confirmed => Standing::Anchored,
         RecordState::Verified => Standing::Verified,
         RecordState::Tampered => Standing::Tampered,

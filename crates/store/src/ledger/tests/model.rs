@@ -341,7 +341,8 @@ impl Pair {
         let data = self.model.records.iter().filter(|known| known.new.kind == RecordKind::Data);
         assert_eq!(sum(|topic| topic.bytes), data.map(|known| known.new.bytes).sum::<u64>());
         for topic in topics {
-            let parts = topic.verified + topic.pending + topic.quarantined + topic.dropped + topic.tampered;
+            let parts =
+                topic.verified + topic.pending + topic.right_ended + topic.quarantined + topic.dropped + topic.tampered;
             assert_eq!(topic.captured, parts, "conservation");
         }
     }

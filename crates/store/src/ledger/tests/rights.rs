@@ -1,0 +1,128 @@
+//! Records that wait for a right, and anchors that do not count.
+
+use super::*;
+use crate::model::RecordState::{Batched, Mined, RightEnded};
+
+const OWNER: Address = Address([1; 20]);
+const SIGNER: SignerId = SignerId([1; 32]);
+
+fn batch(ledger: &Ledger, root: u8, records: &[NewRecord]) {
+    let leaves = records.iter().map(|record| (record.digest, vec![Hash([root; 32])])).collect();
+    ledger.close_batch(NewBatch { owner: OWNER, root: Hash([root; 32]), leaves }).expect("closed");
+}
+
+fn anchored(ledger: &Ledger, root: u8, count: u64, block: u64) -> u64 {
+    let (root, transaction, block_hash) = (Hash([root; 32]), Hash([90; 32]), Hash([91; 32]));
+    let sighting = RootSighting { account: OWNER, root, count, transaction, block, block_hash };
+    ledger.anchored(&[sighting]).expect("seen")
+}
+
+fn states(ledger: &Ledger, records: &[NewRecord]) -> Vec<RecordState> {
+    assert!(ledger.counts(None).expect("counts").is_conserved());
+    assert_eq!(ledger.contradictions(), Ok(Vec::new()));
+    for batch in ledger.audit_batches(0, 9).expect("batches") {
+        assert_eq!(batch.held, batch.count, "no place of a batch is lost");
+    }
+    records.iter().map(|record| state_of(ledger, record)).collect()
+}
+
+#[test]
+fn a_signer_without_the_right_is_held_out_of_batches_and_let_go_again() {
+    let (home, ledger) = open();
+    let other = NewRecord { signer: SignerId([2; 32]), ..record(1, 2, 1) };
+    let records = [record(1, 1, 1), record(1, 1, 2), other, record(1, 1, 3)];
+    ledger.append(records.to_vec()).expect("acknowledged");
+    batch(&ledger, 50, &records[..3]);
+    let all = ledger.waiting_signers(OWNER).expect("read");
+    assert_eq!(all.len(), 2);
+    assert!(all.iter().all(|waiting| waiting.ready && !waiting.held && waiting.owner == OWNER), "{all:?}");
+    assert_eq!(ledger.waiting_signers(Address([9; 20])), Ok(Vec::new()), "another's");
+    assert_eq!(ledger.hold_signer(OWNER, Address([2; 20]), SIGNER), Ok(0), "of another owner");
+    assert_eq!(ledger.hold_signer(OWNER, OWNER, SIGNER), Ok(3));
+    assert_eq!(states(&ledger, &records), [RightEnded, RightEnded, Stored, RightEnded]);
+    assert_eq!(ledger.waiting_batches(OWNER, 9), Ok(Vec::new()), "it fell apart");
+    assert_eq!(ledger.unbatched(OWNER).map(|(count, _)| count), Ok(1));
+    let held = ledger.waiting_signers(OWNER).expect("read").into_iter().find(|waiting| waiting.signer == SIGNER);
+    assert!(held.is_some_and(|held| held.held && !held.ready));
+    let counts = ledger.counts(Some(OWNER)).expect("counts");
+    assert_eq!((counts.pending(), counts.data_in(RightEnded), counts.captured()), (1, 3, 4));
+    assert_eq!(ledger.newest_stored(9).map(|found| found.len()), Ok(4), "kept like all others");
+    // An end of the program changes nothing of it, nor does a root of ours that comes late.
+    ledger.close().expect("closed");
+    let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opens");
+    assert_eq!(anchored(&ledger, 50, 3, 7), 0);
+    assert_eq!(ledger.free_signer(OWNER, OWNER, SIGNER), Ok(3));
+    assert_eq!(ledger.free_signer(OWNER, OWNER, SIGNER), Ok(0));
+    assert_eq!(states(&ledger, &records), [Stored; 4]);
+}
+
+#[test]
+fn a_batch_that_all_its_records_left_waits_anew_when_it_is_closed_again() {
+    let (_home, ledger) = open();
+    let records = [record(1, 1, 1), record(1, 1, 2)];
+    ledger.append(records.to_vec()).expect("acknowledged");
+    batch(&ledger, 60, &records);
+    assert_eq!(anchored(&ledger, 60, 2, 5), 2);
+    assert_eq!(ledger.pass_over(&[records[0].digest]), Ok(0), "not confirmed yet");
+    ledger.confirm(5).expect("confirmed");
+    assert_eq!(ledger.pass_over(&[records[0].digest]), Ok(1));
+    assert_eq!(states(&ledger, &records), [Stored, Confirmed], "its neighbour may have had the right");
+    assert_eq!(ledger.was_passed_over(records[0].digest), Ok(true));
+    let row = ledger.record(records[0].digest).expect("read").expect("there");
+    assert_eq!((row.block, row.transaction, row.block_hash), (None, None, None));
+    assert_eq!(ledger.passed_over_leaves(OWNER, 9).map(|leaves| leaves.len()), Ok(1));
+    assert_eq!(ledger.pass_over(&[records[1].digest]), Ok(1));
+    batch(&ledger, 60, &records);
+    assert_eq!(states(&ledger, &records), [Batched, Batched]);
+    assert_eq!(ledger.waiting_batches(OWNER, 9).map(|batches| batches.len()), Ok(1));
+    assert_eq!(anchored(&ledger, 60, 2, 8), 2);
+    assert_eq!(states(&ledger, &records), [Mined, Mined]);
+    assert_eq!(ledger.batch_place(records[1].digest).map(|place| place.and_then(|place| place.block)), Ok(Some(8)));
+    // The blocks are replaced: nothing is left to be passed over.
+    ledger.unmine(5).expect("taken back");
+    assert_eq!(ledger.was_passed_over(records[0].digest), Ok(false));
+    assert_eq!(states(&ledger, &records), [Batched, Batched]);
+}
+
+#[test]
+fn an_upload_by_itself_is_still_seen_while_the_record_waits() {
+    let (_home, ledger) = open();
+    let records = [record(1, 1, 1)];
+    ledger.append(records.to_vec()).expect("acknowledged");
+    assert_eq!(ledger.hold_signer(OWNER, OWNER, SIGNER), Ok(1));
+    let digest = records[0].digest;
+    let early = ledger.submit(transaction(1, &[digest]));
+    assert!(matches!(early, Err(StoreError::NotReady { .. })), "nobody here anchors it: {early:?}");
+    assert_eq!(ledger.mined(&[sighting(&records[0], 4)]), Ok(1));
+    assert_eq!(states(&ledger, &records), [Mined]);
+}
+
+#[test]
+fn a_ledger_of_version_9_with_an_anchored_batch_is_brought_up_and_passes_it_over() {
+    let home = tempfile::tempdir().expect("temporary directory");
+    let path = home.path().join("ledger.db");
+    let steps: &'static [&'static str] = &SCHEMA.steps[..9];
+    let connection = database::open_writer(&path, &Schema { application: SCHEMA.application, steps }).expect("old");
+    begin(&connection, &path).expect("named");
+    let digest = Digest([6; 32]);
+    let old = "INSERT INTO topics (owner, recorder, topic_id, name) VALUES (zeroblob(20), 1, zeroblob(16), '/a');
+         INSERT INTO streams (topic, kind, type_name, signer) VALUES (1, 1, 'a/B', zeroblob(32));
+         INSERT INTO batches (root, owner, count, closed_at, account, tx, block, block_hash)
+         VALUES (zeroblob(32), zeroblob(20), 1, 1, zeroblob(20), zeroblob(32), 3, zeroblob(32));
+         INSERT INTO leaves VALUES (1, 1, 0, x'');
+         INSERT INTO records (digest, topic, stream, seq, epoch, signature, bytes, captured_at, acknowledged_at,
+         simulated, state, tx, block, block_hash)
+         VALUES (x'0606060606060606060606060606060606060606060606060606060606060606', 1, 1, 1, 1, zeroblob(64), 5, 1, 1,
+         0, 6, zeroblob(32), 3, zeroblob(32))";
+    connection.execute_batch(old).expect("a confirmed record of then");
+    drop(connection);
+    let ledger = Ledger::open(&path).expect("brought up to date");
+    let row = ledger.record(digest).expect("read").expect("there");
+    assert_eq!((row.state, row.block), (Confirmed, Some(3)));
+    assert_eq!((ledger.was_passed_over(digest), ledger.pass_over(&[digest])), (Ok(false), Ok(1)));
+    let (owner, signer) = (Address([0; 20]), SignerId([0; 32]));
+    assert_eq!(ledger.hold_signer(owner, owner, signer), Ok(1));
+    assert_eq!(ledger.record(digest).map(|row| row.map(|row| row.state)), Ok(Some(RightEnded)));
+    assert_eq!(ledger.audit_batches(0, 9).map(|batches| (batches[0].held, batches[0].count)), Ok((1, 1)));
+    assert_eq!(ledger.contradictions(), Ok(Vec::new()));
+}
