@@ -23,6 +23,7 @@ mod quarantine;
 mod query;
 mod recent;
 mod retention;
+mod rights;
 mod rows;
 mod settings;
 mod sightings;
@@ -58,6 +59,7 @@ pub use proven::KeptStanding;
 pub use quarantine::{HeldMinute, HeldQuery, HeldRow, Hold};
 pub use query::{RecordPage, RecordQuery};
 pub use retention::{KeptTopic, OldRecord, Retained};
+pub use rights::{KeptEnvelope, KeptRight, RightEvent, RightKind, StandingRights};
 pub use rows::{Foreign, NewRecord, RecordRow};
 pub use sightings::{KeptEvent, Sighting};
 pub use transactions::{NewTransaction, TransactionOutcome, TransactionRow, TransactionState};
@@ -76,6 +78,7 @@ const SCHEMA: Schema = Schema {
         include_str!("ledger/schema_7.sql"),
         include_str!("ledger/schema_8.sql"),
         include_str!("ledger/schema_9.sql"),
+        include_str!("ledger/schema_10.sql"),
     ],
 };
 const READERS_KEPT: usize = 4;

@@ -6,6 +6,7 @@ mod groups;
 mod model;
 mod pages;
 mod quarantine;
+mod rights;
 mod speed;
 
 use std::path::Path;
