@@ -11,6 +11,7 @@ use crate::app::State;
 use crate::app::feed::Feed;
 use crate::app::screens::grants::day;
 use crate::app::screens::records::{Records, Wanted};
+use crate::pipeline::columns;
 use crate::service::reply::RecordView;
 
 const UPLOADS: &[Column] = &[
@@ -119,7 +120,7 @@ fn cells(state: &State, row: &RecordView, with_owner: bool) -> Vec<(String, Role
 /// The role of a record's state.
 pub fn state_role(state: &str) -> Role {
     match state {
-        "verified" => Role::Good,
+        "verified" | columns::NAMES_UNCHECKED => Role::Good,
         "tampered" | "missing" => Role::Bad,
         "quarantined" | "dropped" => Role::Warning,
         _ => Role::Accent,
