@@ -110,8 +110,8 @@ impl Ledger {
     /// [`StoreError::Home`], [`StoreError::Mode`], [`StoreError::Corrupt`], [`StoreError::Newer`].
     pub fn open(path: &Path) -> Result<Self, StoreError> {
         let connection = database::open_writer(path, &SCHEMA)?;
-        let (recorder, clean) = begin(&connection, path).map_err(|error| error.in_file(path))?;
-        let writer = writer::Writer::start(connection, path)?;
+        let (recorder, clean, is_new) = begin(&connection, path).map_err(|error| error.in_file(path))?;
+        let writer = writer::Writer::start(connection, path, clean && !is_new)?;
         let readers = Mutex::default();
         Ok(Self {
             shared: Arc::new(Shared {
@@ -215,7 +215,9 @@ impl std::fmt::Debug for Ledger {
     }
 }
 
-fn begin(connection: &Connection, path: &Path) -> Result<(RecorderId, bool), StoreError> {
+/// Its recorder, whether it was closed, and whether it was just made. Open it is marked with the first change: who only
+/// reads writes nothing.
+fn begin(connection: &Connection, path: &Path) -> Result<(RecorderId, bool, bool), StoreError> {
     let about = connection
         .query_row("SELECT id, clean FROM about JOIN recorders ON recorders.key = about.recorder", [], |row| {
             Ok((RecorderId(row.get(0)?), row.get::<_, bool>(1)?))
@@ -226,10 +228,9 @@ fn begin(connection: &Connection, path: &Path) -> Result<(RecorderId, bool), Sto
             if !clean {
                 database::quick_check(connection, path)?;
             }
-            connection.execute("UPDATE about SET clean = 0", [])?;
-            Ok((recorder, clean))
+            Ok((recorder, clean, false))
         }
-        None => Ok((name_recorder(connection, path)?, true)),
+        None => Ok((name_recorder(connection, path)?, true, true)),
     }
 }
 
