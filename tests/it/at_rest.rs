@@ -16,7 +16,8 @@ fn files(home: &Home) -> Files {
         let changed = std::fs::metadata(&path).and_then(|about| about.modified()).expect("a time");
         (path.clone(), (std::fs::read(&path).expect("read"), changed))
     };
-    files_below(&home.path()).into_iter().map(read).collect()
+    // A socket has no bytes.
+    files_below(&home.path()).into_iter().filter(|path| path.is_file()).map(read).collect()
 }
 
 /// What is other than before, in words.
