@@ -17,6 +17,7 @@ mod forge_a_refusal;
 mod forged_evidence;
 mod freeze_the_contract_for_ever;
 mod grant_to_a_gateways_key;
+mod grow_the_directory;
 mod hold_all_handshake_places;
 mod pass_off_an_old_chain;
 mod read_the_core_dump;

@@ -14,9 +14,18 @@ use crate::support::{Home, Running, text};
 /// How long an answer may take.
 const PATIENCE: Duration = Duration::from_secs(20);
 
+/// What a call of the contract has, more than it needs.
+const CALL_GAS: u64 = 1_000_000;
+
+/// The account of a stranger who is a number.
+pub fn account_of(stranger: u8) -> H160 {
+    use ethers::signers::Signer as _;
+    LocalWallet::from_bytes(&[stranger; 32]).expect("a key").address()
+}
+
 /// A chain that is served.
 pub struct Served {
-    _site: Running,
+    site: Running,
     address: SocketAddr,
     chain_id: u64,
 }
@@ -29,7 +38,7 @@ impl Served {
         let line = site.wait_for_text("serving", 60);
         let document: Value = line.lines().find_map(|line| serde_json::from_str(line).ok()).expect("one JSON line");
         let address = text(&document["serving"], "url").trim_start_matches("http://").parse().expect("an address");
-        let mut served = Self { _site: site, address, chain_id: 0 };
+        let mut served = Self { site, address, chain_id: 0 };
         served.chain_id = number(&served.ask("eth_chainId", json!([])).expect("a chain id"));
         served
     }
@@ -37,6 +46,11 @@ impl Served {
     /// Where it answers.
     pub fn url(&self) -> String {
         format!("http://{}", self.address)
+    }
+
+    /// The process that serves it.
+    pub fn process(&self) -> u32 {
+        self.site.id()
     }
 
     /// The answer to a body, or nothing where none comes in time.
@@ -78,13 +92,24 @@ impl Served {
 
     /// A creation by `code`, or without it a plain transfer, of a stranger who is a number, at price 0.
     pub fn signed(&self, stranger: u8, nonce: u64, gas: u64, code: Option<&[u8]>) -> String {
+        let request = TransactionRequest::new().nonce(nonce).gas(gas);
+        self.sign(
+            stranger,
+            match code {
+                Some(code) => request.data(code.to_vec()),
+                None => request.to(H160([1; 20])),
+            },
+        )
+    }
+
+    /// A call of a contract by a stranger, at price 0.
+    pub fn signed_call(&self, stranger: u8, nonce: u64, contract: H160, data: Vec<u8>) -> String {
+        self.sign(stranger, TransactionRequest::new().nonce(nonce).gas(CALL_GAS).to(contract).data(data))
+    }
+
+    fn sign(&self, stranger: u8, request: TransactionRequest) -> String {
         let wallet = LocalWallet::from_bytes(&[stranger; 32]).expect("a key");
-        let request = TransactionRequest::new().nonce(nonce).gas(gas).gas_price(0).value(0).chain_id(self.chain_id);
-        let request = match code {
-            Some(code) => request.data(code.to_vec()),
-            None => request.to(H160([1; 20])),
-        };
-        let request: TypedTransaction = request.into();
+        let request: TypedTransaction = request.gas_price(0).value(0).chain_id(self.chain_id).into();
         let signature = wallet.sign_transaction_sync(&request).expect("signs");
         request.rlp_signed(&signature).to_string()
     }

@@ -4,14 +4,13 @@
 use serde_json::Value;
 
 use crate::Outcome;
-use crate::support::{Home, list, text};
+use crate::support::{Home, is_verified, list, text};
 
 const DAY: u64 = 86_400_000_000_000;
 
 /// The capture time that a document shows as verified, if it does.
 fn verified_time(document: &Value) -> Option<String> {
-    let verified =
-        document["state"] == "verified" && (document["verdict"].is_null() || document["verdict"] == "verified");
+    let verified = is_verified(document) && (document["verdict"].is_null() || document["verdict"] == "verified");
     verified.then(|| document["captured_at"].to_string())
 }
 

@@ -9,7 +9,7 @@ use std::path::Path;
 
 use authros::crypto::{Passphrase, SealedEnrolment, SealingKey};
 use serde_json::Value;
-use support::{Authros, Home, Running, Wire, count, free_port, heavy, holds, text, wait_until};
+use support::{Authros, Home, Running, Wire, count, free_port, heavy, holds, is_verified, text, wait_until};
 
 /// A gateway's home with a profile of its own, and owners who use the same site.
 struct Gateway {
@@ -94,7 +94,7 @@ fn last(stdout: &str) -> Value {
 fn verified(owner: &Authros, least: usize) -> Vec<Value> {
     wait_until(120, "all records are verified", || {
         let records = owner.records(&["uploads", "list"]);
-        let done = records.len() >= least && records.iter().all(|record| record["state"] == "verified");
+        let done = records.len() >= least && records.iter().all(is_verified);
         done.then_some(records)
     })
 }
@@ -300,7 +300,7 @@ fn a_new_epoch_reaches_the_robots() {
     assert_eq!(count(&alice.json(&["keys", "rotate"]), "epoch"), 2);
     let newer = wait_until(120, "records of the new epoch", || {
         let records = alice.records(&["uploads", "list"]);
-        records.into_iter().find(|record| count(record, "epoch") == 2 && record["state"] == "verified")
+        records.into_iter().find(|record| count(record, "epoch") == 2 && is_verified(record))
     });
     let opened = alice.json(&["shared", "open", &text(&newer, "id")]);
     assert_eq!((&opened["verdict"], &opened["topic"]), (&"verified".into(), &"/robot1/odom".into()), "{opened}");

@@ -3,7 +3,9 @@
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
 
-use crate::support::{Authros, Home, Running, count, free_port, heavy, list, text, two_profiles, wait_until};
+use crate::support::{
+    Authros, Home, Running, count, free_port, heavy, is_verified, list, text, two_profiles, wait_until,
+};
 use serde_json::Value;
 
 /// d_C from a file, as 64 hex characters.
@@ -134,7 +136,7 @@ fn a_robot_goes_on_through_new_keys_of_its_owner_and_its_gateway() {
     let of_epoch = |epoch: u64| {
         wait_until(120, "records of the new epoch", || {
             let records = alice.records(&["uploads", "list"]);
-            records.into_iter().find(|record| count(record, "epoch") == epoch && record["state"] == "verified")
+            records.into_iter().find(|record| count(record, "epoch") == epoch && is_verified(record))
         })
     };
     opens(&bob, &of_epoch(2));
@@ -165,7 +167,7 @@ fn a_robot_goes_on_through_new_keys_of_its_owner_and_its_gateway() {
     let (_site, _) = serve(&home, port);
     let records = wait_until(120, "all records are verified", || {
         let records = alice.records(&["uploads", "list"]);
-        records.iter().all(|record| record["state"] == "verified").then_some(records)
+        records.iter().all(is_verified).then_some(records)
     });
     let shared = bob.records(&["shared", "list"]);
     assert_eq!(shared.len(), records.len());

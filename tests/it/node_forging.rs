@@ -4,7 +4,7 @@
 use crate::support;
 
 use serde_json::Value;
-use support::{Authros, Home, Roscore, Running, count, heavy, list, poll, skipped, text};
+use support::{Authros, Home, Roscore, Running, count, heavy, is_verified, list, poll, skipped, text};
 
 const NO_ROS: &str = "no roscore, rosbag and rostopic in /usr/bin";
 const TOPIC: &str = "/words";
@@ -142,8 +142,7 @@ fn a_second_publisher_is_quarantined_and_the_operator_decides() {
     assert_eq!(dropped, forged.len() - 1);
     // The quarantine records count all that was held, and are anchored like data.
     let reports = || scene.authros.records(&["uploads", "list", "--kind", "quarantine"]);
-    let anchored =
-        || (!reports().is_empty() && reports().iter().all(|record| record["state"] == "verified")).then_some(());
+    let anchored = || (!reports().is_empty() && reports().iter().all(is_verified)).then_some(());
     assert!(poll(60, anchored).is_some(), "{:?}", reports());
 }
 
@@ -222,7 +221,7 @@ fn a_list_says_who_may_publish() {
     assert!(outcome.stderr.contains("quarantined"), "{outcome}");
     let records = authros.records(&["uploads", "list", "--topic", TOPIC]);
     let of = |bytes| records.iter().filter(move |record| count(record, "bytes") == bytes);
-    assert_eq!(of(GOOD.1).filter(|record| record["state"] == "verified").count() as u64, verified);
+    assert_eq!(of(GOOD.1).filter(|record| is_verified(record)).count() as u64, verified);
     assert!(of(FORGED.1).all(|record| record["state"] == "quarantined") && of(FORGED.1).count() as u64 >= held);
     assert_eq!(count(&summary["topics"][0], "quarantined"), held);
     let pins = authros.json(&["topics", "pins"]);

@@ -9,8 +9,8 @@ use std::time::Instant;
 
 use serde_json::Value;
 use support::{
-    Authros, Home, Roscore, at, count, heavy, hex, list, long, poll, read_bag, robot_recording, skipped, text,
-    wait_until,
+    Authros, Home, Roscore, at, count, heavy, hex, is_verified, list, long, poll, read_bag, robot_recording, skipped,
+    text, wait_until,
 };
 
 const ODOMETRY: &str = "/jackal_velocity_controller/odom";
@@ -77,7 +77,7 @@ fn expect_the_bag(bag: &Path, roscore: &Roscore, rate: u32, seconds: u32) {
         let expected: Vec<u64> =
             bodies.iter().map(|body| u64::try_from(body.as_str().expect("hex").len() / 2).expect("small")).collect();
         assert_eq!(lengths(&own), expected, "{topic}");
-        assert!(own.iter().all(|record| record["type"] == held[topic]["type"] && record["state"] == "verified"));
+        assert!(own.iter().all(|record| record["type"] == held[topic]["type"] && is_verified(record)));
         let shared = by_seq(bob.records(&["shared", "list", "--topic", topic]));
         assert_eq!(lengths(&shared), expected, "{topic}, as the grantee sees it");
         let step = if long() { 60 } else { 600 };

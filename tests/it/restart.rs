@@ -6,7 +6,7 @@ use crate::support;
 use std::collections::{BTreeMap, BTreeSet};
 
 use serde_json::Value;
-use support::{Authros, Home, heavy, text, wait_until};
+use support::{Authros, Home, heavy, is_verified, text, wait_until};
 
 const TOPICS: [&str; 2] = ["/robot1/odom", "/robot2/camera/compressed"];
 
@@ -20,7 +20,7 @@ fn digests(records: &[Value]) -> BTreeMap<String, Value> {
 fn settled(authros: &Authros) -> Vec<Value> {
     wait_until(120, "everything is verified", || {
         let records = authros.records(&["uploads", "list"]);
-        records.iter().all(|record| record["state"] == "verified").then_some(records)
+        records.iter().all(is_verified).then_some(records)
     })
 }
 
@@ -58,7 +58,7 @@ fn a_site_killed_while_it_captures_loses_and_doubles_nothing() {
     let enough = |authros: &Authros, least: usize| {
         wait_until(60, "records arrive", || {
             let records = authros.records(&["uploads", "list"]);
-            let verified = records.iter().any(|record| record["state"] == "verified");
+            let verified = records.iter().any(is_verified);
             (records.len() >= least && verified).then_some(records)
         })
     };

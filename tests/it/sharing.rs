@@ -7,7 +7,7 @@ use std::collections::BTreeSet;
 use std::fs;
 
 use serde_json::Value;
-use support::{Authros, at, list, text, two_profiles};
+use support::{Authros, at, is_verified, list, text, two_profiles};
 
 const REFUSED: i32 = 5;
 
@@ -195,7 +195,7 @@ fn a_watched_topic_is_captured_until_it_is_unwatched() {
     assert!(!watched(&two.alice));
     let settled = support::wait_until(60, "what was captured is verified", || {
         let records = two.alice.records(&["uploads", "list"]);
-        records.iter().all(|record| record["state"] == "verified").then_some(records.len())
+        records.iter().all(is_verified).then_some(records.len())
     });
     std::thread::sleep(std::time::Duration::from_secs(1));
     assert_eq!(two.alice.records(&["uploads", "list"]).len(), settled, "nothing more comes");

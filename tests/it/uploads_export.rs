@@ -155,7 +155,7 @@ fn a_record_shows_its_way_from_message_to_verified() {
     let record = &records[0];
     assert_eq!(
         (&record["kind"], &record["state"], &record["simulated"]),
-        (&"data".into(), &"verified".into(), &true.into())
+        (&"data".into(), &"verified, names unchecked".into(), &true.into())
     );
     assert_eq!(
         (&record["topic"], &record["type"]),

@@ -113,6 +113,11 @@ pub fn wait_until<T>(seconds: u64, what: &str, answer: impl FnMut() -> Option<T>
     poll(seconds, answer).unwrap_or_else(|| panic!("{what}: not within {seconds} s"))
 }
 
+/// Whether a listed record is verified, by whoever has its keys or not.
+pub fn is_verified(record: &Value) -> bool {
+    ["verified", "verified, names unchecked"].iter().any(|state| record["state"] == *state)
+}
+
 /// A number in a JSON document.
 pub fn count(value: &Value, field: &str) -> u64 {
     value[field].as_u64().unwrap_or_else(|| panic!("no count '{field}' in {value}"))

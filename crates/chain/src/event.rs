@@ -2,12 +2,13 @@
 
 use ethers::abi::{RawLog, Token as AbiToken};
 use ethers::types::H256;
+use serde::{Deserialize, Serialize};
 
 use super::artefact::artefacts;
 use crate::model::{Address, Digest, GrantTerms, Hash, Identity, Scope, SignerId, Timestamp, Token, TopicId};
 
 /// A change of the contract's state, as its event tells it.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[allow(missing_docs, reason = "each variant's line names its fields")]
 pub enum Event {
     /// An account registered at epoch 1.

@@ -1,11 +1,13 @@
 //! The public identity that an EOA registers on the chain.
 
+use serde::{Deserialize, Serialize};
+
 use super::bytes::{PublicKey, Signature, Token};
 use super::wire::{Reader, WireError};
 
 /// `token || P_C || P_E || proof`: 224 bytes. The proof is SM2 by d_C over label, domain,
 /// address, P_C, P_E and token; the contract cannot check it, so every client does.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Identity {
     /// Token of the epoch at registration.
     pub token: Token,

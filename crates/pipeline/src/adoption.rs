@@ -12,7 +12,7 @@ use crate::model::adoption::Adoption;
 use crate::model::{Digest, Domain, Header, RecordKind, RecordState, Timestamp, Token};
 use crate::store::{Anchors, Ledger, RecordRow, StoreError};
 
-use super::directory::Account;
+use super::directory::{Account, Told, kept};
 use super::sender::Outgoing;
 use super::statement::{self, Statement};
 use super::{Directory, Former, Network, Owner, PipelineError, Plant, Sender, authority};
@@ -86,13 +86,17 @@ pub async fn former(plant: &Plant, chain: &Chain) -> Result<Vec<Former>, Pipelin
         let Some(until) = step.until.filter(|_| here) else { continue };
         let (domain, bound) = (step.left(), chain.bound_to(step.from.clone()));
         let directory = Directory::new(domain, plant.provider);
-        let key = format!("directory:{domain}");
-        let kept = block_in_place(|| plant.ledger.setting(&key))?;
-        if !kept.is_some_and(|text| directory.read_back(&text)) {
-            for event in bound.events(step.from.deployed_at, until).await? {
-                directory.apply(&event);
+        let known = block_in_place(|| kept::read_back(&plant.ledger, &directory))?;
+        // What was in use is kept up to somewhere; the rest of its time is read once more.
+        let whole = format!("rights-whole:{domain}:{until}");
+        if !known || block_in_place(|| plant.ledger.setting(&whole))?.is_none() {
+            let told = bound.events(step.from.deployed_at, until).await?;
+            let told: Vec<Told> = told.iter().filter_map(|event| directory.judge(event)).collect();
+            for told in &told {
+                directory.take(told);
             }
-            block_in_place(|| plant.ledger.put_setting(&key, &directory.write_down()))?;
+            block_in_place(|| kept::keep(&plant.ledger, &directory, &told))?;
+            block_in_place(|| plant.ledger.put_setting(&whole, "yes"))?;
         }
         found.push(Former { chain: bound, domain, directory: Arc::new(directory), until });
     }
@@ -130,8 +134,7 @@ pub async fn give_word(
         }
         Due::Sealed(row) => row,
     };
-    let account = network.directory.account(owner.address);
-    let token = account.and_then(|account| account.tokens.get(&row.epoch).copied());
+    let token = block_in_place(|| kept::token(&plant.ledger, &network.directory, owner.address, row.epoch))?;
     if let Some(token) = token.filter(|_| row.state == RecordState::Stored)
         && sender.room(owner.address)? > 0
     {
@@ -183,21 +186,21 @@ pub fn is_given(plant: &Plant, network: &Network, owner: &Owner) -> Result<bool,
 /// used before, of the current one.
 ///
 /// # Errors
-/// Of the vault.
+/// Of ledger and vault.
 pub fn token_of(
     plant: &Plant,
     network: &Network,
     account: &Account,
     row: &RecordRow,
 ) -> Result<Option<Token>, PipelineError> {
-    let own = account.tokens.get(&row.epoch).copied();
+    let own = kept::token(&plant.ledger, &network.directory, row.owner, row.epoch)?;
     if own.is_some() || network.earlier.is_empty() {
         return Ok(own);
     }
     let sealed_for =
         plant.vault.get(row.digest)?.and_then(|blob| Header::parse(&blob).ok()).map(|(header, _)| header.domain);
     let earlier = sealed_for.is_some_and(|domain| network.earlier.contains(&domain));
-    Ok(account.tokens.get(&account.epoch).copied().filter(|_| earlier))
+    Ok(account.token.filter(|_| earlier))
 }
 
 /// Where the owner's word about the last step is kept, where one is due: the owner had an epoch on what was left.

@@ -25,6 +25,9 @@ pub const FRONT: usize = 2048;
 /// Heads kept in memory.
 const MOST_HEADS: usize = 8192;
 
+/// The state of a verified record whose names, length and mark of simulation are the ledger's word.
+pub const NAMES_UNCHECKED: &str = "verified, names unchecked";
+
 /// How far a row was compared with its record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -57,12 +60,14 @@ impl Shown {
         Self { row, compared: Compared::Nothing, differs: None }
     }
 
-    /// Where the record stands, in one word: as the ledger has it, but never as verified where it was not compared.
+    /// Where the record stands, in one word: as the ledger has it, but never as verified where it was not compared, and
+    /// with a word more where its names were not.
     pub fn state(&self) -> &'static str {
         match (self.differs, self.compared, self.row.state) {
             (Some(_), ..) => RecordState::Tampered.word(),
             _ if self.row.deleted_at.is_some() => "deleted",
             (None, Compared::Nothing, RecordState::Verified) => "unread",
+            (None, Compared::Header, RecordState::Verified) => NAMES_UNCHECKED,
             (None, _, state) => state.word(),
         }
     }

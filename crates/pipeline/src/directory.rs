@@ -1,12 +1,16 @@
 //! Who is registered and who may read what, rebuilt from the contract's events alone.
 //!
-//! Events are applied in chain order; one that is not behind the last one applied is passed over. The state can be
-//! written down and read back, so that a restart scans only new blocks. What follows from it is `authority`'s to say.
+//! Events are applied in chain order; one that is not behind the last one applied is passed over. Held in memory is what
+//! stands; each event is kept in the ledger beside it ([`kept`]), so that a restart scans only new blocks, and what was
+//! revoked is told from there. What follows from all of it is `authority`'s to say.
 
 mod administration;
 mod granted;
+pub mod kept;
+#[cfg(test)]
+mod tests;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{PoisonError, RwLock};
 
@@ -19,10 +23,8 @@ use crate::model::{Address, Domain, GrantTerms, Identity, PublicKey, SignerId, T
 
 use super::PipelineError;
 pub use administration::{Administration, Proposal, Recovery, Succession};
-pub use granted::{Envelope, Extension, Granted};
-
-/// How the state is written down; another one is read anew from the chain.
-const WRITTEN: u8 = 5;
+pub use granted::{Extension, Granted};
+pub use kept::Told;
 
 /// One identity of an account, valid from a block on.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -62,21 +64,19 @@ pub struct Suspension {
 }
 
 /// What the chain knows of one account.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Account {
     /// Identities, oldest first.
     pub identities: Vec<IdentityAt>,
     /// Current epoch.
     pub epoch: u64,
-    /// Tokens by epoch.
-    pub tokens: BTreeMap<u64, Token>,
+    /// Its token; for those before see [`kept::token`].
+    pub token: Option<Token>,
     /// Loans of devices that may sign, oldest first.
     pub devices: Vec<Lending>,
     /// Times of being suspended, oldest first.
-    #[serde(default)]
     pub suspensions: Vec<Suspension>,
     /// Who may stop a succession of it, as its owner named them; `None` = never anybody.
-    #[serde(default)]
     pub recovery: Option<Recovery>,
 }
 
@@ -97,16 +97,27 @@ impl Account {
         }
     }
 
+    fn begin_epoch(&mut self, epoch: u64, token: Token) {
+        if epoch > self.epoch {
+            (self.epoch, self.token) = (epoch, Some(token));
+        }
+    }
+
     fn restore(&mut self, block: u64) {
         let open = self.suspensions.iter_mut().filter(|interval| interval.until.is_none());
         open.for_each(|interval| interval.until = Some(block));
     }
 }
 
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 struct State {
     accounts: BTreeMap<Address, Account>,
-    grants: Vec<Granted>,
+    /// Places of loans that were not recalled among their owner's.
+    open_loans: BTreeMap<(Address, SignerId), Vec<usize>>,
+    /// Grants that were not revoked, by owner and grantee.
+    grants: BTreeMap<(Address, Address), Granted>,
+    /// The same pairs the other way round.
+    received: BTreeSet<(Address, Address)>,
     administration: Administration,
     /// Block and place of the last event that was applied.
     applied: Option<(u64, u64)>,
@@ -138,19 +149,9 @@ impl Directory {
         steady_now().max(Timestamp::from_seconds(self.head_time.load(Ordering::Acquire)))
     }
 
-    /// What [`Self::write_down`] wrote; unreadable text gives an empty directory and `false`.
-    pub fn read_back(&self, text: &str) -> bool {
-        let parsed: Option<(u8, Domain, State)> = serde_json::from_str(text).ok();
-        let known = parsed.filter(|(written, domain, _)| (*written, *domain) == (WRITTEN, self.domain));
-        let Some((_, _, state)) = known else { return false };
-        *self.state.write().unwrap_or_else(PoisonError::into_inner) = state;
-        true
-    }
-
-    /// The whole state as JSON.
-    pub fn write_down(&self) -> String {
-        let state = self.state.read().unwrap_or_else(PoisonError::into_inner);
-        serde_json::to_string(&(WRITTEN, self.domain, &*state)).unwrap_or_default()
+    /// What binds records to its contract.
+    pub fn domain(&self) -> Domain {
+        self.domain
     }
 
     /// An empty directory of the same network.
@@ -158,10 +159,15 @@ impl Directory {
         Self::new(self.domain, self.provider)
     }
 
-    /// Takes over the whole state of another one at once, after replaced blocks were read anew into it.
-    pub fn become_like(&self, other: &Self) {
-        let state = other.state.read().unwrap_or_else(PoisonError::into_inner).clone();
-        *self.state.write().unwrap_or_else(PoisonError::into_inner) = state;
+    /// Events up to this place were applied, some of which no longer count.
+    fn applied_up_to(&self, last: Option<(u64, u64)>) {
+        self.state.write().unwrap_or_else(PoisonError::into_inner).applied = last;
+    }
+
+    /// Takes over the whole state of another one at once, after it was read anew without replaced blocks.
+    pub fn become_like(&self, other: Self) {
+        *self.state.write().unwrap_or_else(PoisonError::into_inner) =
+            other.state.into_inner().unwrap_or_else(PoisonError::into_inner);
     }
 
     /// The block of the last event that changed anything; 0 before the first.
@@ -171,90 +177,32 @@ impl Directory {
 
     /// Applies one event; returns whether it was a new one that changes rights.
     pub fn apply(&self, at: &EventAt) -> bool {
-        // Anchors are the watcher's.
-        if matches!(at.event, Event::DataUploaded { .. } | Event::Anchored { .. }) {
-            return false;
-        }
+        self.judge(at).is_some_and(|told| self.take(&told))
+    }
+
+    /// What an event says of rights; `None` for anchors, which are the watcher's.
+    pub fn judge(&self, at: &EventAt) -> Option<Told> {
+        let proven = match &at.event {
+            Event::DataUploaded { .. } | Event::Anchored { .. } => return None,
+            Event::Registered { owner, identity, .. } | Event::KeysRotated { owner, identity, .. } => {
+                check_identity(self.provider, &self.domain, owner, identity).is_ok()
+            }
+            _ => false,
+        };
+        let (block, place, transaction) = (at.block, at.log_index, at.transaction);
+        Some(Told { block, place, transaction, event: at.event.clone(), proven })
+    }
+
+    /// Takes in what an event says; returns whether it was a new one.
+    pub fn take(&self, told: &Told) -> bool {
         let mut state = self.state.write().unwrap_or_else(PoisonError::into_inner);
-        let place = (at.block, at.log_index);
+        let place = (told.block, told.place);
         if state.applied.is_some_and(|applied| place <= applied) {
             return false;
         }
-        self.change(&mut state, at);
+        state.change(told);
         state.applied = Some(place);
         true
-    }
-
-    fn change(&self, state: &mut State, at: &EventAt) {
-        match &at.event {
-            Event::Registered { owner, identity, epoch } => {
-                let account = state.accounts.entry(*owner).or_default();
-                account.epoch = account.epoch.max(*epoch);
-                account.tokens.entry(*epoch).or_insert(identity.token);
-                self.identify(account, *owner, identity, at.block);
-            }
-            Event::KeysRotated { owner, identity, .. } => {
-                self.identify(state.accounts.entry(*owner).or_default(), *owner, identity, at.block);
-            }
-            Event::Granted { terms, envelope } => grant(state, terms, envelope, at),
-            Event::Extended { owner, grantee, expiry } => {
-                let matching = |grant: &&mut Granted| {
-                    grant.terms.owner == *owner && grant.terms.grantee == *grantee && grant.revoked.is_none()
-                };
-                if let Some(grant) = state.grants.iter_mut().rev().find(matching) {
-                    grant.extended = Some(Extension { expiry: *expiry, block: at.block });
-                }
-            }
-            Event::RecoveryNamed { owner, recovery, from } => {
-                let delay = state.administration.delay.unwrap_or(0);
-                let known = &mut state.accounts.entry(*owner).or_default().recovery;
-                *known = Some(Recovery::named(known.take(), *recovery, *from, delay));
-            }
-            Event::Wrapped { owner, grantee, epoch, envelope } => {
-                let found = state
-                    .grants
-                    .iter_mut()
-                    .rev()
-                    .find(|grant| grant.terms.owner == *owner && grant.terms.grantee == *grantee);
-                if let Some(grant) = found {
-                    grant.take_envelope(*epoch, envelope, at.block);
-                }
-            }
-            Event::Revoked { owner, grantee, epoch, token } => {
-                begin_epoch(state, *owner, *epoch, *token);
-                let matching = |grant: &&mut Granted| {
-                    // Not one given later: a chunk of events may be read twice.
-                    let earlier = grant.terms.epoch < *epoch;
-                    earlier && grant.terms.owner == *owner && grant.terms.grantee == *grantee && grant.revoked.is_none()
-                };
-                state.grants.iter_mut().filter(matching).for_each(|grant| grant.revoked = Some(*epoch));
-            }
-            Event::Rotated { owner, epoch, token } => begin_epoch(state, *owner, *epoch, *token),
-            Event::Lent { owner, device, until } => {
-                let lending = Lending { device: *device, from: at.block, recalled: None, until: *until };
-                state.accounts.entry(*owner).or_default().devices.push(lending);
-            }
-            Event::Recalled { owner, device } => {
-                let devices = &mut state.accounts.entry(*owner).or_default().devices;
-                devices
-                    .iter_mut()
-                    .filter(|lending| lending.device == *device && lending.recalled.is_none())
-                    .for_each(|lending| lending.recalled = Some(at.block));
-            }
-            Event::Suspended { account } => state.accounts.entry(*account).or_default().suspend(at.block, None),
-            Event::Restored { account } => state.accounts.entry(*account).or_default().restore(at.block),
-            Event::Succeeded { lost, successor } => {
-                state.accounts.entry(*lost).or_default().suspend(at.block, Some(*successor));
-            }
-            _ => {}
-        }
-        state.administration.apply(at);
-    }
-
-    fn identify(&self, account: &mut Account, owner: Address, identity: &Identity, block: u64) {
-        let proven = check_identity(self.provider, &self.domain, &owner, identity).is_ok();
-        let entry = IdentityAt { block, signing: identity.signing, envelope: identity.envelope, proven };
-        account.identities.push(entry);
     }
 
     /// What is known of an account.
@@ -333,58 +281,107 @@ impl Directory {
         state.accounts.iter().find(|(_, account)| has(account)).map(|(address, _)| *address)
     }
 
-    /// Whether the account ever registered this token.
-    pub fn has_token(&self, owner: Address, token: Token) -> bool {
-        let state = self.state.read().unwrap_or_else(PoisonError::into_inner);
-        state.accounts.get(&owner).is_some_and(|account| account.tokens.values().any(|known| *known == token))
-    }
-
     /// The grant of an owner to a grantee that was not revoked; it may have run out.
     pub fn grant_between(&self, owner: Address, grantee: Address) -> Option<Granted> {
-        let between = |grant: &Granted| grant.terms.owner == owner && grant.terms.grantee == grantee;
-        self.grants(|grant| grant.revoked.is_none() && between(grant)).pop()
+        self.state.read().unwrap_or_else(PoisonError::into_inner).grants.get(&(owner, grantee)).cloned()
     }
 
     /// The grants to an account that were not revoked, oldest first.
     pub fn grants_to(&self, grantee: Address) -> Vec<Granted> {
-        self.grants(|grant| grant.revoked.is_none() && grant.terms.grantee == grantee)
+        let state = self.state.read().unwrap_or_else(PoisonError::into_inner);
+        let owners = state.received.range((grantee, LOWEST)..=(grantee, HIGHEST)).map(|(_, owner)| *owner);
+        oldest_first(owners.filter_map(|owner| state.grants.get(&(owner, grantee)).cloned()))
     }
 
     /// The grants of an account that were not revoked, oldest first.
     pub fn grants_of(&self, owner: Address) -> Vec<Granted> {
-        self.grants(|grant| grant.revoked.is_none() && grant.terms.owner == owner)
-    }
-
-    /// Grants that match, revoked ones too, oldest first.
-    pub fn grants(&self, matches: impl Fn(&Granted) -> bool) -> Vec<Granted> {
         let state = self.state.read().unwrap_or_else(PoisonError::into_inner);
-        state.grants.iter().filter(|grant| matches(grant)).cloned().collect()
+        oldest_first(state.grants.range((owner, LOWEST)..=(owner, HIGHEST)).map(|(_, grant)| grant.clone()))
     }
 }
 
-fn begin_epoch(state: &mut State, owner: Address, epoch: u64, token: Token) {
-    let account = state.accounts.entry(owner).or_default();
-    account.epoch = account.epoch.max(epoch);
-    account.tokens.entry(epoch).or_insert(token);
+const LOWEST: Address = Address([0; 20]);
+const HIGHEST: Address = Address([0xff; 20]);
+
+fn oldest_first(grants: impl Iterator<Item = Granted>) -> Vec<Granted> {
+    let mut found: Vec<Granted> = grants.collect();
+    found.sort_by_key(Granted::place);
+    found
 }
 
-fn grant(state: &mut State, terms: &GrantTerms, envelope: &[u8], at: &EventAt) {
-    let known = state.grants.iter().any(|grant| grant.transaction == at.transaction && grant.terms == *terms);
-    if known {
-        return;
+impl State {
+    fn account(&mut self, owner: Address) -> &mut Account {
+        self.accounts.entry(owner).or_default()
     }
-    let mut envelopes = BTreeMap::new();
-    // A grant renewed in a later epoch keeps what earlier envelopes opened.
-    for grant in state.grants.iter().filter(|grant| {
-        grant.revoked.is_none() && grant.terms.owner == terms.owner && grant.terms.grantee == terms.grantee
-    }) {
-        envelopes.extend(grant.envelopes.clone());
+
+    fn change(&mut self, told: &Told) {
+        let block = told.block;
+        match &told.event {
+            Event::Registered { owner, identity, epoch } => {
+                self.account(*owner).begin_epoch(*epoch, identity.token);
+                self.account(*owner).identities.push(identity_at(told, identity));
+            }
+            Event::KeysRotated { owner, identity, .. } => {
+                self.account(*owner).identities.push(identity_at(told, identity));
+            }
+            Event::Granted { terms, .. } => self.grant(terms, told),
+            Event::Extended { owner, grantee, expiry } => {
+                if let Some(grant) = self.grants.get_mut(&(*owner, *grantee)) {
+                    grant.extended = Some(Extension { expiry: *expiry, block });
+                }
+            }
+            Event::RecoveryNamed { owner, recovery, from } => {
+                let delay = self.administration.delay.unwrap_or(0);
+                let known = &mut self.account(*owner).recovery;
+                *known = Some(Recovery::named(known.take(), *recovery, *from, delay));
+            }
+            Event::Wrapped { owner, grantee, epoch, .. } => {
+                if let Some(grant) = self.grants.get_mut(&(*owner, *grantee)) {
+                    grant.take_envelope(*epoch, block);
+                }
+            }
+            Event::Revoked { owner, grantee, epoch, token } => {
+                self.account(*owner).begin_epoch(*epoch, *token);
+                self.grants.remove(&(*owner, *grantee));
+                self.received.remove(&(*grantee, *owner));
+            }
+            Event::Rotated { owner, epoch, token } => self.account(*owner).begin_epoch(*epoch, *token),
+            Event::Lent { owner, device, until } => self.lend(*owner, *device, *until, block),
+            Event::Recalled { owner, device } => self.recall(*owner, *device, block),
+            Event::Suspended { account } => self.account(*account).suspend(block, None),
+            Event::Restored { account } => self.account(*account).restore(block),
+            Event::Succeeded { lost, successor } => self.account(*lost).suspend(block, Some(*successor)),
+            _ => {}
+        }
+        self.administration.apply(told);
     }
-    state.grants.retain(|grant| {
-        grant.revoked.is_some() || grant.terms.owner != terms.owner || grant.terms.grantee != terms.grantee
-    });
-    let (terms, block, transaction) = (terms.clone(), at.block, at.transaction);
-    let mut grant = Granted { terms, envelopes, block, transaction, revoked: None, extended: None };
-    grant.take_envelope(grant.terms.epoch, envelope, block);
-    state.grants.push(grant);
+
+    fn grant(&mut self, terms: &GrantTerms, told: &Told) {
+        let pair = (terms.owner, terms.grantee);
+        // A grant renewed in a later epoch keeps what earlier envelopes opened.
+        let mut grant = Granted::of(terms.clone(), told, self.grants.get(&pair));
+        grant.take_envelope(terms.epoch, told.block);
+        self.grants.insert(pair, grant);
+        self.received.insert((terms.grantee, terms.owner));
+    }
+
+    fn lend(&mut self, owner: Address, device: SignerId, until: Option<Timestamp>, block: u64) {
+        let devices = &mut self.accounts.entry(owner).or_default().devices;
+        self.open_loans.entry((owner, device)).or_default().push(devices.len());
+        devices.push(Lending { device, from: block, recalled: None, until });
+    }
+
+    fn recall(&mut self, owner: Address, device: SignerId, block: u64) {
+        let devices = &mut self.accounts.entry(owner).or_default().devices;
+        for place in self.open_loans.remove(&(owner, device)).unwrap_or_default() {
+            if let Some(lending) = devices.get_mut(place) {
+                lending.recalled = Some(block);
+            }
+        }
+    }
+}
+
+fn identity_at(told: &Told, identity: &Identity) -> IdentityAt {
+    let (signing, envelope) = (identity.signing, identity.envelope);
+    IdentityAt { block: told.block, signing, envelope, proven: told.proven }
 }

@@ -13,10 +13,10 @@ use crate::crypto::{
 };
 use crate::model::{Address, Digest, Domain, GrantTerms, Header, RecordKind, RecordState, TopicId, Verdict};
 use crate::ros::Definition;
-use crate::store::{RecordQuery, RecordRow, Retained};
+use crate::store::{KeptEnvelope, RecordQuery, RecordRow, Retained};
 
 use super::authority::{Policy, ReadRefused, ReadingRight, may_read};
-use super::directory::{Envelope, Granted};
+use super::directory::{Granted, kept};
 use super::{Network, Owner, PipelineError, Plant, authority, columns, proof};
 
 /// Definition records looked at for one message, at most.
@@ -130,7 +130,7 @@ impl Reader<'_> {
         // The owner's records of a chain that was left are bound to its domain, and sealed under its epochs.
         let sealed_for = Header::parse(&blob).map_or(self.network.domain, |(header, _)| header.domain);
         let domain = if self.network.accepts(&sealed_for) { sealed_for } else { self.network.domain };
-        let keys = self.topic_keys_in(domain, row)?;
+        let keys = block_in_place(|| self.topic_keys_in(domain, row))?;
         let expected = Expected {
             domain,
             owner: row.owner,
@@ -183,7 +183,7 @@ impl Reader<'_> {
             return Ok(keys_of(&epoch_key, row));
         }
         if let Ok(ReadingRight::Granted(grant)) = self.right(row.owner, None) {
-            for wrapped in self.envelopes(&grant) {
+            for wrapped in self.envelopes(&grant)? {
                 let keys = find_keys(&wrapped.keys, row);
                 if !keys.is_empty() {
                     return Ok(keys);
@@ -193,9 +193,13 @@ impl Reader<'_> {
         Err(CryptoError::WrongKey.into())
     }
 
-    fn envelopes(&self, grant: &Granted) -> Vec<Arc<WrappedKeys>> {
-        let all = grant.envelopes.keys().rev().flat_map(|epoch| grant.envelopes_of(*epoch).map(|one| (*epoch, one)));
-        all.filter_map(|(epoch, envelope)| self.open_one(grant, epoch, envelope).ok()).collect()
+    /// What the envelopes of a grant carry that this reader opens, the newest epoch first.
+    ///
+    /// # Errors
+    /// Of the ledger.
+    pub fn envelopes(&self, grant: &Granted) -> Result<Vec<Arc<WrappedKeys>>, PipelineError> {
+        let all = kept::envelopes(&self.plant.ledger, &self.network.directory, grant)?;
+        Ok(all.iter().filter_map(|envelope| self.open_one(grant, envelope).ok()).collect())
     }
 
     /// Opens the envelope of a grant for an epoch: the newest that this reader has the key of.
@@ -203,15 +207,17 @@ impl Reader<'_> {
     /// # Errors
     /// Where none opens, or none says what the chain's event says.
     pub fn open_envelope(&self, grant: &Granted, epoch: u64) -> Result<Arc<WrappedKeys>, PipelineError> {
-        let opened = grant.envelopes_of(epoch).map(|envelope| self.open_one(grant, epoch, envelope));
-        first_good(opened).unwrap_or_else(|| Err(CryptoError::WrongKey.into()))
+        let mut all = kept::envelopes(&self.plant.ledger, &self.network.directory, grant)?;
+        all.retain(|envelope| envelope.epoch == epoch);
+        first_good(all.iter().map(|envelope| self.open_one(grant, envelope)))
+            .unwrap_or_else(|| Err(CryptoError::WrongKey.into()))
     }
 
     /// Opens an envelope under the keys of its time: signed by what its owner had registered then, sealed to what the
     /// reader had.
-    fn open_one(&self, grant: &Granted, epoch: u64, envelope: &Envelope) -> Result<Arc<WrappedKeys>, PipelineError> {
-        let bytes = envelope.bytes();
-        let digest = Digest(self.plant.provider.sm3(&[&bytes]));
+    fn open_one(&self, grant: &Granted, envelope: &KeptEnvelope) -> Result<Arc<WrappedKeys>, PipelineError> {
+        let (epoch, bytes) = (envelope.epoch, &envelope.bytes);
+        let digest = Digest(self.plant.provider.sm3(&[bytes]));
         if let Some(known) = self.reader.opened.lock().unwrap_or_else(PoisonError::into_inner).get(&digest) {
             return Ok(Arc::clone(known));
         }
@@ -221,7 +227,7 @@ impl Reader<'_> {
         let pairs = owner.iter().flat_map(|owner| secrets.iter().map(move |reader| (owner, reader)));
         let (provider, domain) = (self.plant.provider, &self.network.domain);
         let opened =
-            pairs.map(|(owner, reader)| Ok(unwrap(provider, domain, &bytes, &terms, &owner.signing, &reader.secret)?));
+            pairs.map(|(owner, reader)| Ok(unwrap(provider, domain, bytes, &terms, &owner.signing, &reader.secret)?));
         let wrapped = first_good(opened).unwrap_or(Err(PipelineError::BadIdentity(grant.terms.owner)))?;
         let wrapped = Arc::new(wrapped);
         self.reader.opened.lock().unwrap_or_else(PoisonError::into_inner).insert(digest, Arc::clone(&wrapped));
@@ -291,7 +297,7 @@ impl columns::Keys for Reader<'_> {
             GrantedKeys::All { index_key, .. } => Some(index_key.clone()),
             GrantedKeys::Topics { .. } => None,
         };
-        self.envelopes(&grant).into_iter().find_map(index)
+        self.envelopes(&grant).unwrap_or_default().into_iter().find_map(index)
     }
 }
 

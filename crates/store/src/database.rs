@@ -99,7 +99,17 @@ fn connect(path: &Path) -> Result<Connection, StoreError> {
         .map_err(|error| StoreError::from(error).in_file(path))
 }
 
+/// Whether the file is of the newest version already: then nothing is written.
+fn is_newest(connection: &Connection, schema: &Schema) -> Result<bool, StoreError> {
+    let pragma = |name| connection.pragma_query_value(None, name, |row| row.get::<_, i64>(0));
+    let newest = i64::try_from(schema.steps.len()).unwrap_or(i64::MAX);
+    Ok((pragma("user_version")?, pragma("application_id")?) == (newest, schema.application))
+}
+
 fn migrate(connection: &mut Connection, path: &Path, schema: &Schema) -> Result<(), StoreError> {
+    if is_newest(connection, schema)? {
+        return Ok(());
+    }
     let transaction = connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
     let pragma = |name| transaction.pragma_query_value(None, name, |row| row.get::<_, i64>(0));
     let (found, application) = (pragma("user_version")?, pragma("application_id")?);

@@ -7,6 +7,7 @@
 mod append;
 mod batches;
 mod counts;
+mod directory;
 mod earlier;
 mod edges;
 mod filter_choice;
@@ -60,6 +61,7 @@ pub use quarantine::{HeldMinute, HeldQuery, HeldRow, Hold};
 pub use query::{RecordPage, RecordQuery};
 pub use retention::{KeptTopic, OldRecord, Retained};
 pub use rights::WaitingSigner;
+pub use directory::{KeptEnvelope, KeptRight, RightEvent, RightKind, StandingRights};
 pub use rows::{Foreign, NewRecord, RecordRow};
 pub use sightings::{KeptEvent, Sighting};
 pub use transactions::{NewTransaction, TransactionOutcome, TransactionRow, TransactionState};
@@ -79,6 +81,7 @@ const SCHEMA: Schema = Schema {
         include_str!("ledger/schema_8.sql"),
         include_str!("ledger/schema_9.sql"),
         include_str!("ledger/schema_10.sql"),
+        include_str!("ledger/schema_11.sql"),
     ],
 };
 const READERS_KEPT: usize = 4;
@@ -110,8 +113,8 @@ impl Ledger {
     /// [`StoreError::Home`], [`StoreError::Mode`], [`StoreError::Corrupt`], [`StoreError::Newer`].
     pub fn open(path: &Path) -> Result<Self, StoreError> {
         let connection = database::open_writer(path, &SCHEMA)?;
-        let (recorder, clean) = begin(&connection, path).map_err(|error| error.in_file(path))?;
-        let writer = writer::Writer::start(connection, path)?;
+        let (recorder, clean, is_new) = begin(&connection, path).map_err(|error| error.in_file(path))?;
+        let writer = writer::Writer::start(connection, path, clean && !is_new)?;
         let readers = Mutex::default();
         Ok(Self {
             shared: Arc::new(Shared {
@@ -215,7 +218,9 @@ impl std::fmt::Debug for Ledger {
     }
 }
 
-fn begin(connection: &Connection, path: &Path) -> Result<(RecorderId, bool), StoreError> {
+/// Its recorder, whether it was closed, and whether it was just made. Open it is marked with the first change: who only
+/// reads writes nothing.
+fn begin(connection: &Connection, path: &Path) -> Result<(RecorderId, bool, bool), StoreError> {
     let about = connection
         .query_row("SELECT id, clean FROM about JOIN recorders ON recorders.key = about.recorder", [], |row| {
             Ok((RecorderId(row.get(0)?), row.get::<_, bool>(1)?))
@@ -226,10 +231,9 @@ fn begin(connection: &Connection, path: &Path) -> Result<(RecorderId, bool), Sto
             if !clean {
                 database::quick_check(connection, path)?;
             }
-            connection.execute("UPDATE about SET clean = 0", [])?;
-            Ok((recorder, clean))
+            Ok((recorder, clean, false))
         }
-        None => Ok((name_recorder(connection, path)?, true)),
+        None => Ok((name_recorder(connection, path)?, true, true)),
     }
 }
 

@@ -325,8 +325,8 @@ impl Mission {
         if let Some(grant) =
             authority::standing_grant(&self.network.directory, self.cura_a.address, reader.reader.address)
         {
-            for epoch in grant.envelopes.keys() {
-                if let GrantedKeys::All { epochs, .. } = &reader.open_envelope(&grant, *epoch)?.keys {
+            for envelope in block_in_place(|| reader.envelopes(&grant))? {
+                if let GrantedKeys::All { epochs, .. } = &envelope.keys {
                     kept.extend(epochs.iter().cloned());
                 }
             }

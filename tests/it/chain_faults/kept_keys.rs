@@ -11,7 +11,7 @@ use authros::store::{Ledger, RecordQuery, RecordRow, Vault, open_vault};
 
 use super::NO_NODE;
 use super::field::TOPIC;
-use crate::support::{Anvil, Authros, Home, Proxy, Running, Spoil, list, skipped, text, wait_until};
+use crate::support::{Anvil, Authros, Home, Proxy, Running, Spoil, is_verified, list, skipped, text, wait_until};
 
 /// Two profiles of one site.
 struct Two {
@@ -51,7 +51,7 @@ impl Two {
         self.alice.run(&["topics", "unwatch", TOPIC]).expect_code(0);
         wait_until(90, "all is verified", || {
             let records = self.alice.records(&["uploads", "list"]);
-            records.iter().all(|record| record["state"] == "verified").then_some(())
+            records.iter().all(is_verified).then_some(())
         });
         self.site.stop("TERM", 30).expect_code(0);
         self.home

@@ -18,7 +18,7 @@ use std::fs;
 use std::path::PathBuf;
 
 use serde_json::Value;
-use support::{Authros, Home, wait_until};
+use support::{Authros, Home, is_verified, wait_until};
 
 /// The exit codes that are expected here.
 const INPUT: i32 = 3;
@@ -53,7 +53,7 @@ fn damaged<T>(home: &Home, name: &str, damage: impl FnOnce(&rusqlite::Connection
 fn all_verified(authros: &Authros, least: usize) -> Vec<Value> {
     wait_until(120, "everything is verified", || {
         let records = authros.records(&["uploads", "list"]);
-        let verified = records.iter().all(|record| record["state"] == "verified");
+        let verified = records.iter().all(is_verified);
         (verified && records.len() >= least).then_some(records)
     })
 }

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use crate::support::anvil::{call, word};
 use crate::support::{
-    Anvil, Authros, Conservation, Home, Redis, Running, count, hex, long, poll, skipped, text, wait_until,
+    Anvil, Authros, Conservation, Home, Redis, Running, count, hex, is_verified, long, poll, skipped, text, wait_until,
 };
 use authros::crypto::fault::POINTS;
 use rusqlite::{Connection, OpenFlags};
@@ -141,7 +141,7 @@ impl Field {
         let seen = observer.finish();
         let records = wait_until(60, "the last ones are verified", || {
             let records = every_record(&authros);
-            records.iter().all(|record| record["state"] == "verified").then_some(records)
+            records.iter().all(is_verified).then_some(records)
         });
         let kept: BTreeMap<String, &Value> = records.iter().map(|record| (text(record, "digest"), record)).collect();
         let roots = match &peers {
@@ -151,7 +151,7 @@ impl Field {
         for (digest, (topic, seq)) in &seen.noted {
             let record = kept.get(digest).unwrap_or_else(|| panic!("lost: number {seq} of {topic}, {digest}"));
             assert_eq!((text(record, "topic"), count(record, "seq")), (topic.clone(), *seq));
-            assert_eq!(record["state"], "verified", "{record}");
+            assert!(is_verified(record), "{record}");
         }
         assert_eq!((states.tampered, states.quarantined), (0, 0), "{states:?}");
         expect_dense(&records);

@@ -119,3 +119,25 @@ fn on_a_full_disk_nothing_acknowledged_is_lost_and_it_goes_on_when_there_is_room
     }
     site.stop("TERM", 30).expect_code(0);
 }
+
+#[test]
+fn on_a_full_disk_who_only_looks_is_answered_or_told_so_in_true_words() {
+    let disk = match Disk::mount("16m") {
+        Ok(disk) => disk,
+        Err(reason) => skipped!(reason),
+    };
+    let authros = disk.authros().with(&["--robots", "1"]).with_variable("AUTHROS_DISK_RESERVE", "256KiB");
+    authros.enrol();
+    authros.capture(&[ODOM], 2);
+    disk.fill();
+    for looking in [&["status"][..], &["uploads", "list"], &["topics", "list"], &["grants", "list"], &["audit"]] {
+        let outcome = authros.run(looking);
+        let words = format!("{}{}", outcome.stdout, outcome.stderr);
+        let told = words.contains("full") && words.contains("free some space") && !words.contains("by itself");
+        println!("{looking:?}: {:?} {}", outcome.code, words.lines().last().unwrap_or_default());
+        assert!(outcome.code == Some(0) || told, "{looking:?}: {outcome}");
+    }
+    disk.grow("64m");
+    authros.run(&["audit", "--deep"]).expect_code(0);
+    assert_eq!(authros.records(&["uploads", "list"]).len(), 2);
+}

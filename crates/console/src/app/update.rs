@@ -116,7 +116,7 @@ fn told(state: &mut State, event: Event) -> Vec<Effect> {
 /// An open provenance view follows its record until that is verified.
 fn refresh_provenance(state: &mut State) -> Vec<Effect> {
     let Some(Popup::Provenance(lookup)) = state.popups.last() else { return Vec::new() };
-    let settled = lookup.found().is_some_and(|found| found.record.state == "verified");
+    let settled = lookup.found().is_some_and(|found| found.record.state.starts_with("verified"));
     let (id, tag) = (lookup.id.clone(), Tag::Show(lookup.id.clone()));
     if settled || state.paused || state.work.contains(&tag) {
         return Vec::new();

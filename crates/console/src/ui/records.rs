@@ -11,6 +11,7 @@ use crate::app::State;
 use crate::app::feed::Feed;
 use crate::app::screens::grants::day;
 use crate::app::screens::records::{Records, Wanted};
+use crate::pipeline::columns;
 use crate::service::reply::RecordView;
 
 const UPLOADS: &[Column] = &[
@@ -124,7 +125,7 @@ fn short_state(state: &str) -> &str {
 /// The role of a record's state.
 pub fn state_role(state: &str) -> Role {
     match state {
-        "verified" => Role::Good,
+        "verified" | columns::NAMES_UNCHECKED => Role::Good,
         "tampered" | "missing" => Role::Bad,
         "quarantined" | "dropped" | "waits: right ended" => Role::Warning,
         _ => Role::Accent,

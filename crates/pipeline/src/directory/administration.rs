@@ -4,7 +4,8 @@ use std::collections::BTreeSet;
 
 use serde::{Deserialize, Serialize};
 
-use crate::chain::{Event, EventAt};
+use super::Told;
+use crate::chain::Event;
 use crate::model::{Address, Hash, Timestamp};
 
 /// A lost account and who continues its work.
@@ -92,7 +93,7 @@ pub struct Administration {
 
 impl Administration {
     /// Applies one event; applying it twice changes nothing.
-    pub(super) fn apply(&mut self, at: &EventAt) {
+    pub(super) fn apply(&mut self, at: &Told) {
         match &at.event {
             Event::Suspended { account } => drop(self.suspended.insert(*account)),
             Event::Restored { account } => drop(self.suspended.remove(account)),
@@ -150,8 +151,8 @@ mod tests {
     use super::*;
 
     fn told(administration: &mut Administration, block: u64, event: Event) {
-        let (transaction, block_hash) = (Hash([u8::try_from(block).expect("small"); 32]), Hash([9; 32]));
-        let at = EventAt { block, block_hash, timestamp: None, transaction, log_index: 0, event };
+        let transaction = Hash([u8::try_from(block).expect("small"); 32]);
+        let at = Told { block, place: 0, transaction, event, proven: false };
         administration.apply(&at);
         let once = administration.clone();
         administration.apply(&at);

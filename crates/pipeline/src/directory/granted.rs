@@ -1,14 +1,15 @@
-//! A grant with its envelopes, as its events made it.
+//! A grant, as its events made it. Its envelopes lie in the ledger.
 
 use std::collections::BTreeMap;
 
-use serde::{Deserialize, Serialize};
-
-use crate::model::bytes::{hex, unhex};
+use super::Told;
 use crate::model::{GrantTerms, Hash, Timestamp};
 
+/// So many epochs of a grant are held in memory, the newest ones; all others are asked of the ledger.
+const EPOCHS_HELD: usize = 8;
+
 /// A grant was given a later end.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Extension {
     /// Its end since then; `None` = no end.
     pub expiry: Option<Timestamp>,
@@ -16,42 +17,44 @@ pub struct Extension {
     pub block: u64,
 }
 
-/// An envelope as an event brought it.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Envelope {
-    /// Block of the event: the owner's key of then signed it.
-    pub block: u64,
-    /// The envelope, hex.
-    envelope: String,
-}
-
-impl Envelope {
-    /// Its bytes.
-    pub fn bytes(&self) -> Vec<u8> {
-        unhex(&self.envelope).unwrap_or_default()
-    }
-}
-
-/// A grant with its envelopes.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+/// A grant.
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Granted {
     /// The terms at the grant, as its envelopes repeat them; for its end see [`Granted::expiry`].
     pub terms: GrantTerms,
     /// The last extension.
-    #[serde(default)]
     pub extended: Option<Extension>,
-    /// Envelopes by epoch: the first, and the newest that was made after it for new keys of the grantee. One does not
-    /// replace the other: the first may carry keys of earlier epochs too.
-    pub envelopes: BTreeMap<u64, Vec<Envelope>>,
     /// Block of the grant.
     pub block: u64,
     /// Transaction of the grant.
     pub transaction: Hash,
     /// The epoch that began with its revocation.
     pub revoked: Option<u64>,
+    /// Place of the grant among the block's events.
+    place: u64,
+    /// The newest epochs that have an envelope, with the block of the newest one.
+    wrapped: BTreeMap<u64, u64>,
 }
 
 impl Granted {
+    /// By its event; what it renews had envelopes already.
+    pub(super) fn of(terms: GrantTerms, told: &Told, renewed: Option<&Self>) -> Self {
+        Self {
+            terms,
+            extended: None,
+            block: told.block,
+            transaction: told.transaction,
+            revoked: None,
+            place: told.place,
+            wrapped: renewed.map(|grant| grant.wrapped.clone()).unwrap_or_default(),
+        }
+    }
+
+    /// Where its event stands on the chain.
+    pub(super) fn place(&self) -> (u64, u64) {
+        (self.block, self.place)
+    }
+
     /// When it ends, extensions included; `None` = no end.
     pub fn expiry(&self) -> Option<Timestamp> {
         self.extended.map_or(self.terms.expiry, |extended| extended.expiry)
@@ -71,23 +74,27 @@ impl Granted {
         }
     }
 
-    /// The envelopes of an epoch, the newest first.
-    pub fn envelopes_of(&self, epoch: u64) -> impl Iterator<Item = &Envelope> {
-        self.envelopes.get(&epoch).into_iter().flatten().rev()
+    /// Whether it has an envelope of an epoch, one of the newest that it has any of.
+    pub fn is_wrapped(&self, epoch: u64) -> bool {
+        self.wrapped.contains_key(&epoch)
     }
 
-    /// Whether it has an envelope of an epoch that was made in this block or later.
+    /// Whether it has an envelope of such an epoch that was made in this block or later.
     pub fn is_wrapped_since(&self, epoch: u64, block: u64) -> bool {
-        self.envelopes_of(epoch).any(|envelope| envelope.block >= block)
+        self.wrapped.get(&epoch).is_some_and(|newest| *newest >= block)
     }
 
-    pub(super) fn take_envelope(&mut self, epoch: u64, bytes: &[u8], block: u64) {
-        let envelope = Envelope { block, envelope: hex(bytes) };
-        let known = self.envelopes.entry(epoch).or_default();
-        if known.iter().any(|other| other.block > block || *other == envelope) {
-            return;
+    /// How many entries it is in memory.
+    #[cfg(test)]
+    pub(super) fn held(&self) -> usize {
+        1 + self.wrapped.len()
+    }
+
+    pub(super) fn take_envelope(&mut self, epoch: u64, block: u64) {
+        let newest = self.wrapped.entry(epoch).or_insert(block);
+        *newest = block.max(*newest);
+        if self.wrapped.len() > EPOCHS_HELD {
+            self.wrapped.pop_first();
         }
-        known.truncate(1);
-        known.push(envelope);
     }
 }

@@ -15,30 +15,39 @@ use crate::crypto::fault;
 use crate::model::Hash;
 use crate::store::{RootSighting, Sighting};
 
+use super::directory::{Told, kept};
 use super::stages::Milestone;
 use super::{Network, PipelineError, Plant};
 
 /// Name of the scan position in the ledger.
 pub const CURSOR: &str = "watcher";
-/// Name of the written-down directory in the ledger.
-const DIRECTORY: &str = "directory";
+/// Name of the setting that says whose events were read up to that position.
+const SCANNED: &str = "watcher:domain";
 /// Blocks scanned at a time.
 const CHUNK: u64 = 2_000;
 /// How often a part of the chain is read again because it changed meanwhile.
 const ATTEMPTS: usize = 5;
 
-/// Reads the directory back as it was written down; a directory of another network, or none,
-/// is scanned anew from the contract's first block.
+/// Reads the directory back as it was kept; where nothing of its contract was, or it cannot be read, it is scanned anew
+/// from the contract's first block.
 ///
 /// # Errors
 /// Of the ledger.
 pub fn restore(plant: &Plant, network: &Network) -> Result<(), PipelineError> {
-    let text = plant.ledger.setting(DIRECTORY)?;
-    if !text.is_some_and(|text| network.directory.read_back(&text)) {
-        // The trail stays: it tells whether blocks were replaced meanwhile.
-        let (number, hash) = beginning(network);
-        plant.ledger.set_cursor(CURSOR, number, hash)?;
+    let domain = network.domain.to_hex();
+    let is_of_it = plant.ledger.setting(SCANNED)?.as_ref() == Some(&domain);
+    if let Some((number, _)) = plant.ledger.cursor(CURSOR)?.filter(|_| is_of_it) {
+        // What was kept of blocks behind the cursor is read again: they may have been replaced meanwhile.
+        plant.ledger.take_back_rights(network.domain, number + 1)?;
+        if kept::read_back(&plant.ledger, &network.directory)? {
+            return Ok(());
+        }
     }
+    plant.ledger.forget_rights(network.domain)?;
+    // The trail stays: it tells whether blocks were replaced meanwhile.
+    let (number, hash) = beginning(network);
+    plant.ledger.set_cursor(CURSOR, number, hash)?;
+    plant.ledger.put_setting(SCANNED, &domain)?;
     Ok(())
 }
 
@@ -122,11 +131,16 @@ fn write(plant: &Plant, network: &Network, events: &[EventAt], to: (u64, Hash)) 
         fault::point("mined");
     }
     events.iter().for_each(|event| network.times.note(event));
-    let applied = events.iter().filter(|event| network.directory.apply(event)).count();
-    if applied > 0 {
-        plant.ledger.put_setting(DIRECTORY, &network.directory.write_down())?;
+    let told: Vec<Told> = events.iter().filter_map(|event| network.directory.judge(event)).collect();
+    if !told.is_empty() {
+        // Envelopes are there before anybody looks for them.
+        let kept = kept::keep(&plant.ledger, &network.directory, &told);
+        // A right that ended has ended, even where the disk is full; what could not be kept is read again.
+        if told.iter().filter(|told| network.directory.take(told)).count() > 0 {
+            plant.observer.directory_changed();
+        }
+        kept?;
         fault::point("directory-kept");
-        plant.observer.directory_changed();
     }
     let mut met: Vec<(u64, Hash)> = events.iter().map(|event| (event.block, event.block_hash)).collect();
     met.dedup();

@@ -6,7 +6,8 @@ use crate::chain::ChainError;
 use crate::model::Hash;
 use crate::pipeline::{Network, PipelineError, Plant};
 
-use super::{CHUNK, CURSOR, DIRECTORY, beginning, first_block, stands};
+use super::{CURSOR, beginning, first_block, restore, stands};
+use crate::pipeline::directory::kept;
 
 /// A reorg that leaves nothing of so many blocks is no reorg.
 const DEEPEST: u64 = 1024;
@@ -67,9 +68,7 @@ async fn go_back(plant: &Plant, network: &Network, common: (u64, Hash), was_at: 
     // Confirmed ones first: what the verifier advances meanwhile is then among the verified ones.
     let moved = block_in_place(|| Ok::<_, PipelineError>(plant.ledger.unmine(from)? + plant.ledger.unverify(from)?))?;
     if network.directory.newest() >= from {
-        block_in_place(|| plant.ledger.put_setting(DIRECTORY, ""))?;
-        rebuild(network, common.0).await?;
-        block_in_place(|| plant.ledger.put_setting(DIRECTORY, &network.directory.write_down()))?;
+        block_in_place(|| undo_rights(plant, network, from))?;
         plant.observer.directory_changed();
     }
     block_in_place(|| plant.ledger.walk_back(CURSOR, common))?;
@@ -88,17 +87,16 @@ async fn go_back(plant: &Plant, network: &Network, common: (u64, Hash), was_at: 
     Ok(())
 }
 
-/// The directory as it was at `upto`, from the chain's events; readers see the old one until the new one is whole.
-async fn rebuild(network: &Network, upto: u64) -> Result<(), PipelineError> {
+/// The directory as it was before `from`; readers see the old one until the new one is whole. Where it cannot be read
+/// back, all of it is scanned anew.
+fn undo_rights(plant: &Plant, network: &Network, from: u64) -> Result<(), PipelineError> {
+    plant.ledger.take_back_rights(network.domain, from)?;
     let fresh = network.directory.blank();
-    let mut from = first_block(network);
-    while from <= upto {
-        let to = upto.min(from + CHUNK - 1);
-        for event in network.chain.changes(from, to).await? {
-            fresh.apply(&event);
-        }
-        from = to + 1;
+    if kept::read_back(&plant.ledger, &fresh)? {
+        network.directory.become_like(fresh);
+        return Ok(());
     }
-    network.directory.become_like(&fresh);
-    Ok(())
+    network.directory.become_like(network.directory.blank());
+    plant.ledger.forget_rights(network.domain)?;
+    restore(plant, network)
 }

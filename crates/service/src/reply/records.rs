@@ -26,7 +26,8 @@ pub struct RecordView {
     pub type_name: String,
     /// Kind of record in one word.
     pub kind: String,
-    /// State in one word; `unread` for a verified one whose bytes are not here to be compared.
+    /// State in one word; `unread` for a verified one whose bytes are not here to be compared, `verified, names unchecked`
+    /// where what lies sealed is the ledger's word, for want of a key.
     pub state: String,
     /// SM3 of the stored bytes.
     pub digest: Digest,

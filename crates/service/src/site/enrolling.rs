@@ -149,7 +149,7 @@ impl Site {
     /// A token of the owner that the chain has.
     fn known_token(&self, owner: &Owner, network: &Network) -> Result<crate::model::Token, Failure> {
         let account = network.directory.account(owner.address);
-        let token = account.and_then(|account| account.tokens.get(&account.epoch).copied());
+        let token = account.and_then(|account| account.token);
         token.ok_or_else(|| refused("the chain has no token of this account; run `authros register` first"))
     }
 

@@ -9,6 +9,7 @@ use crate::crypto::signer_id;
 use crate::gateway::Cabinet;
 use crate::model::{Address, ProfileName, Timestamp, clean};
 use crate::pipeline::authority::{Moment, may_sign};
+use crate::pipeline::directory::Granted;
 use crate::pipeline::{Network, Owner};
 use crate::service::command::PairKind;
 use crate::service::reply::{Failure, KeyChangeView};
@@ -29,8 +30,8 @@ impl Site {
         let identity = owner.gateway_identity().public;
         let founded = block_in_place(|| Cabinet::founded_in(&self.home.gateway()));
         let mut view = KeyChangeView {
-            readers: parties(&network, |owner, grantee| (owner == me).then_some(grantee)),
-            sharers: parties(&network, |owner, grantee| (grantee == me).then_some(owner)),
+            readers: parties(&network.directory.grants_of(me), |grant| grant.terms.grantee),
+            sharers: parties(&network.directory.grants_to(me), |grant| grant.terms.owner),
             robots: self.lent_robots(owner, &network)?,
             keeps_gateway: founded == Some(signer_id(&identity)),
             joined: self.config.site.as_ref().map(|site| clean(&site.address, 255)),
@@ -62,12 +63,10 @@ fn nobody() -> KeyChangeView {
     }
 }
 
-/// The other side of every active grant that `pick` takes, each once.
-fn parties(network: &Network, pick: impl Fn(Address, Address) -> Option<Address>) -> Vec<Address> {
+/// The other side of every active grant, each once.
+fn parties(grants: &[Granted], other: impl Fn(&Granted) -> Address) -> Vec<Address> {
     let now = Timestamp::now();
-    let grants = network.directory.grants(|grant| grant.is_active(now));
-    let mut found: Vec<Address> =
-        grants.iter().filter_map(|grant| pick(grant.terms.owner, grant.terms.grantee)).collect();
+    let mut found: Vec<Address> = grants.iter().filter(|grant| grant.is_active(now)).map(other).collect();
     found.sort();
     found.dedup();
     found

@@ -68,7 +68,7 @@ impl Site {
         let on_chain = network.directory.epoch(owner.address);
         let known = owner.epochs(network.domain);
         if owner.token(network.domain, on_chain)
-            != network.directory.account(owner.address).and_then(|account| account.tokens.get(&on_chain).copied())
+            != network.directory.account(owner.address).and_then(|account| account.token)
         {
             // What was taken for the current epoch is not: nobody knows who reads under it.
             owner.author.rest();

@@ -51,7 +51,7 @@ impl Site {
     /// When the first of the grants that cover an epoch runs out.
     pub(super) fn earliest_expiry(&self, owner: &Owner, network: &Network, epoch: u64) -> Option<Timestamp> {
         let grants = network.directory.grants_of(owner.address);
-        let covering = grants.iter().filter(|grant| grant.envelopes.contains_key(&epoch));
+        let covering = grants.iter().filter(|grant| grant.is_wrapped(epoch));
         covering.filter_map(Granted::expiry).min()
     }
 
@@ -77,7 +77,7 @@ impl Site {
             return Ok(false);
         }
         let sealing = owner.sealing().filter(|keys| keys.domain == network.domain);
-        let covered = |grant: &Granted| grant.word(now) == "expired" && grant.envelopes.contains_key(&epoch);
+        let covered = |grant: &Granted| grant.word(now) == "expired" && grant.is_wrapped(epoch);
         let expired = network.directory.grants_of(owner.address).iter().any(covered);
         let ended = sealing.is_some_and(|keys| keys.epoch > epoch) || expired;
         Ok(ended || !self.owed_revocations(owner, network)?.is_empty())

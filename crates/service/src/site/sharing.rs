@@ -7,7 +7,7 @@ use crate::chain::Call;
 use crate::gateway::GrantNotice;
 use crate::model::grant::MOST_TOPICS;
 use crate::model::{Address, GrantTerms, Party, Scope, Timestamp, TopicId, TopicName};
-use crate::pipeline::directory::Granted;
+use crate::pipeline::directory::{Granted, kept};
 use crate::pipeline::{Owner, authority};
 use crate::service::command::Epochs;
 use crate::service::event::Part;
@@ -157,7 +157,7 @@ impl Site {
     pub(super) async fn grant_rows(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<Vec<GrantRow>, Failure> {
         let network = self.network().await?;
         let me = owner.address;
-        let grants = network.directory.grants(|grant| grant.terms.owner == me || grant.terms.grantee == me);
+        let grants = tokio::task::block_in_place(|| kept::history(&self.plant.ledger, &network.directory, me))?;
         let names = self.names();
         let with_name = |mut row: GrantRow| {
             let other = if row.owner == me { row.grantee } else { row.owner };

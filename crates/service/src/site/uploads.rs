@@ -155,6 +155,7 @@ impl Site {
         steps.push(match (shown.differs, shown.state()) {
             (Some(field), state) => step(state, altered(field)),
             (None, "unread") => step("unread", "verified once; its bytes are not here to be compared now".to_owned()),
+            (None, columns::NAMES_UNCHECKED) => step(columns::NAMES_UNCHECKED, unchecked()),
             (None, _) => step(row.state.word(), standing(row.state).to_owned()),
         });
         Ok(Provenance { record: record_view(&shown, false), steps })
@@ -240,6 +241,15 @@ fn altered(field: &str) -> String {
     format!(
         "the ledger was altered: its row differs from the record in its {field}; the record's own word is shown, \
          `authros audit` names every such row"
+    )
+}
+
+/// What is said of a verified record that no key here opens.
+fn unchecked() -> String {
+    format!(
+        "{}; topic, type, length and mark of simulation are the ledger's word: they lie sealed, and no key is open \
+         here; look again while the console or `authros serve` has the keyring open",
+        standing(RecordState::Verified)
     )
 }
 

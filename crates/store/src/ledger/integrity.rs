@@ -82,6 +82,24 @@ mod tests {
     use super::*;
 
     #[test]
+    fn who_only_reads_writes_nothing() {
+        let home = tempfile::tempdir().expect("temporary directory");
+        let path = home.path().join("ledger.db");
+        Ledger::open(&path).and_then(Ledger::close).expect("made");
+        let found = || {
+            let about = std::fs::metadata(&path).expect("there");
+            let others = std::fs::read_dir(home.path()).expect("a folder").count();
+            (std::fs::read(&path).expect("read"), about.modified().expect("a time"), others)
+        };
+        let before = found();
+        let ledger = Ledger::open(&path).expect("opens");
+        assert_eq!(ledger.contradictions(), Ok(Vec::new()));
+        assert_eq!(ledger.confirm(9).expect("nothing to confirm"), Vec::new());
+        ledger.close().expect("closed");
+        assert!(before == found(), "neither its bytes nor its time");
+    }
+
+    #[test]
     fn an_empty_ledger_is_sound_and_an_unclean_end_is_known() {
         let home = tempfile::tempdir().expect("temporary directory");
         let path = home.path().join("ledger.db");
@@ -90,6 +108,13 @@ mod tests {
         drop(ledger);
         let ledger = Ledger::open(&path).expect("opens");
         assert!(!ledger.ended_cleanly());
+        ledger.close().expect("closed");
+        let ledger = Ledger::open(&path).expect("opens");
+        assert!(ledger.ended_cleanly());
+        ledger.put_setting("a", "b").expect("written");
+        drop(ledger);
+        let ledger = Ledger::open(&path).expect("opens");
+        assert!(!ledger.ended_cleanly(), "the first change marked it as open");
         ledger.close().expect("closed");
         let ledger = Ledger::open(&path).expect("opens");
         assert!(ledger.ended_cleanly());

@@ -6,6 +6,7 @@ mod groups;
 mod model;
 mod pages;
 mod quarantine;
+mod directory;
 mod rights;
 mod speed;
 
@@ -105,6 +106,8 @@ fn the_recorder_id_and_clean_flag_live_with_the_file() {
     assert!(flag(&other));
     let again = Ledger::open(&home.path().join("ledger.db")).expect("opens");
     assert_eq!(again.recorder(), recorder);
+    assert!(flag(&again), "nothing was changed yet");
+    again.append(vec![record(1, 1, 2)]).expect("acknowledged");
     assert!(!flag(&again));
     assert_ne!(open().1.recorder(), recorder);
 }

@@ -83,14 +83,15 @@ pub(super) struct Writer {
 }
 
 impl Writer {
-    /// Starts the thread that owns `connection` from now on.
-    pub(super) fn start(connection: Connection, path: &Path) -> Result<Self, StoreError> {
+    /// Starts the thread that owns `connection` from now on; `closed` says whether the file is marked as cleanly closed.
+    pub(super) fn start(connection: Connection, path: &Path, closed: bool) -> Result<Self, StoreError> {
         let (messages, inbox) = mpsc::channel();
         let thread = thread::Builder::new()
             .name("ledger".to_owned())
             .spawn({
                 let checkpoints = Checkpoints::new(path);
-                move || serve(connection, checkpoints, &inbox)
+                let mark = Mark { closed, untouched: connection.total_changes() };
+                move || serve(connection, checkpoints, mark, &inbox)
             })
             .map_err(|error| StoreError::home(path, &error))?;
         Ok(Self { messages, thread: Mutex::new(Some(thread)) })
@@ -143,13 +144,31 @@ impl Drop for Writer {
     }
 }
 
-fn serve(connection: Connection, mut checkpoints: Checkpoints, inbox: &Receiver<Message>) {
+/// Whether the file says that it was cleanly closed: until the first change it does.
+struct Mark {
+    closed: bool,
+    /// Changes that the connection had made before.
+    untouched: u64,
+}
+
+impl Mark {
+    /// In the transaction of the first change: from its commit on the file is marked as open.
+    fn open(&self, connection: &Connection) -> Result<bool, StoreError> {
+        let first = self.closed && connection.total_changes() != self.untouched;
+        if first {
+            run(connection, "UPDATE about SET clean = 0")?;
+        }
+        Ok(first)
+    }
+}
+
+fn serve(connection: Connection, mut checkpoints: Checkpoints, mut mark: Mark, inbox: &Receiver<Message>) {
     let mut names = Names::default();
     while let Ok(first) = inbox.recv() {
         let mut group = Vec::new();
         let last = gather(first, inbox, &mut group);
         checkpoints.adjust(&connection);
-        commit(&connection, &mut names, group);
+        commit(&connection, &mut names, &mut mark, group);
         if !connection.is_autocommit() {
             // What could not be taken back must never be committed; closing the file takes it back.
             return;
@@ -157,7 +176,7 @@ fn serve(connection: Connection, mut checkpoints: Checkpoints, inbox: &Receiver<
         match last {
             None => {}
             Some(Message::Close(caller)) => {
-                let _ = caller.send(finish(connection));
+                let _ = caller.send(finish(connection, &mark));
                 return;
             }
             Some(_) => return,
@@ -178,11 +197,11 @@ fn gather(first: Message, inbox: &Receiver<Message>, group: &mut Vec<Box<dyn Job
     None
 }
 
-fn commit(connection: &Connection, names: &mut Names, group: Vec<Box<dyn Job>>) {
+fn commit(connection: &Connection, names: &mut Names, mark: &mut Mark, group: Vec<Box<dyn Job>>) {
     let mut done: Vec<Box<dyn Job>> = Vec::with_capacity(group.len());
     for mut job in group {
         if job.is_large() && !done.is_empty() {
-            settle(connection, names, &mut done);
+            settle(connection, names, mark, &mut done);
             if !connection.is_autocommit() {
                 return;
             }
@@ -205,12 +224,12 @@ fn commit(connection: &Connection, names: &mut Names, group: Vec<Box<dyn Job>>) 
             answer_all(&mut done, &lost_group());
         }
     }
-    settle(connection, names, &mut done);
+    settle(connection, names, mark, &mut done);
 }
 
 /// Ends the transaction, if there is one, and answers those whose work is in it.
-fn settle(connection: &Connection, names: &mut Names, done: &mut Vec<Box<dyn Job>>) {
-    let result = if connection.is_autocommit() { Ok(()) } else { end(connection) };
+fn settle(connection: &Connection, names: &mut Names, mark: &mut Mark, done: &mut Vec<Box<dyn Job>>) {
+    let result = if connection.is_autocommit() { Ok(()) } else { end(connection, mark) };
     if result.is_err() {
         names.clear();
     }
@@ -249,14 +268,16 @@ fn failed_job() -> StoreError {
     StoreError::Database { file: std::path::PathBuf::new(), detail }
 }
 
-fn end(connection: &Connection) -> Result<(), StoreError> {
+fn end(connection: &Connection, mark: &mut Mark) -> Result<(), StoreError> {
+    let opened = mark.open(connection);
     fault::point("commit-begun");
-    let result = run(connection, "COMMIT");
+    let result = opened.and_then(|opened| run(connection, "COMMIT").map(|()| opened));
     fault::point("committed");
     if result.is_err() && !connection.is_autocommit() {
         run(connection, "ROLLBACK")?;
     }
-    result
+    mark.closed &= !result?;
+    Ok(())
 }
 
 fn run(connection: &Connection, sql: &str) -> Result<(), StoreError> {
@@ -275,7 +296,9 @@ fn answer_all(done: &mut Vec<Box<dyn Job>>, result: &Result<(), StoreError>) {
     }
 }
 
-fn finish(connection: Connection) -> Result<(), StoreError> {
-    connection.execute("UPDATE about SET clean = 1", [])?;
+fn finish(connection: Connection, mark: &Mark) -> Result<(), StoreError> {
+    if !mark.closed {
+        connection.execute("UPDATE about SET clean = 1", [])?;
+    }
     connection.close().map_err(|(_, error)| StoreError::from(error))
 }

@@ -22,6 +22,7 @@ use crate::model::bytes::hex;
 use crate::model::header::TAG_LENGTH;
 use crate::model::{Address, Digest, Hash, ProfileName, PublicKey, RecordState, SignerId, Timestamp, Token};
 use crate::pipeline::authority::SigningRight;
+use crate::pipeline::directory::kept;
 use crate::pipeline::equivocation::{self, Claim};
 use crate::service::event::NoticeLevel;
 use crate::store::{Foreign, KeptBinding, NewRecord, StoreError};
@@ -144,7 +145,13 @@ impl Desk for GatewayDesk {
     }
 
     async fn is_token(&self, account: &Address, token: &Token) -> Result<bool, Refusal> {
-        Ok(self.fresh_network()?.directory.has_token(*account, *token))
+        let (account, token) = (*account, *token);
+        self.blocking(move |desk| {
+            let directory = desk.fresh_network()?.directory;
+            let known = kept::has_token(&desk.site.plant.ledger, &directory, account, token);
+            known.map_err(Refusal::because(Code::Internal))
+        })
+        .await
     }
 
     async fn is_lent(&self, owner: &Address, device: &SignerId) -> Result<bool, Refusal> {

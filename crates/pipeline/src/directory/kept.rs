@@ -1,0 +1,157 @@
+//! The directory in the ledger: each event as it is kept, the directory read back from those that stand, and what only
+//! the others tell: revoked grants, envelopes, tokens of epochs that are over.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use super::{Directory, Extension, Granted};
+use crate::chain::Event;
+use crate::model::{Address, Hash, Token};
+use crate::store::{KeptEnvelope, KeptRight, Ledger, RightEvent, RightKind, StoreError};
+
+/// An event with what follows from it alone.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Told {
+    /// Its block.
+    pub block: u64,
+    /// Its place among the block's events.
+    pub place: u64,
+    /// Its transaction.
+    pub transaction: Hash,
+    /// What happened.
+    pub event: Event,
+    /// Whether an identity that it brings proves itself.
+    pub proven: bool,
+}
+
+/// How an event is written; the envelope lies beside it.
+#[derive(Serialize, Deserialize)]
+struct Written {
+    transaction: Hash,
+    proven: bool,
+    event: Event,
+}
+
+impl Told {
+    /// As the ledger keeps it.
+    pub fn to_row(&self) -> RightEvent {
+        let mut event = self.event.clone();
+        let envelope = match &mut event {
+            Event::Granted { envelope, .. } | Event::Wrapped { envelope, .. } => Some(std::mem::take(envelope)),
+            _ => None,
+        };
+        let (kind, grantee, epoch, token) = match &event {
+            Event::Granted { terms, .. } => (RightKind::Grant, Some(terms.grantee), Some(terms.epoch), None),
+            Event::Wrapped { grantee, epoch, .. } => (RightKind::Envelope, Some(*grantee), Some(*epoch), None),
+            Event::Extended { grantee, .. } => (RightKind::Extension, Some(*grantee), None, None),
+            Event::Revoked { grantee, epoch, token, .. } => {
+                (RightKind::Epoch, Some(*grantee), Some(*epoch), Some(*token))
+            }
+            Event::Rotated { epoch, token, .. } => (RightKind::Epoch, None, Some(*epoch), Some(*token)),
+            Event::Registered { identity, epoch, .. } => (RightKind::Other, None, Some(*epoch), Some(identity.token)),
+            _ => (RightKind::Other, None, None, None),
+        };
+        let (block, place, owner) = (self.block, self.place, event.account());
+        let written = Written { transaction: self.transaction, proven: self.proven, event };
+        let event = serde_json::to_string(&written).unwrap_or_default();
+        RightEvent { block, place, kind, owner, grantee, epoch, token, event, envelope }
+    }
+
+    fn from_row(row: &KeptRight) -> Option<Self> {
+        let Written { transaction, proven, event } = serde_json::from_str(&row.event).ok()?;
+        Some(Self { block: row.block, place: row.place, transaction, event, proven })
+    }
+}
+
+/// Reads a blank directory back from the ledger; `false` where nothing was kept of its contract, or it cannot be read.
+///
+/// # Errors
+/// Of the ledger.
+pub fn read_back(ledger: &Ledger, directory: &Directory) -> Result<bool, StoreError> {
+    let Some(standing) = ledger.standing_rights(directory.domain())? else { return Ok(false) };
+    let told: Option<Vec<Told>> = standing.events.iter().map(Told::from_row).collect();
+    let Some(told) = told else { return Ok(false) };
+    for told in &told {
+        directory.take(told);
+    }
+    directory.applied_up_to(standing.last);
+    Ok(true)
+}
+
+/// Keeps what a directory was told; what is kept already is passed over.
+///
+/// # Errors
+/// Of the ledger: then nothing more is kept.
+pub fn keep(ledger: &Ledger, directory: &Directory, told: &[Told]) -> Result<(), StoreError> {
+    ledger.keep_rights(directory.domain(), told.iter().map(Told::to_row).collect())
+}
+
+/// The grants that an account gave or received, revoked ones too, oldest first.
+///
+/// # Errors
+/// Of the ledger.
+pub fn history(ledger: &Ledger, directory: &Directory, account: Address) -> Result<Vec<Granted>, StoreError> {
+    let mut revoked: BTreeMap<(Address, Address, u64), Granted> = BTreeMap::new();
+    for row in ledger.revoked_grants(directory.domain(), account)? {
+        let (Some(told), Some(epoch)) = (Told::from_row(&row), row.revoked) else { continue };
+        match &told.event {
+            // What it renewed was the same grant.
+            Event::Granted { terms, .. } => {
+                let mut grant = Granted::of(terms.clone(), &told, None);
+                grant.revoked = Some(epoch);
+                revoked.insert((terms.owner, terms.grantee, epoch), grant);
+            }
+            Event::Extended { owner, grantee, expiry } => {
+                if let Some(grant) = revoked.get_mut(&(*owner, *grantee, epoch)) {
+                    grant.extended = Some(Extension { expiry: *expiry, block: told.block });
+                }
+            }
+            _ => {}
+        }
+    }
+    let mut all: Vec<Granted> = revoked.into_values().collect();
+    all.extend(directory.grants_of(account));
+    all.extend(directory.grants_to(account));
+    all.sort_by_key(Granted::place);
+    Ok(all)
+}
+
+/// The envelopes of a grant, the newest epoch first. Of each epoch those are given that may open: the newest, which was
+/// made for new keys of the grantee, and the first, which may carry keys of earlier epochs too.
+///
+/// # Errors
+/// Of the ledger.
+pub fn envelopes(ledger: &Ledger, directory: &Directory, grant: &Granted) -> Result<Vec<KeptEnvelope>, StoreError> {
+    let terms = &grant.terms;
+    let all = ledger.envelopes_between(directory.domain(), terms.owner, terms.grantee, grant.revoked)?;
+    let mut epochs: BTreeMap<u64, Vec<KeptEnvelope>> = BTreeMap::new();
+    for envelope in all {
+        let known = epochs.entry(envelope.epoch).or_default();
+        if !known.iter().any(|other| other.bytes == envelope.bytes) {
+            known.truncate(1);
+            known.push(envelope);
+        }
+    }
+    Ok(epochs.into_values().rev().flat_map(|known| known.into_iter().rev()).collect())
+}
+
+/// The token that an account registered for an epoch.
+///
+/// # Errors
+/// Of the ledger.
+pub fn token(ledger: &Ledger, directory: &Directory, owner: Address, epoch: u64) -> Result<Option<Token>, StoreError> {
+    let now = directory.with_account(owner, |account| {
+        account.filter(|account| account.epoch == epoch).and_then(|account| account.token)
+    });
+    now.map_or_else(|| ledger.epoch_token(directory.domain(), owner, epoch), |token| Ok(Some(token)))
+}
+
+/// Whether an account ever registered this token.
+///
+/// # Errors
+/// Of the ledger.
+pub fn has_token(ledger: &Ledger, directory: &Directory, owner: Address, token: Token) -> Result<bool, StoreError> {
+    let now = directory.with_account(owner, |account| account.is_some_and(|account| account.token == Some(token)));
+    Ok(now || ledger.ever_had_token(directory.domain(), owner, token)?)
+}

@@ -1,0 +1,109 @@
+//! A contract's events in the ledger: what each costs, and a ledger from before they had a place of their own.
+
+use super::*;
+use crate::model::{Domain, Token};
+
+const DOMAIN: Domain = Domain([4; 32]);
+
+fn event(block: u64, kind: RightKind, epoch: u64) -> RightEvent {
+    let is_grant = kind == RightKind::Grant;
+    RightEvent {
+        block,
+        place: 0,
+        kind,
+        owner: Some(Address([1; 20])),
+        grantee: Some(Address([2; 20])),
+        epoch: Some(epoch),
+        token: (!is_grant).then_some(Token([3; 32])),
+        event: format!("{block}"),
+        envelope: is_grant.then(|| vec![5; 1_300]),
+    }
+}
+
+#[test]
+fn a_grant_and_its_revocation_cost_the_same_after_six_thousand_of_them() {
+    let (_home, ledger) = open();
+    let changes = || ledger.write(|session| Ok(session.connection.total_changes())).expect("counted");
+    let mut costs = std::collections::BTreeSet::new();
+    for hundred in 0..60u64 {
+        let rounds = (1..=100).map(|round| hundred * 100 + round);
+        let both = rounds.flat_map(|round| {
+            [event(round * 2, RightKind::Grant, round), event(round * 2 + 1, RightKind::Epoch, round + 1)]
+        });
+        let before = changes();
+        ledger.keep_rights(DOMAIN, both.collect()).expect("kept");
+        // Of the first hundred, one epoch fewer is replaced and one contract more is noted.
+        costs.insert(changes() - before);
+    }
+    assert_eq!(costs.len(), 1, "{costs:?}");
+    let standing = ledger.standing_rights(DOMAIN).expect("read").expect("some");
+    assert_eq!(standing.last, Some((12_001, 0)));
+    let left: Vec<&str> = standing.events.iter().map(|event| event.event.as_str()).collect();
+    assert_eq!(left, ["12001"], "the newest epoch alone");
+    assert_eq!(ledger.revoked_grants(DOMAIN, Address([2; 20])).expect("history").len(), 6_000);
+}
+
+#[test]
+fn what_an_event_ends_is_found_without_what_ended_before() {
+    let (_home, ledger) = open();
+    let plan = |sql: &'static str| {
+        ledger
+            .read(move |connection| {
+                let mut statement = connection.prepare(&format!("EXPLAIN QUERY PLAN {sql}"))?;
+                let columns = statement.parameter_count();
+                let rows = statement.query_map(rusqlite::params_from_iter(vec![1; columns]), |row| row.get(3))?;
+                Ok(rows.collect::<Result<Vec<String>, _>>()?.join("; "))
+            })
+            .expect("planned")
+    };
+    for sql in crate::store::ledger::rights::ENDING {
+        let plan = plan(sql);
+        assert!(plan.contains("INDEX rights_standing (contract=? AND owner=? AND kind=?"), "{plan}");
+    }
+}
+
+#[test]
+fn replaced_blocks_give_back_what_they_ended() {
+    let (_home, ledger) = open();
+    let last = |ledger: &Ledger| ledger.standing_rights(DOMAIN).expect("read").expect("some");
+    assert_eq!(ledger.standing_rights(DOMAIN), Ok(None), "never read");
+    ledger.keep_rights(DOMAIN, vec![event(5, RightKind::Grant, 1)]).expect("kept");
+    let before = last(&ledger);
+    ledger.keep_rights(DOMAIN, vec![event(6, RightKind::Epoch, 2)]).expect("kept");
+    assert_ne!(last(&ledger).events, before.events);
+    let between = |revoked| ledger.envelopes_between(DOMAIN, Address([1; 20]), Address([2; 20]), revoked);
+    assert_eq!((between(None).map(|all| all.len()), between(Some(2)).map(|all| all.len())), (Ok(0), Ok(1)));
+    ledger.take_back_rights(DOMAIN, 6).expect("undone");
+    assert_eq!(last(&ledger).events, before.events);
+    assert_eq!(between(None).map(|all| all.len()), Ok(1));
+    ledger.keep_rights(DOMAIN, vec![event(5, RightKind::Epoch, 9)]).expect("passed over");
+    assert_eq!(last(&ledger).events, before.events);
+    ledger.forget_rights(DOMAIN).expect("forgotten");
+    assert_eq!(ledger.standing_rights(DOMAIN), Ok(None));
+    assert_eq!(between(None), Ok(Vec::new()));
+}
+
+#[test]
+fn a_ledger_of_version_9_is_brought_up_and_keeps_the_names_of_what_was_granted() {
+    let home = tempfile::tempdir().expect("temporary directory");
+    let path = home.path().join("ledger.db");
+    let old = Schema { steps: &SCHEMA.steps[..9], ..SCHEMA };
+    let connection = database::open_writer(&path, &old).expect("version 9");
+    name_recorder(&connection, &path).expect("a recorder");
+    let kept = [("granted:0x01:0x02", r#"["/odom"]"#), ("granted-topic:0x01:aa", "/odom"), ("directory-like", "x")];
+    let gone = [("directory", "[5,\"aa\",{}]"), ("directory:aa", "[5,\"aa\",{}]")];
+    for (key, value) in kept.iter().chain(&gone) {
+        connection.execute("INSERT INTO settings VALUES (?1, ?2)", [key, value]).expect("a setting");
+    }
+    drop(connection);
+    let ledger = Ledger::open(&path).expect("brought up");
+    for (key, value) in kept {
+        assert_eq!(ledger.setting(key), Ok(Some(value.to_owned())), "{key}");
+    }
+    for (key, _) in gone {
+        assert_eq!(ledger.setting(key), Ok(None), "{key}");
+    }
+    assert_eq!(ledger.standing_rights(DOMAIN), Ok(None), "the chain is asked again");
+    ledger.keep_rights(DOMAIN, vec![event(5, RightKind::Grant, 1)]).expect("kept");
+    assert_eq!(ledger.standing_rights(DOMAIN).expect("read").expect("some").events.len(), 1);
+}
