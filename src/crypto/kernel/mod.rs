@@ -27,6 +27,7 @@ mod ghash_avx512;
 mod ghash_pclmul;
 mod portable;
 mod sbox;
+pub(super) mod sm2;
 mod sm3;
 #[cfg(target_arch = "x86_64")]
 mod sm3_avx2;

@@ -1,0 +1,26 @@
+//! The arithmetic of SM2 (GB/T 32918-2016): its field, its numbers modulo the order, its points. What touches secrets
+//! (`secret`, and all below it) takes the same time for all of them; what verifies (`public`) need not.
+
+#[cfg(target_arch = "x86_64")]
+mod adx;
+mod complete;
+mod field;
+mod limbs;
+mod point;
+mod public;
+mod rows;
+mod scalar;
+mod secret;
+#[cfg(target_arch = "x86_64")]
+mod way;
+
+pub(in crate::crypto) use point::Affine;
+pub(in crate::crypto) use public::{Signer, SignerTable, verifies};
+pub(in crate::crypto) use scalar::Scalar;
+pub(in crate::crypto) use secret::{multiply, multiply_both, multiply_generator};
+
+/// Has the tables of the generator's multiples made, which the first signature or verification makes otherwise.
+pub(in crate::crypto) fn warm_up() {
+    secret::warm_up();
+    public::warm_up();
+}
