@@ -1,9 +1,10 @@
 //! SM2, SM3, SM4-GCM and HKDF-SM3, and what is built of them: records, envelopes, identities,
-//! and keys at rest. Two providers compute the algorithms; nothing here knows ROS, the chain
+//! and keys at rest. Three providers compute the algorithms; nothing here knows ROS, the chain
 //! or the ledger.
 
 pub mod account;
 pub mod agreement;
+mod authros_provider;
 pub mod compression;
 pub mod der;
 pub mod derive;
@@ -31,6 +32,7 @@ pub mod record;
 mod rustcrypto;
 pub mod sealed_stream;
 pub mod secret;
+mod sm2;
 pub mod sm3;
 mod sm4_gcm;
 pub mod transport_file;
@@ -73,4 +75,5 @@ pub use secret::{
     EoaSecret, EpochKey, EpochSalt, FilterKey, Fingerprint, FingerprintError, IndexKey, Sm4Key, SmKeyPair, SmSecret,
     TopicKey, TransportKey,
 };
+pub use sm2::verify_as_stranger;
 pub use sm3::{Sm3Hasher, sm3_many};

@@ -38,7 +38,7 @@ mod sm3_lanes;
 mod sm3_single;
 
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;
 
 pub(super) use ghash::Ghash;
 pub(super) use sm3::{BLOCK, INITIAL, compress, ending};

@@ -51,6 +51,16 @@ pub(in crate::crypto) fn decrypt(secret: &[u8; 32], parts: CipherParts) -> Resul
     if masked && same { Ok(plain) } else { Err(CryptoError::BadCiphertext) }
 }
 
+/// The x coordinate of a secret number times a public key; constant-time in the number.
+pub(in crate::crypto) fn shared_x(secret: &[u8; 32], public: &PublicKey) -> Result<Zeroizing<[u8; 32]>, CryptoError> {
+    let point = point(public)?;
+    let number = Zeroizing::new(Scalar::from_bytes(secret).ok_or(CryptoError::SecretRange("SM2"))?);
+    let mut shared = multiply(&number, &point);
+    let x = Zeroizing::new(shared.x_bytes());
+    shared.zeroize();
+    Ok(x)
+}
+
 /// Lays the stream that follows from x2 || y2 (5.4.3) over the text; whether any byte of it was not zero.
 fn mask(coordinates: &[u8; 64], text: &mut [u8]) -> bool {
     let mut start = Sm3Hasher::new();

@@ -9,8 +9,9 @@ mod signing;
 #[cfg(test)]
 mod tests;
 
-pub(super) use encryption::{decrypt, encrypt};
-pub(super) use signing::{SigningKey, verify, verify_as_stranger};
+pub(super) use encryption::{decrypt, encrypt, shared_x};
+pub use signing::verify_as_stranger;
+pub(super) use signing::{SigningKey, verify};
 
 use crate::model::PublicKey;
 

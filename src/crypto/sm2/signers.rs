@@ -13,13 +13,13 @@ use crate::model::PublicKey;
 /// Bytes of all tables together, at most.
 const ROOM: usize = 64 << 20;
 /// Tables at most.
-const MOST: usize = ROOM / (SignerTable::BYTES + 1024);
+pub(super) const MOST: usize = ROOM / (SignerTable::BYTES + 1024);
 /// The valid signature at which a signer's table is made.
-const SIGHTINGS: u8 = 3;
+pub(super) const SIGHTINGS: u8 = 3;
 /// Signers whose sightings are counted at once.
 const COUNTED: usize = 4096;
 /// A table may be replaced where it was not used for so many verifications by tables.
-const IDLE: u64 = 1 << 16;
+pub(super) const IDLE: u64 = 1 << 16;
 
 /// A signer met before: its key was checked when the table was made.
 pub(super) struct Known {
@@ -29,7 +29,7 @@ pub(super) struct Known {
     used: AtomicU64,
 }
 
-struct Signers {
+pub(super) struct Signers {
     /// Counts the uses of tables.
     clock: AtomicU64,
     tables: RwLock<HashMap<[u8; 64], Arc<Known>>>,
@@ -52,7 +52,7 @@ pub(super) fn seen(public: &PublicKey, point: &Affine, za: &[u8; 32]) {
 }
 
 impl Signers {
-    fn new(most: usize) -> Self {
+    pub fn new(most: usize) -> Self {
         Self {
             clock: AtomicU64::new(0),
             tables: RwLock::default(),
@@ -62,13 +62,13 @@ impl Signers {
         }
     }
 
-    fn known(&self, public: &PublicKey) -> Option<Arc<Known>> {
+    pub fn known(&self, public: &PublicKey) -> Option<Arc<Known>> {
         let known = self.tables.read().unwrap_or_else(PoisonError::into_inner).get(&public.0).cloned()?;
         known.used.store(self.clock.fetch_add(1, Ordering::Relaxed), Ordering::Relaxed);
         Some(known)
     }
 
-    fn seen(&self, public: &PublicKey, point: &Affine, za: &[u8; 32]) {
+    pub fn seen(&self, public: &PublicKey, point: &Affine, za: &[u8; 32]) {
         if !self.is_due(public) || !self.has_room() {
             return;
         }
@@ -104,7 +104,8 @@ impl Signers {
     /// The table that was not used for the longest time, where that is long.
     fn idle(&self, tables: &HashMap<[u8; 64], Arc<Known>>) -> Option<[u8; 64]> {
         let now = self.clock.load(Ordering::Relaxed);
-        let (key, used) = tables.iter().map(|(key, known)| (key, known.used.load(Ordering::Relaxed))).min_by_key(|one| one.1)?;
+        let (key, used) =
+            tables.iter().map(|(key, known)| (key, known.used.load(Ordering::Relaxed))).min_by_key(|one| one.1)?;
         (now.saturating_sub(used) >= IDLE).then_some(*key)
     }
 }

@@ -1,7 +1,5 @@
 //! Signatures (GB/T 32918.2-2016, 6.1 and 7.1) under the ID 1234567812345678.
 
-use std::hint::black_box;
-
 use zeroize::{Zeroize, ZeroizeOnDrop, Zeroizing};
 
 use crate::crypto::CryptoError;
@@ -103,20 +101,10 @@ impl SigningKey {
         bytes[32..].copy_from_slice(&s.to_bytes());
         Some(Signature(bytes))
     }
-
-    /// Overwrites what is secret where it lies.
-    pub fn wipe(&mut self) {
-        self.zeroize();
-        black_box(self);
-    }
 }
 
 /// Checks a signature in full, with the signer's table where it was met before.
-pub(in crate::crypto) fn verify(
-    public: &PublicKey,
-    message: &[u8],
-    signature: &Signature,
-) -> Result<(), CryptoError> {
+pub(in crate::crypto) fn verify(public: &PublicKey, message: &[u8], signature: &Signature) -> Result<(), CryptoError> {
     if let Some(known) = signers::known(public) {
         return check(&known.table, &known.za, message, signature);
     }
@@ -126,12 +114,11 @@ pub(in crate::crypto) fn verify(
     Ok(())
 }
 
-/// Checks a signature in full, as by somebody who never met the signer.
-pub(in crate::crypto) fn verify_as_stranger(
-    public: &PublicKey,
-    message: &[u8],
-    signature: &Signature,
-) -> Result<(), CryptoError> {
+/// Checks a signature in full, as by somebody who never met the signer: only to be measured.
+///
+/// # Errors
+/// [`CryptoError::PublicPoint`] or [`CryptoError::BadSignature`].
+pub fn verify_as_stranger(public: &PublicKey, message: &[u8], signature: &Signature) -> Result<(), CryptoError> {
     check(&point(public)?, &za(public), message, signature)
 }
 

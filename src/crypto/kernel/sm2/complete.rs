@@ -73,11 +73,7 @@ impl Point {
         let zz3 = zz.triple();
         let second = (B * xz - zz3 - xx).triple();
         let third = xx.triple() - zz3;
-        Self {
-            x: xy * plus - yz * second,
-            y: plus * minus + third * second,
-            z: yz * minus + xy * third,
-        }
+        Self { x: xy * plus - yz * second, y: plus * minus + third * second, z: yz * minus + xy * third }
     }
 }
 

@@ -7,7 +7,9 @@ use zeroize::Zeroize;
 
 use super::limbs::{self, Limbs};
 #[cfg(target_arch = "x86_64")]
-use super::way;
+use super::way::{multiply, square};
+#[cfg(target_arch = "x86_64")]
+use super::x86_64::{add, subtract};
 
 /// p.
 pub(super) const MODULUS: Limbs = [u64::MAX, 0xffff_ffff_0000_0000, u64::MAX, 0xffff_fffe_ffff_ffff];
@@ -133,7 +135,7 @@ impl Add for Element {
 
     #[inline(always)]
     fn add(self, other: Self) -> Self {
-        Self(limbs::add_modulo(&self.0, &other.0, &MODULUS))
+        Self(add(&self.0, &other.0))
     }
 }
 
@@ -142,7 +144,7 @@ impl Sub for Element {
 
     #[inline(always)]
     fn sub(self, other: Self) -> Self {
-        Self(limbs::subtract_modulo(&self.0, &other.0, &MODULUS))
+        Self(subtract(&self.0, &other.0))
     }
 }
 
@@ -164,36 +166,34 @@ impl Mul for Element {
     }
 }
 
-#[cfg(target_arch = "x86_64")]
-#[inline(always)]
-fn multiply(a: &Limbs, b: &Limbs) -> Limbs {
-    way::multiply(a, b)
-}
-
-#[cfg(target_arch = "x86_64")]
-#[inline(always)]
-fn square(a: &Limbs) -> Limbs {
-    way::square(a)
-}
-
 #[cfg(not(target_arch = "x86_64"))]
-fn multiply(a: &Limbs, b: &Limbs) -> Limbs {
-    by_multiplying(a, b)
+use self::{by_adding as add, by_multiplying as multiply, by_squaring as square, by_subtracting as subtract};
+
+/// `a + b` modulo p on any processor, for numbers below p.
+#[cfg(any(test, not(target_arch = "x86_64")))]
+pub(super) fn by_adding(a: &Limbs, b: &Limbs) -> Limbs {
+    limbs::add_modulo(a, b, &MODULUS)
 }
 
-#[cfg(not(target_arch = "x86_64"))]
-fn square(a: &Limbs) -> Limbs {
+/// `a - b` modulo p on any processor, for numbers below p.
+#[cfg(any(test, not(target_arch = "x86_64")))]
+pub(super) fn by_subtracting(a: &Limbs, b: &Limbs) -> Limbs {
+    limbs::subtract_modulo(a, b, &MODULUS)
+}
+
+/// `a a / 2^256` modulo p on any processor, for a number below p.
+pub(super) fn by_squaring(a: &Limbs) -> Limbs {
     by_multiplying(a, a)
 }
 
 /// `a b / 2^256` modulo p on any processor, for numbers below p.
-#[inline(always)]
+#[inline(never)]
 pub(super) fn by_multiplying(a: &Limbs, b: &Limbs) -> Limbs {
     reduced(&limbs::product(a, b))
 }
 
 /// A number below p 2^256, divided by 2^256 modulo p.
-#[inline(always)]
+#[inline]
 fn reduced(product: &[u64; 8]) -> Limbs {
     let mut low = [product[0], product[1], product[2], product[3]];
     let mut step = 0;
@@ -206,7 +206,7 @@ fn reduced(product: &[u64; 8]) -> Limbs {
 }
 
 /// With its lowest limb m, the number plus m p, one limb down.
-#[inline(always)]
+#[inline]
 fn step_down(number: &Limbs) -> Limbs {
     let [factor, first, second, third] = *number;
     let (low, high) = (factor << 32, factor >> 32);

@@ -1,8 +1,6 @@
 //! The arithmetic of SM2 (GB/T 32918-2016): its field, its numbers modulo the order, its points. What touches secrets
 //! (`secret`, and all below it) takes the same time for all of them; what verifies (`public`) need not.
 
-#[cfg(target_arch = "x86_64")]
-mod adx;
 mod complete;
 mod field;
 mod limbs;
@@ -13,6 +11,11 @@ mod scalar;
 mod secret;
 #[cfg(target_arch = "x86_64")]
 mod way;
+#[cfg(target_arch = "x86_64")]
+mod x86_64;
+
+#[cfg(test)]
+mod tests;
 
 pub(in crate::crypto) use point::Affine;
 pub(in crate::crypto) use public::{Signer, SignerTable, verifies};

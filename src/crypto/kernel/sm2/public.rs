@@ -37,7 +37,7 @@ pub(in crate::crypto) trait Signer {
 }
 
 /// A point on the way to a sum.
-pub(in crate::crypto) struct Multiple(Jacobian);
+pub(in crate::crypto) struct Multiple(pub(super) Jacobian);
 
 /// A number below n as one of at most 255 bits, and whether it is the negative of that.
 fn halved(number: &Scalar) -> (Limbs, bool) {
@@ -96,7 +96,7 @@ fn odd_multiples(point: &Affine) -> [Jacobian; NAF_ROW] {
 }
 
 /// The digits, lowest first: zero or odd, from -15 to 15, and never two that are not zero within five.
-fn sparse_digits(number: &Limbs) -> [i8; NAF_DIGITS] {
+pub(super) fn sparse_digits(number: &Limbs) -> [i8; NAF_DIGITS] {
     let mut digits = [0; NAF_DIGITS];
     let (mut place, mut carry) = (0, 0);
     while place < NAF_DIGITS {

@@ -4,7 +4,7 @@
 use std::sync::atomic::{AtomicU8, Ordering};
 
 use super::limbs::Limbs;
-use super::{adx, field};
+use super::{field, x86_64};
 
 const UNDECIDED: u8 = 0;
 const PORTABLE: u8 = 1;
@@ -29,18 +29,13 @@ fn decide() -> bool {
     found
 }
 
-#[inline(never)]
-fn portable(a: &Limbs, b: &Limbs) -> Limbs {
-    field::by_multiplying(a, b)
-}
-
 #[inline(always)]
 pub(super) fn multiply(a: &Limbs, b: &Limbs) -> Limbs {
     if has_adx() {
         // SAFETY: the features were found.
-        unsafe { adx::multiply(a, b) }
+        unsafe { x86_64::multiply(a, b) }
     } else {
-        portable(a, b)
+        field::by_multiplying(a, b)
     }
 }
 
@@ -48,8 +43,17 @@ pub(super) fn multiply(a: &Limbs, b: &Limbs) -> Limbs {
 pub(super) fn square(a: &Limbs) -> Limbs {
     if has_adx() {
         // SAFETY: the features were found.
-        unsafe { adx::square(a) }
+        unsafe { x86_64::square(a) }
     } else {
-        portable(a, a)
+        field::by_squaring(a)
     }
+}
+
+/// Does something as on a processor without the features; others do so meanwhile, to the same results.
+#[cfg(test)]
+pub(super) fn portably<T>(work: impl FnOnce() -> T) -> T {
+    let before = WAY.swap(PORTABLE, Ordering::Relaxed);
+    let done = work();
+    WAY.store(before, Ordering::Relaxed);
+    done
 }

@@ -1,9 +1,10 @@
-//! Products modulo the SM2 prime by the instructions of BMI2 and ADX. Both run straight through: no branch, no
-//! address that depends on a number.
+//! Arithmetic modulo the SM2 prime in the processor's own words: sums by its carries, products by BMI2 and ADX. All of it
+//! runs straight through: no branch, no address that depends on a number.
 #![allow(unsafe_code, reason = "instructions that the compiler does not choose by itself")]
 
 use std::arch::asm;
 
+use super::field::MODULUS;
 use super::limbs::Limbs;
 
 /// One step of the reduction: `$low` is the lowest limb m, and (`$a`, `$b`, `$c`, `$low`) becomes the number with
@@ -11,9 +12,31 @@ use super::limbs::Limbs;
 macro_rules! step {
     ($low:literal, $a:literal, $b:literal, $c:literal) => {
         concat!(
-            "mov {lo}, {", $low, "}\n mov {hi}, {", $low, "}\n shl {lo}, 32\n shr {hi}, 32\n",
-            "add {", $a, "}, {", $low, "}\n adc {", $b, "}, 0\n adc {", $c, "}, 0\n adc {", $low, "}, 0\n",
-            "sub {", $a, "}, {lo}\n sbb {", $b, "}, {hi}\n sbb {", $c, "}, {lo}\n sbb {", $low, "}, {hi}\n",
+            "mov {lo}, {",
+            $low,
+            "}\n mov {hi}, {",
+            $low,
+            "}\n shl {lo}, 32\n shr {hi}, 32\n",
+            "add {",
+            $a,
+            "}, {",
+            $low,
+            "}\n adc {",
+            $b,
+            "}, 0\n adc {",
+            $c,
+            "}, 0\n adc {",
+            $low,
+            "}, 0\n",
+            "sub {",
+            $a,
+            "}, {lo}\n sbb {",
+            $b,
+            "}, {hi}\n sbb {",
+            $c,
+            "}, {lo}\n sbb {",
+            $low,
+            "}, {hi}\n",
         )
     };
 }
@@ -41,12 +64,36 @@ macro_rules! reduction {
 macro_rules! row {
     ($limb:literal, $t0:literal, $t1:literal, $t2:literal, $t3:literal, $t4:literal) => {
         concat!(
-            "mov rdx, [{b} + ", $limb, "]\n xor {", $t4, ":e}, {", $t4, ":e}\n",
-            "mulx {hi}, {lo}, [{a}]\n adcx {", $t0, "}, {lo}\n adox {", $t1, "}, {hi}\n",
-            "mulx {hi}, {lo}, [{a} + 8]\n adcx {", $t1, "}, {lo}\n adox {", $t2, "}, {hi}\n",
-            "mulx {hi}, {lo}, [{a} + 16]\n adcx {", $t2, "}, {lo}\n adox {", $t3, "}, {hi}\n",
-            "mulx {hi}, {lo}, [{a} + 24]\n adcx {", $t3, "}, {lo}\n adox {", $t4, "}, {hi}\n",
-            "adc {", $t4, "}, 0\n",
+            "mov rdx, [{b} + ",
+            $limb,
+            "]\n xor {",
+            $t4,
+            ":e}, {",
+            $t4,
+            ":e}\n",
+            "mulx {hi}, {lo}, [{a}]\n adcx {",
+            $t0,
+            "}, {lo}\n adox {",
+            $t1,
+            "}, {hi}\n",
+            "mulx {hi}, {lo}, [{a} + 8]\n adcx {",
+            $t1,
+            "}, {lo}\n adox {",
+            $t2,
+            "}, {hi}\n",
+            "mulx {hi}, {lo}, [{a} + 16]\n adcx {",
+            $t2,
+            "}, {lo}\n adox {",
+            $t3,
+            "}, {hi}\n",
+            "mulx {hi}, {lo}, [{a} + 24]\n adcx {",
+            $t3,
+            "}, {lo}\n adox {",
+            $t4,
+            "}, {hi}\n",
+            "adc {",
+            $t4,
+            "}, 0\n",
         )
     };
 }
@@ -159,6 +206,88 @@ pub(super) unsafe fn square(a: &Limbs) -> Limbs {
             t7 = out(reg) out[3],
             out("rdx") _,
             options(pure, readonly, nostack),
+        );
+    }
+    out
+}
+
+/// `a + b` modulo p, for numbers below p.
+#[inline(always)]
+pub(super) fn add(a: &Limbs, b: &Limbs) -> Limbs {
+    let mut out = [0; 4];
+    // SAFETY: every x86-64 processor has these instructions; no memory is touched, and every register that changes is
+    // an output.
+    unsafe {
+        asm!(
+            "add {a0}, {b0}",
+            "adc {a1}, {b1}",
+            "adc {a2}, {b2}",
+            "adc {a3}, {b3}",
+            "sbb {carry}, {carry}",
+            "mov {b0}, {a0}",
+            "mov {b1}, {a1}",
+            "mov {b2}, {a2}",
+            "mov {b3}, {a3}",
+            "sub {a0}, -1",
+            "sbb {a1}, {second}",
+            "sbb {a2}, -1",
+            "sbb {a3}, {fourth}",
+            "sbb {carry}, 0",
+            // As in the reduction: below p and without a carry it stays as it was.
+            "cmovc {a0}, {b0}",
+            "cmovc {a1}, {b1}",
+            "cmovc {a2}, {b2}",
+            "cmovc {a3}, {b3}",
+            a0 = inout(reg) a[0] => out[0],
+            a1 = inout(reg) a[1] => out[1],
+            a2 = inout(reg) a[2] => out[2],
+            a3 = inout(reg) a[3] => out[3],
+            b0 = inout(reg) b[0] => _,
+            b1 = inout(reg) b[1] => _,
+            b2 = inout(reg) b[2] => _,
+            b3 = inout(reg) b[3] => _,
+            carry = out(reg) _,
+            second = in(reg) MODULUS[1],
+            fourth = in(reg) MODULUS[3],
+            options(pure, nomem, nostack),
+        );
+    }
+    out
+}
+
+/// `a - b` modulo p, for numbers below p.
+#[inline(always)]
+pub(super) fn subtract(a: &Limbs, b: &Limbs) -> Limbs {
+    let mut out = [0; 4];
+    // SAFETY: as for the sum.
+    unsafe {
+        asm!(
+            "sub {a0}, {b0}",
+            "sbb {a1}, {b1}",
+            "sbb {a2}, {b2}",
+            "sbb {a3}, {b3}",
+            // p where that borrowed, else zero.
+            "sbb {first}, {first}",
+            "mov {second}, {first}",
+            "mov {fourth}, {first}",
+            "shl {second}, 32",
+            "btr {fourth}, 32",
+            "add {a0}, {first}",
+            "adc {a1}, {second}",
+            "adc {a2}, {first}",
+            "adc {a3}, {fourth}",
+            a0 = inout(reg) a[0] => out[0],
+            a1 = inout(reg) a[1] => out[1],
+            a2 = inout(reg) a[2] => out[2],
+            a3 = inout(reg) a[3] => out[3],
+            b0 = in(reg) b[0],
+            b1 = in(reg) b[1],
+            b2 = in(reg) b[2],
+            b3 = in(reg) b[3],
+            first = out(reg) _,
+            second = out(reg) _,
+            fourth = out(reg) _,
+            options(pure, nomem, nostack),
         );
     }
     out
