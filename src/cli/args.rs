@@ -15,7 +15,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 pub use self::agent::{AgentVerb, EnrolArguments, RunArguments};
 pub use self::bench::{
     AlgorithmArguments, AllArguments, Bench, BenchArguments, BenchName, BenchVerb, ConsensusArguments,
-    GatewayArguments, GrowthArguments, LoadChoice, NetworkChoice, PipelineArguments, SizeArguments,
+    GatewayArguments, GrowthArguments, LoadChoice, NetworkChoice, PipelineArguments, RecordArguments, SizeArguments,
 };
 pub use self::chain::{ChainVerb, GenesisArguments, SuccessionVerb};
 pub use self::gateway::GatewayVerb;

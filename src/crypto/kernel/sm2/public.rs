@@ -107,14 +107,14 @@ pub(super) fn sparse_digits(number: &Limbs) -> [i8; NAF_DIGITS] {
         }
         let value = (bits & ((1 << NAF_WIDTH) - 1)) + carry;
         carry = value >> (NAF_WIDTH - 1);
-        // At most 31, so that the difference fits.
-        digits[place] = value as i8 - ((carry as i8) << NAF_WIDTH);
+        let size = i8::try_from(value).unwrap_or_default();
+        digits[place] = if carry == 1 { size - (1 << NAF_WIDTH) } else { size };
         place += NAF_WIDTH as usize;
     }
     digits
 }
 
-/// The bits of a number from a place on, 59 or more of them where there are.
+/// 64 bits of a number from a place on.
 fn bits_from(number: &Limbs, place: usize) -> u64 {
     let (limb, shift) = (place / 64, place % 64);
     let low = number.get(limb).map_or(0, |limb| limb >> shift);
