@@ -1,6 +1,8 @@
 //! Numbers of 256 bits in four limbs, the lowest first. Everything here takes the same time for all values: carries
 //! and masks, no branch and no index.
 
+use std::hint::black_box;
+
 /// A number below 2^256.
 pub(super) type Limbs = [u64; 4];
 
@@ -24,10 +26,10 @@ pub(super) fn subtract(a: &Limbs, b: &Limbs) -> (Limbs, bool) {
     ([first, second, third, fourth], borrow)
 }
 
-/// All ones where `bit` is set, else zero.
+/// All ones where `bit` is set, else zero. The compiler is not to know that it is one of the two, lest it branch.
 #[inline(always)]
 pub(super) fn mask(bit: bool) -> u64 {
-    0u64.wrapping_sub(u64::from(bit))
+    black_box(0u64.wrapping_sub(u64::from(bit)))
 }
 
 /// `a` where all bits of `mask` are set, `b` where none is.
@@ -37,11 +39,11 @@ pub(super) fn select(mask: u64, a: &Limbs, b: &Limbs) -> Limbs {
     [one(0), one(1), one(2), one(3)]
 }
 
-/// All ones where `number` is zero, else zero.
+/// All ones where `number` is zero, else zero; as above.
 #[inline(always)]
 pub(super) fn mask_of_zero(number: u64) -> u64 {
     let nonzero = (number | number.wrapping_neg()) >> 63;
-    nonzero.wrapping_sub(1)
+    black_box(nonzero.wrapping_sub(1))
 }
 
 /// All ones where the number is zero, else zero.

@@ -1,6 +1,8 @@
 //! The arithmetic of SM2 (GB/T 32918-2016): its field, its numbers modulo the order, its points. What touches secrets
 //! (`secret`, and all below it) takes the same time for all of them; what verifies (`public`) need not.
 
+#![allow(clippy::inline_always, reason = "a call costs as much as what is called")]
+
 mod complete;
 mod field;
 mod limbs;

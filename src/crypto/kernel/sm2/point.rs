@@ -104,7 +104,7 @@ impl Jacobian {
     pub const INFINITY: Self = Self { x: Element::ONE, y: Element::ONE, z: Element::ZERO };
 
     pub fn is_infinity(&self) -> bool {
-        self.z.is_zero() != 0
+        self.z == Element::ZERO
     }
 
     pub fn negated(&self) -> Self {
@@ -135,7 +135,7 @@ impl Jacobian {
         let z2 = self.z.square();
         let difference = other.x * z2 - self.x;
         let slope = other.y * (z2 * self.z) - self.y;
-        if difference.is_zero() != 0 {
+        if difference == Element::ZERO {
             return self.meeting(slope);
         }
         let square = difference.square();
@@ -159,7 +159,7 @@ impl Jacobian {
         let own_y = self.y * (other_z2 * other.z);
         let difference = other.x * z2 - own_x;
         let slope = other.y * (z2 * self.z) - own_y;
-        if difference.is_zero() != 0 {
+        if difference == Element::ZERO {
             return self.meeting(slope);
         }
         let square = difference.square();
@@ -173,7 +173,7 @@ impl Jacobian {
     #[cold]
     #[inline(never)]
     fn meeting(&self, slope: Element) -> Self {
-        if slope.is_zero() == 0 { Self::INFINITY } else { self.double() }
+        if slope != Element::ZERO { Self::INFINITY } else { self.double() }
     }
 
     /// Whether the point's x, taken modulo p, is the number.
