@@ -95,5 +95,5 @@ fn opening<const LIBSM: bool>(bencher: divan::Bencher<'_, '_>, size: usize) {
 }
 
 fn name(libsm: bool) -> ProviderName {
-    if libsm { ProviderName::Libsm } else { ProviderName::RustCrypto }
+    if libsm { ProviderName::Libsm } else { ProviderName::default() }
 }

@@ -11,7 +11,7 @@ pub const DOMAIN: Domain = Domain([0x11; 32]);
 
 /// The provider that the product uses by default.
 pub fn provider() -> &'static dyn Provider {
-    crypto::provider(ProviderName::RustCrypto)
+    crypto::provider(ProviderName::default())
 }
 
 /// Network and provider.

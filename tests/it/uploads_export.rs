@@ -122,7 +122,7 @@ fn openssl_checks_digest_and_signature_of_an_exported_record() {
     if system_program("openssl").is_none() {
         skipped!("no openssl");
     }
-    expect_openssl_agrees("rustcrypto");
+    expect_openssl_agrees("authros");
 }
 
 #[test]

@@ -12,7 +12,7 @@ use super::report::Report;
 use crate::Global;
 use crate::args::{
     AlgorithmArguments, AllArguments, Bench, BenchName, ConsensusArguments, GatewayArguments, GrowthArguments,
-    LoadChoice, NetworkChoice, PipelineArguments, SizeArguments,
+    LoadChoice, NetworkChoice, PipelineArguments, RecordArguments, SizeArguments,
 };
 use authros_crypto::Provider;
 use authros_model::Consensus;
@@ -35,7 +35,7 @@ struct Entry {
 const PLAN: [(BenchName, &str, &str); 11] = [
     (BenchName::Sm3, "sm3", "digests of 1 KB to 800 KB beside libsm, libgcrypt and the paper"),
     (BenchName::Sm4, "sm4", "sealing and opening of 1 KB to 800 KB beside the crates, libsm and libgcrypt"),
-    (BenchName::Sm2, "sm2", "signatures and envelopes beside libsm"),
+    (BenchName::Sm2, "sm2", "signatures and envelopes beside the crate and libsm"),
     (BenchName::Record, "record", "one record sealed, opened and verified on one core, step by step"),
     (BenchName::Gas, "gas", "gas per record: each, batches, the prototype's way"),
     (BenchName::Consensus, "consensus", "300 uploads at once on PoA and PoW"),
@@ -83,13 +83,13 @@ pub async fn run(
 
 /// A bench with arguments that keep it short.
 fn short(name: BenchName, arguments: &AllArguments) -> Bench {
-    let algorithm = AlgorithmArguments { runs: arguments.runs };
+    let algorithm = AlgorithmArguments { runs: arguments.runs, judge: false };
     let node = arguments.node.clone();
     match name {
         BenchName::Sm2 => Bench::Sm2(algorithm),
         BenchName::Sm3 => Bench::Sm3(algorithm),
         BenchName::Sm4 => Bench::Sm4(algorithm),
-        BenchName::Record => Bench::Record(algorithm),
+        BenchName::Record => Bench::Record(RecordArguments { runs: arguments.runs }),
         BenchName::Gas => Bench::Gas,
         BenchName::Consensus => Bench::Consensus(ConsensusArguments {
             uploaders: vec![300],

@@ -83,9 +83,9 @@ async fn measure(
     outlet: &Outlet,
 ) -> Result<u8, Failure> {
     match bench {
-        Bench::Sm2(runs) => algorithms::run(Algorithm::Sm2, runs.runs, provider, outlet).await,
-        Bench::Sm3(runs) => algorithms::run(Algorithm::Sm3, runs.runs, provider, outlet).await,
-        Bench::Sm4(runs) => algorithms::run(Algorithm::Sm4, runs.runs, provider, outlet).await,
+        Bench::Sm2(runs) => algorithms::run(Algorithm::Sm2, runs, provider, outlet).await,
+        Bench::Sm3(runs) => algorithms::run(Algorithm::Sm3, runs, provider, outlet).await,
+        Bench::Sm4(runs) => algorithms::run(Algorithm::Sm4, runs, provider, outlet).await,
         Bench::Record(runs) => record::run(runs.runs, provider, outlet).await,
         Bench::Consensus(consensus) => consensus::run(consensus, provider, outlet).await,
         Bench::Size(size) => size::run(size, provider, outlet).await,

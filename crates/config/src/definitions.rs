@@ -130,8 +130,8 @@ pub const DEFINITIONS: &[Definition] = &[
     Definition {
         name: "crypto.provider",
         variable: "AUTHROS_CRYPTO_PROVIDER",
-        default: "rustcrypto",
-        text: "rustcrypto or libsm",
+        default: "authros",
+        text: "authros (our own kernels), rustcrypto or libsm",
     },
     Definition {
         name: "crypto.sm4_kernel",

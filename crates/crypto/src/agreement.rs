@@ -3,14 +3,11 @@
 
 use std::fmt;
 
-use sm2::NonZeroScalar;
-use sm2::elliptic_curve::point::AffineCoordinates as _;
-use zeroize::{Zeroize as _, Zeroizing};
+use zeroize::Zeroizing;
 
 use crate::model::PublicKey;
 
-use super::rustcrypto::point;
-use super::{CryptoError, Provider, SmSecret};
+use super::{CryptoError, Provider, SmSecret, sm2};
 
 /// A private key of one session, wiped when it is used or dropped.
 pub struct Ephemeral {
@@ -46,17 +43,7 @@ impl Ephemeral {
     /// # Errors
     /// [`CryptoError::PublicPoint`] where `peer` is not a point of the curve in its canonical encoding.
     pub fn agree(self, peer: &PublicKey) -> Result<Zeroizing<[u8; 32]>, CryptoError> {
-        let peer = point(peer)?;
-        let mut scalar =
-            NonZeroScalar::try_from(self.secret.expose().as_slice()).map_err(|_| CryptoError::SecretRange("SM2"))?;
-        let mut shared = (peer.to_projective() * *scalar).to_affine();
-        scalar.zeroize();
-        let mut x = shared.x();
-        let mut out = Zeroizing::new([0; 32]);
-        out.copy_from_slice(&x);
-        x.as_mut_slice().zeroize();
-        shared.zeroize();
-        Ok(out)
+        sm2::shared_x(self.secret.expose(), peer)
     }
 }
 
@@ -77,7 +64,7 @@ mod tests {
 
     #[test]
     fn both_sides_agree_and_others_do_not() {
-        for name in [ProviderName::RustCrypto, ProviderName::Libsm] {
+        for name in ProviderName::ALL {
             let provider = provider(name);
             let [one, other, third] = [(); 3].map(|()| Ephemeral::generate(provider).expect("random"));
             let (first, second, stranger) = (one.public(), other.public(), third.public());
@@ -91,7 +78,7 @@ mod tests {
 
     #[test]
     fn the_secret_is_the_x_coordinate_of_the_product() {
-        let provider = provider(ProviderName::RustCrypto);
+        let provider = provider(ProviderName::default());
         let mut one = [0; 32];
         one[31] = 1;
         let one = Ephemeral::from_secret(provider, SmSecret::from_slice(&one).expect("1")).expect("G");
@@ -104,7 +91,7 @@ mod tests {
 
     #[test]
     fn what_is_no_point_is_refused() {
-        let provider = provider(ProviderName::RustCrypto);
+        let provider = provider(ProviderName::default());
         let valid = Ephemeral::generate(provider).expect("random").public();
         let mut off = valid;
         off.0[63] ^= 1;

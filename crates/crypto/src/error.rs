@@ -13,7 +13,7 @@ pub enum CryptoError {
     #[error("the operating system gave no random bytes; nothing was sealed or generated, try again")]
     Random,
     /// An algorithm refused what it should accept.
-    #[error("{0} failed inside the crypto provider; try the other one with crypto.provider")]
+    #[error("{0} failed inside the crypto provider; try another one with crypto.provider")]
     Internal(&'static str),
     /// A private key out of range.
     #[error("the {0} private key is out of its range; use one made for its curve")]

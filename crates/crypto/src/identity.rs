@@ -70,7 +70,7 @@ mod tests {
 
     #[test]
     fn a_proof_holds_for_its_address_and_network_only() {
-        for name in [ProviderName::RustCrypto, ProviderName::Libsm] {
+        for name in ProviderName::ALL {
             let provider = provider(name);
             let (domain, address, identity) = proven(name);
             check_identity(provider, &domain, &address, &identity).expect("valid");

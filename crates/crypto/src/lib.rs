@@ -1,5 +1,5 @@
 //! SM2, SM3, SM4-GCM and HKDF-SM3, and what is built of them: records, envelopes, identities,
-//! and keys at rest. Two providers compute the algorithms; nothing here knows ROS, the chain
+//! and keys at rest. Three providers compute the algorithms; nothing here knows ROS, the chain
 //! or the ledger.
 
 use crate as crypto;
@@ -8,6 +8,7 @@ use authros_model as model;
 
 pub mod account;
 pub mod agreement;
+mod authros_provider;
 pub mod compression;
 pub mod der;
 pub mod derive;
@@ -34,6 +35,7 @@ pub mod record;
 mod rustcrypto;
 pub mod sealed_stream;
 pub mod secret;
+mod sm2;
 pub mod sm3;
 mod sm4_gcm;
 pub mod transport_file;
@@ -76,4 +78,5 @@ pub use secret::{
     EoaSecret, EpochKey, EpochSalt, FilterKey, Fingerprint, FingerprintError, IndexKey, Sm4Key, SmKeyPair, SmSecret,
     TopicKey, TransportKey,
 };
+pub use sm2::verify_as_stranger;
 pub use sm3::{Sm3Hasher, sm3_many};

@@ -1,4 +1,4 @@
-//! The second provider: the `libsm` crate behind guards. libsm panics on malformed input, takes
+//! Another provider: the `libsm` crate behind guards. libsm panics on malformed input, takes
 //! private keys 0 and n and non-canonical points, and writes C1 || C2 || C3, so lengths, ranges and
 //! points are checked here before it is called. It is not constant-time and wipes no secret.
 

@@ -58,7 +58,7 @@ fn openssl_verifies_what_is_signed_here() {
     let message = signed_bytes(&Domain([1; 32]), &Digest([2; 32]));
     fs::write(directory.path().join("message"), &message).expect("writes");
     fs::write(directory.path().join("signer.pem"), sm2_public_pem(&pair.public).expect("pem")).expect("writes");
-    for name in [ProviderName::RustCrypto, ProviderName::Libsm] {
+    for name in ProviderName::ALL {
         let signature = provider(name).sign(&pair.secret, &message).expect("signs");
         fs::write(directory.path().join("signature.der"), signature_der(&signature)).expect("writes");
         let arguments = [
@@ -91,7 +91,7 @@ fn openssl_signs_with_an_exported_key_what_verifies_here() {
     let arguments = [&["pkeyutl", "-sign", "-inkey", "key.pem"][..], &ID, &["message", "-out", "signature.der"]];
     succeeds(directory.path(), &arguments.concat());
     let signature = signature_from_der(&fs::read(directory.path().join("signature.der")).expect("reads")).expect("DER");
-    for name in [ProviderName::RustCrypto, ProviderName::Libsm] {
+    for name in ProviderName::ALL {
         provider(name).verify(&pair.public, b"signed by openssl", &signature).expect("valid");
         assert!(provider(name).verify(&pair.public, b"signed by nobody", &signature).is_err());
     }
@@ -115,7 +115,7 @@ fn openssl_keys_are_loaded_and_its_ciphertexts_opened() {
         &["pkeyutl", "-encrypt", "-pubin", "-inkey", "public.pem", "-in", "plain", "-out", "sealed"],
     );
     let sealed = fs::read(directory.path().join("sealed")).expect("reads");
-    for name in [ProviderName::RustCrypto, ProviderName::Libsm] {
+    for name in ProviderName::ALL {
         let provider = provider(name);
         assert_eq!(&**provider.decrypt(&secret, &sealed).expect("decrypts"), b"for your eyes");
         fs::write(directory.path().join("back"), provider.encrypt(&public, b"and back").expect("encrypts"))

@@ -1,4 +1,4 @@
-//! The port behind which the SM algorithms lie: two providers that agree on every byte.
+//! The port behind which the SM algorithms lie: three providers that agree on every byte.
 //! Which one runs is the setting `crypto.provider`.
 
 use std::fmt;
@@ -9,13 +9,14 @@ use zeroize::Zeroizing;
 
 use crate::model::{PublicKey, Signature, clean};
 
+use super::authros_provider::AuthrosProvider;
 use super::libsm_provider::LibsmProvider;
 use super::rustcrypto::RustCryptoProvider;
 use super::{CryptoError, SmSecret};
 
-/// SM2, SM3 and SM4-GCM as this program uses them. Both providers accept and refuse the same inputs.
+/// SM2, SM3 and SM4-GCM as this program uses them. All providers accept and refuse the same inputs.
 pub trait Provider: Send + Sync {
-    /// `rustcrypto` or `libsm`.
+    /// `authros`, `rustcrypto` or `libsm`.
     fn name(&self) -> &'static str;
 
     /// SM3 (GB/T 32905-2016) of the concatenation of `parts`.
@@ -112,8 +113,10 @@ pub(super) fn check_plain(plain: &[u8]) -> Result<(), CryptoError> {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ProviderName {
-    /// The `RustCrypto` crates for SM2 and SM3, our own kernels for SM4.
+    /// Our own kernels.
     #[default]
+    Authros,
+    /// The `RustCrypto` crate for SM2, our own kernels for SM3 and SM4.
     RustCrypto,
     /// The `libsm` crate behind guards.
     Libsm,
@@ -121,14 +124,20 @@ pub enum ProviderName {
 
 /// Not the name of a provider.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("'{0}' is no crypto provider; set crypto.provider to rustcrypto or libsm")]
+#[error("'{0}' is no crypto provider; set crypto.provider to authros, rustcrypto or libsm")]
 pub struct ProviderNameError(String);
+
+impl ProviderName {
+    /// All of them, the default first.
+    pub const ALL: [Self; 3] = [Self::Authros, Self::RustCrypto, Self::Libsm];
+}
 
 impl FromStr for ProviderName {
     type Err = ProviderNameError;
 
     fn from_str(text: &str) -> Result<Self, ProviderNameError> {
         match text {
+            "authros" => Ok(Self::Authros),
             "rustcrypto" => Ok(Self::RustCrypto),
             "libsm" => Ok(Self::Libsm),
             other => Err(ProviderNameError(clean(other, 40))),
@@ -139,6 +148,7 @@ impl FromStr for ProviderName {
 impl fmt::Display for ProviderName {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         formatter.write_str(match self {
+            Self::Authros => "authros",
             Self::RustCrypto => "rustcrypto",
             Self::Libsm => "libsm",
         })
@@ -148,6 +158,10 @@ impl fmt::Display for ProviderName {
 /// The provider of that name. Choosing it the first time starts a thread that builds its tables of the curve.
 pub fn provider(name: ProviderName) -> &'static dyn Provider {
     match name {
+        ProviderName::Authros => {
+            super::sm2::warm_up();
+            &AuthrosProvider
+        }
         ProviderName::RustCrypto => {
             super::rustcrypto::warm_up();
             &RustCryptoProvider
@@ -165,12 +179,12 @@ mod tests {
 
     #[test]
     fn names_round_trip_and_unknown_ones_are_refused() {
-        for name in [ProviderName::RustCrypto, ProviderName::Libsm] {
+        for name in ProviderName::ALL {
             assert_eq!(name.to_string().parse(), Ok(name));
             assert_eq!(provider(name).name(), name.to_string());
             assert_eq!(serde_json::to_string(&name).expect("json"), format!("\"{name}\""));
         }
         assert!("openssl".parse::<ProviderName>().is_err());
-        assert_eq!(ProviderName::default(), ProviderName::RustCrypto);
+        assert_eq!(ProviderName::default(), ProviderName::Authros);
     }
 }

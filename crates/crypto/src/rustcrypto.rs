@@ -1,5 +1,5 @@
-//! The default provider: the `RustCrypto` crates sm2 and sm3, and our own kernels for SM4-GCM. What the crates
-//! sm4, ctr and ghash make of it is kept beside, to be compared with: sm4 looks its S-box up in a table.
+//! The `RustCrypto` crate sm2 with our own kernels for SM3 and SM4-GCM. What the crates sm4, ctr and ghash make of the
+//! latter is kept beside, to be compared with: sm4 looks its S-box up in a table.
 //! Nonces of signatures are hedged: derived from key and message (RFC 6979) and fresh random bytes.
 
 use std::sync::Once;
@@ -28,7 +28,7 @@ use super::{CryptoError, SmSecret, sm4_gcm};
 /// The signer's distinguishing identifier (GM/T 0009-2012, 10).
 pub(super) const DISTINGUISHED_ID: &str = "1234567812345678";
 
-/// The default provider.
+/// The provider with the crate's SM2.
 #[derive(Debug, Clone, Copy)]
 pub struct RustCryptoProvider;
 

@@ -1,5 +1,5 @@
 //! The official vectors of SM2, SM3 and SM4, and the malformed inputs that libsm cannot take,
-//! against both providers.
+//! against all providers.
 
 use sm2::Scalar;
 use sm2::dsa::signature::hazmat::PrehashVerifier as _;
@@ -37,8 +37,8 @@ fn bytes<const SIZE: usize>(text: &str) -> [u8; SIZE] {
     unhex(text).expect("hex").try_into().expect("length")
 }
 
-fn both() -> [&'static dyn Provider; 2] {
-    [provider(ProviderName::RustCrypto), provider(ProviderName::Libsm)]
+fn all() -> [&'static dyn Provider; 3] {
+    ProviderName::ALL.map(provider)
 }
 
 fn blocks() -> [Box<dyn BlockCipher>; 2] {
@@ -52,7 +52,7 @@ fn secret() -> SmSecret {
 
 #[test]
 fn sm3_annex_a() {
-    for provider in both() {
+    for provider in all() {
         let hash = |text: &[u8]| hex(&provider.sm3(&[text]));
         assert_eq!(hash(b"abc"), "66c7f0f462eeedd9d1f2d46bdc10e4e24167c4875cf2f7a2297da02b8f4ba8e0");
         assert_eq!(hash(&b"abcd".repeat(16)), "debe9ff92275b8a138604889c18e5a4d6fdb70e5387e5765293dcba39c0c5732");
@@ -96,7 +96,7 @@ fn sm4_counter_and_output_feedback_modes() {
 fn sm4_gcm_of_rfc_8998() {
     let (key, nonce) = (bytes(KEY), bytes("00001234567800000000abcd"));
     let aad = unhex("feedfacedeadbeeffeedfacedeadbeefabaddad2").expect("hex");
-    for provider in both() {
+    for provider in all() {
         let mut text = unhex(BLOCKS).expect("hex");
         provider.gcm_seal(&key, &nonce, &aad, &mut text).expect("seals");
         assert_eq!(
@@ -115,7 +115,7 @@ fn sm4_gcm_of_rfc_8998() {
 #[test]
 fn sm2_signature_of_annex_a() {
     let (public, signature) = (PublicKey(bytes(P)), Signature(bytes(SIGNATURE)));
-    for provider in both() {
+    for provider in all() {
         assert_eq!(provider.public_key(&secret()).expect("point"), public);
         provider.verify(&public, b"message digest", &signature).expect("valid");
         assert!(provider.verify(&public, b"message digest.", &signature).is_err());
@@ -163,7 +163,7 @@ fn sm2_ciphertext_of_annex_c() {
     assert_eq!(hex(&[parts.x, parts.y].concat()), C1);
     assert_eq!(hex(&parts.text), "21886ca989ca9c7d58087307ca93092d651efa");
     assert_eq!(parts.encode(), der);
-    for provider in both() {
+    for provider in all() {
         assert_eq!(&**provider.decrypt(&secret(), &der).expect("decrypts"), b"encryption standard");
     }
 }
@@ -190,7 +190,7 @@ fn malformed_ciphertexts_are_errors() {
         with(&|parts| (parts.x, parts.y) = ([0; 32], [0; 32])),
         with(&|parts| parts.x = bytes(FIELD)),
     ]);
-    for provider in both() {
+    for provider in all() {
         for der in &cases {
             assert!(provider.decrypt(&secret(), der).is_err(), "{} {}", provider.name(), hex(der));
         }
@@ -199,7 +199,7 @@ fn malformed_ciphertexts_are_errors() {
 
 #[test]
 fn empty_and_huge_texts_are_not_encrypted() {
-    for provider in both() {
+    for provider in all() {
         let public = PublicKey(bytes(P));
         for plain in [vec![], vec![0; 1024 * 1024 + 1]] {
             assert!(matches!(provider.encrypt(&public, &plain), Err(CryptoError::Length { .. })));
@@ -211,7 +211,7 @@ fn empty_and_huge_texts_are_not_encrypted() {
 fn signatures_out_of_range_are_errors() {
     let (n, zero) = (bytes::<32>(N), [0; 32]);
     let (r, s) = (bytes::<32>(&SIGNATURE[..64]), bytes::<32>(&SIGNATURE[64..]));
-    for provider in both() {
+    for provider in all() {
         for (r, s) in [(zero, s), (r, zero), (n, s), (r, n), ([0xff; 32], s), (r, [0xff; 32]), (zero, zero)] {
             let signature = Signature([r, s].concat().try_into().expect("64"));
             let verdict = provider.verify(&PublicKey(bytes(P)), b"message digest", &signature);
@@ -234,7 +234,7 @@ fn points_off_the_curve_or_not_canonical_are_errors() {
     let [zero, past, swapped] = [[[0; 32], y].concat(), [bytes(FIELD), y].concat(), [&p[32..], &p[..32]].concat()]
         .map(|point| bytes(&hex(&point)));
     let cases = [off, [0; 64], [0xff; 64], past, swapped];
-    for provider in both() {
+    for provider in all() {
         provider.check_public_key(&PublicKey(p)).expect("on the curve");
         provider.check_public_key(&PublicKey(zero)).expect("on the curve");
         for point in cases.map(PublicKey) {

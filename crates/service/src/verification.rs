@@ -83,7 +83,7 @@ impl Known {
 pub async fn verify(folder: &Path, url: Option<&str>, known: Known) -> Result<FolderCheck, Failure> {
     let folder =
         tokio::task::block_in_place(|| ExportFolder::read(folder)).map_err(|error| input(error.to_string()))?;
-    let provider = provider(ProviderName::RustCrypto);
+    let provider = provider(ProviderName::default());
     let mut steps = folder.check(provider);
     let (mut worst, mut anchored, mut sealed_by) = (None, None, None);
     match url {
@@ -232,7 +232,7 @@ async fn judge_signer(
     claimed: BlockRef,
     steps: &mut Vec<VerifyStep>,
 ) -> Result<AnchoredAt, ChainError> {
-    let directory = Directory::new(folder.header.domain, provider(ProviderName::RustCrypto));
+    let directory = Directory::new(folder.header.domain, provider(ProviderName::default()));
     let last = anchors.last().copied().unwrap_or(claimed.number);
     for at in chain.changes(pin.deployed_at, last).await? {
         directory.apply(&at);

@@ -43,7 +43,7 @@ pub struct Global {
     /// Blocks until an anchor counts as confirmed
     #[arg(long, global = true, value_name = "N")]
     pub confirmations: Option<String>,
-    /// rustcrypto or libsm
+    /// authros (our own kernels), rustcrypto or libsm
     #[arg(long, global = true, value_name = "NAME")]
     pub crypto_provider: Option<String>,
     /// Join a remote site through its gateway: records and chain come from there

@@ -28,13 +28,26 @@ fn what_was_not_measured_is_not_judged() {
 }
 
 #[test]
+fn sm2_is_judged_by_the_crates_time() {
+    let of = |work, by, time| example(work, by, SIGNED, &[time]);
+    let mut rows = vec![of("sign", "authros", 20.0), of("sign", "crate", 100.0), of("verify", "authros", 60.0)];
+    rows.push(of("verify", "crate", 200.0));
+    assert!(acceptance_of_sm2(&rows).is_empty(), "another provider in our place");
+    rows.push(of("verify", work::KNOWN, 20.0));
+    let judged: Vec<(bool, f64)> = acceptance_of_sm2(&rows).iter().map(|one| (one.ok, one.found)).collect();
+    assert_eq!(judged, [(true, 0.2), (false, 0.3), (true, 0.1)]);
+}
+
+#[test]
 fn each_algorithm_is_measured_by_all() {
-    for (algorithm, rows_of_ours) in [(Algorithm::Sm2, 10), (Algorithm::Sm3, 9), (Algorithm::Sm4, 20)] {
-        let (rows, libgcrypt) = measure(algorithm, 1, provider(ProviderName::RustCrypto)).expect("measures");
+    for (algorithm, rows_of_ours) in [(Algorithm::Sm2, 11), (Algorithm::Sm3, 9), (Algorithm::Sm4, 20)] {
+        let (rows, libgcrypt) = measure(algorithm, 1, provider(ProviderName::default())).expect("measures");
         let ours = rows.iter().filter(|row| row.by.starts_with("authros")).count();
         assert_eq!(ours, rows_of_ours, "{algorithm:?}");
         assert!(rows.iter().all(|row| row.measured.spread.min > 0.0 && row.measured.runs == 1));
         assert!(rows.iter().any(|row| row.by == "libsm"));
+        let of_crate = rows.iter().filter(|row| row.by == "crate").count();
+        assert_eq!(of_crate, if algorithm == Algorithm::Sm2 { 4 } else { 0 });
         let timed = rows.iter().any(|row| row.by == "libgcrypt");
         assert_eq!(timed, libgcrypt.starts_with("libgcrypt 1"), "{libgcrypt}");
     }

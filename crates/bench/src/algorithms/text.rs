@@ -10,8 +10,9 @@ pub(super) const NOTES: [&str; 7] = [
      rest of the machine's work disturbs least.",
     "digest: SM3. seal, open: SM4-GCM with key set-up, 32 bytes of additional data and the tag. record: a whole record \
      with its keys, sealed head and body, SM3 and SM2 signature.",
-    "authros: the chosen provider (SM3 by the crate sm3, SM4 by the kernel named above); authros-many: 16 messages side \
-     by side; crates: sm4, ctr and ghash; libsm: its SM4 behind our GCM, as the program uses it; libsm-gcm: its own GCM.",
+    "authros: the chosen provider (SM4 by the kernel named above); authros-known: a signer met before, whose table is kept; \
+     authros-many: 16 messages side by side; crate: the crate sm2; crates: sm4, ctr and ghash; libsm: its SM4 behind our \
+     GCM, as the program uses it; libsm-gcm: its own GCM.",
     "authros-batch-N: one signature over the Merkle root of N records' leaves, with every record's path made or followed; \
      for each record. A record signed so does not stand alone, and none is (ARCHITECTURE.md).",
     "outliers: values more than a quarter above the median, and the three greatest.",

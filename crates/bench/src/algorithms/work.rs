@@ -7,7 +7,7 @@ use super::batch::Batch;
 use crate::account::head;
 use authros_crypto::{
     Provider, ProviderName, SealRequest, SmKeyPair, TopicKey, provider, random_bytes, seal, seal_by_crates,
-    seal_by_libsm, sm3_many,
+    seal_by_libsm, sm3_many, verify_as_stranger,
 };
 use authros_model::{Address, Domain, Head, RecordKind, RecorderId, Signature, Timestamp, TopicId};
 use authros_service::Failure;
@@ -19,6 +19,9 @@ const NONCE: [u8; 12] = [0; 12];
 const MANY: u32 = 16;
 /// A message of which many are hashed side by side is at most so long.
 const SHORT: usize = 8192;
+
+/// Who verifies a signer met before.
+pub(super) const KNOWN: &str = "authros-known";
 
 /// What libgcrypt does for an algorithm: its program's word, and ours.
 pub(super) fn of_libgcrypt(algorithm: Algorithm) -> &'static [(&'static str, &'static str)] {
@@ -46,6 +49,7 @@ pub(super) struct Piece<'a> {
 /// Keys and a text of one size.
 pub(super) struct Bench {
     ours: &'static dyn Provider,
+    crates: &'static dyn Provider,
     libsm: &'static dyn Provider,
     key: [u8; 16],
     text: Vec<u8>,
@@ -65,11 +69,13 @@ impl Bench {
         let signer = SmKeyPair::generate(ours)?;
         let signature = ours.sign(&signer.secret, &text)?;
         let envelope = ours.encrypt(&signer.public, text.get(..32).unwrap_or(&text))?;
-        let libsm = provider(ProviderName::Libsm);
-        // Its table takes seconds to build, once.
-        libsm.verify(&signer.public, &text, &signature)?;
+        let [crates, libsm] = [ProviderName::RustCrypto, ProviderName::Libsm].map(provider);
+        // libsm's table takes seconds to build, once; ours of a signer is made when it is met for the third time.
+        for provider in [crates, libsm, ours, ours, ours] {
+            provider.verify(&signer.public, &text, &signature)?;
+        }
         let (head, batches) = (head(size), Batch::all(ours, &signer)?);
-        Ok(Self { ours, libsm, key, text, sealed, signer, signature, envelope, head, batches })
+        Ok(Self { ours, crates, libsm, key, text, sealed, signer, signature, envelope, head, batches })
     }
 
     /// All that is timed for an algorithm at this size.
@@ -77,7 +83,9 @@ impl Bench {
         let both = [("authros", self.ours), ("libsm", self.libsm)];
         match algorithm {
             Algorithm::Sm2 => {
-                let mut pieces: Vec<_> = both.into_iter().flat_map(|(by, provider)| self.sm2(by, provider)).collect();
+                let all = [("authros", self.ours), ("crate", self.crates), ("libsm", self.libsm)];
+                let mut pieces: Vec<_> = all.into_iter().flat_map(|(by, provider)| self.sm2(by, provider)).collect();
+                pieces.extend(self.known_signer());
                 pieces.extend(self.batches.iter().flat_map(|batch| batch.pieces(self.ours, &self.signer)));
                 pieces
             }
@@ -165,12 +173,30 @@ impl Bench {
         [
             piece("sign", by, move || Ok(provider.sign(secret, &self.text)?.0.to_vec())),
             piece("verify", by, move || {
-                provider.verify(public, &self.text, &self.signature)?;
+                if self.knows_signers(provider) {
+                    verify_as_stranger(public, &self.text, &self.signature)?;
+                } else {
+                    provider.verify(public, &self.text, &self.signature)?;
+                }
                 Ok(Vec::new())
             }),
             piece("encrypt", by, move || Ok(provider.encrypt(public, &self.text)?)),
             piece("decrypt", by, move || Ok(provider.decrypt(secret, &self.envelope)?.to_vec())),
         ]
+    }
+
+    /// Whether a provider keeps tables of signers that it met before.
+    fn knows_signers(&self, provider: &dyn Provider) -> bool {
+        provider.name() == ProviderName::Authros.to_string()
+    }
+
+    /// Verifying a signature of somebody met before.
+    fn known_signer(&self) -> Option<Piece<'_>> {
+        let verify = || {
+            self.ours.verify(&self.signer.public, &self.text, &self.signature)?;
+            Ok(Vec::new())
+        };
+        self.knows_signers(self.ours).then(|| piece("verify", KNOWN, verify))
     }
 }
 

@@ -42,9 +42,8 @@ fn unwrap_with(name: ProviderName, envelope: &[u8], expected: &GrantTerms) -> Re
 
 #[test]
 fn wrapped_by_one_provider_unwrapped_by_the_other() {
-    for [sender, receiver] in
-        [[ProviderName::RustCrypto, ProviderName::Libsm], [ProviderName::Libsm, ProviderName::RustCrypto]]
-    {
+    let [one, second, third] = ProviderName::ALL;
+    for [sender, receiver] in [[one, second], [second, one], [one, third], [third, one]] {
         for wrapped in [all(), scoped(1, 1), scoped(32, 4)] {
             let envelope = wrap_with(sender, &wrapped);
             assert!(envelope.len() <= LARGEST_ENVELOPE);

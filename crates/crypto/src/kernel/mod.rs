@@ -27,6 +27,7 @@ mod ghash_avx512;
 mod ghash_pclmul;
 mod portable;
 mod sbox;
+pub(super) mod sm2;
 mod sm3;
 #[cfg(target_arch = "x86_64")]
 mod sm3_avx2;
@@ -37,7 +38,7 @@ mod sm3_lanes;
 mod sm3_single;
 
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;
 
 pub(super) use ghash::Ghash;
 pub(super) use sm3::{BLOCK, INITIAL, compress, ending};

@@ -71,7 +71,7 @@ mod tests {
 
     #[test]
     fn many_are_checked_as_each_by_itself() {
-        for name in [ProviderName::RustCrypto, ProviderName::Libsm] {
+        for name in ProviderName::ALL {
             let (provider, records) = (provider(name), records(name));
             let own = Sample::new(name, b"").request().signer.public;
             let other = SmKeyPair::generate(provider).expect("pair").public;

@@ -11,7 +11,7 @@ use zeroize::Zeroizing;
 
 use crate::crypto::provider::Provider;
 use crate::crypto::random::random_bytes;
-use crate::crypto::{CryptoError, derive, rustcrypto};
+use crate::crypto::{CryptoError, derive, rustcrypto, sm2 as kernels};
 use crate::model::bytes::{hex, unhex};
 use crate::model::{PublicKey, SignerId, clean};
 
@@ -49,9 +49,10 @@ fn is_secret(number: &[u8; 32]) -> bool {
 
 /// An SM2 private key d, 1 to n - 2 (GB/T 32918.1-2016, 6.1).
 ///
-/// The signing key that follows from it (public point, ZA) is computed once and wiped with it.
+/// The signing keys that follow from it (public point, ZA), ours and the crate's, are computed once and wiped with it.
 pub struct SmSecret {
     bytes: Zeroizing<[u8; 32]>,
+    kernel: OnceLock<Box<kernels::SigningKey>>,
     signing: OnceLock<Box<SigningKey>>,
     public: OnceLock<PublicKey>,
 }
@@ -79,7 +80,7 @@ impl SmSecret {
         if !is_secret(&array) {
             return Err(CryptoError::SecretRange("SM2"));
         }
-        Ok(Self { bytes: array, signing: OnceLock::new(), public: OnceLock::new() })
+        Ok(Self { bytes: array, kernel: OnceLock::new(), signing: OnceLock::new(), public: OnceLock::new() })
     }
 
     /// The secret bytes; do not copy them anywhere that outlives their use.
@@ -87,6 +88,16 @@ impl SmSecret {
         &self.bytes
     }
 
+    /// As our own kernels sign with it.
+    pub(crate) fn kernel_key(&self) -> Result<&kernels::SigningKey, CryptoError> {
+        if self.kernel.get().is_none() {
+            // Another thread may have been first; its key is the same, and the second wipes itself.
+            let _ = self.kernel.set(Box::new(kernels::SigningKey::new(&self.bytes)?));
+        }
+        self.kernel.get().map(|key| &**key).ok_or(CryptoError::Internal("SM2"))
+    }
+
+    /// As the crate signs with it.
     pub(crate) fn signing_key(&self) -> Result<&SigningKey, CryptoError> {
         if self.signing.get().is_none() {
             // Another thread may have been first; its key is the same.
@@ -108,7 +119,8 @@ impl SmSecret {
 
 impl Clone for SmSecret {
     fn clone(&self) -> Self {
-        Self { bytes: self.bytes.clone(), signing: OnceLock::new(), public: self.public.clone() }
+        let (kernel, signing) = (OnceLock::new(), OnceLock::new());
+        Self { bytes: self.bytes.clone(), kernel, signing, public: self.public.clone() }
     }
 }
 

@@ -1,0 +1,208 @@
+//! Points of the SM2 curve y^2 = x^3 - 3 x + b by themselves and in Jacobian coordinates. What is added here may be
+//! seen in the time it takes: only public points and numbers come this way, except into `double`, which has no
+//! exceptions.
+
+use zeroize::Zeroize;
+
+use super::field::Element;
+use super::limbs::{self, Limbs};
+
+/// b.
+pub(super) const B: Element = Element::from_montgomery([
+    0x90d2_3063_2bc0_dd42,
+    0x71cf_379a_e9b5_37ab,
+    0x5279_8150_5ea5_1c3c,
+    0x240f_e188_ba20_e2c8,
+]);
+
+/// The generator G.
+pub(super) const GENERATOR: Affine = Affine {
+    x: Element::from_montgomery([
+        0x6132_8990_f418_029e,
+        0x3e79_81ed_dca6_c050,
+        0xd6a1_ed99_ac24_c3c3,
+        0x9116_7a5e_e1c1_3b05,
+    ]),
+    y: Element::from_montgomery([
+        0xc135_4e59_3c2d_0ddd,
+        0xc1f5_e578_8d32_95fa,
+        0x8d4c_fb06_6e2a_48f8,
+        0x63cd_65d4_81d7_35bd,
+    ]),
+};
+
+/// A point that is not infinity.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Affine {
+    pub(super) x: Element,
+    pub(super) y: Element,
+}
+
+impl Zeroize for Affine {
+    fn zeroize(&mut self) {
+        self.x.zeroize();
+        self.y.zeroize();
+    }
+}
+
+impl Affine {
+    pub(super) const ZERO: Self = Self { x: Element::ZERO, y: Element::ZERO };
+
+    /// x || y, each below p, of a point of the curve; else nothing.
+    pub fn from_bytes(bytes: &[u8; 64]) -> Option<Self> {
+        let (halves, _) = bytes.as_chunks::<32>();
+        let point = Self { x: Element::from_bytes(&halves[0])?, y: Element::from_bytes(&halves[1])? };
+        point.is_on_curve().then_some(point)
+    }
+
+    /// x || y.
+    pub fn to_bytes(self) -> [u8; 64] {
+        let mut bytes = [0; 64];
+        bytes[..32].copy_from_slice(&self.x.to_bytes());
+        bytes[32..].copy_from_slice(&self.y.to_bytes());
+        bytes
+    }
+
+    /// x.
+    pub fn x_bytes(&self) -> [u8; 32] {
+        self.x.to_bytes()
+    }
+
+    fn is_on_curve(&self) -> bool {
+        let right = (self.x.square() * self.x) - self.x.triple() + B;
+        self.y.square() == right
+    }
+
+    pub(super) fn negated(&self) -> Self {
+        Self { x: self.x, y: -self.y }
+    }
+}
+
+/// The point (x / z^2, y / z^3); infinity where z is zero.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Jacobian {
+    pub x: Element,
+    pub y: Element,
+    pub z: Element,
+}
+
+impl Zeroize for Jacobian {
+    fn zeroize(&mut self) {
+        self.x.zeroize();
+        self.y.zeroize();
+        self.z.zeroize();
+    }
+}
+
+impl From<Affine> for Jacobian {
+    fn from(point: Affine) -> Self {
+        Self { x: point.x, y: point.y, z: Element::ONE }
+    }
+}
+
+impl Jacobian {
+    pub const INFINITY: Self = Self { x: Element::ONE, y: Element::ONE, z: Element::ZERO };
+
+    pub fn is_infinity(&self) -> bool {
+        self.z == Element::ZERO
+    }
+
+    pub fn negated(&self) -> Self {
+        Self { y: -self.y, ..*self }
+    }
+
+    /// Twice the point (dbl-2001-b, for a = -3). No exceptions: infinity stays infinity, and as the order of the group
+    /// is odd no other point has y = 0.
+    #[inline(always)]
+    pub fn double(&self) -> Self {
+        let delta = self.z.square();
+        let gamma = self.y.square();
+        let beta = self.x * gamma;
+        let alpha = ((self.x - delta) * (self.x + delta)).triple();
+        let beta4 = beta.double().double();
+        let x = alpha.square() - beta4.double();
+        let z = (self.y + self.z).square() - gamma - delta;
+        let y = alpha * (beta4 - x) - gamma.square().double().double().double();
+        Self { x, y, z }
+    }
+
+    /// The sum with a point that is not infinity (madd), all exceptions seen to.
+    #[inline(always)]
+    pub fn plus_affine(&self, other: &Affine) -> Self {
+        if self.is_infinity() {
+            return (*other).into();
+        }
+        let z2 = self.z.square();
+        let difference = other.x * z2 - self.x;
+        let slope = other.y * (z2 * self.z) - self.y;
+        if difference == Element::ZERO {
+            return self.meeting(slope);
+        }
+        let square = difference.square();
+        let cube = square * difference;
+        let middle = self.x * square;
+        let x = slope.square() - cube - middle.double();
+        Self { x, y: slope * (middle - x) - self.y * cube, z: self.z * difference }
+    }
+
+    /// The sum (add-1998-cmo), all exceptions seen to.
+    #[inline(always)]
+    pub fn plus(&self, other: &Self) -> Self {
+        if self.is_infinity() {
+            return *other;
+        }
+        if other.is_infinity() {
+            return *self;
+        }
+        let (z2, other_z2) = (self.z.square(), other.z.square());
+        let own_x = self.x * other_z2;
+        let own_y = self.y * (other_z2 * other.z);
+        let difference = other.x * z2 - own_x;
+        let slope = other.y * (z2 * self.z) - own_y;
+        if difference == Element::ZERO {
+            return self.meeting(slope);
+        }
+        let square = difference.square();
+        let cube = square * difference;
+        let middle = own_x * square;
+        let x = slope.square() - cube - middle.double();
+        Self { x, y: slope * (middle - x) - own_y * cube, z: self.z * other.z * difference }
+    }
+
+    /// The sum with a point of the same x: the same point where the ys do not differ, else its opposite.
+    #[cold]
+    #[inline(never)]
+    fn meeting(&self, slope: Element) -> Self {
+        if slope != Element::ZERO { Self::INFINITY } else { self.double() }
+    }
+
+    /// Whether the point's x, taken modulo p, is the number.
+    pub fn has_x(&self, number: &Limbs) -> bool {
+        Element::from_limbs(number).is_some_and(|x| x * self.z.square() == self.x)
+    }
+}
+
+/// Points of which none is infinity by themselves, with one inversion for all.
+pub(super) fn normalized(points: &[Jacobian]) -> Vec<Affine> {
+    // before[i] is the product of all z before i.
+    let mut before = Vec::with_capacity(points.len());
+    let mut product = Element::ONE;
+    for point in points {
+        before.push(product);
+        product = product * point.z;
+    }
+    let mut inverse = product.invert();
+    let mut out = vec![Affine::ZERO; points.len()];
+    for ((point, before), out) in points.iter().zip(before).zip(&mut out).rev() {
+        let own = inverse * before;
+        inverse = inverse * point.z;
+        let square = own.square();
+        *out = Affine { x: point.x * square, y: point.y * (square * own) };
+    }
+    out
+}
+
+/// Whether `number` is above `limit`; both are public.
+pub(super) fn is_above(number: &Limbs, limit: &Limbs) -> bool {
+    limbs::subtract(limit, number).1
+}

@@ -1,0 +1,180 @@
+//! What verification needs: s G + t P for numbers and points that are no secrets, in a time that depends on them, and
+//! the table that makes it quicker for a signer met before.
+
+use std::sync::OnceLock;
+
+use super::limbs::{self, Limbs};
+use super::point::{Affine, GENERATOR, Jacobian, is_above};
+use super::rows::rows;
+use super::scalar::{HALF, ORDER, Scalar, digit, digits};
+
+/// Bits of a digit of the generator's factor.
+const COMB_WIDTH: usize = 8;
+const COMB_ROW: usize = 1 << (COMB_WIDTH - 1);
+const COMB_DIGITS: usize = digits(255, COMB_WIDTH);
+/// Bits of a digit of a known signer's factor.
+const WIDTH: usize = 6;
+const ROW: usize = 1 << (WIDTH - 1);
+const DIGITS: usize = digits(255, WIDTH);
+/// A known signer's table has a row for every fourth digit.
+const APART: usize = 4;
+const ROWS: usize = DIGITS.div_ceil(APART);
+/// A stranger's factor has odd digits of so many bits, with zeros between.
+const NAF_WIDTH: u32 = 5;
+const NAF_ROW: usize = 1 << (NAF_WIDTH - 2);
+const NAF_DIGITS: usize = 257;
+
+/// 1 to 128 times 2^(8 i) G for each i.
+fn comb() -> &'static [Affine] {
+    static COMB: OnceLock<Vec<Affine>> = OnceLock::new();
+    COMB.get_or_init(|| rows(&GENERATOR, COMB_DIGITS, COMB_WIDTH, COMB_ROW))
+}
+
+/// A signer's public key, checked, as verification takes it.
+pub(crate) trait Signer {
+    /// t times the public key.
+    fn times(&self, t: &Scalar) -> Multiple;
+}
+
+/// A point on the way to a sum.
+pub(crate) struct Multiple(pub(super) Jacobian);
+
+/// A number below n as one of at most 255 bits, and whether it is the negative of that.
+fn halved(number: &Scalar) -> (Limbs, bool) {
+    if is_above(number.limbs(), &HALF) {
+        (limbs::subtract(&ORDER, number.limbs()).0, true)
+    } else {
+        (*number.limbs(), false)
+    }
+}
+
+/// `sum` with the multiple of a row that a digit asks for, the other way round where `turned`.
+#[inline(always)]
+fn plus_digit<const BITS: usize>(
+    sum: &Jacobian,
+    row: &[Affine],
+    number: &Limbs,
+    place: usize,
+    turned: bool,
+) -> Jacobian {
+    let digit = digit::<BITS>(number, place);
+    let entry = usize::try_from(digit.size).ok().and_then(|size| row.get(size.checked_sub(1)?));
+    match entry {
+        None => *sum,
+        Some(entry) if (digit.negative != 0) == turned => sum.plus_affine(entry),
+        Some(entry) => sum.plus_affine(&entry.negated()),
+    }
+}
+
+/// A signer met for the first time.
+impl Signer for Affine {
+    fn times(&self, t: &Scalar) -> Multiple {
+        let row = odd_multiples(self);
+        let mut sum = Jacobian::INFINITY;
+        for digit in sparse_digits(t.limbs()).into_iter().rev() {
+            sum = sum.double();
+            let entry = row.get(usize::from(digit.unsigned_abs() / 2));
+            match entry {
+                Some(entry) if digit > 0 => sum = sum.plus(entry),
+                Some(entry) if digit < 0 => sum = sum.plus(&entry.negated()),
+                _ => {}
+            }
+        }
+        Multiple(sum)
+    }
+}
+
+/// 1, 3, 5 to 15 times a point.
+fn odd_multiples(point: &Affine) -> [Jacobian; NAF_ROW] {
+    let one = Jacobian::from(*point);
+    let two = one.double();
+    let mut row = [one; NAF_ROW];
+    for at in 1..NAF_ROW {
+        row[at] = row[at - 1].plus(&two);
+    }
+    row
+}
+
+/// The digits, lowest first: zero or odd, from -15 to 15, and never two that are not zero within five.
+pub(super) fn sparse_digits(number: &Limbs) -> [i8; NAF_DIGITS] {
+    let mut digits = [0; NAF_DIGITS];
+    let (mut place, mut carry) = (0, 0);
+    while place < NAF_DIGITS {
+        let bits = bits_from(number, place);
+        if (bits ^ carry) & 1 == 0 {
+            place += 1;
+            continue;
+        }
+        let value = (bits & ((1 << NAF_WIDTH) - 1)) + carry;
+        carry = value >> (NAF_WIDTH - 1);
+        let size = i8::try_from(value).unwrap_or_default();
+        digits[place] = if carry == 1 { size - (1 << NAF_WIDTH) } else { size };
+        place += NAF_WIDTH as usize;
+    }
+    digits
+}
+
+/// 64 bits of a number from a place on.
+fn bits_from(number: &Limbs, place: usize) -> u64 {
+    let (limb, shift) = (place / 64, place % 64);
+    let low = number.get(limb).map_or(0, |limb| limb >> shift);
+    let high = number.get(limb + 1).filter(|_| shift > 0).map_or(0, |limb| limb << (64 - shift));
+    low | high
+}
+
+/// A signer met before: 11 rows of 32 multiples, 22 KiB.
+pub(crate) struct SignerTable(Box<[Affine]>);
+
+impl SignerTable {
+    /// Bytes that a table takes.
+    pub const BYTES: usize = ROWS * ROW * size_of::<Affine>();
+
+    /// Of a public key.
+    pub fn new(point: &Affine) -> Self {
+        Self(rows(point, ROWS, APART * WIDTH, ROW).into())
+    }
+}
+
+impl Signer for SignerTable {
+    fn times(&self, t: &Scalar) -> Multiple {
+        let (number, turned) = halved(t);
+        let mut sum = Jacobian::INFINITY;
+        for step in (0..APART).rev() {
+            for _ in 0..WIDTH {
+                sum = sum.double();
+            }
+            for (at, row) in self.0.chunks_exact(ROW).enumerate() {
+                let place = at * APART + step;
+                if place < DIGITS {
+                    sum = plus_digit::<WIDTH>(&sum, row, &number, place, turned);
+                }
+            }
+        }
+        Multiple(sum)
+    }
+}
+
+/// GB/T 32918.2-2016, 7.1, B5 to B7: whether (r, s) signs the hash e. Nothing is divided: of the sum's x only r - e is
+/// asked, or r - e + n where that is below p.
+pub(crate) fn verifies(signer: &impl Signer, e: &Scalar, r: &Scalar, s: &Scalar) -> bool {
+    let t = r.plus(s);
+    if t.is_zero() {
+        return false;
+    }
+    let Multiple(mut sum) = signer.times(&t);
+    let (number, turned) = halved(s);
+    for (place, row) in comb().chunks_exact(COMB_ROW).enumerate() {
+        sum = plus_digit::<COMB_WIDTH>(&sum, row, &number, place, turned);
+    }
+    if sum.is_infinity() {
+        return false;
+    }
+    let wanted = r.minus(e);
+    let (beyond, carry) = limbs::add(wanted.limbs(), &ORDER);
+    sum.has_x(wanted.limbs()) || (!carry && sum.has_x(&beyond))
+}
+
+/// Has the table of the generator's multiples made.
+pub(super) fn warm_up() {
+    comb();
+}
