@@ -5,14 +5,16 @@
 use std::path::Path;
 use std::{fs, io};
 
-use authros_fuzz::{Sample, backup, decoder, export_folder, frame, key_allocation, picture, proof, record, recording};
+use authros_fuzz::{
+    Sample, backup, decoder, export_folder, frame, key_allocation, picture, proof, record, recording, ros2_cdr,
+};
 
 /// Name, valid encodings, what is done with them.
 type Target = (&'static str, Vec<Sample>, fn(&[u8]) -> bool);
 
 fn main() -> io::Result<()> {
     let write = std::env::args().nth(1).is_some_and(|word| word == "write");
-    let targets: [Target; 10] = [
+    let targets: [Target; 11] = [
         ("frame", frame::samples(), frame::run),
         ("key_allocation", key_allocation::samples(), key_allocation::run),
         ("record", record::samples(), record::run),
@@ -23,6 +25,7 @@ fn main() -> io::Result<()> {
         ("picture", picture::samples(), picture::run),
         ("bag", recording::bags(), recording::bag),
         ("mcap", recording::mcaps(), recording::mcap),
+        ("ros2_cdr", ros2_cdr::samples(), ros2_cdr::run),
     ];
     let corpus = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpus");
     for (target, samples, run) in targets {

@@ -4,7 +4,9 @@
 use std::fs;
 use std::path::Path;
 
-use authros_fuzz::{backup, decoder, export_folder, frame, key_allocation, picture, proof, record, recording};
+use authros_fuzz::{
+    backup, decoder, export_folder, frame, key_allocation, picture, proof, record, recording, ros2_cdr,
+};
 
 /// Replays a target's files; how many there are, and how many of them went all the way through.
 fn replayed(target: &str, run: fn(&[u8]) -> bool) -> (usize, usize) {
@@ -35,11 +37,12 @@ replay! {
     picture: picture::run;
     bag: recording::bag;
     mcap: recording::mcap;
+    ros2_cdr: ros2_cdr::run;
 }
 
 #[test]
 fn every_target_is_replayed() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let targets = fs::read_dir(root.join("fuzz_targets")).expect("readable").count();
-    assert_eq!(targets, 10, "a new target belongs into the list above");
+    assert_eq!(targets, 11, "a new target belongs into the list above");
 }

@@ -32,6 +32,7 @@ mod real_redis;
 mod real_ros;
 mod remote;
 mod restart;
+mod ros2;
 mod sharing;
 mod succession;
 mod units;

@@ -194,7 +194,22 @@ def write_recording():
         for number, (topic, body) in enumerate(messages.items()):
             at = 1_700_000_000_000_000_000 + number * 1_000_000
             writer.write_message(topic, schemas[topic], body, log_time=at, publish_time=at - 777, sequence=40 + number)
+        write_described(writer._writer)
         writer.finish()
+
+
+def write_described(writer):
+    """Two channels of which a recorder says what it knows; the type of one is described in IDL."""
+    qos = "- history: keep_last\n  depth: 1\n  reliability: reliable\n  durability: transient_local\n"
+    name = "std_msgs/msg/String"
+    about = {"offered_qos_profiles": qos, "topic_type_hash": STORE.hash_rihs01(name)}
+    idl = "module std_msgs {\n  module msg {\n    struct String {\n      string data;\n    };\n  };\n};\n"
+    for number, (topic, encoding, text) in enumerate((("/latched", "ros2msg", own_text(name)), ("/idl", "ros2idl", idl))):
+        schema = writer.register_schema(name, encoding, text.encode())
+        channel = writer.register_channel(topic, "cdr", schema, about)
+        body = bytes(STORE.serialize_cdr(STORE.types[name](data=f"kept {topic}"), name))
+        at = 1_700_000_001_000_000_000 + number
+        writer.add_message(channel, log_time=at, publish_time=at - 3, sequence=7 + number, data=body)
 
 
 if __name__ == "__main__":

@@ -21,28 +21,35 @@ impl Folders {
         Self(std::env::split_paths(list).filter(|prefix| prefix.is_absolute()).collect())
     }
 
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
     /// The text of a type with all the types it is made of, as MCAP would carry it.
     ///
     /// # Errors
-    /// [`RosError::Definition`] where a file is missing, cannot be read or is broken.
+    /// [`RosError::NoFields`] where a file is missing, cannot be read or is broken.
     pub fn text_of(&self, type_name: &str) -> Result<String, RosError> {
-        let failed = |reason: String| RosError::definition(type_name, reason);
+        let failed = |reason: String| RosError::no_fields(type_name, &reason);
         let root = full_name(type_name, None).ok_or_else(|| failed("its type is not package/msg/Type".into()))?;
         let (mut known, mut waiting, mut whole) = (BTreeSet::from([root.clone()]), vec![root.clone()], String::new());
         while let Some(name) = waiting.pop() {
-            let text = self.file_of(&name).ok_or_else(|| failed(format!("no {name}.msg was found")))?;
+            let text = self
+                .file_of(&name)
+                .ok_or_else(|| failed(format!("no {name}.msg was found where ROS 2 is installed (ros.definitions)")))?;
             if name != root {
                 whole.push_str(&format!("{}\nMSG: {}\n", "=".repeat(80), name.replacen("/msg/", "/", 1)));
             }
             whole.push_str(text.trim_end());
             whole.push('\n');
-            for nested in nested_in(&name, &text).map_err(|reason| failed(format!("{reason} in {name}")))? {
+            for nested in nested_in(&name, &text).map_err(|reason| failed(format!("{reason} in {name}.msg")))? {
                 if known.insert(nested.clone()) {
                     waiting.push(nested);
                 }
             }
             if known.len() > MOST_TYPES || whole.len() > LONGEST_DEFINITION {
-                return Err(failed("it is made of too much".into()));
+                return Err(failed("its definition is too long".into()));
             }
         }
         Ok(whole)

@@ -92,7 +92,9 @@ fn sections<'a>(type_name: &str, text: &'a str) -> Result<HashMap<String, Vec<&'
 pub(super) fn full_name(name: &str, package: Option<&str>) -> Option<String> {
     let parts: Vec<&str> = name.split('/').collect();
     let full = match (parts.as_slice(), package) {
-        ([package, kind @ ("msg" | "srv" | "action"), name], _) => format!("{package}/{kind}/{name}"),
+        ([package, kind @ ("msg" | "srv" | "action"), name], _) => {
+            format!("{package}/{kind}/{name}")
+        }
         ([package, name], _) => format!("{package}/msg/{name}"),
         ([name], Some(package)) => format!("{package}/msg/{name}"),
         _ => return None,
