@@ -206,5 +206,7 @@ mod tests {
         let topic = keys.topic("/a").expect("covered");
         assert_eq!(topic.filters("x/Y", &tags), expected);
         assert_eq!(topic.filters("x/Y", &BTreeMap::new()), &expected[..1]);
+        let kept = BTreeMap::from([("mcap.sequence".to_owned(), "7".to_owned())]);
+        assert_eq!(topic.filters("x/Y", &kept), &expected[..1], "what MCAP says beside a message is not searched for");
     }
 }
