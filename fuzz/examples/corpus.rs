@@ -6,7 +6,7 @@ use std::path::Path;
 use std::{fs, io};
 
 use authros_fuzz::{
-    Sample, backup, decoder, export_folder, frame, key_allocation, picture, proof, record, recording, sm2,
+    Sample, backup, decoder, export_folder, frame, key_allocation, picture, proof, record, recording, ros2_cdr, sm2,
 };
 
 /// Name, valid encodings, what is done with them.
@@ -26,6 +26,7 @@ fn main() -> io::Result<()> {
         ("bag", recording::bags(), recording::bag),
         ("mcap", recording::mcaps(), recording::mcap),
         ("sm2", sm2::samples(), sm2::run),
+        ("ros2_cdr", ros2_cdr::samples(), ros2_cdr::run),
     ];
     let corpus = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpus");
     for (target, samples, run) in targets {

@@ -10,6 +10,7 @@ pub mod picture;
 pub mod proof;
 pub mod record;
 pub mod recording;
+pub mod ros2_cdr;
 pub mod sm2;
 
 mod cast;

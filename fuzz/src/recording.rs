@@ -39,7 +39,8 @@ pub fn mcap(bytes: &[u8]) -> bool {
     };
     let mut writer = McapWriter::begin(Cursor::new(Vec::new()), compression).expect("begun");
     for message in &messages {
-        writer.write(&message.channel, message.time, &message.body).expect("what MCAP held, MCAP holds");
+        let sent = message.sent.expect("MCAP says it");
+        writer.write_sent(&message.channel, message.time, sent, &message.body).expect("what MCAP held, MCAP holds");
     }
     let file = writer.finish().expect("finished").into_inner();
     let mut reader = McapReader::open(Cursor::new(&file)).expect("our own");
@@ -69,12 +70,14 @@ fn samples_of(write: fn(&[RecordedMessage]) -> Vec<Sample>) -> Vec<Sample> {
             caller_id: caller_id.into(),
             latching: !caller_id.is_empty(),
             encoding: Encoding::Ros1,
+            about: std::collections::BTreeMap::new(),
         })
     };
     let (one, other) = (channel("/count", "/counter"), channel("/sum", ""));
     let message = |channel: &Arc<Channel>, number: u8| RecordedMessage {
         channel: Arc::clone(channel),
         time: Timestamp(1_000_000_000 + u64::from(number)),
+        sent: None,
         body: vec![number, 0, 0, 0],
     };
     write(&(0..6).flat_map(|number| [message(&one, number), message(&other, number)]).collect::<Vec<_>>())

@@ -4,7 +4,9 @@
 use std::fs;
 use std::path::Path;
 
-use authros_fuzz::{backup, decoder, export_folder, frame, key_allocation, picture, proof, record, recording, sm2};
+use authros_fuzz::{
+    backup, decoder, export_folder, frame, key_allocation, picture, proof, record, recording, ros2_cdr, sm2,
+};
 
 /// Replays a target's files; how many there are, and how many of them went all the way through.
 fn replayed(target: &str, run: fn(&[u8]) -> bool) -> (usize, usize) {
@@ -36,6 +38,7 @@ replay! {
     bag: recording::bag;
     mcap: recording::mcap;
     sm2: sm2::run;
+    ros2_cdr: ros2_cdr::run;
 }
 
 #[test]

@@ -34,6 +34,7 @@ mod real_ros;
 mod remote;
 mod restart;
 mod rights;
+mod ros2;
 mod sharing;
 mod succession;
 mod units;

@@ -46,6 +46,12 @@ pub const DEFINITIONS: &[Definition] = &[
         text: "publishers that are pinned: TOPIC=CALLER_ID@HOST:TYPE:MD5, separated by commas",
     },
     Definition {
+        name: "ros.definitions",
+        variable: "AMENT_PREFIX_PATH",
+        default: "",
+        text: "where ROS 2 is installed, separated by colons: definitions of types that a recording does not describe",
+    },
+    Definition {
         name: "robots",
         variable: "AUTHROS_ROBOTS",
         default: "4",

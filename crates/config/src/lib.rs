@@ -54,6 +54,8 @@ pub struct Config {
     pub pin_mode: PinMode,
     /// Publishers that are pinned by the settings.
     pub publishers: ListedPublishers,
+    /// Where ROS 2 is installed: prefixes, as `AMENT_PREFIX_PATH` lists them; empty = nowhere.
+    pub definitions: String,
     /// Simulated robots; 0 with a real master.
     pub robots: u16,
     /// Node of a real chain.
@@ -162,6 +164,7 @@ impl Config {
             meter,
             pin_mode: parsed(&values, "ros.pins")?.unwrap_or_default(),
             publishers: parsed(&values, "ros.publishers")?.unwrap_or_default(),
+            definitions: text("ros.definitions").unwrap_or_default().to_owned(),
             robots: if ros_master.is_some() { 0 } else { u16::try_from(robots).unwrap_or(0) },
             ros_master,
             chain_url: url(&values, "chain.url", &["http://", "ws://", "ipc://", "/"])?,

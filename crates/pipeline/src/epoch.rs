@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{Arc, Mutex, PoisonError};
 
+use super::importer::MCAP;
 use crate::crypto::{
     Enrolment, EpochIssue, FilterKey, IndexKey, IssuedTopic, Pseudonyms, SealingKey, SmKeyPair, TopicKey, filter_id,
     filter_key, signer_id, topic_filter_id, topic_id, topic_key,
@@ -129,10 +130,12 @@ impl EpochKeys {
 
 impl TopicKeys {
     /// The filter ids of a record, at most [`MOST_FILTERS`]: its type, that it is simulated, then its other
-    /// tags in the order of their names. A tag's filter is over `name=value`.
+    /// tags in the order of their names; not what a recording says beside its messages.
+    /// A tag's filter is over `name=value`.
     pub fn filters(&self, type_name: &str, tags: &BTreeMap<String, String>) -> Vec<FilterId> {
         let is_simulated = |tag: &(&String, &String)| (tag.0.as_str(), tag.1.as_str()) == SIMULATED;
-        let (first, rest): (Vec<_>, Vec<_>) = tags.iter().partition(is_simulated);
+        let sought = |(name, _): &(&String, &String)| !name.starts_with(MCAP);
+        let (first, rest): (Vec<_>, Vec<_>) = tags.iter().filter(sought).partition(is_simulated);
         let tags = first.into_iter().chain(rest).map(|(name, value)| self.filters.id("tag", &tag_text(name, value)));
         std::iter::once(self.filters.id("type", type_name)).chain(tags).take(MOST_FILTERS).collect()
     }
@@ -203,5 +206,7 @@ mod tests {
         let topic = keys.topic("/a").expect("covered");
         assert_eq!(topic.filters("x/Y", &tags), expected);
         assert_eq!(topic.filters("x/Y", &BTreeMap::new()), &expected[..1]);
+        let kept = BTreeMap::from([("mcap.sequence".to_owned(), "7".to_owned())]);
+        assert_eq!(topic.filters("x/Y", &kept), &expected[..1], "what MCAP says beside a message is not searched for");
     }
 }

@@ -1,7 +1,7 @@
 //! Puts the messages of a recording into the ring, as they were recorded. It waits for room and leaves most of the
 //! ring to live capture; nothing is ever dropped here.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -9,9 +9,9 @@ use super::recorder::CapturedMessage;
 use super::ring::Rings;
 use super::session::TopicFigures;
 use super::{Author, CaptureSession};
-use crate::model::TopicRules;
 use crate::model::topic::LONGEST_NAME;
-use crate::ros::recording::{Channel, Encoding, RecordedMessage};
+use crate::model::{Timestamp, TopicRules};
+use crate::ros::recording::{Channel, Encoding, RecordedMessage, Sent};
 use crate::ros::{Message, Origin};
 
 /// Bytes of the ring that imports may fill.
@@ -35,6 +35,15 @@ pub const LATCHING: &str = "latching";
 /// Tag of messages whose topic was recorded under a name that is not a graph name: that name.
 pub const RECORDED_TOPIC: &str = "recorded_topic";
 
+/// What MCAP says beside the message: tags that begin so, and are never searched for.
+pub const MCAP: &str = "mcap.";
+/// Tag of when a message was published, nanoseconds, where that is not when it was recorded.
+const PUBLISHED: &str = "mcap.publish_time";
+/// Tag of a message's number in its recording.
+const SEQUENCE: &str = "mcap.sequence";
+/// Tags of what the recording says of the channel.
+const CHANNEL: &str = "mcap.channel.";
+
 /// Why a channel cannot be imported; `None` where it can.
 pub fn fault(channel: &Channel) -> Option<&'static str> {
     let long = channel.type_name.len() > LONGEST_NAME || channel.caller_id.len() > LONGEST_NAME;
@@ -45,12 +54,34 @@ pub fn fault(channel: &Channel) -> Option<&'static str> {
 }
 
 /// The encoding that a record's tags tell of.
-pub fn encoding(tags: &std::collections::BTreeMap<String, String>) -> Encoding {
+pub fn encoding(tags: &BTreeMap<String, String>) -> Encoding {
     match tags.get(ENCODING).map(String::as_str) {
         Some("cdr") => Encoding::Cdr { idl: false },
         Some("cdr-idl") => Encoding::Cdr { idl: true },
         _ => Encoding::Ros1,
     }
+}
+
+/// What the recording said of a record's channel.
+pub fn about(tags: &BTreeMap<String, String>) -> BTreeMap<Arc<str>, Arc<str>> {
+    let of_channel =
+        |(key, value): (&String, &String)| Some((key.strip_prefix(CHANNEL)?.into(), value.as_str().into()));
+    tags.iter().filter_map(of_channel).collect()
+}
+
+/// What the recording said of a record's publishing.
+pub fn sent(tags: &BTreeMap<String, String>, recorded: Timestamp) -> Option<Sent> {
+    let sequence = tags.get(SEQUENCE)?.parse().ok()?;
+    let time = tags.get(PUBLISHED).and_then(|time| time.parse().ok()).map_or(recorded, Timestamp);
+    Some(Sent { time, sequence })
+}
+
+fn tags_of(sent: Sent, recorded: Timestamp) -> Vec<(String, String)> {
+    let mut tags = vec![(SEQUENCE.to_owned(), sent.sequence.to_string())];
+    if sent.time != recorded {
+        tags.push((PUBLISHED.to_owned(), sent.time.0.to_string()));
+    }
+    tags
 }
 
 /// Takes in one recording for one author.
@@ -93,6 +124,7 @@ impl<'a> Importer<'a> {
             if channel.latching {
                 tags.push((LATCHING.to_owned(), "1".to_owned()));
             }
+            tags.extend(channel.about.iter().map(|(key, value)| (format!("{CHANNEL}{key}"), value.to_string())));
             if channel.topic != *topic {
                 tags.push((RECORDED_TOPIC.to_owned(), channel.topic.to_string()));
             }
@@ -117,7 +149,8 @@ impl<'a> Importer<'a> {
         if self.offered.is_multiple_of(1024) && !self.wait_for_the_chain(goes_on) {
             return false;
         }
-        let RecordedMessage { channel, time, body } = message;
+        let RecordedMessage { channel, time, sent, body } = message;
+        let tags = sent.map(|sent| tags_of(sent, time)).unwrap_or_default();
         let rule = self.rules.of(topic).cloned();
         let author = Arc::clone(&self.author);
         let stream = self.stream(&channel, topic);
@@ -136,7 +169,7 @@ impl<'a> Importer<'a> {
         };
         let message = Arc::new(message);
         let mut item =
-            CapturedMessage { author, message, simulated: false, sessions: vec![session], doubt: None, rule };
+            CapturedMessage { author, message, simulated: false, sessions: vec![session], doubt: None, rule, tags };
         let share = SHARE.min(self.rings.capacity() / 4);
         loop {
             match self.rings.push_within(topic, item, share, TICK) {

@@ -56,7 +56,11 @@ impl Packing {
             // Until the outcome is known, as if it were the last one's: others of its round are not tried in vain.
             habit.waits = next_pause(habit.pause);
         }
-        let parsed = || Definition::parse(&message.type_name, &message.definition).ok().map(Arc::new);
+        let parsed = || {
+            let (name, text) = (&message.type_name, &message.definition);
+            let parse = if name.contains("/msg/") { Definition::parse_ros2 } else { Definition::parse };
+            parse(name, text).ok().map(Arc::new)
+        };
         Some(Try { definition: known(&mut self.definitions, &message.definition, parsed) })
     }
 

@@ -12,7 +12,6 @@ use crate::crypto::{
     check_deleted, open, topic_key, topic_key_by_name, unwrap,
 };
 use crate::model::{Address, Digest, Domain, GrantTerms, Header, RecordKind, RecordState, TopicId, Verdict};
-use crate::ros::Definition;
 use crate::store::{KeptEnvelope, RecordQuery, RecordRow, Retained};
 
 use super::authority::{Policy, ReadRefused, ReadingRight, may_read};
@@ -234,20 +233,8 @@ impl Reader<'_> {
         Ok(wrapped)
     }
 
-    /// The definition that an opened message names, from its owner's definition records.
-    ///
-    /// # Errors
-    /// Of the ledger. `None` where no readable record holds it.
-    pub async fn definition(
-        &self,
-        row: &RecordRow,
-        opened: &OpenedRecord,
-    ) -> Result<Option<Definition>, PipelineError> {
-        let text = self.definition_text(row, opened).await?;
-        Ok(text.and_then(|text| Definition::parse(&opened.head.type_name, &text).ok()))
-    }
-
-    /// The text of that definition, as its publisher gave it.
+    /// The text of the definition that an opened message names, from its owner's definition records, as its publisher
+    /// gave it.
     ///
     /// # Errors
     /// Of the ledger. `None` where no readable record holds it.

@@ -28,6 +28,8 @@ pub struct CapturedMessage {
     pub doubt: Option<Doubt>,
     /// The rule of its topic, whose tags it gets.
     pub rule: Option<Arc<TopicRule>>,
+    /// Tags of this message alone.
+    pub tags: Vec<(String, String)>,
 }
 
 impl Weighted for CapturedMessage {
@@ -204,7 +206,15 @@ impl Recorder {
         }
         let author = Arc::clone(&interest.author);
         let rule = interest.rule.clone();
-        let item = CapturedMessage { author, message: Arc::clone(message), simulated, sessions, doubt, rule };
+        let item = CapturedMessage {
+            author,
+            message: Arc::clone(message),
+            simulated,
+            sessions,
+            doubt,
+            rule,
+            tags: Vec::new(),
+        };
         if let Err(refused) = self.rings.push(&message.topic, item) {
             self.losses.note(&refused.author, Lost::message(message), self.losses.cause());
             refused.sessions.iter().for_each(|session| session.dropped(&message.topic, refused.doubt.is_some()));

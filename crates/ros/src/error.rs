@@ -74,6 +74,14 @@ pub enum RosError {
         /// What is wrong.
         reason: String,
     },
+    /// A type whose messages are kept, but cannot be read field by field.
+    #[error("messages of {type_name} are kept as they are, but no fields are shown: {reason}")]
+    NoFields {
+        /// The type.
+        type_name: String,
+        /// Why, and what may help.
+        reason: String,
+    },
     /// A recording that cannot be read or written.
     #[error("the recording cannot be used: {0}")]
     Recording(String),
@@ -97,6 +105,7 @@ impl RosError {
             Self::OwnHost { .. }
             | Self::Protocol { .. }
             | Self::Definition { .. }
+            | Self::NoFields { .. }
             | Self::Recording(_)
             | Self::Body { .. } => ErrorKind::Input,
             Self::EmbeddedMaster(_) | Self::System { .. } => ErrorKind::Internal,
@@ -113,6 +122,10 @@ impl RosError {
 
     pub(super) fn definition(type_name: &str, reason: impl AsRef<str>) -> Self {
         Self::Definition { type_name: clean(type_name, 120), reason: clean(reason.as_ref(), 200) }
+    }
+
+    pub(super) fn no_fields(type_name: &str, reason: &str) -> Self {
+        Self::NoFields { type_name: clean(type_name, 120), reason: clean(reason, 300) }
     }
 
     pub(super) fn recording(reason: &str) -> Self {

@@ -1,19 +1,22 @@
-//! Messages of any type: definitions, their md5sum, and decoding for display under hard bounds.
+//! Messages of any type, of ROS 1 and ROS 2: definitions, their md5sum or type hash, and decoding for display under hard bounds.
 //!
 //! Captured bodies are never changed by this: decoding is for eyes only, and both definition and
 //! body are taken for hostile (cycles, depth, counts without bytes, types without size).
 
+mod cursor;
 mod decode;
 mod definition;
 mod digest;
 mod json;
 mod line;
 mod matrix;
+mod ros2;
 mod value;
 
 pub use decode::{Limits, Picture};
 pub use definition::{DEEPEST, Definition, LONGEST_DEFINITION};
 pub use matrix::layout;
+pub use ros2::{Folders, type_hash};
 pub use value::Value;
 
 use super::RosError;

@@ -74,7 +74,7 @@ impl Readable {
 
 /// Reads `body`; `None` where its type is none of the well-known, or it does not fit its definition.
 pub fn read(definition: &Definition, body: &[u8]) -> Option<Readable> {
-    let reader = reader_of(definition.type_name())?;
+    let reader = reader_of(&definition.short_name())?;
     let value = definition.decode(body, Limits { elements: 512, ..Limits::default() }).ok()?;
     Some(reader(&value, &Body(body)))
 }
@@ -110,7 +110,7 @@ pub enum Place {
 
 /// The place that a message of a type with a place tells; `None` for other types.
 pub fn place(definition: &Definition, body: &[u8]) -> Option<Place> {
-    let path = match definition.type_name() {
+    let path = match definition.short_name().as_str() {
         "nav_msgs/Odometry" | "geometry_msgs/PoseWithCovarianceStamped" => "pose.pose.position",
         "geometry_msgs/PoseStamped" => "pose.position",
         "geometry_msgs/TransformStamped" => "transform.translation",

@@ -47,6 +47,7 @@ use crate::model::RecorderId;
 
 pub use batches::{Anchors, BatchPlace, NewBatch, RootSighting, WaitingBatch};
 pub use counts::{StateCounts, TopicCounts};
+pub use directory::{KeptEnvelope, KeptRight, RightEvent, RightKind, StandingRights};
 pub use earlier::{EarlierAnchor, Left};
 pub use edges::is_legal;
 pub use filter_choice::FilterChoice;
@@ -61,7 +62,6 @@ pub use quarantine::{HeldMinute, HeldQuery, HeldRow, Hold};
 pub use query::{RecordPage, RecordQuery};
 pub use retention::{KeptTopic, OldRecord, Retained};
 pub use rights::WaitingSigner;
-pub use directory::{KeptEnvelope, KeptRight, RightEvent, RightKind, StandingRights};
 pub use rows::{Foreign, NewRecord, RecordRow};
 pub use sightings::{KeptEvent, Sighting};
 pub use transactions::{NewTransaction, TransactionOutcome, TransactionRow, TransactionState};

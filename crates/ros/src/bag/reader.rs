@@ -242,7 +242,10 @@ impl<R: BufRead + Seek> BagReader<R> {
         self.met += 1;
         let channel = fields.u32("conn").and_then(|number| self.connections.get(&number));
         let message = channel.zip(fields.time("time"));
-        let message = message.map(|(channel, time)| RecordedMessage { channel: Arc::clone(channel), time, body });
+        let message = message.map(|(channel, time)| {
+            let channel = Arc::clone(channel);
+            RecordedMessage { channel, time, sent: None, body }
+        });
         match message {
             None => self.findings.messages_skipped += 1,
             Some(_) => self.findings.unguarded += u64::from(!guarded),

@@ -1,5 +1,6 @@
 //! The records of a bag: a header of named fields, then data; all lengths 32 bits, little endian.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use crate::model::Timestamp;
@@ -97,6 +98,7 @@ pub(super) fn connection(fields: &Fields<'_>, data: &[u8]) -> Option<(u32, Chann
         caller_id: about.text("callerid").unwrap_or_default(),
         latching: about.bytes("latching").is_some_and(|value| value == b"1"),
         encoding: Encoding::Ros1,
+        about: BTreeMap::new(),
     };
     Some((fields.u32("conn")?, channel))
 }

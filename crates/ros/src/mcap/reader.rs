@@ -10,8 +10,8 @@ use super::record::{ChannelRecord, Code, Fields, Schema, schema};
 use crate::model::Timestamp;
 use crate::ros::RosError;
 use crate::ros::recording::{
-    Channel, ChunkCompression, Findings, LARGEST_CHUNK, MOST_CHANNEL_BYTES, MOST_CHANNELS, RecordedMessage, go_to,
-    read_at, unpack,
+    Channel, ChunkCompression, Findings, LARGEST_CHUNK, MOST_CHANNEL_BYTES, MOST_CHANNELS, RecordedMessage, Sent,
+    go_to, read_at, unpack,
 };
 use crate::ros::tcpros::LONGEST_MESSAGE;
 
@@ -228,6 +228,9 @@ impl<R: BufRead + Seek> McapReader<R> {
                 Some(record) if self.channels.len() < MOST_CHANNELS => {
                     let number = record.number;
                     if !self.channels.contains_key(&number) {
+                        if !record.is_kept() {
+                            self.findings.note(self.position, "what a channel says of itself is too long to be kept");
+                        }
                         let channel = self.schemas.get(&record.schema).and_then(|schema| record.with(schema));
                         self.channels.insert(number, channel.map(Arc::new));
                     }
@@ -285,13 +288,17 @@ impl<R: BufRead + Seek> McapReader<R> {
     fn message(&mut self, mut fields: Fields<'_>, guarded: bool) -> Option<RecordedMessage> {
         self.met += 1;
         let channel = fields.u16().and_then(|number| self.channels.get(&number).cloned().flatten());
-        let time = fields.u32().and(fields.u64()).filter(|time| *time <= LATEST);
-        let message = channel.zip(time).zip(fields.u64());
+        let (sequence, time) = (fields.u32(), fields.u64().filter(|time| *time <= LATEST));
+        let sent = fields.u64().map(Timestamp).zip(sequence);
+        let message = channel.zip(time).zip(sent);
         match message {
             None => self.findings.messages_skipped += 1,
             Some(_) => self.findings.unguarded += u64::from(!guarded),
         }
-        message.map(|((channel, time), _)| RecordedMessage { channel, time: Timestamp(time), body: fields.0.to_vec() })
+        message.map(|((channel, logged), (time, sequence))| {
+            let (sent, body) = (Some(Sent { time, sequence }), fields.0.to_vec());
+            RecordedMessage { channel, time: Timestamp(logged), sent, body }
+        })
     }
 
     /// Goes on at the next chunk that the summary knows; what lies between is noted as skipped.

@@ -41,6 +41,13 @@ impl Code {
     }
 }
 
+/// What a channel says that has a place of its own.
+const OWN: [&str; 3] = ["md5sum", "callerid", "latching"];
+
+/// The longest of what else it says, bytes; and the most.
+const LONGEST_ABOUT: usize = 8 * 1024;
+const MOST_ABOUT: usize = 12;
+
 /// Reads fields one behind the other; `None` where the bytes end too early.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Fields<'a>(pub &'a [u8]);
@@ -128,6 +135,12 @@ impl ChannelRecord {
         Some(Self { number, schema, topic, encoding, about })
     }
 
+    /// Whether all that it says of itself is kept.
+    pub fn is_kept(&self) -> bool {
+        let others = || self.about.iter().filter(|(key, _)| !OWN.contains(&key.as_str()));
+        others().count() <= MOST_ABOUT && others().all(|entry| kept(entry).is_some())
+    }
+
     /// The channel, where its encoding is one of ROS and its schema belongs to it.
     pub fn with(self, schema: &Schema) -> Option<Channel> {
         let encoding = match (&*self.encoding, &*schema.encoding) {
@@ -149,8 +162,19 @@ impl ChannelRecord {
             type_name: Arc::clone(&schema.name),
             definition: Arc::clone(&schema.text),
             encoding,
+            about: self
+                .about
+                .iter()
+                .filter(|(key, _)| !OWN.contains(&key.as_str()))
+                .filter_map(kept)
+                .take(MOST_ABOUT)
+                .collect(),
         })
     }
+}
+
+fn kept((key, value): (&String, &Arc<str>)) -> Option<(Arc<str>, Arc<str>)> {
+    (key.len() + value.len() <= LONGEST_ABOUT).then(|| (key.as_str().into(), Arc::clone(value)))
 }
 
 /// Appends a record whose content `fill` writes.
@@ -205,6 +229,7 @@ pub(super) fn put_channel(out: &mut Vec<u8>, number: u16, schema: u16, channel: 
         about.push(("latching", "1"));
     }
     about.retain(|(key, value)| *key != "md5sum" || *value != "*");
+    about.extend(channel.about.iter().map(|(key, value)| (&**key, &**value)));
     put_record(out, Code::Channel, |out| {
         out.extend_from_slice(&number.to_le_bytes());
         out.extend_from_slice(&schema.to_le_bytes());

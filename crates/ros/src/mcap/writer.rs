@@ -9,7 +9,7 @@ use super::record::{Code, put_channel, put_length, put_record, put_schema, put_t
 use crate::model::Timestamp;
 use crate::ros::RosError;
 use crate::ros::recording::{
-    CHUNK_THRESHOLD, Channel, ChunkCompression, Encoding, MOST_CHANNELS, RecordingFormat, pack,
+    CHUNK_THRESHOLD, Channel, ChunkCompression, Encoding, MOST_CHANNELS, RecordingFormat, Sent, pack,
 };
 use crate::ros::tcpros::LONGEST_MESSAGE;
 
@@ -93,11 +93,26 @@ impl<W: Write + Seek> McapWriter<W> {
         self.put(&header)
     }
 
-    /// Writes one message.
+    /// Writes one message, published when it was recorded.
     ///
     /// # Errors
     /// [`RosError::Recording`] where it cannot be written or is too large.
     pub fn write(&mut self, channel: &Arc<Channel>, time: Timestamp, body: &[u8]) -> Result<(), RosError> {
+        let sequence = self.sequence.wrapping_add(1);
+        self.write_sent(channel, time, Sent { time, sequence }, body)
+    }
+
+    /// Writes one message as it was sent.
+    ///
+    /// # Errors
+    /// [`RosError::Recording`] where it cannot be written or is too large.
+    pub fn write_sent(
+        &mut self,
+        channel: &Arc<Channel>,
+        time: Timestamp,
+        sent: Sent,
+        body: &[u8],
+    ) -> Result<(), RosError> {
         if body.len() > LONGEST_MESSAGE {
             return Err(RosError::recording("a message is too large"));
         }
@@ -109,12 +124,11 @@ impl<W: Write + Seek> McapWriter<W> {
         self.all = Some(wider(self.all.unwrap_or((time, time))));
         *self.counts.entry(number).or_default() += 1;
         self.sequence = self.sequence.wrapping_add(1);
-        let sequence = self.sequence;
         put_record(&mut self.chunk, Code::Message, |out| {
             out.extend_from_slice(&number.to_le_bytes());
-            out.extend_from_slice(&sequence.to_le_bytes());
+            out.extend_from_slice(&sent.sequence.to_le_bytes());
             out.extend_from_slice(&time.0.to_le_bytes());
-            out.extend_from_slice(&time.0.to_le_bytes());
+            out.extend_from_slice(&sent.time.0.to_le_bytes());
             out.extend_from_slice(body);
         });
         if self.chunk.len() >= CHUNK_THRESHOLD { self.end_chunk() } else { Ok(()) }

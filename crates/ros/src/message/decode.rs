@@ -1,13 +1,15 @@
 //! The bounded walk over a message body. Counts are checked against the bytes that are left
 //! before anything is built, and every visited field costs from one budget.
 
+use std::borrow::Cow;
 use std::ops::Range;
 use std::sync::Arc;
 
+use super::cursor::{Cdr, Cursor, Part};
 use super::definition::{Definition, Field, Kind, Layout, element_size};
 use super::line::{Arity, Primitive};
 use super::value::Value;
-use crate::model::wire::{Reader, WireError};
+use crate::model::wire::WireError;
 use crate::ros::RosError;
 
 /// What decoding may cost.
@@ -40,17 +42,36 @@ impl Definition {
     /// # Errors
     /// [`RosError::Body`] where the body ends early, has bytes left over, or costs more than `limits`.
     pub fn decode(&self, body: &[u8], limits: Limits) -> Result<Value, RosError> {
-        let mut walk = Walk { limits, ..Walk::new(&self.layouts, body, limits.steps) };
         let failed = |failure: Failure| RosError::body(self.type_name(), failure.to_string());
+        let mut walk = self.walk(body, limits).map_err(failed)?;
         let root = self.root().ok_or_else(|| RosError::body("", "the definition is empty"))?;
         let value = walk.message(root).map_err(failed)?;
         walk.end().map_err(failed)?;
         Ok(value)
     }
 
+    /// A walk over `body`, which knows how it is laid out.
+    pub(super) fn walk<'a>(&'a self, body: &'a [u8], limits: Limits) -> Result<Walk<'a>, Failure> {
+        if !self.cdr {
+            return Ok(Walk::new(&self.layouts, Cursor::new(body, None), limits));
+        }
+        let walk = |cdr| Walk::new(&self.layouts, Cursor::new(body, Some(cdr)), limits);
+        let cdr = Cdr::of(body)?;
+        let wide = |field: &Field| field.kind == Kind::Primitive(Primitive::Wide);
+        if !self.layouts.iter().any(|layout| layout.fields.iter().any(wide)) {
+            return Ok(walk(cdr));
+        }
+        let fits = |cdr: &Cdr| {
+            let limits = Limits { elements: 0, ..limits };
+            let mut walk = Walk { limits, ..walk(*cdr) };
+            self.root().is_some_and(|root| walk.message(root).is_ok()) && walk.cursor.is_at_end()
+        };
+        Ok(walk(cdr.ways().into_iter().find(fits).unwrap_or(cdr)))
+    }
+
     /// The picture in `body`, where this is `sensor_msgs/CompressedImage`.
     pub fn compressed_image(&self, body: &[u8]) -> Option<Picture> {
-        if self.type_name() != "sensor_msgs/CompressedImage" {
+        if self.short_name() != "sensor_msgs/CompressedImage" {
             return None;
         }
         let value = self.decode(body, Limits { elements: 0, ..Limits::default() }).ok()?;
@@ -73,20 +94,23 @@ pub(super) enum Failure {
     Costly,
     #[error("what was read of it could not be written")]
     Written,
+    #[error("it does not begin as CDR does")]
+    NoCdr,
+    #[error("it lists its members by their numbers (PL_CDR), which is not read here")]
+    ByNumber,
 }
 
 /// A walk over a body.
 pub(super) struct Walk<'a> {
     layouts: &'a [Layout],
-    reader: Reader<'a>,
-    length: usize,
+    cursor: Cursor<'a>,
     limits: Limits,
     steps: usize,
 }
 
 impl<'a> Walk<'a> {
-    pub fn new(layouts: &'a [Layout], body: &'a [u8], steps: usize) -> Self {
-        Self { layouts, reader: Reader::new(body), length: body.len(), limits: Limits::default(), steps }
+    fn new(layouts: &'a [Layout], cursor: Cursor<'a>, limits: Limits) -> Self {
+        Self { layouts, cursor, limits, steps: limits.steps }
     }
 
     pub fn layouts(&self) -> &'a [Layout] {
@@ -95,12 +119,12 @@ impl<'a> Walk<'a> {
 
     /// Nothing may be left.
     pub fn end(&self) -> Result<(), Failure> {
-        Ok(self.reader.end()?)
+        Ok(self.cursor.end()?)
     }
 
     /// Refuses a count of elements, each of at least `size` bytes, that the rest of the body cannot hold.
     pub fn claim(&self, size: usize, count: usize, element: &str) -> Result<(), Failure> {
-        if size.saturating_mul(count) > self.reader.rest().len() {
+        if size.saturating_mul(count) > self.cursor.left() {
             return Err(Failure::Claim(count, element.split('[').next().unwrap_or_default().to_owned()));
         }
         Ok(())
@@ -108,38 +132,60 @@ impl<'a> Walk<'a> {
 
     fn message(&mut self, layout: &'a Layout) -> Result<Value, Failure> {
         let mut fields = Vec::with_capacity(layout.fields.len().min(self.steps));
+        let part = self.begin_message(layout)?;
         for field in &layout.fields {
             fields.push((Arc::from(field.name.as_str()), self.field(field)?));
         }
+        self.end_part(part)?;
         Ok(Value::Message(fields))
     }
 
-    fn field(&mut self, field: &'a Field) -> Result<Value, Failure> {
-        match field.arity {
-            Arity::One => self.element(field.kind),
-            Arity::Fixed(count) => self.array(field, count),
-            Arity::Variable => {
-                let count = self.count()?;
-                self.array(field, count)
-            }
+    /// Begins a message. In CDR one without fields has a byte in their stead.
+    pub fn begin_message(&mut self, layout: &Layout) -> Result<Part, Failure> {
+        let part = self.cursor.begin_message()?;
+        if self.cursor.is_cdr() && layout.fields.is_empty() {
+            self.cursor.take(1, "byte of an empty message")?;
         }
+        Ok(part)
+    }
+
+    /// Begins an array: where it lies, and how many elements it has, which the rest of the body can hold.
+    pub fn begin_array(&mut self, field: &Field) -> Result<(Part, usize), Failure> {
+        let of_numbers = matches!(field.kind, Kind::Primitive(primitive) if !primitive.is_text());
+        let part = self.cursor.begin_array(of_numbers)?;
+        let count = match field.arity {
+            Arity::One => 1,
+            Arity::Fixed(count) => count,
+            Arity::Variable => self.cursor.length()?,
+        };
+        self.claim(element_size(self.layouts, field.kind).0, count, &field.written)?;
+        Ok((part, count))
+    }
+
+    pub fn end_part(&mut self, part: Part) -> Result<(), Failure> {
+        self.cursor.end_part(part)
+    }
+
+    fn field(&mut self, field: &'a Field) -> Result<Value, Failure> {
+        if field.arity == Arity::One {
+            return self.element(field.kind);
+        }
+        self.spend()?;
+        let (part, count) = self.begin_array(field)?;
+        let value = self.array(field, count)?;
+        self.end_part(part)?;
+        Ok(value)
     }
 
     fn array(&mut self, field: &'a Field, count: usize) -> Result<Value, Failure> {
-        self.spend()?;
-        let element = || field.written.split('[').next().unwrap_or_default().to_owned();
-        let (size, fixed) = element_size(self.layouts, field.kind);
-        self.claim(size, count, &field.written)?;
+        let (size, _) = element_size(self.layouts, field.kind);
         if count <= self.limits.elements && size > 0 {
             return (0..count).map(|_| self.element(field.kind)).collect::<Result<_, _>>().map(Value::Array);
         }
-        let start = self.position();
-        if fixed {
-            self.reader.take(size * count, "array")?;
-        } else {
-            (0..count).try_for_each(|_| self.skip(field.kind))?;
-        }
-        Ok(Value::Large { element: element(), count, bytes: start..self.position() })
+        let start = self.skip_all(field.kind, count)?;
+        let element = field.written.split('[').next().unwrap_or_default().to_owned();
+        let (bytes, big_endian) = (start..self.cursor.at(), self.cursor.is_big_endian());
+        Ok(Value::Large { element, count, bytes, big_endian })
     }
 
     fn element(&mut self, kind: Kind) -> Result<Value, Failure> {
@@ -153,74 +199,82 @@ impl<'a> Walk<'a> {
         }
     }
 
+    /// Walks over elements; gives where they begin.
+    fn skip_all(&mut self, kind: Kind, count: usize) -> Result<usize, Failure> {
+        let (size, fixed) = element_size(self.layouts, kind);
+        if fixed && count > 0 {
+            self.cursor.align(size)?;
+        }
+        let start = self.cursor.at();
+        if fixed {
+            self.cursor.take(size.saturating_mul(count), "array")?;
+        } else {
+            (0..count).try_for_each(|_| self.skip(kind))?;
+        }
+        Ok(start)
+    }
+
     /// Walks over one element of a type without fixed size.
     fn skip(&mut self, kind: Kind) -> Result<(), Failure> {
         self.spend()?;
         match kind {
-            Kind::Primitive(Primitive::Text) => self.text().map(drop),
-            Kind::Primitive(primitive) => self.reader.take(primitive.size(), "number").map(drop).map_err(Failure::from),
+            Kind::Primitive(primitive) if primitive.is_text() => self.text(primitive).map(drop),
+            Kind::Primitive(_) => self.skip_all(kind, 1).map(drop),
             Kind::Message(index) => match self.layouts.get(index) {
                 Some(layout) if layout.fixed => {
-                    self.reader.take(layout.minimum, "message").map(drop).map_err(Failure::from)
+                    self.cursor.take(layout.minimum, "message").map(drop).map_err(Failure::from)
                 }
-                Some(layout) => layout.fields.iter().try_for_each(|field| self.skip_field(field)),
+                Some(layout) => {
+                    let part = self.begin_message(layout)?;
+                    layout.fields.iter().try_for_each(|field| self.skip_field(field))?;
+                    self.end_part(part)
+                }
                 None => Err(Failure::Costly),
             },
         }
     }
 
     fn skip_field(&mut self, field: &'a Field) -> Result<(), Failure> {
-        self.spend()?;
-        let count = match field.arity {
-            Arity::One => 1,
-            Arity::Fixed(count) => count,
-            Arity::Variable => self.count()?,
-        };
-        let (size, fixed) = element_size(self.layouts, field.kind);
-        self.claim(size, count, &field.written)?;
-        if fixed {
-            return self.reader.take(size * count, "array").map(drop).map_err(Failure::from);
+        if field.arity == Arity::One {
+            return self.skip(field.kind);
         }
-        (0..count).try_for_each(|_| self.skip(field.kind))
+        self.spend()?;
+        let (part, count) = self.begin_array(field)?;
+        self.skip_all(field.kind, count)?;
+        self.end_part(part)
     }
 
     pub fn primitive(&mut self, primitive: Primitive) -> Result<Value, Failure> {
-        let reader = &mut self.reader;
+        let cursor = &mut self.cursor;
         Ok(match primitive {
-            Primitive::Bool => Value::Bool(reader.u8("bool")? != 0),
-            Primitive::Int8 => Value::Integer(i8::from_le_bytes(reader.array("int8")?).into()),
-            Primitive::Uint8 => Value::Unsigned(reader.u8("uint8")?.into()),
-            Primitive::Int16 => Value::Integer(i16::from_le_bytes(reader.array("int16")?).into()),
-            Primitive::Uint16 => Value::Unsigned(u16::from_le_bytes(reader.array("uint16")?).into()),
-            Primitive::Int32 => Value::Integer(i32::from_le_bytes(reader.array("int32")?).into()),
-            Primitive::Uint32 => Value::Unsigned(u32::from_le_bytes(reader.array("uint32")?).into()),
-            Primitive::Int64 => Value::Integer(i64::from_le_bytes(reader.array("int64")?)),
-            Primitive::Uint64 => Value::Unsigned(u64::from_le_bytes(reader.array("uint64")?)),
-            Primitive::Float32 => Value::Float(f32::from_le_bytes(reader.array("float32")?).into()),
-            Primitive::Float64 => Value::Float(f64::from_le_bytes(reader.array("float64")?)),
+            Primitive::Bool => Value::Bool(cursor.number("bool")? != [0]),
+            Primitive::Int8 => Value::Integer(i8::from_le_bytes(cursor.number("int8")?).into()),
+            Primitive::Uint8 => Value::Unsigned(u8::from_le_bytes(cursor.number("uint8")?).into()),
+            Primitive::Int16 => Value::Integer(i16::from_le_bytes(cursor.number("int16")?).into()),
+            Primitive::Uint16 => Value::Unsigned(u16::from_le_bytes(cursor.number("uint16")?).into()),
+            Primitive::Int32 => Value::Integer(i32::from_le_bytes(cursor.number("int32")?).into()),
+            Primitive::Uint32 => Value::Unsigned(u32::from_le_bytes(cursor.number("uint32")?).into()),
+            Primitive::Int64 => Value::Integer(i64::from_le_bytes(cursor.number("int64")?)),
+            Primitive::Uint64 => Value::Unsigned(u64::from_le_bytes(cursor.number("uint64")?)),
+            Primitive::Float32 => Value::Float(f32::from_le_bytes(cursor.number("float32")?).into()),
+            Primitive::Float64 => Value::Float(f64::from_le_bytes(cursor.number("float64")?)),
             Primitive::Time => {
-                Value::Time(u32::from_le_bytes(reader.array("time")?), u32::from_le_bytes(reader.array("time")?))
+                Value::Time(u32::from_le_bytes(cursor.number("time")?), u32::from_le_bytes(cursor.number("time")?))
             }
             Primitive::Duration => Value::Duration(
-                i32::from_le_bytes(reader.array("duration")?),
-                i32::from_le_bytes(reader.array("duration")?),
+                i32::from_le_bytes(cursor.number("duration")?),
+                i32::from_le_bytes(cursor.number("duration")?),
             ),
-            Primitive::Text => Value::Text(String::from_utf8_lossy(self.text()?).into_owned()),
+            Primitive::Text | Primitive::Wide => Value::Text(self.text(primitive)?.into_owned()),
         })
     }
 
-    pub fn text(&mut self) -> Result<&'a [u8], Failure> {
-        let length = self.count()?;
-        Ok(self.reader.take(length, "text")?)
-    }
-
-    pub fn count(&mut self) -> Result<usize, Failure> {
-        let count = u32::from_le_bytes(self.reader.array("length")?);
-        Ok(usize::try_from(count).unwrap_or(usize::MAX))
-    }
-
-    fn position(&self) -> usize {
-        self.length - self.reader.rest().len()
+    /// A text; what is not UTF-8 is replaced.
+    pub fn text(&mut self, primitive: Primitive) -> Result<Cow<'a, str>, Failure> {
+        if primitive == Primitive::Wide {
+            return Ok(self.cursor.wide_text().map(Cow::Owned)?);
+        }
+        Ok(String::from_utf8_lossy(self.cursor.text()?))
     }
 
     pub fn spend(&mut self) -> Result<(), Failure> {

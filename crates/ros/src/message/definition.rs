@@ -15,7 +15,7 @@ pub const LONGEST_DEFINITION: usize = 1 << 20;
 pub const DEEPEST: usize = 16;
 
 /// The most types in one definition.
-const MOST_TYPES: usize = 512;
+pub(super) const MOST_TYPES: usize = 512;
 
 /// What a field holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -41,7 +41,7 @@ pub(super) struct Layout {
     pub name: String,
     pub fields: Vec<Field>,
     /// `type name=value` lines, as the md5sum wants them.
-    constants: Vec<String>,
+    pub constants: Vec<String>,
     /// Fewest bytes of a message of this type.
     pub minimum: usize,
     /// Whether every message of this type has just `minimum` bytes.
@@ -53,6 +53,8 @@ pub(super) struct Layout {
 pub struct Definition {
     /// The type itself is last; every layout comes after those it is made of.
     pub(super) layouts: Vec<Layout>,
+    /// Whether bodies are CDR, as ROS 2 has them.
+    pub(super) cdr: bool,
 }
 
 impl Definition {
@@ -70,15 +72,20 @@ impl Definition {
         let sections = sections(type_name, text).map_err(failed)?;
         let mut resolver = Resolver { sections, done: HashMap::new(), path: Vec::new(), layouts: Vec::new() };
         resolver.resolve(type_name).map_err(failed)?;
-        Ok(Self { layouts: resolver.layouts })
+        Ok(Self { layouts: resolver.layouts, cdr: false })
     }
 
-    /// The type's name, `package/Type`.
+    /// The type's name, `package/Type`; of ROS 2 `package/msg/Type`.
     pub fn type_name(&self) -> &str {
         self.root().map_or("", |layout| layout.name.as_str())
     }
 
-    /// The md5sum as ROS computes it: over the constants and fields without comments, each nested
+    /// The type's name as ROS 1 writes it.
+    pub fn short_name(&self) -> String {
+        self.type_name().replacen("/msg/", "/", 1)
+    }
+
+    /// The md5sum as ROS 1 computes it: over the constants and fields without comments, each nested
     /// type replaced by its own md5sum.
     pub fn md5sum(&self) -> String {
         let mut sums: Vec<String> = Vec::with_capacity(self.layouts.len());
@@ -218,7 +225,7 @@ impl Resolver<'_> {
 /// Fewest bytes of one element, and whether it never has more.
 pub(super) fn element_size(layouts: &[Layout], kind: Kind) -> (usize, bool) {
     match kind {
-        Kind::Primitive(primitive) => (primitive.size(), primitive != Primitive::Text),
+        Kind::Primitive(primitive) => (primitive.size(), !primitive.is_text()),
         Kind::Message(index) => layouts.get(index).map_or((0, true), |layout| (layout.minimum, layout.fixed)),
     }
 }

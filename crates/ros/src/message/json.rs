@@ -3,9 +3,9 @@
 
 use std::io::Write;
 
-use super::decode::{Failure, Walk};
-use super::definition::{Definition, Field, Kind, Layout, element_size};
-use super::line::{Arity, Primitive};
+use super::decode::{Failure, Limits, Walk};
+use super::definition::{Definition, Field, Kind, Layout};
+use super::line::Arity;
 use super::value::Value;
 use crate::model::spelt_out;
 use crate::ros::RosError;
@@ -21,7 +21,8 @@ impl Definition {
         let failed = |failure: Failure| RosError::body(self.type_name(), failure.to_string());
         let root = self.root().ok_or_else(|| RosError::body("", "the definition is empty"))?;
         let steps = body.len().saturating_mul(2).saturating_add(100_000);
-        let mut export = Export { walk: Walk::new(&self.layouts, body, steps), out };
+        let walk = self.walk(body, Limits { steps, ..Limits::default() }).map_err(failed)?;
+        let mut export = Export { walk, out };
         export.message(root).map_err(failed)?;
         export.walk.end().map_err(failed)
     }
@@ -38,6 +39,7 @@ impl<'a> Export<'a> {
     }
 
     fn message(&mut self, layout: &'a Layout) -> Result<(), Failure> {
+        let part = self.walk.begin_message(layout)?;
         self.text("{")?;
         for (place, field) in layout.fields.iter().enumerate() {
             self.text(if place > 0 { ",\"" } else { "\"" })?;
@@ -45,17 +47,15 @@ impl<'a> Export<'a> {
             self.text("\":")?;
             self.field(field)?;
         }
+        self.walk.end_part(part)?;
         self.text("}")
     }
 
     fn field(&mut self, field: &'a Field) -> Result<(), Failure> {
-        let count = match field.arity {
-            Arity::One => return self.element(field.kind),
-            Arity::Fixed(count) => count,
-            Arity::Variable => self.walk.count()?,
-        };
-        let (size, _) = element_size(self.walk.layouts(), field.kind);
-        self.walk.claim(size, count, &field.written)?;
+        if field.arity == Arity::One {
+            return self.element(field.kind);
+        }
+        let (part, count) = self.walk.begin_array(field)?;
         self.text("[")?;
         for place in 0..count {
             if place > 0 {
@@ -63,15 +63,15 @@ impl<'a> Export<'a> {
             }
             self.element(field.kind)?;
         }
+        self.walk.end_part(part)?;
         self.text("]")
     }
 
     fn element(&mut self, kind: Kind) -> Result<(), Failure> {
         self.walk.spend()?;
         match kind {
-            Kind::Primitive(Primitive::Text) => {
-                let bytes = self.walk.text()?;
-                let text = serde_json::Value::from(String::from_utf8_lossy(bytes)).to_string();
+            Kind::Primitive(primitive) if primitive.is_text() => {
+                let text = serde_json::Value::from(self.walk.text(primitive)?).to_string();
                 self.text(&spelt_out(&text))
             }
             Kind::Primitive(primitive) => {

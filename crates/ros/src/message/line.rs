@@ -15,6 +15,8 @@ pub(super) enum Primitive {
     Float32,
     Float64,
     Text,
+    /// A text of UTF-16, of ROS 2.
+    Wide,
     Time,
     Duration,
 }
@@ -40,12 +42,17 @@ impl Primitive {
         })
     }
 
+    /// Whether it is a text.
+    pub fn is_text(self) -> bool {
+        matches!(self, Self::Text | Self::Wide)
+    }
+
     /// Bytes of one; of a text the bytes of its length.
     pub fn size(self) -> usize {
         match self {
             Self::Bool | Self::Int8 | Self::Uint8 => 1,
             Self::Int16 | Self::Uint16 => 2,
-            Self::Int32 | Self::Uint32 | Self::Float32 | Self::Text => 4,
+            Self::Int32 | Self::Uint32 | Self::Float32 | Self::Text | Self::Wide => 4,
             Self::Int64 | Self::Uint64 | Self::Float64 | Self::Time | Self::Duration => 8,
         }
     }

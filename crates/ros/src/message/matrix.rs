@@ -18,7 +18,7 @@ impl Definition {
             return None;
         }
         let value = self.decode(body, LIMITS).ok()?;
-        let matrix = match self.type_name() {
+        let matrix = match self.short_name().as_str() {
             "sensor_msgs/Image" => image(&value),
             "sensor_msgs/PointCloud2" => cloud(&value),
             _ => longest(&value),
@@ -94,11 +94,13 @@ fn cloud(value: &Value) -> Option<Matrix> {
 fn longest(value: &Value) -> Option<Matrix> {
     let Value::Message(fields) = value else { return None };
     let floats = fields.iter().filter_map(|(_, value)| match value {
-        Value::Large { element, count, bytes } if element == "float32" => Some((*count, bytes.start)),
+        Value::Large { element, count, bytes, big_endian } if element == "float32" => {
+            Some((*count, bytes.start, *big_endian))
+        }
         _ => None,
     });
-    let (count, start) = floats.max_by_key(|(count, _)| *count)?;
-    Some(Matrix { start, rows: 1, columns: count, channels: 1, sample: 4, big_endian: false, apart: 1 })
+    let (count, start, big_endian) = floats.max_by_key(|(count, ..)| *count)?;
+    Some(Matrix { start, rows: 1, columns: count, channels: 1, sample: 4, big_endian, apart: 1 })
 }
 
 #[cfg(test)]

@@ -147,13 +147,19 @@ fn large_arrays_are_summed_up_with_their_place() {
     body.extend(vec![7; 10_000]);
     body.push(5);
     let value = decode("uint8[] data\nuint8 after", &body).expect("fits");
-    assert_eq!(value.get("data"), Some(&Value::Large { element: "uint8".into(), count: 10_000, bytes: 4..10_004 }));
+    assert_eq!(
+        value.get("data"),
+        Some(&Value::Large { element: "uint8".into(), count: 10_000, bytes: 4..10_004, big_endian: false })
+    );
     assert_eq!(value.get("after"), Some(&Value::Unsigned(5)));
     assert_eq!(value.to_json()["data"], "uint8[10000]");
     let mut texts = 2000u32.to_le_bytes().to_vec();
     texts.extend([1, 0, 0, 0, b'a'].repeat(2000));
     let value = decode("string[] names", &texts).expect("fits");
-    assert_eq!(value.get("names"), Some(&Value::Large { element: "string".into(), count: 2000, bytes: 4..10_004 }));
+    assert_eq!(
+        value.get("names"),
+        Some(&Value::Large { element: "string".into(), count: 2000, bytes: 4..10_004, big_endian: false })
+    );
 }
 
 #[test]

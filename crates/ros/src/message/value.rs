@@ -39,6 +39,8 @@ pub enum Value {
         count: usize,
         /// Where their bytes are in the body.
         bytes: Range<usize>,
+        /// Whether the numbers have their greatest byte first.
+        big_endian: bool,
     },
     /// A message: its fields by name, in order.
     Message(Vec<(Arc<str>, Value)>),

@@ -39,9 +39,18 @@ pub(super) fn count(value: &Value, path: &str) -> Option<usize> {
 pub(super) fn text(value: &Value, path: &str) -> String {
     match value.get(path) {
         Some(Value::Text(text)) => clean(text, 120),
+        Some(stamp @ Value::Message(_)) if seconds(stamp).is_some() => seconds(stamp).unwrap_or_default(),
         Some(other) => other.flatten().into_iter().next().map(|(_, text)| text).unwrap_or_default(),
         None => String::from("-"),
     }
+}
+
+/// A time or duration of ROS 2, as those of ROS 1 are written.
+fn seconds(value: &Value) -> Option<String> {
+    let (Value::Integer(seconds), Value::Unsigned(nanoseconds)) = (value.get("sec")?, value.get("nanosec")?) else {
+        return None;
+    };
+    Some(format!("{seconds}.{nanoseconds:09}"))
 }
 
 /// A field as a number for people.
@@ -73,12 +82,14 @@ pub(super) fn floats(value: &Value, path: &str, body: &Body, most: usize) -> Vec
             let step = items.len().div_ceil(most.max(1)).max(1);
             items.iter().enumerate().step_by(step).filter_map(|(at, item)| Some((at, as_float(item)?))).collect()
         }
-        Some(Value::Large { element, count, bytes }) => large(element, *count, body.0.get(bytes.clone()), most),
+        Some(Value::Large { element, count, bytes, big_endian }) => {
+            large((element, *big_endian), *count, body.0.get(bytes.clone()), most)
+        }
         _ => Vec::new(),
     }
 }
 
-fn large(element: &str, count: usize, bytes: Option<&[u8]>, most: usize) -> Vec<(usize, f64)> {
+fn large((element, big_endian): (&str, bool), count: usize, bytes: Option<&[u8]>, most: usize) -> Vec<(usize, f64)> {
     let size = match element {
         "float32" => 4,
         "float64" => 8,
@@ -87,7 +98,9 @@ fn large(element: &str, count: usize, bytes: Option<&[u8]>, most: usize) -> Vec<
     let data = bytes.unwrap_or_default();
     let step = count.div_ceil(most.max(1)).max(1);
     let read = |chunk: &[u8]| match (chunk.first_chunk::<8>(), chunk.first_chunk::<4>()) {
+        (Some(eight), _) if size == 8 && big_endian => Some(f64::from_be_bytes(*eight)),
         (Some(eight), _) if size == 8 => Some(f64::from_le_bytes(*eight)),
+        (_, Some(four)) if size == 4 && big_endian => Some(f64::from(f32::from_be_bytes(*four))),
         (_, Some(four)) if size == 4 => Some(f64::from(f32::from_le_bytes(*four))),
         _ => None,
     };

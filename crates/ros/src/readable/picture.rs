@@ -97,7 +97,7 @@ pub fn export(kind: Exported, definition: &Definition, body: &[u8]) -> Result<Ve
     let broken = |error: crate::ros::RosError| PictureError::Broken(error.to_string());
     let limits = Limits { elements: 0, ..Limits::default() };
     let value = definition.decode(body, limits).map_err(broken)?;
-    match definition.type_name() {
+    match definition.short_name().as_str() {
         "sensor_msgs/CompressedImage" => {
             let data = value.get("data").and_then(|data| bytes(data, &Body(body)).map(|data| data.into_owned()));
             from_file(kind, &data.ok_or_else(|| PictureError::Broken("it has no data".into()))?)

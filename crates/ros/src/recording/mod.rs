@@ -5,14 +5,17 @@
 
 mod compression;
 mod damage;
+mod described;
 mod open;
 mod place;
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 pub use compression::ChunkCompression;
 pub(super) use compression::{pack, unpack};
 pub use damage::{Damage, Findings};
+pub use described::{Described, TYPE_HASH, TypeFacts};
 pub use open::{Recording, RecordingFormat, RecordingWriter};
 pub(super) use place::{go_to, read_at};
 
@@ -60,14 +63,26 @@ pub struct Channel {
     pub latching: bool,
     /// How bodies are serialised.
     pub encoding: Encoding,
+    /// What else MCAP says of it, as the QoS that was offered; bounded.
+    pub about: BTreeMap<Arc<str>, Arc<str>>,
 }
 
 impl Channel {
     /// Bytes of its texts.
     pub(super) fn size(&self) -> usize {
         let texts = [&self.topic, &self.type_name, &self.md5sum, &self.definition, &self.caller_id];
-        texts.iter().map(|text| text.len()).sum::<usize>() + 128
+        let about = self.about.iter().map(|(key, value)| key.len() + value.len());
+        texts.iter().map(|text| text.len()).chain(about).sum::<usize>() + 128
     }
+}
+
+/// What MCAP says of a message's publishing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Sent {
+    /// When it was published.
+    pub time: Timestamp,
+    /// Its number.
+    pub sequence: u32,
 }
 
 /// One message of a recording.
@@ -77,6 +92,8 @@ pub struct RecordedMessage {
     pub channel: Arc<Channel>,
     /// When it was recorded.
     pub time: Timestamp,
+    /// When it was published and as which, where the recording says so.
+    pub sent: Option<Sent>,
     /// The serialised message.
     pub body: Vec<u8>,
 }

@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Channel, ChunkCompression, Encoding, Findings, RecordedMessage};
+use super::{Channel, ChunkCompression, Encoding, Findings, RecordedMessage, Sent};
 use crate::model::Timestamp;
 use crate::ros::RosError;
 use crate::ros::bag::{self, BagReader, BagWriter};
@@ -136,14 +136,21 @@ impl RecordingWriter {
         })
     }
 
-    /// Writes one message.
+    /// Writes one message. A bag has no place for what is known of its publishing.
     ///
     /// # Errors
     /// [`RosError::Recording`] where it cannot be written, or the format cannot hold it.
-    pub fn write(&mut self, channel: &Arc<Channel>, time: Timestamp, body: &[u8]) -> Result<(), RosError> {
-        match self {
-            Self::Bag(writer) => writer.write(channel, time, body),
-            Self::Mcap(writer) => writer.write(channel, time, body),
+    pub fn write(
+        &mut self,
+        channel: &Arc<Channel>,
+        time: Timestamp,
+        sent: Option<Sent>,
+        body: &[u8],
+    ) -> Result<(), RosError> {
+        match (self, sent) {
+            (Self::Bag(writer), _) => writer.write(channel, time, body),
+            (Self::Mcap(writer), Some(sent)) => writer.write_sent(channel, time, sent, body),
+            (Self::Mcap(writer), None) => writer.write(channel, time, body),
         }
     }
 

@@ -21,11 +21,12 @@ pub(super) fn channel(topic: &str, caller_id: &str) -> Arc<Channel> {
         caller_id: caller_id.into(),
         latching: caller_id.len() % 2 == 1,
         encoding: Encoding::Ros1,
+        about: BTreeMap::new(),
     })
 }
 
 pub(super) fn message(channel: &Arc<Channel>, time: u64, body: &[u8]) -> RecordedMessage {
-    RecordedMessage { channel: Arc::clone(channel), time: Timestamp(time), body: body.to_vec() }
+    RecordedMessage { channel: Arc::clone(channel), time: Timestamp(time), sent: None, body: body.to_vec() }
 }
 
 pub(super) fn write(format: RecordingFormat, compression: ChunkCompression, messages: &[RecordedMessage]) -> Vec<u8> {
@@ -61,7 +62,7 @@ pub(super) fn read(format: RecordingFormat, bytes: &[u8]) -> Result<(Vec<Recorde
         RecordingFormat::Mcap => {
             let mut reader = McapReader::open(file)?;
             while let Some(message) = reader.next_message()? {
-                messages.push(message);
+                messages.push(RecordedMessage { sent: None, ..message });
             }
             Ok((messages, reader.findings().clone()))
         }
@@ -226,6 +227,28 @@ fn ros_2_is_kept_as_cdr_and_goes_into_no_bag() {
     assert_eq!(read(RecordingFormat::Mcap, &bytes).expect("read").0, messages);
     let mut bag = BagWriter::begin(Cursor::new(Vec::new()), ChunkCompression::None).expect("begun");
     assert!(bag.write(&cdr, Timestamp(5), &[]).is_err());
+}
+
+#[test]
+fn what_mcap_says_of_channels_and_of_publishing_comes_back() {
+    let about: BTreeMap<Arc<str>, Arc<str>> =
+        [("offered_qos_profiles", "- durability: transient_local\n"), ("topic_type_hash", "RIHS01_00"), ("x", "")]
+            .map(|(key, value)| (key.into(), value.into()))
+            .into();
+    let channel = |about| Arc::new(Channel { about, ..(*channel("/tf_static", "")).clone() });
+    let sent = Sent { time: Timestamp(3), sequence: 77 };
+    let mut writer = McapWriter::begin(Cursor::new(Vec::new()), ChunkCompression::None).expect("begun");
+    writer.write_sent(&channel(about.clone()), Timestamp(5), sent, &[1; 4]).expect("written");
+    writer.write(&channel(about.clone()), Timestamp(6), &[2; 4]).expect("written");
+    let too_long = BTreeMap::from([("y".into(), "y".repeat(10_000).into())]);
+    writer.write(&channel(too_long), Timestamp(7), &[3; 4]).expect("written");
+    let mut reader = McapReader::open(Cursor::new(writer.finish().expect("finished").into_inner())).expect("MCAP");
+    let mut next = || reader.next_message().expect("readable").expect("a message");
+    let (first, second, third) = (next(), next(), next());
+    assert_eq!((first.time, first.sent, &first.channel.about), (Timestamp(5), Some(sent), &about));
+    assert_eq!((second.sent, &second.channel), (Some(Sent { time: Timestamp(6), sequence: 2 }), &first.channel));
+    assert!(third.channel.about.is_empty());
+    assert!(reader.findings().damages[0].text.contains("too long to be kept"), "{:?}", reader.findings());
 }
 
 fn any_messages() -> impl Strategy<Value = Vec<RecordedMessage>> {

@@ -97,6 +97,9 @@ pub struct OpenedView {
     /// Length of its sealed body, bytes.
     #[serde(default)]
     pub stored: u64,
+    /// Why no fields are shown, or what speaks against them.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub note: Option<String>,
     /// Field paths and values in order, cleaned, for screens.
     pub fields: Vec<(String, String)>,
     /// The message as JSON; long arrays summarised.

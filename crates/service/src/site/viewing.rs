@@ -1,5 +1,6 @@
 //! Opened records for the eye: fields, readable form, files, and the path over a topic's records.
 
+use std::ffi::OsStr;
 use std::sync::Arc;
 
 use tokio::task::block_in_place;
@@ -9,11 +10,13 @@ use super::statements;
 use super::view::record_view;
 use crate::crypto::OpenedRecord;
 use crate::model::{ErrorKind, RecordKind, RecordState, clean};
-use crate::pipeline::Owner;
 use crate::pipeline::columns::{Compared, Shown, is_simulated};
 use crate::pipeline::reader::Reader;
+use crate::pipeline::{Owner, importer};
+use crate::ros::Limits;
+use crate::ros::message::Folders;
 use crate::ros::readable::{self, Exported};
-use crate::ros::{Definition, Limits};
+use crate::ros::recording::{Described, TYPE_HASH, TypeFacts};
 use crate::service::command::{LONGEST_PATH, Viewing};
 use crate::service::reply::{Failure, OpenedView, PathView, Reply};
 use crate::store::{RecordQuery, RecordRow};
@@ -31,7 +34,7 @@ const MOST_FIELDS: usize = 5_000;
 struct Opened {
     row: RecordRow,
     record: OpenedRecord,
-    definition: Option<Definition>,
+    described: Described,
 }
 
 impl Site {
@@ -71,12 +74,12 @@ impl Site {
         let opened = self.opened(owner, id, "export message").await?;
         block_in_place(|| {
             let mut view = view_of(&opened, owner);
-            view.file = Some(match (kind, &opened.definition) {
+            view.file = Some(match (kind, &opened.described.definition) {
                 (Some(Exported::Bin), _) => opened.record.body,
                 (None, _) => own_picture(&opened).unwrap_or(opened.record.body),
                 (Some(kind), Some(definition)) => readable::export(kind, definition, &opened.record.body)
                     .map_err(|error| Failure::new(error.kind(), error.to_string()))?,
-                (Some(_), None) => return Err(without_definition(&opened.row)),
+                (Some(_), None) => return Err(without_definition(&opened.row, &opened.described)),
             });
             Ok(view)
         })
@@ -87,9 +90,27 @@ impl Site {
         let reader = Reader { plant: &self.plant, network: &network, reader: owner };
         self.audit_first(owner, deed, &row.id).await?;
         let record = reader.open(&row).await?;
-        let definition = reader.definition(&row, &record).await?;
+        let described = self.described(&reader, &row, &record).await?;
         let row = as_signed(row, &record);
-        Ok(Opened { row, record, definition })
+        Ok(Opened { row, record, described })
+    }
+
+    /// By which definition the record's message is read.
+    async fn described(
+        &self,
+        reader: &Reader<'_>,
+        row: &RecordRow,
+        record: &OpenedRecord,
+    ) -> Result<Described, Failure> {
+        if row.kind != RecordKind::Data {
+            return Ok(Described::default());
+        }
+        let text = reader.definition_text(row, record).await?;
+        let (head, about) = (&record.head, importer::about(&record.head.tags));
+        let (encoding, hash) = (importer::encoding(&head.tags), about.get(TYPE_HASH).map(|hash| &**hash));
+        let facts = TypeFacts { name: &head.type_name, encoding, text: text.as_deref(), hash };
+        let folders = Folders::of_prefixes(OsStr::new(&self.config.definitions));
+        Ok(block_in_place(|| Described::of(facts, &folders)))
     }
 
     async fn path_to(self: &Arc<Self>, owner: &Arc<Owner>, id: &str, records: usize) -> Result<PathView, Failure> {
@@ -98,7 +119,8 @@ impl Site {
         let reader = Reader { plant: &self.plant, network: &network, reader: owner };
         self.audit_first(owner, "decrypt", &format!("{} and up to {records} records before it", row.id)).await?;
         let last = reader.open(&row).await?;
-        let definition = reader.definition(&row, &last).await?.ok_or_else(|| without_definition(&row))?;
+        let described = self.described(&reader, &row, &last).await?;
+        let definition = described.definition.clone().ok_or_else(|| without_definition(&row, &described))?;
         let here = readable::place(&definition, &last.body).ok_or_else(|| {
             let kind = clean(definition.type_name(), 120);
             Failure::new(ErrorKind::Usage, format!("messages of {kind} tell no place, so there is no path over them"))
@@ -150,21 +172,25 @@ fn as_signed(row: RecordRow, record: &OpenedRecord) -> RecordRow {
     }
 }
 
-fn without_definition(row: &RecordRow) -> Failure {
-    let text = format!("the definition of {}'s type was not found, so it can only be written as .bin", row.id);
-    Failure::new(ErrorKind::Input, text)
+fn without_definition(row: &RecordRow, described: &Described) -> Failure {
+    let why = described.note.as_deref().unwrap_or("it is no message");
+    Failure::new(ErrorKind::Input, format!("{} can only be written as .bin: {why}", row.id))
 }
 
 /// A picture's own bytes, where the message is one.
 fn own_picture(opened: &Opened) -> Option<Vec<u8>> {
-    let picture = opened.definition.as_ref()?.compressed_image(&opened.record.body)?;
+    let picture = opened.described.definition.as_ref()?.compressed_image(&opened.record.body)?;
     let bytes = opened.record.body.get(picture.data).map(<[u8]>::to_vec);
     bytes.filter(|_| !crate::crypto::fault::is_off("restore"))
 }
 
 fn view_of(opened: &Opened, owner: &Owner) -> OpenedView {
-    let (row, record, definition) = (&opened.row, &opened.record, opened.definition.as_ref());
-    let decoded = definition.and_then(|definition| definition.decode(&record.body, Limits::default()).ok());
+    let (row, record, definition) = (&opened.row, &opened.record, opened.described.definition.as_ref());
+    let decoded = definition.map(|definition| definition.decode(&record.body, Limits::default()));
+    let (decoded, misfit) = match decoded.transpose() {
+        Ok(decoded) => (decoded, None),
+        Err(error) => (None, Some(error.to_string())),
+    };
     let fields = decoded.as_ref().map(|value| value.flatten()).unwrap_or_default();
     let stated = statements::view(row.kind, &record.body);
     let fields = stated.as_ref().map_or(fields, statements::fields);
@@ -176,6 +202,7 @@ fn view_of(opened: &Opened, owner: &Owner) -> OpenedView {
         tags: record.head.tags.iter().map(|(key, value)| (clean(key, 64), clean(value, 200))).collect(),
         compression: record.head.compression.word().to_owned(),
         stored: record.header.body_length,
+        note: misfit.or_else(|| opened.described.note.clone()),
         fields: fields
             .into_iter()
             .take(MOST_FIELDS)

@@ -1,12 +1,12 @@
 //! The ledger's tests: single behaviours here, random operations in `model`, random queries in `pages`.
 
 mod adoption;
+mod directory;
 mod gaps;
 mod groups;
 mod model;
 mod pages;
 mod quarantine;
-mod directory;
 mod rights;
 mod speed;
 

@@ -352,6 +352,7 @@ pub fn opened(number: u64, camera: bool) -> OpenedView {
         tags: vec![("mission".to_owned(), "crime scene".to_owned()), ("simulated".to_owned(), "yes".to_owned())],
         compression: "lz4".to_owned(),
         stored: 312,
+        note: None,
         readable: None,
         beginning: (0..=255).collect(),
         file: None,

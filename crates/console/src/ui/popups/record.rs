@@ -75,7 +75,8 @@ fn head(view: &OpenedView, room: u16) -> Vec<Vec<Piece>> {
     if !view.caller_id.is_empty() {
         lines.push(labelled("sent by", view.caller_id.clone(), Role::Body));
     }
-    let tags: Vec<String> = view.tags.iter().map(|(name, value)| format!("{name}={value}")).collect();
+    let shown = view.tags.iter().filter(|(name, _)| !name.starts_with("mcap."));
+    let tags: Vec<String> = shown.map(|(name, value)| format!("{name}={value}")).collect();
     if !tags.is_empty() {
         lines.push(labelled("tags", tags.join("  "), Role::Dim));
     }
@@ -145,7 +146,8 @@ fn fields(view: &OpenedView, width: u16) -> Vec<Vec<Piece>> {
     let widest = view.fields.iter().map(|(path, _)| columns(path)).max().unwrap_or(0);
     let label = (widest + 2).min(width / 2);
     let line = |(path, value): &(String, String)| vec![(pad(path, label), Role::Dim), (value.clone(), Role::Body)];
-    view.fields.iter().map(line).collect()
+    let notes = view.note.iter().flat_map(|note| wrap(note, width)).map(|line| vec![(line, Role::Warning)]);
+    notes.chain(view.fields.iter().map(line)).collect()
 }
 
 /// As hex dumps are: place, sixteen bytes, what of them is ASCII.

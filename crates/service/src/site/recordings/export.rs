@@ -183,8 +183,11 @@ impl<'a> Export<'a> {
             caller_id: head.caller_id.as_str().into(),
             latching: head.tags.contains_key(importer::LATCHING),
             encoding,
+            about: importer::about(&head.tags),
         });
-        block_in_place(|| self.writer.write(&channel, opened.header.captured_at, &opened.body))?;
+        let time = opened.header.captured_at;
+        let sent = importer::sent(&head.tags, time);
+        block_in_place(|| self.writer.write(&channel, time, sent, &opened.body))?;
         self.view.messages += 1;
         self.view.bytes += opened.body.len() as u64;
         *self.topics.entry((head.topic.clone(), head.type_name.clone())).or_default() += 1;

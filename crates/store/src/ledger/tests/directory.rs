@@ -56,7 +56,7 @@ fn what_an_event_ends_is_found_without_what_ended_before() {
             })
             .expect("planned")
     };
-    for sql in crate::store::ledger::rights::ENDING {
+    for sql in crate::store::ledger::directory::ENDING {
         let plan = plan(sql);
         assert!(plan.contains("INDEX rights_standing (contract=? AND owner=? AND kind=?"), "{plan}");
     }

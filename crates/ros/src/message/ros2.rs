@@ -1,0 +1,73 @@
+//! Definitions of ROS 2: `.msg` texts with all the types they are made of, and the hash that tells them apart.
+//!
+//! What is read becomes the same layouts that messages of ROS 1 have; only bodies are laid out otherwise.
+
+mod folder;
+mod hash;
+mod line;
+mod schema;
+
+pub use folder::Folders;
+
+use super::definition::{Definition, Field, Kind, Layout, element_size};
+use super::line::Arity;
+use crate::ros::RosError;
+use line::Many;
+use schema::{Interface, Member, Of, Schema};
+
+impl Definition {
+    /// Parses the text of a ROS 2 definition, as MCAP carries it for `ros2msg`: the type's own lines, then
+    /// `MSG: package/Type` sections.
+    ///
+    /// # Errors
+    /// [`RosError::Definition`] where the text is too long, broken, incomplete, recursive or too deep.
+    pub fn parse_ros2(type_name: &str, text: &str) -> Result<Self, RosError> {
+        Schema::parse(type_name, text).map(|schema| Self::of_schema(&schema))
+    }
+
+    fn of_schema(schema: &Schema) -> Self {
+        let mut layouts = Vec::with_capacity(schema.interfaces.len());
+        for interface in &schema.interfaces {
+            layouts.push(layout(interface, &layouts));
+        }
+        Self { layouts, cdr: true }
+    }
+}
+
+/// The hash of a type as ROS 2 computes it, `RIHS01_` and 64 hex characters.
+///
+/// # Errors
+/// [`RosError::Definition`] where the text is not a definition of `type_name`.
+pub fn type_hash(type_name: &str, text: &str) -> Result<String, RosError> {
+    Schema::parse(type_name, text).map(|schema| hash::of(&schema))
+}
+
+fn layout(interface: &Interface, known: &[Layout]) -> Layout {
+    let fields: Vec<Field> = interface.members.iter().map(field).collect();
+    let least = |field: &Field| match field.arity {
+        Arity::One => element_size(known, field.kind).0,
+        Arity::Fixed(count) => element_size(known, field.kind).0.saturating_mul(count),
+        Arity::Variable => 4,
+    };
+    let minimum = fields.iter().map(least).fold(0, usize::saturating_add).max(1);
+    // What lies between numbers depends on where a message begins, so none has a fixed size.
+    Layout { name: interface.name.clone(), fields, constants: Vec::new(), minimum, fixed: false }
+}
+
+fn field(member: &Member) -> Field {
+    let arity = match member.many {
+        Many::One => Arity::One,
+        Many::Fixed(count) => Arity::Fixed(count),
+        Many::Bounded(_) | Many::Any => Arity::Variable,
+    };
+    let kind = match member.of {
+        Of::Plain { primitive, .. } => Kind::Primitive(primitive),
+        Of::Interface(index) => Kind::Message(index),
+    };
+    Field { name: member.name.clone(), kind, arity, written: member.written.clone() }
+}
+
+#[cfg(test)]
+mod hostile_tests;
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,65 @@
+//! The hash of an interface (RIHS01): SHA-256 over its description and those of the types it is made of, as the JSON
+//! text that ROS 2 makes of them. Only names and types count, not comments, constants or default values.
+
+use std::fmt::Write as _;
+
+use sha2::{Digest as _, Sha256};
+
+use super::line::Many;
+use super::schema::{Interface, Member, Of, Schema};
+use crate::model::bytes::hex;
+
+/// What stands in an interface without members.
+const FILLER: &str = "structure_needs_at_least_one_member";
+
+/// The number of an interface's type, and of the one of [`FILLER`].
+const INTERFACE: u8 = 1;
+const UINT8: u8 = 3;
+
+/// Texts with a bound have other numbers.
+const BOUNDED_TEXTS: u8 = 4;
+
+/// The hash of a type.
+pub(super) fn of(schema: &Schema) -> String {
+    let Some((root, others)) = schema.interfaces.split_last() else { return String::new() };
+    let mut others: Vec<&Interface> = others.iter().collect();
+    others.sort_by(|one, other| one.name.cmp(&other.name));
+    let others: Vec<String> = others.into_iter().map(|interface| described(schema, interface)).collect();
+    let text = format!(
+        "{{\"type_description\": {}, \"referenced_type_descriptions\": [{}]}}",
+        described(schema, root),
+        others.join(", ")
+    );
+    format!("RIHS01_{}", hex(&Sha256::digest(text.as_bytes())))
+}
+
+fn described(schema: &Schema, interface: &Interface) -> String {
+    let mut fields: Vec<String> = interface.members.iter().map(|member| field(schema, member)).collect();
+    if fields.is_empty() {
+        fields.push(put_field(FILLER, UINT8, 0, 0, ""));
+    }
+    format!("{{\"type_name\": \"{}\", \"fields\": [{}]}}", interface.name, fields.join(", "))
+}
+
+fn field(schema: &Schema, member: &Member) -> String {
+    let (number, nested) = match member.of {
+        Of::Plain { number, .. } if member.bound > 0 => (number + BOUNDED_TEXTS, ""),
+        Of::Plain { number, .. } => (number, ""),
+        Of::Interface(index) => (INTERFACE, schema.interfaces.get(index).map_or("", |nested| nested.name.as_str())),
+    };
+    let (more, capacity) = match member.many {
+        Many::One => (0, 0),
+        Many::Fixed(count) => (48, count),
+        Many::Bounded(most) => (96, most),
+        Many::Any => (144, 0),
+    };
+    put_field(&member.name, number + more, capacity, member.bound, nested)
+}
+
+fn put_field(name: &str, number: u8, capacity: usize, bound: usize, nested: &str) -> String {
+    let mut out = format!("{{\"name\": \"{name}\", \"type\": {{\"type_id\": {number}, ");
+    // Writing to a String cannot fail.
+    let _ =
+        write!(out, "\"capacity\": {capacity}, \"string_capacity\": {bound}, \"nested_type_name\": \"{nested}\"}}}}");
+    out
+}

@@ -1,0 +1,159 @@
+//! A definition of ROS 2 with every nested type resolved. What parses has no cycles and bounded depth and size.
+
+use std::collections::HashMap;
+
+use super::super::definition::{DEEPEST, LONGEST_DEFINITION, MOST_TYPES};
+use super::super::line::Primitive;
+use super::line::{Line, Many, is_name, parse_line, plain};
+use crate::model::topic::LONGEST_NAME;
+use crate::ros::RosError;
+
+/// What a member holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Of {
+    Plain {
+        primitive: Primitive,
+        /// Its number in type descriptions.
+        number: u8,
+    },
+    /// Index of an interface.
+    Interface(usize),
+}
+
+/// One member of an interface.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Member {
+    pub name: String,
+    pub of: Of,
+    pub many: Many,
+    /// The most characters of a text; 0 where it has no bound.
+    pub bound: usize,
+    /// The type as written, with its brackets.
+    pub written: String,
+}
+
+/// One type.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Interface {
+    /// `package/msg/Type`.
+    pub name: String,
+    pub members: Vec<Member>,
+}
+
+/// A type with all the types it is made of.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Schema {
+    /// The type itself is last; every one comes after those it is made of.
+    pub interfaces: Vec<Interface>,
+}
+
+impl Schema {
+    /// Parses the type's own lines and the sections behind them.
+    pub fn parse(type_name: &str, text: &str) -> Result<Self, RosError> {
+        let failed = |reason: String| RosError::definition(type_name, reason);
+        let name = full_name(type_name, None).ok_or_else(|| failed("its type is not package/msg/Type".into()))?;
+        if text.len() > LONGEST_DEFINITION {
+            return Err(failed(format!("it is longer than {LONGEST_DEFINITION} bytes")));
+        }
+        let texts = sections(&name, text).map_err(failed)?;
+        let mut resolver = Resolver { texts, done: HashMap::new(), path: Vec::new(), interfaces: Vec::new() };
+        resolver.resolve(&name).map_err(failed)?;
+        Ok(Self { interfaces: resolver.interfaces })
+    }
+}
+
+/// Splits the text at its `MSG:` lines; a type given twice keeps its first text.
+fn sections<'a>(type_name: &str, text: &'a str) -> Result<HashMap<String, Vec<&'a str>>, String> {
+    let mut found: Vec<(String, Vec<&str>)> = vec![(type_name.to_owned(), Vec::new())];
+    let mut after_rule = false;
+    for line in text.lines() {
+        let rule = line.len() >= 20 && line.bytes().all(|byte| byte == b'=');
+        let name = line.strip_prefix("MSG: ").filter(|_| after_rule);
+        if let Some(name) = name.and_then(|name| full_name(name.trim(), None)) {
+            found.push((name, Vec::new()));
+        } else if after_rule && line.starts_with("IDL: ") {
+            return Err("a part of it is IDL, which is not read here".into());
+        } else if let (false, Some((_, lines))) = (rule, found.last_mut()) {
+            lines.push(line);
+        }
+        after_rule = rule;
+        if found.len() > MOST_TYPES {
+            return Err(format!("it has more than {MOST_TYPES} types"));
+        }
+    }
+    let mut texts = HashMap::new();
+    for (name, lines) in found {
+        texts.entry(name).or_insert(lines);
+    }
+    Ok(texts)
+}
+
+/// `package/msg/Type` of a name as it may be written; a name alone is of the package it stands in.
+pub(super) fn full_name(name: &str, package: Option<&str>) -> Option<String> {
+    let parts: Vec<&str> = name.split('/').collect();
+    let full = match (parts.as_slice(), package) {
+        ([package, kind @ ("msg" | "srv" | "action"), name], _) => {
+            format!("{package}/{kind}/{name}")
+        }
+        ([package, name], _) => format!("{package}/msg/{name}"),
+        ([name], Some(package)) => format!("{package}/msg/{name}"),
+        _ => return None,
+    };
+    (full.len() <= LONGEST_NAME && parts.iter().all(|part| is_name(part))).then_some(full)
+}
+
+/// Turns texts into interfaces, innermost first.
+struct Resolver<'a> {
+    texts: HashMap<String, Vec<&'a str>>,
+    /// Index and height (nested levels, itself included) of what is resolved.
+    done: HashMap<String, (usize, usize)>,
+    path: Vec<String>,
+    interfaces: Vec<Interface>,
+}
+
+impl Resolver<'_> {
+    fn resolve(&mut self, name: &str) -> Result<(usize, usize), String> {
+        if self.path.iter().any(|above| above == name) {
+            return Err(format!("{name} contains itself"));
+        }
+        let known = self.done.get(name).copied();
+        if self.path.len() + known.map_or(1, |(_, height)| height) > DEEPEST {
+            return Err(format!("it is nested more than {DEEPEST} deep"));
+        }
+        if let Some(known) = known {
+            return Ok(known);
+        }
+        let lines = self.texts.get(name).cloned().ok_or_else(|| format!("the definition of {name} is missing"))?;
+        self.path.push(name.to_owned());
+        let (interface, height) = self.interface(name, &lines)?;
+        self.path.pop();
+        self.interfaces.push(interface);
+        let resolved = (self.interfaces.len() - 1, height);
+        self.done.insert(name.to_owned(), resolved);
+        Ok(resolved)
+    }
+
+    fn interface(&mut self, name: &str, lines: &[&str]) -> Result<(Interface, usize), String> {
+        let mut members = Vec::new();
+        let mut height = 1;
+        for line in lines {
+            let read = parse_line(line).map_err(|reason| format!("{reason} in {name}"))?;
+            let Some(Line::Field { written, base, bound, many, name: member }) = read else { continue };
+            let (of, below) = self.of(name, base)?;
+            height = height.max(below + 1);
+            let (name, written) = (member.to_owned(), written.to_owned());
+            members.push(Member { name, of, many, bound, written });
+        }
+        Ok((Interface { name: name.to_owned(), members }, height))
+    }
+
+    fn of(&mut self, inside: &str, base: &str) -> Result<(Of, usize), String> {
+        if let Some((primitive, number)) = plain(base) {
+            return Ok((Of::Plain { primitive, number }, 0));
+        }
+        let package = inside.split('/').next();
+        let full = full_name(base, package).ok_or_else(|| format!("a type's name is broken in {inside}"))?;
+        let (index, height) = self.resolve(&full)?;
+        Ok((Of::Interface(index), height))
+    }
+}

@@ -1,0 +1,139 @@
+//! By which definition a recorded message is read, and what is to be said of that.
+
+use std::sync::Arc;
+
+use super::Encoding;
+use crate::ros::RosError;
+use crate::ros::message::{Definition, Folders, type_hash};
+
+/// What MCAP calls the hash of a channel's type.
+pub const TYPE_HASH: &str = "topic_type_hash";
+
+/// What is known of a message's type.
+#[derive(Debug, Clone, Copy)]
+pub struct TypeFacts<'a> {
+    /// Its name.
+    pub name: &'a str,
+    /// How bodies are serialised.
+    pub encoding: Encoding,
+    /// The text of its definition, where one was found.
+    pub text: Option<&'a str>,
+    /// Its hash, as the recording names it.
+    pub hash: Option<&'a str>,
+}
+
+/// A definition to read by, and what is to be said of it.
+#[derive(Debug, Clone, Default)]
+pub struct Described {
+    /// The definition; `None` where nothing but the bytes can be shown.
+    pub definition: Option<Arc<Definition>>,
+    /// Why there is none, or what speaks against it.
+    pub note: Option<String>,
+}
+
+impl Described {
+    /// The definition that came with the recording; for ROS 2 else one that lies in `folders`.
+    pub fn of(facts: TypeFacts<'_>, folders: &Folders) -> Self {
+        match own(facts) {
+            Ok(definition) => Self { definition: Some(Arc::new(definition)), note: differs(facts) },
+            Err(_) if facts.encoding != Encoding::Ros1 && !folders.is_empty() => match in_folders(facts, folders) {
+                Ok(definition) => Self {
+                    definition: Some(Arc::new(definition)),
+                    note: Some(format!(
+                        "fields are read by the definition in this machine's folders: {}",
+                        trust(facts)
+                    )),
+                },
+                Err(error) => Self { definition: None, note: Some(error.to_string()) },
+            },
+            Err(error) => Self { definition: None, note: Some(error.to_string()) },
+        }
+    }
+}
+
+fn own(facts: TypeFacts<'_>) -> Result<Definition, RosError> {
+    let no_fields = |reason: &str| Err(RosError::no_fields(facts.name, reason));
+    match (facts.encoding, facts.text) {
+        (_, None) => no_fields("its definition is in none of the records that can be read here; write it as .bin"),
+        (Encoding::Ros1, Some(text)) => Definition::parse(facts.name, text),
+        (Encoding::Cdr { idl: false }, Some(text)) => Definition::parse_ros2(facts.name, text),
+        (Encoding::Cdr { idl: true }, Some(_)) => no_fields(
+            "the recording describes its type in IDL, which is not read here; name the folder where its package is \
+             installed (ros.definitions, AMENT_PREFIX_PATH)",
+        ),
+    }
+}
+
+fn in_folders(facts: TypeFacts<'_>, folders: &Folders) -> Result<Definition, RosError> {
+    let text = folders.text_of(facts.name)?;
+    let found = type_hash(facts.name, &text)?;
+    match facts.hash {
+        Some(hash) if hash != found => {
+            let reason = format!("the definition in this machine's folders has the hash {found}, its own is {hash}");
+            Err(RosError::no_fields(facts.name, &reason))
+        }
+        _ => Definition::parse_ros2(facts.name, &text),
+    }
+}
+
+fn trust(facts: TypeFacts<'_>) -> &'static str {
+    match facts.hash {
+        Some(_) => "its type hash is that of the recording",
+        None => "the recording names no type hash to compare it with",
+    }
+}
+
+/// What the definition of a recording says against the hash in it.
+fn differs(facts: TypeFacts<'_>) -> Option<String> {
+    let (hash, Encoding::Cdr { .. }) = (facts.hash?, facts.encoding) else { return None };
+    let found = type_hash(facts.name, facts.text?).ok().filter(|found| found != hash)?;
+    let hash = crate::model::clean(hash, 80);
+    Some(format!(
+        "the recording's definition has the type hash {found}, the recording itself names {hash}: values may be wrong"
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const STRING: &str = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18";
+    const IDL: Encoding = Encoding::Cdr { idl: true };
+    const MSG: Encoding = Encoding::Cdr { idl: false };
+
+    fn described(encoding: Encoding, text: Option<&str>, hash: Option<&str>, folders: &Folders) -> (bool, String) {
+        let described = Described::of(TypeFacts { name: "std_msgs/msg/String", encoding, text, hash }, folders);
+        (described.definition.is_some(), described.note.unwrap_or_default())
+    }
+
+    #[test]
+    fn a_note_says_why_there_are_no_fields_or_what_speaks_against_them() {
+        let none = Folders::default();
+        let said = |encoding, text, hash| described(encoding, text, hash, &none);
+        assert_eq!(said(MSG, Some("string data"), Some(STRING)), (true, String::new()));
+        assert_eq!(said(MSG, Some("string data"), None), (true, String::new()));
+        let (found, note) = said(MSG, Some("string<=9 data"), Some(STRING));
+        assert!(found && note.contains("values may be wrong") && note.contains(STRING), "{note}");
+        let (found, note) = said(IDL, Some("module std_msgs {};"), Some(STRING));
+        assert!(!found && note.contains("IDL") && note.contains("std_msgs/msg/String"), "{note}");
+        assert!(said(MSG, None, None).1.contains("none of the records"));
+        assert!(said(MSG, Some("line"), None).1.contains("no field name"));
+        assert!(!said(Encoding::Ros1, Some("string data"), None).0, "its name is none of ROS 1");
+    }
+
+    #[test]
+    fn folders_help_where_the_recording_does_not_but_only_with_the_right_hash() {
+        let home = tempfile::tempdir().expect("a folder");
+        let folder = home.path().join("share/std_msgs/msg");
+        std::fs::create_dir_all(&folder).expect("created");
+        std::fs::write(folder.join("String.msg"), "string data # text").expect("written");
+        let folders = Folders::of_prefixes(home.path().as_os_str());
+        let said = |encoding, text, hash| described(encoding, text, hash, &folders);
+        let (found, note) = said(IDL, Some("module x {};"), Some(STRING));
+        assert!(found && note.contains("is that of the recording"), "{note}");
+        let (found, note) = said(MSG, None, None);
+        assert!(found && note.contains("no type hash"), "{note}");
+        let (found, note) = said(IDL, None, Some("RIHS01_00"));
+        assert!(!found && note.contains("RIHS01_00") && note.contains(STRING), "{note}");
+    }
+}
