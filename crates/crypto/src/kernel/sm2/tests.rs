@@ -2,7 +2,7 @@
 
 use num_bigint::{BigInt, BigUint};
 use sm2::elliptic_curve::sec1::{FromSec1Point as _, ToSec1Point as _};
-use sm2::elliptic_curve::{Group as _, PrimeField as _, ops::Reduce as _};
+use sm2::elliptic_curve::{Group as _, PrimeField as _};
 use sm2::{AffinePoint, ProjectivePoint, Sec1Point};
 
 use super::field::{self, Element, MODULUS};
