@@ -15,8 +15,9 @@ const NAME: &str = "grow_the_directory";
 const STRANGERS: [u8; 2] = [41, 42];
 /// Rounds whose transactions are handed in together.
 const TOGETHER: u64 = 8;
-/// How much more a round may cost at the end than at the beginning: a log that goes into its file falls into one part.
-const FACTOR: u64 = 3;
+/// How many times as much a round may cost at the end as at the beginning: the same process seals the chain, whose trees
+/// deepen with each token, and a log that goes into its file falls into one part.
+const FACTOR: u64 = 4;
 /// How much memory may grow over all rounds, MiB: what the chain keeps at hand of its newest blocks.
 const ROOM: u64 = 64;
 
