@@ -14,7 +14,7 @@ type Target = (&'static str, Vec<Sample>, fn(&[u8]) -> bool);
 
 fn main() -> io::Result<()> {
     let write = std::env::args().nth(1).is_some_and(|word| word == "write");
-    let targets: [Target; 11] = [
+    let targets: [Target; 12] = [
         ("frame", frame::samples(), frame::run),
         ("key_allocation", key_allocation::samples(), key_allocation::run),
         ("record", record::samples(), record::run),

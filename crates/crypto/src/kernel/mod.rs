@@ -1,7 +1,7 @@
-//! SM4 in counter mode, GHASH and SM3 by the vector instructions of the processor at hand. Which are used is
-//! decided once, at run time; all of them, the portable one too, take the same time for all keys and data.
+//! SM4 in counter mode, GHASH and SM3 by the vector instructions of the processor at hand, and SM2's arithmetic. Which
+//! are used is decided once, at run time; all of them, the portable one too, take the same time for all secrets.
 //! The files below hold the only `unsafe` of the program, and each says why it is sound: functions that need
-//! features of the processor are called with an [`Available`] alone, which exists only where they were found.
+//! features of the processor are called with an [`Available`] alone, or (SM2) by `way`, where they were found.
 #![allow(unsafe_code, reason = "calls of functions that need features of the processor, which were asked for")]
 
 use std::fmt;

@@ -13,7 +13,9 @@ use crate::model::PublicKey;
 /// Bytes of all tables together, at most.
 const ROOM: usize = 64 << 20;
 /// Tables at most.
-pub(super) const MOST: usize = ROOM / (SignerTable::BYTES + 1024);
+const MOST: usize = ROOM / (SignerTable::BYTES + 1024);
+/// At most 64 KiB a signer, and place for a few thousand.
+const _: () = assert!(SignerTable::BYTES <= 64 << 10 && MOST * SignerTable::BYTES <= ROOM && MOST >= 2_500);
 /// The valid signature at which a signer's table is made.
 pub(super) const SIGHTINGS: u8 = 3;
 /// Signers whose sightings are counted at once.

@@ -1,6 +1,7 @@
 //! The field of the SM2 prime p = 2^256 - 2^224 - 2^96 + 2^64 - 1 (GB/T 32918.5-2017, 4). Numbers are kept as
 //! Montgomery's: times 2^256, below p. As p is -1 modulo 2^64, reducing takes shifts and additions alone.
 
+use std::fmt;
 use std::ops::{Add, Mul, Neg, Sub};
 
 use zeroize::Zeroize;
@@ -17,8 +18,15 @@ pub(super) const MODULUS: Limbs = [u64::MAX, 0xffff_ffff_0000_0000, u64::MAX, 0x
 const SQUARE: Limbs = [0x2_0000_0003, 0x2_ffff_ffff, 0x1_0000_0001, 0x4_0000_0002];
 
 /// A number modulo p.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) struct Element(Limbs);
+
+/// Without the number, which may be of a secret point.
+impl fmt::Debug for Element {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str("Element")
+    }
+}
 
 impl Zeroize for Element {
     fn zeroize(&mut self) {

@@ -173,7 +173,7 @@ impl Jacobian {
     #[cold]
     #[inline(never)]
     fn meeting(&self, slope: Element) -> Self {
-        if slope != Element::ZERO { Self::INFINITY } else { self.double() }
+        if slope == Element::ZERO { self.double() } else { Self::INFINITY }
     }
 
     /// Whether the point's x, taken modulo p, is the number.

@@ -1,6 +1,8 @@
 //! Numbers modulo the order n of the SM2 group (GB/T 32918.5-2017, 4), and the signed digits that multiples of points
 //! are made with. All of it takes the same time for all numbers.
 
+use std::fmt;
+
 use zeroize::{Zeroize, Zeroizing};
 
 use super::limbs::{self, Limbs};
@@ -18,8 +20,15 @@ const RADIX: Limbs = [0xac44_0bf6_c62a_bedd, 0x8dfc_2094_de39_fad4, 0, 0x1_0000_
 const FACTOR: u64 = 0x327f_9e88_7235_0975;
 
 /// A number modulo n.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Scalar(Limbs);
+
+/// Without the number, which may be a secret.
+impl fmt::Debug for Scalar {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str("Scalar")
+    }
+}
 
 impl Zeroize for Scalar {
     fn zeroize(&mut self) {
@@ -121,7 +130,7 @@ fn multiply(a: &Limbs, b: &Limbs) -> Limbs {
 
 /// A digit of a number written with digits from -2^(WIDTH - 1) to 2^(WIDTH - 1): its size, and all ones where it is
 /// negative.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy)]
 pub(super) struct Digit {
     pub size: u64,
     pub negative: u64,

@@ -252,6 +252,7 @@ fn sums_hold_where_formulas_have_exceptions() {
 
 /// An x with n <= x < p is rare (once in 2^128): here the key is made for one.
 #[test]
+#[allow(clippy::many_single_char_names, reason = "the standard's symbols")]
 fn an_x_past_the_order_is_taken_modulo_the_order() {
     let (modulus, order) = (big(&MODULUS), big(&ORDER));
     let mut found = 0;

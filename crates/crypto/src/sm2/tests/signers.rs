@@ -62,10 +62,3 @@ fn forgeries_are_no_sightings() {
     }
     assert!(super::super::signers::known(&public).is_none());
 }
-
-#[test]
-fn all_tables_together_are_at_most_64_mib() {
-    use super::super::signers::MOST;
-    use crate::crypto::kernel::sm2::SignerTable;
-    assert!(SignerTable::BYTES <= 64 << 10 && MOST * SignerTable::BYTES <= 64 << 20 && MOST >= 2_500, "{MOST}");
-}
