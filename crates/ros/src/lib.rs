@@ -2,6 +2,7 @@
 //!
 //! All network code talks XML-RPC and TCPROS with timeouts and caps; what peers send is untrusted.
 //! No crypto, no storage and no screens here: captured messages leave through [`MessageSink`].
+#![doc = include_str!("../README.md")]
 
 use crate as ros;
 use authros_crypto as crypto;

@@ -32,10 +32,14 @@ pub(super) fn encrypt_with(k: &Scalar, point: &Affine, plain: &[u8]) -> Option<C
     shared.zeroize();
     let mut text = plain.to_vec();
     let masked = mask(&coordinates, &mut text);
+    if !masked {
+        text.zeroize();
+        return None;
+    }
     let check = check_value(&coordinates, plain);
     let own = own.to_bytes();
     let (x, y) = halves(&own);
-    masked.then_some(CipherParts { x, y, check, text })
+    Some(CipherParts { x, y, check, text })
 }
 
 /// Decrypts with a secret number; constant-time in it.

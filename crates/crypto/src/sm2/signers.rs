@@ -20,7 +20,7 @@ const _: () = assert!(SignerTable::BYTES <= 64 << 10 && MOST * SignerTable::BYTE
 pub(super) const SIGHTINGS: u8 = 3;
 /// Signers whose sightings are counted at once.
 const COUNTED: usize = 4096;
-/// A table may be replaced where it was not used for so many verifications by tables.
+/// A table may be replaced where it was not used for so many valid verifications.
 pub(super) const IDLE: u64 = 1 << 16;
 
 /// A signer met before: its key was checked when the table was made.
@@ -32,7 +32,7 @@ pub(super) struct Known {
 }
 
 pub(super) struct Signers {
-    /// Counts the uses of tables.
+    /// Counts valid signatures of strangers and uses of tables.
     clock: AtomicU64,
     tables: RwLock<HashMap<[u8; 64], Arc<Known>>>,
     /// By the hash of a key: the hash, and how often it was met.
@@ -71,6 +71,9 @@ impl Signers {
     }
 
     pub fn seen(&self, public: &PublicKey, point: &Affine, za: &[u8; 32]) {
+        // Strangers let time pass, too: were it only the tables, those of signers who came in numbers and left would
+        // stay for good.
+        self.clock.fetch_add(1, Ordering::Relaxed);
         if !self.is_due(public) || !self.has_room() {
             return;
         }

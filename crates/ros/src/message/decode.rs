@@ -134,7 +134,7 @@ impl<'a> Walk<'a> {
         let mut fields = Vec::with_capacity(layout.fields.len().min(self.steps));
         let part = self.begin_message(layout)?;
         for field in &layout.fields {
-            fields.push((Arc::from(field.name.as_str()), self.field(field)?));
+            fields.push((Arc::clone(&field.name), self.field(field)?));
         }
         self.end_part(part)?;
         Ok(Value::Message(fields))

@@ -2,6 +2,7 @@
 //! A definition that parses has no cycles, is at most [`DEEPEST`] deep and of bounded size.
 
 use std::collections::HashMap;
+use std::sync::Arc;
 
 use super::digest::Md5;
 use super::line::{Arity, Line, Primitive, parse_line};
@@ -28,7 +29,8 @@ pub(super) enum Kind {
 /// One field of a layout.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Field {
-    pub name: String,
+    /// Shared with every value that is read by it.
+    pub name: Arc<str>,
     pub kind: Kind,
     pub arity: Arity,
     /// The type as written, with its brackets.
@@ -185,7 +187,7 @@ impl Resolver<'_> {
                 Some(Line::Field { written, base, arity, name: field }) => {
                     let (kind, below) = self.kind(name, base)?;
                     height = height.max(below + 1);
-                    let field = Field { name: field.to_owned(), kind, arity, written: written.to_owned() };
+                    let field = Field { name: field.into(), kind, arity, written: written.to_owned() };
                     self.measure(&mut layout, &field);
                     layout.fields.push(field);
                 }

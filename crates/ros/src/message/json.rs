@@ -20,7 +20,7 @@ impl Definition {
     pub fn write_json(&self, body: &[u8], out: &mut dyn Write) -> Result<(), RosError> {
         let failed = |failure: Failure| RosError::body(self.type_name(), failure.to_string());
         let root = self.root().ok_or_else(|| RosError::body("", "the definition is empty"))?;
-        let steps = body.len().saturating_mul(2).saturating_add(100_000);
+        let steps = body.len().saturating_mul(3).saturating_add(100_000);
         let walk = self.walk(body, Limits { steps, ..Limits::default() }).map_err(failed)?;
         let mut export = Export { walk, out };
         export.message(root).map_err(failed)?;
@@ -55,6 +55,8 @@ impl<'a> Export<'a> {
         if field.arity == Arity::One {
             return self.element(field.kind);
         }
+        // Arrays of nothing (`uint8[0]`) have no bytes that could bound them.
+        self.walk.spend()?;
         let (part, count) = self.walk.begin_array(field)?;
         self.text("[")?;
         for place in 0..count {

@@ -64,7 +64,7 @@ fn field(member: &Member) -> Field {
         Of::Plain { primitive, .. } => Kind::Primitive(primitive),
         Of::Interface(index) => Kind::Message(index),
     };
-    Field { name: member.name.clone(), kind, arity, written: member.written.clone() }
+    Field { name: member.name.as_str().into(), kind, arity, written: member.written.clone() }
 }
 
 #[cfg(test)]

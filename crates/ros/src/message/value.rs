@@ -62,24 +62,28 @@ impl Value {
         serde_json::to_value(self).unwrap_or(serde_json::Value::Null)
     }
 
-    /// One row per field, `(path, text)`, in order; texts cleaned, arrays of plain values on one row.
-    pub fn flatten(&self) -> Vec<(String, String)> {
+    /// One row per field, `(path, text)`, in order, the first `most` of them; texts cleaned, arrays of plain values on
+    /// one row.
+    pub fn flatten(&self, most: usize) -> Vec<(String, String)> {
         let mut rows = Vec::new();
-        self.flatten_into("", &mut rows);
+        self.flatten_into("", most, &mut rows);
         rows
     }
 
-    fn flatten_into(&self, path: &str, rows: &mut Vec<(String, String)>) {
+    fn flatten_into(&self, path: &str, most: usize, rows: &mut Vec<(String, String)>) {
+        if rows.len() >= most {
+            return;
+        }
         match self {
             Self::Message(fields) if !fields.is_empty() => {
                 for (name, value) in fields {
                     let path = if path.is_empty() { name.to_string() } else { format!("{path}.{name}") };
-                    value.flatten_into(&path, rows);
+                    value.flatten_into(&path, most, rows);
                 }
             }
             Self::Array(items) if items.iter().any(Self::is_nested) => {
-                for (index, value) in items.iter().enumerate() {
-                    value.flatten_into(&format!("{path}[{index}]"), rows);
+                for (index, value) in items.iter().enumerate().take_while(|(index, _)| *index <= most) {
+                    value.flatten_into(&format!("{path}[{index}]"), most, rows);
                 }
             }
             plain => rows.push((path.to_owned(), plain.to_text())),

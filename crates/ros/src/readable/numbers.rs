@@ -40,7 +40,7 @@ pub(super) fn text(value: &Value, path: &str) -> String {
     match value.get(path) {
         Some(Value::Text(text)) => clean(text, 120),
         Some(stamp @ Value::Message(_)) if seconds(stamp).is_some() => seconds(stamp).unwrap_or_default(),
-        Some(other) => other.flatten().into_iter().next().map(|(_, text)| text).unwrap_or_default(),
+        Some(other) => other.flatten(1).into_iter().next().map(|(_, text)| text).unwrap_or_default(),
         None => String::from("-"),
     }
 }

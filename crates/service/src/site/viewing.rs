@@ -191,7 +191,7 @@ fn view_of(opened: &Opened, owner: &Owner) -> OpenedView {
         Ok(decoded) => (decoded, None),
         Err(error) => (None, Some(error.to_string())),
     };
-    let fields = decoded.as_ref().map(|value| value.flatten()).unwrap_or_default();
+    let fields = decoded.as_ref().map(|value| value.flatten(MOST_FIELDS)).unwrap_or_default();
     let stated = statements::view(row.kind, &record.body);
     let fields = stated.as_ref().map_or(fields, statements::fields);
     let of_another = row.owner != owner.address;

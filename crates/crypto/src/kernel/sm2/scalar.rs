@@ -89,20 +89,20 @@ impl Scalar {
 
     /// The inverse, and zero for zero: the power of n - 2 in steps of four bits, the same for all numbers.
     pub fn invert(&self) -> Self {
-        let base = multiply(&self.0, &SQUARE);
+        let base = Zeroizing::new(multiply(&self.0, &SQUARE));
         let mut powers = Zeroizing::new([RADIX; 16]);
         for at in 1..16 {
             powers[at] = multiply(&powers[at - 1], &base);
         }
         let (exponent, _) = limbs::subtract(&ORDER, &[2, 0, 0, 0]);
-        let mut power = RADIX;
+        let mut power = Zeroizing::new(RADIX);
         for at in (0..64).rev() {
             for _ in 0..4 {
-                power = multiply(&power, &power);
+                *power = multiply(&power, &power);
             }
             // The exponent is no secret.
             let digit = (exponent[at / 16] >> (4 * (at % 16))) & 15;
-            power = multiply(&power, &powers[digit as usize]);
+            *power = multiply(&power, &powers[digit as usize]);
         }
         Self(multiply(&power, &[1, 0, 0, 0]))
     }
@@ -146,7 +146,8 @@ pub(super) const fn digits(bits: usize, width: usize) -> usize {
 #[inline(always)]
 pub(super) fn digit<const WIDTH: usize>(number: &Limbs, place: usize) -> Digit {
     let bits = window(number, place * WIDTH, WIDTH);
-    let negative = 0u64.wrapping_sub(bits >> WIDTH);
+    // Of a secret it must stay a mask.
+    let negative = limbs::mask(bits >> WIDTH != 0);
     let turned = (1u64 << (WIDTH + 1)) - 1 - bits;
     let size = (turned & negative) | (bits & !negative);
     Digit { size: (size >> 1) + (size & 1), negative }

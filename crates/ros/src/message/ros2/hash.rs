@@ -24,21 +24,29 @@ pub(super) fn of(schema: &Schema) -> String {
     let Some((root, others)) = schema.interfaces.split_last() else { return String::new() };
     let mut others: Vec<&Interface> = others.iter().collect();
     others.sort_by(|one, other| one.name.cmp(&other.name));
-    let others: Vec<String> = others.into_iter().map(|interface| described(schema, interface)).collect();
-    let text = format!(
-        "{{\"type_description\": {}, \"referenced_type_descriptions\": [{}]}}",
-        described(schema, root),
-        others.join(", ")
-    );
-    format!("RIHS01_{}", hex(&Sha256::digest(text.as_bytes())))
+    // Hashed as it is written: a definition of a megabyte has a description of hundreds.
+    let mut hash = Sha256::new();
+    hash.update("{\"type_description\": ");
+    describe(schema, root, &mut hash);
+    hash.update(", \"referenced_type_descriptions\": [");
+    for (place, other) in others.into_iter().enumerate() {
+        hash.update(if place > 0 { ", " } else { "" });
+        describe(schema, other, &mut hash);
+    }
+    hash.update("]}");
+    format!("RIHS01_{}", hex(&hash.finalize()))
 }
 
-fn described(schema: &Schema, interface: &Interface) -> String {
-    let mut fields: Vec<String> = interface.members.iter().map(|member| field(schema, member)).collect();
-    if fields.is_empty() {
-        fields.push(put_field(FILLER, UINT8, 0, 0, ""));
+fn describe(schema: &Schema, interface: &Interface, hash: &mut Sha256) {
+    hash.update(format!("{{\"type_name\": \"{}\", \"fields\": [", interface.name));
+    for (place, member) in interface.members.iter().enumerate() {
+        hash.update(if place > 0 { ", " } else { "" });
+        hash.update(field(schema, member));
     }
-    format!("{{\"type_name\": \"{}\", \"fields\": [{}]}}", interface.name, fields.join(", "))
+    if interface.members.is_empty() {
+        hash.update(put_field(FILLER, UINT8, 0, 0, ""));
+    }
+    hash.update("]}");
 }
 
 fn field(schema: &Schema, member: &Member) -> String {

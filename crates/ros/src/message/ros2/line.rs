@@ -2,6 +2,9 @@
 
 use super::super::line::Primitive;
 
+/// The most digits of a number, zeros in front included: what is written is kept, and shown with every array.
+const LONGEST_NUMBER: usize = 20;
+
 /// How many of a field's type there are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Many {
@@ -88,7 +91,8 @@ fn without_comment(line: &str) -> &str {
 }
 
 fn field<'a>(written: &'a str, name: &'a str) -> Result<Line<'a>, &'static str> {
-    let number = |text: &str| text.parse().ok().filter(|count: &usize| *count > 0);
+    let bounded = |text: &str| text.len() <= LONGEST_NUMBER;
+    let number = |text: &str| text.parse().ok().filter(|count: &usize| *count > 0 && bounded(text));
     let (element, many) = match written.strip_suffix(']').and_then(|inner| inner.rsplit_once('[')) {
         None => (written, Many::One),
         Some((element, "")) => (element, Many::Any),
@@ -176,6 +180,7 @@ mod tests {
             "1a b",
             "a// b",
             "string<= x",
+            &format!("string<={}1 x", "0".repeat(LONGEST_NUMBER)),
             "int8[<=99999999999999999999] x",
         ] {
             assert!(parse_line(bad).is_err(), "{bad}");
