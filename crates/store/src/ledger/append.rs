@@ -257,12 +257,16 @@ fn is_known(connection: &Connection, record: &NewRecord, topic: i64, seq: i64) -
 
 fn topic_key(session: &mut Session<'_>, record: &NewRecord) -> Result<i64, StoreError> {
     let known = (record.owner, record.topic_id, record.foreign);
-    let (key, name) = match session.names.topics.entry(known) {
+    let found = match session.names.topics.entry(known) {
         Entry::Occupied(found) => found.into_mut(),
         Entry::Vacant(place) => place.insert(find_topic(session.connection, record)?),
     };
-    check_name(record, name)?;
-    Ok(*key)
+    // Named only now.
+    if found.1.is_empty() && !record.topic.is_empty() {
+        *found = find_topic(session.connection, record)?;
+    }
+    check_name(record, &found.1)?;
+    Ok(found.0)
 }
 
 fn check_name(record: &NewRecord, name: &str) -> Result<(), StoreError> {
