@@ -77,7 +77,7 @@ fn sealing<const LIBSM: bool>(bencher: divan::Bencher<'_, '_>, size: usize) {
 #[divan::bench(args = SIZES, consts = [false, true])]
 fn checking<const LIBSM: bool>(bencher: divan::Bencher<'_, '_>, size: usize) {
     let bench = Bench::new(name(LIBSM), size);
-    let SealedRecord { blob, digest, signature } = bench.seal();
+    let SealedRecord { blob, digest, signature, .. } = bench.seal();
     let anchor = Anchor::Chain(digest);
     bencher
         .counter(BytesCount::new(size))
@@ -87,7 +87,7 @@ fn checking<const LIBSM: bool>(bencher: divan::Bencher<'_, '_>, size: usize) {
 #[divan::bench(args = SIZES, consts = [false, true])]
 fn opening<const LIBSM: bool>(bencher: divan::Bencher<'_, '_>, size: usize) {
     let bench = Bench::new(name(LIBSM), size);
-    let SealedRecord { blob, digest, signature } = bench.seal();
+    let SealedRecord { blob, digest, signature, .. } = bench.seal();
     let (anchor, expected) = (Anchor::Chain(digest), Expected::any_of(DOMAIN, OWNER));
     bencher.counter(BytesCount::new(size)).bench(|| {
         open(bench.provider, &blob, &signature, &bench.signer.public, anchor, &bench.key, &expected).expect("opens")

@@ -25,7 +25,10 @@ struct Site {
 }
 
 fn gateway_process(home: &Home, listen: &str, options: &[&str]) -> (Running, Gateway) {
-    let keeper = home.profile("gateway").with(&["--json"]).with(options);
+    listening(&home.profile("gateway").with(&["--json"]).with(options), listen)
+}
+
+fn listening(keeper: &Authros, listen: &str) -> (Running, Gateway) {
     let mut process = keeper.spawn(&["gateway", "serve", "--listen", listen]);
     let told = process.wait_for_text("\"joined\"", 60);
     let line = told.lines().find(|line| line.contains("\"joined\"")).expect("one line").to_owned();
@@ -293,6 +296,28 @@ async fn the_gateways_redis_is_blind() {
     let (process, gateway) = gateway_process(&home, "127.0.0.1:0", &["--vault", &redis.url()]);
     let (owner, credentials, upload) = keep_one(&home, &gateway).await;
     expect_blind(&redis.dump(), &owner, &credentials, &upload);
+    process.stop("TERM", 20).expect_code(0);
+}
+
+/// What a full Redis does not take waits on disk as far as it may; then a robot keeps its records itself.
+#[tokio::test(flavor = "multi_thread")]
+async fn beyond_its_backlog_a_gateway_takes_no_records_until_its_vault_does() {
+    let Some(redis) = Redis::start(&[]) else { skipped!("no redis-server and redis-cli") };
+    let home = Home::new();
+    let keeper = home.profile("gateway").with(&["--json", "--vault", &redis.url()]);
+    let (process, gateway) = listening(&keeper.with_variable("AUTHROS_VAULT_BACKLOG", "1KiB"), "127.0.0.1:0");
+    let (owner, credentials, _) = keep_one(&home, &gateway).await;
+    redis.cli(&["CONFIG", "SET", "maxmemory", "1"]);
+    let mut robot = connect(&gateway, &credentials).await;
+    let record = |number| owner.record(&owner.keyring.signing, TOPIC, number, &[7; 2_000]);
+    let (waiting, late) = (record(2), record(3));
+    robot.upload(vec![waiting.clone()]).await.expect("it waits on disk");
+    assert_eq!(refused(robot.upload(vec![late.clone()]).await), Code::Internal);
+    redis.cli(&["CONFIG", "SET", "maxmemory", "0"]);
+    let mut robot = connect(&gateway, &credentials).await;
+    until_verified(&mut robot, &[digest(&owner, &waiting)]).await;
+    robot.upload(vec![late.clone()]).await.expect("taken again");
+    until_verified(&mut robot, &[digest(&owner, &late)]).await;
     process.stop("TERM", 20).expect_code(0);
 }
 

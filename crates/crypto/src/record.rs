@@ -56,6 +56,8 @@ pub struct SealRequest<'a> {
 /// A record as it is stored and anchored.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SealedRecord {
+    /// Its public header, as it stands in front of `blob`.
+    pub header: Header,
     /// Header, sealed head and sealed body.
     pub blob: Vec<u8>,
     /// SM3 of `blob`.
@@ -98,7 +100,7 @@ pub fn seal_in_steps(
     done(Step::Digest);
     let signature = provider.sign(&request.signer.secret, &signed_bytes(&request.domain, &digest))?;
     done(Step::Signature);
-    Ok(SealedRecord { blob, digest, signature })
+    Ok(SealedRecord { header, blob, digest, signature })
 }
 
 /// Copies `plain` behind the blob, the only copy there is, and seals it there.

@@ -8,7 +8,7 @@ use serde_json::Value;
 use tokio::sync::mpsc;
 
 use crate::chain::RelayError;
-use crate::crypto::TransportKey;
+use crate::crypto::{SealedRecord, TransportKey};
 use crate::model::{
     Address, Digest, Hash, Header, ProfileName, PublicKey, RecordKind, Signature, SignerId, Timestamp, Token, TopicId,
 };
@@ -98,6 +98,13 @@ pub struct Received {
     pub signer: PublicKey,
     /// CT1.
     pub blob: Vec<u8>,
+}
+
+impl From<Received> for SealedRecord {
+    fn from(received: Received) -> Self {
+        let Received { header, digest, signature, blob, .. } = received;
+        Self { header, blob, digest, signature }
+    }
 }
 
 /// What a gateway does. Refusals go to the peer as their code.

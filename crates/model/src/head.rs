@@ -69,7 +69,15 @@ pub struct Head {
     pub tags: BTreeMap<String, String>,
 }
 
+/// The tag of what simulated robots send.
+pub const SIMULATED: (&str, &str) = ("simulated", "true");
+
 impl Head {
+    /// Whether a simulated robot sent it.
+    pub fn is_simulated(&self) -> bool {
+        self.tags.get(SIMULATED.0).is_some_and(|value| value == SIMULATED.1)
+    }
+
     /// The bytes that are sealed.
     ///
     /// Texts have a two-byte length; definition (32), boot id (16), compression (1),

@@ -13,11 +13,11 @@ use crate::crypto::{
     topic_key, topic_key_by_name,
 };
 use crate::model::bytes::hex;
+use crate::model::head::SIMULATED;
 use crate::model::header::TAG_LENGTH;
 use crate::model::{Digest, FilterId, Head, Header, RecordKind, RecordState, RecorderId};
 use crate::store::{FilterChoice, RecordRow, StoreError};
 
-use super::epoch::SIMULATED;
 use super::{Plant, proof};
 
 /// First bytes of a record that are read for its header and, but for very long ones, its sealed head.
@@ -243,7 +243,7 @@ fn is_length(sealed: u64, plain: u64) -> bool {
 /// The field in which a row and the sealed head of its record differ; `here` is this ledger's recorder. A gateway
 /// that could not open a record keeps its pseudonyms, its sealed length and no mark of simulation.
 pub fn head_difference(row: &RecordRow, head: &Head, here: RecorderId) -> Option<&'static str> {
-    let simulated = is_simulated(head);
+    let simulated = head.is_simulated();
     let foreign = row.recorder != here;
     let fields = [
         ("topic", !row.is_named() || head.topic == row.topic),
@@ -252,11 +252,6 @@ pub fn head_difference(row: &RecordRow, head: &Head, here: RecorderId) -> Option
         ("mark of simulation", simulated == row.simulated || (foreign && !row.simulated)),
     ];
     fields.iter().find(|(_, same)| !same).map(|(field, _)| *field)
-}
-
-/// Whether a simulated robot sent it, as its head says.
-pub fn is_simulated(head: &Head) -> bool {
-    head.tags.get(SIMULATED.0).is_some_and(|value| value == SIMULATED.1)
 }
 
 /// The field in which a row and an opened record differ.
@@ -310,7 +305,7 @@ fn take_over(row: &mut RecordRow, header: &Header, head: Option<&Head>) {
         row.topic.clone_from(&head.topic);
         row.type_name.clone_from(&head.type_name);
         row.bytes = head.plain_length;
-        row.simulated = is_simulated(head);
+        row.simulated = head.is_simulated();
     }
 }
 

@@ -8,12 +8,10 @@ use crate::crypto::{
     Enrolment, EpochIssue, FilterKey, IndexKey, IssuedTopic, Pseudonyms, SealingKey, SmKeyPair, TopicKey, filter_id,
     filter_key, signer_id, topic_filter_id, topic_id, topic_key,
 };
+use crate::model::head::SIMULATED;
 use crate::model::header::MOST_FILTERS;
 use crate::model::{Domain, FilterId, SignerId, Timestamp, Token, TopicId};
 use crate::store::FilterChoice;
-
-/// The tag of what simulated robots send.
-pub const SIMULATED: (&str, &str) = ("simulated", "true");
 
 /// What sealing a topic's records needs.
 pub struct TopicKeys {

@@ -114,6 +114,7 @@ mod tests {
             vault: open_vault(None, home.path()).expect("a vault"),
             provider: provider(ProviderName::RustCrypto),
             observer: Arc::clone(&notes) as _,
+            backlog: u64::MAX,
         };
         plant.ledger.append(vec![record(1, 5)]).expect("taken");
         let claim = |digest, seq| Claim::of(&record(digest, seq)).expect("from elsewhere");

@@ -138,6 +138,7 @@ impl Process {
             vault: open_vault(None, &home.path().join("vault.db")).expect("vault"),
             provider: provider(ProviderName::RustCrypto),
             observer: Arc::clone(&notes) as Arc<dyn Observer>,
+            backlog: u64::MAX,
         };
         let network = network(chain);
         watcher::restore(&plant, &network).expect("restores");

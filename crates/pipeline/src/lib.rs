@@ -29,6 +29,7 @@ pub mod forwarder;
 #[cfg(test)]
 mod gateway_stage;
 pub mod importer;
+mod keep;
 pub mod losses;
 pub mod meter;
 pub mod mirror;
@@ -111,6 +112,8 @@ pub struct Plant {
     pub provider: &'static dyn Provider,
     /// Hears what happens.
     pub observer: Arc<dyn Observer>,
+    /// Bytes of records that may wait in the ledger for a vault that does not take them.
+    pub backlog: u64,
 }
 
 /// The chain in use with everything bound to it.

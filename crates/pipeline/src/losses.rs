@@ -165,7 +165,7 @@ impl Losses {
     /// # Errors
     /// Of sealing, vault and ledger; what is sealed so far stays.
     pub fn tell(&self, plant: &Plant, by: Timestamp) -> Result<Vec<(Address, TopicId, u64)>, PipelineError> {
-        if plant.ledger.takes_records().is_err() {
+        if plant.takes_records().is_err() {
             return Ok(Vec::new());
         }
         let authors: Vec<_> = lock(&self.authors).values().cloned().collect();
@@ -220,8 +220,9 @@ fn tell_one(plant: &Plant, author: &Author, gap: &GapRow) -> Result<Option<(Addr
         topic_key: &topic.key,
     };
     let statement = Statement { kind: RecordKind::Gap, topic: &gap.topic, type_name: TYPE, body: &body };
-    let row = statement::put(plant, &speaker, statement)?;
-    let seq = row.seq;
-    plant.ledger.close_gap(gap, row)?;
+    let seq = statement::put(plant, &speaker, statement, |row| {
+        let seq = row.seq;
+        plant.ledger.close_gap(gap, row).map(|()| seq)
+    })?;
     Ok(Some((author.address, topic.id, seq)))
 }

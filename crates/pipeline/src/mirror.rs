@@ -9,10 +9,10 @@ use tokio::task::block_in_place;
 
 use crate::chain::AnchorProof;
 use crate::chain::merkle::Leaf;
-use crate::crypto::{OpenedRecord, signer_id};
+use crate::crypto::{SealedRecord, signer_id};
 use crate::gateway::{Entry, Fetched, Standing};
 use crate::model::{Address, Digest, Hash, Header, RecordState, Timestamp};
-use crate::store::{Foreign, NewRecord, RecordRow, RootSighting, Sighting, StoreError};
+use crate::store::{NewRecord, RecordRow, RootSighting, Sighting, StoreError};
 
 use super::authority::{self, Moment, SigningRight};
 use super::equivocation::{self, Claim};
@@ -90,7 +90,7 @@ impl Mirror<'_> {
     ///
     /// # Errors
     /// [`PipelineError::NotTakenIn`] where a claim does not hold, else of chain, vault and ledger.
-    pub async fn take(&self, owner: Address, digest: Digest, fetched: &Fetched) -> Result<bool, PipelineError> {
+    pub async fn take(&self, owner: Address, digest: Digest, fetched: Fetched) -> Result<bool, PipelineError> {
         let refused = |why: &str| PipelineError::NotTakenIn { digest, why: why.to_owned() };
         let (header, _) = Header::parse(&fetched.blob).map_err(|_| refused("it is no record"))?;
         if header.owner != owner || !self.network.accepts(&header.domain) {
@@ -107,14 +107,14 @@ impl Mirror<'_> {
             Some(proof) => Some(self.confirmed(&header, digest, proof).await?),
             None => None,
         };
-        if !self.check_signer(&header, digest, fetched, proof.as_ref()).await? {
+        if !self.check_signer(&header, digest, &fetched, proof.as_ref()).await? {
             return Ok(false);
         }
         let known = block_in_place(|| self.plant.ledger.record(digest))?;
         let mut changed = false;
         if known.is_none() {
             let block = proof.as_ref().map(|proof| proof.block);
-            self.keep(&header, digest, fetched, block).await?;
+            self.keep(header, digest, fetched, block).await?;
             changed = true;
         }
         if let Some(proof) = proof {
@@ -209,20 +209,19 @@ impl Mirror<'_> {
         Ok((receipt.block, receipt.block_hash))
     }
 
-    /// Vault first, then the ledger: acknowledged is only what is durable.
     async fn keep(
         &self,
-        header: &Header,
+        header: Header,
         digest: Digest,
-        fetched: &Fetched,
+        fetched: Fetched,
         block: Option<u64>,
     ) -> Result<(), PipelineError> {
-        let durable = self.plant.vault.durable();
-        block_in_place(|| self.plant.vault.put(&[(digest, fetched.blob.as_slice())]))?;
-        let opened = self.opener().open(&RecordRow { block, ..row_of(header, digest, fetched) }).await?;
-        let row = new_record(header, digest, fetched, &opened, self.keeper, durable);
+        let asked = RecordRow { block, ..row_of(&header, digest, &fetched) };
+        let opened = self.opener().open_bytes(&asked, &fetched.blob).await?;
+        let sealed = SealedRecord { header, blob: fetched.blob, digest, signature: fetched.signature };
+        let row = NewRecord::foreign(sealed, self.keeper).named(&opened.head);
         let claim = Claim::of(&row);
-        match block_in_place(|| self.plant.ledger.append(vec![row])) {
+        match block_in_place(|| self.plant.keep([row], |row| self.plant.ledger.append(row.into()))) {
             Err(StoreError::Conflict { .. }) => {
                 if let Some(claim) = claim {
                     block_in_place(|| equivocation::tell(self.plant, &claim))?;
@@ -248,35 +247,6 @@ impl Mirror<'_> {
                 ledger.take_in(digest, inclusion, anchor)?
             }
         })
-    }
-}
-
-fn new_record(
-    header: &Header,
-    digest: Digest,
-    fetched: &Fetched,
-    opened: &OpenedRecord,
-    keeper: Address,
-    durable: bool,
-) -> NewRecord {
-    NewRecord {
-        digest,
-        owner: header.owner,
-        topic_id: header.topic_id,
-        seq: header.seq,
-        foreign: Some(Foreign { recorder: header.recorder, keeper }),
-        epoch: header.epoch,
-        kind: header.kind,
-        signer: header.signer,
-        signature: fetched.signature,
-        filters: header.filters.clone(),
-        topic: opened.head.topic.clone(),
-        type_name: opened.head.type_name.clone(),
-        bytes: opened.head.plain_length,
-        captured_at: header.captured_at,
-        simulated: opened.head.tags.get("simulated").is_some_and(|value| value == "true"),
-        state: if durable { RecordState::Stored } else { RecordState::Sealed },
-        local_copy: (!durable).then(|| fetched.blob.clone()),
     }
 }
 

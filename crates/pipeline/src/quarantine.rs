@@ -87,8 +87,7 @@ fn report_one(plant: &Plant, owner: &Owner, held: &HeldMinute) -> Result<bool, P
     };
     let statement =
         Statement { kind: RecordKind::Quarantine, topic: TOPIC, type_name: "authros/Quarantine", body: &body };
-    let row = statement::put(plant, &speaker, statement)?;
-    plant.ledger.report(row, digests)?;
+    statement::put(plant, &speaker, statement, |row| plant.ledger.report(row, digests))?;
     Ok(true)
 }
 

@@ -122,12 +122,21 @@ impl Reader<'_> {
             let why = given_up.map(|retained| PipelineError::Deleted(row.id.clone(), retained.report));
             return Err(why.unwrap_or_else(|| PipelineError::Missing(row.id.clone())));
         };
-        self.compare(row, &blob)?;
+        self.open_bytes(row, &blob).await
+    }
+
+    /// As [`Self::open`], of bytes that the vault need not have.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub async fn open_bytes(&self, row: &RecordRow, blob: &[u8]) -> Result<OpenedRecord, PipelineError> {
+        self.authorise(row)?;
+        self.compare(row, blob)?;
         let anchor = if self.is_anchored(row).await? { Anchor::Chain(row.digest) } else { Anchor::Unanchored };
         let signer = block_in_place(|| authority::signer_of(self.plant, self.network, row))?;
         let signer = signer.map_err(|why| PipelineError::NoRight { id: row.id.clone(), why: Box::new(why) })?;
         // The owner's records of a chain that was left are bound to its domain, and sealed under its epochs.
-        let sealed_for = Header::parse(&blob).map_or(self.network.domain, |(header, _)| header.domain);
+        let sealed_for = Header::parse(blob).map_or(self.network.domain, |(header, _)| header.domain);
         let domain = if self.network.accepts(&sealed_for) { sealed_for } else { self.network.domain };
         let keys = block_in_place(|| self.topic_keys_in(domain, row))?;
         let expected = Expected {
@@ -141,7 +150,7 @@ impl Reader<'_> {
         };
         let mut opened = Err(CryptoError::WrongKey);
         for key in &keys {
-            opened = open(self.plant.provider, &blob, &row.signature, &signer, anchor, key, &expected);
+            opened = open(self.plant.provider, blob, &row.signature, &signer, anchor, key, &expected);
             if !matches!(opened, Err(CryptoError::WrongKey)) {
                 break;
             }

@@ -148,7 +148,6 @@ fn report(
     rule: &RetentionRule,
     records: Vec<(OldRecord, Vec<u8>)>,
 ) -> Result<bool, PipelineError> {
-    plant.ledger.takes_records()?;
     let Some(keys) = owner.sealing() else { return Ok(false) };
     let place = keys.topic(TOPIC).ok_or_else(|| PipelineError::Uncovered(TOPIC.to_owned()))?;
     let seqs = || records.iter().map(|(record, _)| record.seq);
@@ -173,8 +172,7 @@ fn report(
         topic_key: &place.key,
     };
     let statement = Statement { kind: RecordKind::Retention, topic: TOPIC, type_name: TYPE, body: &body };
-    let row = statement::put(plant, &speaker, statement)?;
-    plant.ledger.give_up(topic, row, records)?;
+    statement::put(plant, &speaker, statement, |row| plant.ledger.give_up(topic, row, records))?;
     plant.observer.records_changed();
     Ok(true)
 }

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 use crate::crypto::fault;
 use crate::model::{LossReason, Timestamp};
-use crate::store::{NewRecord, StoreError};
+use crate::store::StoreError;
 
 use super::losses::{GATHERED, Losses, Lost};
 use super::recorder::CapturedMessage;
@@ -40,19 +40,16 @@ pub struct Sealer {
     plant: Plant,
     sessions: Arc<Sessions>,
     losses: Arc<Losses>,
-    /// Bytes of records that may wait in the ledger for a vault that does not take them.
-    backlog: u64,
     losses_at: Instant,
     boot_id: [u8; 16],
     planner: Planner,
 }
 
 impl Sealer {
-    /// A sealer over `plant`; `sessions` learn which records they wait for, `losses` what became none. Up to `backlog`
-    /// bytes of records may wait in the ledger for a vault that does not take them.
-    pub fn new(plant: Plant, sessions: Arc<Sessions>, losses: Arc<Losses>, backlog: u64) -> Self {
+    /// A sealer over `plant`; `sessions` learn which records they wait for, `losses` what became none.
+    pub fn new(plant: Plant, sessions: Arc<Sessions>, losses: Arc<Losses>) -> Self {
         let (losses_at, planner) = (Instant::now(), Planner::new());
-        Self { plant, sessions, losses, backlog, losses_at, boot_id: boot_id(), planner }
+        Self { plant, sessions, losses, losses_at, boot_id: boot_id(), planner }
     }
 
     /// Seals messages as they are, without compression.
@@ -201,34 +198,17 @@ impl Sealer {
         }
     }
 
-    /// A vault that takes nothing must not fill the disk.
-    fn keep_backlog(&self) -> Result<(), StoreError> {
-        if self.plant.vault.durable() {
-            return Ok(());
-        }
-        let waiting = self.plant.ledger.backlog()?;
-        if waiting <= self.backlog { Ok(()) } else { Err(StoreError::Backlog { waiting, limit: self.backlog }) }
-    }
-
     fn acknowledge(&self, tasks: &[Task<'_>], ready: Vec<Ready>) -> Result<(), PipelineError> {
-        self.plant.ledger.takes_records()?;
-        self.keep_backlog()?;
-        let durable = self.plant.vault.durable();
-        if durable {
-            let entries: Vec<_> = ready.iter().map(|one| (one.sealed.digest, one.sealed.blob.as_slice())).collect();
-            self.plant.vault.put(&entries)?;
-            fault::point("vault-put");
-        }
-        // Sessions wait before the append: verification may be quicker than this thread.
-        for (task, one) in tasks.iter().zip(&ready).filter(|(task, _)| task.is_message() && task.item.doubt.is_none()) {
-            self.sessions.wait(one.sealed.digest, &task.item.message.topic, &task.item.sessions);
-        }
-        let (mut rows, mut holds) = (Vec::with_capacity(ready.len()), Vec::new());
-        for one in ready {
-            rows.push(NewRecord { local_copy: (!durable).then_some(one.sealed.blob), ..one.row });
-            holds.extend(one.hold);
-        }
-        Ok(self.plant.ledger.append_held(rows, holds)?)
+        let (rows, holds): (Vec<_>, Vec<_>) = ready.into_iter().map(|one| (one.row, one.hold)).unzip();
+        let kept = self.plant.keep(rows, |rows| {
+            // Sessions wait before the append: verification may be quicker than this thread.
+            let sound = |task: &Task<'_>| task.is_message() && task.item.doubt.is_none();
+            for (task, row) in tasks.iter().zip(&rows).filter(|(task, _)| sound(task)) {
+                self.sessions.wait(row.digest, &task.item.message.topic, &task.item.sessions);
+            }
+            self.plant.ledger.append_held(rows, holds.into_iter().flatten().collect())
+        });
+        Ok(kept?)
     }
 }
 

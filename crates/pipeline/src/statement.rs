@@ -1,10 +1,10 @@
 //! Records that the site itself writes for an owner: sealed, stored and acknowledged like captured messages, then
 //! batched, anchored and verified by the same workers.
 
-use crate::crypto::{SealRequest, SmKeyPair, TopicKey, seal, signer_id};
+use crate::crypto::{SealRequest, SmKeyPair, TopicKey, seal};
 use crate::model::head::Compression;
-use crate::model::{Address, Digest, Domain, Head, RecordKind, RecordState, Timestamp, TopicId};
-use crate::store::NewRecord;
+use crate::model::{Address, Digest, Domain, Head, RecordKind, Timestamp, TopicId};
+use crate::store::{NewRecord, StoreError};
 
 use super::epoch::EpochKeys;
 use super::{PipelineError, Plant};
@@ -33,7 +33,6 @@ pub fn state(
     keys: &EpochKeys,
     statement: Statement<'_>,
 ) -> Result<Option<Digest>, PipelineError> {
-    plant.ledger.takes_records()?;
     let Some(topic) = keys.topic(statement.topic) else { return Ok(None) };
     let speaker = Speaker {
         domain: keys.domain,
@@ -43,10 +42,10 @@ pub fn state(
         topic_id: topic.id,
         topic_key: &topic.key,
     };
-    let row = put(plant, &speaker, statement)?;
-    let digest = row.digest;
-    plant.ledger.append(vec![row])?;
-    Ok(Some(digest))
+    put(plant, &speaker, statement, |row| {
+        let digest = row.digest;
+        plant.ledger.append(vec![row]).map(|()| Some(digest))
+    })
 }
 
 /// In whose name a statement is sealed, and under what.
@@ -65,15 +64,20 @@ pub struct Speaker<'a> {
     pub topic_key: &'a TopicKey,
 }
 
-/// Seals a statement and puts it where the vault is durable; gives the row, which is to be acknowledged next.
+/// Seals a statement and keeps it, acknowledged by what `acknowledge` does with its row.
 ///
 /// # Errors
-/// Of sealing, vault and ledger.
-pub fn put(plant: &Plant, speaker: &Speaker<'_>, statement: Statement<'_>) -> Result<NewRecord, PipelineError> {
+/// Of sealing, vault and ledger; nothing is acknowledged then.
+pub fn put<T>(
+    plant: &Plant,
+    speaker: &Speaker<'_>,
+    statement: Statement<'_>,
+    acknowledge: impl FnOnce(NewRecord) -> Result<T, StoreError>,
+) -> Result<T, PipelineError> {
     let Statement { kind, topic, type_name, body } = statement;
     let Speaker { domain, owner, signing, epoch, topic_id, topic_key } = *speaker;
     let seq = plant.ledger.next_seq(owner, topic_id)?;
-    let captured_at = Timestamp::now();
+    let head = head(topic, type_name, body.len());
     let request = SealRequest {
         domain,
         owner,
@@ -85,34 +89,12 @@ pub fn put(plant: &Plant, speaker: &Speaker<'_>, statement: Statement<'_>) -> Re
         topic_id,
         kind,
         filters: Vec::new(),
-        captured_at,
-        head: &head(topic, type_name, body.len()),
+        captured_at: Timestamp::now(),
+        head: &head,
         body,
     };
-    let sealed = seal(plant.provider, &request)?;
-    let durable = plant.vault.durable();
-    if durable {
-        plant.vault.put(&[(sealed.digest, &sealed.blob)])?;
-    }
-    Ok(NewRecord {
-        digest: sealed.digest,
-        owner,
-        topic_id,
-        seq,
-        foreign: None,
-        epoch,
-        kind,
-        signer: signer_id(&signing.public),
-        signature: sealed.signature,
-        filters: Vec::new(),
-        topic: topic.to_owned(),
-        type_name: type_name.to_owned(),
-        bytes: body.len() as u64,
-        captured_at,
-        simulated: false,
-        state: if durable { RecordState::Stored } else { RecordState::Sealed },
-        local_copy: (!durable).then_some(sealed.blob),
-    })
+    let row = NewRecord::sealed(seal(plant.provider, &request)?).named(&head);
+    Ok(plant.keep([row], |[row]| acknowledge(row))?)
 }
 
 fn head(topic: &str, type_name: &str, length: usize) -> Head {

@@ -1,5 +1,6 @@
 //! Anchoring as a whole: ledger, anchorer, sender, watcher and the embedded chain.
 
+mod keeping;
 mod rights;
 
 use std::path::Path;
@@ -160,6 +161,7 @@ fn plant(home: &Path) -> Plant {
         vault: open_vault(None, home).expect("a vault"),
         provider: provider(ProviderName::default()),
         observer: Arc::new(Deaf),
+        backlog: u64::MAX,
     }
 }
 

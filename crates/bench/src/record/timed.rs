@@ -96,7 +96,7 @@ impl Kit {
     pub fn open(&self, sealed: &SealedRecord) -> Result<Lap, Failure> {
         let leaf = Leaf { owner: OWNER, recorder: RECORDER, topic_id: TOPIC, seq: 1, digest: sealed.digest };
         let inclusion = inclusion(&leaf)?;
-        let SealedRecord { blob, digest, signature } = sealed;
+        let SealedRecord { blob, digest, signature, .. } = sealed;
         let (record, expected) = ((&blob[..], signature, &self.signer.public), Expected::any_of(DOMAIN, OWNER));
         let mut clock = Clock::start();
         let proven = black_box(inclusion.proves(black_box(&leaf)));

@@ -80,7 +80,7 @@ mod tests {
             let all: Vec<_> = records
                 .iter()
                 .enumerate()
-                .map(|(at, SealedRecord { blob, digest, signature })| {
+                .map(|(at, SealedRecord { blob, digest, signature, .. })| {
                     let signer = if at == 16 { &other } else { &own };
                     Unchecked { blob, signature, signer, anchor: anchor(at, *digest) }
                 })

@@ -112,7 +112,7 @@ fn names_and_plaintext_do_not_show() {
 #[test]
 fn the_checks_come_in_order() {
     let sample = Sample::new(ProviderName::RustCrypto, b"message");
-    let SealedRecord { blob, digest, signature } = sample.seal();
+    let SealedRecord { blob, digest, signature, .. } = sample.seal();
     let other = Sample { key: TopicKey::new([9; 32]), ..Sample::new(ProviderName::RustCrypto, b"message") };
     let bad_signature = Signature([7; 64]);
     let anchored = Anchor::Chain(digest);
@@ -203,7 +203,7 @@ proptest! {
         more in proptest::collection::vec(any::<u8>(), 1..20),
     ) {
         let sample = Sample::new(ProviderName::RustCrypto, &body);
-        let SealedRecord { blob, digest, signature } = sample.seal();
+        let SealedRecord { blob, digest, signature, .. } = sample.seal();
         for anchor in [Anchor::Chain(digest), Anchor::Unanchored] {
             let mut altered = blob.clone();
             altered[at.index(blob.len())] ^= 1 << bit;

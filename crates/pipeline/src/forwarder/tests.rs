@@ -55,6 +55,7 @@ fn plant(home: &std::path::Path, notes: &Arc<Notes>) -> Plant {
         vault: open_vault(None, home).expect("vault"),
         provider: context().provider,
         observer: Arc::clone(notes) as Arc<dyn crate::pipeline::Observer>,
+        backlog: u64::MAX,
     }
 }
 

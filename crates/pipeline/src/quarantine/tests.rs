@@ -17,6 +17,7 @@ fn plant(home: &std::path::Path) -> Plant {
         vault: open_vault(None, home).expect("vault"),
         provider: provider(ProviderName::RustCrypto),
         observer: Arc::new(Notes::default()),
+        backlog: u64::MAX,
     }
 }
 

@@ -5,10 +5,9 @@ use std::collections::BTreeMap;
 
 use crate::crypto::compression::{Packed, pack};
 use crate::crypto::pool::{each, helpers_for};
-use crate::crypto::{SealRequest, SealedRecord, seal};
-use crate::model::head::Compression;
+use crate::crypto::{SealRequest, seal};
+use crate::model::head::{Compression, SIMULATED};
 use crate::model::{Head, RecordKind, RecordState};
-use crate::pipeline::epoch::SIMULATED;
 use crate::pipeline::recorder::CapturedMessage;
 use crate::pipeline::{PipelineError, Plant, quarantine};
 use crate::store::{Hold, NewRecord};
@@ -17,9 +16,7 @@ use super::plan::{Content, Task};
 
 /// A sealed record on its way into vault and ledger.
 pub struct Ready {
-    /// The record.
-    pub sealed: SealedRecord,
-    /// Its row, without a local copy yet.
+    /// The record with its bytes.
     pub row: NewRecord,
     /// Why it is held back, where it is.
     pub hold: Option<Hold>,
@@ -63,6 +60,7 @@ impl Task<'_> {
         let packed = self.pack();
         let filters = self.topic.filters(&message.type_name, &tags);
         let compression = packed.as_ref().map_or(Compression::None, |packed| packed.compression);
+        let head = self.head(boot_id, compression, tags);
         let request = SealRequest {
             domain: self.keys.domain,
             owner: self.item.author.address,
@@ -73,16 +71,19 @@ impl Task<'_> {
             seq: self.seq,
             topic_id: self.topic.id,
             kind: self.kind(),
-            filters: filters.clone(),
+            filters,
             captured_at: message.captured_at,
-            head: &self.head(boot_id, compression, tags),
+            head: &head,
             body: packed.as_ref().map_or(body, |packed| &packed.bytes),
         };
         let sealed = seal(plant.provider, &request)?;
-        let row = self.row(plant, &sealed, filters);
         let hold = self.item.doubt.map(|doubt| quarantine::hold(sealed.digest, doubt, &message.origin));
+        let mut row = NewRecord::sealed(sealed).named(&head);
+        if hold.is_some() {
+            row.state = RecordState::Quarantined;
+        }
         let tried = matches!(self.content, Content::Message(Some(_)));
-        Ok(Ready { sealed, row, hold, paid: tried.then_some(packed.is_some()) })
+        Ok(Ready { row, hold, paid: tried.then_some(packed.is_some()) })
     }
 
     fn head(&self, boot_id: [u8; 16], compression: Compression, tags: BTreeMap<String, String>) -> Head {
@@ -97,33 +98,6 @@ impl Task<'_> {
             compression,
             plain_length: self.body().len() as u64,
             tags,
-        }
-    }
-
-    fn row(&self, plant: &Plant, sealed: &SealedRecord, filters: Vec<crate::model::FilterId>) -> NewRecord {
-        let message = &*self.item.message;
-        NewRecord {
-            digest: sealed.digest,
-            owner: self.item.author.address,
-            topic_id: self.topic.id,
-            seq: self.seq,
-            foreign: None,
-            epoch: self.keys.epoch,
-            kind: self.kind(),
-            signer: self.keys.signer,
-            signature: sealed.signature,
-            filters,
-            topic: message.topic.to_string(),
-            type_name: message.type_name.to_string(),
-            bytes: self.body().len() as u64,
-            captured_at: message.captured_at,
-            simulated: self.item.simulated,
-            state: match self.item.doubt {
-                Some(_) => RecordState::Quarantined,
-                None if plant.vault.durable() => RecordState::Stored,
-                None => RecordState::Sealed,
-            },
-            local_copy: None,
         }
     }
 }

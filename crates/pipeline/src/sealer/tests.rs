@@ -84,6 +84,7 @@ impl Line {
             vault: open_vault(None, home).expect("vault"),
             provider: Box::leak(Box::new(Trap(ours))),
             observer: Arc::clone(&notes) as Arc<dyn super::super::Observer>,
+            backlog: u64::MAX,
         };
         let signing = SmKeyPair::generate(ours).expect("pair");
         let (key, index) = (SealingKey::Epoch(crate::crypto::EpochKey::new([1; 32])), IndexKey::new([2; 32]));
@@ -92,7 +93,7 @@ impl Line {
         author.seal_under(Arc::clone(&keys));
         let losses = Arc::new(Losses::default());
         losses.know(&author);
-        let sealer = Sealer::new(plant, Arc::default(), Arc::clone(&losses), u64::MAX);
+        let sealer = Sealer::new(plant, Arc::default(), Arc::clone(&losses));
         Self { sealer, losses, notes, author, keys }
     }
 

@@ -156,7 +156,7 @@ impl Site {
                     }
                     let (entry, record) = next?;
                     if mirror.wants(&entry)? {
-                        self.take(&mirror, entry.owner, &entry, &record).await?;
+                        self.take(&mirror, entry.owner, &entry, record).await?;
                     }
                 }
                 () = tokio::time::sleep(TICK) => {}
@@ -187,7 +187,7 @@ impl Site {
         mirror: &Mirror<'_>,
         source: Address,
         entry: &Entry,
-        record: &Fetched,
+        record: Fetched,
     ) -> Result<(), PipelineError> {
         match mirror.take(source, entry.digest, record).await {
             Ok(changed) => {
@@ -248,7 +248,7 @@ impl Site {
         entry: &Entry,
     ) -> Result<(), Broken> {
         match client.fetch(&entry.digest).await {
-            Ok(record) => Ok(self.take(mirror, source, entry, &record).await?),
+            Ok(record) => Ok(self.take(mirror, source, entry, record).await?),
             Err(GatewayError::Refused(Code::NotFound | Code::NotAuthorised | Code::Tampered)) => Ok(()),
             Err(GatewayError::Crypto(error)) => {
                 self.hub.notice(NoticeLevel::Error, &PipelineError::from(error).to_string());
@@ -277,7 +277,7 @@ impl Site {
             for (digest, _) in waiting.iter().zip(&standings).filter(|(_, standing)| anchored(standing)) {
                 match client.fetch(digest).await {
                     Ok(record) => {
-                        if mirror.take(*source, *digest, &record).await? {
+                        if mirror.take(*source, *digest, record).await? {
                             self.hub.confirmed.notify_one();
                             self.changed(Part::Uploads);
                         }

@@ -177,7 +177,8 @@ impl Site {
         let hub = Arc::new(Hub::new(events));
         let (ledger, copied) = disk::open_ledger(&home)?;
         let vault = open_vault(config.vault_url.as_deref(), &home.vault())?;
-        let plant = Plant { ledger: ledger.clone(), vault, provider, observer: hub.clone() };
+        let backlog = config.vault_backlog;
+        let plant = Plant { ledger: ledger.clone(), vault, provider, observer: hub.clone(), backlog };
         let rings = Arc::new(Rings::new(usize::try_from(config.capture_memory).unwrap_or(usize::MAX)));
         let losses = Arc::new(Losses::default());
         let recorder = Recorder::new(Arc::clone(&rings), Arc::clone(&losses), hub.clone());

@@ -87,9 +87,7 @@ impl Site {
             topic_key: &notice_key(&owner.eoa(), &network.domain, &device.device),
         };
         let statement = Statement { kind: RecordKind::Key, topic: &name, type_name: TYPE, body: &body };
-        let row = statement::put(&self.plant, &speaker, statement)?;
-        self.plant.ledger.append(vec![row])?;
-        Ok(())
+        Ok(statement::put(&self.plant, &speaker, statement, |row| self.plant.ledger.append(vec![row]))?)
     }
 }
 

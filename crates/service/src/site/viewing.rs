@@ -10,7 +10,7 @@ use super::statements;
 use super::view::record_view;
 use crate::crypto::OpenedRecord;
 use crate::model::{ErrorKind, RecordKind, RecordState, clean};
-use crate::pipeline::columns::{Compared, Shown, is_simulated};
+use crate::pipeline::columns::{Compared, Shown};
 use crate::pipeline::reader::Reader;
 use crate::pipeline::{Owner, importer};
 use crate::ros::Limits;
@@ -167,7 +167,7 @@ fn as_signed(row: RecordRow, record: &OpenedRecord) -> RecordRow {
         topic: head.topic.clone(),
         type_name: head.type_name.clone(),
         bytes: head.plain_length,
-        simulated: is_simulated(head),
+        simulated: head.is_simulated(),
         ..row
     }
 }

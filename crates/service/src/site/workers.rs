@@ -58,10 +58,9 @@ pub(super) fn seal_here(site: &Arc<Site>) -> Result<(), Failure> {
 
 fn start_sealer(site: &Arc<Site>) -> Result<std::thread::JoinHandle<()>, Failure> {
     let (plant, hub, losses) = (site.plant.clone(), Arc::clone(&site.hub), Arc::clone(&site.losses));
-    let (rings, backlog) = (Arc::clone(&site.rings), site.config.vault_backlog);
-    let compression = site.config.compression;
+    let (rings, compression) = (Arc::clone(&site.rings), site.config.compression);
     site.supervise_thread("sealer", move || {
-        let sealer = Sealer::new(plant.clone(), Arc::clone(&hub.sessions), Arc::clone(&losses), backlog);
+        let sealer = Sealer::new(plant.clone(), Arc::clone(&hub.sessions), Arc::clone(&losses));
         let mut sealer = if compression { sealer } else { sealer.without_compression() };
         sealer.run(&rings, &|| hub.stored.notify_waiters());
     })

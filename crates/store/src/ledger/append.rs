@@ -1,5 +1,6 @@
 //! Acknowledging records, moving them along their life line, and their local copies.
 
+use std::collections::hash_map::Entry;
 use std::collections::{HashMap, HashSet};
 
 use rusqlite::{Connection, OptionalExtension as _, params};
@@ -60,6 +61,19 @@ impl Ledger {
             let now = whole("time", Timestamp::now().0)?;
             records.iter().try_for_each(|record| add(session, record, now))
         })
+    }
+
+    /// Whether [`Ledger::append`] would take these records; to be asked before their bytes go into the vault. Only what
+    /// comes from elsewhere is looked up: the numbers of this ledger are its own.
+    ///
+    /// # Errors
+    /// [`StoreError::Conflict`] where it would not, and whatever keeps the ledger from being read.
+    pub fn check_foreign(&self, records: &[NewRecord]) -> Result<(), StoreError> {
+        let mut foreign = records.iter().filter(|record| record.foreign.is_some()).peekable();
+        if foreign.peek().is_none() {
+            return Ok(());
+        }
+        self.read(|connection| foreign.try_for_each(|record| check_one(connection, record)))
     }
 
     /// Moves those of the records that are in state `from` to state `to`; returns how many were moved.
@@ -243,17 +257,41 @@ fn is_known(connection: &Connection, record: &NewRecord, topic: i64, seq: i64) -
 
 fn topic_key(session: &mut Session<'_>, record: &NewRecord) -> Result<i64, StoreError> {
     let known = (record.owner, record.topic_id, record.foreign);
-    if !session.names.topics.contains_key(&known) {
-        let found = find_topic(session.connection, record)?;
-        session.names.topics.insert(known, found);
+    let found = match session.names.topics.entry(known) {
+        Entry::Occupied(found) => found.into_mut(),
+        Entry::Vacant(place) => place.insert(find_topic(session.connection, record)?),
+    };
+    // Named only now.
+    if found.1.is_empty() && !record.topic.is_empty() {
+        *found = find_topic(session.connection, record)?;
     }
-    match session.names.topics.get(&known) {
-        Some((key, name)) if *name == record.topic || record.topic.is_empty() => Ok(*key),
-        _ => Err(StoreError::Conflict {
-            digest: record.digest,
-            detail: format!("topic id {} already stands for another topic", record.topic_id),
-        }),
+    check_name(record, &found.1)?;
+    Ok(found.0)
+}
+
+fn check_name(record: &NewRecord, name: &str) -> Result<(), StoreError> {
+    if record.topic.is_empty() || record.topic == name {
+        return Ok(());
     }
+    let detail = format!("topic id {} already stands for another topic", record.topic_id);
+    Err(StoreError::Conflict { digest: record.digest, detail })
+}
+
+fn check_one(connection: &Connection, record: &NewRecord) -> Result<(), StoreError> {
+    let recorder = record.foreign.map(|foreign| foreign.recorder.0);
+    let topic: Option<(i64, String)> = connection
+        .prepare_cached(
+            "SELECT key, name FROM topics WHERE owner = ?1 AND topic_id = ?2
+             AND recorder = (SELECT key FROM recorders WHERE id = ?3)",
+        )?
+        .query_row(params![record.owner.0, record.topic_id.0, recorder], |row| Ok((row.get(0)?, row.get(1)?)))
+        .optional()?;
+    if let Some((_, name)) = topic.as_ref().filter(|(_, name)| !name.is_empty()) {
+        check_name(record, name)?;
+    }
+    // No topic has the key 0.
+    let key = topic.map_or(0, |(key, _)| key);
+    is_known(connection, record, key, whole("sequence number", record.seq)?).map(drop)
 }
 
 fn find_topic(connection: &Connection, record: &NewRecord) -> Result<(i64, String), StoreError> {

@@ -7,8 +7,11 @@ use rusqlite::{Connection, Row, params_from_iter};
 use serde::{Deserialize, Serialize};
 
 use crate::chain::merkle::Leaf;
+use crate::crypto::SealedRecord;
+use crate::model::bytes::hex;
+use crate::model::header::TAG_LENGTH;
 use crate::model::{
-    Address, Digest, FilterId, Hash, RecordKind, RecordState, RecorderId, Signature, SignerId, Timestamp, TopicId,
+    Address, Digest, FilterId, Hash, Head, RecordKind, RecordState, RecorderId, Signature, SignerId, Timestamp, TopicId,
 };
 use crate::store::StoreError;
 
@@ -51,16 +54,55 @@ pub struct NewRecord {
     pub topic: String,
     /// Message type, `package/Type`; the hex of its filter id where only the owner knows it.
     pub type_name: String,
-    /// Length of the plaintext, bytes.
+    /// Length of the plaintext, bytes; of what it was packed into before it was sealed where only the owner knows more.
     pub bytes: u64,
     /// When it was captured.
     pub captured_at: Timestamp,
-    /// Whether a simulated robot sent it.
+    /// Whether a simulated robot sent it, as far as that is known here.
     pub simulated: bool,
     /// [`RecordState::Sealed`], [`RecordState::Stored`] or [`RecordState::Quarantined`].
     pub state: RecordState,
     /// The stored bytes, where the vault does not hold them durably yet.
     pub local_copy: Option<Vec<u8>>,
+}
+
+impl NewRecord {
+    /// A record of this ledger as it was sealed, with its bytes; what its head says is not known yet.
+    pub fn sealed(sealed: SealedRecord) -> Self {
+        let SealedRecord { header, blob, digest, signature } = sealed;
+        Self {
+            digest,
+            owner: header.owner,
+            topic_id: header.topic_id,
+            seq: header.seq,
+            foreign: None,
+            epoch: header.epoch,
+            kind: header.kind,
+            signer: header.signer,
+            signature,
+            topic: String::new(),
+            // The first filter id is the type's.
+            type_name: header.filters.first().map(|id| hex(&id.0)).unwrap_or_default(),
+            filters: header.filters,
+            bytes: header.body_length.saturating_sub(TAG_LENGTH as u64),
+            captured_at: header.captured_at,
+            simulated: false,
+            state: RecordState::Sealed,
+            local_copy: Some(blob),
+        }
+    }
+
+    /// As [`Self::sealed`], of a record that another ledger numbered; `keeper` anchors it.
+    pub fn foreign(sealed: SealedRecord, keeper: Address) -> Self {
+        let foreign = Some(Foreign { recorder: sealed.header.recorder, keeper });
+        Self { foreign, ..Self::sealed(sealed) }
+    }
+
+    /// With what its head says, for who sealed or opened it.
+    pub fn named(self, head: &Head) -> Self {
+        let (topic, type_name) = (head.topic.clone(), head.type_name.clone());
+        Self { topic, type_name, bytes: head.plain_length, simulated: head.is_simulated(), ..self }
+    }
 }
 
 /// A record as the ledger knows it.
@@ -91,7 +133,7 @@ pub struct RecordRow {
     /// Message type, `package/Type`.
     #[serde(rename = "type")]
     pub type_name: String,
-    /// Length of the plaintext, bytes.
+    /// Length of the plaintext, bytes; of what it was packed into where this site cannot open it.
     pub bytes: u64,
     /// When it was captured.
     pub captured_at: Timestamp,

@@ -18,14 +18,12 @@ use crate::gateway::{
     Binding, BoundDevice, Caller, Code, Desk, DeviceNotice, Entry, Fetched, GrantNotice, NetworkName, Page, Query,
     Received, Refusal, Registration, RevokeNotice, Selection, Standing, Stood,
 };
-use crate::model::bytes::hex;
-use crate::model::header::TAG_LENGTH;
-use crate::model::{Address, Digest, Hash, ProfileName, PublicKey, RecordState, SignerId, Timestamp, Token};
+use crate::model::{Address, Digest, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token};
 use crate::pipeline::authority::SigningRight;
 use crate::pipeline::directory::kept;
 use crate::pipeline::equivocation::{self, Claim};
 use crate::service::event::NoticeLevel;
-use crate::store::{Foreign, KeptBinding, NewRecord, StoreError};
+use crate::store::{KeptBinding, NewRecord, StoreError};
 
 impl GatewayDesk {
     /// Does work that waits for disk or node, off the network's threads.
@@ -48,35 +46,9 @@ impl GatewayDesk {
         written.map_err(|failure| Refusal::new(Code::Internal, failure.message))
     }
 
-    fn row(&self, record: &Received) -> NewRecord {
-        let header = &record.header;
-        let durable = self.site.plant.vault.durable();
-        NewRecord {
-            digest: record.digest,
-            owner: header.owner,
-            topic_id: header.topic_id,
-            seq: header.seq,
-            foreign: Some(Foreign { recorder: header.recorder, keeper: self.keeper.address }),
-            epoch: header.epoch,
-            kind: header.kind,
-            signer: header.signer,
-            signature: record.signature,
-            filters: header.filters.clone(),
-            topic: String::new(),
-            // The first filter id is the type's.
-            type_name: header.filters.first().map(|id| hex(&id.0)).unwrap_or_default(),
-            bytes: header.body_length.saturating_sub(TAG_LENGTH as u64),
-            captured_at: header.captured_at,
-            simulated: false,
-            state: if durable { RecordState::Stored } else { RecordState::Sealed },
-            local_copy: (!durable).then(|| record.blob.clone()),
-        }
-    }
-
     /// A record contradicts the ledger: where its number is another's, both signatures are kept.
-    fn tell_conflict(&self, records: &[Received], error: &StoreError) {
-        let claims = records.iter().filter_map(|record| Claim::of(&self.row(record)));
-        let told = claims.map(|claim| equivocation::tell(&self.site.plant, &claim));
+    fn tell_conflict(&self, claims: &[Claim], error: &StoreError) {
+        let told = claims.iter().map(|claim| equivocation::tell(&self.site.plant, claim));
         if told.filter(|told| matches!(told, Ok(true))).count() == 0 {
             let text = format!("a sender's record contradicts another one: {error}");
             self.site.hub.notice(NoticeLevel::Error, &text);
@@ -102,23 +74,21 @@ impl GatewayDesk {
         self.blocking(move |desk| desk.reach(&desk.fresh_network()?, &reader, &owner).map(drop)).await
     }
 
-    fn keep(&self, account: &Address, records: &[Received]) -> Result<Timestamp, Refusal> {
+    fn keep(&self, account: &Address, records: Vec<Received>) -> Result<Timestamp, Refusal> {
         let network = self.fresh_network()?;
         let guest = self.standing_of(&network, account)? == Access::Guest;
         // What is counted must not grow before it is kept.
         let _counting = guest.then(|| self.guests.lock().unwrap_or_else(PoisonError::into_inner));
         if guest {
-            self.check_quota(account, records)?;
+            self.check_quota(account, &records)?;
         }
         let plant = &self.site.plant;
-        plant.ledger.takes_records().map_err(Refusal::because(Code::Internal))?;
-        if plant.vault.durable() {
-            let entries: Vec<_> = records.iter().map(|record| (record.digest, record.blob.as_slice())).collect();
-            plant.vault.put(&entries).map_err(Refusal::because(Code::Internal))?;
-        }
-        plant.ledger.append(records.iter().map(|record| self.row(record)).collect()).map_err(|error| match error {
+        let row = |record: Received| NewRecord::foreign(record.into(), self.keeper.address);
+        let rows: Vec<_> = records.into_iter().map(row).collect();
+        let claims: Vec<_> = rows.iter().filter_map(Claim::of).collect();
+        plant.keep(rows, |rows| plant.ledger.append(rows)).map_err(|error| match error {
             StoreError::Conflict { .. } => {
-                self.tell_conflict(records, &error);
+                self.tell_conflict(&claims, &error);
                 Refusal::new(Code::Malformed, error)
             }
             error => Refusal::new(Code::Internal, error),
@@ -234,7 +204,7 @@ impl Desk for GatewayDesk {
 
     async fn store(&self, caller: &Caller, records: Vec<Received>) -> Result<Timestamp, Refusal> {
         let account = caller.account;
-        self.blocking(move |desk| desk.keep(&account, &records)).await
+        self.blocking(move |desk| desk.keep(&account, records)).await
     }
 
     async fn query(&self, caller: &Caller, query: &Query) -> Result<Page, Refusal> {

@@ -1,0 +1,181 @@
+//! Every writer asks before it writes: what is not taken leaves no bytes in the vault, and a vault that takes nothing
+//! does not fill the disk, whoever the records are of.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use super::*;
+use crate::crypto::{SealRequest, SealedRecord, TopicKey, seal};
+use crate::gateway::Fetched;
+use crate::model::head::Compression;
+use crate::model::{Address, Head, RecorderId};
+use crate::pipeline::PipelineError;
+use crate::pipeline::mirror::{Anchors, Mirror};
+use crate::pipeline::statement::{Statement, state};
+use crate::store::{StoreError, Usage, Vault};
+
+/// A vault that may forget, and counts what it is given.
+struct Forgetful {
+    vault: Arc<dyn Vault>,
+    given: AtomicUsize,
+}
+
+impl Vault for Forgetful {
+    fn name(&self) -> &str {
+        "forgetful"
+    }
+    fn durable(&self) -> bool {
+        false
+    }
+    fn put(&self, entries: &[(Digest, &[u8])]) -> Result<(), StoreError> {
+        self.given.fetch_add(entries.len(), Ordering::Relaxed);
+        self.vault.put(entries)
+    }
+    fn get(&self, digest: Digest) -> Result<Option<Vec<u8>>, StoreError> {
+        self.vault.get(digest)
+    }
+    fn delete(&self, digest: Digest) -> Result<bool, StoreError> {
+        self.vault.delete(digest)
+    }
+    fn contains(&self, digest: Digest) -> Result<bool, StoreError> {
+        self.vault.contains(digest)
+    }
+    fn usage(&self) -> Result<Usage, StoreError> {
+        self.vault.usage()
+    }
+    fn policy_warnings(&self) -> Vec<String> {
+        Vec::new()
+    }
+    fn dump(&self, each: &mut dyn FnMut(Digest, &[u8])) -> Result<(), StoreError> {
+        self.vault.dump(each)
+    }
+    fn replace(&self, digest: Digest, bytes: &[u8]) -> Result<bool, StoreError> {
+        self.vault.replace(digest, bytes)
+    }
+}
+
+/// A plant whose vault may forget, in which nothing more than one record may wait.
+fn forgetful(home: &Path) -> (Plant, Arc<Forgetful>) {
+    let plant = plant(home);
+    let vault = Arc::new(Forgetful { vault: Arc::clone(&plant.vault), given: AtomicUsize::new(0) });
+    (Plant { vault: Arc::clone(&vault) as _, backlog: 0, ..plant }, vault)
+}
+
+fn head(body: &[u8]) -> Head {
+    Head {
+        topic: "/robot1/odom".to_owned(),
+        type_name: "nav_msgs/Odometry".to_owned(),
+        md5sum: "cd5e73d190d741a2f92e81eda573aca7".to_owned(),
+        definition: Digest([4; 32]),
+        caller_id: "/robot1".to_owned(),
+        boot_id: [5; 16],
+        compression: Compression::None,
+        plain_length: body.len() as u64,
+        tags: std::collections::BTreeMap::new(),
+    }
+}
+
+/// A record of the owner that another ledger numbered; under the wrong key, where there is one.
+fn elsewhere(owner: &Owner, seq: u64, body: &[u8], wrong: Option<&TopicKey>) -> SealedRecord {
+    let keys = owner.sealing().expect("keys");
+    let topic = keys.topic("/robot1/odom").expect("covered");
+    let request = SealRequest {
+        domain: keys.domain,
+        owner: owner.address,
+        signer: &keys.signing,
+        epoch: keys.epoch,
+        topic_key: wrong.unwrap_or(&topic.key),
+        recorder: RecorderId([9; RecorderId::LENGTH]),
+        seq,
+        topic_id: topic.id,
+        kind: RecordKind::Data,
+        filters: Vec::new(),
+        captured_at: Timestamp(seq),
+        head: &head(body),
+        body,
+    };
+    seal(provider(ProviderName::default()), &request).expect("sealed")
+}
+
+/// As a gateway's desk takes it.
+fn upload(owner: &Owner, seq: u64, body: &[u8]) -> NewRecord {
+    NewRecord::foreign(elsewhere(owner, seq, body, None), Address([8; 20]))
+}
+
+/// Takes the record in through the mirror, as a gateway gives it.
+async fn taken(line: &Line, sealed: SealedRecord) -> Result<bool, PipelineError> {
+    let (plant, network, reader, keeper) = (&line.plant, &line.network, &line.owner, Address([8; 20]));
+    let mirror = Mirror { plant, network, reader, keeper, anchors: Anchors::default() };
+    let SealedRecord { digest, signature, blob, .. } = sealed;
+    let fetched = Fetched { signer: line.owner.signing().public, signature, proof: Vec::new(), blob };
+    mirror.take(line.owner.address, digest, fetched).await
+}
+
+fn entries(plant: &Plant) -> u64 {
+    plant.vault.usage().expect("usage").entries
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_a_mirror_does_not_take_in_leaves_no_bytes_in_the_vault() {
+    let line = Line::new().await;
+    let line =
+        Line { plant: Plant { observer: Arc::new(super::super::fixture::Notes::default()), ..line.plant }, ..line };
+    line.owner.prepare_epoch(line.network.domain, 1).expect("prepared");
+    line.owner.seal_under(line.network.domain, 1).expect("seals");
+    let held = line.plant.ledger.hold_records();
+    let refused = taken(&line, elsewhere(&line.owner, 1, b"one", None)).await;
+    assert!(matches!(refused, Err(PipelineError::Store(StoreError::DiskFull { .. }))), "{refused:?}");
+    assert_eq!(entries(&line.plant), 0, "the disk takes no more");
+    drop(held);
+    let wrong = taken(&line, elsewhere(&line.owner, 1, b"one", Some(&TopicKey::new([1; 32])))).await;
+    assert!(matches!(wrong, Err(PipelineError::Crypto(_))), "{wrong:?}");
+    assert_eq!(entries(&line.plant), 0, "nobody can open it");
+    let first = elsewhere(&line.owner, 1, b"one", None);
+    let digest = first.digest;
+    assert!(taken(&line, first).await.expect("taken in"));
+    let row = line.plant.ledger.record(digest).expect("read").expect("acknowledged");
+    assert_eq!((row.topic.as_str(), row.bytes, row.state), ("/robot1/odom", 3, RecordState::Stored));
+    let twin = taken(&line, elsewhere(&line.owner, 1, b"two", None)).await;
+    assert!(matches!(twin, Err(PipelineError::NotTakenIn { .. })), "{twin:?}");
+    assert_eq!(entries(&line.plant), 1, "its number is another's");
+}
+
+#[test]
+fn what_a_gateway_refuses_leaves_no_bytes_in_the_vault() {
+    let home = tempfile::tempdir().expect("folder");
+    let plant = plant(home.path());
+    let (owner, _) = owner_with_keys(plant.provider, home.path());
+    let keep = |records: Vec<NewRecord>| plant.keep(records, |records| plant.ledger.append(records));
+    let known = upload(&owner, 1, b"one");
+    keep(vec![known.clone()]).expect("kept");
+    keep(vec![known.clone()]).expect("sent twice, it is kept once");
+    let conflict = keep(vec![upload(&owner, 2, b"two"), upload(&owner, 1, b"another one")]);
+    assert!(matches!(conflict, Err(StoreError::Conflict { .. })), "{conflict:?}");
+    let renamed = NewRecord { topic: "/other".to_owned(), ..upload(&owner, 3, b"three") };
+    keep(vec![NewRecord { topic: "/robot1/odom".to_owned(), ..upload(&owner, 4, b"four") }]).expect("named");
+    assert!(matches!(keep(vec![renamed]), Err(StoreError::Conflict { .. })));
+    let moved = NewRecord { topic_id: TopicId([1; 16]), ..known.clone() };
+    assert!(matches!(keep(vec![moved]), Err(StoreError::Conflict { .. })));
+    assert_eq!(entries(&plant), 2);
+    assert_eq!(plant.vault.get(known.digest).expect("read"), known.local_copy);
+}
+
+#[test]
+fn beyond_the_backlog_no_writer_adds_a_record() {
+    let home = tempfile::tempdir().expect("folder");
+    let (plant, vault) = forgetful(home.path());
+    let (owner, _) = owner_with_keys(plant.provider, home.path());
+    let keep = |record| plant.keep([record], |[record]| plant.ledger.append(vec![record]));
+    let first = upload(&owner, 1, b"one");
+    keep(first.clone()).expect("nothing waits yet");
+    let row = plant.ledger.record(first.digest).expect("read").expect("acknowledged");
+    assert_eq!(row.state, RecordState::Sealed);
+    assert_eq!(plant.ledger.local_copy(first.digest).expect("read"), first.local_copy, "the ledger has its bytes");
+    let refused = keep(upload(&owner, 2, b"two"));
+    assert!(matches!(refused, Err(StoreError::Backlog { limit: 0, .. })), "a gateway's: {refused:?}");
+    let keys = owner.sealing().expect("keys");
+    let said = Statement { kind: RecordKind::Audit, topic: "authros/audit", type_name: "a/B", body: b"said" };
+    let refused = state(&plant, owner.address, &keys, said);
+    assert!(matches!(refused, Err(PipelineError::Store(StoreError::Backlog { .. }))), "a statement: {refused:?}");
+    assert_eq!(plant.ledger.counts(None).expect("counts").acknowledged, 1);
+    assert_eq!(vault.given.load(Ordering::Relaxed), 0, "the storer alone gives it records");
+}
