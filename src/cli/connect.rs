@@ -8,7 +8,7 @@ use super::args::Global;
 use super::passphrase;
 use crate::config::{Config, Source};
 use crate::model::{ErrorKind, ProfileName};
-use crate::paths::Home;
+use crate::paths::{Home, PlaceError};
 use crate::service::reply::{IdentityView, SiteView};
 use crate::service::socket::{self, Greeting};
 use crate::service::{Client, Command, Failure, Needs, Reply, Site};
@@ -53,14 +53,30 @@ fn environment(name: &str) -> Option<String> {
     std::env::var(name).ok()
 }
 
+fn misplaced(error: PlaceError) -> Failure {
+    Failure::new(error.kind(), error.to_string())
+}
+
+/// Nobody should have to search for a home that lies where the program happened to be started.
+fn say_without_home(home: &Home, output: &Output) {
+    if std::env::var_os("HOME").is_none_or(|value| value.is_empty()) {
+        let root = home.root().display();
+        output.note(&format!("HOME is not set: this site and its settings lie in {root}; set HOME or give --home"));
+    }
+}
+
 impl Context {
     /// Resolves profile, home and settings.
     ///
     /// # Errors
     /// Where one of them is not usable.
-    pub fn new(global: Global) -> Result<Self, Failure> {
+    pub fn new(global: Global, output: &Output) -> Result<Self, Failure> {
         let profile = super::parse::value(global.profile.as_deref().unwrap_or("default"))?;
-        let home = global.home.clone().map_or_else(|| Home::standard(&environment), Home::new);
+        let standard = || Home::standard().map_err(misplaced);
+        let home = global.home.clone().map_or_else(standard, |root| Ok(Home::new(root)))?;
+        if global.home.is_none() {
+            say_without_home(&home, output);
+        }
         let config = Self::read_config(&global, &home)?;
         if let Some(kernel) = config.sm4_kernel {
             kernel.force().map_err(|error| Failure::new(ErrorKind::Input, error.to_string()))?;
@@ -72,10 +88,13 @@ impl Context {
     ///
     /// # Errors
     /// As [`Self::new`].
-    pub fn for_agent(global: Global, name: &ProfileName) -> Result<Self, Failure> {
-        let own = || Home::standard(&environment).root().join("agents").join(name.as_str());
-        let home = Some(global.home.clone().unwrap_or_else(own));
-        Self::new(Global { home, ..global })
+    pub fn for_agent(global: Global, name: &ProfileName, output: &Output) -> Result<Self, Failure> {
+        if global.home.is_some() {
+            return Self::new(global, output);
+        }
+        let own = Home::standard_root().map_err(misplaced)?.join("agents").join(name.as_str());
+        say_without_home(&Home::new(own.clone()), output);
+        Self::new(Global { home: Some(own), ..global }, output)
     }
 
     fn read_config(global: &Global, home: &Home) -> Result<Config, Failure> {

@@ -1,4 +1,4 @@
-//! How the console looks and which keys do what: flags, settings, and the operator's own files in the home.
+//! How the console looks and which keys do what: flags, settings, and the operator's own files.
 
 use std::path::Path;
 

@@ -97,7 +97,7 @@ fn run(runtime: &tokio::runtime::Runtime, arguments: Arguments, output: &Output)
     if let Some(Verb::Verify { dir, genesis }) = &verb {
         return runtime.block_on(check::run_verify(&arguments.global, dir, genesis.as_deref(), output));
     }
-    let context = Context::new(arguments.global)?;
+    let context = Context::new(arguments.global, output)?;
     match verb {
         None => console::run(runtime, context, args::ConsoleArguments::default()),
         Some(Verb::Console(console)) => console::run(runtime, context, console),

@@ -37,10 +37,9 @@ pub fn text(arguments: &Arguments) -> Result<Option<String>, Failure> {
 
 /// Every setting with its default, as a `config.toml` in which nothing is set.
 fn config() -> String {
-    let mut text =
-        "# Settings of AuthROS: a flag goes before the environment, that before this file (config.toml in the home).\n\
+    let mut text = "# Settings of AuthROS: a flag goes before the environment, that before this file (config.toml).\n\
                     # Nothing set means embedded. Take the # away from what you set.\n"
-            .to_owned();
+        .to_owned();
     let mut tables: Vec<&str> = Vec::new();
     let plain = DEFINITIONS.iter().filter(|definition| !definition.name.contains('.'));
     let named = DEFINITIONS.iter().filter(|definition| definition.name.contains('.'));

@@ -1,26 +1,133 @@
-//! Where things lie in a home.
+//! Where things lie: what a site holds in its home, what its operator writes and what a console remembers beside it.
 
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-use crate::model::ProfileName;
+use directories::ProjectDirs;
 
-/// The directory that holds everything of one site.
+use crate::model::{ErrorKind, ProfileName};
+
+/// The name of our folder in each of the user's folders.
+const FOLDER: &str = "authros";
+/// The home where neither `HOME` nor `XDG_DATA_HOME` names one.
+const WITHOUT_HOME: &str = "authros-home";
+/// What lies outside a standard home, by its name in a home of one folder.
+const SETTINGS: &str = "config.toml";
+const KEYMAP: &str = "keymap.toml";
+const THEMES: &str = "themes";
+const CONSOLE: &str = "console";
+
+/// Why the standard places cannot be used.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum PlaceError {
+    /// The same thing lies in its new and in its old place.
+    #[error(
+        "{} and {} are both there, and only one can be used; keep one and move the other away",
+        old.display(), new.display()
+    )]
+    Twice {
+        /// In the data folder.
+        old: PathBuf,
+        /// In the folder of its own.
+        new: PathBuf,
+    },
+    /// A variable that must hold an absolute path does not.
+    #[error("{0} is '{1}', which is no absolute path; correct it, or give --home")]
+    Relative(&'static str, String),
+}
+
+impl PlaceError {
+    /// Decides the exit code.
+    pub fn kind(&self) -> ErrorKind {
+        ErrorKind::Input
+    }
+}
+
+/// The directory that holds everything of one site, and the places of what people write for it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Home {
     root: PathBuf,
+    settings: PathBuf,
+    keymap: PathBuf,
+    themes: PathBuf,
+    console: PathBuf,
+}
+
+/// A variable of the environment that is set and not empty.
+fn set(name: &str) -> Option<OsString> {
+    std::env::var_os(name).filter(|value| !value.is_empty())
+}
+
+/// What `HOME` and the variables of the XDG base directories say; `None` where there is no `HOME`.
+fn folders() -> Result<Option<ProjectDirs>, PlaceError> {
+    for name in ["XDG_DATA_HOME", "XDG_CONFIG_HOME", "XDG_STATE_HOME"] {
+        // The library would pass over it, and a home would seem to be empty.
+        if let Some(value) = set(name).filter(|value| Path::new(value).is_relative()) {
+            return Err(PlaceError::Relative(name, crate::model::clean(&value.to_string_lossy(), 200)));
+        }
+    }
+    // Without HOME the library would ask the user database for a place that nobody named.
+    Ok(set("HOME").and_then(|_| ProjectDirs::from("", "", FOLDER)))
+}
+
+/// The old place of a thing while only it is used, else the new one.
+fn in_use(old: PathBuf, new: PathBuf) -> Result<PathBuf, PlaceError> {
+    let is_there = |path: &Path| path.symlink_metadata().is_ok();
+    let is_one = || old.canonicalize().is_ok_and(|old| new.canonicalize().is_ok_and(|new| new == old));
+    match (is_there(&old), is_there(&new)) {
+        (true, true) if !is_one() => Err(PlaceError::Twice { old, new }),
+        (true, false) => Ok(old),
+        _ => Ok(new),
+    }
 }
 
 impl Home {
-    /// A home at `root`.
+    /// A home of one folder at `root`, as `--home` asks for.
     pub fn new(root: PathBuf) -> Self {
-        Self { root }
+        let [settings, keymap, themes, console] = [SETTINGS, KEYMAP, THEMES, CONSOLE].map(|name| root.join(name));
+        Self { root, settings, keymap, themes, console }
     }
 
-    /// `$XDG_DATA_HOME/authros`, else `$HOME/.local/share/authros`, else `./authros-home`.
-    pub fn standard(environment: &dyn Fn(&str) -> Option<String>) -> Self {
-        let set = |name: &str| environment(name).filter(|value| !value.is_empty()).map(PathBuf::from);
-        let base = set("XDG_DATA_HOME").or_else(|| set("HOME").map(|home| home.join(".local/share")));
-        Self::new(base.map_or_else(|| PathBuf::from("authros-home"), |base| base.join("authros")))
+    /// The user's own: data, settings and console memory each in its folder. Without `HOME` a home of one folder,
+    /// `$XDG_DATA_HOME/authros` or `./authros-home`.
+    ///
+    /// # Errors
+    /// [`PlaceError`] where a variable is wrong or something lies in two places.
+    pub fn standard() -> Result<Self, PlaceError> {
+        let root = Self::standard_root()?;
+        let Some(folders) = folders()? else { return Ok(Self::new(root)) };
+        let (config, state) = (folders.config_dir(), folders.state_dir().unwrap_or(&root));
+        Self::apart(&root, config, state)
+    }
+
+    /// The data folder of [`Self::standard`] alone.
+    ///
+    /// # Errors
+    /// [`PlaceError::Relative`].
+    pub fn standard_root() -> Result<PathBuf, PlaceError> {
+        let alone = || set("XDG_DATA_HOME").map_or_else(|| WITHOUT_HOME.into(), |data| Path::new(&data).join(FOLDER));
+        Ok(folders()?.map_or_else(alone, |folders| folders.data_dir().to_owned()))
+    }
+
+    fn apart(root: &Path, config: &Path, state: &Path) -> Result<Self, PlaceError> {
+        let place = |name: &str, folder: &Path| in_use(root.join(name), folder.join(name));
+        Ok(Self {
+            settings: place(SETTINGS, config)?,
+            keymap: place(KEYMAP, config)?,
+            themes: place(THEMES, config)?,
+            console: place(CONSOLE, state)?,
+            root: root.to_owned(),
+        })
+    }
+
+    /// What lies outside of [`Self::root`], each with its name in a home of one folder.
+    pub fn outside(&self) -> Vec<(&'static str, &Path)> {
+        let all =
+            [(SETTINGS, &self.settings), (KEYMAP, &self.keymap), (THEMES, &self.themes), (CONSOLE, &self.console)];
+        all.map(|(name, path)| (name, path.as_path()))
+            .into_iter()
+            .filter(|(_, path)| !path.starts_with(&self.root))
+            .collect()
     }
 
     /// The directory itself.
@@ -30,22 +137,22 @@ impl Home {
 
     /// The settings file.
     pub fn config(&self) -> PathBuf {
-        self.root.join("config.toml")
+        self.settings.clone()
     }
 
     /// What differs from the console's preset keys.
     pub fn keymap(&self) -> PathBuf {
-        self.root.join("keymap.toml")
+        self.keymap.clone()
     }
 
     /// The operator's own themes, one file each.
     pub fn themes(&self) -> PathBuf {
-        self.root.join("themes")
+        self.themes.clone()
     }
 
     /// What the console of a profile remembers of its last run.
     pub fn console(&self, profile: &ProfileName) -> PathBuf {
-        self.root.join("console").join(format!("{profile}.json"))
+        self.console.join(format!("{profile}.json"))
     }
 
     /// Held by the process that is the site.
@@ -135,14 +242,32 @@ mod tests {
     use super::*;
 
     #[test]
-    fn standard_homes() {
-        let with = |pairs: &'static [(&str, &str)]| {
-            Home::standard(&move |name| {
-                pairs.iter().find(|(key, _)| *key == name).map(|(_, value)| (*value).to_owned())
-            })
-        };
-        assert_eq!(with(&[("HOME", "/h")]).root(), Path::new("/h/.local/share/authros"));
-        assert_eq!(with(&[("HOME", "/h"), ("XDG_DATA_HOME", "/x")]).root(), Path::new("/x/authros"));
-        assert_eq!(with(&[]).root(), Path::new("authros-home"));
+    fn each_thing_has_its_folder_and_an_old_place_goes_on() {
+        let user = tempfile::tempdir().expect("a directory");
+        let [data, config, state] = ["data", "config", "state"].map(|name| user.path().join(name));
+        let home = || Home::apart(&data, &config, &state);
+        let new = home().expect("nothing is there");
+        let names: Vec<_> = new.outside().into_iter().map(|(name, path)| (name, path.to_owned())).collect();
+        let [settings, keymap, themes] = [SETTINGS, KEYMAP, THEMES].map(|name| (name, config.join(name)));
+        assert_eq!(names, [settings, keymap, themes, (CONSOLE, state.join(CONSOLE))]);
+        std::fs::create_dir_all(&data).expect("made");
+        std::fs::write(data.join(SETTINGS), "").expect("written");
+        let old = home().expect("the old place alone");
+        assert_eq!((old.config(), old.keymap()), (data.join(SETTINGS), config.join(KEYMAP)));
+        assert_eq!(old.outside().len(), 3);
+        std::fs::create_dir_all(&config).expect("made");
+        std::os::unix::fs::symlink(data.join(SETTINGS), config.join(SETTINGS)).expect("linked");
+        assert_eq!(home().expect("one file").config(), config.join(SETTINGS));
+        std::fs::remove_file(config.join(SETTINGS)).expect("removed");
+        std::fs::write(config.join(SETTINGS), "").expect("written");
+        let twice = PlaceError::Twice { old: data.join(SETTINGS), new: config.join(SETTINGS) };
+        assert_eq!(home(), Err(twice));
+    }
+
+    #[test]
+    fn a_home_of_one_folder_has_nothing_outside() {
+        let home = Home::new("/h".into());
+        assert_eq!((home.config(), home.outside().len()), (PathBuf::from("/h/config.toml"), 0));
+        assert_eq!(home.console(&"bob".parse().expect("a name")), Path::new("/h/console/bob.json"));
     }
 }

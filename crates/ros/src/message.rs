@@ -6,7 +6,6 @@
 mod cursor;
 mod decode;
 mod definition;
-mod digest;
 mod json;
 mod line;
 mod matrix;

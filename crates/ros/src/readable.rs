@@ -1,6 +1,7 @@
 //! Messages of well-known types as people read them: lines of numbers, tables, a plot, a picture. Every other type
 //! is shown as its tree of fields. All texts in here are clean; everything is bounded, whatever the message claims.
 
+mod codec;
 mod matrix;
 mod motion;
 mod numbers;
@@ -11,7 +12,8 @@ mod state;
 
 use serde::{Deserialize, Serialize};
 
-pub use picture::{DECODER_MEMORY, Exported, MOST_PIXELS, PictureError, decode, export, file_of};
+pub use codec::{DECODER_MEMORY, MOST_PIXELS, Rgb, decode};
+pub use picture::{Exported, PictureError, export, file_of};
 pub use raster::Raster;
 
 use super::message::{Definition, Limits, Value};

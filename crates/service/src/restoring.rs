@@ -2,7 +2,7 @@
 
 use std::fs::{self, File};
 use std::io;
-use std::os::unix::fs::PermissionsExt as _;
+use std::os::unix::fs::{DirBuilderExt as _, PermissionsExt as _};
 use std::path::Path;
 
 use super::command::SecretText;
@@ -14,7 +14,8 @@ use crate::model::{ErrorKind, clean};
 use crate::paths::Home;
 use crate::store::{archive, snapshot};
 
-/// Restores a back-up as the home, which must be empty or not there.
+/// Restores a back-up as the home, which must be empty or not there; so must the places of settings beside it that the
+/// back-up holds.
 ///
 /// # Errors
 /// `Refused` where the home is not empty or the passphrase is another one, `Tampered` where the file is damaged,
@@ -41,28 +42,74 @@ pub fn restore(file: &Path, home: &Home, secret: &SecretText) -> Result<BackupVi
     snapshot::renew_ledger(&copied.ledger())?;
     let profiles = copied.profiles().iter().map(ToString::to_string).collect();
     is_free(&root)?;
+    let apart = settings_apart(home, folder.path())?;
     // Over an empty directory or nothing; anything else makes this fail.
     fs::rename(folder.path(), &root).map_err(|error| unmade(&root, &error))?;
     File::open(parent).and_then(|parent| parent.sync_all()).map_err(|error| unmade(parent, &error))?;
     let files = u64::try_from(unpacked.names.len()).unwrap_or(u64::MAX);
-    let notes = vec![
+    let mut notes = vec![
         "new records are numbered anew under a new recorder; nonces are read from the chain".to_owned(),
         "do not run this home and the one it was copied from side by side on one chain".to_owned(),
     ];
+    // The home is whole by now: what cannot be moved is used where it is.
+    notes.extend(apart.into_iter().filter_map(|(name, place)| put_back(&root.join(name), place)));
     Ok(BackupView { file: shown(file), files, bytes: unpacked.bytes, profiles, notes })
 }
 
 fn is_free(root: &Path) -> Result<(), Failure> {
-    let occupied = match fs::read_dir(root) {
-        Ok(mut entries) => entries.next().is_some(),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => false,
+    let is_empty = match fs::read_dir(root) {
+        Ok(mut entries) => entries.next().is_none(),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => true,
         Err(error) => return Err(unmade(root, &error)),
     };
-    if !occupied {
-        return Ok(());
+    if is_empty { Ok(()) } else { Err(occupied(root, "is not empty")) }
+}
+
+/// What was unpacked and has its place outside of the home, by name and place; none of them may be taken.
+fn settings_apart<'a>(home: &'a Home, unpacked: &Path) -> Result<Vec<(&'static str, &'a Path)>, Failure> {
+    let apart: Vec<_> = home.outside().into_iter().filter(|(name, _)| unpacked.join(name).exists()).collect();
+    match apart.iter().find(|(_, place)| place.symlink_metadata().is_ok()) {
+        Some((_, place)) => Err(occupied(place, "is there")),
+        None => Ok(apart),
     }
+}
+
+fn occupied(place: &Path, how: &str) -> Failure {
     let advice = "move it away, or restore into another --home";
-    Err(refused(format!("{} is not empty, and nothing is restored over it; {advice}", shown(root))))
+    refused(format!("{} {how}, and nothing is restored over it; {advice}", shown(place)))
+}
+
+/// Moves a file or folder to its place, where nothing is yet; what to say where that fails.
+fn put_back(from: &Path, place: &Path) -> Option<String> {
+    let error = move_to(from, place).err()?;
+    Some(format!("{} could not be moved to {}: {error}; it is used where it is", shown(from), shown(place)))
+}
+
+/// Onto other disks too.
+fn move_to(from: &Path, place: &Path) -> io::Result<()> {
+    let parent = place.parent().ok_or(io::ErrorKind::InvalidInput)?;
+    fs::DirBuilder::new().recursive(true).mode(0o700).create(parent)?;
+    match fs::rename(from, place) {
+        Err(error) if error.kind() == io::ErrorKind::CrossesDevices => {}
+        done => return done,
+    }
+    let folder = tempfile::Builder::new().prefix(".restoring-").tempdir_in(parent)?;
+    let copy = folder.path().join("copy");
+    copy_all(from, &copy)?;
+    fs::rename(&copy, place)?;
+    if from.is_dir() { fs::remove_dir_all(from) } else { fs::remove_file(from) }
+}
+
+fn copy_all(from: &Path, to: &Path) -> io::Result<()> {
+    if !from.is_dir() {
+        return fs::copy(from, to).and_then(|_| File::open(to)?.sync_all());
+    }
+    fs::DirBuilder::new().mode(0o700).create(to)?;
+    for entry in fs::read_dir(from)? {
+        let entry = entry?;
+        copy_all(&entry.path(), &to.join(entry.file_name()))?;
+    }
+    Ok(())
 }
 
 fn shown(path: &Path) -> String {

@@ -7,7 +7,7 @@ use clap::Args;
 /// Flags of every command.
 #[derive(Debug, Clone, Args)]
 pub struct Global {
-    /// Directory of this site [default: $XDG_DATA_HOME/authros or ~/.local/share/authros]
+    /// Directory of this site, settings included [default: $XDG_DATA_HOME/authros or ~/.local/share/authros]
     #[arg(long, global = true, value_name = "DIR", env = "AUTHROS_HOME")]
     pub home: Option<PathBuf>,
     /// Identity on this machine [default: default]

@@ -1,4 +1,4 @@
-//! What a console remembers of its last run: screen, filters, orders. Kept in the home, read back at the next start.
+//! What a console remembers of its last run: screen, filters, orders. Kept in a file, read back at the next start.
 
 use serde::{Deserialize, Serialize};
 

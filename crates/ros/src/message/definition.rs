@@ -4,8 +4,10 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use super::digest::Md5;
+use md5::{Digest as _, Md5};
+
 use super::line::{Arity, Line, Primitive, parse_line};
+use crate::model::bytes::hex;
 use crate::model::topic::{LONGEST_NAME, TypeName};
 use crate::ros::RosError;
 
@@ -97,7 +99,7 @@ impl Definition {
                 Kind::Primitive(_) => format!("{} {}", field.written, field.name),
                 Kind::Message(index) => format!("{} {}", sums.get(index).map_or("", String::as_str), field.name),
             }));
-            sums.push(Md5::hex(lines.join("\n").as_bytes()));
+            sums.push(hex(&Md5::digest(lines.join("\n"))));
         }
         sums.pop().unwrap_or_default()
     }

@@ -1,12 +1,9 @@
-//! Pictures: what they are, a small form for screens, and files of them. Decoders are bounded in pixels and memory.
+//! Pictures: what they are, a small form for screens, and files of them.
 
-use std::io::Cursor;
-
-use image::codecs::jpeg::{JpegDecoder, JpegEncoder};
-use image::codecs::png::{PngDecoder, PngEncoder};
-use image::{DynamicImage, ExtendedColorType, ImageDecoder, ImageEncoder as _, Limits as ImageLimits};
+use png::{BitDepth, ColorType};
 use serde::{Deserialize, Serialize};
 
+use super::codec::{MOST_PIXELS, PNG_MAGIC, decode, jpeg_file, png_file};
 use super::matrix::Matrix;
 use super::numbers::{Body, number, text};
 use super::points::bytes;
@@ -14,12 +11,6 @@ use super::raster::{LARGEST, Raster};
 use super::{Readable, Table};
 use crate::model::ErrorKind;
 use crate::ros::message::{Definition, Limits, Value};
-
-/// The most pixels of a compressed picture that is decoded: 4000 x 3000.
-pub const MOST_PIXELS: u64 = 12_000_000;
-
-/// The most memory that decoding one may take, bytes.
-pub const DECODER_MEMORY: u64 = 128 << 20;
 
 /// Quality of exported JPEGs.
 const QUALITY: u8 = 92;
@@ -108,25 +99,20 @@ pub fn export(kind: Exported, definition: &Definition, body: &[u8]) -> Result<Ve
 }
 
 fn from_file(kind: Exported, data: &[u8]) -> Result<Vec<u8>, PictureError> {
-    let is_png = data.starts_with(b"\x89PNG");
+    let is_png = data.starts_with(PNG_MAGIC);
     match kind {
         Exported::Png if is_png => Ok(data.to_vec()),
         Exported::Jpeg if !is_png => Ok(data.to_vec()),
         Exported::Npy => {
-            let (rgb, size) = as_rgb(decode(data)?);
-            Ok(npy("|u1", &[size.1, size.0, 3], rgb.len(), std::iter::once(rgb.as_slice())))
+            let rgb = decode(data)?;
+            let row = std::iter::once(rgb.pixels.as_slice());
+            Ok(npy("|u1", &[rgb.height, rgb.width, 3], rgb.pixels.len(), row))
         }
         _ => {
-            let (rgb, size) = as_rgb(decode(data)?);
-            encode(kind, &rgb, size, ExtendedColorType::Rgb8)
+            let rgb = decode(data)?;
+            encode(kind, &rgb.pixels, (rgb.width, rgb.height))
         }
     }
-}
-
-fn as_rgb(picture: DynamicImage) -> (Vec<u8>, (usize, usize)) {
-    let rgb = picture.into_rgb8();
-    let size = (rgb.width() as usize, rgb.height() as usize);
-    (rgb.into_raw(), size)
 }
 
 fn from_matrix(kind: Exported, matrix: &Matrix) -> Result<Vec<u8>, PictureError> {
@@ -138,19 +124,16 @@ fn from_matrix(kind: Exported, matrix: &Matrix) -> Result<Vec<u8>, PictureError>
     }
     if kind == Exported::Png && matrix.channels == 1 && matrix.sample == 2 {
         let swap = |row: usize| {
-            matrix.row(row).as_chunks::<2>().0.iter().flat_map(|pair| {
-                // The encoder takes samples in this machine's order.
-                let sample = if matrix.big_endian { u16::from_be_bytes(*pair) } else { u16::from_le_bytes(*pair) };
-                sample.to_ne_bytes()
-            })
+            let pairs = matrix.row(row).as_chunks::<2>().0.iter();
+            pairs.flat_map(|[first, second]| if matrix.big_endian { [*first, *second] } else { [*second, *first] })
         };
         let greys: Vec<u8> = (0..size.1).flat_map(swap).collect();
-        return encode(kind, &greys, size, ExtendedColorType::L16);
+        return png_file(&greys, size, ColorType::Grayscale, BitDepth::Sixteen);
     }
     let eye = matrix.eye();
     let rgb: Vec<u8> =
         (0..size.1).flat_map(|y| (0..size.0).map(move |x| (x, y))).flat_map(|(x, y)| eye(x, y)).collect();
-    encode(kind, &rgb, size, ExtendedColorType::Rgb8)
+    encode(kind, &rgb, size)
 }
 
 fn dtype(matrix: &Matrix) -> &'static str {
@@ -195,51 +178,11 @@ fn npy<'a>(dtype: &str, shape: &[usize], length: usize, rows: impl Iterator<Item
     out
 }
 
-fn encode(
-    kind: Exported,
-    data: &[u8],
-    size: (usize, usize),
-    colour: ExtendedColorType,
-) -> Result<Vec<u8>, PictureError> {
-    let broken = |error: image::ImageError| PictureError::Broken(crate::model::clean(&error.to_string(), 200));
-    let side = |length: usize| u32::try_from(length).map_err(|_| PictureError::Broken("it is too large".into()));
-    let (width, height) = (side(size.0)?, side(size.1)?);
-    let mut out = Vec::new();
-    if kind == Exported::Jpeg {
-        JpegEncoder::new_with_quality(&mut out, QUALITY).write_image(data, width, height, colour).map_err(broken)?;
-    } else {
-        PngEncoder::new(&mut out).write_image(data, width, height, colour).map_err(broken)?;
+fn encode(kind: Exported, rgb: &[u8], size: (usize, usize)) -> Result<Vec<u8>, PictureError> {
+    match kind {
+        Exported::Jpeg => jpeg_file(rgb, size, QUALITY),
+        _ => png_file(rgb, size, ColorType::Rgb, BitDepth::Eight),
     }
-    Ok(out)
-}
-
-/// Decodes a JPEG or PNG file within [`MOST_PIXELS`] and [`DECODER_MEMORY`].
-///
-/// # Errors
-/// [`PictureError::Large`] before anything is decoded, [`PictureError::Broken`].
-pub fn decode(data: &[u8]) -> Result<DynamicImage, PictureError> {
-    let broken = |error: image::ImageError| PictureError::Broken(crate::model::clean(&error.to_string(), 200));
-    if data.starts_with(b"\x89PNG") {
-        bounded(PngDecoder::with_limits(Cursor::new(data), limits()).map_err(broken)?)
-    } else {
-        bounded(JpegDecoder::new(Cursor::new(data)).map_err(broken)?)
-    }
-}
-
-fn limits() -> ImageLimits {
-    let mut limits = ImageLimits::default();
-    limits.max_alloc = Some(DECODER_MEMORY);
-    limits
-}
-
-fn bounded(mut decoder: impl ImageDecoder) -> Result<DynamicImage, PictureError> {
-    let broken = |error: image::ImageError| PictureError::Broken(crate::model::clean(&error.to_string(), 200));
-    let (width, height) = decoder.dimensions();
-    if u64::from(width) * u64::from(height) > MOST_PIXELS || decoder.total_bytes() > DECODER_MEMORY {
-        return Err(PictureError::Large(width, height));
-    }
-    decoder.set_limits(limits()).map_err(broken)?;
-    DynamicImage::from_decoder(decoder).map_err(broken)
 }
 
 pub(super) fn compressed(value: &Value, body: &Body) -> Readable {
@@ -250,14 +193,13 @@ pub(super) fn compressed(value: &Value, body: &Body) -> Readable {
     let Some(data) = value.get("data").and_then(|data| bytes(data, body)) else { return out };
     out.line("Bytes", data.len().to_string());
     match decode(&data) {
-        Ok(picture) => {
-            let (rgb, size) = as_rgb(picture);
-            out.line("Size", format!("{} x {}", size.0, size.1));
+        Ok(rgb) => {
+            out.line("Size", format!("{} x {}", rgb.width, rgb.height));
             let pixel = |x: usize, y: usize| {
-                let at = (y * size.0 + x) * 3;
-                rgb.get(at..at + 3).and_then(|rgb| rgb.try_into().ok()).unwrap_or_default()
+                let at = (y * rgb.width + x) * 3;
+                rgb.pixels.get(at..at + 3).and_then(|rgb| rgb.try_into().ok()).unwrap_or_default()
             };
-            out.picture = Some(Raster::of(size, LARGEST, &pixel));
+            out.picture = Some(Raster::of((rgb.width, rgb.height), LARGEST, &pixel));
         }
         Err(error) => out.line("Not shown", error.to_string()),
     }

@@ -36,7 +36,7 @@ impl Site {
     ) -> Result<BackupView, Failure> {
         let passphrase = Passphrase::new(secret.expose().to_owned())?;
         let shown = clean(&file.display().to_string(), 200);
-        if file.starts_with(self.home.root()) {
+        if file.starts_with(self.home.root()) || self.home.outside().iter().any(|(_, place)| file.starts_with(place)) {
             return Err(input(format!(
                 "{shown} lies in the home itself; write the back-up elsewhere, best on another disk"
             )));
@@ -110,7 +110,11 @@ impl Site {
             add(&mut sealed, CHAIN, &moment.folder.path().join("chain.db"), &mut view).map_err(failed)?;
         }
         // After the ledger: the keyring must have the keys of every epoch that the ledger names.
-        self.add_small(&mut sealed, self.home.root(), &mut view).map_err(failed)?;
+        let mut small = Small { sealed: &mut sealed, view: &mut view };
+        small.directory("", self.home.root()).map_err(failed)?;
+        for (name, path) in self.home.outside() {
+            small.outside(name, path).map_err(failed)?;
+        }
         archive::end(&mut sealed).map_err(failed)?;
         let target = sealed.finish().map_err(failed)?.into_inner().map_err(|error| failed(error.into_error()))?;
         target.as_file().sync_all().map_err(failed)?;
@@ -121,29 +125,48 @@ impl Site {
         }
         Ok(view)
     }
+}
 
-    /// Every other file of the home.
-    fn add_small(&self, sealed: &mut impl Write, directory: &Path, view: &mut BackupView) -> io::Result<()> {
+/// Puts every other file of the home into the back-up.
+struct Small<'a, W> {
+    sealed: &'a mut W,
+    view: &'a mut BackupView,
+}
+
+impl<W: Write> Small<'_, W> {
+    fn directory(&mut self, within: &str, directory: &Path) -> io::Result<()> {
         let mut entries = fs::read_dir(directory)?.collect::<io::Result<Vec<_>>>()?;
         entries.sort_by_key(fs::DirEntry::file_name);
         for entry in entries {
-            let path = entry.path();
-            let Ok(relative) = path.strip_prefix(self.home.root()) else { continue };
-            let Some(name) = relative.to_str() else { continue };
-            let is_database = [LEDGER, VAULT, CHAIN].iter().any(|database| name.starts_with(database));
             let last = entry.file_name();
-            let is_left_out = LEFT_OUT.iter().any(|begin| last.to_string_lossy().starts_with(begin));
-            let kind = entry.file_type()?;
-            let is_taken_elsewhere = is_database || is_left_out;
-            if !is_taken_elsewhere && kind.is_dir() {
-                self.add_small(sealed, &path, view)?;
-            } else if !is_taken_elsewhere && kind.is_file() && archive::is_plain(name) {
-                add(sealed, name, &path, view)?;
-            } else if !is_taken_elsewhere {
-                view.notes.push(format!("{} is no plain file and is left out", clean(name, 100)));
+            let Some(last) = last.to_str() else { continue };
+            let name = if within.is_empty() { last.to_owned() } else { format!("{within}/{last}") };
+            let is_database = [LEDGER, VAULT, CHAIN].iter().any(|database| name.starts_with(database));
+            if !is_database && !LEFT_OUT.iter().any(|begin| last.starts_with(begin)) {
+                self.entry(&name, &entry.path(), entry.file_type()?)?;
             }
         }
         Ok(())
+    }
+
+    fn entry(&mut self, name: &str, path: &Path, kind: fs::FileType) -> io::Result<()> {
+        if kind.is_dir() {
+            self.directory(name, path)
+        } else if kind.is_file() && archive::is_plain(name) {
+            add(self.sealed, name, path, self.view)
+        } else {
+            self.view.notes.push(format!("{} is no plain file and is left out", clean(name, 100)));
+            Ok(())
+        }
+    }
+
+    /// What lies in a folder of its own, if it is there. Settings are often links into a folder that is kept elsewhere.
+    fn outside(&mut self, name: &str, path: &Path) -> io::Result<()> {
+        match fs::metadata(path) {
+            Ok(about) => self.entry(name, path, about.file_type()),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
+            Err(error) => Err(error),
+        }
     }
 }
 

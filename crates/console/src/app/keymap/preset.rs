@@ -8,7 +8,7 @@ use crate::app::key::Key;
 const OPENING: &str = "\
 # Keys of the AuthROS console, as they are without a keymap.toml.
 #
-# Your own keymap.toml (in the home, beside config.toml) lists only what differs:
+# Your own keymap.toml (beside config.toml) lists only what differs:
 #   on    a key, or a list of up to three keys pressed one after the other
 #   run   what it does, by its name in the palette; \"none\" takes the preset's meaning away
 #   desc  your own words for help (may be left out)
