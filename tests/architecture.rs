@@ -16,6 +16,20 @@ const LONGEST: usize = 450;
 /// The longest opening, lines; the map of the screen may be longer.
 const LONGEST_OPENING: usize = 6;
 const OPENS_WITH_A_MAP: &str = "crates/console/src/ui/mod.rs";
+/// Where requests, answers, verbs and tags are told apart: a new one that is forgotten there must not compile.
+const DISPATCH: [&str; 11] = [
+    "crates/service/src/site/handle.rs",
+    "crates/console/src/app/administration.rs",
+    "crates/console/src/app/answer.rs",
+    "crates/console/src/app/available.rs",
+    "crates/console/src/app/identity_path.rs",
+    "crates/console/src/app/perform.rs",
+    "crates/console/src/app/undo.rs",
+    "src/cli/chain.rs",
+    "src/cli/gateway.rs",
+    "src/cli/mod.rs",
+    "src/cli/verbs.rs",
+];
 /// Names that say nothing.
 const EMPTY_NAMES: [&str; 7] = ["util", "utils", "helper", "helpers", "manager", "misc", "common"];
 
@@ -195,6 +209,27 @@ fn every_room_of_the_console_uses_only_rooms_before_it() {
         }
     }
     assert_none("against the order of rooms", &wrong);
+}
+
+#[test]
+fn nothing_falls_through_where_requests_answers_and_verbs_are_told_apart() {
+    let mut wrong = Vec::new();
+    for path in DISPATCH {
+        let code = code_only(&read(Path::new(path)));
+        if !code.contains("[deny(clippy::wildcard_enum_match_arm)]") {
+            wrong.push(format!("{path} does not deny clippy::wildcard_enum_match_arm"));
+        }
+        wrong.extend(code.lines().filter(|line| catches_all(line)).map(|line| format!("{path}: {}", line.trim())));
+    }
+    assert_none("arms that catch what is not named", &wrong);
+    assert!(catches_all("    _ => {}") && catches_all("other => again(other),"));
+    assert!(!catches_all("Some(_) => {}") && !catches_all("Verb::Keys(verb) => keys(verb),"));
+}
+
+/// Whether a line begins an arm that takes everything.
+fn catches_all(line: &str) -> bool {
+    let Some((pattern, _)) = line.trim_start().split_once(" =>") else { return false };
+    !pattern.is_empty() && pattern.chars().all(|character| character.is_ascii_lowercase() || character == '_')
 }
 
 #[test]

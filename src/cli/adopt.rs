@@ -5,11 +5,13 @@ use std::path::Path;
 use clap::Subcommand;
 
 use super::parse;
+use super::show::Question;
 use crate::crypto::keyfile::{load_sm2, sm2_public_from_pem};
 use crate::crypto::{ProviderName, SmKeyPair, provider, signer_id};
 use crate::model::{ErrorKind, PublicKey, SignerId, Timestamp, bytes::unhex};
+use crate::service::Failure;
+use crate::service::command::{AddDeviceTopics, LendDevice, ListDevices, RecallDevice};
 use crate::service::reply::DeviceRow;
-use crate::service::{Command, Failure};
 use authros_output::table;
 
 /// The longest file that is looked at for a public key, bytes.
@@ -58,16 +60,16 @@ pub enum TopicsVerb {
 ///
 /// # Errors
 /// What is wrong with the arguments.
-pub fn command(verb: &DevicesVerb) -> Result<Command, Failure> {
+pub fn question(verb: &DevicesVerb) -> Result<Question, Failure> {
     Ok(match verb {
         DevicesVerb::Lend { device, until } => {
-            Command::LendDevice { device: device_of(device)?, until: until.as_deref().map(end).transpose()? }
+            LendDevice { device: device_of(device)?, until: until.as_deref().map(end).transpose()? }.into()
         }
-        DevicesVerb::Recall { device } => Command::RecallDevice { device: device.clone() },
+        DevicesVerb::Recall { device } => RecallDevice { device: device.clone() }.into(),
         DevicesVerb::Topics(TopicsVerb::Add { device, topics }) => {
-            Command::AddDeviceTopics { device: device.clone(), topics: parse::values(topics)? }
+            AddDeviceTopics { device: device.clone(), topics: parse::values(topics)? }.into()
         }
-        DevicesVerb::List => Command::ListDevices,
+        DevicesVerb::List => ListDevices.into(),
     })
 }
 

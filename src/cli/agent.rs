@@ -5,22 +5,32 @@ use std::time::Duration;
 
 use serde::Serialize;
 
-use super::args::{EnrolArguments, Global, RunArguments};
-use super::connect::{Context, ProfileNeed, unexpected};
+use super::args::{AgentVerb, EnrolArguments, Global, RunArguments};
+use super::connect::{Context, ProfileNeed};
 use super::{parse, passphrase};
 use crate::crypto::{Fingerprint, Passphrase, SealedEnrolment, private_file};
 use crate::model::ErrorKind;
-use crate::service::{
-    Agent, AgentEnd, AgentFigures, AgentWishes, Command, EnrolWishes, Failure, Needs, Reply, SecretText, Site,
-};
+use crate::service::command::EnrolDevice;
+use crate::service::{Agent, AgentEnd, AgentFigures, AgentWishes, EnrolWishes, Failure, Needs, SecretText, Site};
 use crate::store::TopicCounts;
 use authros_output::Output;
+
+/// `agent …`; the home of `run` follows from its enrolment.
+///
+/// # Errors
+/// What the arguments, the site or the outbox say.
+pub async fn run(global: Global, verb: AgentVerb, output: &Output) -> Result<u8, Failure> {
+    match verb {
+        AgentVerb::Enrol(arguments) => enrol(Context::new(global, output)?, arguments, output).await,
+        AgentVerb::Run(arguments) => capture(global, arguments, output).await,
+    }
+}
 
 /// Enrols a robot and writes its file.
 ///
 /// # Errors
 /// What the site, the gateway or the arguments say.
-pub async fn enrol(context: Context, arguments: EnrolArguments, output: &Output) -> Result<u8, Failure> {
+async fn enrol(context: Context, arguments: EnrolArguments, output: &Output) -> Result<u8, Failure> {
     let out = arguments.out;
     if out.exists() {
         let advice = "name another --out, an enrolment is never overwritten";
@@ -42,11 +52,11 @@ pub async fn enrol(context: Context, arguments: EnrolArguments, output: &Output)
     let connection = context.connect(Needs { ros: false, chain: true }).await?;
     let answer = async {
         context.prepare(&connection.client, ProfileNeed::Unlocked, output).await?;
-        connection.client.request(Command::EnrolDevice(wishes)).await
+        connection.client.ask(EnrolDevice(wishes)).await
     };
     let answer = answer.await;
     connection.close().await;
-    let Reply::Enrolled(view) = answer? else { return Err(unexpected()) };
+    let view = answer?;
     private_file::create_private(&out, view.file.expose())?;
     if arguments.robot_passphrase_file.is_none() {
         let beside = beside(&out);
@@ -97,7 +107,7 @@ struct Summary {
 ///
 /// # Errors
 /// What the enrolment, the outbox or the arguments say.
-pub async fn run(global: Global, arguments: RunArguments, output: &Output) -> Result<u8, Failure> {
+async fn capture(global: Global, arguments: RunArguments, output: &Output) -> Result<u8, Failure> {
     let tags: Result<Vec<_>, Failure> = arguments.tags.iter().map(|text| parse::tag(text)).collect();
     let wishes = AgentWishes {
         topics: parse::values(&arguments.topics)?,

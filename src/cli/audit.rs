@@ -4,9 +4,9 @@ use clap::{Args, Subcommand};
 
 use super::parse;
 use crate::model::{ErrorKind, Timestamp};
+use crate::service::Failure;
 use crate::service::command::AuditQuery;
 use crate::service::reply::{AuditCheck, AuditView};
-use crate::service::{Command, Failure};
 use authros_output::table;
 
 /// `audit`
@@ -71,23 +71,15 @@ pub enum AuditVerb {
     },
 }
 
-/// The query of `audit list`.
+/// The beginning and the length of `audit list`.
 ///
 /// # Errors
 /// What is wrong with the arguments.
-pub fn query(verb: &AuditVerb) -> Result<Command, Failure> {
-    Ok(match verb {
-        AuditVerb::List { since, action, by, before, limit } => {
-            if !(1..=1000).contains(limit) {
-                return Err(Failure::new(ErrorKind::Input, format!("--limit {limit} is not between 1 and 1000")));
-            }
-            let since = since.as_deref().map(beginning).transpose()?;
-            let (action, profile) = (action.clone(), by.clone());
-            Command::ListAudit(AuditQuery { since, action, profile, before: *before, limit: *limit })
-        }
-        AuditVerb::Verify { without_heads } => Command::VerifyAudit { heads: !without_heads },
-        AuditVerb::Export { addresses, .. } => Command::ExportAudit { addresses: *addresses },
-    })
+pub fn query(since: Option<&str>, limit: usize) -> Result<AuditQuery, Failure> {
+    if !(1..=1000).contains(&limit) {
+        return Err(Failure::new(ErrorKind::Input, format!("--limit {limit} is not between 1 and 1000")));
+    }
+    Ok(AuditQuery { since: since.map(beginning).transpose()?, limit, ..AuditQuery::default() })
 }
 
 fn beginning(text: &str) -> Result<Timestamp, Failure> {
@@ -138,11 +130,8 @@ mod tests {
 
     #[test]
     fn a_list_begins_at_a_time_or_so_long_ago() {
-        let list = |since: &str| {
-            let (since, limit) = (Some(since.to_owned()), 10);
-            query(&AuditVerb::List { since, action: None, by: None, before: None, limit })
-        };
-        assert!(matches!(list("2026-11-21T08:30:00Z"), Ok(Command::ListAudit(AuditQuery { since: Some(_), .. }))));
+        let list = |since: &str| query(Some(since), 10);
+        assert!(matches!(list("2026-11-21T08:30:00Z"), Ok(AuditQuery { since: Some(_), .. })));
         assert!(list("10m").is_ok() && list("soon").is_err());
     }
 }

@@ -1,12 +1,13 @@
 //! `authros capture`: headless, ends when all that was captured is verified.
 
 use super::args::CaptureArguments;
-use super::connect::{Context, ProfileNeed, unexpected};
+use super::connect::{Context, ProfileNeed};
 use super::parse;
 use super::serve::Ending;
 use crate::model::ErrorKind;
+use crate::service::command::{Capture, StopCapture};
 use crate::service::reply::CaptureSummary;
-use crate::service::{Client, Command, Failure, Needs, Reply};
+use crate::service::{Client, Failure, Needs};
 use authros_output::{Output, table};
 
 /// Runs one capture; Ctrl-C ends it early, a second one leaves at once.
@@ -16,7 +17,7 @@ use authros_output::{Output, table};
 pub async fn run(context: Context, arguments: CaptureArguments, output: &Output) -> Result<u8, Failure> {
     let tags: Result<Vec<_>, Failure> = arguments.tags.iter().map(|text| parse::tag(text)).collect();
     let length = arguments.duration.as_deref().map(parse::duration).transpose()?;
-    let command = Command::Capture {
+    let ask = Capture {
         topics: parse::values(&arguments.topics)?,
         type_name: arguments.type_name.as_deref().map(parse::value).transpose()?,
         count: arguments.count,
@@ -26,7 +27,7 @@ pub async fn run(context: Context, arguments: CaptureArguments, output: &Output)
     let connection = context.connect(Needs { ros: true, chain: true }).await?;
     let result = async {
         context.prepare(&connection.client, ProfileNeed::Made, output).await?;
-        until_done(&connection.client, command, output).await
+        until_done(&connection.client, ask, output).await
     };
     let result = result.await;
     match &result {
@@ -38,25 +39,20 @@ pub async fn run(context: Context, arguments: CaptureArguments, output: &Output)
     Ok(code(&summary, output))
 }
 
-async fn until_done(client: &Client, command: Command, output: &Output) -> Result<CaptureSummary, Failure> {
-    let answer = client.request(command);
+async fn until_done(client: &Client, ask: Capture, output: &Output) -> Result<CaptureSummary, Failure> {
+    let answer = client.ask(ask);
     tokio::pin!(answer);
     let mut asked = false;
     loop {
         tokio::select! {
-            reply = &mut answer => {
-                return match reply? {
-                    Reply::Captured(summary) => Ok(summary),
-                    _ => Err(unexpected()),
-                };
-            }
+            summary = &mut answer => return summary,
             ending = crate::cli::serve::asked_to_end() => {
                 if asked || ending == Ending::Ordered {
                     return Err(Failure::new(ErrorKind::Incomplete, "left before all that was captured is verified; it is stored, and goes on at the next start"));
                 }
                 asked = true;
                 output.note("ending the capture; waiting until all is verified (again to leave at once)");
-                client.request(Command::StopCapture).await?;
+                client.ask(StopCapture).await?;
             }
         }
     }

@@ -1,4 +1,6 @@
-//! `authros chain serve` and `authros chain genesis`; status and deploy are plain verbs.
+//! `authros chain`: its plain verbs and the administrator's, `chain serve` and `chain genesis`.
+
+#![deny(clippy::wildcard_enum_match_arm)]
 
 use std::fs::{DirBuilder, OpenOptions};
 use std::io::{ErrorKind as IoKind, Write as _};
@@ -6,21 +8,79 @@ use std::net::SocketAddr;
 use std::path::Path;
 use std::time::Duration;
 
-use super::args::GenesisArguments;
-use super::connect::{Context, unexpected};
+use super::args::{ChainVerb, GenesisArguments, Global, SuccessionVerb};
+use super::connect::{Context, ProfileNeed};
+use super::verbs::{CHAIN, Plan};
 use super::{parse, serve as site};
-use crate::chain::{GUIDE, Genesis, GenesisKind};
+use crate::chain::{GUIDE, Genesis, GenesisKind, Revision};
 use crate::model::ErrorKind;
+use crate::service::command::{
+    Administer, Administration, AdoptChain, ChainStatus, DeployContract, ListSuccessions, ServeChain, SiteStatus,
+};
 use crate::service::reply::ServedView;
-use crate::service::{Client, Command, Failure, Needs, Reply};
+use crate::service::{Client, Failure, Needs};
 use authros_output::Output;
+
+/// `chain …`; only `genesis` needs no home.
+///
+/// # Errors
+/// What the arguments or the site say.
+pub async fn run(global: Global, verb: ChainVerb, output: &Output) -> Result<u8, Failure> {
+    let unlocked = |act: Administration| Plan::new(CHAIN, ProfileNeed::Unlocked, Administer(act));
+    let plan = match verb {
+        ChainVerb::Genesis(arguments) => return genesis(&arguments, output),
+        ChainVerb::Serve { listen } => return serve(Context::new(global, output)?, listen, output).await,
+        ChainVerb::Status => Plan::new(CHAIN, ProfileNeed::None, ChainStatus),
+        ChainVerb::Adopt => Plan::new(CHAIN, ProfileNeed::Unlocked, AdoptChain),
+        ChainVerb::Deploy { delay, revision } => {
+            Plan::new(CHAIN, ProfileNeed::Made, deployment(delay.as_deref(), revision)?)
+        }
+        ChainVerb::Succession(SuccessionVerb::List) => Plan::new(CHAIN, ProfileNeed::None, ListSuccessions),
+        ChainVerb::Succession(SuccessionVerb::Propose { lost, successor }) => {
+            unlocked(Administration::Propose { lost: parse::value(&lost)?, successor: parse::value(&successor)? })
+        }
+        ChainVerb::Succession(SuccessionVerb::Cancel { lost }) => {
+            unlocked(Administration::Cancel { lost: parse::value(&lost)? })
+        }
+        ChainVerb::Succession(SuccessionVerb::Complete { lost }) => {
+            unlocked(Administration::Complete { lost: parse::value(&lost)? })
+        }
+        ChainVerb::Succeed { lost, successor } => {
+            unlocked(Administration::Succeed { lost: parse::value(&lost)?, successor: parse::value(&successor)? })
+        }
+        ChainVerb::Dismiss { account } => unlocked(Administration::Dismiss { account: parse::value(&account)? }),
+        ChainVerb::Admit { account } => unlocked(Administration::Admit { account: parse::value(&account)? }),
+        ChainVerb::Suspend { account } => unlocked(Administration::Suspend { account: parse::value(&account)? }),
+        ChainVerb::Restore { account } => unlocked(Administration::Restore { account: parse::value(&account)? }),
+        ChainVerb::Open => unlocked(Administration::Open { open: true }),
+        ChainVerb::Close => unlocked(Administration::Open { open: false }),
+        ChainVerb::Pause { length } => {
+            let seconds = length.as_deref().map(seconds).transpose()?;
+            unlocked(Administration::Pause { paused: true, seconds })
+        }
+        ChainVerb::Resume => unlocked(Administration::Pause { paused: false, seconds: None }),
+        ChainVerb::HandOver { account } => unlocked(Administration::HandOver { account: parse::value(&account)? }),
+        ChainVerb::Accept => unlocked(Administration::Accept),
+    };
+    super::verbs::run(Context::new(global, output)?, plan, output).await
+}
+
+fn deployment(delay: Option<&str>, revision: Option<u8>) -> Result<DeployContract, Failure> {
+    let unknown = |error: String| Failure::new(ErrorKind::Input, error);
+    let revision = revision.map(Revision::try_from).transpose().map_err(unknown)?;
+    Ok(DeployContract { delay: delay.map(seconds).transpose()?, revision })
+}
+
+fn seconds(text: &str) -> Result<u64, Failure> {
+    parse::duration(text).map(|length| length.as_secs())
+}
 
 /// Serves the embedded chain's JSON-RPC until a signal: through the running site of this home, or as
 /// the site itself.
 ///
 /// # Errors
 /// Where the address is not loopback or not free, or the chain is a node.
-pub async fn serve(context: Context, listen: SocketAddr, output: &Output) -> Result<u8, Failure> {
+async fn serve(context: Context, listen: SocketAddr, output: &Output) -> Result<u8, Failure> {
     if !listen.ip().is_loopback() {
         // Said before a site is started for it.
         drop(crate::chain::serve::listen(listen).await?);
@@ -59,7 +119,7 @@ pub async fn serve(context: Context, listen: SocketAddr, output: &Output) -> Res
 pub(super) async fn lost(client: &Client) -> Failure {
     loop {
         tokio::time::sleep(Duration::from_secs(2)).await;
-        if let Err(failure) = client.request(Command::SiteStatus).await
+        if let Err(failure) = client.ask(SiteStatus).await
             && failure.kind == ErrorKind::Unreachable
         {
             return failure;
@@ -68,17 +128,14 @@ pub(super) async fn lost(client: &Client) -> Failure {
 }
 
 async fn start(client: &Client, address: SocketAddr) -> Result<ServedView, Failure> {
-    match client.request(Command::ServeChain { address }).await? {
-        Reply::Served(served) => Ok(served),
-        _ => Err(unexpected()),
-    }
+    client.ask(ServeChain { address }).await
 }
 
 /// Makes a genesis file, or prints the guide.
 ///
 /// # Errors
 /// Where the arguments do not fit, or a file is there already.
-pub fn genesis(arguments: &GenesisArguments, output: &Output) -> Result<u8, Failure> {
+fn genesis(arguments: &GenesisArguments, output: &Output) -> Result<u8, Failure> {
     let Some(consensus) = &arguments.consensus else {
         output.result(&serde_json::json!({ "guide": GUIDE }), || GUIDE.to_owned());
         return Ok(0);

@@ -4,30 +4,22 @@ use std::path::{Path, PathBuf};
 
 use super::args::Global;
 use super::connect::{Connection, Context};
+use super::show::{Printed as _, Question};
 use super::verbs::NEITHER;
 use super::{parse, passphrase};
-use crate::model::{ErrorKind, Timestamp};
-use crate::service::command::{SecretText, StoreCommand, UploadQuery};
+use crate::model::ErrorKind;
+use crate::service::command::{BackUp, ListAllUploads, ListUploads, SecretText, SiteStatus, UploadQuery};
 use crate::service::reply::{BackupView, CheckStatus, DoctorView, RecordAudit, SiteView};
 use crate::service::verification::{self, FolderCheck, Known, verdict};
-use crate::service::{Command, Failure, Needs, Reply, doctor, restoring, socket};
+use crate::service::{Failure, Needs, doctor, restoring, socket};
 use crate::store::SiteLock;
 use authros_output::{Output, table};
 
-/// The command of `audit` without a verb of its own.
-pub fn audit_command(deep: bool, since: Option<Timestamp>) -> Command {
-    Command::OfStore(StoreCommand::AuditRecords { deep, since })
-}
-
 /// `uploads list`: of the profile that is named, else of all profiles of the home.
-pub fn list_uploads(context: &Context, query: UploadQuery) -> Command {
-    match context.global.profile {
-        Some(_) => Command::ListUploads(query),
-        // The ids of tags follow from each profile's own key.
-        None if !query.tags.is_empty() => Command::ListUploads(query),
-        None if context.home.profiles().len() < 2 => Command::ListUploads(query),
-        None => Command::OfStore(StoreCommand::ListUploads(query)),
-    }
+pub fn list_uploads(context: &Context, query: UploadQuery) -> Question {
+    // The ids of tags follow from each profile's own key.
+    let of_one = context.global.profile.is_some() || !query.tags.is_empty() || context.home.profiles().len() < 2;
+    if of_one { ListUploads(query).into() } else { ListAllUploads(query).into() }
 }
 
 /// What an audit of records needs: the chain where the home is bound to one.
@@ -105,15 +97,11 @@ async fn running_site(context: &Context) -> Option<Result<SiteView, String>> {
         return None;
     }
     let joined = match socket::join(&context.home, context.profile.clone()).await {
-        Ok(Some((client, _))) => client.request(Command::SiteStatus).await,
+        Ok(Some((client, _))) => client.ask(SiteStatus).await,
         Ok(None) => return Some(Err("its socket is not there".to_owned())),
-        Err(failure) => return Some(Err(failure.message)),
+        Err(failure) => Err(failure),
     };
-    Some(match joined {
-        Ok(Reply::Site(view)) => Ok(view),
-        Ok(_) => Err(super::connect::unexpected().message),
-        Err(failure) => Err(failure.message),
-    })
+    Some(joined.map_err(|failure| failure.message))
 }
 
 fn doctor_text(view: &DoctorView) -> String {
@@ -178,9 +166,9 @@ pub async fn run_backup(context: Context, file: &Path, output: &Output) -> Resul
     let passphrase = backup_passphrase(&context.global)?;
     let file = absolute(file)?;
     let Connection { client, site } = context.connect(NEITHER).await?;
-    let answer = client.request(Command::OfStore(StoreCommand::BackUp { file, passphrase })).await;
+    let answer = client.ask(BackUp { file, passphrase }).await;
     Connection { client, site }.close().await;
-    super::show::show(answer?, None, output)
+    answer?.print(None, output)
 }
 
 /// `restore FILE`.

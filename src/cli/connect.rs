@@ -9,9 +9,9 @@ use super::passphrase;
 use crate::config::{Config, Source};
 use crate::model::{ErrorKind, ProfileName};
 use crate::paths::{Home, PlaceError};
-use crate::service::reply::{IdentityView, SiteView};
+use crate::service::command::{CreateIdentity, ShowIdentity, Unlock};
 use crate::service::socket::{self, Greeting};
-use crate::service::{Client, Command, Failure, Needs, Reply, Site};
+use crate::service::{Client, Failure, Needs, Site};
 use crate::store::{SiteLock, files};
 use authros_output::Output;
 
@@ -173,10 +173,10 @@ impl Context {
         if need == ProfileNeed::None {
             return Ok(());
         }
-        let identity = expect_identity(client.request(Command::ShowIdentity).await?)?;
+        let identity = client.ask(ShowIdentity).await?;
         if !identity.exists && need == ProfileNeed::Made {
             let passphrase = passphrase::given_or_new(&self.global, &self.home, &self.profile, output)?;
-            let made = expect_identity(client.request(Command::CreateIdentity { passphrase }).await?)?;
+            let made = client.ask(CreateIdentity { passphrase }).await?;
             if let Some(address) = made.address {
                 output.note(&format!("identity '{}' made: {address}", self.profile));
             }
@@ -192,7 +192,7 @@ impl Context {
                     ),
                 )
             })?;
-            client.request(Command::Unlock { passphrase }).await?;
+            client.ask(Unlock { passphrase }).await?;
         }
         Ok(())
     }
@@ -224,31 +224,4 @@ async fn unasked(site: &Site) {
     while site.guests() > 0 {
         tokio::time::sleep(Duration::from_millis(50)).await;
     }
-}
-
-/// The identity in a reply.
-///
-/// # Errors
-/// Where the site answered something else.
-pub fn expect_identity(reply: Reply) -> Result<IdentityView, Failure> {
-    match reply {
-        Reply::Identity(identity) => Ok(identity),
-        _ => Err(unexpected()),
-    }
-}
-
-/// The site's view of itself in a reply.
-///
-/// # Errors
-/// Where the site answered something else.
-pub fn expect_site(reply: Reply) -> Result<SiteView, Failure> {
-    match reply {
-        Reply::Site(view) => Ok(view),
-        _ => Err(unexpected()),
-    }
-}
-
-/// A site that answers what was not asked.
-pub fn unexpected() -> Failure {
-    Failure::new(ErrorKind::Internal, "the site answered something else than was asked; it may be of another version")
 }

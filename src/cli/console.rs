@@ -9,8 +9,9 @@ use super::connect::{Connection, Context};
 use super::{looks, passphrase};
 use crate::model::{ErrorKind, Timestamp};
 use crate::service::client::site_gone;
+use crate::service::command::Unlock;
 use crate::service::event::NoticeLevel;
-use crate::service::{Call, Client, Command, Event, Failure, Needs, Site};
+use crate::service::{Call, Client, Event, Failure, Needs, Site};
 use crate::term::{self, ExitReason};
 
 /// Runs the console until it is left; the exit code is the terminal's.
@@ -99,6 +100,6 @@ async fn unlock(context: Context, client: Client) {
     }
     if let Ok(Some(passphrase)) = passphrase::given(&context.global, &context.home, &context.profile) {
         // A failure shows as a locked keyring, and the console asks.
-        drop(client.request(Command::Unlock { passphrase }).await);
+        drop(client.ask(Unlock { passphrase }).await);
     }
 }

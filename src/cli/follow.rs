@@ -3,10 +3,11 @@
 use std::collections::HashMap;
 use std::time::Duration;
 
-use super::connect::{Context, ProfileNeed, unexpected};
+use super::connect::{Context, ProfileNeed};
 use crate::model::Timestamp;
+use crate::service::command::{ListShared, ListUploads};
 use crate::service::reply::{RecordPage, RecordView};
-use crate::service::{Client, Command, Event, Failure, Needs, Part, Reply, UploadQuery};
+use crate::service::{Client, Event, Failure, Needs, Part, UploadQuery};
 use authros_output::Output;
 
 /// Records captured longer ago than this before the newest are looked at no more, nanoseconds.
@@ -64,13 +65,9 @@ async fn follow(client: &Client, which: Which, mut query: UploadQuery, output: &
 }
 
 async fn page(client: &Client, which: Which, query: &UploadQuery) -> Result<RecordPage, Failure> {
-    let command = match which {
-        Which::Uploads => Command::ListUploads(query.clone()),
-        Which::Shared => Command::ListShared(query.clone()),
-    };
-    match client.request(command).await? {
-        Reply::Records(page) => Ok(page),
-        _ => Err(unexpected()),
+    match which {
+        Which::Uploads => client.ask(ListUploads(query.clone())).await,
+        Which::Shared => client.ask(ListShared(query.clone())).await,
     }
 }
 

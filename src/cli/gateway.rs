@@ -1,21 +1,41 @@
-//! `authros gateway serve`: the paper's CR, alone or inside a running site.
+//! `authros gateway`: the paper's CR, served alone or inside a running site, and who may use it.
+
+#![deny(clippy::wildcard_enum_match_arm)]
 
 use std::net::SocketAddr;
 
 use super::args::GatewayVerb;
-use super::connect::{Connection, Context, ProfileNeed, unexpected};
+use super::connect::{Connection, Context, ProfileNeed};
 use super::parse;
 use super::serve as site;
+use super::show::Question;
+use super::verbs::{NEITHER, Plan};
 use crate::model::clean;
+use crate::service::command::{Admit, Dismiss, GatewayStatus, ListAdmitted, Register, ServeGateway};
 use crate::service::reply::{AdmittedView, GatewayStatusView, GatewayView};
-use crate::service::{Command, Failure, Needs, Operation, Reply};
+use crate::service::{Failure, Needs};
 use authros_output::{Output, table};
+
+/// `gateway …`
+///
+/// # Errors
+/// What the arguments or the site say.
+pub async fn run(context: Context, verb: GatewayVerb, output: &Output) -> Result<u8, Failure> {
+    let question: Question = match verb {
+        GatewayVerb::Serve { listen, open } => return serve(context, listen, open, output).await,
+        GatewayVerb::Admit { owner } => Admit { owner: parse::value(&owner)? }.into(),
+        GatewayVerb::Dismiss { owner } => Dismiss { owner: parse::value(&owner)? }.into(),
+        GatewayVerb::Admitted => ListAdmitted.into(),
+        GatewayVerb::Status => GatewayStatus.into(),
+    };
+    super::verbs::run(context, Plan::new(NEITHER, ProfileNeed::None, question), output).await
+}
 
 /// Serves until a signal: through the running site of this home, or as a site of its own without ROS.
 ///
 /// # Errors
 /// Where the profile cannot be opened or registered, or the address is not free.
-pub async fn serve(context: Context, listen: SocketAddr, open: bool, output: &Output) -> Result<u8, Failure> {
+async fn serve(context: Context, listen: SocketAddr, open: bool, output: &Output) -> Result<u8, Failure> {
     let connection = context.connect(Needs { ros: false, chain: true }).await?;
     let (joined, events) = (connection.site.is_none(), connection.client.events());
     let end = site::asked_to_end();
@@ -56,24 +76,8 @@ async fn begin(
 ) -> Result<GatewayView, Failure> {
     let client = &connection.client;
     context.prepare(client, ProfileNeed::Made, output).await?;
-    client.request(Command::Register).await?;
-    match client.request(Command::ServeGateway { address, open }).await? {
-        Reply::Gateway(view) => Ok(view),
-        _ => Err(unexpected()),
-    }
-}
-
-/// What is asked of a site about its gateway.
-///
-/// # Errors
-/// What is wrong with the arguments.
-pub fn operation(verb: &GatewayVerb) -> Result<Operation, Failure> {
-    Ok(match verb {
-        GatewayVerb::Admit { owner } => Operation::Admit { owner: parse::value(owner)? },
-        GatewayVerb::Dismiss { owner } => Operation::Dismiss { owner: parse::value(owner)? },
-        GatewayVerb::Admitted => Operation::ListAdmitted,
-        GatewayVerb::Status | GatewayVerb::Serve { .. } => Operation::GatewayStatus,
-    })
+    client.ask(Register).await?;
+    client.ask(ServeGateway { address, open }).await
 }
 
 /// Who may use a gateway, for people.

@@ -36,11 +36,13 @@ mod viewing;
 use std::process::ExitCode;
 
 use clap::Parser;
+use tokio::runtime::Runtime;
 
-use self::args::{Arguments, ChainVerb, SharedVerb, UploadsVerb, Verb};
-use self::connect::Context;
+use self::args::{Arguments, Global, Verb};
+use self::connect::{Context, ProfileNeed};
+use self::verbs::{CHAIN, Plan};
 use crate::model::ErrorKind;
-use crate::service::Failure;
+use crate::service::{Failure, command};
 use authros_output::Output;
 
 /// Runs the program; the exit code follows from the kind of error.
@@ -76,54 +78,76 @@ pub fn main() -> ExitCode {
     }
 }
 
-fn run(runtime: &tokio::runtime::Runtime, arguments: Arguments, output: &Output) -> Result<u8, Failure> {
-    // It needs no home, and its --consensus is no setting.
-    if let Some(Verb::Chain(ChainVerb::Genesis(genesis))) = &arguments.verb {
-        return chain::genesis(genesis, output);
-    }
-    if let Some(text) = printed::text(&arguments)? {
+/// Every verb has its arm here, so one that nothing runs does not compile. Some need no home and do not look at one.
+#[deny(clippy::wildcard_enum_match_arm)]
+fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, Failure> {
+    if let Some(text) = printed::defaults(&arguments.print)? {
         output.raw(&text);
         return Ok(0);
     }
-    let verb = match arguments.verb {
-        // Needs no home, so it does not look at one.
-        // Its home follows from its enrolment.
-        Some(Verb::Agent(args::AgentVerb::Run(run))) => {
-            return runtime.block_on(agent::run(arguments.global, run, output));
+    let global = arguments.global;
+    match arguments.verb.unwrap_or_else(|| Verb::Console(args::ConsoleArguments::default())) {
+        Verb::Console(console) => console::run(runtime, Context::new(global, output)?, console),
+        Verb::Completions { shell } => {
+            output.raw(&printed::completions(shell));
+            Ok(0)
         }
-        Some(Verb::Bench(bench)) => return runtime.block_on(run_bench(&arguments.global, bench, output)),
-        other => other,
-    };
-    if let Some(Verb::Verify { dir, genesis }) = &verb {
-        return runtime.block_on(check::run_verify(&arguments.global, dir, genesis.as_deref(), output));
+        Verb::Man => {
+            output.raw(&printed::manual()?);
+            Ok(0)
+        }
+        Verb::Config(verb) => Ok(verbs::config(&Context::new(global, output)?, &verb, output)),
+        Verb::Restore { file } => check::run_restore(&Context::new(global, output)?, &file, output),
+        Verb::Bench(bench) => runtime.block_on(run_bench(&global, bench, output)),
+        Verb::Verify { dir, genesis } => runtime.block_on(check::run_verify(&global, &dir, genesis.as_deref(), output)),
+        Verb::Agent(verb) => runtime.block_on(agent::run(global, verb, output)),
+        Verb::Chain(verb) => runtime.block_on(chain::run(global, verb, output)),
+        Verb::Serve => runtime.block_on(serve::run(Context::new(global, output)?, output)),
+        Verb::Demo(demo) => runtime.block_on(demo::run(Context::new(global, output)?, demo, output)),
+        Verb::Gateway(verb) => runtime.block_on(gateway::run(Context::new(global, output)?, verb, output)),
+        Verb::Doctor => runtime.block_on(check::run_doctor(Context::new(global, output)?, output)),
+        Verb::Backup { file } => runtime.block_on(check::run_backup(Context::new(global, output)?, &file, output)),
+        Verb::Status => runtime.block_on(status::run(Context::new(global, output)?, output)),
+        Verb::Capture(capture) => runtime.block_on(capture::run(Context::new(global, output)?, capture, output)),
+        Verb::Bag(recordings::BagVerb::Import(import)) => {
+            runtime.block_on(recordings::import(Context::new(global, output)?, import, output))
+        }
+        Verb::Uploads(verb) => runtime.block_on(verbs::uploads(Context::new(global, output)?, verb, output)),
+        Verb::Shared(verb) => runtime.block_on(verbs::shared(Context::new(global, output)?, verb, output)),
+        Verb::Identity(verb) => asked(runtime, global, output, |context| verbs::identity(context, verb, output)),
+        Verb::Keys(verb) => asked(runtime, global, output, |context| plans::keys(context, verb)),
+        Verb::Register => {
+            asked(runtime, global, output, |_| Ok(Plan::new(CHAIN, ProfileNeed::Made, command::Register)))
+        }
+        Verb::Topics(verb) => asked(runtime, global, output, |_| verbs::topics(verb)),
+        Verb::Quarantine(verb) => asked(runtime, global, output, |_| verbs::quarantine(verb)),
+        Verb::Grant(arguments) => {
+            asked(runtime, global, output, |_| Ok(Plan::new(CHAIN, ProfileNeed::Unlocked, plans::grant(&arguments)?)))
+        }
+        Verb::Revoke { address } => asked(runtime, global, output, |_| {
+            Ok(Plan::new(CHAIN, ProfileNeed::Unlocked, command::Revoke { grantee: parse::value(&address)? }))
+        }),
+        Verb::Grants(verb) => asked(runtime, global, output, |_| verbs::grants(verb)),
+        Verb::Contacts(verb) => {
+            asked(runtime, global, output, |_| Ok(Plan::new(CHAIN, ProfileNeed::None, parties::contacts(verb)?)))
+        }
+        Verb::Devices(verb) => {
+            asked(runtime, global, output, |_| Ok(Plan::new(CHAIN, ProfileNeed::Unlocked, adopt::question(&verb)?)))
+        }
+        Verb::Audit(arguments) => asked(runtime, global, output, |context| plans::audit(context, &arguments)),
     }
-    let context = Context::new(arguments.global, output)?;
-    match verb {
-        None => console::run(runtime, context, args::ConsoleArguments::default()),
-        Some(Verb::Console(console)) => console::run(runtime, context, console),
-        Some(Verb::Agent(args::AgentVerb::Enrol(enrol))) => runtime.block_on(agent::enrol(context, enrol, output)),
-        Some(Verb::Serve) => runtime.block_on(serve::run(context, output)),
-        Some(Verb::Demo(demo)) => runtime.block_on(demo::run(context, demo, output)),
-        Some(Verb::Gateway(args::GatewayVerb::Serve { listen, open })) => {
-            runtime.block_on(gateway::serve(context, listen, open, output))
-        }
-        Some(Verb::Chain(ChainVerb::Serve { listen })) => runtime.block_on(chain::serve(context, listen, output)),
-        Some(Verb::Doctor) => runtime.block_on(check::run_doctor(context, output)),
-        Some(Verb::Backup { file }) => runtime.block_on(check::run_backup(context, &file, output)),
-        Some(Verb::Restore { file }) => check::run_restore(&context, &file, output),
-        Some(Verb::Capture(capture)) => runtime.block_on(capture::run(context, capture, output)),
-        Some(Verb::Bag(recordings::BagVerb::Import(import))) => {
-            runtime.block_on(recordings::import(context, import, output))
-        }
-        Some(Verb::Shared(SharedVerb::Export(export))) => runtime.block_on(recordings::export(context, export, output)),
-        Some(Verb::Uploads(UploadsVerb::List(list))) if list.follow => {
-            runtime.block_on(follow::run(context, follow::Which::Uploads, parse::query(&list)?, output))
-        }
-        Some(Verb::Shared(SharedVerb::List(list))) if list.follow => {
-            runtime.block_on(follow::run(context, follow::Which::Shared, parse::query(&list)?, output))
-        }
-        Some(verb) => runtime.block_on(verbs::run(context, verb, output)),
-    }
+}
+
+/// Runs a plain verb: one request, its answer printed.
+fn asked(
+    runtime: &Runtime,
+    global: Global,
+    output: &Output,
+    plan: impl FnOnce(&Context) -> Result<Plan, Failure>,
+) -> Result<u8, Failure> {
+    let context = Context::new(global, output)?;
+    let plan = plan(&context)?;
+    runtime.block_on(verbs::run(context, plan, output))
 }
 
 /// Measures until it is done or somebody asks for the end.

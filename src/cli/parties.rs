@@ -1,14 +1,13 @@
-//! `contacts`, `identity compare` and the administrator's `chain` verbs: what their arguments mean, and results.
+//! `contacts` and `identity compare`: what their arguments mean; these and the administrator's decisions for people.
 
 use clap::Subcommand;
 
-use super::args::{ChainVerb, SuccessionVerb};
 use super::parse;
-use crate::chain::Revision;
+use super::show::Question;
 use crate::model::{Address, ErrorKind};
-use crate::service::command::Administration;
+use crate::service::Failure;
+use crate::service::command::{AddContact, ConfirmContact, ListContacts, RemoveContact};
 use crate::service::reply::{AdministrationView, CompareView, ContactRow, ProposalView, SuccessionView};
-use crate::service::{Command, Failure};
 use authros_output::table;
 
 /// `contacts …`
@@ -41,68 +40,21 @@ pub enum ContactsVerb {
     },
 }
 
-/// The command for a verb.
+/// What is asked for a verb.
 ///
 /// # Errors
 /// What is wrong with the arguments.
-pub fn contacts(verb: ContactsVerb) -> Result<Command, Failure> {
+pub fn contacts(verb: ContactsVerb) -> Result<Question, Failure> {
     Ok(match verb {
         ContactsVerb::Add { name, address, fingerprint } => {
-            Command::AddContact { name: parse::value(&name)?, address: parse::value(&address)?, fingerprint }
+            AddContact { name: parse::value(&name)?, address: parse::value(&address)?, fingerprint }.into()
         }
-        ContactsVerb::List => Command::ListContacts,
-        ContactsVerb::Remove { name } => Command::RemoveContact { name: parse::value(&name)? },
+        ContactsVerb::List => ListContacts.into(),
+        ContactsVerb::Remove { name } => RemoveContact { name: parse::value(&name)? }.into(),
         ContactsVerb::Confirm { name, fingerprint } => {
-            Command::ConfirmContact { name: parse::value(&name)?, fingerprint }
+            ConfirmContact { name: parse::value(&name)?, fingerprint }.into()
         }
     })
-}
-
-/// The administrator's act of a verb; `None` for any other verb.
-///
-/// # Errors
-/// What is wrong with the arguments.
-pub fn act(verb: &ChainVerb) -> Result<Option<Command>, Failure> {
-    let act = match verb {
-        ChainVerb::Succeed { lost, successor } => {
-            Administration::Succeed { lost: parse::value(lost)?, successor: parse::value(successor)? }
-        }
-        ChainVerb::Succession(SuccessionVerb::Propose { lost, successor }) => {
-            Administration::Propose { lost: parse::value(lost)?, successor: parse::value(successor)? }
-        }
-        ChainVerb::Succession(SuccessionVerb::Cancel { lost }) => Administration::Cancel { lost: parse::value(lost)? },
-        ChainVerb::Succession(SuccessionVerb::Complete { lost }) => {
-            Administration::Complete { lost: parse::value(lost)? }
-        }
-        ChainVerb::Dismiss { account } => Administration::Dismiss { account: parse::value(account)? },
-        ChainVerb::Admit { account } => Administration::Admit { account: parse::value(account)? },
-        ChainVerb::Suspend { account } => Administration::Suspend { account: parse::value(account)? },
-        ChainVerb::Restore { account } => Administration::Restore { account: parse::value(account)? },
-        ChainVerb::Open => Administration::Open { open: true },
-        ChainVerb::Close => Administration::Open { open: false },
-        ChainVerb::Pause { length } => {
-            Administration::Pause { paused: true, seconds: length.as_deref().map(seconds).transpose()? }
-        }
-        ChainVerb::Resume => Administration::Pause { paused: false, seconds: None },
-        ChainVerb::HandOver { account } => Administration::HandOver { account: parse::value(account)? },
-        ChainVerb::Accept => Administration::Accept,
-        _ => return Ok(None),
-    };
-    Ok(Some(Command::Administer(act)))
-}
-
-/// `chain deploy`.
-///
-/// # Errors
-/// A delay that cannot be read, or a revision that there is not.
-pub fn deployment(delay: Option<&str>, revision: Option<u8>) -> Result<Command, Failure> {
-    let unknown = |error: String| Failure::new(ErrorKind::Input, error);
-    let revision = revision.map(Revision::try_from).transpose().map_err(unknown)?;
-    Ok(Command::DeployContract { delay: delay.map(seconds).transpose()?, revision })
-}
-
-fn seconds(text: &str) -> Result<u64, Failure> {
-    parse::duration(text).map(|length| length.as_secs())
 }
 
 /// The address book, for people.

@@ -10,7 +10,8 @@ use super::verbs::{NEITHER, Plan};
 use crate::crypto::{Passphrase, private_file};
 use crate::model::{ErrorKind, ProfileName};
 use crate::paths::Home;
-use crate::service::{Command, Failure, SecretText};
+use crate::service::command::ChangePassphrase;
+use crate::service::{Failure, SecretText};
 use crate::store::{atomic_write, files};
 use crate::term::ask;
 use authros_output::Output;
@@ -78,7 +79,7 @@ pub fn change(context: &Context, file: Option<&Path>, descriptor: Option<u32>) -
         (None, Some(number)) => from_descriptor(number)?,
         (None, None) => asked_twice()?,
     };
-    Ok(Plan::new(NEITHER, ProfileNeed::None, Command::ChangePassphrase { old, new }))
+    Ok(Plan::new(NEITHER, ProfileNeed::None, ChangePassphrase { old, new }))
 }
 
 /// Takes away the file that headless use wrote beside the keyring: after a change it opens nothing, and who changed the

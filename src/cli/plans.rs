@@ -5,11 +5,15 @@ use std::path::{Path, PathBuf};
 use super::args::{EpochsChoice, ExportKind, GrantArguments, KeysVerb};
 use super::audit::{AuditArguments, AuditVerb};
 use super::connect::{Context, ProfileNeed};
+use super::show::Question;
 use super::verbs::{CHAIN, NEITHER, Plan};
 use super::{parse, passphrase};
 use crate::model::{ErrorKind, Timestamp};
-use crate::service::command::PairKind;
-use crate::service::{Command, Epochs, Failure, KeyKind, Operation, SecretText};
+use crate::service::command::{
+    AuditQuery, AuditRecords, BackUpKeys, ExportAudit, ExportKey, ForeseeKeyChange, Grant, ListAudit, ListKeys,
+    LoadKey, PairKind, RotateEnvelope, RotateKeys, VerifyAudit,
+};
+use crate::service::{Epochs, Failure, KeyKind, SecretText};
 
 /// `audit …`
 ///
@@ -17,8 +21,8 @@ use crate::service::{Command, Epochs, Failure, KeyKind, Operation, SecretText};
 /// A time that cannot be read.
 pub fn audit(context: &Context, arguments: &AuditArguments) -> Result<Plan, Failure> {
     let Some(verb) = &arguments.verb else {
-        let command = super::check::audit_command(arguments.deep, arguments.since()?);
-        return Ok(Plan::new(super::check::audit_needs(context), ProfileNeed::None, command));
+        let ask = AuditRecords { deep: arguments.deep, since: arguments.since()? };
+        return Ok(Plan::new(super::check::audit_needs(context), ProfileNeed::None, ask));
     };
     if arguments.deep || arguments.since.is_some() {
         return Err(Failure::new(
@@ -26,14 +30,21 @@ pub fn audit(context: &Context, arguments: &AuditArguments) -> Result<Plan, Fail
             "--deep and --since before a verb are of the audit of records; leave them out",
         ));
     }
-    let command = super::audit::query(verb)?;
     Ok(match verb {
-        AuditVerb::List { .. } | AuditVerb::Verify { without_heads: true } => {
-            Plan::new(NEITHER, ProfileNeed::None, command)
+        AuditVerb::List { since, action, by, before, limit } => {
+            let query = super::audit::query(since.as_deref(), *limit)?;
+            let query = AuditQuery { action: action.clone(), profile: by.clone(), before: *before, ..query };
+            Plan::new(NEITHER, ProfileNeed::None, ListAudit(query))
         }
-        AuditVerb::Verify { .. } => Plan::new(CHAIN, ProfileNeed::Unlocked, command),
-        AuditVerb::Export { dir, .. } => {
-            Plan { out: Some(dir.clone()), ..Plan::new(NEITHER, ProfileNeed::Unlocked, command) }
+        AuditVerb::Verify { without_heads: true } => {
+            Plan::new(NEITHER, ProfileNeed::None, VerifyAudit { heads: false })
+        }
+        AuditVerb::Verify { without_heads: false } => {
+            Plan::new(CHAIN, ProfileNeed::Unlocked, VerifyAudit { heads: true })
+        }
+        AuditVerb::Export { dir, addresses } => {
+            let ask = ExportAudit { addresses: *addresses };
+            Plan { out: Some(dir.clone()), ..Plan::new(NEITHER, ProfileNeed::Unlocked, ask) }
         }
     })
 }
@@ -43,12 +54,12 @@ fn absolute(path: &Path) -> Result<PathBuf, Failure> {
 }
 
 /// A change of a pair: whom it touches is said first, or alone.
-fn changes(profile: ProfileNeed, kind: PairKind, dry_run: bool, command: Command) -> Plan {
-    let touched = Command::ForeseeKeyChange { kind };
+fn changes(profile: ProfileNeed, kind: PairKind, dry_run: bool, question: impl Into<Question>) -> Plan {
+    let touched = ForeseeKeyChange { kind };
     if dry_run {
         return Plan::new(CHAIN, profile, touched);
     }
-    Plan { first: Some(touched), ..Plan::new(CHAIN, profile, command) }
+    Plan { first: Some(touched), ..Plan::new(CHAIN, profile, question) }
 }
 
 /// `keys …`
@@ -58,28 +69,22 @@ fn changes(profile: ProfileNeed, kind: PairKind, dry_run: bool, command: Command
 pub fn keys(context: &Context, verb: KeysVerb) -> Result<Plan, Failure> {
     let secret = |file: Option<PathBuf>| file.as_deref().map(passphrase::from_file).transpose();
     Ok(match verb {
-        KeysVerb::List => Plan::new(CHAIN, ProfileNeed::Unlocked, Command::ListKeys),
-        KeysVerb::Rotate { envelope: false, .. } => Plan::new(CHAIN, ProfileNeed::Unlocked, Command::RotateKeys),
-        KeysVerb::Rotate { dry_run, .. } => {
-            changes(ProfileNeed::Unlocked, PairKind::Envelope, dry_run, Command::RotateEnvelope)
-        }
+        KeysVerb::List => Plan::new(CHAIN, ProfileNeed::Unlocked, ListKeys),
+        KeysVerb::Rotate { envelope: false, .. } => Plan::new(CHAIN, ProfileNeed::Unlocked, RotateKeys),
+        KeysVerb::Rotate { dry_run, .. } => changes(ProfileNeed::Unlocked, PairKind::Envelope, dry_run, RotateEnvelope),
         KeysVerb::Passphrase { new_passphrase_file, new_passphrase_fd } => {
             return super::passphrase::change(context, new_passphrase_file.as_deref(), new_passphrase_fd);
         }
-        KeysVerb::Backup { out } => {
-            let command = Command::Operate(Operation::BackUpKeys);
-            Plan { out: Some(out), ..Plan::new(NEITHER, ProfileNeed::None, command) }
-        }
+        KeysVerb::Backup { out } => Plan { out: Some(out), ..Plan::new(NEITHER, ProfileNeed::None, BackUpKeys) },
         KeysVerb::Load { sm4, sm2, eoa, keystore_passphrase_file, dry_run } => {
             let choices = [(KeyKind::Sm4, sm4), (KeyKind::Sm2, sm2), (KeyKind::Eoa, eoa)];
             let chosen = choices.into_iter().find_map(|(kind, path)| path.map(|path| (kind, path)));
             let (kind, path) =
                 chosen.ok_or_else(|| Failure::new(ErrorKind::Usage, "name the key with --sm4, --sm2 or --eoa"))?;
-            let command =
-                Command::LoadKey { kind, path: absolute(&path)?, passphrase: secret(keystore_passphrase_file)? };
+            let ask = LoadKey { kind, path: absolute(&path)?, passphrase: secret(keystore_passphrase_file)? };
             match kind {
-                KeyKind::Sm2 => changes(ProfileNeed::Made, PairKind::Signing, dry_run, command),
-                _ => Plan::new(CHAIN, ProfileNeed::Made, command),
+                KeyKind::Sm2 => changes(ProfileNeed::Made, PairKind::Signing, dry_run, ask),
+                KeyKind::Sm4 | KeyKind::Eoa => Plan::new(CHAIN, ProfileNeed::Made, ask),
             }
         }
         KeysVerb::Export { kind, out, keystore_passphrase_file } => {
@@ -89,10 +94,7 @@ pub fn keys(context: &Context, verb: KeysVerb) -> Result<Plan, Failure> {
                 ExportKind::Eoa => KeyKind::Eoa,
             };
             let passphrase: Option<SecretText> = secret(keystore_passphrase_file)?;
-            Plan {
-                out: Some(out),
-                ..Plan::new(NEITHER, ProfileNeed::Unlocked, Command::ExportKey { kind, passphrase })
-            }
+            Plan { out: Some(out), ..Plan::new(NEITHER, ProfileNeed::Unlocked, ExportKey { kind, passphrase }) }
         }
     })
 }
@@ -101,12 +103,12 @@ pub fn keys(context: &Context, verb: KeysVerb) -> Result<Plan, Failure> {
 ///
 /// # Errors
 /// A party, topic or time that cannot be read.
-pub fn grant(arguments: &GrantArguments) -> Result<Command, Failure> {
+pub fn grant(arguments: &GrantArguments) -> Result<Grant, Failure> {
     let expires = match &arguments.expires {
         Some(text) => Some(Timestamp::now().end_after(parse::duration(text)?)),
         None => None,
     };
-    Ok(Command::Grant {
+    Ok(Grant {
         grantee: parse::value(arguments.address.as_deref().or(arguments.to.as_deref()).unwrap_or_default())?,
         topics: parse::values(&arguments.topics)?,
         epochs: match arguments.epochs {

@@ -6,9 +6,9 @@ use clap::Args;
 
 use super::parse;
 use crate::model::TopicRule;
-use crate::service::command::PolicyCommand;
+use crate::service::Failure;
+use crate::service::command::{Policy, PolicyCommand};
 use crate::service::reply::{PolicyRow, PolicyView};
-use crate::service::{Command, Failure};
 use authros_output::{Output, table};
 
 /// From so many bytes a second on a rate is suggested.
@@ -30,14 +30,14 @@ pub struct PolicyArguments {
 }
 
 impl PolicyArguments {
-    /// The command.
+    /// What is asked.
     ///
     /// # Errors
     /// Where the time is none.
-    pub fn command(&self) -> Result<Command, Failure> {
+    pub fn question(&self) -> Result<Policy, Failure> {
         let milliseconds = u64::try_from(parse::duration(&self.duration)?.as_millis()).unwrap_or(u64::MAX);
         let with = if self.learn { PolicyCommand::Learn { milliseconds } } else { PolicyCommand::Show };
-        Ok(Command::Policy { with })
+        Ok(Policy { with })
     }
 }
 

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use clap::CommandFactory;
 
-use super::args::{Arguments, PrintArguments, Verb};
+use super::args::{Arguments, PrintArguments};
 use super::twins::{TWINS, Twin};
 use crate::app::keymap;
 use crate::config::DEFINITIONS;
@@ -12,17 +12,12 @@ use crate::model::{ErrorKind, clean};
 use crate::service::Failure;
 use crate::ui::theme;
 
-/// The text that was asked for; `None` where something is to be done instead.
+/// The defaults that were asked for; `None` where something is to be done instead.
 ///
 /// # Errors
 /// Where a theme is asked for that is not embedded.
-pub fn text(arguments: &Arguments) -> Result<Option<String>, Failure> {
-    match &arguments.verb {
-        Some(Verb::Completions { shell }) => return Ok(Some(completions(*shell))),
-        Some(Verb::Man) => return manual().map(Some),
-        _ => {}
-    }
-    match &arguments.print {
+pub fn defaults(arguments: &PrintArguments) -> Result<Option<String>, Failure> {
+    match arguments {
         PrintArguments { default_config: true, .. } => Ok(Some(config())),
         PrintArguments { default_keymap: true, .. } => Ok(Some(keymap::preset_text())),
         PrintArguments { default_theme: Some(name), .. } => {
@@ -69,14 +64,18 @@ fn setting(text: &mut String, key: &str, default: &str, help: &str, variable: &s
     let _ = writeln!(text, "\n# {help} ({variable})\n#{key} = {value}");
 }
 
-fn completions(shell: clap_complete::Shell) -> String {
+/// What a shell needs to complete the commands.
+pub fn completions(shell: clap_complete::Shell) -> String {
     let mut bytes = Vec::new();
     clap_complete::generate(shell, &mut Arguments::command(), "authros", &mut bytes);
     String::from_utf8_lossy(&bytes).into_owned()
 }
 
 /// The page of the program, and behind it one section per command.
-fn manual() -> Result<String, Failure> {
+///
+/// # Errors
+/// Where it cannot be rendered.
+pub fn manual() -> Result<String, Failure> {
     let failed = |error: std::io::Error| Failure::new(ErrorKind::Internal, format!("the manual page: {error}"));
     let mut bytes = Vec::new();
     let command = Arguments::command();
@@ -125,7 +124,7 @@ mod tests {
 
     fn printed(arguments: &[&str]) -> String {
         let arguments = Arguments::try_parse_from(["authros"].iter().chain(arguments)).expect("parses");
-        text(&arguments).expect("printed").expect("a text")
+        defaults(&arguments.print).expect("printed").expect("a text")
     }
 
     #[test]
@@ -145,9 +144,9 @@ mod tests {
 
     #[test]
     fn completions_and_manual_know_every_command() {
-        let manual = printed(&["man"]);
+        let manual = manual().expect("a page");
         for shell in ["bash", "zsh", "fish", "elvish", "powershell"] {
-            let script = printed(&["completions", shell]);
+            let script = completions(clap::ValueEnum::from_str(shell, false).expect("a shell"));
             assert!(Arguments::command().get_subcommands().all(|verb| script.contains(verb.get_name())), "{shell}");
         }
         for verb in Arguments::command().get_subcommands() {

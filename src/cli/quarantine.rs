@@ -3,10 +3,11 @@
 use clap::{Args, Subcommand};
 
 use super::parse;
+use super::show::Question;
 use crate::model::{ErrorKind, Publisher};
-use crate::service::command::Held;
+use crate::service::Failure;
+use crate::service::command::{DiscardHeld, Held, ListQuarantine, PinTopic, ReleaseHeld};
 use crate::service::reply::{PinsView, QuarantineView};
-use crate::service::{Command, Failure};
 use authros_output::table;
 
 /// `topics pin …`
@@ -20,13 +21,13 @@ pub struct PinArguments {
 }
 
 impl PinArguments {
-    /// The command.
+    /// What is asked.
     ///
     /// # Errors
     /// What is wrong with the arguments.
-    pub fn command(&self) -> Result<Command, Failure> {
+    pub fn question(&self) -> Result<Question, Failure> {
         let publishers: Vec<Publisher> = parse::values(&self.publishers)?;
-        Ok(Command::PinTopic { topic: parse::value(&self.topic)?, publishers })
+        Ok(PinTopic { topic: parse::value(&self.topic)?, publishers }.into())
     }
 }
 
@@ -81,13 +82,13 @@ pub enum QuarantineVerb {
 ///
 /// # Errors
 /// What is wrong with the arguments.
-pub fn command(verb: QuarantineVerb) -> Result<Command, Failure> {
+pub fn question(verb: QuarantineVerb) -> Result<Question, Failure> {
     Ok(match verb {
         QuarantineVerb::List { topic, limit } => {
-            Command::ListQuarantine { topic: topic.as_deref().map(parse::value).transpose()?, limit }
+            ListQuarantine { topic: topic.as_deref().map(parse::value).transpose()?, limit }.into()
         }
-        QuarantineVerb::Release { held } => Command::ReleaseHeld { held: held.held()? },
-        QuarantineVerb::Discard { held, yes: true } => Command::DiscardHeld { held: held.held()? },
+        QuarantineVerb::Release { held } => ReleaseHeld { held: held.held()? }.into(),
+        QuarantineVerb::Discard { held, yes: true } => DiscardHeld { held: held.held()? }.into(),
         QuarantineVerb::Discard { .. } => {
             return Err(Failure::new(
                 ErrorKind::Usage,

@@ -5,14 +5,14 @@ use std::time::Duration;
 
 use clap::{Args, Subcommand};
 
-use super::connect::{Context, ProfileNeed, unexpected};
+use super::connect::{Context, ProfileNeed};
 use super::parse;
 use super::serve::Ending;
 use crate::model::ErrorKind;
 use crate::ros::recording::{ChunkCompression, RecordingFormat};
-use crate::service::command::{ExportWishes, ImportWishes, RecordingCommand};
-use crate::service::reply::{ExportView, ImportView, ProgressView, RecordingReply};
-use crate::service::{Client, Command, Failure, Needs, Reply};
+use crate::service::command::{Ask, ExportWishes, ImportWishes, RecordingProgress, StopCapture};
+use crate::service::reply::{ExportView, ImportView, ProgressView};
+use crate::service::{Client, Failure, Needs};
 use authros_output::{Output, table};
 
 /// Between two looks at the progress.
@@ -73,26 +73,21 @@ pub struct ExportArguments {
 }
 
 impl ImportArguments {
-    fn command(&self) -> Result<RecordingCommand, Failure> {
+    fn wishes(&self) -> Result<ImportWishes, Failure> {
         let tags: Result<Vec<_>, Failure> = self.tags.iter().map(|text| parse::tag(text)).collect();
         let topics = parse::values(&self.topics)?;
-        Ok(RecordingCommand::Import(ImportWishes {
-            path: absolute(&self.file)?,
-            topics,
-            tags: tags?,
-            again: self.again,
-        }))
+        Ok(ImportWishes { path: absolute(&self.file)?, topics, tags: tags?, again: self.again })
     }
 }
 
 impl ExportArguments {
-    fn command(&self) -> Result<RecordingCommand, Failure> {
+    fn wishes(&self) -> Result<ExportWishes, Failure> {
         let (path, format) = match (&self.bag, &self.mcap) {
             (Some(path), _) => (path, RecordingFormat::Bag),
             (None, Some(path)) => (path, RecordingFormat::Mcap),
             (None, None) => return Err(Failure::new(ErrorKind::Usage, "name the file with --bag or --mcap")),
         };
-        Ok(RecordingCommand::Export(ExportWishes {
+        Ok(ExportWishes {
             path: absolute(path)?,
             format,
             compression: parse::value::<ChunkCompression>(&self.compression)?,
@@ -101,7 +96,7 @@ impl ExportArguments {
             since: self.since.as_deref().map(parse::moment).transpose()?,
             until: self.until.as_deref().map(parse::moment).transpose()?,
             unanchored: self.unanchored,
-        }))
+        })
     }
 }
 
@@ -114,13 +109,9 @@ fn absolute(path: &Path) -> Result<PathBuf, Failure> {
 /// # Errors
 /// What the site or the arguments say.
 pub async fn import(context: Context, arguments: ImportArguments, output: &Output) -> Result<u8, Failure> {
-    match run(context, arguments.command()?, ProfileNeed::Made, output).await? {
-        RecordingReply::Imported(view) => {
-            output.result(&view, || imported(&view));
-            Ok(import_code(&view, output))
-        }
-        _ => Err(unexpected()),
-    }
+    let view = run(context, arguments.wishes()?, ProfileNeed::Made, output).await?;
+    output.result(&view, || imported(&view));
+    Ok(import_code(&view, output))
 }
 
 /// Runs an export.
@@ -128,43 +119,29 @@ pub async fn import(context: Context, arguments: ImportArguments, output: &Outpu
 /// # Errors
 /// What the site or the arguments say.
 pub async fn export(context: Context, arguments: ExportArguments, output: &Output) -> Result<u8, Failure> {
-    match run(context, arguments.command()?, ProfileNeed::Unlocked, output).await? {
-        RecordingReply::Exported(view) => {
-            output.result(&view, || exported(&view));
-            Ok(export_code(&view, output))
-        }
-        _ => Err(unexpected()),
-    }
+    let view = run(context, arguments.wishes()?, ProfileNeed::Unlocked, output).await?;
+    output.result(&view, || exported(&view));
+    Ok(export_code(&view, output))
 }
 
-async fn run(
-    context: Context,
-    with: RecordingCommand,
-    need: ProfileNeed,
-    output: &Output,
-) -> Result<RecordingReply, Failure> {
+async fn run<A: Ask>(context: Context, ask: A, need: ProfileNeed, output: &Output) -> Result<A::Answer, Failure> {
     let connection = context.connect(Needs { ros: false, chain: true }).await?;
     let result = async {
         context.prepare(&connection.client, need, output).await?;
-        until_done(&connection.client, Command::Recording { with }, output).await
+        until_done(&connection.client, ask, output).await
     };
     let result = result.await;
     connection.close().await;
     result
 }
 
-async fn until_done(client: &Client, command: Command, output: &Output) -> Result<RecordingReply, Failure> {
-    let answer = client.request(command);
+async fn until_done<A: Ask>(client: &Client, ask: A, output: &Output) -> Result<A::Answer, Failure> {
+    let answer = client.ask(ask);
     tokio::pin!(answer);
     let (mut asked, mut told) = (false, String::new());
     loop {
         tokio::select! {
-            reply = &mut answer => {
-                return match reply? {
-                    Reply::Recording(reply) => Ok(reply),
-                    _ => Err(unexpected()),
-                };
-            }
+            view = &mut answer => return view,
             () = tokio::time::sleep(LOOK) => tell_progress(client, &mut told, output).await,
             ending = crate::cli::serve::asked_to_end() => {
                 if asked || ending == Ending::Ordered {
@@ -172,15 +149,14 @@ async fn until_done(client: &Client, command: Command, output: &Output) -> Resul
                 }
                 asked = true;
                 output.note("ending; what is sealed is verified first (again to leave at once)");
-                client.request(Command::StopCapture).await?;
+                client.ask(StopCapture).await?;
             }
         }
     }
 }
 
 async fn tell_progress(client: &Client, told: &mut String, output: &Output) {
-    let progress = client.request(Command::Recording { with: RecordingCommand::Progress }).await;
-    let Ok(Reply::Recording(RecordingReply::Progress(runs))) = progress else { return };
+    let Ok(runs) = client.ask(RecordingProgress).await else { return };
     for line in runs.iter().map(progress_line).filter(|line| *line != *told).collect::<Vec<_>>() {
         output.note(&line);
         *told = line;

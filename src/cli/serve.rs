@@ -7,8 +7,9 @@ use tokio::sync::broadcast;
 
 use super::connect::{Context, ProfileNeed};
 use crate::model::ErrorKind;
+use crate::service::command::Register;
 use crate::service::event::NoticeLevel;
-use crate::service::{Command, Event, Failure, Needs};
+use crate::service::{Event, Failure, Needs};
 use authros_output::Output;
 
 /// Whether whoever started this process wants it to outlive its terminal (nohup), as its signals were at the start.
@@ -75,7 +76,7 @@ pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
     let known = context.home.pin().exists() && context.home.keyring(&context.profile).exists();
     let prepared = async {
         context.prepare(&connection.client, ProfileNeed::Made, output).await?;
-        connection.client.request(Command::Register).await
+        connection.client.ask(Register).await
     };
     // Listened to from here to the end, so that no signal falls in between.
     let end = asked_to_end();

@@ -2,108 +2,224 @@
 
 use std::path::Path;
 
-use super::{lists, parties, quarantine};
+use super::{adopt, audit, check, gateway, lists, parties, policy, quarantine, viewing};
 use crate::crypto::private_file;
 use crate::model::ErrorKind;
-use crate::service::{Failure, Reply};
+use crate::service::command::{Ask, Command, SecretBytes};
+use crate::service::reply::{
+    AdministrationView, AdmittedView, Answer, AuditCheck, AuditView, BackupView, ChainView, CheckView, CompareView,
+    ContactRow, DecidedView, DeployedView, DeviceRow, DeviceTopicsView, ExportedFile, GatewayStatusView, GrantRow,
+    IdentityView, KeyChangeView, KeysView, OpenedView, PathView, PinsView, PolicyView, Provenance, QuarantineView,
+    RecordAudit, RecordPage, Reply, TopicRow, TransactionView,
+};
+use crate::service::{Client, Failure};
 use authros_output::Output;
 
-/// Prints an answer; `out` is where its files go. The exit code.
-///
-/// # Errors
-/// A file that cannot be written.
-#[allow(clippy::too_many_lines, reason = "a line for each answer")]
-pub fn show(reply: Reply, out: Option<&Path>, output: &Output) -> Result<u8, Failure> {
-    match reply {
-        Reply::Done => output.result(&serde_json::json!({ "ok": true }), || "done".to_owned()),
-        Reply::Identity(view) => output.result(&view, || lists::identity(&view)),
-        Reply::KeyChange(view) => output.result(&view, || view.lines.join("\n")),
-        Reply::Keys(view) => output.result(&view, || lists::keys(&view)),
-        Reply::Topics(rows) => output.result(&serde_json::json!({ "topics": rows }), || lists::topics(&rows)),
-        Reply::Records(page) => output.result(&page, || lists::records(&page)),
-        Reply::Provenance(view) => output.result(&view, || lists::provenance(&view)),
-        Reply::Transaction(view) => output.result(&view, || view.text.clone()),
-        Reply::Grants(rows) => output.result(&serde_json::json!({ "grants": rows }), || lists::grants(&rows)),
-        Reply::Devices(rows) => {
-            output.result(&serde_json::json!({ "devices": rows }), || super::adopt::devices(&rows));
-        }
-        Reply::Chain(view) => output.result(&view, || lists::chain(&view)),
-        Reply::Administration(view) => output.result(&view, || parties::successions(&view)),
-        Reply::Deployed(view) => output.result(&view, || lists::deployed(&view)),
-        Reply::Contacts(rows) => {
-            output.result(&serde_json::json!({ "contacts": rows }), || parties::contact_table(&rows));
-        }
-        Reply::Compared(view) => {
-            output.result(&view, || parties::comparison(&view));
-            return Ok(parties::comparison_code(&view));
-        }
-        Reply::Audit(lines) => {
-            output.result(&serde_json::json!({ "audit": lines }), || super::audit::lines(&lines));
-        }
-        Reply::AuditChecked(check) => {
-            output.result(&check, || super::audit::check(&check));
-            return Ok(super::audit::code(&check));
-        }
-        Reply::RecordsAudited(audit) => {
-            output.result(&audit, || super::check::audit(&audit));
-            return Ok(super::check::audit_code(&audit));
-        }
-        Reply::BackedUp(view) => output.result(&view, || super::check::backed_up(&view)),
-        Reply::Admitted(rows) => {
-            output.result(&serde_json::json!({ "admitted": rows }), || super::gateway::admitted(&rows));
-        }
-        Reply::GatewayStatus(view) => output.result(&view, || super::gateway::status(&view)),
-        Reply::Pins(view) => output.result(&view, || quarantine::pins(&view)),
-        Reply::Quarantine(view) => output.result(&view, || quarantine::held(&view)),
-        Reply::Decided(view) => output.result(&view, || view.text.clone()),
-        Reply::Check(view) => {
-            output.result(&view, || format!("{}: {}", view.id, view.verdict.word()));
-            return Ok(lists::verdict_code(view.verdict));
-        }
-        Reply::Opened(mut view) => {
-            if let (Some(path), Some(bytes)) = (out, view.file.take()) {
-                write_new(path, &bytes)?;
-            }
-            super::viewing::without_bytes(&mut view);
-            output.result(&view, || super::viewing::opened(&view));
-            return Ok(lists::verdict_code(view.verdict));
-        }
-        Reply::Path(view) => output.result(&view, || super::viewing::path(&view)),
-        Reply::Files(files) => {
-            let directory = out.unwrap_or(Path::new("."));
-            std::fs::create_dir_all(directory).map_err(|error| not_written(directory, &error))?;
-            for file in &files {
-                let path = directory.join(&file.name);
-                std::fs::write(&path, &file.bytes).map_err(|error| not_written(&path, &error))?;
-            }
-            let names: Vec<&str> = files.iter().map(|file| file.name.as_str()).collect();
-            let written = serde_json::json!({ "directory": directory.display().to_string(), "files": names });
-            output.result(&written, || format!("{} written to {}", names.join(", "), directory.display()));
-        }
-        Reply::Key(secret) => {
-            let path = out.ok_or_else(super::connect::unexpected)?;
-            private_file::create_private(path, secret.expose())?;
-            output.result(&serde_json::json!({ "file": path.display().to_string() }), || {
-                format!("written to {} (0600)", path.display())
-            });
-        }
-        Reply::DeviceTopics(view) => output.result(&view, || {
-            let (added, topics) = (view.added.join(", "), view.topics.join(", "));
-            format!("'{}' is sent the keys of {added}; it covers {topics}", view.name)
-        }),
-        Reply::Policy(view) => super::policy::show(&view, output),
-        Reply::Recording(_) => return Err(super::connect::unexpected()),
-        Reply::Site(_) | Reply::Enrolled(_) | Reply::Captured(_) | Reply::Served(_) | Reply::Gateway(_) => {
-            return Err(super::connect::unexpected());
-        }
+/// An answer that a verb prints.
+pub trait Printed: Answer {
+    /// Prints it; `out` is where its files go. The exit code.
+    ///
+    /// # Errors
+    /// A file that cannot be written.
+    fn print(self, out: Option<&Path>, output: &Output) -> Result<u8, Failure>;
+}
+
+type Print = fn(Result<Reply, Failure>, Option<&Path>, &Output) -> Result<u8, Failure>;
+
+/// A request whose answer a verb prints.
+pub struct Question {
+    /// What is asked.
+    pub command: Command,
+    print: Print,
+}
+
+impl<A> From<A> for Question
+where
+    A: Ask,
+    A::Answer: Printed,
+{
+    fn from(ask: A) -> Self {
+        Self { command: ask.into(), print: |reply, out, output| A::heard(reply)?.print(out, output) }
     }
-    Ok(0)
+}
+
+impl Question {
+    /// Asks; what comes back prints the answer.
+    pub async fn ask(self, client: &Client) -> Told {
+        Told { reply: client.request(self.command).await, print: self.print }
+    }
+}
+
+/// What the site said to a [`Question`].
+pub struct Told {
+    reply: Result<Reply, Failure>,
+    print: Print,
+}
+
+impl Told {
+    /// Whether it was done.
+    pub fn is_done(&self) -> bool {
+        self.reply.is_ok()
+    }
+
+    /// Prints the answer; the exit code.
+    ///
+    /// # Errors
+    /// What the site failed with, or a file that cannot be written.
+    pub fn print(self, out: Option<&Path>, output: &Output) -> Result<u8, Failure> {
+        (self.print)(self.reply, out, output)
+    }
+}
+
+/// Answers that are a document of their own.
+macro_rules! documents {
+    ($($view:ty => $text:path;)+) => {$(
+        impl Printed for $view {
+            fn print(self, _: Option<&Path>, output: &Output) -> Result<u8, Failure> {
+                output.result(&self, || $text(&self));
+                Ok(0)
+            }
+        }
+    )+};
+}
+
+/// Answers that are rows, and their name in JSON.
+macro_rules! rows {
+    ($($row:ty, $name:literal => $text:path;)+) => {$(
+        impl Printed for Vec<$row> {
+            fn print(self, _: Option<&Path>, output: &Output) -> Result<u8, Failure> {
+                output.result(&serde_json::json!({ $name: self }), || $text(&self));
+                Ok(0)
+            }
+        }
+    )+};
+}
+
+documents! {
+    IdentityView => lists::identity;
+    KeyChangeView => key_change;
+    KeysView => lists::keys;
+    RecordPage => lists::records;
+    Provenance => lists::provenance;
+    TransactionView => transaction;
+    Box<ChainView> => lists::chain;
+    Box<AdministrationView> => parties::successions;
+    DeployedView => lists::deployed;
+    BackupView => check::backed_up;
+    GatewayStatusView => gateway::status;
+    PinsView => quarantine::pins;
+    QuarantineView => quarantine::held;
+    DecidedView => decided;
+    PathView => viewing::path;
+    DeviceTopicsView => device_topics;
+}
+
+rows! {
+    TopicRow, "topics" => lists::topics;
+    GrantRow, "grants" => lists::grants;
+    DeviceRow, "devices" => adopt::devices;
+    ContactRow, "contacts" => parties::contact_table;
+    AuditView, "audit" => audit::lines;
+    AdmittedView, "admitted" => gateway::admitted;
+}
+
+impl Printed for () {
+    fn print(self, _: Option<&Path>, output: &Output) -> Result<u8, Failure> {
+        output.result(&serde_json::json!({ "ok": true }), || "done".to_owned());
+        Ok(0)
+    }
+}
+
+impl Printed for CompareView {
+    fn print(self, _: Option<&Path>, output: &Output) -> Result<u8, Failure> {
+        output.result(&self, || parties::comparison(&self));
+        Ok(parties::comparison_code(&self))
+    }
+}
+
+impl Printed for AuditCheck {
+    fn print(self, _: Option<&Path>, output: &Output) -> Result<u8, Failure> {
+        output.result(&self, || audit::check(&self));
+        Ok(audit::code(&self))
+    }
+}
+
+impl Printed for Box<RecordAudit> {
+    fn print(self, _: Option<&Path>, output: &Output) -> Result<u8, Failure> {
+        output.result(&self, || check::audit(&self));
+        Ok(check::audit_code(&self))
+    }
+}
+
+impl Printed for CheckView {
+    fn print(self, _: Option<&Path>, output: &Output) -> Result<u8, Failure> {
+        output.result(&self, || format!("{}: {}", self.id, self.verdict.word()));
+        Ok(lists::verdict_code(self.verdict))
+    }
+}
+
+impl Printed for Box<OpenedView> {
+    fn print(mut self, out: Option<&Path>, output: &Output) -> Result<u8, Failure> {
+        if let (Some(path), Some(bytes)) = (out, self.file.take()) {
+            std::fs::write(path, &bytes).map_err(|error| not_written(path, &error))?;
+        }
+        viewing::without_bytes(&mut self);
+        output.result(&self, || viewing::opened(&self));
+        Ok(lists::verdict_code(self.verdict))
+    }
+}
+
+impl Printed for Vec<ExportedFile> {
+    fn print(self, out: Option<&Path>, output: &Output) -> Result<u8, Failure> {
+        let directory = out.unwrap_or(Path::new("."));
+        std::fs::create_dir_all(directory).map_err(|error| not_written(directory, &error))?;
+        for file in &self {
+            let path = directory.join(&file.name);
+            std::fs::write(&path, &file.bytes).map_err(|error| not_written(&path, &error))?;
+        }
+        let names: Vec<&str> = self.iter().map(|file| file.name.as_str()).collect();
+        let written = serde_json::json!({ "directory": directory.display().to_string(), "files": names });
+        output.result(&written, || format!("{} written to {}", names.join(", "), directory.display()));
+        Ok(0)
+    }
+}
+
+impl Printed for SecretBytes {
+    fn print(self, out: Option<&Path>, output: &Output) -> Result<u8, Failure> {
+        let nowhere = || Failure::new(ErrorKind::Usage, "a key is written into a file; name it with --out");
+        let path = out.ok_or_else(nowhere)?;
+        private_file::create_private(path, self.expose())?;
+        output.result(&serde_json::json!({ "file": path.display().to_string() }), || {
+            format!("written to {} (0600)", path.display())
+        });
+        Ok(0)
+    }
+}
+
+impl Printed for PolicyView {
+    fn print(self, _: Option<&Path>, output: &Output) -> Result<u8, Failure> {
+        policy::show(&self, output);
+        Ok(0)
+    }
+}
+
+fn key_change(view: &KeyChangeView) -> String {
+    view.lines.join("\n")
+}
+
+fn transaction(view: &TransactionView) -> String {
+    view.text.clone()
+}
+
+fn decided(view: &DecidedView) -> String {
+    view.text.clone()
+}
+
+fn device_topics(view: &DeviceTopicsView) -> String {
+    let (added, topics) = (view.added.join(", "), view.topics.join(", "));
+    format!("'{}' is sent the keys of {added}; it covers {topics}", view.name)
 }
 
 fn not_written(path: &Path, error: &std::io::Error) -> Failure {
     Failure::new(ErrorKind::Input, format!("{} cannot be written: {error}", path.display()))
-}
-
-fn write_new(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
-    std::fs::write(path, bytes).map_err(|error| not_written(path, &error))
 }

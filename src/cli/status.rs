@@ -1,12 +1,13 @@
 //! `authros status`: health of the site's parts and where the profile's records stand. Without a running site the peers
 //! are asked here. The exit code is of what is wrong: 6 where records are gone or altered, 4 where a part is not well.
 
-use super::connect::{Context, expect_site};
+use super::connect::Context;
 use super::verbs::NEITHER;
 use crate::model::ErrorKind;
+use crate::service::command::SiteStatus;
 use crate::service::failure::input;
 use crate::service::reply::{HealthLevel, LifeLine, PartHealth, SiteView};
-use crate::service::{Command, Failure, doctor};
+use crate::service::{Failure, doctor};
 use authros_output::Output;
 
 /// `status`.
@@ -16,7 +17,7 @@ use authros_output::Output;
 pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
     known(&context)?;
     let connection = context.connect(NEITHER).await?;
-    let asked = connection.client.request(Command::SiteStatus).await.and_then(expect_site);
+    let asked = connection.client.ask(SiteStatus).await;
     let alone = connection.site.is_some();
     let peers = if alone { doctor::peers(&context.home, &context.config).await } else { Vec::new() };
     connection.close().await;

@@ -1,44 +1,25 @@
 //! Opened records on the command line: their readable form, their fields, their path; the files they become.
 
-use std::path::Path;
+use std::path::PathBuf;
 
-use super::args::SharedVerb;
 use super::connect::ProfileNeed;
-use super::parse;
+use super::show::Question;
 use super::verbs::{CHAIN, Plan};
 use crate::ros::readable::{Plot, Readable, Table, file_of};
-use crate::service::command::Viewing;
+use crate::service::command::{OpenShared, ViewFile};
 use crate::service::reply::{OpenedView, PathView};
-use crate::service::{Command, Failure};
 use authros_output::table;
 
-/// `shared …`
-///
-/// # Errors
-/// A filter that cannot be read.
-pub fn plan(verb: SharedVerb) -> Result<Plan, Failure> {
-    let plan = |command| Plan::new(CHAIN, ProfileNeed::Unlocked, command);
-    Ok(match verb {
-        SharedVerb::List(list) => plan(Command::ListShared(parse::query(&list)?)),
-        SharedVerb::Check { id } => plan(Command::CheckShared { id }),
-        SharedVerb::Export(_) => return Err(super::connect::unexpected()),
-        SharedVerb::Open { id, out } => {
-            let command = open(id, out.as_deref());
-            Plan { out, ..plan(command) }
-        }
-        SharedVerb::Path { id, records } => plan(Command::View(Viewing::Path { id, records })),
-    })
+/// A plan about shared records.
+pub fn plan(question: impl Into<Question>) -> Plan {
+    Plan::new(CHAIN, ProfileNeed::Unlocked, question)
 }
 
-/// Opens a record; where a file is wanted, as what the file's name asks for.
-fn open(id: String, out: Option<&Path>) -> Command {
-    match out {
-        None => Command::OpenShared { id },
-        Some(path) => {
-            let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-            Command::View(Viewing::File { id, kind: file_of(&name) })
-        }
-    }
+/// `shared open`, with a file where one is to be written.
+pub fn open(id: String, out: Option<PathBuf>) -> Plan {
+    let Some(path) = &out else { return plan(OpenShared { id }) };
+    let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    Plan { out: Some(path.clone()), ..plan(ViewFile { id, kind: file_of(&name) }) }
 }
 
 /// Takes out what is for screens alone or for files.

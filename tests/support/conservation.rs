@@ -10,8 +10,9 @@ use std::time::{Duration, Instant};
 
 use authros::model::ProfileName;
 use authros::paths::Home;
+use authros::service::command::{ListUploads, SiteStatus};
 use authros::service::reply::{LifeLine, SiteView};
-use authros::service::{Client, Command, Reply, UploadQuery, socket};
+use authros::service::{Client, UploadQuery, socket};
 
 /// Between two looks.
 const LOOK: Duration = Duration::from_millis(100);
@@ -116,13 +117,13 @@ async fn observe(home: &Home, profile: &ProfileName, seen: &Mutex<Seen>, ending:
 
 /// One look; nothing where the site went away.
 async fn look(client: &Client, seen: &Mutex<Seen>) -> Option<()> {
-    if let Ok(Reply::Site(view)) = client.request(Command::SiteStatus).await {
+    if let Ok(view) = client.ask(SiteStatus).await {
         hold_to_the_law(&mut lock(seen), view);
     } else {
         return None;
     }
     let query = UploadQuery { limit: NEWEST, newest_first: true, ..UploadQuery::default() };
-    let Ok(Reply::Records(page)) = client.request(Command::ListUploads(query)).await else { return None };
+    let page = client.ask(ListUploads(query)).await.ok()?;
     let mut seen = lock(seen);
     for record in page.records {
         let captured_at = record.captured_at.0;

@@ -2,7 +2,7 @@
 
 use tokio::sync::{broadcast, mpsc, oneshot};
 
-use super::command::{Command, Request};
+use super::command::{Ask, Command, Request};
 use super::event::Event;
 use super::reply::{Failure, Reply};
 use crate::model::{ErrorKind, ProfileName};
@@ -49,12 +49,20 @@ impl Client {
         receiver
     }
 
-    /// Sends a command and waits for its answer.
+    /// Sends a command that was chosen as the program runs, and waits for its answer.
     ///
     /// # Errors
     /// The site's [`Failure`], or one of kind `Unreachable` where the site is gone.
     pub async fn request(&self, command: Command) -> Result<Reply, Failure> {
         self.send(command).await.unwrap_or_else(|_| Err(site_gone()))
+    }
+
+    /// Sends a request and waits for the answer that it names.
+    ///
+    /// # Errors
+    /// The site's [`Failure`], or one of kind `Unreachable` where the site is gone.
+    pub async fn ask<A: Ask>(&self, ask: A) -> Result<A::Answer, Failure> {
+        A::heard(self.request(ask.into()).await)
     }
 
     /// From now on, everything the site tells.

@@ -1,5 +1,7 @@
 //! What can be asked of a site.
 
+#[macro_use]
+mod ask;
 mod administration;
 mod check;
 mod choices;
@@ -11,36 +13,43 @@ mod viewing;
 use serde::{Deserialize, Serialize};
 
 pub use self::administration::Administration;
-pub use self::check::StoreCommand;
+pub use self::ask::Ask;
+pub use self::check::{AuditRecords, BackUp, ListAllUploads, StoreCommand};
 pub use self::choices::{Epochs, Held, KeyKind, PairKind, UploadQuery};
-pub use self::operate::Operation;
-pub use self::recordings::{ExportWishes, ImportWishes, PolicyCommand, RecordingCommand};
+pub use self::operate::{Admit, BackUpKeys, Dismiss, GatewayStatus, ListAdmitted, Lock, Operation};
+pub use self::recordings::{ExportWishes, ImportWishes, PolicyCommand, RecordingCommand, RecordingProgress};
 pub use self::secret::{SecretBytes, SecretText};
-pub use self::viewing::{LONGEST_PATH, Viewing};
+pub use self::viewing::{LONGEST_PATH, ViewFile, ViewPath, Viewing};
 use crate::chain::Revision;
 use crate::model::{Address, ContactName, Party, ProfileName, Publisher, SignerId, Timestamp, TopicName, TypeName};
+use crate::service::reply::{
+    AdministrationView, AuditCheck, AuditView, CaptureSummary, ChainView, CheckView, CompareView, ContactRow,
+    DecidedView, DeployedView, DeviceRow, DeviceTopicsView, EnrolledView, ExportedFile, GatewayView, GrantRow,
+    IdentityView, KeyChangeView, KeysView, OpenedView, PinsView, PolicyView, Provenance, QuarantineView, RecordPage,
+    ServedView, SiteView, TopicRow, TransactionView,
+};
 pub use crate::store::AuditQuery;
 
-/// One thing asked of the site, for one profile.
-#[derive(Debug, Clone, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case", tag = "command")]
-pub enum Command {
+requests! {
+    /// One thing asked of the site, for one profile.
+    #[serde(rename_all = "snake_case", tag = "command")]
+    enum Command by std::convert::identity;
     /// Make a profile's keys and keyring.
     CreateIdentity {
         /// Protects the keyring.
         passphrase: SecretText,
-    },
+    } => IdentityView;
     /// Show the profile's public identity; needs no passphrase.
-    ShowIdentity,
+    ShowIdentity => IdentityView;
     /// Open the keyring for this session of the site.
     Unlock {
         /// The keyring's.
         passphrase: SecretText,
-    },
+    } => IdentityView;
     /// Put the identity on the chain.
-    Register,
+    Register => IdentityView;
     /// Keys with fingerprints and epochs.
-    ListKeys,
+    ListKeys => KeysView;
     /// Replace one key by a loaded one.
     LoadKey {
         /// Which key.
@@ -49,80 +58,80 @@ pub enum Command {
         path: std::path::PathBuf,
         /// Passphrase of a V3 keystore file.
         passphrase: Option<SecretText>,
-    },
+    } => KeysView;
     /// Begin a new epoch.
-    RotateKeys,
+    RotateKeys => TransactionView;
     /// Replace the envelope pair by a new one.
-    RotateEnvelope,
+    RotateEnvelope => KeysView;
     /// Whom another SM2 pair touches; changes nothing.
     ForeseeKeyChange {
         /// Which pair.
         kind: PairKind,
-    },
+    } => KeyChangeView;
     /// Protect the keyring by another passphrase.
     ChangePassphrase {
         /// The present one.
         old: SecretText,
         /// The one from then on.
         new: SecretText,
-    },
+    } => ();
     /// Hand one key out.
     ExportKey {
         /// Which key.
         kind: KeyKind,
         /// Passphrase for the V3 keystore written (EOA only).
         passphrase: Option<SecretText>,
-    },
+    } => SecretBytes;
     /// All topics of the ROS graph.
-    ListTopics,
+    ListTopics => Vec<TopicRow>;
     /// Capture a topic until it is unwatched, over restarts.
     WatchTopic {
         /// The topic.
         topic: TopicName,
         /// Refuse other types.
         type_name: Option<TypeName>,
-    },
+    } => ();
     /// Stop capturing a topic.
     UnwatchTopic {
         /// The topic.
         topic: TopicName,
-    },
+    } => ();
     /// Pinned publishers, and alarms about others.
     ListPins {
         /// Only of this topic.
         topic: Option<TopicName>,
-    },
+    } => PinsView;
     /// Accept publishers of a topic.
     PinTopic {
         /// The topic.
         topic: TopicName,
         /// Who; empty = those that are being read now.
         publishers: Vec<Publisher>,
-    },
+    } => PinsView;
     /// No longer accept a caller id on a topic.
     UnpinTopic {
         /// The topic.
         topic: TopicName,
         /// The node name.
         caller_id: String,
-    },
+    } => PinsView;
     /// Messages that are held back, oldest first.
     ListQuarantine {
         /// Only of this topic.
         topic: Option<TopicName>,
         /// At most so many, 1 to 1,000.
         limit: usize,
-    },
+    } => QuarantineView;
     /// Let quarantined messages go on.
     ReleaseHeld {
         /// Which.
         held: Held,
-    },
+    } => DecidedView;
     /// Delete quarantined messages.
     DiscardHeld {
         /// Which.
         held: Held,
-    },
+    } => DecidedView;
     /// Capture topics until a count or time is reached; answers when all captured is verified.
     Capture {
         /// The topics.
@@ -135,26 +144,21 @@ pub enum Command {
         milliseconds: Option<u64>,
         /// Tags for the sealed head.
         tags: Vec<(String, String)>,
-    },
+    } => CaptureSummary;
     /// End the running captures and imports of this profile now (their answers follow).
-    StopCapture,
-    /// Recordings: bags and MCAP.
-    Recording {
-        /// What with them.
-        with: RecordingCommand,
-    },
+    StopCapture => ();
     /// Rules for topics.
     Policy {
         /// What with them.
         with: PolicyCommand,
-    },
+    } => PolicyView;
     /// Own records.
-    ListUploads(UploadQuery),
+    ListUploads(query: UploadQuery) => RecordPage;
     /// One own record with its provenance.
     ShowUpload {
         /// Its id, or the beginning of its digest.
         id: String,
-    },
+    } => Provenance;
     /// One own record's files for others to check.
     ExportUpload {
         /// Its id.
@@ -162,7 +166,7 @@ pub enum Command {
         /// With addresses in full.
         #[serde(default)]
         addresses: bool,
-    },
+    } => Vec<ExportedFile>;
     /// Share with another account.
     Grant {
         /// Who may read.
@@ -173,67 +177,65 @@ pub enum Command {
         epochs: Epochs,
         /// When the grant ends.
         expires: Option<Timestamp>,
-    },
+    } => TransactionView;
     /// Let an active grant end later.
     ExtendGrant {
         /// Whose.
         grantee: Party,
         /// Its new end; `None` = no end.
         expires: Option<Timestamp>,
-    },
+    } => TransactionView;
     /// Stop sharing with an account; begins a new epoch.
     Revoke {
         /// Who may no longer read.
         grantee: Party,
-    },
+    } => TransactionView;
     /// Grants given and received.
-    ListGrants,
+    ListGrants => Vec<GrantRow>;
     /// Records others share with this profile.
-    ListShared(UploadQuery),
+    ListShared(query: UploadQuery) => RecordPage;
     /// The paper's Data_Check of one record: digest against the chain, signature.
     CheckShared {
         /// Its id.
         id: String,
-    },
+    } => CheckView;
     /// Check, decrypt and decode one record (shared or own).
     OpenShared {
         /// Its id.
         id: String,
-    },
-    /// Look at opened records: as files, as a path.
-    View(Viewing),
+    } => Box<OpenedView>;
     /// Let a device sign for the profile.
     LendDevice {
         /// SM3 of its public key.
         device: SignerId,
         /// When the loan ends, whole seconds.
         until: Option<Timestamp>,
-    },
+    } => TransactionView;
     /// Take a loan back.
     RecallDevice {
         /// The device's id, or the beginning of it.
         device: String,
-    },
+    } => TransactionView;
     /// Give an enrolled robot the keys of more topics.
     AddDeviceTopics {
         /// Its name, the device's id, or the beginning of it.
         device: String,
         /// The topics.
         topics: Vec<TopicName>,
-    },
+    } => DeviceTopicsView;
     /// Make a robot a device of the profile, known to a gateway.
-    EnrolDevice(super::site::EnrolWishes),
+    EnrolDevice(wishes: super::site::EnrolWishes) => EnrolledView;
     /// Devices lent and recalled.
-    ListDevices,
+    ListDevices => Vec<DeviceRow>;
     /// A fingerprint beside that of an account's registered key.
     CompareFingerprint {
         /// As a person was told it.
         fingerprint: String,
         /// Whose; `None` = this profile's own.
         account: Option<Party>,
-    },
+    } => CompareView;
     /// The address book of this home.
-    ListContacts,
+    ListContacts => Vec<ContactRow>;
     /// Enter an account.
     AddContact {
         /// Its name here.
@@ -242,32 +244,32 @@ pub enum Command {
         address: Address,
         /// Of its SM2 key, as a person was told it.
         fingerprint: Option<String>,
-    },
+    } => Vec<ContactRow>;
     /// Take an account out.
     RemoveContact {
         /// Its name.
         name: ContactName,
-    },
+    } => Vec<ContactRow>;
     /// Take the key that an account has registered now for the right one.
     ConfirmContact {
         /// Its name.
         name: ContactName,
         /// Only where it has this fingerprint.
         fingerprint: Option<String>,
-    },
+    } => Vec<ContactRow>;
     /// An act of the contract's administrator.
-    Administer(Administration),
+    Administer(act: Administration) => TransactionView;
     /// Name who may stop a succession of the profile's account; `None` = nobody.
     NameRecovery {
         /// Who.
         recovery: Option<Party>,
-    },
+    } => TransactionView;
     /// The chain as seen by this profile.
-    ChainStatus,
+    ChainStatus => Box<ChainView>;
     /// Successions that wait and that came about, and the profile's recovery account.
-    ListSuccessions,
+    ListSuccessions => Box<AdministrationView>;
     /// Go on with the chain that is there now instead of the pinned one.
-    AdoptChain,
+    AdoptChain => TransactionView;
     /// Put the contract on the chain and pin it; refused where one is pinned already.
     DeployContract {
         /// How long a succession waits, seconds [default: a week].
@@ -276,12 +278,12 @@ pub enum Command {
         /// Which revision [default: the newest].
         #[serde(default)]
         revision: Option<Revision>,
-    },
+    } => DeployedView;
     /// Answer other tools' JSON-RPC over the embedded chain, until the connection that asks for it ends.
     ServeChain {
         /// Where, on loopback.
         address: std::net::SocketAddr,
-    },
+    } => ServedView;
     /// Serve robots and operators that run no chain client, until the connection that asks for it ends. The
     /// profile's account anchors what they send.
     ServeGateway {
@@ -290,27 +292,36 @@ pub enum Command {
         /// Also for owners whom nobody admitted, whatever the settings say.
         #[serde(default)]
         open: bool,
-    },
+    } => GatewayView;
     /// Health, counts and alerts of the whole site.
-    SiteStatus,
+    SiteStatus => SiteView;
     /// The newest audit lines that match.
-    ListAudit(AuditQuery),
+    ListAudit(query: AuditQuery) => Vec<AuditView>;
     /// Recompute the whole audit log; compare it with the heads that this profile anchored.
     VerifyAudit {
         /// Also the anchored heads: needs the keyring open.
         heads: bool,
-    },
+    } => AuditCheck;
     /// The whole audit log as a file for others.
     ExportAudit {
         /// With addresses in full.
         addresses: bool,
-    },
-    /// About the whole store.
-    OfStore(StoreCommand),
-    /// What an operator asks of the site itself.
-    Operate(Operation),
+    } => Vec<ExportedFile>;
     /// Claims the profile for a console, until the connection ends; refused where one is open already.
-    OpenConsole,
+    OpenConsole => ();
+    groups {
+        /// Recordings: bags and MCAP.
+        Recording {
+            /// What with them.
+            with: RecordingCommand,
+        },
+        /// Look at opened records: as files, as a path.
+        View(Viewing),
+        /// About the whole store.
+        OfStore(StoreCommand),
+        /// What an operator asks of the site itself.
+        Operate(Operation),
+    }
 }
 
 /// A command with the profile it is for.

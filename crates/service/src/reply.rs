@@ -54,84 +54,129 @@ impl Failure {
     pub fn new(kind: ErrorKind, message: impl Into<String>) -> Self {
         Self { kind, message: message.into() }
     }
+
+    /// A site that answers what was not asked.
+    pub fn of_another_version() -> Self {
+        Self::new(ErrorKind::Internal, "the site answered something else than was asked; it may be of another version")
+    }
 }
 
-/// The answer to a command.
-#[derive(Debug, Clone, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case", tag = "reply", content = "with")]
-pub enum Reply {
-    /// Done, nothing to tell.
-    Done,
+/// What a request can be answered with: it goes over the wire as one variant of [`Reply`].
+pub trait Answer: Sized {
+    /// As it goes over the wire.
+    fn into_reply(self) -> Reply;
+
+    /// Out of what came over the wire; `None` where that is another answer.
+    fn from_reply(reply: Reply) -> Option<Self>;
+}
+
+/// Makes the enum of answers, and each variant's type an [`Answer`].
+macro_rules! replies {
+    ($($(#[$doc:meta])+ $name:ident($view:ty);)+) => {
+        /// The answer to a command.
+        #[derive(Debug, Clone, Serialize, Deserialize)]
+        #[serde(rename_all = "snake_case", tag = "reply", content = "with")]
+        pub enum Reply {
+            /// Done, nothing to tell.
+            Done,
+            $($(#[$doc])+ $name($view),)+
+        }
+
+        $(
+            impl Answer for $view {
+                fn into_reply(self) -> Reply {
+                    Reply::$name(self)
+                }
+
+                fn from_reply(reply: Reply) -> Option<Self> {
+                    if let Reply::$name(view) = reply { Some(view) } else { None }
+                }
+            }
+        )+
+    };
+}
+
+impl Answer for () {
+    fn into_reply(self) -> Reply {
+        Reply::Done
+    }
+
+    fn from_reply(reply: Reply) -> Option<Self> {
+        matches!(reply, Reply::Done).then_some(())
+    }
+}
+
+replies! {
     /// To identity commands.
-    Identity(IdentityView),
+    Identity(IdentityView);
     /// To `ListKeys`, `LoadKey` and `RotateEnvelope`.
-    Keys(KeysView),
+    Keys(KeysView);
     /// To `ForeseeKeyChange`.
-    KeyChange(KeyChangeView),
+    KeyChange(KeyChangeView);
     /// To `ExportKey`.
-    Key(SecretBytes),
+    Key(SecretBytes);
     /// To `ListTopics`.
-    Topics(Vec<TopicRow>),
+    Topics(Vec<TopicRow>);
     /// To `Capture`.
-    Captured(CaptureSummary),
+    Captured(CaptureSummary);
     /// To `Recording`.
-    Recording(RecordingReply),
+    Recording(RecordingReply);
     /// To `Policy`.
-    Policy(PolicyView),
+    Policy(PolicyView);
     /// To lists of records.
-    Records(RecordPage),
+    Records(RecordPage);
     /// To `ShowUpload`.
-    Provenance(Provenance),
+    Provenance(Provenance);
     /// To `ExportUpload` and `ExportAudit`.
-    Files(Vec<ExportedFile>),
+    Files(Vec<ExportedFile>);
     /// To commands that send a transaction.
-    Transaction(TransactionView),
+    Transaction(TransactionView);
     /// To `ListGrants`.
-    Grants(Vec<GrantRow>),
+    Grants(Vec<GrantRow>);
     /// To `ListDevices`.
-    Devices(Vec<DeviceRow>),
+    Devices(Vec<DeviceRow>);
     /// To `AddDeviceTopics`.
-    DeviceTopics(DeviceTopicsView),
+    DeviceTopics(DeviceTopicsView);
     /// To `EnrolDevice`.
-    Enrolled(EnrolledView),
+    Enrolled(EnrolledView);
     /// To `CompareFingerprint`.
-    Compared(CompareView),
+    Compared(CompareView);
     /// To commands of the address book.
-    Contacts(Vec<ContactRow>),
+    Contacts(Vec<ContactRow>);
     /// To `CheckShared`.
-    Check(CheckView),
+    Check(CheckView);
     /// To `OpenShared`.
-    Opened(Box<OpenedView>),
+    Opened(Box<OpenedView>);
     /// To `Viewing::Path`.
-    Path(PathView),
+    Path(PathView);
     /// To commands about pins.
-    Pins(PinsView),
+    Pins(PinsView);
     /// To `ListQuarantine`.
-    Quarantine(QuarantineView),
+    Quarantine(QuarantineView);
     /// To `ReleaseHeld` and `DiscardHeld`.
-    Decided(DecidedView),
+    Decided(DecidedView);
     /// To `ChainStatus`.
-    Chain(Box<ChainView>),
+    Chain(Box<ChainView>);
     /// To `ListSuccessions`.
-    Administration(Box<AdministrationView>),
+    Administration(Box<AdministrationView>);
     /// To `DeployContract`.
-    Deployed(DeployedView),
+    Deployed(DeployedView);
     /// To `ServeChain`.
-    Served(ServedView),
+    Served(ServedView);
     /// A gateway is served.
-    Gateway(GatewayView),
+    Gateway(GatewayView);
     /// To `Operation::GatewayStatus`.
-    GatewayStatus(GatewayStatusView),
+    GatewayStatus(GatewayStatusView);
     /// To `Operation::Admit`, `Operation::Dismiss` and `Operation::ListAdmitted`.
-    Admitted(Vec<AdmittedView>),
+    Admitted(Vec<AdmittedView>);
     /// To `SiteStatus`.
-    Site(SiteView),
+    Site(SiteView);
     /// To `ListAudit`.
-    Audit(Vec<AuditView>),
+    Audit(Vec<AuditView>);
     /// To `AuditRecords`.
-    RecordsAudited(Box<RecordAudit>),
+    RecordsAudited(Box<RecordAudit>);
     /// To `BackUp`.
-    BackedUp(BackupView),
+    BackedUp(BackupView);
     /// To `VerifyAudit`.
-    AuditChecked(AuditCheck),
+    AuditChecked(AuditCheck);
 }

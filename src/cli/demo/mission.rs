@@ -8,13 +8,15 @@ use tokio::task::block_in_place;
 use super::locks::{self, Genuine};
 use super::witness::Witness;
 use super::{Story, Work};
-use crate::cli::connect::{Context, ProfileNeed, unexpected};
+use crate::cli::connect::{Context, ProfileNeed};
 use crate::crypto::{Anchor, EpochKey, Expected, GrantedKeys, open, topic_key};
 use crate::model::{Address, ErrorKind, ProfileName, Timestamp, TopicName, Verdict};
 use crate::pipeline::reader::Reader;
 use crate::pipeline::{Network, Owner, authority, proof};
+use crate::service::command::{Capture, CheckShared, Grant, ListShared, OpenShared, Register, Revoke};
+use crate::service::failure::internal;
 use crate::service::reply::{CaptureSummary, OpenedView, RecordView};
-use crate::service::{Client, Command, Epochs, Failure, Needs, Reply, Site, UploadQuery};
+use crate::service::{Client, Epochs, Failure, Needs, Site, UploadQuery};
 use authros_output::Output;
 
 /// How often a capture is repeated while nothing that the story needs was published.
@@ -120,7 +122,7 @@ impl Mission {
         story.refused_stranger = self.stranger_is_refused(&records).await?;
         story.refused_tampered = self.tampering_is_refused(&records).await?;
         let kept = self.kept_keys()?;
-        self.cura_a.client.request(Command::Revoke { grantee: self.cura_b.address.into() }).await?;
+        self.cura_a.client.ask(Revoke { grantee: self.cura_b.address.into() }).await?;
         let revoked_at = Timestamp::now();
         let second = self.capture(self.milliseconds - self.milliseconds * 6 / 10, |seen| seen.captured > 0).await?;
         story.captured += second.captured;
@@ -164,31 +166,20 @@ impl Mission {
     }
 
     async fn capture_once(&self, milliseconds: u64) -> Result<CaptureSummary, Failure> {
-        let command = Command::Capture {
+        let ask = Capture {
             topics: self.topics.clone(),
             type_name: None,
             count: None,
             milliseconds: Some(milliseconds),
             tags: vec![("mission".to_owned(), "crime-scene".to_owned())],
         };
-        match self.cura_a.client.request(command).await? {
-            Reply::Captured(summary) => Ok(summary),
-            _ => Err(unexpected()),
-        }
+        self.cura_a.client.ask(ask).await
     }
 
     async fn grant(&self) -> Result<(), Failure> {
         let grantee = self.cura_b.address;
-        self.cura_a
-            .client
-            .request(Command::Grant {
-                grantee: grantee.into(),
-                topics: Vec::new(),
-                epochs: Epochs::Current,
-                expires: None,
-            })
-            .await?;
-        Ok(())
+        let ask = Grant { grantee: grantee.into(), topics: Vec::new(), epochs: Epochs::Current, expires: None };
+        self.cura_a.client.ask(ask).await.map(drop)
     }
 
     async fn shared_records(&self) -> Result<Vec<RecordView>, Failure> {
@@ -197,9 +188,7 @@ impl Mission {
         loop {
             let query =
                 UploadQuery { owner: Some(self.cura_a.address.into()), limit: 1000, after, ..UploadQuery::default() };
-            let Reply::Records(page) = self.cura_b.client.request(Command::ListShared(query)).await? else {
-                return Err(unexpected());
-            };
+            let page = self.cura_b.client.ask(ListShared(query)).await?;
             // A kept home may hold records of an earlier mission under earlier epochs.
             records.extend(page.records.into_iter().filter(|record| record.epoch >= self.epoch()));
             after = page.next;
@@ -218,13 +207,8 @@ impl Mission {
             if record.type_name == "sensor_msgs/CompressedImage" {
                 self.pictures += 1;
             }
-            let Reply::Check(checked) =
-                self.cura_b.client.request(Command::CheckShared { id: record.id.clone() }).await?
-            else {
-                return Err(unexpected());
-            };
-            let opened = self.cura_b.client.request(Command::OpenShared { id: record.id.clone() }).await;
-            let Ok(Reply::Opened(opened)) = opened else { continue };
+            let checked = self.cura_b.client.ask(CheckShared { id: record.id.clone() }).await?;
+            let Ok(opened) = self.cura_b.client.ask(OpenShared { id: record.id.clone() }).await else { continue };
             if checked.verdict == Verdict::Verified && opened.verdict == Verdict::Verified {
                 story.opened_by_grantee += 1;
                 story.restored_images += u64::from(block_in_place(|| self.is_restored(&opened)));
@@ -244,15 +228,12 @@ impl Mission {
 
     async fn stranger_is_refused(&self, records: &[RecordView]) -> Result<bool, Failure> {
         let query = UploadQuery { limit: 1000, ..UploadQuery::default() };
-        let Reply::Records(page) = self.stranger.client.request(Command::ListShared(query)).await? else {
-            return Err(unexpected());
-        };
+        let page = self.stranger.client.ask(ListShared(query)).await?;
         let mut refused = page.records.is_empty();
         for record in records.iter().take(20) {
-            for command in
-                [Command::CheckShared { id: record.id.clone() }, Command::OpenShared { id: record.id.clone() }]
-            {
-                let answer = self.stranger.client.request(command).await;
+            let checked = self.stranger.client.ask(CheckShared { id: record.id.clone() }).await.map(drop);
+            let opened = self.stranger.client.ask(OpenShared { id: record.id.clone() }).await.map(drop);
+            for answer in [checked, opened] {
                 refused &= answer.is_err_and(|failure| failure.kind == ErrorKind::Refused);
             }
         }
@@ -265,7 +246,7 @@ impl Mission {
         let flipped = self.flipped_bit_is_refused(one).await?;
         let plant = &self.site.plant;
         let take = |record: &RecordView| -> Result<Genuine, Failure> {
-            let row = block_in_place(|| plant.ledger.record(record.digest))?.ok_or_else(unexpected)?;
+            let row = block_in_place(|| plant.ledger.record(record.digest))?.ok_or_else(gone)?;
             Genuine::take(plant, &self.network, &self.cura_a.owner, row)
         };
         // Same topic and epoch, so that one key opens both and only the named check can refuse.
@@ -288,16 +269,16 @@ impl Mission {
 
     async fn flipped_bit_is_refused(&self, record: &RecordView) -> Result<bool, Failure> {
         let vault = &self.site.plant.vault;
-        let genuine = block_in_place(|| vault.get(record.digest))?.ok_or_else(unexpected)?;
+        let genuine = block_in_place(|| vault.get(record.digest))?.ok_or_else(gone)?;
         let mut forged = genuine.clone();
         if let Some(byte) = forged.last_mut() {
             *byte ^= 1;
         }
         block_in_place(|| vault.replace(record.digest, &forged))?;
-        let checked = self.cura_b.client.request(Command::CheckShared { id: record.id.clone() }).await;
-        let opened = self.cura_b.client.request(Command::OpenShared { id: record.id.clone() }).await;
+        let checked = self.cura_b.client.ask(CheckShared { id: record.id.clone() }).await;
+        let opened = self.cura_b.client.ask(OpenShared { id: record.id.clone() }).await;
         block_in_place(|| vault.replace(record.digest, &genuine))?;
-        let told = matches!(checked, Ok(Reply::Check(view)) if view.verdict == Verdict::Tampered);
+        let told = checked.is_ok_and(|view| view.verdict == Verdict::Tampered);
         Ok(told && opened.is_err_and(|failure| failure.kind == ErrorKind::Tampered))
     }
 
@@ -345,8 +326,8 @@ impl Mission {
         let provider = self.site.plant.provider;
         let mut opened = 0;
         for row in rows {
-            let asked = self.cura_b.client.request(Command::OpenShared { id: row.id.clone() }).await.is_ok();
-            let blob = block_in_place(|| self.site.plant.vault.get(row.digest))?.ok_or_else(unexpected)?;
+            let asked = self.cura_b.client.ask(OpenShared { id: row.id.clone() }).await.is_ok();
+            let blob = block_in_place(|| self.site.plant.vault.get(row.digest))?.ok_or_else(gone)?;
             let expected = Expected::any_of(self.network.domain, self.cura_a.address);
             let signer = self.cura_a.owner.signing();
             let by_key = kept.iter().any(|(_, key)| {
@@ -397,6 +378,10 @@ fn has_what_is_shown(seen: &CaptureSummary) -> bool {
     picture && seen.topics.iter().any(|topic| topic.captured > 1)
 }
 
+fn gone() -> Failure {
+    internal("a record of the demo is gone from its ledger or its vault; run the demo again in a home of its own")
+}
+
 async fn person(context: &Context, site: &Arc<Site>, name: &str, output: Output) -> Result<Person, Failure> {
     let profile: ProfileName = crate::cli::parse::value(name)?;
     let client = site.client(profile.clone());
@@ -407,7 +392,7 @@ async fn person(context: &Context, site: &Arc<Site>, name: &str, output: Output)
         config: context.config.clone(),
     };
     own.prepare(&client, ProfileNeed::Made, &output).await?;
-    client.request(Command::Register).await?;
+    client.ask(Register).await?;
     let owner = site.unlocked(&profile)?;
     Ok(Person { client, address: owner.address, owner })
 }

@@ -11,8 +11,9 @@ use authros_model::bytes::hex;
 use authros_model::{ErrorKind, ProfileName};
 use authros_output::Output;
 use authros_pipeline::stages::Stages;
+use authros_service::command::{CreateIdentity, Register, SiteStatus};
 use authros_service::reply::SiteView;
-use authros_service::{Client, Command, Failure, Needs, Reply, SecretText, Site};
+use authros_service::{Client, Failure, Needs, SecretText, Site};
 use authros_store::{SiteLock, files};
 
 /// The site.
@@ -50,8 +51,8 @@ impl Host {
 
     async fn register(&self) -> Result<(), Failure> {
         let passphrase = SecretText::new(hex(&random_bytes::<16>()?));
-        self.client.request(Command::CreateIdentity { passphrase }).await?;
-        self.client.request(Command::Register).await.map(drop)
+        self.client.ask(CreateIdentity { passphrase }).await?;
+        self.client.ask(Register).await.map(drop)
     }
 
     /// The ROS master in use.
@@ -72,10 +73,7 @@ impl Host {
     /// # Errors
     /// The site's.
     pub async fn status(&self) -> Result<SiteView, Failure> {
-        match self.client.request(Command::SiteStatus).await? {
-            Reply::Site(view) => Ok(view),
-            _ => Err(Failure::new(ErrorKind::Internal, "the site answered something else than was asked")),
-        }
+        self.client.ask(SiteStatus).await
     }
 
     /// Ends the site.

@@ -12,9 +12,10 @@ use crate::spread::{decimal, number};
 use crate::usage::{processor_seconds, resident};
 use authros_pipeline::stages::Stage;
 use authros_ros::robot::Load as Publishers;
+use authros_service::Failure;
+use authros_service::command::WatchTopic;
 use authros_service::failure::internal;
 use authros_service::reply::LifeLine;
-use authros_service::{Command, Failure};
 
 /// How long subscribing may take.
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -86,8 +87,7 @@ pub async fn run(host: &Host, load: &Load, length: Duration) -> Result<Summary, 
     let master = host.master().await?;
     let mut publishers = block_in_place(|| Publishers::start(&master, load.publishers))?;
     for topic in publishers.topics() {
-        let command = Command::WatchTopic { topic: crate::read(&topic)?, type_name: None };
-        host.client.request(command).await?;
+        host.client.ask(WatchTopic { topic: crate::read(&topic)?, type_name: None }).await?;
     }
     heard(&publishers).await?;
     let period = Duration::from_secs_f64(f64::from(load.publishers) / load.per_second);

@@ -152,6 +152,10 @@ pub enum Tag {
     BackUp,
     /// An act of the administrator, in a word.
     Administer(&'static str),
+    /// The contract put on the chain.
+    Deploy,
+    /// Another chain in place of the pinned one.
+    Adopt,
     /// Accepting of a topic's publishers.
     Pin(String),
     /// A publisher of a topic is no longer accepted.
@@ -200,6 +204,8 @@ impl Tag {
             Self::Lock => "locking the keyring".to_owned(),
             Self::BackUp => "backing up the keyring".to_owned(),
             Self::Administer(act) => format!("administrator: {act}"),
+            Self::Deploy => "deploying the contract".to_owned(),
+            Self::Adopt => "adopting the chain".to_owned(),
             Self::Pin(topic) => format!("pinning publishers of {topic}"),
             Self::Unpin(topic) => format!("unpinning a publisher of {topic}"),
             Self::Release(topic) => format!("releasing what is held of {topic}"),

@@ -1,5 +1,7 @@
 //! What the contract's administrator does from the console: a form or a question for each act, and its command.
 
+#![deny(clippy::wildcard_enum_match_arm)]
+
 use super::action::{Errand, Tag};
 use super::confirm;
 use super::field::Field;
@@ -140,16 +142,28 @@ pub fn begin(state: &mut State, act: Act) {
         state.popups.push(Popup::Form(Purpose::Administer(act), form(act)));
         return;
     }
-    let command = match act {
-        Act::Deploy => Command::DeployContract { delay: None, revision: None },
-        Act::Adopt => Command::AdoptChain,
-        Act::Open | Act::Close => Command::Administer(Administration::Open { open: act == Act::Open }),
-        Act::Pause | Act::Continue => {
-            Command::Administer(Administration::Pause { paused: act == Act::Pause, seconds: None })
-        }
-        _ => Command::Administer(Administration::Accept),
-    };
-    state.popups.push(Popup::Confirm(question(act, Vec::new(), command)));
+    if let Some(errand) = nameless(act) {
+        state.popups.push(Popup::Confirm(question(act, Vec::new(), errand)));
+    }
+}
+
+/// What an act sends for which no account is named; `None` for the others.
+fn nameless(act: Act) -> Option<Errand> {
+    Some(match act {
+        Act::Deploy => Errand { command: Command::DeployContract { delay: None, revision: None }, tag: Tag::Deploy },
+        Act::Adopt => Errand { command: Command::AdoptChain, tag: Tag::Adopt },
+        Act::Open => administer(act, Administration::Open { open: true }),
+        Act::Close => administer(act, Administration::Open { open: false }),
+        Act::Pause => administer(act, Administration::Pause { paused: true, seconds: None }),
+        Act::Continue => administer(act, Administration::Pause { paused: false, seconds: None }),
+        Act::Accept => administer(act, Administration::Accept),
+        Act::Admit | Act::Dismiss | Act::Suspend | Act::Restore | Act::HandOver => return None,
+        Act::Succeed | Act::Propose => return None,
+    })
+}
+
+fn administer(act: Act, administration: Administration) -> Errand {
+    Errand { command: Command::Administer(administration), tag: Tag::Administer(act.word()) }
 }
 
 fn form(act: Act) -> Form {
@@ -170,6 +184,11 @@ pub fn read(act: Act, form: &Form) -> Result<Confirm, (usize, String)> {
         form.text(line).trim().parse().map_err(|error| (line, format!("{error}")))
     };
     let account = party(0)?;
+    let successor = |lines: &mut Vec<String>| -> Result<Party, (usize, String)> {
+        let successor = party(1)?;
+        lines.push(format!("Successor  {successor}"));
+        Ok(successor)
+    };
     let mut lines = vec![format!("Account  {account}")];
     let administration = match act {
         Act::Admit => Administration::Admit { account },
@@ -177,22 +196,18 @@ pub fn read(act: Act, form: &Form) -> Result<Confirm, (usize, String)> {
         Act::Suspend => Administration::Suspend { account },
         Act::Restore => Administration::Restore { account },
         Act::HandOver => Administration::HandOver { account },
-        _ => {
-            let successor = party(1)?;
-            lines.push(format!("Successor  {successor}"));
-            match act {
-                Act::Propose => Administration::Propose { lost: account, successor },
-                _ => Administration::Succeed { lost: account, successor },
-            }
+        Act::Propose => Administration::Propose { lost: account, successor: successor(&mut lines)? },
+        Act::Succeed => Administration::Succeed { lost: account, successor: successor(&mut lines)? },
+        Act::Open | Act::Close | Act::Pause | Act::Continue | Act::Accept | Act::Deploy | Act::Adopt => {
+            return Err((0, "this act names no account; leave with esc".to_owned()));
         }
     };
-    Ok(question(act, lines, Command::Administer(administration)))
+    Ok(question(act, lines, administer(act, administration)))
 }
 
-fn question(act: Act, mut lines: Vec<String>, command: Command) -> Confirm {
+fn question(act: Act, mut lines: Vec<String>, errand: Errand) -> Confirm {
     lines.extend(act.meaning().iter().map(|line| (*line).to_owned()));
     lines.push("It is a transaction of your account.".to_owned());
-    let errand = Errand { command, tag: Tag::Administer(act.word()) };
     let title = if act.names() { format!("{}?", act.title()) } else { act.title().to_owned() };
     let typed = act.is_grave().then(|| confirm::Typed::new(act.word()));
     Confirm { title, lines, yes: act.word(), typed, errand }

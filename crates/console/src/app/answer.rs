@@ -1,5 +1,7 @@
 //! Answers of the site: data into the state, results of commands into words.
 
+#![deny(clippy::wildcard_enum_match_arm)]
+
 use zeroize::Zeroizing;
 
 use super::action::{Contents, Effect, Tag};
@@ -10,46 +12,74 @@ use super::popup::Popup;
 use super::state::State;
 use super::undo;
 use crate::model::{ErrorKind, Verdict};
-use crate::service::reply::CheckView;
+use crate::service::command::{self as ask, Ask, SecretBytes};
+use crate::service::reply::{CheckView, ExportedFile, IdentityView, PinsView, Provenance};
 use crate::service::{Failure, KeyKind, NoticeLevel, Reply};
 
-/// Takes an answer.
-pub fn answered(state: &mut State, tag: &Tag, result: Result<Reply, Failure>) -> Vec<Effect> {
+type Answer = Result<Reply, Failure>;
+
+/// Takes an answer. Each tag names the request that it was put on, and with it what can come back.
+pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
     if let Tag::Feed(feed, generation) = tag {
         return fed(state, *feed, *generation, result);
     }
     state.work.retain(|other| other != tag);
     match tag {
-        Tag::OpenConsole => opened_console(state, result),
-        Tag::CreateIdentity | Tag::Unlock | Tag::Register => identity_path::answered(state, tag, result),
-        Tag::Show(id) => {
-            looked_up(state, id, result);
-            Vec::new()
+        Tag::Feed(..) => {}
+        Tag::OpenConsole => return opened_console(state, ask::OpenConsole::heard(result)),
+        Tag::CreateIdentity => return identity_path::made(state, ask::CreateIdentity::heard(result)),
+        Tag::Unlock => return identity_path::unlocked(state, ask::Unlock::heard(result)),
+        Tag::Register => return identity_path::registered(state, ask::Register::heard(result)),
+        Tag::Open(id) => return opening::opened(state, id, ask::OpenShared::heard(result)),
+        Tag::Path(id) => opening::path_found(state, id, ask::ViewPath::heard(result)),
+        Tag::Show(id) => looked_up(state, id, ask::ShowUpload::heard(result)),
+        Tag::Publishers(topic) => publishers(state, topic, ask::ListPins::heard(result)),
+        Tag::Lock => locked(state, ask::Lock::heard(result)),
+        Tag::Export(id) => {
+            return written(state, tag, ask::ExportUpload::heard(result), |_, files| exported(id, files));
         }
-        Tag::Publishers(topic) => {
-            publishers(state, topic, result);
-            Vec::new()
+        Tag::ExportKey(kind) => {
+            return written(state, tag, ask::ExportKey::heard(result), |state, key| {
+                secret(key_file(state, *kind), &key)
+            });
         }
-        Tag::Lock => {
-            locked(state, result);
-            Vec::new()
+        Tag::BackUp => {
+            let name = format!("{}.keyring", state.settings.profile);
+            return written(state, tag, ask::BackUpKeys::heard(result), |_, keys| secret(name, &keys));
         }
-        Tag::Open(id) => opening::opened(state, id, result),
-        Tag::Path(id) => {
-            opening::path_found(state, id, result);
-            Vec::new()
+        Tag::Check(_) => done(state, tag, ask::CheckShared::heard(result), |state, check| checked(state, &check)),
+        Tag::Watch(topic) => done(state, tag, ask::WatchTopic::heard(result), |state, ()| {
+            state.inform(format!("now watching {topic}"));
+        }),
+        Tag::Unwatch(topic) => done(state, tag, ask::UnwatchTopic::heard(result), |state, ()| {
+            state.inform(format!("no longer watching {topic}"));
+        }),
+        Tag::Grant(_) => done(state, tag, ask::Grant::heard(result), |state, done| state.inform(done.text)),
+        Tag::Revoke(_) => done(state, tag, ask::Revoke::heard(result), |state, done| state.inform(done.text)),
+        Tag::Rotate => done(state, tag, ask::RotateKeys::heard(result), |state, done| state.inform(done.text)),
+        Tag::Adopt => done(state, tag, ask::AdoptChain::heard(result), |state, done| state.inform(done.text)),
+        Tag::Administer(_) => done(state, tag, ask::Administer::heard(result), |state, done| state.inform(done.text)),
+        Tag::Deploy => done(state, tag, ask::DeployContract::heard(result), |state, deployed| {
+            state.inform(format!("contract {} deployed", deployed.pin.contract));
+        }),
+        Tag::LoadKey(_) => done(state, tag, ask::LoadKey::heard(result), |state, keys| {
+            state.keys = Some(keys);
+            state.feeds.renew(Feed::Identity);
+            state.inform(format!("{}: done", tag.words()));
+        }),
+        Tag::Pin(_) => done(state, tag, ask::PinTopic::heard(result), |state, _| say_done(state, tag)),
+        Tag::Unpin(_) => done(state, tag, ask::UnpinTopic::heard(result), |state, _| say_done(state, tag)),
+        Tag::Release(_) => {
+            done(state, tag, ask::ReleaseHeld::heard(result), |state, decided| state.inform(decided.text))
         }
-        _ => match result {
-            Ok(reply) => done(state, tag, reply),
-            Err(failure) => {
-                state.complain_of(tag, &failure);
-                Vec::new()
-            }
-        },
+        Tag::Discard(_) => {
+            done(state, tag, ask::DiscardHeld::heard(result), |state, decided| state.inform(decided.text))
+        }
     }
+    Vec::new()
 }
 
-fn fed(state: &mut State, feed: Feed, generation: u64, result: Result<Reply, Failure>) -> Vec<Effect> {
+fn fed(state: &mut State, feed: Feed, generation: u64, result: Answer) -> Vec<Effect> {
     let held = state.holds(feed);
     let failure = result.as_ref().err().cloned();
     if !state.feeds.answered(feed, generation, failure, state.now) {
@@ -59,123 +89,119 @@ fn fed(state: &mut State, feed: Feed, generation: u64, result: Result<Reply, Fai
         state.feeds.slot_mut(feed).stale = true;
         return Vec::new();
     }
-    if let Ok(reply) = result {
-        take(state, feed, reply);
+    if let Err(failure) = take(state, feed, result) {
+        state.feeds.slot_mut(feed).failure = Some(failure);
     }
     if feed == Feed::Identity { identity_path::advance(state) } else { Vec::new() }
 }
 
-fn take(state: &mut State, feed: Feed, reply: Reply) {
+fn take(state: &mut State, feed: Feed, result: Answer) -> Result<(), Failure> {
     let limit = state.page_rows();
-    match reply {
-        Reply::Site(site) => {
+    match feed {
+        Feed::Site => {
+            let site = ask::SiteStatus::heard(result)?;
             state.rates.observe(&site.life, state.now);
             state.site = Some(site);
         }
-        Reply::Identity(identity) => state.identity = Some(identity),
-        Reply::Keys(keys) => state.keys = Some(keys),
-        Reply::Topics(rows) => state.topics.set(rows, state.now),
-        Reply::Records(page) if feed == Feed::Shared => state.shared.set(page, limit),
-        Reply::Records(page) => state.uploads.set(page, limit),
-        Reply::Grants(rows) => state.grants.set(rows),
-        Reply::Chain(chain) => state.chain = Some(*chain),
-        Reply::Audit(lines) => state.log.set_audit(lines),
-        Reply::GatewayStatus(view) => state.gateway.set(view),
-        _ => {}
+        Feed::Identity => state.identity = Some(ask::ShowIdentity::heard(result)?),
+        Feed::Keys => state.keys = Some(ask::ListKeys::heard(result)?),
+        Feed::Topics => state.topics.set(ask::ListTopics::heard(result)?, state.now),
+        Feed::Uploads => state.uploads.set(ask::ListUploads::heard(result)?, limit),
+        Feed::Shared => state.shared.set(ask::ListShared::heard(result)?, limit),
+        Feed::Grants => state.grants.set(ask::ListGrants::heard(result)?),
+        Feed::Chain => state.chain = Some(*ask::ChainStatus::heard(result)?),
+        Feed::Audit => state.log.set_audit(ask::ListAudit::heard(result)?),
+        Feed::Gateway => state.gateway.set(ask::GatewayStatus::heard(result)?),
     }
+    Ok(())
 }
 
 /// A profile that is open elsewhere, or a home that cannot be used, ends the console.
-fn opened_console(state: &mut State, result: Result<Reply, Failure>) -> Vec<Effect> {
+fn opened_console(state: &mut State, result: Result<(), Failure>) -> Vec<Effect> {
     let Err(failure) = result else { return Vec::new() };
-    match failure.kind {
-        ErrorKind::Refused | ErrorKind::Home | ErrorKind::Input | ErrorKind::Usage => vec![Effect::Leave(failure)],
-        _ => {
-            state.complain(failure.message);
-            Vec::new()
-        }
+    if matches!(failure.kind, ErrorKind::Refused | ErrorKind::Home | ErrorKind::Input | ErrorKind::Usage) {
+        return vec![Effect::Leave(failure)];
     }
+    state.complain(failure.message);
+    Vec::new()
 }
 
-fn looked_up(state: &mut State, id: &str, result: Result<Reply, Failure>) {
-    let answer = match result {
-        Ok(Reply::Provenance(provenance)) => Ok(Box::new(provenance)),
-        Ok(_) => return,
-        Err(failure) => Err(failure),
-    };
+fn looked_up(state: &mut State, id: &str, result: Result<Provenance, Failure>) {
     for popup in &mut state.popups {
-        match popup {
-            Popup::Provenance(lookup) if lookup.id == id => return lookup.answer = Some(answer),
-            _ => {}
+        if let Popup::Provenance(lookup) = popup
+            && lookup.id == id
+        {
+            return lookup.answer = Some(result.map(Box::new));
         }
     }
 }
 
-fn publishers(state: &mut State, topic: &str, result: Result<Reply, Failure>) {
-    let answer = match result {
-        Ok(Reply::Pins(pins)) => Ok(Box::new(pins)),
-        Ok(_) => return,
-        Err(failure) => Err(failure),
-    };
+fn publishers(state: &mut State, topic: &str, result: Result<PinsView, Failure>) {
     for popup in &mut state.popups {
-        match popup {
-            Popup::Publishers(lookup) if lookup.id == topic => return lookup.answer = Some(answer),
-            _ => {}
+        if let Popup::Publishers(lookup) = popup
+            && lookup.id == topic
+        {
+            return lookup.answer = Some(result.map(Box::new));
         }
     }
 }
 
-fn locked(state: &mut State, result: Result<Reply, Failure>) {
+fn locked(state: &mut State, result: Result<IdentityView, Failure>) {
     state.feeds.renew(Feed::Identity);
     for feed in [Feed::Keys, Feed::Grants, Feed::Shared] {
         state.feeds.slot_mut(feed).stale = true;
     }
     match result {
-        Ok(Reply::Identity(identity)) => {
+        Ok(identity) => {
             state.identity = Some(identity);
             state.inform("locked: what decrypts, grants and revokes is wiped; capture and anchoring go on");
         }
-        Ok(_) => {}
         Err(failure) => state.complain_of(&Tag::Lock, &failure),
     }
 }
 
-fn done(state: &mut State, tag: &Tag, reply: Reply) -> Vec<Effect> {
-    match reply {
-        Reply::Transaction(done) => state.inform(done.text),
-        Reply::Check(check) => checked(state, &check),
-        Reply::Decided(decided) => state.inform(decided.text),
-        Reply::Deployed(deployed) => state.inform(format!("contract {} deployed", deployed.pin.contract)),
-        Reply::Files(files) => {
-            let Tag::Export(id) = tag else { return Vec::new() };
-            let directory = Some(format!("authros-{}", crate::model::clean(id, 40).replace('/', "_")));
-            return vec![Effect::WriteFiles { directory, files: files.into_iter().map(Contents::from).collect() }];
+/// What an act answers: taken, noted for undoing, and what it made out of date is asked for again.
+fn done<T>(state: &mut State, tag: &Tag, result: Result<T, Failure>, take: impl FnOnce(&mut State, T)) {
+    match result {
+        Ok(answer) => {
+            take(state, answer);
+            undo::note(state, tag);
+            for feed in touched_by(tag) {
+                state.feeds.slot_mut(*feed).stale = true;
+            }
         }
-        Reply::Key(secret) => {
-            let name = match tag {
-                Tag::ExportKey(kind) => key_file(state, *kind),
-                Tag::BackUp => format!("{}.keyring", state.settings.profile),
-                _ => return Vec::new(),
-            };
-            let bytes = Zeroizing::new(secret.expose().to_vec());
-            return vec![Effect::WriteFiles { directory: None, files: vec![Contents { name, bytes }] }];
-        }
-        Reply::Keys(keys) => {
-            state.keys = Some(keys);
-            state.feeds.renew(Feed::Identity);
-            state.inform(format!("{}: done", tag.words()));
-        }
-        _ => match tag {
-            Tag::Watch(topic) => state.inform(format!("now watching {topic}")),
-            Tag::Unwatch(topic) => state.inform(format!("no longer watching {topic}")),
-            _ => state.inform(format!("{}: done", tag.words())),
-        },
+        Err(failure) => state.complain_of(tag, &failure),
     }
-    undo::note(state, tag);
-    for feed in touched_by(tag) {
-        state.feeds.slot_mut(*feed).stale = true;
+}
+
+fn say_done(state: &mut State, tag: &Tag) {
+    state.inform(format!("{}: done", tag.words()));
+}
+
+/// What is answered with files is written.
+fn written<T>(
+    state: &mut State,
+    tag: &Tag,
+    result: Result<T, Failure>,
+    write: impl FnOnce(&State, T) -> Effect,
+) -> Vec<Effect> {
+    match result {
+        Ok(answer) => vec![write(state, answer)],
+        Err(failure) => {
+            state.complain_of(tag, &failure);
+            Vec::new()
+        }
     }
-    Vec::new()
+}
+
+fn exported(id: &str, files: Vec<ExportedFile>) -> Effect {
+    let directory = Some(format!("authros-{}", crate::model::clean(id, 40).replace('/', "_")));
+    Effect::WriteFiles { directory, files: files.into_iter().map(Contents::from).collect() }
+}
+
+fn secret(name: String, secret: &SecretBytes) -> Effect {
+    let bytes = Zeroizing::new(secret.expose().to_vec());
+    Effect::WriteFiles { directory: None, files: vec![Contents { name, bytes }] }
 }
 
 /// What an own command makes out of date, before the site's note of it arrives.
@@ -185,8 +211,10 @@ fn touched_by(tag: &Tag) -> &'static [Feed] {
         Tag::Grant(_) | Tag::Revoke(_) => &[Feed::Grants, Feed::Identity, Feed::Keys],
         Tag::LoadKey(_) | Tag::Rotate => &[Feed::Keys, Feed::Identity],
         Tag::Pin(_) | Tag::Unpin(_) | Tag::Release(_) | Tag::Discard(_) => &[Feed::Topics],
-        Tag::Administer(_) => &[Feed::Chain],
-        _ => &[],
+        Tag::Administer(_) | Tag::Deploy | Tag::Adopt => &[Feed::Chain],
+        Tag::Feed(..) | Tag::OpenConsole | Tag::CreateIdentity | Tag::Unlock | Tag::Register | Tag::Lock => &[],
+        Tag::ExportKey(_) | Tag::BackUp | Tag::Export(_) => &[],
+        Tag::Publishers(_) | Tag::Show(_) | Tag::Open(_) | Tag::Path(_) | Tag::Check(_) => &[],
     }
 }
 

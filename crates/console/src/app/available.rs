@@ -1,5 +1,7 @@
 //! Whether a verb can be done now, and if not, why, in a few words.
 
+#![deny(clippy::wildcard_enum_match_arm)]
+
 use super::action::Tag;
 use super::administration::Act;
 use super::screen::Screen;
@@ -42,7 +44,9 @@ pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
         Verb::Administer(act) => administer(state, act),
         Verb::Copy | Verb::WriteFile => given(copyable(state), "nothing here to copy"),
         Verb::Level => given(state.screen == Screen::Log, "other screen"),
-        _ => Ok(()),
+        Verb::Go(_) | Verb::NextScreen | Verb::PreviousScreen | Verb::Grant | Verb::Tasks | Verb::LocalTime => Ok(()),
+        Verb::Freeze | Verb::Palette | Verb::Help | Verb::Dismiss | Verb::ChooseTheme | Verb::Ascii => Ok(()),
+        Verb::Mouse | Verb::Redraw | Verb::Suspend | Verb::Quit => Ok(()),
     }
 }
 
@@ -56,7 +60,7 @@ fn copyable(state: &State) -> bool {
         Screen::Chain => state.chain.as_ref().is_some_and(|chain| chain.contract.is_some()),
         Screen::Log => false,
         Screen::Gateway => state.gateway.view.as_ref().is_some_and(|view| view.served.is_some()),
-        _ => state.has_rows(),
+        Screen::Overview | Screen::Topics | Screen::Uploads | Screen::Shared | Screen::Grants => state.has_rows(),
     }
 }
 
@@ -102,7 +106,19 @@ fn administer(state: &State, act: Act) -> Result<(), &'static str> {
         Act::Deploy => given(chain.contract.is_none(), "is deployed"),
         Act::Adopt => Ok(()),
         Act::Accept => given(own.is_some() && chain.administration.nominee == own, "you were not named"),
-        _ => given(own.is_some() && chain.administration.administrator == own, "you are not the administrator"),
+        Act::Admit
+        | Act::Suspend
+        | Act::Restore
+        | Act::Open
+        | Act::Close
+        | Act::Pause
+        | Act::Continue
+        | Act::Succeed
+        | Act::Propose
+        | Act::Dismiss
+        | Act::HandOver => {
+            given(own.is_some() && chain.administration.administrator == own, "you are not the administrator")
+        }
     }
 }
 

@@ -1,12 +1,15 @@
 //! Commands that need an identity: they wait while the operator is led through making,
 //! unlocking and registering one, and then go on their way.
 
+#![deny(clippy::wildcard_enum_match_arm)]
+
 use super::action::{Effect, Errand, Tag};
 use super::feed::Feed;
 use super::forms;
 use super::popup::{Popup, Purpose};
 use super::state::State;
-use crate::service::{Command, Failure, Reply};
+use crate::service::reply::IdentityView;
+use crate::service::{Command, Failure};
 
 /// How much of an identity a command needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -67,49 +70,55 @@ pub fn abandon(state: &mut State) {
     }
 }
 
-/// An answer to one of the steps.
-pub fn answered(state: &mut State, tag: &Tag, result: Result<Reply, Failure>) -> Vec<Effect> {
-    state.feeds.renew(Feed::Identity);
-    state.feeds.slot_mut(Feed::Keys).stale = true;
+/// The keys were made, or not.
+pub fn made(state: &mut State, result: Result<IdentityView, Failure>) -> Vec<Effect> {
+    opened(state, result, Purpose::CreateIdentity, "identity created")
+}
+
+/// The keyring was opened, or not.
+pub fn unlocked(state: &mut State, result: Result<IdentityView, Failure>) -> Vec<Effect> {
+    opened(state, result, Purpose::Unlock, "keyring unlocked")
+}
+
+/// The identity is on the chain, or not.
+pub fn registered(state: &mut State, result: Result<IdentityView, Failure>) -> Vec<Effect> {
+    out_of_date(state);
+    if let Err(failure) = result {
+        state.complain_of(&Tag::Register, &failure);
+        abandon(state);
+        return Vec::new();
+    }
+    state.inform("registered");
+    if let Some(path) = &mut state.identity_path {
+        path.registered = true;
+    }
+    // The pull of the identity that follows shows it.
+    advance(state)
+}
+
+fn opened(
+    state: &mut State,
+    result: Result<IdentityView, Failure>,
+    purpose: Purpose,
+    text: &'static str,
+) -> Vec<Effect> {
+    out_of_date(state);
     match result {
-        Ok(reply) => stepped(state, tag, reply),
+        Ok(identity) => {
+            state.identity = Some(identity);
+            state.inform(text);
+            advance(state)
+        }
         Err(failure) => {
-            refused(state, tag, &failure);
+            open_form(state, purpose, Some(failure.message));
             Vec::new()
         }
     }
 }
 
-fn stepped(state: &mut State, tag: &Tag, reply: Reply) -> Vec<Effect> {
-    match (tag, reply) {
-        (Tag::Register, reply) => {
-            let text = if let Reply::Transaction(done) = reply { done.text } else { "registered".to_owned() };
-            state.inform(text);
-            if let Some(path) = &mut state.identity_path {
-                path.registered = true;
-            }
-            advance(state)
-        }
-        (_, Reply::Identity(identity)) => {
-            state.identity = Some(identity);
-            state.inform(if *tag == Tag::Unlock { "keyring unlocked" } else { "identity created" });
-            advance(state)
-        }
-        // The pull of the identity that follows takes the next step.
-        _ => Vec::new(),
-    }
-}
-
-fn refused(state: &mut State, tag: &Tag, failure: &Failure) {
-    let purpose = match tag {
-        Tag::Unlock => Purpose::Unlock,
-        Tag::CreateIdentity => Purpose::CreateIdentity,
-        _ => {
-            state.complain_of(tag, failure);
-            return abandon(state);
-        }
-    };
-    open_form(state, purpose, Some(failure.message.clone()));
+fn out_of_date(state: &mut State) {
+    state.feeds.renew(Feed::Identity);
+    state.feeds.slot_mut(Feed::Keys).stale = true;
 }
 
 fn open_form(state: &mut State, purpose: Purpose, error: Option<String>) {

@@ -8,9 +8,9 @@ use super::perform::copy;
 use super::popup::{Lookup, Popup};
 use super::popup_keys::scrolled;
 use super::state::State;
-use crate::service::command::Viewing;
+use crate::service::Failure;
+use crate::service::command::ViewPath;
 use crate::service::reply::{OpenedView, PathView};
-use crate::service::{Command, Failure, Reply};
 
 /// Records of a path that the console asks for.
 const PATH: usize = 200;
@@ -108,7 +108,7 @@ impl Opening {
         }
         let id = self.lookup.id.clone();
         self.path = Some(Lookup::new(&id));
-        let command = Command::View(Viewing::Path { id: id.clone(), records: PATH });
+        let command = ViewPath { id: id.clone(), records: PATH }.into();
         Some(Errand { command, tag: Tag::Path(id) })
     }
 
@@ -157,12 +157,7 @@ pub fn key(state: &mut State, mut opening: Opening, key: Key) -> Vec<Effect> {
 }
 
 /// Takes the answer about a record.
-pub fn opened(state: &mut State, id: &str, result: Result<Reply, Failure>) -> Vec<Effect> {
-    let answer = match result {
-        Ok(Reply::Opened(view)) => Ok(view),
-        Ok(_) => return Vec::new(),
-        Err(failure) => Err(failure),
-    };
+pub fn opened(state: &mut State, id: &str, answer: Result<Box<OpenedView>, Failure>) -> Vec<Effect> {
     let Some(opening) = find(state, id) else { return Vec::new() };
     opening.lookup.answer = Some(answer);
     let path = opening.wants_path();
@@ -170,14 +165,9 @@ pub fn opened(state: &mut State, id: &str, result: Result<Reply, Failure>) -> Ve
 }
 
 /// Takes the answer about a path.
-pub fn path_found(state: &mut State, id: &str, result: Result<Reply, Failure>) {
-    let answer = match result {
-        Ok(Reply::Path(view)) => Ok(Box::new(view)),
-        Ok(_) => return,
-        Err(failure) => Err(failure),
-    };
+pub fn path_found(state: &mut State, id: &str, answer: Result<PathView, Failure>) {
     if let Some(path) = find(state, id).and_then(|opening| opening.path.as_mut()) {
-        path.answer = Some(answer);
+        path.answer = Some(answer.map(Box::new));
     }
 }
 

@@ -1,5 +1,7 @@
 //! What each verb does.
 
+#![deny(clippy::wildcard_enum_match_arm)]
+
 use super::action::{Contents, Effect, Errand, Tag};
 use super::administration;
 use super::available::available;
@@ -11,7 +13,7 @@ use super::forms;
 use super::identity_path::{self, Need};
 use super::lock;
 use super::mouse;
-use super::popup::{Lookup, Palette, Popup, Purpose};
+use super::popup::{Confirm, Lookup, Palette, Popup, Purpose};
 use super::screen::Screen;
 use super::screens::grants::other_side;
 use super::state::State;
@@ -30,41 +32,33 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         return Vec::new();
     }
     match verb {
-        Verb::Watch => watch(state),
-        Verb::Details => details(state),
-        Verb::Open => record(state, Tag::Open, |id| Command::OpenShared { id }, Need::Unlocked),
-        Verb::Check => send_for_rows(state, Tag::Check, |id| Command::CheckShared { id }),
-        Verb::Export => send_for_rows(state, Tag::Export, |id| Command::ExportUpload { id, addresses: false }),
-        Verb::CreateIdentity | Verb::Register => identity_path::run(state, Need::Registered, Vec::new()),
-        Verb::Unlock => identity_path::run(state, Need::Unlocked, Vec::new()),
-        Verb::Copy => copied(state).map_or_else(Vec::new, |text| vec![copy(state, text)]),
-        Verb::Quit => quit(state),
-        Verb::Publishers => publishers(state),
-        Verb::Lock => lock::lock(state),
-        Verb::Undo => undo::undo(state),
+        Verb::Watch => return watch(state),
+        Verb::Details => return details(state),
+        Verb::Open => return record(state, Tag::Open, |id| Command::OpenShared { id }, Need::Unlocked),
+        Verb::Check => return send_for_rows(state, Tag::Check, |id| Command::CheckShared { id }),
+        Verb::Export => {
+            return send_for_rows(state, Tag::Export, |id| Command::ExportUpload { id, addresses: false });
+        }
+        Verb::CreateIdentity | Verb::Register => return identity_path::run(state, Need::Registered, Vec::new()),
+        Verb::Unlock => return identity_path::run(state, Need::Unlocked, Vec::new()),
+        Verb::Copy => return copied(state).map_or_else(Vec::new, |text| vec![copy(state, text)]),
+        Verb::WriteFile => return copied(state).map_or_else(Vec::new, |text| vec![write_file(state, &text)]),
+        Verb::Quit => return quit(state),
+        Verb::Publishers => return publishers(state),
+        Verb::Lock => return lock::lock(state),
+        Verb::Undo => return undo::undo(state),
         Verb::BackUp => {
-            vec![state.send(Errand { command: Command::Operate(Operation::BackUpKeys), tag: Tag::BackUp })]
+            return vec![state.send(Errand { command: Command::Operate(Operation::BackUpKeys), tag: Tag::BackUp })];
         }
-        Verb::WriteFile => copied(state).map_or_else(Vec::new, |text| vec![write_file(state, &text)]),
-        Verb::ChooseTheme => themes::choose(state),
-        Verb::Ascii => vec![Effect::ToggleAscii],
-        Verb::Mouse => mouse::toggle(state),
-        Verb::Redraw => vec![Effect::Redraw],
-        Verb::Suspend => vec![Effect::Suspend],
-        Verb::Up => moved(state, -1),
-        Verb::Down => moved(state, 1),
-        Verb::PageUp => moved(state, -page(state)),
-        Verb::PageDown => moved(state, page(state)),
-        _ => {
-            quietly(state, verb);
-            Vec::new()
-        }
-    }
-}
-
-/// The verbs that only change what is shown.
-fn quietly(state: &mut State, verb: Verb) {
-    match verb {
+        Verb::ChooseTheme => return themes::choose(state),
+        Verb::Ascii => return vec![Effect::ToggleAscii],
+        Verb::Mouse => return mouse::toggle(state),
+        Verb::Redraw => return vec![Effect::Redraw],
+        Verb::Suspend => return vec![Effect::Suspend],
+        Verb::Up => cursor::step(state, -1),
+        Verb::Down => cursor::step(state, 1),
+        Verb::PageUp => cursor::step(state, -page(state)),
+        Verb::PageDown => cursor::step(state, page(state)),
         Verb::Go(screen) => go(state, screen),
         Verb::NextScreen => go(state, state.screen.shifted(1)),
         Verb::PreviousScreen => go(state, state.screen.shifted(-1)),
@@ -79,7 +73,9 @@ fn quietly(state: &mut State, verb: Verb) {
         Verb::Readers => readers(state),
         Verb::Browse => state.popups.push(Popup::Browse(Browse::default())),
         Verb::LocalTime => state.local_time = !state.local_time,
-        Verb::Pin | Verb::Release | Verb::Discard => decide(state, verb),
+        Verb::Pin => ask_about(state, confirm::pin),
+        Verb::Release => ask_about(state, |row, topic| confirm::decide(row, topic, false)),
+        Verb::Discard => ask_about(state, |row, topic| confirm::decide(row, topic, true)),
         Verb::Unpin => unpin(state),
         Verb::Administer(act) => administration::begin(state, act),
         Verb::Freeze => state.paused = !state.paused,
@@ -91,17 +87,12 @@ fn quietly(state: &mut State, verb: Verb) {
         Verb::LoadKey => state.popups.push(Popup::Form(Purpose::LoadKey, forms::load_key())),
         Verb::ExportKey => state.popups.push(Popup::Form(Purpose::ExportKey, forms::export_key())),
         Verb::Rotate => state.popups.push(Popup::Confirm(confirm::rotate())),
-        _ => {}
     }
+    Vec::new()
 }
 
 fn go(state: &mut State, screen: Screen) {
     state.screen = screen;
-}
-
-fn moved(state: &mut State, by: isize) -> Vec<Effect> {
-    cursor::step(state, by);
-    Vec::new()
 }
 
 fn page(state: &State) -> isize {
@@ -212,13 +203,9 @@ fn publishers(state: &mut State) -> Vec<Effect> {
     vec![state.send(Errand { command, tag: Tag::Publishers(name) })]
 }
 
-fn decide(state: &mut State, verb: Verb) {
+fn ask_about(state: &mut State, question: fn(&TopicRow, TopicName) -> Confirm) {
     let Some((row, topic)) = selected_topic(state) else { return };
-    let question = match verb {
-        Verb::Pin => confirm::pin(&row, topic),
-        _ => confirm::decide(&row, topic, verb == Verb::Discard),
-    };
-    state.popups.push(Popup::Confirm(question));
+    state.popups.push(Popup::Confirm(question(&row, topic)));
 }
 
 fn unpin(state: &mut State) {
@@ -236,16 +223,20 @@ fn readers(state: &mut State) {
             let rows = state.uploads.rows.iter();
             rows.filter(|row| Some(&row.id) == key.as_ref()).map(|row| row.topic.clone()).collect()
         }
-        _ => state.grants.selected().map(|row| row.topics.clone()).unwrap_or_default(),
+        Screen::Overview
+        | Screen::Shared
+        | Screen::Grants
+        | Screen::Keys
+        | Screen::Chain
+        | Screen::Gateway
+        | Screen::Log => state.grants.selected().map(|row| row.topics.clone()).unwrap_or_default(),
     };
     state.popups.push(Popup::Readers(topics));
 }
 
 fn grant(state: &mut State) {
-    let topics: Vec<String> = match state.screen {
-        Screen::Topics => state.topics.table.marks.iter().cloned().collect(),
-        _ => Vec::new(),
-    };
+    let marks = (state.screen == Screen::Topics).then(|| state.topics.table.marks.iter().cloned().collect());
+    let topics: Vec<String> = marks.unwrap_or_default();
     state.popups.push(Popup::Form(Purpose::Grant, forms::grant(&topics)));
 }
 
@@ -289,7 +280,7 @@ pub fn copied(state: &State) -> Option<String> {
         Screen::Grants => state.grants.selected().map(|row| other_side(row).to_string()),
         Screen::Keys => state.address().map(|address| address.to_string()),
         Screen::Chain => state.chain.as_ref()?.contract.map(|contract| contract.to_string()),
-        _ => None,
+        Screen::Overview | Screen::Log => None,
     }
 }
 

@@ -171,13 +171,17 @@ fn confirm_key(state: &mut State, mut confirm: Confirm, key: Key) -> Vec<Effect>
 }
 
 /// How much of an identity the act needs; pins need none that is open.
+#[deny(clippy::wildcard_enum_match_arm)]
 fn need_of(confirm: &Confirm) -> Option<Need> {
     match confirm.errand.tag {
-        Tag::Pin(_) => None,
-        Tag::LoadKey(_) | Tag::Release(_) | Tag::Discard(_) | Tag::Administer("deploy" | "adopt") => {
-            Some(Need::Unlocked)
+        Tag::Feed(..) | Tag::OpenConsole | Tag::CreateIdentity | Tag::Unlock | Tag::Lock | Tag::BackUp => None,
+        Tag::Publishers(_) | Tag::Show(_) | Tag::Pin(_) | Tag::Unpin(_) => None,
+        Tag::LoadKey(_) | Tag::Release(_) | Tag::Discard(_) | Tag::Deploy | Tag::Adopt => Some(Need::Unlocked),
+        Tag::Open(_) | Tag::Path(_) | Tag::Check(_) | Tag::Export(_) | Tag::ExportKey(_) => Some(Need::Unlocked),
+        Tag::Register | Tag::Watch(_) | Tag::Unwatch(_) | Tag::Grant(_) | Tag::Revoke(_) | Tag::Rotate => {
+            Some(Need::Registered)
         }
-        _ => Some(Need::Registered),
+        Tag::Administer(_) => Some(Need::Registered),
     }
 }
 

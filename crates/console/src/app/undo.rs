@@ -1,6 +1,8 @@
 //! Taking the last act back, where that is true; where it would be another transaction, or where nothing can bring
 //! it back, that is said instead.
 
+#![deny(clippy::wildcard_enum_match_arm)]
+
 use super::action::{Effect, Errand, Tag};
 use super::confirm;
 use super::popup::Popup;
@@ -36,8 +38,12 @@ pub fn note(state: &mut State, tag: &Tag) {
         Tag::LoadKey(_) => Some(Undo::Never("the key that was replaced is gone from the keyring; load its file again")),
         Tag::Release(_) => Some(Undo::Never("released messages go on to be anchored; they keep their tag")),
         Tag::Discard(_) => Some(Undo::Never("discarded messages are deleted; their count stands on the chain")),
-        Tag::Administer(_) => Some(Undo::Never("it is a transaction; the opposite act is another one (7, then :)")),
-        _ => None,
+        Tag::Administer(_) | Tag::Deploy | Tag::Adopt => {
+            Some(Undo::Never("it is a transaction; the opposite act is another one (7, then :)"))
+        }
+        Tag::Feed(..) | Tag::OpenConsole | Tag::CreateIdentity | Tag::Unlock | Tag::Register | Tag::Lock => None,
+        Tag::ExportKey(_) | Tag::BackUp | Tag::Export(_) | Tag::Pin(_) | Tag::Unpin(_) => None,
+        Tag::Publishers(_) | Tag::Show(_) | Tag::Open(_) | Tag::Path(_) | Tag::Check(_) => None,
     };
     if undo.is_some() {
         state.undo = undo;

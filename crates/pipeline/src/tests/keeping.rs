@@ -20,7 +20,7 @@ struct Forgetful {
 }
 
 impl Vault for Forgetful {
-    fn name(&self) -> &str {
+    fn name(&self) -> &'static str {
         "forgetful"
     }
     fn durable(&self) -> bool {

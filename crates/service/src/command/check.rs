@@ -4,27 +4,29 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
-use super::{SecretText, UploadQuery};
+use super::{Ask, Command, SecretText, UploadQuery};
 use crate::model::Timestamp;
+use crate::service::reply::{BackupView, RecordAudit, RecordPage};
 
-/// What is done with the whole store; needs no keyring.
-#[derive(Debug, Clone, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case", tag = "of_store")]
-pub enum StoreCommand {
+requests! {
+    /// What is done with the whole store; needs no keyring.
+    #[serde(rename_all = "snake_case", tag = "of_store")]
+    enum StoreCommand by Command::OfStore;
     /// Compare all records with proofs and chain.
     AuditRecords {
         /// Also every stored byte and every signature.
         deep: bool,
         /// Only records captured then or later.
         since: Option<Timestamp>,
-    },
+    } => Box<RecordAudit>;
     /// Records of all profiles of the home.
-    ListUploads(UploadQuery),
+    #[serde(rename = "list_uploads")]
+    ListAllUploads(query: UploadQuery) => RecordPage;
     /// Write keyrings, ledger, embedded vault and chain, settings and pins into one encrypted file.
     BackUp {
         /// The file, absolute; must not exist.
         file: PathBuf,
         /// Protects the back-up.
         passphrase: SecretText,
-    },
+    } => BackupView;
 }

@@ -2,29 +2,31 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::{Ask, Command, SecretBytes};
 use crate::model::Party;
+use crate::service::reply::{AdmittedView, GatewayStatusView, IdentityView};
 
-/// One of these.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case", tag = "operation")]
-pub enum Operation {
+requests! {
+    /// One of these.
+    #[serde(rename_all = "snake_case", tag = "operation")]
+    enum Operation by Command::Operate;
     /// Wipe the keys that decrypt, grant and revoke from memory, while capture and anchoring go on. `Unlock` brings
     /// them back.
-    Lock,
+    Lock => IdentityView;
     /// The profile's keyring as it lies on disk, under its passphrase.
-    BackUpKeys,
+    BackUpKeys => SecretBytes;
     /// Who is connected to the gateway of this site, its system keys, and what it refused.
-    GatewayStatus,
+    GatewayStatus => GatewayStatusView;
     /// Let an owner use the gateway of this home.
     Admit {
         /// Who.
         owner: Party,
-    },
+    } => Vec<AdmittedView>;
     /// Let an owner use it no more.
     Dismiss {
         /// Who.
         owner: Party,
-    },
+    } => Vec<AdmittedView>;
     /// Who may use it.
-    ListAdmitted,
+    ListAdmitted => Vec<AdmittedView>;
 }

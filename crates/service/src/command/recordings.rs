@@ -4,8 +4,10 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
+use super::{Ask, Command};
 use crate::model::{Party, Timestamp, TopicPattern};
 use crate::ros::recording::{ChunkCompression, RecordingFormat};
+use crate::service::reply::{ExportView, ImportView, ProgressView};
 
 /// A recording to take in.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -51,6 +53,40 @@ pub enum RecordingCommand {
     Export(ExportWishes),
     /// How far the profile's imports and exports are.
     Progress,
+}
+
+/// How far the profile's imports and exports are.
+#[derive(Debug, Clone, Copy)]
+pub struct RecordingProgress;
+
+impl From<ImportWishes> for Command {
+    fn from(wishes: ImportWishes) -> Self {
+        Self::Recording { with: RecordingCommand::Import(wishes) }
+    }
+}
+
+impl Ask for ImportWishes {
+    type Answer = ImportView;
+}
+
+impl From<ExportWishes> for Command {
+    fn from(wishes: ExportWishes) -> Self {
+        Self::Recording { with: RecordingCommand::Export(wishes) }
+    }
+}
+
+impl Ask for ExportWishes {
+    type Answer = ExportView;
+}
+
+impl From<RecordingProgress> for Command {
+    fn from(_: RecordingProgress) -> Self {
+        Self::Recording { with: RecordingCommand::Progress }
+    }
+}
+
+impl Ask for RecordingProgress {
+    type Answer = Vec<ProgressView>;
 }
 
 /// Commands about the rules for topics.

@@ -2,27 +2,31 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::{Ask, Command};
 use crate::ros::readable::Exported;
+use crate::service::reply::{OpenedView, PathView};
 
 /// The most records of a path.
 pub const LONGEST_PATH: usize = 1_000;
 
-/// What is asked about opened records.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case", tag = "view")]
-pub enum Viewing {
+requests! {
+    /// What is asked about opened records.
+    #[serde(rename_all = "snake_case", tag = "view")]
+    enum Viewing by Command::View;
     /// One record, checked and opened, with its message as a file.
-    File {
+    #[serde(rename = "file")]
+    ViewFile {
         /// Its id.
         id: String,
         /// Which kind; `None` = a picture's own bytes where it is one, else the message's.
         kind: Option<Exported>,
-    },
+    } => Box<OpenedView>;
     /// Where the robot was, over the records of a topic that lead to this one.
-    Path {
+    #[serde(rename = "path")]
+    ViewPath {
         /// Its id.
         id: String,
         /// So many records at most, this one included; 2 to [`LONGEST_PATH`].
         records: usize,
-    },
+    } => PathView;
 }

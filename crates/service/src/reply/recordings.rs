@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::{Answer, Reply};
 use crate::model::{Digest, TopicRule};
 use crate::ros::recording::{Damage, RecordingFormat};
 
@@ -137,6 +138,42 @@ pub enum RecordingReply {
     Exported(ExportView),
     /// To `Progress`.
     Progress(Vec<ProgressView>),
+}
+
+impl RecordingReply {
+    fn of(reply: Reply) -> Option<Self> {
+        if let Reply::Recording(reply) = reply { Some(reply) } else { None }
+    }
+}
+
+impl Answer for ImportView {
+    fn into_reply(self) -> Reply {
+        Reply::Recording(RecordingReply::Imported(self))
+    }
+
+    fn from_reply(reply: Reply) -> Option<Self> {
+        if let RecordingReply::Imported(view) = RecordingReply::of(reply)? { Some(view) } else { None }
+    }
+}
+
+impl Answer for ExportView {
+    fn into_reply(self) -> Reply {
+        Reply::Recording(RecordingReply::Exported(self))
+    }
+
+    fn from_reply(reply: Reply) -> Option<Self> {
+        if let RecordingReply::Exported(view) = RecordingReply::of(reply)? { Some(view) } else { None }
+    }
+}
+
+impl Answer for Vec<ProgressView> {
+    fn into_reply(self) -> Reply {
+        Reply::Recording(RecordingReply::Progress(self))
+    }
+
+    fn from_reply(reply: Reply) -> Option<Self> {
+        if let RecordingReply::Progress(runs) = RecordingReply::of(reply)? { Some(runs) } else { None }
+    }
 }
 
 /// The rule of one topic, and what the topic does.

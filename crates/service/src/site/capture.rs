@@ -8,7 +8,7 @@ use crate::model::{ProfileName, TopicName, TypeName};
 use crate::pipeline::{CaptureSession, Owner};
 use crate::service::event::NoticeLevel;
 use crate::service::failure::input;
-use crate::service::reply::{CaptureSummary, Failure, Reply, TopicSummary};
+use crate::service::reply::{CaptureSummary, Failure, TopicSummary};
 
 impl Site {
     /// Runs one capture; registers the owner first where needed.
@@ -80,10 +80,9 @@ impl Site {
     }
 
     /// Ends the running captures of a profile; their own answers follow.
-    pub(super) fn stop_captures(&self, profile: &ProfileName) -> Reply {
+    pub(super) fn stop_captures(&self, profile: &ProfileName) {
         let captures = self.captures.lock().unwrap_or_else(PoisonError::into_inner);
         captures.iter().filter(|(owner, _)| owner == profile).for_each(|(_, session)| session.close());
-        Reply::Done
     }
 }
 

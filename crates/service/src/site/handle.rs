@@ -1,5 +1,7 @@
 //! Which part of the site answers which command.
 
+#![deny(clippy::wildcard_enum_match_arm)]
+
 use std::collections::HashSet;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -8,7 +10,7 @@ use tokio::sync::oneshot;
 use super::Site;
 use crate::model::{ErrorKind, ProfileName};
 use crate::pipeline::Owner;
-use crate::service::command::{Command, Request, StoreCommand};
+use crate::service::command::{self as ask, Ask, Command, Request, StoreCommand};
 use crate::service::reply::{Failure, Reply};
 
 /// What a connection holds as long as it lasts.
@@ -22,167 +24,167 @@ pub struct Held {
 /// What a connection holds, shared by its requests.
 pub type Claims = Arc<Mutex<Held>>;
 
-fn unknown() -> Failure {
-    crate::service::failure::internal("this command is not known to the site")
-}
-
 impl Site {
-    /// Answers one request.
+    /// Answers one request. Each variant has its arm here, so a request that nothing answers does not compile.
     ///
     /// # Errors
     /// What the command's part says.
+    #[allow(clippy::too_many_lines, reason = "an arm for each request")]
     pub async fn handle(self: &Arc<Self>, request: Request, claims: &Claims) -> Result<Reply, Failure> {
         let Request { profile, command } = request;
+        let owner = || self.unlocked(&profile);
         match command {
-            Command::OpenConsole => self.claim(profile, claims),
+            Command::OpenConsole => self.claim(profile, claims).map(ask::OpenConsole::told),
             Command::CreateIdentity { passphrase } => {
-                self.create_identity(profile, passphrase).await.map(Reply::Identity)
+                self.create_identity(profile, passphrase).await.map(ask::CreateIdentity::told)
             }
-            Command::ShowIdentity => self.identity_view(&profile).await.map(Reply::Identity),
-            Command::Unlock { passphrase } => self.unlock(profile, passphrase).await.map(Reply::Identity),
+            Command::ShowIdentity => self.identity_view(&profile).await.map(ask::ShowIdentity::told),
+            Command::Unlock { passphrase } => self.unlock(profile, passphrase).await.map(ask::Unlock::told),
             Command::ChangePassphrase { old, new } => {
-                self.change_passphrase(&profile, old, new).await.map(|()| Reply::Done)
+                self.change_passphrase(&profile, old, new).await.map(ask::ChangePassphrase::told)
             }
-            Command::ListTopics => Ok(Reply::Topics(self.topic_rows(&profile).await?)),
-            Command::WatchTopic { topic, type_name } => self.watch_topic(&profile, topic, type_name).await,
-            Command::UnwatchTopic { topic } => self.unwatch_topic(&profile, &topic).await,
-            Command::ListPins { topic } => self.pins_view(&profile, topic.as_ref()).await.map(Reply::Pins),
+            Command::Register => self.register(&owner()?).await.map(ask::Register::told),
+            Command::ListKeys => self.keys_view(&owner()?).await.map(ask::ListKeys::told),
+            Command::LoadKey { kind, path, passphrase } => {
+                self.load_key(&owner()?, kind, path, passphrase).await.map(ask::LoadKey::told)
+            }
+            Command::RotateEnvelope => self.rotate_envelope(&owner()?).await.map(ask::RotateEnvelope::told),
+            Command::ForeseeKeyChange { kind } => {
+                self.foresee_key_change(&owner()?, kind).await.map(ask::ForeseeKeyChange::told)
+            }
+            Command::RotateKeys => self.rotate(&owner()?, "asked for").await.map(ask::RotateKeys::told),
+            Command::ExportKey { kind, passphrase } => {
+                self.export_key(&owner()?, kind, passphrase).await.map(ask::ExportKey::told)
+            }
+            Command::ListTopics => self.topic_rows(&profile).await.map(ask::ListTopics::told),
+            Command::WatchTopic { topic, type_name } => {
+                self.watch_topic(&profile, topic, type_name).await.map(ask::WatchTopic::told)
+            }
+            Command::UnwatchTopic { topic } => self.unwatch_topic(&profile, &topic).await.map(ask::UnwatchTopic::told),
+            Command::ListPins { topic } => self.pins_view(&profile, topic.as_ref()).await.map(ask::ListPins::told),
             Command::PinTopic { topic, publishers } => {
-                self.pin_topic(&profile, &topic, publishers).await.map(Reply::Pins)
+                self.pin_topic(&profile, &topic, publishers).await.map(ask::PinTopic::told)
             }
             Command::UnpinTopic { topic, caller_id } => {
-                self.unpin_topic(&profile, &topic, &caller_id).await.map(Reply::Pins)
+                self.unpin_topic(&profile, &topic, &caller_id).await.map(ask::UnpinTopic::told)
             }
             Command::ListQuarantine { topic, limit } => {
-                self.quarantine_view(&profile, topic, limit).await.map(Reply::Quarantine)
+                self.quarantine_view(&profile, topic, limit).await.map(ask::ListQuarantine::told)
             }
-            Command::Policy { with } => self.policy(&profile, with).await.map(Reply::Policy),
-            Command::StopCapture => Ok(self.stop_captures(&profile)),
-            Command::ServeChain { address } => {
-                let (end, ended) = oneshot::channel();
-                let served = self.serve_chain(&profile, address, ended).await?;
-                claims.lock().unwrap_or_else(PoisonError::into_inner).servers.push(end);
-                Ok(Reply::Served(served))
+            Command::ReleaseHeld { held } => self.release_held(&owner()?, held).await.map(ask::ReleaseHeld::told),
+            Command::DiscardHeld { held } => self.discard_held(&owner()?, held).await.map(ask::DiscardHeld::told),
+            Command::Policy { with } => self.policy(&profile, with).await.map(ask::Policy::told),
+            Command::Capture { topics, type_name, count, milliseconds, tags } => {
+                let captured = self.capture(&owner()?, &topics, type_name, count, milliseconds, tags).await;
+                captured.map(ask::Capture::told)
             }
-            Command::Operate(operation) => self.operate(&profile, operation).await,
-            Command::ChainStatus => self.chain_view(&profile).await.map(Box::new).map(Reply::Chain),
+            Command::StopCapture => {
+                self.stop_captures(&profile);
+                Ok(ask::StopCapture::told(()))
+            }
+            Command::Recording { with } => self.recording(&owner()?, with).await,
+            Command::ListUploads(query) => self.list_uploads(&profile, query).await.map(ask::ListUploads::told),
+            Command::ShowUpload { id } => self.provenance(&profile, &id).await.map(ask::ShowUpload::told),
+            Command::ExportUpload { id, addresses } => {
+                self.export_upload(&owner()?, &id, addresses).await.map(ask::ExportUpload::told)
+            }
+            Command::ListShared(query) => {
+                self.list_shared(&self.caught_up_owner(&profile).await?, query).await.map(ask::ListShared::told)
+            }
+            Command::CheckShared { id } => {
+                self.check_record(&self.caught_up_owner(&profile).await?, &id).await.map(ask::CheckShared::told)
+            }
+            Command::OpenShared { id } => {
+                let view = self.open_record(&self.caught_up_owner(&profile).await?, &id).await;
+                view.map(Box::new).map(ask::OpenShared::told)
+            }
+            Command::View(viewing) => self.handle_viewing(&self.caught_up_owner(&profile).await?, viewing).await,
+            Command::Grant { grantee, topics, epochs, expires } => {
+                self.grant(&owner()?, &grantee, &topics, epochs, expires).await.map(ask::Grant::told)
+            }
+            Command::ExtendGrant { grantee, expires } => {
+                self.extend(&owner()?, &grantee, expires).await.map(ask::ExtendGrant::told)
+            }
+            Command::Revoke { grantee } => self.revoke(&owner()?, self.resolve(&grantee)?).await.map(ask::Revoke::told),
+            Command::ListGrants => self.grant_rows(&owner()?).await.map(ask::ListGrants::told),
+            Command::LendDevice { device, until } => {
+                self.lend_device(&owner()?, device, until).await.map(ask::LendDevice::told)
+            }
+            Command::RecallDevice { device } => {
+                self.recall_device(&owner()?, &device).await.map(ask::RecallDevice::told)
+            }
+            Command::AddDeviceTopics { device, topics } => {
+                self.add_device_topics(&owner()?, &device, &topics).await.map(ask::AddDeviceTopics::told)
+            }
+            Command::EnrolDevice(wishes) => self.enrol_device(&owner()?, wishes).await.map(ask::EnrolDevice::told),
+            Command::ListDevices => self.device_rows(&owner()?).await.map(ask::ListDevices::told),
+            Command::CompareFingerprint { fingerprint, account } => {
+                let compared = self.compare_fingerprint(&profile, &fingerprint, account).await;
+                compared.map(ask::CompareFingerprint::told)
+            }
+            Command::ListContacts => self.contact_rows().await.map(ask::ListContacts::told),
+            Command::AddContact { name, address, fingerprint } => {
+                self.add_contact(&profile, name, address, fingerprint).await.map(ask::AddContact::told)
+            }
+            Command::RemoveContact { name } => self.remove_contact(&profile, &name).await.map(ask::RemoveContact::told),
+            Command::ConfirmContact { name, fingerprint } => {
+                self.confirm_contact(&profile, &name, fingerprint).await.map(ask::ConfirmContact::told)
+            }
+            Command::Administer(act) => self.administer(&owner()?, &act).await.map(ask::Administer::told),
+            Command::NameRecovery { recovery } => {
+                self.name_recovery(&owner()?, recovery.as_ref()).await.map(ask::NameRecovery::told)
+            }
             Command::ListSuccessions => {
                 let view = self.chain_view(&profile).await?;
-                Ok(Reply::Administration(Box::new(view.administration)))
+                Ok(ask::ListSuccessions::told(Box::new(view.administration)))
             }
-            Command::SiteStatus => self.site_view(&profile).await.map(Reply::Site),
-            Command::ListAudit(query) => self.audit_lines(query).await.map(Reply::Audit),
+            Command::ChainStatus => self.chain_view(&profile).await.map(Box::new).map(ask::ChainStatus::told),
+            Command::AdoptChain => self.adopt_chain(&owner()?).await.map(ask::AdoptChain::told),
+            Command::DeployContract { delay, revision } => {
+                self.deploy_contract(&owner()?, delay, revision).await.map(ask::DeployContract::told)
+            }
+            Command::ServeChain { address } => {
+                let served = self.serve_chain(&profile, address, until_released(claims)).await;
+                served.map(ask::ServeChain::told)
+            }
+            Command::ServeGateway { address, open } => {
+                let served = self.serve_gateway(&owner()?, address, open, until_released(claims)).await;
+                served.map(ask::ServeGateway::told)
+            }
+            Command::SiteStatus => self.site_view(&profile).await.map(ask::SiteStatus::told),
+            Command::ListAudit(query) => self.audit_lines(query).await.map(ask::ListAudit::told),
             Command::VerifyAudit { heads } => {
-                let owner = if heads { Some(self.unlocked(&profile)?) } else { None };
-                self.verify_audit(owner).await.map(Reply::AuditChecked)
+                let owner = if heads { Some(owner()?) } else { None };
+                self.verify_audit(owner).await.map(ask::VerifyAudit::told)
+            }
+            Command::ExportAudit { addresses } => {
+                self.export_audit(&owner()?, addresses).await.map(ask::ExportAudit::told)
             }
             Command::OfStore(command) => self.handle_store(&profile, command).await,
-            Command::CompareFingerprint { fingerprint, account } => {
-                self.compare_fingerprint(&profile, &fingerprint, account).await.map(Reply::Compared)
-            }
-            Command::ListContacts => self.contact_rows().await.map(Reply::Contacts),
-            Command::AddContact { name, address, fingerprint } => {
-                self.add_contact(&profile, name, address, fingerprint).await.map(Reply::Contacts)
-            }
-            Command::RemoveContact { name } => self.remove_contact(&profile, &name).await.map(Reply::Contacts),
-            Command::ConfirmContact { name, fingerprint } => {
-                self.confirm_contact(&profile, &name, fingerprint).await.map(Reply::Contacts)
-            }
-            Command::ListUploads(query) => self.list_uploads(&profile, query).await.map(Reply::Records),
-            Command::ShowUpload { id } => self.provenance(&profile, &id).await.map(Reply::Provenance),
-            other => self.handle_unlocked(&profile, other, claims).await,
+            Command::Operate(operation) => self.operate(&profile, operation).await,
         }
     }
 
     async fn handle_store(self: &Arc<Self>, profile: &ProfileName, command: StoreCommand) -> Result<Reply, Failure> {
         match command {
             StoreCommand::AuditRecords { deep, since } => {
-                self.audit_records(deep, since).await.map(|audit| Reply::RecordsAudited(Box::new(audit)))
+                self.audit_records(deep, since).await.map(Box::new).map(ask::AuditRecords::told)
             }
-            StoreCommand::ListUploads(query) => self.list_all_uploads(query).await.map(Reply::Records),
+            StoreCommand::ListAllUploads(query) => self.list_all_uploads(query).await.map(ask::ListAllUploads::told),
             StoreCommand::BackUp { file, passphrase } => {
-                self.back_up(profile, file, passphrase).await.map(Reply::BackedUp)
+                self.back_up(profile, file, passphrase).await.map(ask::BackUp::told)
             }
         }
     }
 
-    async fn handle_unlocked(
-        self: &Arc<Self>,
-        profile: &ProfileName,
-        command: Command,
-        claims: &Claims,
-    ) -> Result<Reply, Failure> {
+    /// The profile's owner, once what others share with it is known up to now.
+    async fn caught_up_owner(self: &Arc<Self>, profile: &ProfileName) -> Result<Arc<Owner>, Failure> {
         let owner = self.unlocked(profile)?;
-        match command {
-            Command::Register => self.register(&owner).await.map(Reply::Identity),
-            Command::DeployContract { delay, revision } => {
-                self.deploy_contract(&owner, delay, revision).await.map(Reply::Deployed)
-            }
-            Command::ListKeys => self.keys_view(&owner).await.map(Reply::Keys),
-            Command::LoadKey { kind, path, passphrase } => {
-                self.load_key(&owner, kind, path, passphrase).await.map(Reply::Keys)
-            }
-            Command::RotateEnvelope => self.rotate_envelope(&owner).await.map(Reply::Keys),
-            Command::ForeseeKeyChange { kind } => self.foresee_key_change(&owner, kind).await.map(Reply::KeyChange),
-            Command::RotateKeys => self.rotate(&owner, "asked for").await.map(Reply::Transaction),
-            Command::ExportKey { kind, passphrase } => self.export_key(&owner, kind, passphrase).await.map(Reply::Key),
-            Command::Capture { topics, type_name, count, milliseconds, tags } => {
-                self.capture(&owner, &topics, type_name, count, milliseconds, tags).await.map(Reply::Captured)
-            }
-            Command::Recording { with } => self.recording(&owner, with).await.map(Reply::Recording),
-            Command::ReleaseHeld { held } => self.release_held(&owner, held).await.map(Reply::Decided),
-            Command::DiscardHeld { held } => self.discard_held(&owner, held).await.map(Reply::Decided),
-            Command::ExportUpload { id, addresses } => {
-                self.export_upload(&owner, &id, addresses).await.map(Reply::Files)
-            }
-            Command::ExportAudit { addresses } => self.export_audit(&owner, addresses).await.map(Reply::Files),
-            Command::Grant { grantee, topics, epochs, expires } => {
-                self.grant(&owner, &grantee, &topics, epochs, expires).await.map(Reply::Transaction)
-            }
-            Command::ExtendGrant { grantee, expires } => {
-                self.extend(&owner, &grantee, expires).await.map(Reply::Transaction)
-            }
-            Command::NameRecovery { recovery } => {
-                self.name_recovery(&owner, recovery.as_ref()).await.map(Reply::Transaction)
-            }
-            Command::Revoke { grantee } => self.revoke(&owner, self.resolve(&grantee)?).await.map(Reply::Transaction),
-            Command::ServeGateway { address, open } => {
-                let (end, ended) = oneshot::channel();
-                let served = self.serve_gateway(&owner, address, open, ended).await?;
-                claims.lock().unwrap_or_else(PoisonError::into_inner).servers.push(end);
-                Ok(Reply::Gateway(served))
-            }
-            Command::LendDevice { device, until } => {
-                self.lend_device(&owner, device, until).await.map(Reply::Transaction)
-            }
-            Command::RecallDevice { device } => self.recall_device(&owner, &device).await.map(Reply::Transaction),
-            Command::AddDeviceTopics { device, topics } => {
-                self.add_device_topics(&owner, &device, &topics).await.map(Reply::DeviceTopics)
-            }
-            Command::EnrolDevice(wishes) => self.enrol_device(&owner, wishes).await.map(Reply::Enrolled),
-            Command::ListDevices => self.device_rows(&owner).await.map(Reply::Devices),
-            Command::Administer(act) => self.administer(&owner, &act).await.map(Reply::Transaction),
-            Command::AdoptChain => self.adopt_chain(&owner).await.map(Reply::Transaction),
-            Command::ListShared(_) | Command::CheckShared { .. } | Command::OpenShared { .. } | Command::View(_) => {
-                self.caught_up(profile).await?;
-                self.handle_shared(&owner, command).await
-            }
-            Command::ListGrants => self.grant_rows(&owner).await.map(Reply::Grants),
-            _ => Err(unknown()),
-        }
+        self.caught_up(profile).await?;
+        Ok(owner)
     }
 
-    async fn handle_shared(self: &Arc<Self>, owner: &Arc<Owner>, command: Command) -> Result<Reply, Failure> {
-        match command {
-            Command::ListShared(query) => self.list_shared(owner, query).await.map(Reply::Records),
-            Command::CheckShared { id } => self.check_record(owner, &id).await.map(Reply::Check),
-            Command::View(viewing) => self.handle_viewing(owner, viewing).await,
-            Command::OpenShared { id } => self.open_record(owner, &id).await.map(|view| Reply::Opened(Box::new(view))),
-            _ => Err(unknown()),
-        }
-    }
-
-    fn claim(&self, profile: ProfileName, claims: &Claims) -> Result<Reply, Failure> {
+    fn claim(&self, profile: ProfileName, claims: &Claims) -> Result<(), Failure> {
         let mut consoles = self.consoles.lock().unwrap_or_else(PoisonError::into_inner);
         let own = claims.lock().unwrap_or_else(PoisonError::into_inner).consoles.contains(&profile);
         if !consoles.insert(profile.clone()) && !own {
@@ -194,7 +196,7 @@ impl Site {
             ));
         }
         claims.lock().unwrap_or_else(PoisonError::into_inner).consoles.insert(profile);
-        Ok(Reply::Done)
+        Ok(())
     }
 
     /// Frees the consoles that a connection held, and ends the servers it asked for.
@@ -205,4 +207,11 @@ impl Site {
             consoles.remove(&profile);
         }
     }
+}
+
+/// Ends when what the connection holds is released.
+fn until_released(claims: &Claims) -> oneshot::Receiver<()> {
+    let (end, ended) = oneshot::channel();
+    claims.lock().unwrap_or_else(PoisonError::into_inner).servers.push(end);
+    ended
 }

@@ -11,7 +11,7 @@ use crate::gateway::ServerWatch;
 use crate::gateway::tally::Sender;
 use crate::model::{Address, ProfileName, Timestamp};
 use crate::pipeline::Owner;
-use crate::service::command::{Operation, SecretBytes};
+use crate::service::command::{self as ask, Ask, Operation, SecretBytes};
 use crate::service::event::Part;
 use crate::service::failure::{input, internal};
 use crate::service::reply::{
@@ -39,12 +39,12 @@ impl Site {
         operation: Operation,
     ) -> Result<Reply, Failure> {
         match operation {
-            Operation::Lock => self.lock_profile(profile).await.map(Reply::Identity),
-            Operation::BackUpKeys => self.back_up_keys(profile).await.map(Reply::Key),
-            Operation::GatewayStatus => self.gateway_status().map(Reply::GatewayStatus),
-            Operation::Admit { owner } => self.admit(profile, &owner).await.map(Reply::Admitted),
-            Operation::Dismiss { owner } => self.dismiss(profile, &owner).await.map(Reply::Admitted),
-            Operation::ListAdmitted => self.admitted_rows().map(Reply::Admitted),
+            Operation::Lock => self.lock_profile(profile).await.map(ask::Lock::told),
+            Operation::BackUpKeys => self.back_up_keys(profile).await.map(ask::BackUpKeys::told),
+            Operation::GatewayStatus => self.gateway_status().map(ask::GatewayStatus::told),
+            Operation::Admit { owner } => self.admit(profile, &owner).await.map(ask::Admit::told),
+            Operation::Dismiss { owner } => self.dismiss(profile, &owner).await.map(ask::Dismiss::told),
+            Operation::ListAdmitted => self.admitted_rows().map(ask::ListAdmitted::told),
         }
     }
 

@@ -8,7 +8,7 @@ use tokio::task::block_in_place;
 use super::{RosState, Site};
 use crate::model::{ProfileName, Timestamp, TopicName, TypeName, clean};
 use crate::pipeline::Owner;
-use crate::service::reply::{Failure, Reply, TopicRow};
+use crate::service::reply::{Failure, TopicRow};
 use crate::store::TopicCounts;
 
 type Watches = Vec<(TopicName, Option<TypeName>)>;
@@ -138,7 +138,7 @@ impl Site {
         profile: &ProfileName,
         topic: TopicName,
         type_name: Option<TypeName>,
-    ) -> Result<Reply, Failure> {
+    ) -> Result<(), Failure> {
         self.change_watches(profile, |watches| {
             watches.retain(|(watched, _)| *watched != topic);
             watches.push((topic.clone(), type_name.clone()));
@@ -151,7 +151,7 @@ impl Site {
             self.recorder.watch(topic.as_str(), &owner.author, type_name);
             self.wishes_changed();
         }
-        Ok(Reply::Done)
+        Ok(())
     }
 
     /// Stops capturing a topic.
@@ -159,14 +159,14 @@ impl Site {
         self: &Arc<Self>,
         profile: &ProfileName,
         topic: &TopicName,
-    ) -> Result<Reply, Failure> {
+    ) -> Result<(), Failure> {
         self.change_watches(profile, |watches| watches.retain(|(watched, _)| watched != topic))?;
         self.record_audit(profile, "unwatch", topic.as_str(), "done").await?;
         if let Some(owner) = self.owner(profile) {
             self.recorder.unwatch(topic.as_str(), &owner.author);
             self.wishes_changed();
         }
-        Ok(Reply::Done)
+        Ok(())
     }
 
     /// The recorder takes up what the owner watched before.

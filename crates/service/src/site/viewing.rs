@@ -17,7 +17,7 @@ use crate::ros::Limits;
 use crate::ros::message::Folders;
 use crate::ros::readable::{self, Exported};
 use crate::ros::recording::{Described, TYPE_HASH, TypeFacts};
-use crate::service::command::{LONGEST_PATH, Viewing};
+use crate::service::command::{self as ask, Ask, LONGEST_PATH, Viewing};
 use crate::service::reply::{Failure, OpenedView, PathView, Reply};
 use crate::store::{RecordQuery, RecordRow};
 
@@ -45,10 +45,10 @@ impl Site {
         viewing: Viewing,
     ) -> Result<Reply, Failure> {
         match viewing {
-            Viewing::File { id, kind } => {
-                self.file_of(owner, &id, kind).await.map(|view| Reply::Opened(Box::new(view)))
+            Viewing::ViewFile { id, kind } => {
+                self.file_of(owner, &id, kind).await.map(Box::new).map(ask::ViewFile::told)
             }
-            Viewing::Path { id, records } => self.path_to(owner, &id, records).await.map(Reply::Path),
+            Viewing::ViewPath { id, records } => self.path_to(owner, &id, records).await.map(ask::ViewPath::told),
         }
     }
 

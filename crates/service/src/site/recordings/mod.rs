@@ -12,8 +12,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use super::Site;
 use crate::model::{ProfileName, clean};
 use crate::pipeline::Owner;
-use crate::service::command::RecordingCommand;
-use crate::service::reply::{Failure, ProgressView, RecordingReply};
+use crate::service::command::{Ask, ExportWishes, ImportWishes, RecordingCommand, RecordingProgress};
+use crate::service::reply::{Failure, ProgressView, Reply};
 
 /// A running import or export.
 pub(super) struct Run {
@@ -88,19 +88,17 @@ impl Site {
         self: &Arc<Self>,
         owner: &Arc<Owner>,
         command: RecordingCommand,
-    ) -> Result<RecordingReply, Failure> {
+    ) -> Result<Reply, Failure> {
         match command {
-            RecordingCommand::Import(wishes) => {
-                self.import_recording(owner, wishes).await.map(RecordingReply::Imported)
-            }
+            RecordingCommand::Import(wishes) => self.import_recording(owner, wishes).await.map(ImportWishes::told),
             RecordingCommand::Export(wishes) => {
                 self.caught_up(&owner.profile).await?;
-                self.export_recording(owner, wishes).await.map(RecordingReply::Exported)
+                self.export_recording(owner, wishes).await.map(ExportWishes::told)
             }
             RecordingCommand::Progress => {
                 let runs = self.recordings.lock().unwrap_or_else(PoisonError::into_inner);
                 let own = runs.iter().filter(|run| run.profile == owner.profile);
-                Ok(RecordingReply::Progress(own.map(|run| run.view()).collect()))
+                Ok(RecordingProgress::told(own.map(|run| run.view()).collect()))
             }
         }
     }
