@@ -83,17 +83,21 @@ pub fn unlocked(state: &mut State, result: Result<IdentityView, Failure>) -> Vec
 /// The identity is on the chain, or not.
 pub fn registered(state: &mut State, result: Result<IdentityView, Failure>) -> Vec<Effect> {
     out_of_date(state);
-    if let Err(failure) = result {
-        state.complain_of(&Tag::Register, &failure);
-        abandon(state);
-        return Vec::new();
+    match result {
+        Ok(identity) => {
+            state.identity = Some(identity);
+            state.inform("registered");
+            if let Some(path) = &mut state.identity_path {
+                path.registered = true;
+            }
+            advance(state)
+        }
+        Err(failure) => {
+            state.complain_of(&Tag::Register, &failure);
+            abandon(state);
+            Vec::new()
+        }
     }
-    state.inform("registered");
-    if let Some(path) = &mut state.identity_path {
-        path.registered = true;
-    }
-    // The pull of the identity that follows shows it.
-    advance(state)
 }
 
 fn opened(

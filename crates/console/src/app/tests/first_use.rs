@@ -53,7 +53,7 @@ fn n_asks_for_a_passphrase_twice_then_creates_and_registers() {
     assert!(robot.state.popups.is_empty());
     robot.is_answered(&Tag::CreateIdentity, Ok(Reply::Identity(fixtures::identity(true, true, false))));
     assert_eq!(robot.work(), [Tag::Register]);
-    robot.is_answered(&Tag::Register, Ok(fixtures::transaction("registered")));
+    robot.is_answered(&Tag::Register, Ok(Reply::Identity(fixtures::identity(true, true, true))));
     assert!(robot.work().is_empty() && robot.state.identity_path.is_none());
 }
 

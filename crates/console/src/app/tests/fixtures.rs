@@ -8,7 +8,7 @@ use crate::pipeline::sender::{LaneState, PauseReason};
 use crate::service::reply::{
     AdministrationView, AlarmView, AuditView, ChainView, EpochView, GasView, GatewayStatusView, GatewayView, GrantRow,
     HealthLevel, IdentityView, KeysView, LifeLine, OpenedView, PartHealth, PinView, PinsView, Provenance, QueueView,
-    RecordPage, RecordView, RefusedView, SenderView, SiteView, SystemKeyView, TopicRow, TransactionView,
+    RecordPage, RecordView, RefusedView, SenderView, SiteView, SystemKeyView, TopicRow,
 };
 use crate::service::{Command, Failure, Operation, Reply, UploadQuery};
 use authros_chain::Sealing;
@@ -291,16 +291,6 @@ fn audit() -> Vec<AuditView> {
         outcome: outcome.to_owned(),
     };
     vec![line(1, "register", &OWN.to_string(), "ok"), line(2, "grant", &OTHER.to_string(), "refused: not registered")]
-}
-
-/// The answer to a transaction.
-pub fn transaction(text: &str) -> Reply {
-    Reply::Transaction(TransactionView {
-        transaction: Some(Hash([8; 32])),
-        block: Some(120),
-        epoch: 2,
-        text: text.to_owned(),
-    })
 }
 
 /// Where a record stands.
