@@ -111,7 +111,7 @@ fn next_frame(stage: &Stage, painter: &mut Painter, budget: &Budget) -> Option<S
 #[cfg(feature = "fault")]
 #[expect(clippy::panic, reason = "never in the product's build")]
 fn fail_for_the_test(scene: &Scene) {
-    if scene.state.screen == crate::app::Screen::Log && crate::crypto::fault::is_off("renderer") {
+    if scene.state.screen == crate::app::Screen::Log && authros_fault::is_off("renderer") {
         panic!("asked for by AUTHROS_FAULT");
     }
 }
