@@ -6,7 +6,7 @@ use std::time::Duration;
 use super::connect::{Context, ProfileNeed};
 use crate::model::Timestamp;
 use crate::service::command::{ListShared, ListUploads};
-use crate::service::reply::{RecordPage, RecordView};
+use crate::service::reply::{RecordPage, RecordView, ShownState};
 use crate::service::{Client, Event, Failure, Needs, Part, UploadQuery};
 use authros_output::Output;
 
@@ -42,7 +42,7 @@ pub async fn run(context: Context, which: Which, query: UploadQuery, output: &Ou
 
 async fn follow(client: &Client, which: Which, mut query: UploadQuery, output: &Output) -> Result<(), Failure> {
     let mut events = client.events();
-    let mut told: HashMap<String, (Timestamp, String)> = HashMap::new();
+    let mut told: HashMap<String, (Timestamp, ShownState)> = HashMap::new();
     query.newest_first = false;
     let begin = query.since;
     loop {
@@ -71,10 +71,11 @@ async fn page(client: &Client, which: Which, query: &UploadQuery) -> Result<Reco
     }
 }
 
-fn tell(record: &RecordView, told: &mut HashMap<String, (Timestamp, String)>, output: &Output) {
-    let known = told.insert(record.id.clone(), (record.captured_at, record.state.clone()));
+fn tell(record: &RecordView, told: &mut HashMap<String, (Timestamp, ShownState)>, output: &Output) {
+    let known = told.insert(record.id.clone(), (record.captured_at, record.state));
     if known.is_none_or(|(_, state)| state != record.state) {
-        output.result(record, || format!("{}  {:10}  {}  {}", record.id, record.state, record.topic, record.seq));
+        output
+            .result(record, || format!("{}  {:10}  {}  {}", record.id, record.state.word(), record.topic, record.seq));
     }
 }
 

@@ -6,7 +6,8 @@ use crate::model::{Address, Verdict};
 use crate::pipeline::columns::Compared;
 use crate::pipeline::sender::LaneState;
 use crate::service::reply::{
-    ChainView, DeployedView, GrantRow, IdentityView, KeysView, Provenance, RecordPage, RecordView, TopicRow,
+    Caveat, ChainView, DeployedView, Direction, GrantRow, IdentityView, KeysView, Provenance, RecordPage, RecordView,
+    ShownState, TopicRow,
 };
 use authros_output::table;
 
@@ -106,7 +107,7 @@ pub fn records(page: &RecordPage) -> String {
                 record.id.clone(),
                 record.seq.to_string(),
                 record.topic.clone(),
-                record.state.clone(),
+                record.state.word().to_owned(),
                 record.bytes.to_string(),
                 record.captured_at.to_string(),
                 or_dash(record.block),
@@ -130,7 +131,7 @@ fn doubts(page: &RecordPage) -> Vec<String> {
     let altered =
         page.records.iter().filter_map(|record| Some(format!("{} ({})", record.id, record.differs.as_ref()?)));
     let altered: Vec<String> = altered.collect();
-    let unread = count(&|record| record.state == "unread");
+    let unread = count(&|record| record.state == ShownState::Verified(Caveat::Unread));
     let sealed = count(&|record| record.compared == Compared::Header);
     let mut lines = Vec::new();
     if !altered.is_empty() {
@@ -160,10 +161,10 @@ pub fn provenance(view: &Provenance) -> String {
 pub fn grants(rows: &[GrantRow]) -> String {
     let row = |row: &GrantRow| {
         vec![
-            row.direction.clone(),
-            parties::named(if row.direction == "given" { row.grantee } else { row.owner }, row.name.as_ref()),
+            row.direction.word().to_owned(),
+            parties::named(if row.direction == Direction::Given { row.grantee } else { row.owner }, row.name.as_ref()),
             or_dash(row.fingerprint.as_ref()),
-            row.state.clone(),
+            row.state.word().to_owned(),
             row.epoch.to_string(),
             or_dash(row.expires),
             if row.topics.is_empty() { "all topics".to_owned() } else { row.topics.join(" ") },

@@ -25,9 +25,6 @@ pub const FRONT: usize = 2048;
 /// Heads kept in memory.
 const MOST_HEADS: usize = 8192;
 
-/// The state of a verified record whose names, length and mark of simulation are the ledger's word.
-pub const NAMES_UNCHECKED: &str = "verified, names unchecked";
-
 /// How far a row was compared with its record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -41,6 +38,48 @@ pub enum Compared {
     Names,
     /// With header and sealed head: all of it.
     Head,
+}
+
+/// Where a record stands, as it may be shown.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum ShownState {
+    /// As the ledger has it.
+    Kept(RecordState),
+    /// Verified, and there is more to say.
+    Verified(Caveat),
+}
+
+/// What is to be said of a record that was verified.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Caveat {
+    /// Retention has deleted its ciphertext.
+    Deleted,
+    /// Its bytes are not here to be compared now.
+    Unread,
+    /// Names, length and mark of simulation are the ledger's word.
+    #[serde(rename = "verified, names unchecked")]
+    NamesUnchecked,
+}
+
+impl ShownState {
+    /// In a word or a few, for screens and JSON.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Kept(state) => state.word(),
+            Self::Verified(Caveat::Deleted) => "deleted",
+            Self::Verified(Caveat::Unread) => "unread",
+            Self::Verified(Caveat::NamesUnchecked) => "verified, names unchecked",
+        }
+    }
+
+    /// The state of that word.
+    pub fn from_word(word: &str) -> Option<Self> {
+        let kept = RecordState::ALL.into_iter().map(Self::Kept);
+        let more = [Caveat::Deleted, Caveat::Unread, Caveat::NamesUnchecked].into_iter().map(Self::Verified);
+        kept.chain(more).find(|state| state.word() == word)
+    }
 }
 
 /// A row as it may be shown.
@@ -60,15 +99,15 @@ impl Shown {
         Self { row, compared: Compared::Nothing, differs: None }
     }
 
-    /// Where the record stands, in one word: as the ledger has it, but never as verified where it was not compared, and
+    /// Where the record stands: as the ledger has it, but never as verified where it was not compared, and
     /// with a word more where its names were not.
-    pub fn state(&self) -> &'static str {
+    pub fn state(&self) -> ShownState {
         match (self.differs, self.compared, self.row.state) {
-            (Some(_), ..) => RecordState::Tampered.word(),
-            _ if self.row.deleted_at.is_some() => "deleted",
-            (None, Compared::Nothing, RecordState::Verified) => "unread",
-            (None, Compared::Header, RecordState::Verified) => NAMES_UNCHECKED,
-            (None, _, state) => state.word(),
+            (Some(_), ..) => ShownState::Kept(RecordState::Tampered),
+            _ if self.row.deleted_at.is_some() => ShownState::Verified(Caveat::Deleted),
+            (None, Compared::Nothing, RecordState::Verified) => ShownState::Verified(Caveat::Unread),
+            (None, Compared::Header, RecordState::Verified) => ShownState::Verified(Caveat::NamesUnchecked),
+            (None, _, state) => ShownState::Kept(state),
         }
     }
 }

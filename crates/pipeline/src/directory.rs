@@ -23,7 +23,7 @@ use crate::model::{Address, Domain, GrantTerms, Identity, PublicKey, SignerId, T
 
 use super::PipelineError;
 pub use administration::{Administration, Proposal, Recovery, Succession};
-pub use granted::{Extension, Granted};
+pub use granted::{Extension, GrantState, Granted};
 pub use kept::Told;
 
 /// One identity of an account, valid from a block on.

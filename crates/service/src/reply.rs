@@ -25,13 +25,14 @@ pub use self::identity::{
 };
 pub use self::operate::{AdmittedView, GatewayStatusView, RefusedView, SenderView, SystemKeyView};
 pub use self::parties::{
-    AdministrationView, CompareView, ContactRow, DeviceRow, GrantRow, ProposalView, RecoveryView, SuccessionView,
+    AdministrationView, CompareView, ContactRow, DeviceRow, Direction, GrantRow, GrantState, ProposalView,
+    RecoveryView, SuccessionView,
 };
 pub use self::recordings::{
     ExportView, ExportedTopic, ImportView, ImportedTopic, LeftOut, PolicyRow, PolicyView, ProgressView, RecordingReply,
     Refused,
 };
-pub use self::records::{CheckView, ExportedFile, OpenedView, Provenance, RecordPage, RecordView};
+pub use self::records::{Caveat, CheckView, ExportedFile, OpenedView, Provenance, RecordPage, RecordView, ShownState};
 pub use self::site::{HealthLevel, LifeLine, PartHealth, QueueView, SiteView};
 pub use self::tasks::{TaskState, TaskView};
 pub use self::topics::{CaptureSummary, TopicRow, TopicSummary};

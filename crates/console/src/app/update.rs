@@ -14,8 +14,9 @@ use super::popup_keys::{popup_key, popup_paste};
 use super::screens::log::MOST_AUDIT;
 use super::state::State;
 use super::verb::Verb;
-use crate::model::Timestamp;
+use crate::model::{RecordState, Timestamp};
 use crate::service::command::AuditQuery;
+use crate::service::reply::{Caveat, ShownState};
 use crate::service::{Command, Event, Operation, Part};
 
 /// The first effects of a console: claim the profile, ask for what is on screen.
@@ -116,12 +117,16 @@ fn told(state: &mut State, event: Event) -> Vec<Effect> {
 /// An open provenance view follows its record until that is verified.
 fn refresh_provenance(state: &mut State) -> Vec<Effect> {
     let Some(Popup::Provenance(lookup)) = state.popups.last() else { return Vec::new() };
-    let settled = lookup.found().is_some_and(|found| found.record.state.starts_with("verified"));
+    let settled = lookup.found().is_some_and(|found| is_settled(found.record.state));
     let (id, tag) = (lookup.id.clone(), Tag::Show(lookup.id.clone()));
     if settled || state.paused || state.work.contains(&tag) {
         return Vec::new();
     }
     vec![state.send(Errand { command: Command::ShowUpload { id }, tag })]
+}
+
+fn is_settled(state: ShownState) -> bool {
+    matches!(state, ShownState::Kept(RecordState::Verified) | ShownState::Verified(Caveat::NamesUnchecked))
 }
 
 fn resize(state: &mut State, columns: u16, rows: u16) {

@@ -42,7 +42,7 @@ fn cells(row: &GrantRow) -> Vec<(String, Role)> {
     let role = if is_active(row) { Role::Good } else { Role::Dim };
     let direction = if is_given(row) { "given to" } else { "got from" };
     vec![
-        (row.state.clone(), role),
+        (row.state.word().to_owned(), role),
         (direction.to_owned(), Role::Body),
         (row.name.clone().unwrap_or_else(|| other_side(row).short()), Role::Accent),
         (other_side(row).to_string(), Role::Dim),

@@ -11,8 +11,8 @@ use crate::app::State;
 use crate::app::feed::Feed;
 use crate::app::screens::grants::day;
 use crate::app::screens::records::{Records, Wanted};
-use crate::pipeline::columns;
-use crate::service::reply::RecordView;
+use crate::model::{RecordKind, RecordState};
+use crate::service::reply::{Caveat, RecordView, ShownState};
 
 const UPLOADS: &[Column] = &[
     Column::text("State", 11),
@@ -96,8 +96,11 @@ fn note(records: &Records, wanted: &Wanted) -> String {
 }
 
 fn cells(state: &State, row: &RecordView, with_owner: bool) -> Vec<(String, Role)> {
-    let topic = if row.kind == "data" { row.topic.clone() } else { format!("{} ({})", row.topic, row.kind) };
-    let mut cells = vec![(short_state(&row.state).to_owned(), state_role(&row.state))];
+    let topic = match row.kind {
+        RecordKind::Data => row.topic.clone(),
+        kind => format!("{} ({})", row.topic, kind.word()),
+    };
+    let mut cells = vec![(short_state(row.state.word()).to_owned(), state_role(row.state))];
     if with_owner {
         let short = || row.owner.map(|owner| owner.short());
         cells.push((row.owner_name.clone().or_else(short).unwrap_or_default(), Role::Accent));
@@ -123,11 +126,11 @@ fn short_state(state: &str) -> &str {
 }
 
 /// The role of a record's state.
-pub fn state_role(state: &str) -> Role {
+pub fn state_role(state: ShownState) -> Role {
     match state {
-        "verified" | columns::NAMES_UNCHECKED => Role::Good,
-        "tampered" | "missing" => Role::Bad,
-        "quarantined" | "dropped" | "waits: right ended" => Role::Warning,
-        _ => Role::Accent,
+        ShownState::Kept(RecordState::Verified) | ShownState::Verified(Caveat::NamesUnchecked) => Role::Good,
+        ShownState::Kept(RecordState::Tampered) => Role::Bad,
+        ShownState::Kept(RecordState::Quarantined | RecordState::Dropped | RecordState::RightEnded) => Role::Warning,
+        ShownState::Kept(_) | ShownState::Verified(Caveat::Deleted | Caveat::Unread) => Role::Accent,
     }
 }

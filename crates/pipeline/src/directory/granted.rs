@@ -1,5 +1,7 @@
 //! A grant, as its events made it. Its envelopes lie in the ledger.
 
+use serde::{Deserialize, Serialize};
+
 use std::collections::BTreeMap;
 
 use super::Told;
@@ -65,12 +67,12 @@ impl Granted {
         self.revoked.is_none() && self.expiry().is_none_or(|expiry| expiry > now)
     }
 
-    /// `active`, `revoked` or `expired` at `now`.
-    pub fn word(&self, now: Timestamp) -> &'static str {
+    /// How it stands at `now`.
+    pub fn state(&self, now: Timestamp) -> GrantState {
         match (self.revoked, self.is_active(now)) {
-            (Some(_), _) => "revoked",
-            (None, true) => "active",
-            (None, false) => "expired",
+            (Some(_), _) => GrantState::Revoked,
+            (None, true) => GrantState::Active,
+            (None, false) => GrantState::Expired,
         }
     }
 
@@ -95,6 +97,29 @@ impl Granted {
         *newest = block.max(*newest);
         if self.wrapped.len() > EPOCHS_HELD {
             self.wrapped.pop_first();
+        }
+    }
+}
+
+/// How a grant stands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum GrantState {
+    /// It opens new records.
+    Active,
+    /// Its end has come.
+    Expired,
+    /// Its owner took it back.
+    Revoked,
+}
+
+impl GrantState {
+    /// One word for screens and JSON.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Active => "active",
+            Self::Expired => "expired",
+            Self::Revoked => "revoked",
         }
     }
 }

@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::chain::Revision;
 use crate::model::{Address, ContactName, Hash, SignerId, Timestamp};
+pub use crate::pipeline::directory::GrantState;
 
 /// One account of the address book.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -114,11 +115,31 @@ pub struct AdministrationView {
     pub successions: Vec<SuccessionView>,
 }
 
+/// Which way a grant goes, as one of its sides sees it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Direction {
+    /// By this profile.
+    Given,
+    /// To this profile.
+    Received,
+}
+
+impl Direction {
+    /// One word for screens and JSON.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Given => "given",
+            Self::Received => "received",
+        }
+    }
+}
+
 /// One grant, given or received.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct GrantRow {
-    /// `given` or `received`.
-    pub direction: String,
+    /// Given or received.
+    pub direction: Direction,
     /// Who shares.
     pub owner: Address,
     /// Who reads.
@@ -129,8 +150,8 @@ pub struct GrantRow {
     pub expires: Option<Timestamp>,
     /// Topic names where known, else ids; empty = all topics.
     pub topics: Vec<String>,
-    /// `active`, `revoked` or `expired`.
-    pub state: String,
+    /// How it stands.
+    pub state: GrantState,
     /// Block of the grant.
     pub block: u64,
     /// Its transaction.

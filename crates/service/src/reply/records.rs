@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::model::{Address, Digest, Hash, Timestamp, Verdict, base64_text};
-use crate::pipeline::columns::Compared;
+use crate::model::{Address, Digest, Hash, RecordKind, Timestamp, Verdict, base64_text};
+pub use crate::pipeline::columns::{Caveat, Compared, ShownState};
 use crate::ros::readable::Readable;
 
 /// One record in a list.
@@ -24,11 +24,11 @@ pub struct RecordView {
     /// Message type, cleaned.
     #[serde(rename = "type")]
     pub type_name: String,
-    /// Kind of record in one word.
-    pub kind: String,
-    /// State in one word; `unread` for a verified one whose bytes are not here to be compared, `verified, names unchecked`
+    /// Kind of record.
+    pub kind: RecordKind,
+    /// State; `unread` for a verified one whose bytes are not here to be compared, `verified, names unchecked`
     /// where what lies sealed is the ledger's word, for want of a key.
-    pub state: String,
+    pub state: ShownState,
     /// SM3 of the stored bytes.
     pub digest: Digest,
     /// Length of the message, bytes.

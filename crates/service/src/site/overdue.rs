@@ -77,7 +77,9 @@ impl Site {
             return Ok(false);
         }
         let sealing = owner.sealing().filter(|keys| keys.domain == network.domain);
-        let covered = |grant: &Granted| grant.word(now) == "expired" && grant.is_wrapped(epoch);
+        let covered = |grant: &Granted| {
+            grant.state(now) == crate::pipeline::directory::GrantState::Expired && grant.is_wrapped(epoch)
+        };
         let expired = network.directory.grants_of(owner.address).iter().any(covered);
         let ended = sealing.is_some_and(|keys| keys.epoch > epoch) || expired;
         Ok(ended || !self.owed_revocations(owner, network)?.is_empty())

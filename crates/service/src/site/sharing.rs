@@ -12,7 +12,7 @@ use crate::pipeline::{Owner, authority};
 use crate::service::command::Epochs;
 use crate::service::event::Part;
 use crate::service::failure::{input, refused};
-use crate::service::reply::{Failure, GrantRow, TransactionView};
+use crate::service::reply::{Direction, Failure, GrantRow, TransactionView};
 use crate::store::RecordRow;
 
 impl Site {
@@ -187,13 +187,13 @@ impl Site {
             Scope::Topics(ids) => self.received_topics(owner, network, grant, ids),
         };
         Ok(GrantRow {
-            direction: if given { "given" } else { "received" }.to_owned(),
+            direction: if given { Direction::Given } else { Direction::Received },
             owner: grant.terms.owner,
             grantee: grant.terms.grantee,
             epoch: grant.terms.epoch,
             expires: grant.expiry(),
             topics,
-            state: grant.word(network.directory.now()).to_owned(),
+            state: grant.state(network.directory.now()),
             block: grant.block,
             transaction: grant.transaction,
             name: None,

@@ -9,9 +9,10 @@ use super::view::{record_page, record_query, record_view};
 use crate::crypto::{keyfile, read_public, record};
 use crate::model::bytes::hex;
 use crate::model::{Address, ProfileName, RecordState, Timestamp, TopicId};
+use crate::pipeline::columns::{self, Caveat, ShownState};
 use crate::pipeline::epoch::tag_choice;
 use crate::pipeline::reader::Reader;
-use crate::pipeline::{Owner, PipelineError, authority, columns};
+use crate::pipeline::{Owner, PipelineError, authority};
 use crate::service::command::UploadQuery;
 use crate::service::failure::{input, internal};
 use crate::service::reply::{ExportedFile, Failure, Provenance, RecordPage};
@@ -153,10 +154,14 @@ impl Site {
             steps.push(step("retention", format!("{done}; named in retention record {}", retained.report)));
         }
         steps.push(match (shown.differs, shown.state()) {
-            (Some(field), state) => step(state, altered(field)),
-            (None, "unread") => step("unread", "verified once; its bytes are not here to be compared now".to_owned()),
-            (None, columns::NAMES_UNCHECKED) => step(columns::NAMES_UNCHECKED, unchecked()),
-            (None, _) => step(row.state.word(), standing(row.state).to_owned()),
+            (Some(field), state) => step(state.word(), altered(field)),
+            (None, state @ ShownState::Verified(Caveat::Unread)) => {
+                step(state.word(), "verified once; its bytes are not here to be compared now".to_owned())
+            }
+            (None, state @ ShownState::Verified(Caveat::NamesUnchecked)) => step(state.word(), unchecked()),
+            (None, ShownState::Verified(Caveat::Deleted) | ShownState::Kept(_)) => {
+                step(row.state.word(), standing(row.state).to_owned())
+            }
         });
         Ok(Provenance { record: record_view(&shown, false), steps })
     }

@@ -3,7 +3,7 @@
 use crate::app::fuzzy;
 use crate::app::table::Table;
 use crate::model::{Address, Timestamp, clean};
-use crate::service::reply::GrantRow;
+use crate::service::reply::{Direction, GrantRow, GrantState};
 
 /// What sorts the table, in the order of `s`.
 pub const SORTS: [&str; 3] = ["newest", "account", "state"];
@@ -21,12 +21,12 @@ pub struct Grants {
 
 /// Whether a grant was given by this profile.
 pub fn is_given(row: &GrantRow) -> bool {
-    row.direction == "given"
+    row.direction == Direction::Given
 }
 
 /// Whether a grant opens new records.
 pub fn is_active(row: &GrantRow) -> bool {
-    row.state == "active"
+    row.state == GrantState::Active
 }
 
 /// The other side of a grant.
@@ -36,7 +36,7 @@ pub fn other_side(row: &GrantRow) -> Address {
 
 /// What a row is known by.
 pub fn key(row: &GrantRow) -> String {
-    format!("{}{}{}{}", row.transaction, row.direction, row.grantee, row.epoch)
+    format!("{}{}{}{}", row.transaction, row.direction.word(), row.grantee, row.epoch)
 }
 
 impl Grants {
@@ -50,12 +50,14 @@ impl Grants {
 
     /// The rows to show, filtered and in order.
     pub fn visible(&self) -> Vec<&GrantRow> {
-        let text =
-            |row: &&GrantRow| format!("{} {} {} {}", row.direction, row.state, other_side(row), row.topics.join(" "));
+        let text = |row: &&GrantRow| {
+            let (direction, state) = (row.direction.word(), row.state.word());
+            format!("{direction} {state} {} {}", other_side(row), row.topics.join(" "))
+        };
         let mut rows = fuzzy::narrow(self.table.filter.text(), self.rows.iter().collect(), text);
         match self.table.sort {
             1 => rows.sort_by_key(|row| (other_side(row), std::cmp::Reverse(row.block))),
-            2 => rows.sort_by_key(|row| (row.state.clone(), std::cmp::Reverse(row.block))),
+            2 => rows.sort_by_key(|row| (row.state.word(), std::cmp::Reverse(row.block))),
             _ => rows.sort_by_key(|row| std::cmp::Reverse(row.block)),
         }
         rows

@@ -170,5 +170,6 @@ impl Records {
 
 fn haystack(row: &RecordView) -> String {
     let owner = row.owner.map(|owner| owner.to_string()).unwrap_or_default();
-    format!("{} {} {} {} {} {owner}", row.id, row.topic, row.type_name, row.state, row.kind)
+    let (state, kind) = (row.state.word(), row.kind.word());
+    format!("{} {} {} {state} {kind} {owner}", row.id, row.topic, row.type_name)
 }

@@ -1,14 +1,15 @@
 //! Fixed data of a small site, for tests of the console.
 
 use crate::model::{
-    Address, Digest, Domain, ErrorKind, Hash, PinMode, ProfileName, PublicKey, Publisher, SignerId, Timestamp, Token,
-    Verdict,
+    Address, Digest, Domain, ErrorKind, Hash, PinMode, ProfileName, PublicKey, Publisher, RecordKind, RecordState,
+    SignerId, Timestamp, Token, Verdict,
 };
 use crate::pipeline::sender::{LaneState, PauseReason};
 use crate::service::reply::{
-    AdministrationView, AlarmView, AuditView, ChainView, EpochView, GasView, GatewayStatusView, GatewayView, GrantRow,
-    HealthLevel, IdentityView, KeysView, LifeLine, OpenedView, PartHealth, PinView, PinsView, Provenance, QueueView,
-    RecordPage, RecordView, RefusedView, SenderView, SiteView, SystemKeyView, TopicRow,
+    AdministrationView, AlarmView, AuditView, ChainView, Direction, EpochView, GasView, GatewayStatusView, GatewayView,
+    GrantRow, GrantState, HealthLevel, IdentityView, KeysView, LifeLine, OpenedView, PartHealth, PinView, PinsView,
+    Provenance, QueueView, RecordPage, RecordView, RefusedView, SenderView, ShownState, SiteView, SystemKeyView,
+    TopicRow,
 };
 use crate::service::{Command, Failure, Operation, Reply, UploadQuery};
 use authros_chain::Sealing;
@@ -146,8 +147,8 @@ pub fn record(number: u64, state: &str) -> RecordView {
         seq: number,
         topic: "/robot1/odom".to_owned(),
         type_name: "nav_msgs/Odometry".to_owned(),
-        kind: "data".to_owned(),
-        state: state.to_owned(),
+        kind: RecordKind::Data,
+        state: ShownState::from_word(state).unwrap_or(ShownState::Kept(RecordState::Captured)),
         digest: Digest(digest),
         bytes: 728,
         captured_at: Timestamp(NOW.0 + number * 50_000_000),
@@ -180,13 +181,13 @@ pub fn page(query: &UploadQuery, owner: Option<Address>) -> RecordPage {
 pub fn grant(direction: &str, account: Address, state: &str, block: u64) -> GrantRow {
     let given = direction == "given";
     GrantRow {
-        direction: direction.to_owned(),
+        direction: if given { Direction::Given } else { Direction::Received },
         owner: if given { OWN } else { account },
         grantee: if given { account } else { OWN },
         epoch: 1,
         expires: None,
         topics: if given { vec!["/robot1/odom".to_owned()] } else { Vec::new() },
-        state: state.to_owned(),
+        state: if state == "active" { GrantState::Active } else { GrantState::Revoked },
         block,
         transaction: Hash([u8::try_from(block).unwrap_or(0); 32]),
         name: None,

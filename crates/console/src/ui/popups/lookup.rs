@@ -5,7 +5,7 @@ use ratatui::layout::Rect;
 use super::framed;
 use crate::app::popup::Lookup;
 use crate::model::{Verdict, clean};
-use crate::service::reply::{Provenance, RecordView};
+use crate::service::reply::{Provenance, RecordView, ShownState};
 use crate::ui::canvas::{Canvas, columns, right_of, row};
 use crate::ui::records::state_role;
 use crate::ui::theme::Role;
@@ -66,7 +66,14 @@ fn step_role(word: &str) -> Role {
         "confirmations",
         "earlier chain",
     ];
-    if DONE.contains(&word) { Role::Accent } else { state_role(word) }
+    if DONE.contains(&word) {
+        return Role::Accent;
+    }
+    match ShownState::from_word(word) {
+        Some(state) => state_role(state),
+        None if word == "missing" => Role::Bad,
+        None => Role::Accent,
+    }
 }
 
 fn draw<T>(

@@ -32,7 +32,7 @@ fn topic(text: &str) -> TopicRow {
 
 fn record(text: &str) -> RecordView {
     let text = || text.to_owned();
-    RecordView { topic: text(), type_name: text(), kind: text(), state: text(), id: text(), ..fixtures::record(1, "") }
+    RecordView { topic: text(), type_name: text(), id: text(), ..fixtures::record(1, "") }
 }
 
 /// Puts `text` wherever the site can.
@@ -46,7 +46,7 @@ fn infect(robot: &mut Robot, text: &str) {
     robot.state.topics.rows = vec![topic(text), topic("/robot1/odom")];
     robot.state.uploads.rows = vec![record(text)];
     robot.state.shared.rows = vec![record(text)];
-    let grant = fixtures::grant("given", fixtures::OTHER, text, 1);
+    let grant = fixtures::grant("given", fixtures::OTHER, "active", 1);
     robot.state.grants.rows = vec![GrantRow { topics: vec![text.to_owned()], ..grant }];
     robot.state.log.notice(fixtures::NOW, NoticeLevel::Error, text);
     if let Some(chain) = &mut robot.state.chain {
