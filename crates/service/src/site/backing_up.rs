@@ -56,7 +56,7 @@ impl Site {
         written
     }
 
-    fn open_chain(&self) -> Option<Chain> {
+    pub(super) fn open_chain(&self) -> Option<Chain> {
         match &*self.network.borrow() {
             NetworkState::Bare(chain) => Some(chain.clone()),
             NetworkState::Up(network) => Some(network.chain.clone()),

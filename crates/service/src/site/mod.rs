@@ -86,6 +86,8 @@ use crate::store::{AuditLog, RESERVE_BYTES, Reserve, SiteLock, open_vault};
 
 /// How long the nodes may take to leave the ROS graph.
 const LEAVING: Duration = Duration::from_secs(2);
+/// How long the embedded chain may take to close its file.
+const CLOSING: Duration = Duration::from_secs(2);
 /// How long captured messages may take to be stored at the end, counted from its beginning.
 const FLUSHING: Duration = Duration::from_secs(4);
 
@@ -326,9 +328,13 @@ impl Site {
                 self.tell_unstored();
             }
         }
+        let chain = self.open_chain();
         self.stopping.send_replace(true);
         self.network.send_replace(NetworkState::Off);
         self.write_counted(None).await;
+        if let Some(chain) = chain {
+            drop(tokio::time::timeout(CLOSING, chain.end()).await);
+        }
         let ledger = self.plant.ledger.clone();
         drop(tokio::task::spawn_blocking(move || ledger.close()).await);
     }
