@@ -28,6 +28,7 @@ mod key_changes;
 mod keys;
 mod messages;
 mod node_forging;
+mod packages;
 mod places;
 mod real_chain;
 mod real_redis;

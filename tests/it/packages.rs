@@ -1,0 +1,94 @@
+//! What is installed: packed twice it is the same to the byte, and holds what its manual says. The program's own bytes are
+//! not looked at here: `packaging/build` makes them, and takes minutes.
+#![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use crate::support::{Home, Running, list, skipped, system_program, text};
+
+/// Packs a small program, with the pages of the real one.
+fn packed(folder: &Path) -> PathBuf {
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("packaging/assemble");
+    let mut command = Command::new(script);
+    command.args(["/bin/true", "x86_64"]).arg(folder).arg(env!("CARGO_BIN_EXE_authros"));
+    command.env("SOURCE_DATE_EPOCH", "1700000000");
+    Running::start(command).wait(120).expect_code(0);
+    folder.to_owned()
+}
+
+fn said(program: &str, arguments: &[&str], file: &Path) -> String {
+    let mut command = Command::new(program);
+    command.args(arguments).arg(file);
+    Running::start(command).wait(60).expect_code(0).stdout
+}
+
+#[test]
+fn a_package_is_the_same_twice_and_holds_what_the_manual_says() {
+    if system_program("dpkg-deb").is_none() {
+        skipped!("no dpkg-deb");
+    }
+    let home = Home::new();
+    let first = packed(&home.root().join("first"));
+    let second = packed(&home.root().join("second"));
+    let sums = |folder: &Path| std::fs::read_to_string(folder.join("SHA256SUMS-x86_64")).expect("checksums");
+    assert_eq!(sums(&first), sums(&second));
+    assert_eq!(sums(&first).lines().count(), 3);
+
+    let version = env!("CARGO_PKG_VERSION");
+    let deb = first.join(format!("authros_{version}-1_amd64.deb"));
+    let facts = said("dpkg-deb", &["--field"], &deb);
+    for fact in ["Package: authros", "Architecture: amd64", "Depends: libc6 (>= 2.31)"] {
+        assert!(facts.contains(fact), "no '{fact}' in {facts}");
+    }
+    let held = said("dpkg-deb", &["--contents"], &deb);
+    for file in [
+        "./usr/bin/authros",
+        "./lib/systemd/system/authros-serve.service",
+        "./lib/systemd/system/authros-agent.service",
+        "./lib/systemd/system/authros-serve.service.d/account.conf",
+        "./usr/share/bash-completion/completions/authros",
+        "./usr/share/zsh/vendor-completions/_authros",
+        "./usr/share/fish/vendor_completions.d/authros.fish",
+        "./usr/share/man/man1/authros.1.gz",
+        "./usr/share/doc/authros/THIRD-PARTY.txt.gz",
+        "./etc/authros/serve.env",
+    ] {
+        let line = held.lines().find(|line| line.ends_with(&format!(" {file}")));
+        let line = line.unwrap_or_else(|| panic!("no {file} in {held}"));
+        assert!(line.contains("root/root"), "{line}");
+    }
+    let archive = said("tar", &["-tzf"], &first.join(format!("authros-{version}-x86_64-linux.tar.gz")));
+    for file in ["authros", "README.md", "LICENSE", "THIRD-PARTY.txt", "pages/authros.1", "systemd/authros-serve.service"] {
+        assert!(archive.contains(&format!("authros-{version}-x86_64-linux/{file}\n")), "no {file} in {archive}");
+    }
+}
+
+#[test]
+fn every_library_of_the_program_is_in_the_list_with_the_checksum_of_the_lock_file() {
+    if system_program("dpkg-deb").is_none() {
+        skipped!("no dpkg-deb");
+    }
+    let home = Home::new();
+    let folder = packed(&home.root().join("packages"));
+    let name = format!("authros-{}-x86_64-linux.cdx.json", env!("CARGO_PKG_VERSION"));
+    let bytes = std::fs::read(folder.join(name)).expect("the list");
+    let bill: serde_json::Value = serde_json::from_slice(&bytes).expect("JSON");
+    let components = list(&bill, "components");
+    let lock = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("Cargo.lock")).expect("the lock file");
+    for expected in ["revm", "ethers", "rusqlite", "ratatui", "libsm"] {
+        assert!(components.iter().any(|one| text(one, "name") == expected), "no {expected}");
+    }
+    // Neither what only tests it nor our own crates.
+    for foreign in ["divan", "proptest", "authros-model"] {
+        assert!(components.iter().all(|one| text(one, "name") != foreign), "{foreign}");
+    }
+    for one in components {
+        let (name, version) = (text(&one, "name"), text(&one, "version"));
+        let checksum = text(&one["hashes"][0], "content");
+        let entry = format!("name = \"{name}\"\nversion = \"{version}\"\n");
+        let rest = lock.split(&entry).nth(1).unwrap_or_else(|| panic!("{name} {version} is not locked"));
+        let own = rest.split("[[package]]").next().expect("an entry");
+        assert!(own.contains(&format!("checksum = \"{checksum}\"")), "{name} {version}");
+    }
+}
