@@ -59,7 +59,9 @@ fn a_package_is_the_same_twice_and_holds_what_the_manual_says() {
         assert!(line.contains("root/root"), "{line}");
     }
     let archive = said("tar", &["-tzf"], &first.join(format!("authros-{version}-x86_64-linux.tar.gz")));
-    for file in ["authros", "README.md", "LICENSE", "THIRD-PARTY.txt", "pages/authros.1", "systemd/authros-serve.service"] {
+    for file in
+        ["authros", "README.md", "LICENSE", "THIRD-PARTY.txt", "pages/authros.1", "systemd/authros-serve.service"]
+    {
         assert!(archive.contains(&format!("authros-{version}-x86_64-linux/{file}\n")), "no {file} in {archive}");
     }
 }
@@ -75,7 +77,8 @@ fn every_library_of_the_program_is_in_the_list_with_the_checksum_of_the_lock_fil
     let bytes = std::fs::read(folder.join(name)).expect("the list");
     let bill: serde_json::Value = serde_json::from_slice(&bytes).expect("JSON");
     let components = list(&bill, "components");
-    let lock = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("Cargo.lock")).expect("the lock file");
+    let lock =
+        std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("Cargo.lock")).expect("the lock file");
     for expected in ["revm", "ethers", "rusqlite", "ratatui", "libsm"] {
         assert!(components.iter().any(|one| text(one, "name") == expected), "no {expected}");
     }

@@ -6,10 +6,9 @@ use zeroize::Zeroizing;
 use crate::model::{PublicKey, Signature};
 
 use super::der::CipherParts;
-use super::kernel::Available;
 use super::provider::{Provider, check_plain};
 use super::random::random_bytes;
-use super::{CryptoError, SmSecret, sm2, sm4_gcm};
+use super::{CryptoError, SmSecret, sm2};
 
 /// The default provider.
 #[derive(Debug, Clone, Copy)]
@@ -18,34 +17,6 @@ pub struct AuthrosProvider;
 impl Provider for AuthrosProvider {
     fn name(&self) -> &'static str {
         "authros"
-    }
-
-    fn sm3(&self, parts: &[&[u8]]) -> [u8; 32] {
-        super::sm3::sm3(parts)
-    }
-
-    fn sm3_many(&self, messages: &[&[u8]]) -> Vec<[u8; 32]> {
-        super::sm3::sm3_many(messages)
-    }
-
-    fn gcm_seal_in_place(
-        &self,
-        key: &[u8; 16],
-        nonce: &[u8; 12],
-        aad: &[u8],
-        text: &mut [u8],
-    ) -> Result<[u8; 16], CryptoError> {
-        sm4_gcm::seal(Available::decided(), key, nonce, aad, text)
-    }
-
-    fn gcm_open(
-        &self,
-        key: &[u8; 16],
-        nonce: &[u8; 12],
-        aad: &[u8],
-        sealed: &[u8],
-    ) -> Result<Zeroizing<Vec<u8>>, CryptoError> {
-        sm4_gcm::open(Available::decided(), key, nonce, aad, sealed)
     }
 
     fn sign(&self, secret: &SmSecret, message: &[u8]) -> Result<Signature, CryptoError> {

@@ -116,6 +116,10 @@ impl Provider for LibsmProvider {
         }
     }
 
+    fn sm3_many(&self, messages: &[&[u8]]) -> Vec<[u8; 32]> {
+        messages.iter().map(|message| self.sm3(&[message])).collect()
+    }
+
     fn gcm_seal_in_place(
         &self,
         key: &[u8; 16],

@@ -10,21 +10,25 @@ use zeroize::Zeroizing;
 use crate::model::{PublicKey, Signature, clean};
 
 use super::authros_provider::AuthrosProvider;
+use super::kernel::Available;
 use super::libsm_provider::LibsmProvider;
 use super::rustcrypto::RustCryptoProvider;
-use super::{CryptoError, SmSecret};
+use super::{CryptoError, SmSecret, sm4_gcm};
 
-/// SM2, SM3 and SM4-GCM as this program uses them. All providers accept and refuse the same inputs.
+/// SM2, SM3 and SM4-GCM as this program uses them. All providers accept and refuse the same inputs. SM3 and SM4-GCM are
+/// those of our own kernels where a provider brings none.
 pub trait Provider: Send + Sync {
     /// `authros`, `rustcrypto` or `libsm`.
     fn name(&self) -> &'static str;
 
     /// SM3 (GB/T 32905-2016) of the concatenation of `parts`.
-    fn sm3(&self, parts: &[&[u8]]) -> [u8; 32];
+    fn sm3(&self, parts: &[&[u8]]) -> [u8; 32] {
+        super::sm3::sm3(parts)
+    }
 
     /// SM3 of each message; many short ones at once where the processor can.
     fn sm3_many(&self, messages: &[&[u8]]) -> Vec<[u8; 32]> {
-        messages.iter().map(|message| self.sm3(&[message])).collect()
+        super::sm3::sm3_many(messages)
     }
 
     /// SM4-GCM (RFC 8998, 96-bit nonce): encrypts `text` in place and returns the tag that follows it.
@@ -37,7 +41,9 @@ pub trait Provider: Send + Sync {
         nonce: &[u8; 12],
         aad: &[u8],
         text: &mut [u8],
-    ) -> Result<[u8; 16], CryptoError>;
+    ) -> Result<[u8; 16], CryptoError> {
+        sm4_gcm::seal(Available::decided(), key, nonce, aad, text)
+    }
 
     /// SM4-GCM (RFC 8998, 96-bit nonce): encrypts `buffer` in place and appends the 16-byte tag.
     ///
@@ -59,7 +65,9 @@ pub trait Provider: Send + Sync {
         nonce: &[u8; 12],
         aad: &[u8],
         sealed: &[u8],
-    ) -> Result<Zeroizing<Vec<u8>>, CryptoError>;
+    ) -> Result<Zeroizing<Vec<u8>>, CryptoError> {
+        sm4_gcm::open(Available::decided(), key, nonce, aad, sealed)
+    }
 
     /// SM2 signature (GB/T 32918.2-2016, 6.1) under the ID 1234567812345678, raw r || s.
     ///

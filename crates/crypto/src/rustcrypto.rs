@@ -20,10 +20,9 @@ use crate::model::{PublicKey, Signature};
 
 use super::der::CipherParts;
 use super::gcm::{self, BlockCipher};
-use super::kernel::Available;
 use super::provider::{Provider, check_plain};
 use super::secret::{uncompressed, unprefixed};
-use super::{CryptoError, SmSecret, sm4_gcm};
+use super::{CryptoError, SmSecret};
 
 /// The signer's distinguishing identifier (GM/T 0009-2012, 10).
 pub(super) const DISTINGUISHED_ID: &str = "1234567812345678";
@@ -88,34 +87,6 @@ pub(super) fn signing_key(secret: &[u8; 32]) -> Result<SigningKey, CryptoError> 
 impl Provider for RustCryptoProvider {
     fn name(&self) -> &'static str {
         "rustcrypto"
-    }
-
-    fn sm3(&self, parts: &[&[u8]]) -> [u8; 32] {
-        super::sm3::sm3(parts)
-    }
-
-    fn sm3_many(&self, messages: &[&[u8]]) -> Vec<[u8; 32]> {
-        super::sm3::sm3_many(messages)
-    }
-
-    fn gcm_seal_in_place(
-        &self,
-        key: &[u8; 16],
-        nonce: &[u8; 12],
-        aad: &[u8],
-        text: &mut [u8],
-    ) -> Result<[u8; 16], CryptoError> {
-        sm4_gcm::seal(Available::decided(), key, nonce, aad, text)
-    }
-
-    fn gcm_open(
-        &self,
-        key: &[u8; 16],
-        nonce: &[u8; 12],
-        aad: &[u8],
-        sealed: &[u8],
-    ) -> Result<Zeroizing<Vec<u8>>, CryptoError> {
-        sm4_gcm::open(Available::decided(), key, nonce, aad, sealed)
     }
 
     fn sign(&self, secret: &SmSecret, message: &[u8]) -> Result<Signature, CryptoError> {

@@ -9,12 +9,14 @@ mod definition;
 mod json;
 mod line;
 mod matrix;
+mod nesting;
 mod ros2;
 mod value;
 
 pub use decode::{Limits, Picture};
-pub use definition::{DEEPEST, Definition, LONGEST_DEFINITION};
+pub use definition::{Definition, LONGEST_DEFINITION};
 pub use matrix::layout;
+pub use nesting::DEEPEST;
 pub use ros2::{Folders, type_hash};
 pub use value::Value;
 

@@ -1,21 +1,18 @@
 //! The full text of a message definition, parsed into layouts with every nested type resolved.
-//! A definition that parses has no cycles, is at most [`DEEPEST`] deep and of bounded size.
+//! A definition that parses has no cycles, is at most [`super::nesting::DEEPEST`] deep and of bounded size.
 
-use std::collections::HashMap;
 use std::sync::Arc;
 
 use md5::{Digest as _, Md5};
 
 use super::line::{Arity, Line, Primitive, parse_line};
+use super::nesting::{Nesting, Texts};
 use crate::model::bytes::hex;
 use crate::model::topic::{LONGEST_NAME, TypeName};
 use crate::ros::RosError;
 
 /// The longest definition text, bytes.
 pub const LONGEST_DEFINITION: usize = 1 << 20;
-
-/// The deepest nesting of messages.
-pub const DEEPEST: usize = 16;
 
 /// The most types in one definition.
 pub(super) const MOST_TYPES: usize = 512;
@@ -74,9 +71,8 @@ impl Definition {
             return Err(failed(format!("it is longer than {LONGEST_DEFINITION} bytes")));
         }
         let sections = sections(type_name, text).map_err(failed)?;
-        let mut resolver = Resolver { sections, done: HashMap::new(), path: Vec::new(), layouts: Vec::new() };
-        resolver.resolve(type_name).map_err(failed)?;
-        Ok(Self { layouts: resolver.layouts, cdr: false })
+        let layouts = Nesting::layouts_of(type_name, sections, layout).map_err(failed)?;
+        Ok(Self { layouts, cdr: false })
     }
 
     /// The type's name, `package/Type`; of ROS 2 `package/msg/Type`.
@@ -122,18 +118,16 @@ impl Definition {
 
 const HEADER: &str = "std_msgs/Header";
 
-type Sections<'a> = HashMap<&'a str, Vec<&'a str>>;
-
 /// Splits the text at its `MSG:` lines; a type given twice keeps its first text.
-fn sections<'a>(type_name: &'a str, text: &'a str) -> Result<Sections<'a>, String> {
-    let mut sections = Sections::new();
+fn sections<'a>(type_name: &'a str, text: &'a str) -> Result<Texts<'a>, String> {
+    let mut sections = Texts::new();
     let mut name = type_name;
     let mut lines = Vec::new();
     let mut after_rule = false;
     for line in text.lines() {
         let rule = line.len() >= 20 && line.bytes().all(|b| b == b'=');
         if let Some(next) = line.strip_prefix("MSG: ").filter(|_| after_rule) {
-            sections.entry(name).or_insert(std::mem::take(&mut lines));
+            sections.entry(name.to_owned()).or_insert(std::mem::take(&mut lines));
             name = next.trim();
         } else if !rule {
             lines.push(line);
@@ -143,87 +137,56 @@ fn sections<'a>(type_name: &'a str, text: &'a str) -> Result<Sections<'a>, Strin
             return Err(format!("it has more than {MOST_TYPES} types"));
         }
     }
-    sections.entry(name).or_insert(lines);
+    sections.entry(name.to_owned()).or_insert(lines);
     Ok(sections)
 }
 
-/// Turns sections into layouts, innermost first.
-struct Resolver<'a> {
-    sections: Sections<'a>,
-    /// Index and height (nested levels, itself included) of what is resolved.
-    done: HashMap<String, (usize, usize)>,
-    path: Vec<String>,
-    layouts: Vec<Layout>,
-}
-
-impl Resolver<'_> {
-    fn resolve(&mut self, name: &str) -> Result<(usize, usize), String> {
-        if self.path.iter().any(|above| above == name) {
-            return Err(format!("{name} contains itself"));
-        }
-        let known = self.done.get(name).copied();
-        if self.path.len() + known.map_or(1, |(_, height)| height) > DEEPEST {
-            return Err(format!("it is nested more than {DEEPEST} deep"));
-        }
-        if let Some(known) = known {
-            return Ok(known);
-        }
-        let lines = self.sections.get(name).cloned().ok_or_else(|| format!("the definition of {name} is missing"))?;
-        self.path.push(name.to_owned());
-        let (layout, height) = self.layout(name, &lines)?;
-        self.path.pop();
-        self.layouts.push(layout);
-        let resolved = (self.layouts.len() - 1, height);
-        self.done.insert(name.to_owned(), resolved);
-        Ok(resolved)
-    }
-
-    fn layout(&mut self, name: &str, lines: &[&str]) -> Result<(Layout, usize), String> {
-        let mut layout =
-            Layout { name: name.to_owned(), fields: Vec::new(), constants: Vec::new(), minimum: 0, fixed: true };
-        let mut height = 1;
-        for line in lines {
-            match parse_line(line).map_err(|reason| format!("{reason} in {name}"))? {
-                None => {}
-                Some(Line::Constant { base, name, text }) => layout.constants.push(format!("{base} {name}={text}")),
-                Some(Line::Field { written, base, arity, name: field }) => {
-                    let (kind, below) = self.kind(name, base)?;
-                    height = height.max(below + 1);
-                    let field = Field { name: field.into(), kind, arity, written: written.to_owned() };
-                    self.measure(&mut layout, &field);
-                    layout.fields.push(field);
-                }
+/// The layout of a type and how many levels it has.
+fn layout<'a>(nesting: &mut Nesting<'a, Layout>, name: &str, lines: &[&str]) -> Result<(Layout, usize), String> {
+    let mut layout =
+        Layout { name: name.to_owned(), fields: Vec::new(), constants: Vec::new(), minimum: 0, fixed: true };
+    let mut height = 1;
+    for line in lines {
+        match parse_line(line).map_err(|reason| format!("{reason} in {name}"))? {
+            None => {}
+            Some(Line::Constant { base, name, text }) => layout.constants.push(format!("{base} {name}={text}")),
+            Some(Line::Field { written, base, arity, name: field }) => {
+                let (kind, below) = kind(nesting, name, base)?;
+                height = height.max(below + 1);
+                let field = Field { name: field.into(), kind, arity, written: written.to_owned() };
+                measure(&nesting.layouts, &mut layout, &field);
+                layout.fields.push(field);
             }
         }
-        Ok((layout, height))
     }
+    Ok((layout, height))
+}
 
-    fn kind(&mut self, inside: &str, base: &str) -> Result<(Kind, usize), String> {
-        if let Some(primitive) = Primitive::parse(base) {
-            return Ok((Kind::Primitive(primitive), 0));
-        }
-        let full = match (base, inside.split_once('/')) {
-            ("Header", _) => HEADER.to_owned(),
-            (_, Some((package, _))) if !base.contains('/') => format!("{package}/{base}"),
-            _ => base.to_owned(),
-        };
-        if full.len() > LONGEST_NAME {
-            return Err(String::from("a type name is too long"));
-        }
-        let (index, height) = self.resolve(&full)?;
-        Ok((Kind::Message(index), height))
+fn kind(nesting: &mut Nesting<'_, Layout>, inside: &str, base: &str) -> Result<(Kind, usize), String> {
+    if let Some(primitive) = Primitive::parse(base) {
+        return Ok((Kind::Primitive(primitive), 0));
     }
+    let full = match (base, inside.split_once('/')) {
+        ("Header", _) => HEADER.to_owned(),
+        (_, Some((package, _))) if !base.contains('/') => format!("{package}/{base}"),
+        _ => base.to_owned(),
+    };
+    if full.len() > LONGEST_NAME {
+        return Err(String::from("a type name is too long"));
+    }
+    let (index, height) = nesting.resolve(&full, layout)?;
+    Ok((Kind::Message(index), height))
+}
 
-    fn measure(&self, layout: &mut Layout, field: &Field) {
-        let (size, fixed) = element_size(&self.layouts, field.kind);
-        let (least, fixed) = match field.arity {
-            Arity::One => (size, fixed),
-            Arity::Fixed(count) => (size.saturating_mul(count), fixed),
-            Arity::Variable => (4, false),
-        };
-        layout.minimum = layout.minimum.saturating_add(least);
-        layout.fixed &= fixed;
-    }
+fn measure(layouts: &[Layout], layout: &mut Layout, field: &Field) {
+    let (size, fixed) = element_size(layouts, field.kind);
+    let (least, fixed) = match field.arity {
+        Arity::One => (size, fixed),
+        Arity::Fixed(count) => (size.saturating_mul(count), fixed),
+        Arity::Variable => (4, false),
+    };
+    layout.minimum = layout.minimum.saturating_add(least);
+    layout.fixed &= fixed;
 }
 
 /// Fewest bytes of one element, and whether it never has more.

@@ -1,9 +1,8 @@
 //! A definition of ROS 2 with every nested type resolved. What parses has no cycles and bounded depth and size.
 
-use std::collections::HashMap;
-
-use super::super::definition::{DEEPEST, LONGEST_DEFINITION, MOST_TYPES};
+use super::super::definition::{LONGEST_DEFINITION, MOST_TYPES};
 use super::super::line::Primitive;
+use super::super::nesting::{Nesting, Texts};
 use super::line::{Line, Many, is_name, parse_line, plain};
 use crate::model::topic::LONGEST_NAME;
 use crate::ros::RosError;
@@ -56,14 +55,13 @@ impl Schema {
             return Err(failed(format!("it is longer than {LONGEST_DEFINITION} bytes")));
         }
         let texts = sections(&name, text).map_err(failed)?;
-        let mut resolver = Resolver { texts, done: HashMap::new(), path: Vec::new(), interfaces: Vec::new() };
-        resolver.resolve(&name).map_err(failed)?;
-        Ok(Self { interfaces: resolver.interfaces })
+        let interfaces = Nesting::layouts_of(&name, texts, interface).map_err(failed)?;
+        Ok(Self { interfaces })
     }
 }
 
 /// Splits the text at its `MSG:` lines; a type given twice keeps its first text.
-fn sections<'a>(type_name: &str, text: &'a str) -> Result<HashMap<String, Vec<&'a str>>, String> {
+fn sections<'a>(type_name: &str, text: &'a str) -> Result<Texts<'a>, String> {
     let mut found: Vec<(String, Vec<&str>)> = vec![(type_name.to_owned(), Vec::new())];
     let mut after_rule = false;
     for line in text.lines() {
@@ -81,7 +79,7 @@ fn sections<'a>(type_name: &str, text: &'a str) -> Result<HashMap<String, Vec<&'
             return Err(format!("it has more than {MOST_TYPES} types"));
         }
     }
-    let mut texts = HashMap::new();
+    let mut texts = Texts::new();
     for (name, lines) in found {
         texts.entry(name).or_insert(lines);
     }
@@ -102,58 +100,31 @@ pub(super) fn full_name(name: &str, package: Option<&str>) -> Option<String> {
     (full.len() <= LONGEST_NAME && parts.iter().all(|part| is_name(part))).then_some(full)
 }
 
-/// Turns texts into interfaces, innermost first.
-struct Resolver<'a> {
-    texts: HashMap<String, Vec<&'a str>>,
-    /// Index and height (nested levels, itself included) of what is resolved.
-    done: HashMap<String, (usize, usize)>,
-    path: Vec<String>,
-    interfaces: Vec<Interface>,
+/// The interface of a type and how many levels it has.
+fn interface<'a>(
+    nesting: &mut Nesting<'a, Interface>,
+    name: &str,
+    lines: &[&str],
+) -> Result<(Interface, usize), String> {
+    let mut members = Vec::new();
+    let mut height = 1;
+    for line in lines {
+        let read = parse_line(line).map_err(|reason| format!("{reason} in {name}"))?;
+        let Some(Line::Field { written, base, bound, many, name: member }) = read else { continue };
+        let (of, below) = what(nesting, name, base)?;
+        height = height.max(below + 1);
+        let (name, written) = (member.to_owned(), written.to_owned());
+        members.push(Member { name, of, many, bound, written });
+    }
+    Ok((Interface { name: name.to_owned(), members }, height))
 }
 
-impl Resolver<'_> {
-    fn resolve(&mut self, name: &str) -> Result<(usize, usize), String> {
-        if self.path.iter().any(|above| above == name) {
-            return Err(format!("{name} contains itself"));
-        }
-        let known = self.done.get(name).copied();
-        if self.path.len() + known.map_or(1, |(_, height)| height) > DEEPEST {
-            return Err(format!("it is nested more than {DEEPEST} deep"));
-        }
-        if let Some(known) = known {
-            return Ok(known);
-        }
-        let lines = self.texts.get(name).cloned().ok_or_else(|| format!("the definition of {name} is missing"))?;
-        self.path.push(name.to_owned());
-        let (interface, height) = self.interface(name, &lines)?;
-        self.path.pop();
-        self.interfaces.push(interface);
-        let resolved = (self.interfaces.len() - 1, height);
-        self.done.insert(name.to_owned(), resolved);
-        Ok(resolved)
+fn what(nesting: &mut Nesting<'_, Interface>, inside: &str, base: &str) -> Result<(Of, usize), String> {
+    if let Some((primitive, number)) = plain(base) {
+        return Ok((Of::Plain { primitive, number }, 0));
     }
-
-    fn interface(&mut self, name: &str, lines: &[&str]) -> Result<(Interface, usize), String> {
-        let mut members = Vec::new();
-        let mut height = 1;
-        for line in lines {
-            let read = parse_line(line).map_err(|reason| format!("{reason} in {name}"))?;
-            let Some(Line::Field { written, base, bound, many, name: member }) = read else { continue };
-            let (of, below) = self.of(name, base)?;
-            height = height.max(below + 1);
-            let (name, written) = (member.to_owned(), written.to_owned());
-            members.push(Member { name, of, many, bound, written });
-        }
-        Ok((Interface { name: name.to_owned(), members }, height))
-    }
-
-    fn of(&mut self, inside: &str, base: &str) -> Result<(Of, usize), String> {
-        if let Some((primitive, number)) = plain(base) {
-            return Ok((Of::Plain { primitive, number }, 0));
-        }
-        let package = inside.split('/').next();
-        let full = full_name(base, package).ok_or_else(|| format!("a type's name is broken in {inside}"))?;
-        let (index, height) = self.resolve(&full)?;
-        Ok((Of::Interface(index), height))
-    }
+    let package = inside.split('/').next();
+    let full = full_name(base, package).ok_or_else(|| format!("a type's name is broken in {inside}"))?;
+    let (index, height) = nesting.resolve(&full, interface)?;
+    Ok((Of::Interface(index), height))
 }

@@ -1,0 +1,60 @@
+//! Types made of types: texts are turned into layouts, innermost first. What comes out has no cycles and is at most
+//! [`DEEPEST`] deep.
+
+use std::collections::HashMap;
+
+/// The deepest nesting of messages.
+pub const DEEPEST: usize = 16;
+
+/// The lines of each type, by its full name.
+pub(super) type Texts<'a> = HashMap<String, Vec<&'a str>>;
+
+/// Makes a type's layout and height of its lines; for the types inside it calls [`Nesting::resolve`] with itself.
+pub(super) type Make<'a, T> = fn(&mut Nesting<'a, T>, &str, &[&str]) -> Result<(T, usize), String>;
+
+/// The types of one definition, as far as they are resolved.
+pub(super) struct Nesting<'a, T> {
+    texts: Texts<'a>,
+    /// Index and height (nested levels, itself included) of what is resolved.
+    done: HashMap<String, (usize, usize)>,
+    path: Vec<String>,
+    /// Every one comes after those it is made of.
+    pub layouts: Vec<T>,
+}
+
+impl<'a, T> Nesting<'a, T> {
+    /// The layouts of `name` and of all it is made of, itself last.
+    ///
+    /// # Errors
+    /// In words: a type that is missing, contains itself or lies too deep, and what `make` finds wrong.
+    pub fn layouts_of(name: &str, texts: Texts<'a>, make: Make<'a, T>) -> Result<Vec<T>, String> {
+        let mut nesting = Self { texts, done: HashMap::new(), path: Vec::new(), layouts: Vec::new() };
+        nesting.resolve(name, make)?;
+        Ok(nesting.layouts)
+    }
+
+    /// Index and height of a type's layout.
+    ///
+    /// # Errors
+    /// As [`Nesting::layouts_of`] has them.
+    pub fn resolve(&mut self, name: &str, make: Make<'a, T>) -> Result<(usize, usize), String> {
+        if self.path.iter().any(|above| above == name) {
+            return Err(format!("{name} contains itself"));
+        }
+        let known = self.done.get(name).copied();
+        if self.path.len() + known.map_or(1, |(_, height)| height) > DEEPEST {
+            return Err(format!("it is nested more than {DEEPEST} deep"));
+        }
+        if let Some(known) = known {
+            return Ok(known);
+        }
+        let lines = self.texts.get(name).cloned().ok_or_else(|| format!("the definition of {name} is missing"))?;
+        self.path.push(name.to_owned());
+        let (layout, height) = make(self, name, &lines)?;
+        self.path.pop();
+        self.layouts.push(layout);
+        let resolved = (self.layouts.len() - 1, height);
+        self.done.insert(name.to_owned(), resolved);
+        Ok(resolved)
+    }
+}
