@@ -92,6 +92,8 @@ pub(super) enum Failure {
     Claim(usize, String),
     #[error("it has more fields than can be shown")]
     Costly,
+    #[error("as JSON it would be more than 64 times as long; write its bytes to a .bin file instead")]
+    Long,
     #[error("what was read of it could not be written")]
     Written,
     #[error("it does not begin as CDR does")]

@@ -1,7 +1,7 @@
 //! The whole message as JSON, written while it is read: nothing is left out and nothing is kept in memory.
 //! Every text is whole; characters that a terminal must not see are escaped.
 
-use std::io::Write;
+use std::io::{self, Write};
 
 use super::decode::{Failure, Limits, Walk};
 use super::definition::{Definition, Field, Kind, Layout};
@@ -13,29 +13,64 @@ use crate::ros::RosError;
 impl Definition {
     /// Writes the whole message as JSON, fields in their order, numbers as they are, numbers that JSON lacks as
     /// text (`NaN`, `inf`), times as `{secs, nsecs}`, arrays of bytes as arrays of numbers. A body of n bytes
-    /// becomes at most about 40 n bytes of text; no memory is used beside.
+    /// becomes at most `64 n` + 16 MiB of text, since names of fields come again with every element; no memory is used
+    /// beside.
     ///
     /// # Errors
-    /// [`RosError::Body`] where the body does not fit the definition, or `out` cannot be written.
+    /// [`RosError::Body`] where the body does not fit the definition, would become more text than that, or `out` cannot
+    /// be written.
     pub fn write_json(&self, body: &[u8], out: &mut dyn Write) -> Result<(), RosError> {
         let failed = |failure: Failure| RosError::body(self.type_name(), failure.to_string());
         let root = self.root().ok_or_else(|| RosError::body("", "the definition is empty"))?;
         let steps = body.len().saturating_mul(3).saturating_add(100_000);
         let walk = self.walk(body, Limits { steps, ..Limits::default() }).map_err(failed)?;
-        let mut export = Export { walk, out };
+        let left = body.len().saturating_mul(GROWTH).saturating_add(LEAST);
+        let mut export = Export { walk, out: Bounded { out, left, full: false } };
         export.message(root).map_err(failed)?;
         export.walk.end().map_err(failed)
     }
 }
 
+/// The most bytes of text for a byte of the body.
+const GROWTH: usize = 64;
+/// Bytes of text that every body may become.
+const LEAST: usize = 16 << 20;
+
+/// Takes so many bytes and no more.
+struct Bounded<'a> {
+    out: &'a mut dyn Write,
+    left: usize,
+    full: bool,
+}
+
+impl Write for Bounded<'_> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let Some(left) = self.left.checked_sub(bytes.len()) else {
+            self.full = true;
+            return Err(io::ErrorKind::FileTooLarge.into());
+        };
+        let written = self.out.write(bytes)?;
+        self.left = left + (bytes.len() - written);
+        Ok(written)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.out.flush()
+    }
+}
+
 struct Export<'a> {
     walk: Walk<'a>,
-    out: &'a mut dyn Write,
+    out: Bounded<'a>,
 }
 
 impl<'a> Export<'a> {
+    fn unwritten(&self) -> Failure {
+        if self.out.full { Failure::Long } else { Failure::Written }
+    }
+
     fn text(&mut self, text: &str) -> Result<(), Failure> {
-        self.out.write_all(text.as_bytes()).map_err(|_| Failure::Written)
+        self.out.write_all(text.as_bytes()).map_err(|_| self.unwritten())
     }
 
     fn message(&mut self, layout: &'a Layout) -> Result<(), Failure> {
@@ -88,7 +123,7 @@ impl<'a> Export<'a> {
     }
 
     fn plain(&mut self, value: &Value) -> Result<(), Failure> {
-        serde_json::to_writer(&mut *self.out, value).map_err(|_| Failure::Written)
+        serde_json::to_writer(&mut self.out, value).map_err(|_| self.unwritten())
     }
 }
 
@@ -125,5 +160,18 @@ mod tests {
         assert!(!json.contains(['\u{1b}', '\u{202e}', '\u{e0041}']), "{json}");
         let back: serde_json::Value = serde_json::from_str(&json).expect("JSON");
         assert_eq!(back["t"], text);
+    }
+
+    #[test]
+    fn long_names_do_not_blow_a_body_up_without_end() {
+        let name = "n".repeat(200);
+        let text = format!("Small[] many\n{}\nMSG: a/Small\nuint8 {name}\n", "=".repeat(80));
+        let body = |count: u32| [count.to_le_bytes().to_vec(), vec![1; count as usize]].concat();
+        assert!(json(&text, &body(10_000)).is_some(), "two megabytes are taken");
+        let mut out = Vec::new();
+        let definition = Definition::parse("a/Root", &text).expect("definition");
+        let error = definition.write_json(&body(400_000), &mut out).expect_err("80 MB of text");
+        assert!(error.to_string().contains("as JSON"), "{error}");
+        assert!(out.len() <= 64 * 400_004 + (16 << 20), "{}", out.len());
     }
 }
