@@ -3,54 +3,27 @@
 //! `start` brings the parts up in the background; requests wait for the parts they need. One
 //! process of a home is the site, further ones join it over the socket (`service::socket`).
 
-mod adoption;
 mod agent;
 mod audit;
-mod backing_up;
+mod backup;
 mod beat;
 mod capture;
-mod chain_link;
+mod chain;
 mod clock;
 mod contacts;
 mod devices;
-mod disk;
-mod enrolling;
-mod epochs;
-mod exposure;
-mod foreseeing;
 mod gateway;
 mod handle;
 mod identity;
-mod integrity;
-mod keys;
-mod lanes;
 mod mirror;
-mod naming;
-mod opening;
-mod operating;
-mod overdue;
-mod owners;
-mod pairs;
 mod pins;
-mod policy;
 mod quarantine;
-mod record_audit;
+mod reading;
 mod recordings;
-mod refusals;
-mod remote;
-mod retaining;
-mod revoking;
-mod robots;
 mod sharing;
-mod statements;
 mod status;
-mod succession;
+mod storage;
 mod supervision;
-mod telling;
-mod topics;
-mod uploads;
-mod view;
-mod viewing;
 mod workers;
 
 use std::collections::{BTreeMap, BTreeSet, HashSet};
@@ -61,11 +34,11 @@ use std::time::{Duration, Instant};
 use tokio::sync::{broadcast, mpsc, watch};
 
 pub use agent::{Agent, AgentEnd, AgentFigures, AgentWishes};
-pub use chain_link::NetworkState;
-pub use enrolling::EnrolWishes;
-pub(super) use enrolling::Enrolled;
-pub use robots::RosState;
-pub use view::record_page;
+pub use capture::ros::RosState;
+pub use chain::link::NetworkState;
+pub use devices::enrolling::EnrolWishes;
+pub(super) use devices::enrolling::Enrolled;
+pub use reading::view::record_page;
 
 use super::client::{Call, Client};
 use super::event::{Event, Part};
@@ -108,7 +81,7 @@ pub struct Site {
     pub(crate) sender: Arc<Sender>,
     recorder: Arc<Recorder>,
     /// The gateway that this site serves, if it does.
-    served_gateway: Mutex<Option<operating::Serving>>,
+    served_gateway: Mutex<Option<gateway::status::Serving>>,
     pins: Arc<Pins>,
     /// Quarantine records are sealed one at a time.
     reporting: tokio::sync::Mutex<()>,
@@ -117,7 +90,7 @@ pub struct Site {
     audit: AuditLog,
     /// Heads of records opened for lists.
     heads: Heads,
-    refusals: refusals::Refusals,
+    refusals: audit::refusals::Refusals,
     reserve: Reserve,
     /// Space for the states of records on a full disk.
     states: Reserve,
@@ -142,13 +115,13 @@ pub struct Site {
     /// The newest head, and when the chain told it.
     head_seen: Mutex<Option<(Instant, BlockRef)>>,
     /// The gateway through which this site joins another one.
-    remote: Option<remote::Remote>,
+    remote: Option<mirror::remote::Remote>,
     guests: AtomicUsize,
     deploying: tokio::sync::Mutex<()>,
     /// Who may use the gateway of this home, as far as it was read; changes happen one at a time.
     admitted: RwLock<Option<BTreeSet<Address>>>,
     admitting: tokio::sync::Mutex<()>,
-    witnesses: Mutex<lanes::Witnesses>,
+    witnesses: Mutex<chain::lanes::Witnesses>,
     sealer: Mutex<Option<std::thread::JoinHandle<()>>>,
     ros_task: Mutex<Option<tokio::task::JoinHandle<()>>>,
     _lock: SiteLock,
@@ -172,10 +145,10 @@ impl Site {
         // Robots are where the gateway is.
         let needs = Needs { ros: needs.ros && config.site.is_none(), ..needs };
         let provider = provider(config.provider);
-        let remote = config.site.as_ref().map(|site| remote::Remote::new(site, &home, provider)).transpose()?;
+        let remote = config.site.as_ref().map(|site| mirror::remote::Remote::new(site, &home, provider)).transpose()?;
         let (events, _) = broadcast::channel(1024);
         let hub = Arc::new(Hub::new(events));
-        let (ledger, copied) = disk::open_ledger(&home)?;
+        let (ledger, copied) = storage::room::open_ledger(&home)?;
         let vault = open_vault(config.vault_url.as_deref(), &home.vault())?;
         let backlog = config.vault_backlog;
         let plant = Plant { ledger: ledger.clone(), vault, provider, observer: hub.clone(), backlog };
@@ -183,7 +156,7 @@ impl Site {
         let losses = Arc::new(Losses::default());
         let recorder = Recorder::new(Arc::clone(&rings), Arc::clone(&losses), hub.clone());
         let (reserve, reserved) = Reserve::open(&home.reserve(), RESERVE_BYTES);
-        let states = disk::working_reserve(&home, config.disk_reserve);
+        let states = storage::room::working_reserve(&home, config.disk_reserve);
         let rules = PinRules { mode: config.pin_mode, listed: config.publishers.clone() };
         let pins = Arc::new(Pins::new(ledger.clone(), hub.clone(), rules));
         let recorder = recorder.with_pins(Arc::clone(&pins)).with_rules(config.topic_rules.clone());
@@ -194,7 +167,7 @@ impl Site {
             sender: Arc::new(Sender::new(ledger, hub.clone(), Policy { cap: config.max_fee })),
             audit: AuditLog::new(plant.ledger.clone()),
             heads: Heads::default(),
-            refusals: refusals::Refusals::default(),
+            refusals: audit::refusals::Refusals::default(),
             served_gateway: Mutex::default(),
             reserve,
             states,

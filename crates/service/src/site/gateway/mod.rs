@@ -8,6 +8,7 @@ mod live;
 mod passing;
 mod reading;
 mod standing;
+pub(super) mod status;
 
 use std::collections::BTreeSet;
 use std::net::SocketAddr;
@@ -18,7 +19,6 @@ use tokio::sync::{oneshot, watch};
 use tokio::task::block_in_place;
 
 use super::Site;
-use super::operating::Serving;
 use crate::crypto::{Fingerprint, SmKeyPair};
 use crate::gateway::{Cabinet, Context, Limits, Schedule, Server};
 use crate::model::{Address, AnchorMode, Domain, Timestamp};
@@ -26,6 +26,7 @@ use crate::pipeline::Owner;
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::{input, refused};
 use crate::service::reply::{Failure, GatewayView};
+use status::Serving;
 
 /// How long requests under way may take when the gateway ends.
 const FAREWELL: Duration = Duration::from_secs(3);

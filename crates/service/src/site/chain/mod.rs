@@ -1,0 +1,7 @@
+//! The chain: the link to it, the accounts that anchor, its administration, and its change for another one.
+
+mod administration;
+mod adoption;
+mod exposure;
+pub(super) mod lanes;
+pub(super) mod link;

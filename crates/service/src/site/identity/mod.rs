@@ -1,0 +1,163 @@
+//! Profiles of the home: making, opening and showing them.
+
+mod foreseeing;
+mod keys;
+mod pairs;
+mod registration;
+
+use std::sync::{Arc, PoisonError};
+
+use super::Site;
+use crate::crypto::{Fingerprint, Keyring, Passphrase, UnlockedKeyring, read_public};
+use crate::model::ProfileName;
+use crate::pipeline::{Owner, adoption};
+use crate::service::command::SecretText;
+use crate::service::event::{NoticeLevel, Part};
+use crate::service::failure::refused;
+use crate::service::reply::{Failure, IdentityView};
+
+impl Site {
+    /// Makes keys and a keyring for a new profile, and opens it.
+    pub(super) async fn create_identity(
+        self: &Arc<Self>,
+        profile: ProfileName,
+        secret: SecretText,
+    ) -> Result<IdentityView, Failure> {
+        let path = self.home.keyring(&profile);
+        if path.exists() {
+            return Err(refused(format!(
+                "profile '{profile}' exists already; `authros --profile {profile} identity show` shows it"
+            )));
+        }
+        let passphrase = Passphrase::new(secret.expose().to_owned())?;
+        let unlocked = self
+            .blocking(move |site| {
+                let keyring = Keyring::generate(site.plant.provider)?;
+                Ok(UnlockedKeyring::create(keyring, &path, &passphrase)?)
+            })
+            .await?;
+        self.adopt_owner(profile.clone(), unlocked);
+        self.record_audit(&profile, "create identity", "keys", "done").await?;
+        self.identity_view(&profile).await
+    }
+
+    /// Opens the keyring of a profile for this site.
+    pub(super) async fn unlock(
+        self: &Arc<Self>,
+        profile: ProfileName,
+        secret: SecretText,
+    ) -> Result<IdentityView, Failure> {
+        let there = self.owner(&profile);
+        if there.as_ref().is_none_or(|owner| owner.is_locked()) {
+            let path = self.home.keyring(&profile);
+            let passphrase = Passphrase::new(secret.expose().to_owned())?;
+            let opened = self.blocking(move |_| Ok(UnlockedKeyring::open(&path, &passphrase)?)).await;
+            let outcome = if opened.is_ok() { "done" } else { "refused" };
+            self.record_audit(&profile, "unlock", "keyring", outcome).await?;
+            match there {
+                Some(owner) => owner.unlock(opened?),
+                None => drop(self.adopt_owner(profile.clone(), opened?)),
+            }
+            self.changed(Part::Identity);
+        }
+        if let (Some(owner), Some(_)) = (self.owner(&profile), self.network_now()) {
+            self.resume_owner(&owner).await?;
+        }
+        self.identity_view(&profile).await
+    }
+
+    /// Protects a keyring by another passphrase. The file is replaced in one step: it opens with the one or the other.
+    pub(super) async fn change_passphrase(
+        self: &Arc<Self>,
+        profile: &ProfileName,
+        old: SecretText,
+        new: SecretText,
+    ) -> Result<(), Failure> {
+        let path = self.home.keyring(profile);
+        if !path.exists() {
+            return Err(refused(format!("profile '{profile}' has no identity yet; there is no passphrase to change")));
+        }
+        let (old, new) = (Passphrase::new(old.expose().to_owned())?, Passphrase::new(new.expose().to_owned())?);
+        self.record_audit(profile, "change passphrase", "keyring", "begun").await?;
+        let owner = self.owner(profile).filter(|owner| !owner.is_locked());
+        // No save of the keyring under the old passphrase may come after it.
+        let _one_at_a_time = match &owner {
+            Some(owner) => Some(owner.changes.lock().await),
+            None => None,
+        };
+        let open = owner.clone();
+        let changed = self.blocking(move |_| {
+            // Also of an open keyring: who asks knows the present one.
+            let mut kept = UnlockedKeyring::open(&path, &old)?;
+            match &open {
+                Some(owner) => owner.keyring().change_passphrase(&new)?,
+                None => kept.change_passphrase(&new)?,
+            }
+            Ok(())
+        });
+        let changed = changed.await;
+        let outcome = if changed.is_ok() { "done" } else { "refused" };
+        self.record_audit(profile, "change passphrase", "keyring", outcome).await?;
+        changed
+    }
+
+    /// Puts an open keyring into the site, in place of the profile's former one.
+    pub(super) fn adopt_owner(self: &Arc<Self>, profile: ProfileName, keyring: UnlockedKeyring) -> Arc<Owner> {
+        let owner = Arc::new(Owner::new(profile.clone(), keyring));
+        self.pins.introduce(owner.address, profile.as_str());
+        self.owners.write().unwrap_or_else(PoisonError::into_inner).insert(profile, Arc::clone(&owner));
+        self.seal_as_before(&owner);
+        self.work_for(&owner);
+        self.restore_watches(&owner);
+        self.changed(Part::Identity);
+        owner
+    }
+
+    /// Seals under the newest epoch of the keyring until the chain says how it stands, so that a start costs no message
+    /// and capture needs no chain; only where the chain is known to have an epoch of this owner.
+    fn seal_as_before(&self, owner: &Owner) {
+        let Ok(Some(pin)) = self.pin() else { return };
+        let domain = adoption::domain_of(&pin);
+        let newest = owner.epochs(domain).last().copied().filter(|_| owner.has_registered_epoch(domain));
+        if let Some(Err(error)) = newest.map(|epoch| owner.seal_under(domain, epoch)) {
+            self.hub.notice(NoticeLevel::Warning, &error.to_string());
+        }
+    }
+
+    /// Opens an owner anew after its account changed.
+    pub(super) fn reopen_owner(self: &Arc<Self>, owner: &Arc<Owner>) -> Arc<Owner> {
+        let keyring = owner.keyring().duplicate();
+        self.adopt_owner(owner.profile.clone(), keyring)
+    }
+
+    /// The public side of a profile; needs no passphrase.
+    pub(super) async fn identity_view(self: &Arc<Self>, profile: &ProfileName) -> Result<IdentityView, Failure> {
+        let path = self.home.keyring(profile);
+        let owner = self.owner(profile);
+        let mut view = IdentityView {
+            profile: profile.clone(),
+            exists: path.exists(),
+            unlocked: owner.is_some_and(|owner| !owner.is_locked()),
+            registered: false,
+            address: None,
+            epoch: None,
+            signing_key: None,
+            fingerprint: None,
+            envelope_key: None,
+        };
+        if !view.exists {
+            return Ok(view);
+        }
+        let public = self.blocking(move |_| Ok(read_public(&path)?)).await?;
+        view.address = Some(public.address);
+        view.signing_key = Some(public.signing);
+        view.envelope_key = Some(public.envelope);
+        view.fingerprint = Some(Fingerprint::of(&public.signing).to_string());
+        if let Ok(network) = self.network().await {
+            view.registered =
+                network.directory.identity(public.address).is_ok_and(|identity| identity.signing == public.signing);
+            view.epoch = Some(network.directory.epoch(public.address)).filter(|epoch| *epoch > 0);
+        }
+        Ok(view)
+    }
+}
