@@ -106,7 +106,7 @@ impl Agent {
         sealed.catch_up(&kept)?;
         let enrolment = &sealed.enrolment;
         let topics = topics(enrolment, &wishes.topics)?;
-        site.record_audit(&enrolment.name, "agent", &enrolment.device_id().to_string(), "begun").await?;
+        site.log.write(&enrolment.name, "agent", &enrolment.device_id().to_string(), "begun").await?;
         let author = Arc::new(Author::new(enrolment.owner));
         author.obey(enrolment);
         let (name, forwarder) = (enrolment.name.clone(), block_in_place(|| forwarder(site, enrolment))?);

@@ -1,10 +1,10 @@
 //! The machine's clock beside one that does not jump: a jump is told, written into the audit log, and part of the
 //! site's health until it is over or believed.
 
-use std::sync::{Arc, PoisonError};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use super::Site;
+use super::{Site, blocking};
 use crate::model::ProfileName;
 use crate::model::steady_clock::{Reading, SETTLING, look};
 use crate::service::event::{NoticeLevel, Part};
@@ -39,8 +39,8 @@ impl Site {
         let begun = Instant::now();
         let (mut before, mut ahead) = (gained(&look(), begun), 0);
         self.compare_with_records().await;
-        while !self.is_stopping() {
-            if !self.beat(LOOK).await {
+        while !self.life.is_stopping() {
+            if !self.life.beat(LOOK).await {
                 return;
             }
             let reading = look();
@@ -70,7 +70,7 @@ impl Site {
             self.hub.notice_about(ABOUT, NoticeLevel::Error, &text);
         }
         self.note_clock(&format!("jumped {}", span(jump))).await;
-        self.changed(Part::Health);
+        self.hub.changed(Part::Health);
     }
 
     async fn tell_belief(self: &Arc<Self>) {
@@ -80,13 +80,13 @@ impl Site {
         );
         self.hub.notice_about(ABOUT, NoticeLevel::Info, &text);
         self.note_clock("the new time is gone by").await;
-        self.changed(Part::Health);
-        self.changed(Part::Grants);
+        self.hub.changed(Part::Health);
+        self.hub.changed(Part::Grants);
     }
 
     /// A machine without a battery wakes up in the past.
     async fn compare_with_records(self: &Arc<Self>) {
-        let Ok(Some(newest)) = self.blocking(|site| Ok(site.plant.ledger.newest_capture()?)).await else { return };
+        let Ok(Some(newest)) = blocking(self, |site| Ok(site.plant.ledger.newest_capture()?)).await else { return };
         let behind = newest.seconds().saturating_sub(look().machine.seconds());
         if i64::try_from(behind).is_ok_and(|behind| behind >= SHORTEST) {
             let text = format!(
@@ -99,9 +99,9 @@ impl Site {
     }
 
     async fn note_clock(self: &Arc<Self>, subject: &str) {
-        let open = self.all_owners().first().map(|owner| owner.profile.clone());
+        let open = self.owners.all().first().map(|owner| owner.profile.clone());
         let Some(profile) = open.or_else(|| NOBODY.parse::<ProfileName>().ok()) else { return };
-        let written: Result<(), Failure> = self.record_audit(&profile, "clock", subject, "noticed").await;
+        let written: Result<(), Failure> = self.log.write(&profile, "clock", subject, "noticed").await;
         if let Err(failure) = written {
             self.hub.notice(NoticeLevel::Error, &failure.message);
         }
@@ -110,8 +110,8 @@ impl Site {
     /// How the clock is, where there is something to say of it.
     pub(super) fn clock_health(&self) -> Option<PartHealth> {
         let reading = look();
-        let head = *self.head_seen.lock().unwrap_or_else(PoisonError::into_inner);
-        let chain = head.map_or(0, |(_, head)| head.timestamp.saturating_sub(reading.steady.seconds()));
+        let head = self.link.newest_head();
+        let chain = head.map_or(0, |head| head.timestamp.saturating_sub(reading.steady.seconds()));
         let text = if reading.ahead().abs() >= SHORTEST {
             format!("jumped {}, not followed until it has stood for {} s", span(reading.ahead()), SETTLING.as_secs())
         } else if chain > CHAIN_AHEAD {

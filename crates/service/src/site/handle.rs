@@ -32,7 +32,7 @@ impl Site {
     #[allow(clippy::too_many_lines, reason = "an arm for each request")]
     pub async fn handle(self: &Arc<Self>, request: Request, claims: &Claims) -> Result<Reply, Failure> {
         let Request { profile, command } = request;
-        let owner = || self.unlocked(&profile);
+        let owner = || self.owners.unlocked(&profile);
         match command {
             Command::OpenConsole => self.claim(profile, claims).map(ask::OpenConsole::told),
             Command::CreateIdentity { passphrase } => {
@@ -152,13 +152,13 @@ impl Site {
                 served.map(ask::ServeGateway::told)
             }
             Command::SiteStatus => self.site_view(&profile).await.map(ask::SiteStatus::told),
-            Command::ListAudit(query) => self.audit_lines(query).await.map(ask::ListAudit::told),
+            Command::ListAudit(query) => self.log.list(query).await.map(ask::ListAudit::told),
             Command::VerifyAudit { heads } => {
                 let owner = if heads { Some(owner()?) } else { None };
-                self.verify_audit(owner).await.map(ask::VerifyAudit::told)
+                self.audit.verify(owner).await.map(ask::VerifyAudit::told)
             }
             Command::ExportAudit { addresses } => {
-                self.export_audit(&owner()?, addresses).await.map(ask::ExportAudit::told)
+                self.log.export(&owner()?, addresses).await.map(ask::ExportAudit::told)
             }
             Command::OfStore(command) => self.handle_store(&profile, command).await,
             Command::Operate(operation) => self.operate(&profile, operation).await,
@@ -168,7 +168,7 @@ impl Site {
     async fn handle_store(self: &Arc<Self>, profile: &ProfileName, command: StoreCommand) -> Result<Reply, Failure> {
         match command {
             StoreCommand::AuditRecords { deep, since } => {
-                self.audit_records(deep, since).await.map(Box::new).map(ask::AuditRecords::told)
+                self.audit.records(self.pin()?.is_some(), deep, since).await.map(Box::new).map(ask::AuditRecords::told)
             }
             StoreCommand::ListAllUploads(query) => self.list_all_uploads(query).await.map(ask::ListAllUploads::told),
             StoreCommand::BackUp { file, passphrase } => {
@@ -179,7 +179,7 @@ impl Site {
 
     /// The profile's owner, once what others share with it is known up to now.
     async fn caught_up_owner(self: &Arc<Self>, profile: &ProfileName) -> Result<Arc<Owner>, Failure> {
-        let owner = self.unlocked(profile)?;
+        let owner = self.owners.unlocked(profile)?;
         self.caught_up(profile).await?;
         Ok(owner)
     }

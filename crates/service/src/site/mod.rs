@@ -6,7 +6,6 @@
 mod agent;
 mod audit;
 mod backup;
-mod beat;
 mod capture;
 mod chain;
 mod clock;
@@ -15,6 +14,7 @@ mod devices;
 mod gateway;
 mod handle;
 mod identity;
+mod lifetime;
 mod mirror;
 mod pins;
 mod quarantine;
@@ -26,8 +26,8 @@ mod storage;
 mod supervision;
 mod workers;
 
-use std::collections::{BTreeMap, BTreeSet, HashSet};
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::collections::{BTreeSet, HashSet};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, RwLock};
 use std::time::{Duration, Instant};
 
@@ -40,12 +40,17 @@ pub use devices::enrolling::EnrolWishes;
 pub(super) use devices::enrolling::Enrolled;
 pub use reading::view::record_page;
 
+use audit::{Audit, Log};
+use chain::link::Link;
+use identity::owners::Owners;
+use lifetime::Lifetime;
+use supervision::Supervisor;
+
 use super::client::{Call, Client};
-use super::event::{Event, Part};
+use super::event::Event;
 use super::failure::internal;
 use super::hub::Hub;
 use super::reply::Failure;
-use crate::chain::BlockRef;
 use crate::config::Config;
 use crate::crypto::provider;
 use crate::model::{Address, ProfileName};
@@ -55,7 +60,7 @@ use crate::pipeline::recorder::CapturedMessage;
 use crate::pipeline::ring::Rings;
 use crate::pipeline::sender::Policy;
 use crate::pipeline::{CaptureSession, Losses, Owner, PinRules, Pins, Plant, Recorder, Sender};
-use crate::store::{AuditLog, RESERVE_BYTES, Reserve, SiteLock, open_vault};
+use crate::store::{RESERVE_BYTES, Reserve, SiteLock, open_vault};
 
 /// How long the nodes may take to leave the ROS graph.
 const LEAVING: Duration = Duration::from_secs(2);
@@ -74,7 +79,7 @@ pub struct Needs {
 /// Everything of a running site.
 pub struct Site {
     pub(crate) home: Home,
-    pub(crate) config: Config,
+    pub(crate) config: Arc<Config>,
     /// Ledger, vault and provider, which all its workers share.
     pub plant: Plant,
     pub(crate) hub: Arc<Hub>,
@@ -87,33 +92,27 @@ pub struct Site {
     reporting: tokio::sync::Mutex<()>,
     rings: Arc<Rings<CapturedMessage>>,
     losses: Arc<Losses>,
-    audit: AuditLog,
+    life: Arc<Lifetime>,
+    supervisor: Arc<Supervisor>,
+    pub(crate) log: Arc<Log>,
+    owners: Arc<Owners>,
+    link: Arc<Link>,
+    audit: Arc<Audit>,
     /// Heads of records opened for lists.
     heads: Heads,
-    refusals: audit::refusals::Refusals,
-    reserve: Reserve,
+    reserve: Arc<Reserve>,
     /// Space for the states of records on a full disk.
     states: Reserve,
     /// Changes of the watch lists happen one at a time.
     watching: Mutex<()>,
     /// Changes of the address book happen one at a time.
     contacts: tokio::sync::Mutex<()>,
-    owners: RwLock<BTreeMap<ProfileName, Arc<Owner>>>,
     consoles: Mutex<HashSet<ProfileName>>,
     captures: Mutex<Vec<(ProfileName, Arc<CaptureSession>)>>,
     recordings: recordings::Runs,
     /// How many look at every topic of the graph now.
     learning: AtomicUsize,
-    network: watch::Sender<NetworkState>,
-    scanned: watch::Sender<u64>,
     ros: watch::Sender<RosState>,
-    stopping: watch::Sender<bool>,
-    /// Set as soon as the site was told to end; background tasks are not begun again from then on.
-    ending: AtomicBool,
-    tasks: supervision::Tasks,
-    chain_silent: AtomicBool,
-    /// The newest head, and when the chain told it.
-    head_seen: Mutex<Option<(Instant, BlockRef)>>,
     /// The gateway through which this site joins another one.
     remote: Option<mirror::remote::Remote>,
     guests: AtomicUsize,
@@ -160,14 +159,34 @@ impl Site {
         let rules = PinRules { mode: config.pin_mode, listed: config.publishers.clone() };
         let pins = Arc::new(Pins::new(ledger.clone(), hub.clone(), rules));
         let recorder = recorder.with_pins(Arc::clone(&pins)).with_rules(config.topic_rules.clone());
+        let (config, reserve, life) = (Arc::new(config), Arc::new(reserve), Arc::new(Lifetime::new()));
+        let supervisor = Arc::new(Supervisor::new(Arc::clone(&hub), Arc::clone(&life)));
+        let log = Arc::new(Log::new(ledger.clone(), Arc::clone(&hub)));
+        let (open, opened) = mpsc::unbounded_channel();
+        let owners = Arc::new(Owners::new(home.clone(), open));
+        let link = Arc::new(Link::new(Arc::clone(&hub), needs.chain));
+        let audit = Audit {
+            config: Arc::clone(&config),
+            plant: plant.clone(),
+            hub: Arc::clone(&hub),
+            log: Arc::clone(&log),
+            owners: Arc::clone(&owners),
+            link: Arc::clone(&link),
+            life: Arc::clone(&life),
+            reserve: Arc::clone(&reserve),
+        };
         let site = Arc::new(Self {
             recorder: Arc::new(recorder),
             pins,
             reporting: tokio::sync::Mutex::default(),
             sender: Arc::new(Sender::new(ledger, hub.clone(), Policy { cap: config.max_fee })),
-            audit: AuditLog::new(plant.ledger.clone()),
+            life,
+            supervisor,
+            log,
+            owners,
+            link,
+            audit: Arc::new(audit),
             heads: Heads::default(),
-            refusals: audit::refusals::Refusals::default(),
             served_gateway: Mutex::default(),
             reserve,
             states,
@@ -179,19 +198,11 @@ impl Site {
             hub,
             rings,
             losses,
-            owners: RwLock::default(),
             consoles: Mutex::default(),
             captures: Mutex::default(),
             recordings: Mutex::default(),
             learning: AtomicUsize::new(0),
-            network: watch::channel(if needs.chain { NetworkState::Connecting } else { NetworkState::Off }).0,
-            scanned: watch::channel(0).0,
             ros: watch::channel(if needs.ros { RosState::Starting } else { RosState::Off }).0,
-            stopping: watch::channel(false).0,
-            ending: AtomicBool::new(false),
-            tasks: supervision::Tasks::default(),
-            chain_silent: AtomicBool::new(false),
-            head_seen: Mutex::default(),
             remote,
             guests: AtomicUsize::new(0),
             deploying: tokio::sync::Mutex::default(),
@@ -207,7 +218,7 @@ impl Site {
             let text = format!("no space could be set aside for a revoke on a full disk: {error}");
             site.hub.notice(super::event::NoticeLevel::Warning, &text);
         }
-        workers::start(&site, needs)?;
+        workers::start(&site, needs, opened)?;
         if copied {
             tokio::spawn(Arc::clone(&site).tell_of_copy());
         }
@@ -245,10 +256,6 @@ impl Site {
         self.hub.events().subscribe()
     }
 
-    pub(crate) fn changed(&self, part: Part) {
-        self.hub.changed(part);
-    }
-
     /// A joined process asks something; counted until the guard is dropped.
     pub(super) fn welcome(self: &Arc<Self>) -> Guest {
         self.guests.fetch_add(1, Ordering::AcqRel);
@@ -260,21 +267,33 @@ impl Site {
         self.guests.load(Ordering::Acquire)
     }
 
-    /// Whether the site is ending.
-    pub fn is_stopping(&self) -> bool {
-        *self.stopping.borrow()
-    }
-
-    /// Whether the site was told to end; it may still be storing what was captured.
-    pub(super) fn is_ending(&self) -> bool {
-        self.ending.load(Ordering::Acquire)
-    }
-
     /// Waits until the site is ending.
     pub async fn stopped(&self) {
-        let mut stopping = self.stopping.subscribe();
-        // An error means that the site is gone, which is an end too.
-        drop(stopping.wait_for(|stopping| *stopping).await);
+        self.life.stopped().await;
+    }
+
+    /// The chain, as soon as the first attempt has ended.
+    ///
+    /// # Errors
+    /// Why the link is down.
+    pub async fn chain(&self) -> Result<crate::chain::Chain, Failure> {
+        self.link.chain().await
+    }
+
+    /// The network with its contract.
+    ///
+    /// # Errors
+    /// Why the link is down, or that no contract is known yet.
+    pub async fn network(&self) -> Result<crate::pipeline::Network, Failure> {
+        self.link.network().await
+    }
+
+    /// The owner behind a profile that is unlocked here.
+    ///
+    /// # Errors
+    /// That it is locked or not there.
+    pub fn unlocked(&self, profile: &ProfileName) -> Result<Arc<Owner>, Failure> {
+        self.owners.unlocked(profile)
     }
 
     /// Times of the line since the site began.
@@ -282,10 +301,19 @@ impl Site {
         &self.hub.stages
     }
 
+    /// Keeps work for the whole site going until the site ends; aborting the handle ends it.
+    pub(crate) fn supervise<Work, Run>(self: &Arc<Self>, name: &str, work: Work) -> tokio::task::JoinHandle<()>
+    where
+        Work: Fn(Arc<Self>) -> Run + Send + 'static,
+        Run: Future<Output = ()> + Send + 'static,
+    {
+        self.supervisor.keep(name, self, work)
+    }
+
     /// Ends the site within five seconds: no further capture, all captured messages acknowledged, files closed.
     pub async fn stop(self: Arc<Self>) {
         let begun = Instant::now();
-        self.ending.store(true, Ordering::Release);
+        self.life.end();
         self.ros.send_replace(RosState::Off);
         let ros = self.ros_task.lock().unwrap_or_else(std::sync::PoisonError::into_inner).take();
         if let Some(task) = ros {
@@ -299,9 +327,9 @@ impl Site {
                 self.tell_unstored();
             }
         }
-        self.stopping.send_replace(true);
-        self.network.send_replace(NetworkState::Off);
-        self.write_counted(None).await;
+        self.life.stop();
+        self.link.set(NetworkState::Off);
+        self.log.write_counted(None).await;
         let ledger = self.plant.ledger.clone();
         drop(tokio::task::spawn_blocking(move || ledger.close()).await);
     }
@@ -315,36 +343,14 @@ impl Site {
         );
         self.hub.notice(super::event::NoticeLevel::Error, &text);
     }
+}
 
-    pub(crate) fn owner(&self, profile: &ProfileName) -> Option<Arc<Owner>> {
-        self.owners.read().unwrap_or_else(std::sync::PoisonError::into_inner).get(profile).cloned()
-    }
-
-    pub(crate) fn all_owners(&self) -> Vec<Arc<Owner>> {
-        self.owners.read().unwrap_or_else(std::sync::PoisonError::into_inner).values().cloned().collect()
-    }
-
-    /// The owner behind a profile that is unlocked here.
-    ///
-    /// # Errors
-    /// That it is locked or not there.
-    pub fn unlocked(&self, profile: &ProfileName) -> Result<Arc<Owner>, Failure> {
-        self.owner(profile).filter(|owner| !owner.is_locked()).ok_or_else(|| match self.home.keyring(profile).exists() {
-            true => super::failure::refused(format!(
-                "the keyring of profile '{profile}' is locked; unlock it with --passphrase-file or --passphrase-fd"
-            )),
-            false => super::failure::input(format!(
-                "profile '{profile}' has no identity yet; make one with `authros --profile {profile} identity create`"
-            )),
-        })
-    }
-
-    pub(crate) async fn blocking<T: Send + 'static>(
-        self: &Arc<Self>,
-        work: impl FnOnce(&Self) -> Result<T, Failure> + Send + 'static,
-    ) -> Result<T, Failure> {
-        let site = Arc::clone(self);
-        let joined = tokio::task::spawn_blocking(move || work(&site)).await;
-        joined.unwrap_or_else(|_| Err(internal("a background task of the site failed; please report what you did")))
-    }
+/// Does work for a part that waits for the disk, off the runtime's threads.
+pub(crate) async fn blocking<Whose: Send + Sync + 'static, Done: Send + 'static>(
+    part: &Arc<Whose>,
+    work: impl FnOnce(&Whose) -> Result<Done, Failure> + Send + 'static,
+) -> Result<Done, Failure> {
+    let part = Arc::clone(part);
+    let joined = tokio::task::spawn_blocking(move || work(&part)).await;
+    joined.unwrap_or_else(|_| Err(internal("a background task of the site failed; please report what you did")))
 }

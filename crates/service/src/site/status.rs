@@ -10,7 +10,6 @@ use crate::model::{ProfileName, RecordState, clean};
 use crate::pipeline::sender::LaneState;
 use crate::pipeline::storer::Condition;
 use crate::pipeline::watcher::foreign;
-use crate::service::event::Part;
 use crate::service::hub::lacking;
 use crate::service::reply::{ChainView, Failure, GasView, HealthLevel, LifeLine, PartHealth, QueueView, SiteView};
 
@@ -24,12 +23,12 @@ impl Site {
             RosState::Up(link) => link.robots,
             _ => 0,
         };
-        let profiles = self.all_owners().iter().map(|owner| owner.profile.clone()).collect();
+        let profiles = self.owners.all().iter().map(|owner| owner.profile.clone()).collect();
         let mut health = vec![self.ros_health(), self.chain_health(), self.vault_health(), self.gateway_health()];
         health.extend(self.clock_health());
         health.extend(block_in_place(|| self.account_health())?);
         let life = block_in_place(|| self.life_line(profile))?;
-        Ok(SiteView { health, life, robots, profiles, queue: self.queue_view(), tasks: self.task_views() })
+        Ok(SiteView { health, life, robots, profiles, queue: self.queue_view(), tasks: self.supervisor.views() })
     }
 
     fn queue_view(&self) -> QueueView {
@@ -56,8 +55,8 @@ impl Site {
             Some(remote) => remote.chain_text(),
             None => self.config.chain_url.as_deref().map_or_else(|| "embedded chain".to_owned(), without_password),
         };
-        let silent = self.chain_is_silent();
-        let (level, text) = match &*self.network.borrow() {
+        let silent = self.link.is_silent();
+        let (level, text) = match &*self.link.state() {
             NetworkState::Off => (HealthLevel::Absent, "not part of this run".to_owned()),
             NetworkState::Connecting => (HealthLevel::Waiting, format!("connecting to {name}")),
             NetworkState::Bare(_) => (HealthLevel::Ok, format!("{name}, no contract yet")),
@@ -117,20 +116,8 @@ impl Site {
         }
     }
 
-    /// Notes whether the chain answered the last time it was asked.
-    pub(super) fn chain_answers(&self, answers: bool) {
-        let before = self.chain_silent.swap(!answers, std::sync::atomic::Ordering::AcqRel);
-        if before == answers {
-            self.changed(Part::Health);
-        }
-    }
-
-    fn chain_is_silent(&self) -> bool {
-        self.chain_silent.load(std::sync::atomic::Ordering::Acquire)
-    }
-
     fn life_line(&self, profile: &ProfileName) -> Result<LifeLine, Failure> {
-        let Ok(owner) = self.address_of(profile) else {
+        let Ok(owner) = self.owners.address_of(profile) else {
             return Ok(LifeLine { conserved: true, ..LifeLine::default() });
         };
         let (waiting, _) = self.rings.depth();
@@ -166,15 +153,15 @@ impl Site {
 
     /// The chain as this profile sees it.
     pub(super) async fn chain_view(self: &Arc<Self>, profile: &ProfileName) -> Result<ChainView, Failure> {
-        let chain = self.chain().await?;
+        let chain = self.link.chain().await?;
         let path = self.home.keyring(profile);
-        let address = match self.owner(profile) {
+        let address = match self.owners.get(profile) {
             Some(owner) => Some(owner.address),
             None if path.exists() => Some(block_in_place(|| crate::crypto::read_public(&path))?.address),
             None => None,
         };
         let status = chain.status(address).await?;
-        let lanes = match (self.owner(profile), self.network_now(), address) {
+        let lanes = match (self.owners.get(profile), self.link.network_now(), address) {
             (Some(owner), Some(network), _) => self.lane_states(&owner, &network)?,
             (_, _, Some(address)) => vec![self.sender.state_of(address)?],
             (_, _, None) => Vec::new(),
@@ -198,6 +185,7 @@ impl Site {
             client: clean(&status.client, 100),
             through: self.remote.as_ref().map(|remote| clean(&remote.chain_text(), 300)),
             administration: self
+                .link
                 .network_now()
                 .map(|network| self.administration_view(&network, address))
                 .unwrap_or_default(),

@@ -4,6 +4,9 @@ use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use tokio::sync::mpsc;
+
+use super::audit::Audit;
 use super::{Needs, RosState, Site};
 use crate::chain::ChainError;
 use crate::model::{Address, Domain};
@@ -13,38 +16,60 @@ use crate::pipeline::sealer::Sealer;
 use crate::pipeline::stages::Stage;
 use crate::pipeline::{Network, Owner, PipelineError, storer, verifier, watcher};
 use crate::service::event::{NoticeLevel, Part};
+use crate::service::hub::Hub;
 use crate::service::reply::Failure;
 
 /// The longest pause between two attempts to send what the chain is owed.
 const LONGEST_REST: Duration = Duration::from_secs(8);
 
 /// Starts all tasks that the run needs.
-pub(super) fn start(site: &Arc<Site>, needs: Needs) -> Result<(), Failure> {
-    site.supervise("news", |site| Arc::clone(&site.hub).run());
-    site.supervise("audit", Site::keep_audit);
-    site.supervise("quarantine", Site::keep_quarantine);
-    site.supervise("room", Site::keep_room);
-    site.supervise("clock", Site::keep_clock);
+pub(super) fn start(
+    site: &Arc<Site>,
+    needs: Needs,
+    opened: mpsc::UnboundedReceiver<Arc<Owner>>,
+) -> Result<(), Failure> {
+    site.supervisor.keep("news", &site.hub, Hub::run);
+    site.supervisor.keep("audit", &site.audit, Audit::keep);
+    site.supervisor.keep("quarantine", site, Site::keep_quarantine);
+    site.supervisor.keep("room", site, Site::keep_room);
+    site.supervisor.keep("clock", site, Site::keep_clock);
     tokio::spawn(Arc::clone(site).check_after_crash());
-    site.supervise("retention", Site::keep_retention);
+    site.supervisor.keep("retention", site, Site::keep_retention);
+    begin_with_owners(site, opened);
     if needs.ros {
         seal_here(site)?;
         let here = |site: &Arc<Site>| !matches!(*site.ros.borrow(), RosState::Off);
-        let task = site.supervise_while("ros", here, Site::keep_ros);
+        let task = site.supervisor.keep_while("ros", site, here, Site::keep_ros);
         *site.ros_task.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = Some(task);
     }
     if needs.chain {
         if !site.plant.vault.durable() {
             start_storer(site)?;
         }
-        site.supervise("chain", Site::keep_connected);
-        site.supervise("watcher", watch);
-        site.supervise("verifier", verify);
-        site.supervise("scrubber", Site::keep_scrubbing);
-        site.supervise("expiry", Site::expire_grants);
-        site.supervise("parties", Site::keep_parties_known);
+        site.supervisor.keep("chain", site, Site::keep_connected);
+        site.supervisor.keep("watcher", site, watch);
+        site.supervisor.keep("verifier", site, verify);
+        site.supervisor.keep("scrubber", &site.audit, Audit::keep_scrubbing);
+        site.supervisor.keep("expiry", site, Site::expire_grants);
+        site.supervisor.keep("parties", site, Site::keep_parties_known);
     }
     Ok(())
+}
+
+/// Begins what is done for each owner as it is opened.
+fn begin_with_owners(site: &Arc<Site>, mut opened: mpsc::UnboundedReceiver<Arc<Owner>>) {
+    let site = Arc::clone(site);
+    tokio::spawn(async move {
+        loop {
+            tokio::select! {
+                owner = opened.recv() => match owner {
+                    Some(owner) => site.work_for(&owner),
+                    None => return,
+                },
+                () = site.life.stopped() => return,
+            }
+        }
+    });
 }
 
 /// Starts the sealer where this run has none yet: one that captures nothing still may import.
@@ -59,7 +84,7 @@ pub(super) fn seal_here(site: &Arc<Site>) -> Result<(), Failure> {
 fn start_sealer(site: &Arc<Site>) -> Result<std::thread::JoinHandle<()>, Failure> {
     let (plant, hub, losses) = (site.plant.clone(), Arc::clone(&site.hub), Arc::clone(&site.losses));
     let (rings, compression) = (Arc::clone(&site.rings), site.config.compression);
-    site.supervise_thread("sealer", move || {
+    site.supervisor.keep_thread("sealer", move || {
         let sealer = Sealer::new(plant.clone(), Arc::clone(&hub.sessions), Arc::clone(&losses));
         let mut sealer = if compression { sealer } else { sealer.without_compression() };
         sealer.run(&rings, &|| hub.stored.notify_waiters());
@@ -67,9 +92,9 @@ fn start_sealer(site: &Arc<Site>) -> Result<std::thread::JoinHandle<()>, Failure
 }
 
 fn start_storer(site: &Arc<Site>) -> Result<(), Failure> {
-    let (plant, hub, weak) = (site.plant.clone(), Arc::clone(&site.hub), Arc::downgrade(site));
-    let stopped = move || weak.upgrade().is_none_or(|site| site.is_stopping());
-    site.supervise_thread("storer", move || {
+    let (plant, hub, weak) = (site.plant.clone(), Arc::clone(&site.hub), Arc::downgrade(&site.life));
+    let stopped = move || weak.upgrade().is_none_or(|life| life.is_stopping());
+    site.supervisor.keep_thread("storer", move || {
         storer::run(&plant, &stopped, &|pause| std::thread::sleep(pause.min(Duration::from_secs(1))), &|| {
             hub.stored.notify_waiters()
         });
@@ -78,9 +103,9 @@ fn start_storer(site: &Arc<Site>) -> Result<(), Failure> {
 }
 
 async fn watch(site: Arc<Site>) {
-    let (mut seen, mut state) = (0, site.network.subscribe());
-    while !site.is_stopping() {
-        let Some(network) = site.network_now() else {
+    let (mut seen, mut state) = (0, site.link.follow());
+    while !site.life.is_stopping() {
+        let Some(network) = site.link.network_now() else {
             if state.changed().await.is_err() {
                 return;
             }
@@ -89,26 +114,26 @@ async fn watch(site: Arc<Site>) {
         let begun = Instant::now();
         let pause = match watcher::watch_round(&site.plant, &network).await {
             Ok(head) => {
-                site.scanned.send_replace(head.number);
+                site.link.has_scanned(head.number);
                 site.hub.stages.spent(Stage::Watch, begun.elapsed());
-                site.chain_answers(true);
-                site.saw_head(head);
+                site.link.answers(true);
+                site.link.saw_head(head);
                 if head.number != seen {
                     seen = head.number;
-                    site.changed(Part::Chain);
+                    site.hub.changed(Part::Chain);
                     site.hub.confirmed.notify_one();
                 }
                 site.tend_lanes(&network).await;
                 network.chain.next_block(head.number, watcher::PATIENCE).await.err().map(|error| error.to_string())
             }
             Err(PipelineError::Chain(error @ ChainError::Swapped { .. })) => {
-                site.lose_chain(error.into());
+                site.link.lose_chain(error.into());
                 continue;
             }
             Err(error) => Some(error.to_string()),
         };
         if let Some(problem) = pause {
-            site.chain_answers(false);
+            site.link.answers(false);
             site.hub.notice(
                 NoticeLevel::Error,
                 &format!("the chain does not answer; anchoring waits, nothing is lost: {problem}"),
@@ -119,12 +144,12 @@ async fn watch(site: Arc<Site>) {
 }
 
 async fn verify(site: Arc<Site>) {
-    while !site.is_stopping() {
+    while !site.life.is_stopping() {
         tokio::select! {
             () = site.hub.confirmed.notified() => {}
             () = tokio::time::sleep(Duration::from_secs(1)) => {}
         }
-        while let Some(network) = site.network_now() {
+        while let Some(network) = site.link.network_now() {
             let plant = site.plant.clone();
             let round = tokio::task::spawn_blocking(move || verifier::verify_round(&plant, &network)).await;
             match round {
@@ -177,19 +202,20 @@ impl Site {
     pub(super) fn work_for(self: &Arc<Self>, owner: &Arc<Owner>) {
         let open = |owner: &Arc<Owner>| {
             let owner = Arc::clone(owner);
-            move |site: &Arc<Site>| site.owner(&owner.profile).is_some_and(|other| Arc::ptr_eq(&other, &owner))
+            move |site: &Arc<Site>| site.owners.is_open(&owner)
         };
         let (name, given) = (&owner.profile, Arc::clone(owner));
-        self.supervise_while(&format!("anchorer {name}"), open(owner), move |site| anchor(site, Arc::clone(&given)));
+        self.supervisor
+            .keep_while(&format!("anchorer {name}"), self, open(owner), move |site| anchor(site, Arc::clone(&given)));
         if self.config.lanes > 1 {
             let given = Arc::clone(owner);
             let work = move |site: Arc<Site>| site.keep_witnesses(Arc::clone(&given));
-            self.supervise_while(&format!("witnesses {name}"), open(owner), work);
+            self.supervisor.keep_while(&format!("witnesses {name}"), self, open(owner), work);
         }
         if self.remote.is_some() {
             let given = Arc::clone(owner);
             let work = move |site: Arc<Site>| site.mirror(Arc::clone(&given));
-            self.supervise_while(&format!("mirror {name}"), open(owner), work);
+            self.supervisor.keep_while(&format!("mirror {name}"), self, open(owner), work);
         }
     }
 }
@@ -199,13 +225,13 @@ async fn anchor(site: Arc<Site>, owner: Arc<Owner>) {
     let mut pause = Duration::from_millis(250);
     let mut anchorer = Anchorer::new(site.config.anchor_mode);
     let mut spoken = None;
-    let mut scanned = site.scanned.subscribe();
-    while !site.is_stopping() {
-        let still_open = site.owner(&owner.profile).is_some_and(|other| Arc::ptr_eq(&other, &owner));
+    let mut scanned = site.link.scans();
+    while !site.life.is_stopping() {
+        let still_open = site.owners.is_open(&owner);
         if !still_open {
             return;
         }
-        let Some(network) = site.network_now() else {
+        let Some(network) = site.link.network_now() else {
             tokio::time::sleep(Duration::from_millis(200)).await;
             continue;
         };
@@ -215,7 +241,7 @@ async fn anchor(site: Arc<Site>, owner: Arc<Owner>) {
                 site.hub.stages.spent(Stage::Anchor, begun.elapsed());
                 pause = Duration::from_millis(250);
                 if round.submitted > 0 {
-                    site.changed(Part::Uploads);
+                    site.hub.changed(Part::Uploads);
                 }
                 if !round.next.is_zero() {
                     tokio::select! {
@@ -242,13 +268,13 @@ impl Site {
     /// Sends what the chain is owed, and after a failure again with growing pauses.
     async fn expire_grants(self: Arc<Self>) {
         let mut resting: HashMap<Address, (Instant, Duration)> = HashMap::new();
-        while !self.is_stopping() {
-            if !self.beat(Duration::from_secs(1)).await {
+        while !self.life.is_stopping() {
+            if !self.life.beat(Duration::from_secs(1)).await {
                 return;
             }
-            let Some(network) = self.network_now() else { continue };
+            let Some(network) = self.link.network_now() else { continue };
             // What is overdue needs keys that a locked keyring does not have; keys sealed ahead hold without them.
-            for owner in self.all_owners().into_iter().filter(|owner| !owner.is_locked()) {
+            for owner in self.owners.all().into_iter().filter(|owner| !owner.is_locked()) {
                 if resting.get(&owner.address).is_some_and(|(until, _)| Instant::now() < *until) {
                     continue;
                 }

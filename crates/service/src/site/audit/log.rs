@@ -1,28 +1,41 @@
-//! The audit log as the site writes, anchors, checks and shows it.
+//! The audit log as the site writes and shows it, with what is only counted.
 
 use std::sync::Arc;
-use std::time::{Duration, Instant};
 
+use super::refusals::Refusals;
 use crate::model::{ProfileName, Timestamp, clean};
-use crate::pipeline::reader::Reader;
-use crate::pipeline::{Owner, PipelineError, audit_head};
+use crate::pipeline::{Owner, PipelineError};
 use crate::service::command::UploadQuery;
 use crate::service::event::NoticeLevel;
 use crate::service::failure::internal;
-use crate::service::reply::{AuditCheck, AuditView, ExportedFile, Failure};
-use crate::site::Site;
-use crate::store::{AuditEntry, AuditLine, AuditQuery};
+use crate::service::hub::Hub;
+use crate::service::reply::{AuditView, ExportedFile, Failure};
+use crate::site::blocking;
+use crate::store::{AuditEntry, AuditLine, AuditLog, AuditQuery, Ledger};
 
-/// How often it is looked whether something is to be written or anchored.
-const LOOK: Duration = Duration::from_secs(1);
-/// How often a lost reserve is tried to be set aside again.
-const REFILL: Duration = Duration::from_secs(60);
 /// Lines exported at a time.
 const PAGE: usize = 1000;
 
-impl Site {
+/// The log of a home, which every part writes.
+pub(crate) struct Log {
+    lines: AuditLog,
+    counted: Refusals,
+    hub: Arc<Hub>,
+}
+
+impl Log {
+    /// The log of this ledger.
+    pub fn new(ledger: Ledger, hub: Arc<Hub>) -> Self {
+        Self { lines: AuditLog::new(ledger), counted: Refusals::default(), hub }
+    }
+
+    /// The lines themselves, for checks of them all.
+    pub fn lines(&self) -> &AuditLog {
+        &self.lines
+    }
+
     /// Writes one line; it is durable when this returns.
-    pub(crate) async fn record_audit(
+    pub(crate) async fn write(
         self: &Arc<Self>,
         profile: &ProfileName,
         action: &str,
@@ -30,21 +43,16 @@ impl Site {
         outcome: &str,
     ) -> Result<(), Failure> {
         let entry = entry(profile.as_str(), action, subject, outcome);
-        self.blocking(move |site| Ok(site.audit.append(entry)?)).await
+        blocking(self, move |log| Ok(log.lines.append(entry)?)).await
     }
 
     /// No durable line, no deed: written before what it tells of.
-    pub(crate) async fn audit_first(
-        self: &Arc<Self>,
-        owner: &Owner,
-        action: &str,
-        subject: &str,
-    ) -> Result<(), Failure> {
-        self.record_audit(&owner.profile, action, subject, "begun").await
+    pub(crate) async fn begin(self: &Arc<Self>, owner: &Owner, action: &str, subject: &str) -> Result<(), Failure> {
+        self.write(&owner.profile, action, subject, "begun").await
     }
 
-    /// How a deed ended that [`Self::audit_first`] announced.
-    pub(in crate::site) async fn audit_end<T>(
+    /// How a deed ended that [`Self::begin`] announced.
+    pub(in crate::site) async fn end<T>(
         self: &Arc<Self>,
         owner: &Owner,
         action: &str,
@@ -52,7 +60,7 @@ impl Site {
         outcome: Result<T, Failure>,
     ) -> Result<T, Failure> {
         let word = if outcome.is_ok() { "done" } else { "failed" };
-        let written = self.record_audit(&owner.profile, action, subject, word).await;
+        let written = self.write(&owner.profile, action, subject, word).await;
         let done = outcome?;
         // The deed is done and was announced durably; that its end is not written down is told, not taken back.
         if let Err(failure) = written {
@@ -62,165 +70,105 @@ impl Site {
     }
 
     /// A page of somebody's list is given out: a line before it, unless the same was asked within a minute.
-    pub(in crate::site) async fn audit_query(
+    pub(in crate::site) async fn asked(
         self: &Arc<Self>,
         owner: &Owner,
         action: &str,
         query: &UploadQuery,
     ) -> Result<(), Failure> {
         let (profile, text) = (owner.profile.as_str(), query_text(query));
-        if !self.refusals.is_new_query(Timestamp::now(), profile, &text) {
+        if !self.counted.is_new_query(Timestamp::now(), profile, &text) {
             return Ok(());
         }
-        let written = self.record_audit(&owner.profile, action, &text, "done").await;
+        let written = self.write(&owner.profile, action, &text, "done").await;
         if written.is_err() {
-            self.refusals.forget_query(profile, &text);
+            self.counted.forget_query(profile, &text);
         }
         written
+    }
+
+    /// Whether this is to be a line of its own: the same was not asked by this name within the last minute.
+    pub fn is_new_query(&self, name: &str, query: &str) -> bool {
+        self.counted.is_new_query(Timestamp::now(), name, query)
+    }
+
+    /// The line of a query could not be written: it does not count as asked.
+    pub fn forget_query(&self, name: &str, query: &str) {
+        self.counted.forget_query(name, query);
     }
 
     /// Counts a refusal; a line per peer, code and minute tells how many there were. `peer` is a profile's name, or
     /// what is known of a remote peer (no port: each connection has another); `code` is one of the program's. Returns
     /// whether it is the first of its minute.
     pub(crate) fn refused(&self, peer: &str, code: &str) -> bool {
-        self.refusals.add(Timestamp::now(), peer, code)
+        self.counted.add(Timestamp::now(), peer, code)
     }
 
     /// Counts a local refusal where there is one.
-    pub(in crate::site) fn count_refusal<T>(&self, owner: &Owner, outcome: &Result<T, PipelineError>) {
+    pub fn count_refusal<T>(&self, owner: &Owner, outcome: &Result<T, PipelineError>) {
         if let Err(PipelineError::NotGranted { .. }) = outcome {
             let _first = self.refused(owner.profile.as_str(), "not_granted");
         }
     }
 
-    /// Writes what was counted, anchors the head of the log, sets a lost reserve aside again; until the site ends.
-    pub(in crate::site) async fn keep_audit(self: Arc<Self>) {
-        let mut refill = Instant::now();
-        while !self.is_stopping() {
-            if !self.beat(LOOK).await {
-                return;
-            }
-            self.write_counted(Some(Timestamp::now())).await;
-            for owner in self.all_owners() {
-                self.anchor_head(&owner).await;
-            }
-            if !self.reserve.is_held() && refill.elapsed() >= REFILL && self.plant.ledger.takes_records().is_ok() {
-                refill = Instant::now();
-                // On a disk that is still full it is tried again.
-                drop(self.blocking(|site| Ok(site.reserve.refill()?)).await);
-            }
-        }
-    }
-
     /// Writes the counters of ended minutes; all of them where `now` is `None`.
     pub(in crate::site) async fn write_counted(self: &Arc<Self>, now: Option<Timestamp>) {
-        let mut refusals = self.refusals.take(now).into_iter();
+        let mut refusals = self.counted.take(now).into_iter();
         while let Some(((minute, peer, code), count)) = refusals.next() {
             let outcome = format!("{count} in the minute from {}", Timestamp::from_seconds(minute * 60));
             let line = entry(&peer, "refused", &code, &outcome);
-            if let Err(failure) = self.blocking(move |site| Ok(site.audit.append(line)?)).await {
+            if let Err(failure) = blocking(self, move |log| Ok(log.lines.append(line)?)).await {
                 let lost = std::iter::once(((minute, peer, code), count)).chain(refusals).collect();
-                self.refusals.put_back(lost);
+                self.counted.put_back(lost);
                 self.hub.notice(NoticeLevel::Error, &failure.message);
                 break;
             }
         }
-        for again in self.refusals.repeated(now) {
+        for again in self.counted.repeated(now) {
             let line = entry(&again.profile, "list shared", &again.query, &format!("{} times again", again.times));
-            if let Err(failure) = self.blocking(move |site| Ok(site.audit.append(line)?)).await {
+            if let Err(failure) = blocking(self, move |log| Ok(log.lines.append(line)?)).await {
                 self.hub.notice(NoticeLevel::Error, &failure.message);
                 return;
-            }
-        }
-    }
-
-    async fn anchor_head(self: &Arc<Self>, owner: &Arc<Owner>) {
-        let Some(network) = self.network_now() else { return };
-        // Keys that are being changed now must not sign; the next look comes soon.
-        let Ok(_one_at_a_time) = owner.changes.try_lock() else { return };
-        let (of, every) = (Arc::clone(owner), self.config.audit_every);
-        let stated = self
-            .blocking(move |site| Ok(audit_head::state_head(&site.plant, &network, &site.audit, &of, every)?))
-            .await;
-        match stated {
-            Ok(Some(_)) => self.hub.stored.notify_waiters(),
-            Ok(None) => {}
-            Err(failure) => {
-                let text = format!("the audit log's head is not anchored for {}: {}", owner.profile, failure.message);
-                self.hub.notice(NoticeLevel::Error, &text);
             }
         }
     }
 
     /// The newest lines that match, newest first.
-    pub(in crate::site) async fn audit_lines(self: &Arc<Self>, query: AuditQuery) -> Result<Vec<AuditView>, Failure> {
+    pub(in crate::site) async fn list(self: &Arc<Self>, query: AuditQuery) -> Result<Vec<AuditView>, Failure> {
         let query = AuditQuery { limit: query.limit.clamp(1, PAGE), ..query };
-        let mut lines = self.blocking(move |site| Ok(site.audit.list(&query)?)).await?;
+        let mut lines = blocking(self, move |log| Ok(log.lines.list(&query)?)).await?;
         lines.reverse();
         Ok(lines.into_iter().map(view).collect())
     }
 
-    /// Walks the whole log, and compares it with the heads that this owner anchored.
-    pub(in crate::site) async fn verify_audit(
-        self: &Arc<Self>,
-        owner: Option<Arc<Owner>>,
-    ) -> Result<AuditCheck, Failure> {
-        let walked = self.blocking(|site| Ok(site.audit.verify())).await?;
-        let mut check = AuditCheck { ok: true, ..AuditCheck::default() };
-        let mut broken = match walked {
-            Ok(lines) => {
-                check.lines = lines;
-                None
-            }
-            Err(fault) => Some(fault),
-        };
-        if let Some(owner) = owner {
-            let network = self.network().await?;
-            let reader = Reader { plant: &self.plant, network: &network, reader: &owner };
-            let heads = audit_head::heads(&reader).await?;
-            check.heads = heads.good.len() as u64;
-            check.anchored = heads.anchored as u64;
-            check.unusable = heads.bad.iter().map(|(id, why)| format!("{id}: {}", clean(why, 200))).collect();
-            match self.blocking(move |site| Ok(site.audit.compare(&heads.good))).await? {
-                Ok(covered) => check.covered = covered,
-                Err(fault) => broken = broken.filter(|walked| walked.line <= fault.line).or(Some(fault)),
-            }
-        }
-        check.ok = broken.is_none() && check.unusable.is_empty();
-        check.broken_line = broken.as_ref().map(|fault| fault.line);
-        check.text = broken.map(|fault| clean(&fault.to_string(), 300));
-        Ok(check)
-    }
-
     /// The whole log as a file for others: one JSON document a line, addresses redacted unless asked for.
-    pub(in crate::site) async fn export_audit(
+    pub(in crate::site) async fn export(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
         addresses: bool,
     ) -> Result<Vec<ExportedFile>, Failure> {
-        self.audit_first(owner, "export audit", if addresses { "with addresses" } else { "redacted" }).await?;
-        let bytes = self
-            .blocking(move |site| {
-                let (mut pages, mut before) = (Vec::new(), None);
-                loop {
-                    let page = site.audit.list(&AuditQuery { before, limit: PAGE, ..AuditQuery::default() })?;
-                    let Some(first) = page.first() else { break };
-                    before = Some(first.line);
-                    pages.push(page);
+        self.begin(owner, "export audit", if addresses { "with addresses" } else { "redacted" }).await?;
+        let bytes = blocking(self, move |log| {
+            let (mut pages, mut before) = (Vec::new(), None);
+            loop {
+                let page = log.lines.list(&AuditQuery { before, limit: PAGE, ..AuditQuery::default() })?;
+                let Some(first) = page.first() else { break };
+                before = Some(first.line);
+                pages.push(page);
+            }
+            let mut bytes = Vec::new();
+            for mut line in pages.into_iter().rev().flatten() {
+                if !addresses {
+                    line.entry.action = crate::model::redact_addresses(&line.entry.action);
+                    line.entry.subject = crate::model::redact_addresses(&line.entry.subject);
+                    line.entry.outcome = crate::model::redact_addresses(&line.entry.outcome);
                 }
-                let mut bytes = Vec::new();
-                for mut line in pages.into_iter().rev().flatten() {
-                    if !addresses {
-                        line.entry.action = crate::model::redact_addresses(&line.entry.action);
-                        line.entry.subject = crate::model::redact_addresses(&line.entry.subject);
-                        line.entry.outcome = crate::model::redact_addresses(&line.entry.outcome);
-                    }
-                    serde_json::to_writer(&mut bytes, &line).map_err(|error| internal(error.to_string()))?;
-                    bytes.push(b'\n');
-                }
-                Ok(bytes)
-            })
-            .await?;
+                serde_json::to_writer(&mut bytes, &line).map_err(|error| internal(error.to_string()))?;
+                bytes.push(b'\n');
+            }
+            Ok(bytes)
+        })
+        .await?;
         Ok(vec![ExportedFile { name: "audit.jsonl".to_owned(), bytes }])
     }
 }

@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use tokio::runtime::Handle;
 
-use super::{NetworkState, Site};
+use super::{NetworkState, Site, blocking};
 use crate::chain::Chain;
 use crate::crypto::Passphrase;
 use crate::crypto::sealed_stream::SealedWriter;
@@ -44,20 +44,20 @@ impl Site {
         if fs::symlink_metadata(&file).is_ok() {
             return Err(input(format!("{shown} exists; name a new file, no back-up is written over another")));
         }
-        self.record_audit(profile, "back up", &shown, "begun").await?;
+        self.log.write(profile, "back up", &shown, "begun").await?;
         let runtime = Handle::current();
         // Whatever deletes ciphertext before the ledger says so waits until the moment is taken.
         let quiet = self.reporting.lock().await;
-        let moment = self.blocking(move |site| site.moment(&runtime)).await?;
+        let moment = blocking(self, move |site| site.moment(&runtime)).await?;
         drop(quiet);
-        let written = self.blocking(move |site| site.pack(&moment, &file, &passphrase)).await;
+        let written = blocking(self, move |site| site.pack(&moment, &file, &passphrase)).await;
         let outcome = if written.is_ok() { "done" } else { "failed" };
-        self.record_audit(profile, "back up", &shown, outcome).await?;
+        self.log.write(profile, "back up", &shown, outcome).await?;
         written
     }
 
     fn open_chain(&self) -> Option<Chain> {
-        match &*self.network.borrow() {
+        match &*self.link.state() {
             NetworkState::Bare(chain) => Some(chain.clone()),
             NetworkState::Up(network) => Some(network.chain.clone()),
             _ => None,

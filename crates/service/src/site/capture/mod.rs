@@ -33,11 +33,11 @@ impl Site {
             self.register(owner).await?;
         } else {
             // Whoever waits for verified records is told at once where there is no chain to verify them.
-            self.network().await?;
+            self.link.network().await?;
         }
         let names: Vec<String> = topics.iter().map(ToString::to_string).collect();
         let listed = names.join(" ");
-        self.audit_first(owner, "capture start", &listed).await?;
+        self.log.begin(owner, "capture start", &listed).await?;
         let session = Arc::new(CaptureSession::new(&names, count, tags));
         self.begin(owner, &names, type_name.as_ref(), &session);
         let time_is_up = async {
@@ -49,11 +49,11 @@ impl Site {
         tokio::select! {
             () = session.closed() => {}
             () = time_is_up => session.close(),
-            () = self.stopped() => session.close(),
+            () = self.life.stopped() => session.close(),
         }
         self.end(owner, &names, &session);
         let captured: u64 = session.figures().iter().map(|topic| topic.captured).sum();
-        let ended = self.record_audit(&owner.profile, "capture stop", &listed, &format!("{captured} captured")).await;
+        let ended = self.log.write(&owner.profile, "capture stop", &listed, &format!("{captured} captured")).await;
         session.settled().await;
         if let Err(failure) = ended {
             self.hub.notice(NoticeLevel::Error, &failure.message);

@@ -47,7 +47,7 @@ impl Site {
                 self.wishes_changed();
                 tokio::select! {
                     () = tokio::time::sleep(Duration::from_millis(milliseconds)) => {}
-                    () = self.stopped() => {}
+                    () = self.life.stopped() => {}
                 }
                 let view = self.policy_view(profile, true).await;
                 drop(learning);

@@ -15,7 +15,7 @@ use crate::ros::{Capture, CaptureOptions, EmbeddedMaster, Fleet, FleetOptions, G
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::internal;
 use crate::service::reply::Failure;
-use crate::site::Site;
+use crate::site::{Site, blocking};
 
 /// Between two looks at the graph.
 const LOOK: Duration = Duration::from_secs(1);
@@ -94,12 +94,12 @@ impl Site {
                 break link;
             }
             let site = Arc::clone(&self);
-            match self.blocking(move |_| site.start_ros()).await {
+            match blocking(&self, move |_| site.start_ros()).await {
                 Ok(link) => break Arc::new(link),
                 Err(failure) => {
                     self.hub.notice(NoticeLevel::Error, &failure.message);
                     self.ros.send_replace(RosState::Down { failure, link: None });
-                    self.changed(Part::Health);
+                    self.hub.changed(Part::Health);
                 }
             }
             tokio::select! {
@@ -108,13 +108,13 @@ impl Site {
             }
         };
         self.ros.send_replace(RosState::Up(Arc::clone(&link)));
-        self.changed(Part::Health);
-        self.changed(Part::Topics);
+        self.hub.changed(Part::Health);
+        self.hub.changed(Part::Topics);
         let mut calm = 0_u32;
         loop {
             let pause = if calm < CALM { LOOK } else { LOOK * 2 };
             tokio::select! {
-                _ = self.beat(pause) => {}
+                _ = self.life.beat(pause) => {}
                 () = self.leaving() => break,
             }
             calm = if self.look_at_graph(&link).await { 0 } else { calm.saturating_add(1) };
@@ -184,19 +184,19 @@ impl Site {
                 let was_down = matches!(&*self.ros.borrow(), RosState::Down { .. });
                 if was_down {
                     self.ros.send_replace(RosState::Up(Arc::clone(link)));
-                    self.changed(Part::Health);
+                    self.hub.changed(Part::Health);
                     self.hub.notice(NoticeLevel::Info, "the ROS master answers again");
                 }
                 let moved = changed || self.recorder.meter_moved();
                 if moved {
-                    self.changed(Part::Topics);
+                    self.hub.changed(Part::Topics);
                 }
                 moved || was_down
             }
             Err(failure) if matches!(&*self.ros.borrow(), RosState::Up(_)) => {
                 self.hub.notice(NoticeLevel::Error, &failure.message);
                 self.ros.send_replace(RosState::Down { failure, link: Some(Arc::clone(link)) });
-                self.changed(Part::Health);
+                self.hub.changed(Part::Health);
                 true
             }
             // A master that is gone is asked as often as before, so that its return is seen at once.
@@ -225,7 +225,7 @@ impl Site {
         if let RosState::Up(link) | RosState::Down { link: Some(link), .. } = &*self.ros.borrow() {
             self.follow_wishes(link);
         }
-        self.changed(Part::Topics);
+        self.hub.changed(Part::Topics);
     }
 
     /// The master's URI, as soon as it is reached.

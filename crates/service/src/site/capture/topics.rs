@@ -91,21 +91,21 @@ impl Site {
 
     /// What became of the profile's messages, by topic.
     fn captured_by_topic(&self, profile: &ProfileName) -> Result<HashMap<String, TopicCounts>, Failure> {
-        let Ok(owner) = self.address_of(profile) else { return Ok(HashMap::new()) };
+        let Ok(owner) = self.owners.address_of(profile) else { return Ok(HashMap::new()) };
         let counts = block_in_place(|| self.losses.counts(&self.plant, owner))?;
         Ok(counts.topics.into_iter().map(|topic| (topic.topic.clone(), topic)).collect())
     }
 
     /// Topics with an open alarm about a publisher.
     fn alarmed_topics(&self, profile: &ProfileName) -> Result<HashSet<String>, Failure> {
-        let Ok(owner) = self.address_of(profile) else { return Ok(HashSet::new()) };
+        let Ok(owner) = self.owners.address_of(profile) else { return Ok(HashSet::new()) };
         let alarms = block_in_place(|| self.plant.ledger.alarms(owner, None))?;
         Ok(alarms.into_iter().filter(|alarm| alarm.open).map(|alarm| alarm.topic).collect())
     }
 
     /// Node names pinned to each topic, by the operator, by first sight or by the settings.
     fn pinned_names(&self, profile: &ProfileName) -> Result<HashMap<String, HashSet<String>>, Failure> {
-        let Ok(owner) = self.address_of(profile) else { return Ok(HashMap::new()) };
+        let Ok(owner) = self.owners.address_of(profile) else { return Ok(HashMap::new()) };
         let kept = block_in_place(|| self.plant.ledger.pins(owner, None))?;
         let kept = kept.into_iter().map(|row| (row.topic, row.publisher.caller_id));
         let listed = self.pins.all_listed().map(|(topic, publisher)| (topic.clone(), publisher.caller_id.clone()));
@@ -143,8 +143,8 @@ impl Site {
             watches.retain(|(watched, _)| *watched != topic);
             watches.push((topic.clone(), type_name.clone()));
         })?;
-        self.record_audit(profile, "watch", topic.as_str(), "done").await?;
-        if let Some(owner) = self.owner(profile) {
+        self.log.write(profile, "watch", topic.as_str(), "done").await?;
+        if let Some(owner) = self.owners.get(profile) {
             if !matches!(&*self.ros.borrow(), RosState::Off) && owner.sealing().is_none() {
                 self.register(&owner).await?;
             }
@@ -161,8 +161,8 @@ impl Site {
         topic: &TopicName,
     ) -> Result<(), Failure> {
         self.change_watches(profile, |watches| watches.retain(|(watched, _)| watched != topic))?;
-        self.record_audit(profile, "unwatch", topic.as_str(), "done").await?;
-        if let Some(owner) = self.owner(profile) {
+        self.log.write(profile, "unwatch", topic.as_str(), "done").await?;
+        if let Some(owner) = self.owners.get(profile) {
             self.recorder.unwatch(topic.as_str(), &owner.author);
             self.wishes_changed();
         }

@@ -23,7 +23,7 @@ impl Site {
         owner: &Arc<Owner>,
         act: &Administration,
     ) -> Result<TransactionView, Failure> {
-        let network = self.network().await?;
+        let network = self.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
         let (call, text) = self.act(&network, act)?;
         if let Some(administrator) = network.directory.administration().administrator
@@ -45,7 +45,7 @@ impl Site {
         owner: &Arc<Owner>,
         recovery: Option<&Party>,
     ) -> Result<TransactionView, Failure> {
-        let network = self.network().await?;
+        let network = self.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
         network.directory.identity(owner.address)?;
         let recovery = recovery.map(|party| self.resolve(party)).transpose()?;
@@ -70,11 +70,11 @@ impl Site {
         text: String,
     ) -> Result<TransactionView, Failure> {
         let name = call.name();
-        self.audit_first(owner, name, &text).await?;
+        self.log.begin(owner, name, &text).await?;
         let sent = self.sender.send(&network.chain, &owner.eoa(), call, name).await.map_err(Failure::from);
-        let (transaction, receipt) = self.audit_end(owner, name, &text, sent).await?;
-        self.scanned(receipt.block).await;
-        self.changed(Part::Chain);
+        let (transaction, receipt) = self.log.end(owner, name, &text, sent).await?;
+        self.link.scanned(receipt.block).await;
+        self.hub.changed(Part::Chain);
         let epoch = network.directory.epoch(owner.address);
         Ok(TransactionView { transaction: Some(transaction), block: Some(receipt.block), epoch, text })
     }
@@ -187,14 +187,14 @@ impl Site {
 
     /// Tells of successors and of contacts with other keys as soon as the chain does, each once a run.
     pub(in crate::site) async fn keep_parties_known(self: Arc<Self>) {
-        let mut scanned = self.scanned.subscribe();
+        let mut scanned = self.link.scans();
         let (mut seen, mut told) = (None, HashSet::new());
-        while !self.is_stopping() {
+        while !self.life.is_stopping() {
             tokio::select! {
                 changed = scanned.changed() => if changed.is_err() { return },
-                () = self.stopped() => return,
+                () = self.life.stopped() => return,
             }
-            let Some(network) = self.network_now() else { continue };
+            let Some(network) = self.link.network_now() else { continue };
             let newest = (network.domain, network.directory.newest());
             if seen.replace(newest) == Some(newest) {
                 continue;

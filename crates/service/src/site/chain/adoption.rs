@@ -32,11 +32,11 @@ impl Site {
     /// there, and anchors the owner's adoption record before anything else.
     pub(in crate::site) async fn adopt_chain(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<TransactionView, Failure> {
         // Until the first attempt to connect has ended, which needs the lock as well.
-        let known = self.network().await;
+        let known = self.link.network().await;
         let left = {
             let _one_at_a_time = self.deploying.lock().await;
             let (pinned, outgrown) = self.to_leave(known)?;
-            self.audit_first(owner, "adopt chain", &format!("in place of {}", pinned.contract)).await?;
+            self.log.begin(owner, "adopt chain", &format!("in place of {}", pinned.contract)).await?;
             let chain = match &outgrown {
                 Some(network) => network.chain.apart(),
                 None => self.chain_there().await?,
@@ -52,25 +52,25 @@ impl Site {
             };
             // Where nothing was left, the contract in use stays in use.
             if let (Err(_), Some(network)) = (&left, outgrown) {
-                self.network.send_replace(NetworkState::Up(Box::new(network)));
+                self.link.set(NetworkState::Up(Box::new(network)));
             }
             let left = left?;
             self.save_pin(&pin)?;
             self.use_network(chain, &pin).await?;
             left
         };
-        self.changed(Part::Uploads);
+        self.hub.changed(Part::Uploads);
         self.register(owner).await?;
-        for other in self.all_owners().iter().filter(|other| !Arc::ptr_eq(other, owner)) {
+        for other in self.owners.all().iter().filter(|other| !Arc::ptr_eq(other, owner)) {
             if let Err(failure) = self.register(other).await {
                 let profile = &other.profile;
                 let text = format!("profile {profile} is not registered on the adopted chain yet: {}", failure.message);
                 self.hub.notice(NoticeLevel::Error, &text);
             }
         }
-        let network = self.network().await?;
+        let network = self.link.network().await?;
         self.wait_for_word(owner, &network).await?;
-        self.record_audit(&owner.profile, "adopt chain", &network.domain.to_string(), "done").await?;
+        self.log.write(&owner.profile, "adopt chain", &network.domain.to_string(), "done").await?;
         let (kept, anew) = (left.kept, left.anew);
         let stays = if left.is_same_chain {
             "stay anchored in the earlier contract and are checked there"
@@ -92,7 +92,7 @@ impl Site {
     /// The home's pin, where another chain or contract than the pinned one answers, or the contract is outgrown: then with
     /// the network in use.
     fn to_leave(&self, known: Result<Network, Failure>) -> Result<(Pin, Option<Network>), Failure> {
-        let swapped = matches!(*self.network.borrow(), NetworkState::Swapped(_));
+        let swapped = matches!(*self.link.state(), NetworkState::Swapped(_));
         let pin = self.pin()?;
         match pin {
             Some(pin) if swapped => Ok((pin, None)),
@@ -119,14 +119,14 @@ impl Site {
     /// Lets nothing new go to a contract that is to be left, and waits until what is on its way there is in a block, as
     /// long as that is to be expected.
     async fn come_to_rest(self: &Arc<Self>, network: &Network) -> Result<(), Failure> {
-        self.network.send_replace(NetworkState::Connecting);
+        self.link.set(NetworkState::Connecting);
         let deadline = tokio::time::Instant::now() + REST;
         let mut quiet = 0usize;
         while quiet < QUIET && tokio::time::Instant::now() < deadline {
             self.tend_lanes(network).await;
             watcher::watch_round(&self.plant, network).await?;
             let mut open = 0;
-            for owner in self.all_owners() {
+            for owner in self.owners.all() {
                 open += self.lane_states(&owner, network)?.iter().map(|lane| lane.open).sum::<u64>();
             }
             quiet = if open == 0 { quiet + 1 } else { 0 };
@@ -189,7 +189,7 @@ impl Site {
         for _ in 0..DEPLOYMENTS {
             let pin = chain.deploy(&owner.eoa()).await?;
             if adoption::domain_of(&pin) != adoption::domain_of(left) {
-                self.record_audit(&owner.profile, "deploy", &pin.contract.to_string(), "done").await?;
+                self.log.write(&owner.profile, "deploy", &pin.contract.to_string(), "done").await?;
                 return Ok(pin);
             }
         }

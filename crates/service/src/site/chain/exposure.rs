@@ -26,8 +26,8 @@ impl Site {
         if !(SHORTEST_DELAY..=LONGEST_DELAY).contains(&delay) {
             return Err(input("a succession waits at least a day and at most 365 days; give another --delay"));
         }
-        self.chain().await?;
-        if let NetworkState::Up(network) = &*self.network.borrow() {
+        self.link.chain().await?;
+        if let NetworkState::Up(network) = &*self.link.state() {
             let contract = network.chain.pin().map_or_else(|| "a contract".to_owned(), |pin| pin.contract.to_string());
             return Err(input(format!(
                 "{contract} is pinned for this home already, nothing was deployed; use another --home for another one"
@@ -45,12 +45,12 @@ impl Site {
         address: SocketAddr,
         ended: oneshot::Receiver<()>,
     ) -> Result<ServedView, Failure> {
-        let chain = self.chain().await?;
+        let chain = self.link.chain().await?;
         if self.config.chain_url.is_some() {
             return Err(input(format!("this site uses the node at {}; point other tools there", chain.url())));
         }
         let listener = serve::listen(address).await?;
-        self.record_audit(profile, "serve chain", &address.to_string(), "begun").await?;
+        self.log.write(profile, "serve chain", &address.to_string(), "begun").await?;
         let address = listener.local_addr().map_err(|error| input(format!("no address to serve at: {error}")))?;
         let view = ServedView {
             url: format!("http://{address}"),
@@ -62,7 +62,7 @@ impl Site {
         tokio::spawn(async move {
             let stop = async {
                 tokio::select! {
-                    () = site.stopped() => {}
+                    () = site.life.stopped() => {}
                     // A dropped sender says the same.
                     _ = ended => {}
                 }

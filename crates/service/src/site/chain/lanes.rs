@@ -60,14 +60,14 @@ impl Site {
 
     /// Why a lane of an open owner stands still, if one does.
     pub(in crate::site) fn paused_text(&self, network: &Network) -> Option<String> {
-        let owners = self.all_owners();
+        let owners = self.owners.all();
         let mut states = owners.iter().filter_map(|owner| self.lane_states(owner, network).ok()).flatten();
         states.find_map(|state| state.paused.map(|reason| reason.text(state.account)))
     }
 
     /// Tends the lanes of every open owner: after each block, and while none comes.
     pub(in crate::site) async fn tend_lanes(&self, network: &Network) {
-        for owner in self.all_owners() {
+        for owner in self.owners.all() {
             if let Err(failure) = self.tend_lanes_of(&owner, network).await {
                 let text = format!("transactions of {} wait: {}", owner.profile, failure.message);
                 self.hub.notice(NoticeLevel::Error, &text);
@@ -95,15 +95,15 @@ impl Site {
 
     /// Keeps the witnesses of an owner registered and able to pay, until the owner is closed or the site ends.
     pub(in crate::site) async fn keep_witnesses(self: Arc<Self>, owner: Arc<Owner>) {
-        while !self.is_stopping() && self.owner(&owner.profile).is_some_and(|other| Arc::ptr_eq(&other, &owner)) {
-            if let Some(network) = self.network_now()
+        while !self.life.is_stopping() && self.owners.is_open(&owner) {
+            if let Some(network) = self.link.network_now()
                 && network.directory.identity(owner.address).is_ok()
                 && let Err(failure) = self.ready_witnesses(&owner, &network).await
             {
                 let text = format!("a witness of {} is not ready to anchor: {}", owner.profile, failure.message);
                 self.hub.notice(NoticeLevel::Warning, &text);
             }
-            if !self.beat(LOOK).await {
+            if !self.life.beat(LOOK).await {
                 return;
             }
         }

@@ -1,21 +1,17 @@
-//! The site's link to its chain: connecting and re-connecting, the contract, the pin of the home.
+//! The site's link to its chain: whether there is a chain and a contract now, the newest head, how far the watcher is.
 
-use std::sync::{Arc, PoisonError};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use tokio::task::block_in_place;
+use tokio::sync::watch;
 
-use crate::chain::{BlockRef, Chain, ChainError, ChainOptions, DEFAULT_DELAY, Endpoint, Pin, Revision};
-use crate::model::ErrorKind;
-use crate::pipeline::{Network, Owner, PipelineError, watcher};
+use crate::chain::{BlockRef, Chain};
+use crate::pipeline::Network;
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::{input, internal};
+use crate::service::hub::Hub;
 use crate::service::reply::Failure;
-use crate::site::Site;
-use crate::store::atomic_write;
-
-/// The longest pause between two attempts to connect, seconds: a node that is back is found within it.
-const LONGEST_PAUSE: u64 = 5;
 
 /// Where the link stands.
 #[derive(Clone)]
@@ -40,123 +36,56 @@ pub enum NetworkState {
     },
 }
 
-impl Site {
-    pub(in crate::site) fn pin(&self) -> Result<Option<Pin>, Failure> {
-        let path = self.home.pin();
-        match std::fs::read(&path) {
-            Ok(bytes) => serde_json::from_slice(&bytes).map(Some).map_err(|_| {
-                let path = path.display();
-                input(format!(
-                    "{path} is damaged, so the chain this home is bound to is unknown; restore the file from a backup"
-                ))
-            }),
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
-            Err(error) => Err(Failure::new(ErrorKind::Home, format!("{} cannot be read: {error}", path.display()))),
-        }
+/// The link, which every part that needs the chain asks.
+pub(in crate::site) struct Link {
+    hub: Arc<Hub>,
+    state: watch::Sender<NetworkState>,
+    scanned: watch::Sender<u64>,
+    silent: AtomicBool,
+    /// The newest head, and when the chain told it.
+    head: Mutex<Option<(Instant, BlockRef)>>,
+}
+
+impl Link {
+    /// A link that is to come up, or none where this run needs no chain.
+    pub fn new(hub: Arc<Hub>, needed: bool) -> Self {
+        let state = if needed { NetworkState::Connecting } else { NetworkState::Off };
+        let (state, scanned) = (watch::channel(state).0, watch::channel(0).0);
+        Self { hub, state, scanned, silent: AtomicBool::new(false), head: Mutex::default() }
     }
 
-    /// Writes the pin where it is not what the file says already: nothing is written by a command that only looks.
-    pub(in crate::site) fn save_pin(&self, pin: &Pin) -> Result<(), Failure> {
-        let bytes = serde_json::to_vec_pretty(pin).map_err(|error| internal(error.to_string()))?;
-        if std::fs::read(self.home.pin()).is_ok_and(|there| there == bytes) {
-            return Ok(());
-        }
-        Ok(atomic_write(&self.home.pin(), &bytes)?)
+    /// Where it stands now.
+    pub fn state(&self) -> watch::Ref<'_, NetworkState> {
+        self.state.borrow()
     }
 
-    /// Connects and stays connected, with growing pauses between attempts, until the site ends. Once connected,
-    /// it waits until the chain is found to be another one, and then for the pinned one to come back.
-    pub(in crate::site) async fn keep_connected(self: Arc<Self>) {
-        let mut pause = 1;
-        while !self.is_stopping() {
-            let is_lost = |state: &NetworkState| {
-                matches!(state, NetworkState::Connecting | NetworkState::Swapped(_) | NetworkState::Down { .. })
-            };
-            let mut state = self.network.subscribe();
-            if !is_lost(&state.borrow()) {
-                pause = 1;
-                // An error means that the site is gone.
-                drop(state.wait_for(|state| is_lost(state) || matches!(state, NetworkState::Off)).await);
-                continue;
-            }
-            match self.connect().await {
-                Ok(()) => continue,
-                Err(Lost::Swapped(failure)) => self.lose_chain(failure),
-                Err(Lost::Other(failure)) => {
-                    self.hub.notice(NoticeLevel::Error, &failure.message);
-                    self.lost(NetworkState::Down { failure, retry: pause });
-                }
-            }
-            tokio::select! {
-                () = tokio::time::sleep(Duration::from_secs(pause)) => {}
-                () = self.stopped() => return,
-            }
-            pause = (pause * 2).min(LONGEST_PAUSE);
-        }
+    /// Follows where it stands.
+    pub fn follow(&self) -> watch::Receiver<NetworkState> {
+        self.state.subscribe()
+    }
+
+    /// It stands elsewhere now.
+    pub fn set(&self, state: NetworkState) {
+        self.state.send_replace(state);
     }
 
     /// Another chain answers than the pinned one: everything that needs the chain stands still.
-    pub(in crate::site) fn lose_chain(&self, failure: Failure) {
+    pub fn lose_chain(&self, failure: Failure) {
         self.hub.notice(NoticeLevel::Error, &failure.message);
         self.lost(NetworkState::Swapped(failure));
     }
 
-    fn lost(&self, to: NetworkState) {
-        self.network.send_if_modified(|state| {
+    /// The chain is gone, unless the site ends anyway.
+    pub fn lost(&self, to: NetworkState) {
+        self.state.send_if_modified(|state| {
             let ending = matches!(state, NetworkState::Off);
             if !ending {
                 *state = to;
             }
             !ending
         });
-        self.changed(Part::Health);
-        self.changed(Part::Chain);
-    }
-
-    async fn connect(self: &Arc<Self>) -> Result<(), Lost> {
-        // `chain adopt` may be at it, and have connected by the time it is done.
-        let _one_at_a_time = self.deploying.lock().await;
-        if matches!(*self.network.borrow(), NetworkState::Up(_) | NetworkState::Bare(_) | NetworkState::Off) {
-            return Ok(());
-        }
-        let chain = self.reach_chain().await?;
-        if let Some(pin) = chain.pin() {
-            self.save_pin(&pin)?;
-            return self.use_network(chain, &pin).await;
-        }
-        self.network.send_replace(NetworkState::Bare(chain));
-        self.changed(Part::Chain);
-        self.changed(Part::Health);
-        Ok(())
-    }
-
-    /// The chain of the settings, held against the home's pin.
-    async fn reach_chain(&self) -> Result<Chain, Lost> {
-        let (pinned, contract, confirmations) = (self.pin()?, self.config.contract, self.config.confirmations);
-        if let Some(remote) = &self.remote {
-            return remote.chain(pinned, contract, confirmations).await;
-        }
-        let endpoint = match &self.config.chain_url {
-            Some(url) => Endpoint::Node { url: url.clone() },
-            None => Endpoint::Embedded { directory: self.home.chain(), consensus: self.config.consensus },
-        };
-        Ok(Chain::connect(ChainOptions { endpoint, contract, pinned, confirmations }).await?)
-    }
-
-    pub(in crate::site) async fn use_network(self: &Arc<Self>, chain: Chain, pin: &Pin) -> Result<(), Lost> {
-        let network = self.network_of(chain, pin).await?;
-        block_in_place(|| watcher::restore(&self.plant, &network))?;
-        let head = watcher::watch_round(&self.plant, &network).await?;
-        self.scanned.send_replace(head.number);
-        self.network.send_replace(NetworkState::Up(Box::new(network)));
-        self.changed(Part::Chain);
-        self.changed(Part::Health);
-        for owner in self.all_owners() {
-            if let Err(failure) = self.resume_owner(&owner).await {
-                self.hub.notice(NoticeLevel::Error, &failure.message);
-            }
-        }
-        Ok(())
+        self.hub.changed(Part::Health);
+        self.hub.changed(Part::Chain);
     }
 
     /// The chain, as soon as the first attempt has ended.
@@ -164,15 +93,19 @@ impl Site {
     /// # Errors
     /// Why the link is down.
     pub async fn chain(&self) -> Result<Chain, Failure> {
-        match self.settled_network().await? {
+        match self.settled().await? {
             NetworkState::Bare(chain) => Ok(chain),
             NetworkState::Up(network) => Ok(network.chain),
             _ => Err(off()),
         }
     }
 
-    async fn settled_network(&self) -> Result<NetworkState, Failure> {
-        let mut state = self.network.subscribe();
+    /// Where it stands, as soon as the first attempt has ended.
+    ///
+    /// # Errors
+    /// Why the link is down.
+    pub async fn settled(&self) -> Result<NetworkState, Failure> {
+        let mut state = self.state.subscribe();
         let settled = state.wait_for(|state| !matches!(state, NetworkState::Connecting)).await;
         let settled = settled.map_err(|_| off())?.clone();
         match settled {
@@ -186,7 +119,7 @@ impl Site {
     /// # Errors
     /// Why the link is down, or that no contract is known yet.
     pub async fn network(&self) -> Result<Network, Failure> {
-        match self.settled_network().await? {
+        match self.settled().await? {
             NetworkState::Up(network) => Ok(*network),
             NetworkState::Bare(_) => {
                 Err(input("no contract is deployed yet; `authros register` deploys one, or set chain.contract"))
@@ -196,106 +129,57 @@ impl Site {
     }
 
     /// The network, if it is up right now.
-    pub(crate) fn network_now(&self) -> Option<Network> {
-        match &*self.network.borrow() {
+    pub fn network_now(&self) -> Option<Network> {
+        match &*self.state.borrow() {
             NetworkState::Up(network) => Some((**network).clone()),
             _ => None,
         }
     }
 
-    /// The network; deploys the contract with the owner's account where there is none yet.
-    pub(in crate::site) async fn network_or_deploy(self: &Arc<Self>, owner: &Owner) -> Result<Network, Failure> {
-        self.network_or_deploy_as(owner, Revision::NEWEST, DEFAULT_DELAY).await
-    }
-
-    /// The same, of a chosen revision and with a chosen delay of successions.
-    pub(in crate::site) async fn network_or_deploy_as(
-        self: &Arc<Self>,
-        owner: &Owner,
-        revision: Revision,
-        delay: Duration,
-    ) -> Result<Network, Failure> {
-        // Not before the first attempt has ended, which needs the lock as well.
-        self.settled_network().await?;
-        let _one_at_a_time = self.deploying.lock().await;
-        let NetworkState::Bare(chain) = self.settled_network().await? else { return self.network().await };
-        let eoa = owner.eoa();
-        self.fund(&chain, owner).await?;
-        let pin = chain.deploy_revision(&eoa, revision, delay).await?;
-        self.save_pin(&pin)?;
-        self.use_network(chain, &pin).await?;
-        self.record_audit(&owner.profile, "deploy", &pin.contract.to_string(), "done").await?;
-        self.hub.notice(
-            NoticeLevel::Info,
-            &format!("contract {} deployed; {} administers it", pin.contract, owner.address),
-        );
-        self.network().await
-    }
-
-    /// Asks a development node for money where the account has none.
-    pub(in crate::site) async fn fund(&self, chain: &Chain, owner: &Owner) -> Result<(), Failure> {
-        if self.config.chain_url.is_some() && chain.fund_from_node(owner.address).await? {
-            self.hub.notice(NoticeLevel::Info, &format!("the development node gave {} money for gas", owner.address));
-        }
-        Ok(())
-    }
-
     /// Notes the head that the chain just told.
-    pub(in crate::site) fn saw_head(&self, head: BlockRef) {
-        *self.head_seen.lock().unwrap_or_else(PoisonError::into_inner) = Some((Instant::now(), head));
+    pub fn saw_head(&self, head: BlockRef) {
+        *self.head.lock().unwrap_or_else(PoisonError::into_inner) = Some((Instant::now(), head));
+    }
+
+    /// The newest head that the chain told.
+    pub fn newest_head(&self) -> Option<BlockRef> {
+        self.head.lock().unwrap_or_else(PoisonError::into_inner).map(|(_, head)| head)
     }
 
     /// The newest head, unless the chain has not told one for `longest`.
-    pub(in crate::site) fn fresh_head(&self, longest: Duration) -> Option<BlockRef> {
-        let seen = *self.head_seen.lock().unwrap_or_else(PoisonError::into_inner);
+    pub fn fresh_head(&self, longest: Duration) -> Option<BlockRef> {
+        let seen = *self.head.lock().unwrap_or_else(PoisonError::into_inner);
         seen.filter(|(at, _)| at.elapsed() <= longest).map(|(_, head)| head)
     }
 
+    /// The watcher has seen everything up to this block.
+    pub fn has_scanned(&self, number: u64) {
+        self.scanned.send_replace(number);
+    }
+
+    /// Follows how far the watcher is.
+    pub fn scans(&self) -> watch::Receiver<u64> {
+        self.scanned.subscribe()
+    }
+
     /// Waits until the watcher has seen block `number`.
-    pub(crate) async fn scanned(&self, number: u64) {
+    pub async fn scanned(&self, number: u64) {
         let mut scanned = self.scanned.subscribe();
         // An error means that the site is ending.
         drop(scanned.wait_for(|seen| *seen >= number).await);
     }
-}
 
-/// Why no link to the chain came about.
-pub(in crate::site) enum Lost {
-    /// Another chain is there.
-    Swapped(Failure),
-    /// Anything else.
-    Other(Failure),
-}
-
-impl From<ChainError> for Lost {
-    fn from(error: ChainError) -> Self {
-        match error {
-            ChainError::Swapped { .. } => Self::Swapped(error.into()),
-            other => Self::Other(other.into()),
+    /// Notes whether the chain answered the last time it was asked.
+    pub fn answers(&self, answers: bool) {
+        let before = self.silent.swap(!answers, Ordering::AcqRel);
+        if before == answers {
+            self.hub.changed(Part::Health);
         }
     }
-}
 
-impl From<PipelineError> for Lost {
-    fn from(error: PipelineError) -> Self {
-        match error {
-            PipelineError::Chain(error) => error.into(),
-            other => Self::Other(other.into()),
-        }
-    }
-}
-
-impl From<Lost> for Failure {
-    fn from(lost: Lost) -> Self {
-        match lost {
-            Lost::Swapped(failure) | Lost::Other(failure) => failure,
-        }
-    }
-}
-
-impl From<Failure> for Lost {
-    fn from(failure: Failure) -> Self {
-        Self::Other(failure)
+    /// Whether the chain did not answer the last time it was asked.
+    pub fn is_silent(&self) -> bool {
+        self.silent.load(Ordering::Acquire)
     }
 }
 

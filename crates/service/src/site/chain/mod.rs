@@ -2,6 +2,7 @@
 
 mod administration;
 mod adoption;
+pub(super) mod connection;
 mod exposure;
 pub(super) mod lanes;
 pub(super) mod link;

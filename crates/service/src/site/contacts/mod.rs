@@ -45,7 +45,7 @@ impl Site {
     fn write_book(&self, book: &[Contact]) -> Result<(), Failure> {
         let text = serde_json::to_string(book).map_err(|error| internal(error.to_string()))?;
         block_in_place(|| self.plant.ledger.put_setting(BOOK, &text))?;
-        self.changed(Part::Grants);
+        self.hub.changed(Part::Grants);
         Ok(())
     }
 
@@ -94,7 +94,7 @@ impl Site {
             )));
         }
         let fingerprint = fingerprint.map(|text| read(&text)).transpose()?.map(|found| found.to_string());
-        let network = self.network().await.ok();
+        let network = self.link.network().await.ok();
         let found = || network.as_ref().and_then(|network| Self::registered_fingerprint(network, address));
         let fingerprint = fingerprint.or_else(found);
         {
@@ -109,7 +109,7 @@ impl Site {
             if book.len() >= MOST {
                 return Err(refused(format!("the address book holds at most {MOST} contacts; remove one first")));
             }
-            self.record_audit(profile, "contact add", &format!("{name} {address}"), "done").await?;
+            self.log.write(profile, "contact add", &format!("{name} {address}"), "done").await?;
             book.push(Contact { name, address, fingerprint, given });
             book.sort_by(|one, other| one.name.cmp(&other.name));
             self.write_book(&book)?;
@@ -128,7 +128,7 @@ impl Site {
             let contact = self.contact(name)?;
             let mut book = self.book()?;
             book.retain(|other| *other != contact);
-            self.record_audit(profile, "contact remove", &format!("{name} {}", contact.address), "done").await?;
+            self.log.write(profile, "contact remove", &format!("{name} {}", contact.address), "done").await?;
             self.write_book(&book)?;
         }
         self.contact_rows().await
@@ -141,7 +141,7 @@ impl Site {
         name: &ContactName,
         fingerprint: Option<String>,
     ) -> Result<Vec<ContactRow>, Failure> {
-        let network = self.network().await?;
+        let network = self.link.network().await?;
         {
             let _one_at_a_time = self.contacts.lock().await;
             let contact = self.contact(name)?;
@@ -165,7 +165,7 @@ impl Site {
             for other in book.iter_mut().filter(|other| other.name == *name) {
                 (other.fingerprint, other.given) = (Some(registered.to_string()), true);
             }
-            self.record_audit(profile, "contact confirm", &format!("{name} {registered}"), "done").await?;
+            self.log.write(profile, "contact confirm", &format!("{name} {registered}"), "done").await?;
             self.write_book(&book)?;
         }
         self.contact_rows().await
@@ -173,7 +173,7 @@ impl Site {
 
     /// The whole book, each with what the chain says now.
     pub(super) async fn contact_rows(self: &Arc<Self>) -> Result<Vec<ContactRow>, Failure> {
-        let network = self.network().await.ok();
+        let network = self.link.network().await.ok();
         let row = |contact: Contact| {
             let registered =
                 network.as_ref().and_then(|network| Self::registered_fingerprint(network, contact.address));
@@ -258,13 +258,13 @@ impl Site {
         let (account, fingerprint) = match account {
             Some(party) => {
                 let account = self.resolve(&party)?;
-                let identity = self.network().await?.directory.identity(account)?;
+                let identity = self.link.network().await?.directory.identity(account)?;
                 (account, Fingerprint::of(&identity.signing))
             }
             None => {
                 let path = self.home.keyring(profile);
                 if !path.exists() {
-                    self.unlocked(profile)?;
+                    self.owners.unlocked(profile)?;
                 }
                 let public = block_in_place(|| crate::crypto::read_public(&path))?;
                 (public.address, Fingerprint::of(&public.signing))

@@ -82,7 +82,7 @@ impl Site {
                  keeper tell it, and give it as --gateway-key",
             ));
         }
-        let network = self.network().await?;
+        let network = self.link.network().await?;
         network.directory.identity(owner.address)?;
         let passphrase = Passphrase::new(wishes.passphrase.expose().to_owned())?;
         let topics = covered(&wishes)?;
@@ -91,7 +91,7 @@ impl Site {
         }
         let device = SmKeyPair::generate(self.plant.provider)?;
         let id = signer_id(&device.public);
-        self.audit_first(owner, "enrol device", &format!("{} {id}", wishes.name)).await?;
+        self.log.begin(owner, "enrol device", &format!("{} {id}", wishes.name)).await?;
         let context = Context { provider: self.plant.provider, domain: network.domain };
         let endpoint = Endpoint { address: wishes.gateway.clone(), context, patience: PATIENCE };
         let mut trust = wishes.fingerprint.map_or_else(Trust::on_first_use, Trust::pinned);
@@ -222,7 +222,7 @@ impl Site {
         device: &str,
         topics: &[TopicName],
     ) -> Result<DeviceTopicsView, Failure> {
-        let network = self.network().await?;
+        let network = self.link.network().await?;
         let device = self.lent_device(&network, owner, device)?;
         let mut all = self.enrolled_devices(owner)?;
         let enrolled = all.iter_mut().rfind(|enrolled| enrolled.device == device);
@@ -245,7 +245,7 @@ impl Site {
             return Err(input(TOO_MANY));
         }
         let enrolled = enrolled.clone();
-        self.audit_first(owner, "device topics", &format!("{device}: {}", added.join(" "))).await?;
+        self.log.begin(owner, "device topics", &format!("{device}: {}", added.join(" "))).await?;
         self.write_enrolled(owner, &all)?;
         block_in_place(|| self.tell_devices(owner, &network))?;
         Ok(DeviceTopicsView { name: enrolled.name, device, added, topics: enrolled.topics })

@@ -26,7 +26,7 @@ impl Site {
         device: SignerId,
         until: Option<Timestamp>,
     ) -> Result<TransactionView, Failure> {
-        let network = self.network().await?;
+        let network = self.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
         network.directory.identity(owner.address)?;
         if until.is_some_and(|until| until <= Timestamp::now()) {
@@ -37,7 +37,7 @@ impl Site {
         if known.iter().any(|lending| lending.device == device && lending.until == until && is_active(lending)) {
             return Err(refused(format!("device {device} is lent already; `authros devices list` shows until when")));
         }
-        self.audit_first(owner, "lend device", &device.to_string()).await?;
+        self.log.begin(owner, "lend device", &device.to_string()).await?;
         let text = match until {
             Some(until) => format!("device {device} may sign for {} until {until}", owner.address),
             None => format!("device {device} may sign for {} until it is recalled", owner.address),
@@ -52,10 +52,10 @@ impl Site {
         owner: &Arc<Owner>,
         device: &str,
     ) -> Result<TransactionView, Failure> {
-        let network = self.network().await?;
+        let network = self.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
         let device = self.lent_device(&network, owner, device)?;
-        self.audit_first(owner, "recall device", &device.to_string()).await?;
+        self.log.begin(owner, "recall device", &device.to_string()).await?;
         // In the keyring before anything is sent: an end in between is taken up at the next start.
         owner.prepare_epoch(network.domain, network.directory.epoch(owner.address) + 1)?;
         let recalled = self.send_recall(owner, &network, device).await?;
@@ -75,9 +75,9 @@ impl Site {
 
     /// Takes back the loan of a device that nobody has used.
     pub(super) async fn unlend_device(self: &Arc<Self>, owner: &Arc<Owner>, device: SignerId) -> Result<(), Failure> {
-        let network = self.network().await?;
+        let network = self.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
-        self.audit_first(owner, "recall device", &device.to_string()).await?;
+        self.log.begin(owner, "recall device", &device.to_string()).await?;
         self.send_recall(owner, &network, device).await.map(drop)
     }
 
@@ -99,15 +99,15 @@ impl Site {
         text: String,
     ) -> Result<TransactionView, Failure> {
         let (transaction, receipt) = self.sender.send(&network.chain, &owner.eoa(), call, purpose).await?;
-        self.scanned(receipt.block).await;
-        self.changed(Part::Identity);
+        self.link.scanned(receipt.block).await;
+        self.hub.changed(Part::Identity);
         let epoch = network.directory.epoch(owner.address);
         Ok(TransactionView { transaction: Some(transaction), block: Some(receipt.block), epoch, text })
     }
 
     /// Every device ever lent, newest first.
     pub(super) async fn device_rows(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<Vec<DeviceRow>, Failure> {
-        let network = self.network().await?;
+        let network = self.link.network().await?;
         let row = |lending: &Lending| DeviceRow {
             device: lending.device,
             fingerprint: Fingerprint::of_signer(&lending.device).to_string(),

@@ -65,7 +65,7 @@ impl Site {
         block_in_place(|| self.plant.ledger.put_setting(LIST, &text))?;
         let owners = list.iter().map(|admitted| admitted.owner).collect();
         *self.admitted.write().unwrap_or_else(PoisonError::into_inner) = Some(owners);
-        self.changed(Part::Health);
+        self.hub.changed(Part::Health);
         Ok(())
     }
 
@@ -99,7 +99,7 @@ impl Site {
                 if list.len() >= MOST {
                     return Err(refused(format!("a gateway admits at most {MOST} owners; dismiss one first")));
                 }
-                self.record_audit(profile, "gateway admit", &owner.to_string(), "done").await?;
+                self.log.write(profile, "gateway admit", &owner.to_string(), "done").await?;
                 list.push(Admitted { owner, since: Timestamp::now(), by: profile.to_string() });
                 self.keep_admissions(&list)?;
             }
@@ -125,7 +125,7 @@ impl Site {
             if list.len() == before {
                 return Err(input(format!("{owner} is not admitted; `authros gateway admitted` lists who is")));
             }
-            self.record_audit(profile, "gateway dismiss", &owner.to_string(), "done").await?;
+            self.log.write(profile, "gateway dismiss", &owner.to_string(), "done").await?;
             self.keep_admissions(&list)?;
         }
         self.admitted_rows()
@@ -145,7 +145,7 @@ impl Site {
 
     /// Accounts of this home's profiles, those included that are not open.
     fn home_accounts(&self) -> BTreeSet<Address> {
-        let open = self.all_owners().iter().map(|owner| owner.address).collect::<BTreeSet<_>>();
+        let open = self.owners.all().iter().map(|owner| owner.address).collect::<BTreeSet<_>>();
         let kept = self.home.profiles().into_iter().filter_map(|profile| {
             let public = block_in_place(|| crate::crypto::read_public(&self.home.keyring(&profile)));
             // One that cannot be read is told of where it is opened.
@@ -162,7 +162,7 @@ impl GatewayDesk {
     /// [`Refusal`] with `NotAuthorised`, whose detail says what the keeper may do.
     pub(super) fn standing_of(&self, network: &Network, account: &Address) -> Result<Standing, Refusal> {
         let site = &self.site;
-        let own = || site.all_owners().iter().any(|owner| owner.address == *account);
+        let own = || site.owners.all().iter().any(|owner| owner.address == *account);
         if self.home_accounts.contains(account) || site.is_on_list(account) || own() {
             return Ok(Standing::Admitted);
         }

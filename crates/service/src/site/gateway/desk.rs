@@ -42,7 +42,7 @@ impl GatewayDesk {
 
     async fn audit(&self, caller: &Caller, action: &str, subject: &str) -> Result<(), Refusal> {
         let outcome = format!("asked by {} ({})", caller.name, caller.account);
-        let written = self.site.record_audit(&self.keeper.profile, action, subject, &outcome).await;
+        let written = self.site.log.write(&self.keeper.profile, action, subject, &outcome).await;
         written.map_err(|failure| Refusal::new(Code::Internal, failure.message))
     }
 
@@ -57,13 +57,13 @@ impl GatewayDesk {
 
     /// As [`Self::audit`], but the same of the same caller only once a minute; repetitions are counted.
     async fn audit_once(&self, caller: &Caller, action: &str, subject: &str) -> Result<(), Refusal> {
-        let (refusals, query) = (&self.site.refusals, format!("{action} {subject}"));
-        if !refusals.is_new_query(Timestamp::now(), caller.name.as_str(), &query) {
+        let (log, query) = (&self.site.log, format!("{action} {subject}"));
+        if !log.is_new_query(caller.name.as_str(), &query) {
             return Ok(());
         }
         let written = self.audit(caller, action, subject).await;
         if written.is_err() {
-            refusals.forget_query(caller.name.as_str(), &query);
+            log.forget_query(caller.name.as_str(), &query);
         }
         written
     }
@@ -94,7 +94,7 @@ impl GatewayDesk {
             error => Refusal::new(Code::Internal, error),
         })?;
         self.site.hub.stored.notify_waiters();
-        self.site.changed(crate::service::event::Part::Uploads);
+        self.site.hub.changed(crate::service::event::Part::Uploads);
         Ok(Timestamp::now())
     }
 }
@@ -174,7 +174,7 @@ impl Desk for GatewayDesk {
         let subject = format!("{name} for {}", binding.account);
         let (asked, account) = (name.clone(), binding.account);
         self.blocking(move |desk| desk.check_name(&desk.fresh_network()?, &account, &asked)).await?;
-        let audited = self.site.record_audit(&self.keeper.profile, "allocate key", &subject, "begun").await;
+        let audited = self.site.log.write(&self.keeper.profile, "allocate key", &subject, "begun").await;
         audited.map_err(|failure| Refusal::new(Code::Internal, failure.message))?;
         let name = name.clone();
         self.blocking(move |desk| {
@@ -278,7 +278,7 @@ impl Desk for GatewayDesk {
 
     fn refused(&self, peer: SocketAddr, refusal: &Refusal) {
         // A line per peer, code and minute: whoever is refused again and again can fill neither log.
-        if self.site.refused(&peer.ip().to_string(), &format!("{:?}", refusal.code)) {
+        if self.site.log.refused(&peer.ip().to_string(), &format!("{:?}", refusal.code)) {
             let text = format!("the gateway refused {}: {refusal}", peer.ip());
             self.site.hub.notice(NoticeLevel::Info, &text);
         }

@@ -43,7 +43,7 @@ impl Site {
         }
         let lines = |action: &str| {
             let query = AuditQuery { action: Some(action.to_owned()), limit: LINES, ..AuditQuery::default() };
-            self.audit.list(&query)
+            self.log.lines().list(&query)
         };
         let mut told: BTreeMap<String, (u64, Address, SignerId)> = BTreeMap::new();
         for line in lines("device notice")? {

@@ -56,7 +56,7 @@ async fn serve_until(site: Arc<Site>, place: Place, server: Option<Server>, mut 
         Err(failure) => return site.hub.notice(NoticeLevel::Error, &failure.message),
     };
     tokio::select! {
-        () = site.stopped() => {}
+        () = site.life.stopped() => {}
         // A dropped sender says the same.
         _ = over.wait_for(|over| *over) => {}
         () = server.broken() => return,
@@ -94,7 +94,7 @@ impl Site {
                 "a gateway anchors records of many owners, which only batches can; set anchor.mode = 'batch'",
             ));
         }
-        let network = self.network().await?;
+        let network = self.link.network().await?;
         let registered = network.directory.identity(keeper.address)?;
         if registered.signing != keeper.signing().public {
             return Err(refused(format!(
@@ -116,11 +116,11 @@ impl Site {
             account: keeper.address,
             domain: network.domain,
         };
-        self.record_audit(&keeper.profile, "gateway", &view.address, "serving").await?;
+        self.log.write(&keeper.profile, "gateway", &view.address, "serving").await?;
         self.hub.notice(NoticeLevel::Info, &format!("the gateway listens at {}", view.address));
         *self.served_gateway.lock().unwrap_or_else(PoisonError::into_inner) =
             Some(Serving { view: view.clone(), watch: server.watch(), under: Arc::clone(&under) });
-        self.changed(Part::Health);
+        self.hub.changed(Part::Health);
         self.keep_gateway(place, server, ended);
         Ok(view)
     }
@@ -134,12 +134,13 @@ impl Site {
             drop(ended.await);
             over.send_replace(true);
             *site.served_gateway.lock().unwrap_or_else(PoisonError::into_inner) = None;
-            site.changed(Part::Health);
+            site.hub.changed(Part::Health);
         });
         let (place, first) = (Place { address: server.address(), ..place }, Mutex::new(Some(server)));
         let over = is_over.clone();
-        self.supervise_while(
+        self.supervisor.keep_while(
             "gateway",
+            self,
             move |_| !*is_over.borrow(),
             move |site| {
                 let first = first.lock().unwrap_or_else(PoisonError::into_inner).take();

@@ -29,7 +29,7 @@ impl GatewayDesk {
         parameters: &Value,
     ) -> Result<Value, RelayError> {
         let network = self.fresh_network().map_err(|refusal| silent(&refusal))?;
-        let (Some(pin), Some(head)) = (network.chain.pin(), self.site.fresh_head(LONGEST_SILENCE)) else {
+        let (Some(pin), Some(head)) = (network.chain.pin(), self.site.link.fresh_head(LONGEST_SILENCE)) else {
             return Err(RelayError::Silent("no fresh head of the chain".to_owned()));
         };
         let asker = if caller.is_some() { Asker::Registered } else { Asker::Visitor };

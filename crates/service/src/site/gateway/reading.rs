@@ -26,8 +26,8 @@ fn not_authorised(owner: &Address, reader: &Address) -> Refusal {
 impl GatewayDesk {
     /// The network, where the chain has told a head lately.
     pub(super) fn fresh_network(&self) -> Result<Network, Refusal> {
-        let network = self.site.network_now().filter(|network| network.domain == self.domain);
-        let fresh = self.site.fresh_head(LONGEST_SILENCE);
+        let network = self.site.link.network_now().filter(|network| network.domain == self.domain);
+        let fresh = self.site.link.fresh_head(LONGEST_SILENCE);
         network.filter(|_| fresh.is_some()).ok_or_else(|| Refusal::new(Code::Stale, "no fresh head of the chain"))
     }
 
@@ -37,7 +37,7 @@ impl GatewayDesk {
             return Ok(ReadingRight::Own);
         }
         let policy = Policy::Gateway {
-            head: self.site.fresh_head(LONGEST_SILENCE),
+            head: self.site.link.fresh_head(LONGEST_SILENCE),
             confirmations: network.confirmations,
             revoke_announced: self.is_revoke_announced(network, owner, reader)?,
         };
@@ -56,7 +56,7 @@ impl GatewayDesk {
         signer: &SignerId,
     ) -> Result<Result<SigningRight, NoRight>, Refusal> {
         let network = self.fresh_network()?;
-        let head = self.site.fresh_head(LONGEST_SILENCE).map_or(0, |head| head.timestamp);
+        let head = self.site.link.fresh_head(LONGEST_SILENCE).map_or(0, |head| head.timestamp);
         let at = Moment::newest(network.directory.now().max(Timestamp::from_seconds(head)));
         Ok(may_sign(&network.directory, *owner, *signer, at))
     }
@@ -70,7 +70,7 @@ impl GatewayDesk {
         if epoch.is_some_and(|epoch| network.directory.epoch(*owner) < epoch) {
             return Ok(true);
         }
-        let owners = self.site.all_owners();
+        let owners = self.site.owners.all();
         let Some(local) = owners.iter().find(|local| local.address == *owner) else { return Ok(false) };
         let owed = self.site.owed_revocations(local, network);
         Ok(owed.map_err(|failure| Refusal::new(Code::Internal, failure.message))?.contains(reader))

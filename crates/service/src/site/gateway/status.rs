@@ -16,7 +16,7 @@ use crate::service::failure::{input, internal};
 use crate::service::reply::{
     Failure, GatewayStatusView, GatewayView, IdentityView, RefusedView, Reply, SenderView, SystemKeyView,
 };
-use crate::site::Site;
+use crate::site::{Site, blocking};
 
 /// How long a change under way may hold up the locking.
 const PATIENCE: Duration = Duration::from_secs(10);
@@ -51,18 +51,18 @@ impl Site {
     /// Wipes what decrypts, grants and revokes. A change of epochs or grants under way is waited for a moment: without
     /// its keys it could not be finished.
     async fn lock_profile(self: &Arc<Self>, profile: &ProfileName) -> Result<IdentityView, Failure> {
-        if let Some(owner) = self.owner(profile).filter(|owner| !owner.is_locked()) {
+        if let Some(owner) = self.owners.get(profile).filter(|owner| !owner.is_locked()) {
             {
                 // One that hangs is cut: what it leaves open is taken up at the next unlock.
                 let _one_at_a_time = tokio::time::timeout(PATIENCE, owner.changes.lock()).await.ok();
-                if let Some(network) = self.network_now() {
+                if let Some(network) = self.link.network_now() {
                     block_in_place(|| self.foresee_locked(&owner, &network))?;
                 }
                 owner.lock(self.plant.provider)?;
                 self.heads.forget();
             }
-            self.changed(Part::Identity);
-            self.record_audit(profile, "lock", "keyring", "done").await?;
+            self.hub.changed(Part::Identity);
+            self.log.write(profile, "lock", "keyring", "done").await?;
         }
         self.identity_view(profile).await
     }
@@ -72,11 +72,11 @@ impl Site {
         if !path.exists() {
             return Err(input(format!("profile '{profile}' has no identity yet; there is nothing to back up")));
         }
-        self.record_audit(profile, "back up keys", "keyring", "begun").await?;
+        self.log.write(profile, "back up keys", "keyring", "begun").await?;
         let read = move |_: &Self| {
             std::fs::read(&path).map_err(|error| internal(format!("the keyring cannot be read: {error}")))
         };
-        Ok(SecretBytes::new(self.blocking(read).await?))
+        Ok(SecretBytes::new(blocking(self, read).await?))
     }
 
     /// What the transport keys of the gateway that this owner serves here lie under.

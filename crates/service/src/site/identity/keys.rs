@@ -13,14 +13,14 @@ use crate::service::command::{KeyKind, SecretBytes, SecretText};
 use crate::service::event::Part;
 use crate::service::failure::{input, refused};
 use crate::service::reply::{EpochView, Failure, KeysView};
-use crate::site::Site;
+use crate::site::{Site, blocking};
 
 impl Site {
     /// Keys with fingerprints and epochs; no secret.
     pub(in crate::site) async fn keys_view(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<KeysView, Failure> {
         let (signing, envelope) = owner.public_keys();
         let mut epochs = Vec::new();
-        if let Some(network) = self.network_now() {
+        if let Some(network) = self.link.network_now() {
             let current = owner.sealing().map(|keys| keys.epoch);
             for epoch in owner.epochs(network.domain) {
                 if let Some(token) = owner.token(network.domain, epoch) {
@@ -47,13 +47,13 @@ impl Site {
         passphrase: Option<SecretText>,
     ) -> Result<KeysView, Failure> {
         let registered = self.registered_network(owner).await?;
-        self.audit_first(owner, "load key", &format!("{kind:?}").to_lowercase()).await?;
+        self.log.begin(owner, "load key", &format!("{kind:?}").to_lowercase()).await?;
         let owner = match kind {
             KeyKind::Sm4 => self.load_sm4(owner, path, registered.is_some()).await?,
             KeyKind::Sm2 => self.load_sm2(owner, path, registered.as_ref()).await?,
             KeyKind::Eoa => self.load_eoa(owner, path, passphrase, registered.is_some()).await?,
         };
-        self.changed(Part::Identity);
+        self.hub.changed(Part::Identity);
         self.keys_view(&owner).await
     }
 
@@ -63,7 +63,7 @@ impl Site {
         path: PathBuf,
         registered: bool,
     ) -> Result<Arc<Owner>, Failure> {
-        let key = self.blocking(move |_| Ok(keyfile::load_sm4(&path)?)).await?;
+        let key = blocking(self, move |_| Ok(keyfile::load_sm4(&path)?)).await?;
         {
             let mut keyring = owner.keyring();
             keyring.keyring.sm4 = key;
@@ -82,7 +82,7 @@ impl Site {
         network: Option<&Network>,
     ) -> Result<Arc<Owner>, Failure> {
         let provider = self.plant.provider;
-        let pair = self.blocking(move |_| Ok(SmKeyPair::from_secret(provider, keyfile::load_sm2(&path)?)?)).await?;
+        let pair = blocking(self, move |_| Ok(SmKeyPair::from_secret(provider, keyfile::load_sm2(&path)?)?)).await?;
         let new = NewPairs { signing: Some(pair), ..NewPairs::default() };
         self.change_pairs(owner, network, new).await?;
         Ok(Arc::clone(owner))
@@ -91,11 +91,11 @@ impl Site {
     /// Makes a new envelope pair; the former one opens what was sealed to it.
     pub(in crate::site) async fn rotate_envelope(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<KeysView, Failure> {
         let registered = self.registered_network(owner).await?;
-        self.audit_first(owner, "rotate envelope key", &owner.address.to_string()).await?;
+        self.log.begin(owner, "rotate envelope key", &owner.address.to_string()).await?;
         let pair = SmKeyPair::generate(self.plant.provider)?;
         let new = NewPairs { envelope: Some(pair), ..NewPairs::default() };
         self.change_pairs(owner, registered.as_ref(), new).await?;
-        self.changed(Part::Identity);
+        self.hub.changed(Part::Identity);
         self.keys_view(owner).await
     }
 
@@ -104,7 +104,7 @@ impl Site {
         self: &Arc<Self>,
         owner: &Owner,
     ) -> Result<Option<Network>, Failure> {
-        match self.network().await {
+        match self.link.network().await {
             Ok(network) => Ok(network.directory.identity(owner.address).is_ok().then_some(network)),
             Err(failure) if self.home.pin().exists() => Err(failure),
             Err(_) => Ok(None),
@@ -129,7 +129,7 @@ impl Site {
             return Err(refused(format!("records of {} wait to be anchored; register first", owner.address)));
         }
         let key =
-            self.blocking(move |_| Ok(keyfile::load_eoa(&path, passphrase.as_ref().map(SecretText::expose))?)).await?;
+            blocking(self, move |_| Ok(keyfile::load_eoa(&path, passphrase.as_ref().map(SecretText::expose))?)).await?;
         {
             let mut keyring = owner.keyring();
             keyring.keyring.eoa = key;
@@ -146,7 +146,7 @@ impl Site {
         kind: KeyKind,
         passphrase: Option<SecretText>,
     ) -> Result<SecretBytes, Failure> {
-        self.audit_first(owner, "export key", &format!("{kind:?}").to_lowercase()).await?;
+        self.log.begin(owner, "export key", &format!("{kind:?}").to_lowercase()).await?;
         let (sm4, signing, eoa) = {
             let keyring = owner.keyring();
             (keyring.keyring.sm4.clone(), keyring.keyring.signing.clone(), keyring.keyring.eoa.clone())
@@ -157,7 +157,7 @@ impl Site {
             KeyKind::Eoa => {
                 let passphrase = passphrase
                     .ok_or_else(|| input("a V3 keystore needs a passphrase; give --keystore-passphrase-file"))?;
-                self.blocking(move |_| Ok(keyfile::eoa_keystore(&eoa, passphrase.expose())?.into_bytes())).await?
+                blocking(self, move |_| Ok(keyfile::eoa_keystore(&eoa, passphrase.expose())?.into_bytes())).await?
             }
         };
         Ok(SecretBytes::new(bytes))

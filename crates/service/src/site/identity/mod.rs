@@ -2,12 +2,13 @@
 
 mod foreseeing;
 mod keys;
+pub(super) mod owners;
 mod pairs;
 mod registration;
 
-use std::sync::{Arc, PoisonError};
+use std::sync::Arc;
 
-use super::Site;
+use super::{Site, blocking};
 use crate::crypto::{Fingerprint, Keyring, Passphrase, UnlockedKeyring, read_public};
 use crate::model::ProfileName;
 use crate::pipeline::{Owner, adoption};
@@ -30,14 +31,13 @@ impl Site {
             )));
         }
         let passphrase = Passphrase::new(secret.expose().to_owned())?;
-        let unlocked = self
-            .blocking(move |site| {
-                let keyring = Keyring::generate(site.plant.provider)?;
-                Ok(UnlockedKeyring::create(keyring, &path, &passphrase)?)
-            })
-            .await?;
+        let unlocked = blocking(self, move |site| {
+            let keyring = Keyring::generate(site.plant.provider)?;
+            Ok(UnlockedKeyring::create(keyring, &path, &passphrase)?)
+        })
+        .await?;
         self.adopt_owner(profile.clone(), unlocked);
-        self.record_audit(&profile, "create identity", "keys", "done").await?;
+        self.log.write(&profile, "create identity", "keys", "done").await?;
         self.identity_view(&profile).await
     }
 
@@ -47,20 +47,20 @@ impl Site {
         profile: ProfileName,
         secret: SecretText,
     ) -> Result<IdentityView, Failure> {
-        let there = self.owner(&profile);
+        let there = self.owners.get(&profile);
         if there.as_ref().is_none_or(|owner| owner.is_locked()) {
             let path = self.home.keyring(&profile);
             let passphrase = Passphrase::new(secret.expose().to_owned())?;
-            let opened = self.blocking(move |_| Ok(UnlockedKeyring::open(&path, &passphrase)?)).await;
+            let opened = blocking(self, move |_| Ok(UnlockedKeyring::open(&path, &passphrase)?)).await;
             let outcome = if opened.is_ok() { "done" } else { "refused" };
-            self.record_audit(&profile, "unlock", "keyring", outcome).await?;
+            self.log.write(&profile, "unlock", "keyring", outcome).await?;
             match there {
                 Some(owner) => owner.unlock(opened?),
                 None => drop(self.adopt_owner(profile.clone(), opened?)),
             }
-            self.changed(Part::Identity);
+            self.hub.changed(Part::Identity);
         }
-        if let (Some(owner), Some(_)) = (self.owner(&profile), self.network_now()) {
+        if let (Some(owner), Some(_)) = (self.owners.get(&profile), self.link.network_now()) {
             self.resume_owner(&owner).await?;
         }
         self.identity_view(&profile).await
@@ -78,15 +78,15 @@ impl Site {
             return Err(refused(format!("profile '{profile}' has no identity yet; there is no passphrase to change")));
         }
         let (old, new) = (Passphrase::new(old.expose().to_owned())?, Passphrase::new(new.expose().to_owned())?);
-        self.record_audit(profile, "change passphrase", "keyring", "begun").await?;
-        let owner = self.owner(profile).filter(|owner| !owner.is_locked());
+        self.log.write(profile, "change passphrase", "keyring", "begun").await?;
+        let owner = self.owners.get(profile).filter(|owner| !owner.is_locked());
         // No save of the keyring under the old passphrase may come after it.
         let _one_at_a_time = match &owner {
             Some(owner) => Some(owner.changes.lock().await),
             None => None,
         };
         let open = owner.clone();
-        let changed = self.blocking(move |_| {
+        let changed = blocking(self, move |_| {
             // Also of an open keyring: who asks knows the present one.
             let mut kept = UnlockedKeyring::open(&path, &old)?;
             match &open {
@@ -97,7 +97,7 @@ impl Site {
         });
         let changed = changed.await;
         let outcome = if changed.is_ok() { "done" } else { "refused" };
-        self.record_audit(profile, "change passphrase", "keyring", outcome).await?;
+        self.log.write(profile, "change passphrase", "keyring", outcome).await?;
         changed
     }
 
@@ -105,11 +105,10 @@ impl Site {
     pub(super) fn adopt_owner(self: &Arc<Self>, profile: ProfileName, keyring: UnlockedKeyring) -> Arc<Owner> {
         let owner = Arc::new(Owner::new(profile.clone(), keyring));
         self.pins.introduce(owner.address, profile.as_str());
-        self.owners.write().unwrap_or_else(PoisonError::into_inner).insert(profile, Arc::clone(&owner));
+        self.owners.insert(&owner);
         self.seal_as_before(&owner);
-        self.work_for(&owner);
         self.restore_watches(&owner);
-        self.changed(Part::Identity);
+        self.hub.changed(Part::Identity);
         owner
     }
 
@@ -133,7 +132,7 @@ impl Site {
     /// The public side of a profile; needs no passphrase.
     pub(super) async fn identity_view(self: &Arc<Self>, profile: &ProfileName) -> Result<IdentityView, Failure> {
         let path = self.home.keyring(profile);
-        let owner = self.owner(profile);
+        let owner = self.owners.get(profile);
         let mut view = IdentityView {
             profile: profile.clone(),
             exists: path.exists(),
@@ -148,12 +147,12 @@ impl Site {
         if !view.exists {
             return Ok(view);
         }
-        let public = self.blocking(move |_| Ok(read_public(&path)?)).await?;
+        let public = blocking(self, move |_| Ok(read_public(&path)?)).await?;
         view.address = Some(public.address);
         view.signing_key = Some(public.signing);
         view.envelope_key = Some(public.envelope);
         view.fingerprint = Some(Fingerprint::of(&public.signing).to_string());
-        if let Ok(network) = self.network().await {
+        if let Ok(network) = self.link.network().await {
             view.registered =
                 network.directory.identity(public.address).is_ok_and(|identity| identity.signing == public.signing);
             view.epoch = Some(network.directory.epoch(public.address)).filter(|epoch| *epoch > 0);

@@ -130,7 +130,7 @@ impl Site {
         let identity = prove(provider, domain, &owner.address, signing, &envelope.public, token)?;
         let call = Call::RotateKeys { identity };
         let (_, receipt) = self.sender.send(&network.chain, &owner.eoa(), call, "rotateKeys").await?;
-        self.scanned(receipt.block).await;
+        self.link.scanned(receipt.block).await;
         Ok(())
     }
 

@@ -28,17 +28,17 @@ impl Site {
         let identity = prove(self.plant.provider, &network.domain, &owner.address, &signing, &envelope.public, token)?;
         let sent = self.sender.send(&network.chain, &owner.eoa(), Call::Register { identity }, "register").await;
         let outcome = if sent.is_ok() { "done" } else { "failed" };
-        self.record_audit(&owner.profile, "register", &owner.address.to_string(), outcome).await?;
+        self.log.write(&owner.profile, "register", &owner.address.to_string(), outcome).await?;
         let (_, receipt) = sent?;
-        self.scanned(receipt.block).await;
-        self.changed(Part::Identity);
+        self.link.scanned(receipt.block).await;
+        self.hub.changed(Part::Identity);
         Ok(())
     }
 
     /// Takes up where the owner's epochs stand on the chain: seals under the current one, or
     /// finishes one that was begun and never reached the chain; re-wraps what readers lack.
     pub(in crate::site) async fn resume_owner(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<(), Failure> {
-        let network = self.network().await?;
+        let network = self.link.network().await?;
         if network.directory.identity(owner.address).is_err() {
             return Ok(());
         }
@@ -50,7 +50,7 @@ impl Site {
         let owner = Arc::clone(owner);
         tokio::spawn(async move {
             let pairs = async {
-                let network = site.network().await?;
+                let network = site.link.network().await?;
                 let _one_at_a_time = owner.changes.lock().await;
                 site.finish_pairs(&owner, &network).await
             };
@@ -83,7 +83,7 @@ impl Site {
             owner.seal_under(network.domain, newest)?;
         }
         self.foresee_expiry(owner, network, None)?;
-        self.changed(Part::Identity);
+        self.hub.changed(Part::Identity);
         Ok(())
     }
 }

@@ -72,8 +72,8 @@ impl Site {
     pub(super) async fn mirror(self: Arc<Self>, owner: Arc<Owner>) {
         let Some(remote) = &self.remote else { return };
         let mut pause = PAUSES.0;
-        while !self.is_stopping() && self.owner(&owner.profile).is_some_and(|other| Arc::ptr_eq(&other, &owner)) {
-            let Some(network) = self.network_now() else {
+        while !self.life.is_stopping() && self.owners.is_open(&owner) {
+            let Some(network) = self.link.network_now() else {
                 tokio::time::sleep(TICK).await;
                 continue;
             };
@@ -94,7 +94,7 @@ impl Site {
                     self.tell_broken(remote, &owner, broken, pause);
                     tokio::select! {
                         () = tokio::time::sleep(pause) => {}
-                        () = self.stopped() => return,
+                        () = self.life.stopped() => return,
                     }
                     pause = (pause * 2).min(PAUSES.1);
                 }
@@ -162,7 +162,7 @@ impl Site {
                     }
                 }
                 () = tokio::time::sleep(TICK) => {}
-                () = self.stopped() => return Ok(()),
+                () = self.life.stopped() => return Ok(()),
             }
             if crate::pipeline::mirror::sources(network, owner) != sources || client.is_spent() {
                 remote.note(&owner.profile, Mirrored::Behind);
@@ -194,8 +194,8 @@ impl Site {
         match mirror.take(source, entry.digest, record).await {
             Ok(changed) => {
                 if changed {
-                    self.changed(Part::Uploads);
-                    self.changed(Part::Grants);
+                    self.hub.changed(Part::Uploads);
+                    self.hub.changed(Part::Grants);
                     self.hub.confirmed.notify_one();
                 }
                 Ok(())
@@ -281,7 +281,7 @@ impl Site {
                     Ok(record) => {
                         if mirror.take(*source, *digest, record).await? {
                             self.hub.confirmed.notify_one();
-                            self.changed(Part::Uploads);
+                            self.hub.changed(Part::Uploads);
                         }
                     }
                     Err(GatewayError::Refused(Code::NotFound | Code::NotAuthorised | Code::Tampered)) => {}

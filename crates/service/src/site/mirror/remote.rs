@@ -23,7 +23,7 @@ use crate::service::event::NoticeLevel;
 use crate::service::failure::{internal, refused};
 use crate::service::reply::Failure;
 use crate::site::Site;
-use crate::site::chain::link::Lost;
+use crate::site::chain::connection::Lost;
 
 /// How long a gateway may take to answer.
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -189,7 +189,7 @@ impl Site {
     /// Why the last attempt failed.
     pub(in crate::site) async fn caught_up(&self, profile: &ProfileName) -> Result<(), Failure> {
         let Some(remote) = &self.remote else { return Ok(()) };
-        self.network().await?;
+        self.link.network().await?;
         let mut mirrored = remote.mirrored.subscribe();
         let settled = mirrored.wait_for(|all| matches!(all.get(profile), Some(Mirrored::Caught | Mirrored::Failed(_))));
         match tokio::time::timeout(FIRST_ROUND, settled).await {

@@ -31,7 +31,7 @@ impl Site {
         profile: &ProfileName,
         topic: Option<&TopicName>,
     ) -> Result<PinsView, Failure> {
-        let owner = self.address_of(profile)?;
+        let owner = self.owners.address_of(profile)?;
         let topic = topic.map(|topic| topic.as_str().to_owned());
         let wanted = |name: &str| topic.as_deref().is_none_or(|topic| topic == name);
         let settings = self.pins.all_listed().filter(|(name, _)| wanted(name)).map(|(topic, publisher)| PinView {
@@ -67,7 +67,7 @@ impl Site {
         topic: &TopicName,
         publishers: Vec<Publisher>,
     ) -> Result<PinsView, Failure> {
-        let owner = self.address_of(profile)?;
+        let owner = self.owners.address_of(profile)?;
         let publishers = if publishers.is_empty() { self.pins.live(topic.as_str()) } else { publishers };
         if publishers.is_empty() {
             return Err(input(format!(
@@ -75,10 +75,10 @@ impl Site {
             )));
         }
         for publisher in &publishers {
-            self.record_audit(profile, "pin", &format!("{topic} {publisher}"), "begun").await?;
+            self.log.write(profile, "pin", &format!("{topic} {publisher}"), "begun").await?;
         }
         block_in_place(|| self.pins.pin(owner, topic.as_str(), &publishers))?;
-        self.changed(Part::Topics);
+        self.hub.changed(Part::Topics);
         self.pins_view(profile, Some(topic)).await
     }
 
@@ -89,16 +89,16 @@ impl Site {
         topic: &TopicName,
         caller_id: &str,
     ) -> Result<PinsView, Failure> {
-        let owner = self.address_of(profile)?;
+        let owner = self.owners.address_of(profile)?;
         let name = clean(caller_id, 255);
         if self.pins.listed(topic.as_str()).iter().any(|publisher| publisher.caller_id == caller_id) {
             return Err(input(format!("{name} is pinned to {topic} by ros.publishers; take it out there")));
         }
-        self.record_audit(profile, "unpin", &format!("{topic} {name}"), "begun").await?;
+        self.log.write(profile, "unpin", &format!("{topic} {name}"), "begun").await?;
         if block_in_place(|| self.pins.unpin(owner, topic.as_str(), caller_id))? == 0 {
             return Err(input(format!("{name} is not pinned to {topic}; `authros topics pins` lists who is")));
         }
-        self.changed(Part::Topics);
+        self.hub.changed(Part::Topics);
         self.pins_view(profile, Some(topic)).await
     }
 }

@@ -6,8 +6,8 @@ use std::time::{Duration, Instant};
 
 use tokio::task::block_in_place;
 
-use super::Site;
 use super::reading::view::record_view;
+use super::{Site, blocking};
 use crate::model::{Digest, ErrorKind, ProfileName, RecordState, Timestamp, TopicName, clean};
 use crate::pipeline::columns::Shown;
 use crate::pipeline::{Owner, quarantine};
@@ -27,15 +27,15 @@ const MOST: usize = 100_000;
 impl Site {
     /// Seals the quarantine records that are due, minute by minute, until the site ends.
     pub(super) async fn keep_quarantine(self: Arc<Self>) {
-        while !self.is_stopping() {
-            if !self.beat(LOOK).await {
+        while !self.life.is_stopping() {
+            if !self.life.beat(LOOK).await {
                 return;
             }
             // It is counted once records are taken again.
             if block_in_place(|| self.plant.takes_records()).is_err() {
                 continue;
             }
-            for owner in self.all_owners() {
+            for owner in self.owners.all() {
                 if let Err(failure) = self.report(&owner, quarantine::minute(Timestamp::now())).await {
                     let text =
                         format!("what is quarantined of {} is not counted yet: {}", owner.profile, failure.message);
@@ -49,7 +49,7 @@ impl Site {
     async fn report(self: &Arc<Self>, owner: &Arc<Owner>, before: u64) -> Result<(), Failure> {
         let _one_at_a_time = self.reporting.lock().await;
         let owner = Arc::clone(owner);
-        self.blocking(move |site| Ok(quarantine::report(&site.plant, &owner, before)?)).await?;
+        blocking(self, move |site| Ok(quarantine::report(&site.plant, &owner, before)?)).await?;
         Ok(())
     }
 
@@ -60,13 +60,14 @@ impl Site {
         topic: Option<TopicName>,
         limit: usize,
     ) -> Result<QuarantineView, Failure> {
-        let owner = self.address_of(profile)?;
+        let owner = self.owners.address_of(profile)?;
         let name = topic.as_ref().map(ToString::to_string);
         let query =
             HeldQuery { topic: name.clone(), messages: true, limit: limit.clamp(1, 1000), ..HeldQuery::default() };
-        let (rows, counts) = self
-            .blocking(move |site| Ok((site.plant.ledger.held(owner, &query)?, site.plant.ledger.counts(Some(owner))?)))
-            .await?;
+        let (rows, counts) = blocking(self, move |site| {
+            Ok((site.plant.ledger.held(owner, &query)?, site.plant.ledger.counts(Some(owner))?))
+        })
+        .await?;
         let wanted = counts.topics.iter().filter(|counts| name.as_ref().is_none_or(|name| *name == counts.topic));
         let keys = self.own_keys();
         let shown = self.compared(rows.iter().map(|row| row.record.clone()).collect(), &keys, &[])?;
@@ -87,7 +88,7 @@ impl Site {
         let address = owner.address;
         let query =
             HeldQuery { topic: held.topic.as_ref().map(ToString::to_string), limit: MOST, ..HeldQuery::default() };
-        let mut rows = self.blocking(move |site| Ok(site.plant.ledger.held(address, &query)?)).await?;
+        let mut rows = blocking(self, move |site| Ok(site.plant.ledger.held(address, &query)?)).await?;
         if held.topic.is_some() {
             return Ok(rows);
         }
@@ -115,7 +116,7 @@ impl Site {
         self.report(owner, u64::MAX).await?;
         let digests = self.with_definitions(owner, &rows).await?;
         let asked: Vec<Digest> = digests.into_iter().collect();
-        self.blocking(move |site| Ok(site.plant.ledger.release(&asked)?)).await?;
+        blocking(self, move |site| Ok(site.plant.ledger.release(&asked)?)).await?;
         self.decided(owner, &held)?;
         self.hub.stored.notify_waiters();
         let messages = messages(&rows);
@@ -134,7 +135,7 @@ impl Site {
         for topic in topics {
             let (address, query) =
                 (owner.address, HeldQuery { topic: Some(topic), limit: MOST, ..HeldQuery::default() });
-            let held = self.blocking(move |site| Ok(site.plant.ledger.held(address, &query)?)).await?;
+            let held = blocking(self, move |site| Ok(site.plant.ledger.held(address, &query)?)).await?;
             digests.extend(held.iter().filter(|row| !row.is_message()).map(|row| row.record.digest));
         }
         Ok(digests)
@@ -153,7 +154,7 @@ impl Site {
         let digests: Vec<Digest> = rows_now.iter().map(|row| row.record.digest).collect();
         // A back-up that is taken now must not see the bytes gone and the rows not.
         let one_at_a_time = self.reporting.lock().await;
-        self.blocking(move |site| Ok(quarantine::discard(&site.plant, &digests)?)).await?;
+        blocking(self, move |site| Ok(quarantine::discard(&site.plant, &digests)?)).await?;
         drop(one_at_a_time);
         self.decided(owner, &held)?;
         let messages = messages(&rows_now);
@@ -169,19 +170,18 @@ impl Site {
         let reports: BTreeSet<Digest> = rows.iter().filter_map(|row| row.report).collect();
         let counted = rows.iter().all(|row| row.report.is_some());
         let deadline = Instant::now() + PATIENCE;
-        while counted && !self.is_stopping() {
+        while counted && !self.life.is_stopping() {
             let asked = reports.clone();
-            let standing = self
-                .blocking(move |site| {
-                    let mut standing = true;
-                    for digest in asked {
-                        let row = site.plant.ledger.record(digest)?;
-                        standing &=
-                            row.is_some_and(|row| (RecordState::Mined..=RecordState::Verified).contains(&row.state));
-                    }
-                    Ok(standing)
-                })
-                .await?;
+            let standing = blocking(self, move |site| {
+                let mut standing = true;
+                for digest in asked {
+                    let row = site.plant.ledger.record(digest)?;
+                    standing &=
+                        row.is_some_and(|row| (RecordState::Mined..=RecordState::Verified).contains(&row.state));
+                }
+                Ok(standing)
+            })
+            .await?;
             if standing {
                 return Ok(reports.into_iter().collect());
             }
@@ -203,7 +203,7 @@ impl Site {
         for topic in topics {
             let of_topic = || rows.iter().filter(|row| row.record.topic == topic && row.is_message());
             let (count, first) = (of_topic().count(), of_topic().next().map_or("none", |row| row.record.id.as_str()));
-            self.audit_first(owner, action, &format!("{topic}: {count} messages from {first} on")).await?;
+            self.log.begin(owner, action, &format!("{topic}: {count} messages from {first} on")).await?;
         }
         Ok(())
     }
@@ -213,8 +213,8 @@ impl Site {
         if let Some(topic) = &held.topic {
             block_in_place(|| self.plant.ledger.close_alarms(owner.address, topic.as_str()))?;
         }
-        self.changed(Part::Topics);
-        self.changed(Part::Uploads);
+        self.hub.changed(Part::Topics);
+        self.hub.changed(Part::Uploads);
         Ok(())
     }
 }

@@ -7,7 +7,7 @@ use crate::model::Address;
 use crate::model::bytes::hex;
 use crate::pipeline::reader::Reader;
 use crate::service::reply::Failure;
-use crate::site::Site;
+use crate::site::{Site, blocking};
 
 impl Site {
     /// Opens one record of each stream of `owner` that has no name yet, as far as the reader may.
@@ -16,14 +16,14 @@ impl Site {
         reader: &Reader<'_>,
         owner: Address,
     ) -> Result<(), Failure> {
-        let unnamed = self.blocking(move |site| Ok(site.plant.ledger.unnamed(owner)?)).await?;
+        let unnamed = blocking(self, move |site| Ok(site.plant.ledger.unnamed(owner)?)).await?;
         for digest in unnamed {
-            let row = self.blocking(move |site| Ok(site.plant.ledger.record(digest)?)).await?;
+            let row = blocking(self, move |site| Ok(site.plant.ledger.record(digest)?)).await?;
             let Some(row) = row else { continue };
             // What cannot be opened keeps its pseudonym.
             let Ok(opened) = reader.open(&row).await else { continue };
             let (topic, type_name) = (opened.head.topic, opened.head.type_name);
-            self.blocking(move |site| {
+            blocking(self, move |site| {
                 let ledger = &site.plant.ledger;
                 ledger.name(row.owner, hex(&row.topic_id.0), topic)?;
                 if !row.type_name.is_empty() && row.type_name != type_name {

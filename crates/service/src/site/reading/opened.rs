@@ -18,7 +18,7 @@ use crate::ros::readable::{self, Exported};
 use crate::ros::recording::{Described, TYPE_HASH, TypeFacts};
 use crate::service::command::{self as ask, Ask, LONGEST_PATH, Viewing};
 use crate::service::reply::{Failure, OpenedView, PathView, Reply};
-use crate::site::Site;
+use crate::site::{Site, blocking};
 use crate::store::{RecordQuery, RecordRow};
 
 /// Messages up to this length come with their bytes when they are looked at; longer ones as files only.
@@ -92,7 +92,7 @@ impl Site {
     async fn opened(self: &Arc<Self>, owner: &Arc<Owner>, id: &str, deed: &str) -> Result<Opened, Failure> {
         let (row, network) = self.authorised(owner, id).await?;
         let reader = Reader { plant: &self.plant, network: &network, reader: owner };
-        self.audit_first(owner, deed, &row.id).await?;
+        self.log.begin(owner, deed, &row.id).await?;
         let record = reader.open(&row).await?;
         let described = self.described(&reader, &row, &record).await?;
         let row = as_signed(row, &record);
@@ -121,7 +121,7 @@ impl Site {
         let records = records.clamp(2, LONGEST_PATH);
         let (row, network) = self.authorised(owner, id).await?;
         let reader = Reader { plant: &self.plant, network: &network, reader: owner };
-        self.audit_first(owner, "decrypt", &format!("{} and up to {records} records before it", row.id)).await?;
+        self.log.begin(owner, "decrypt", &format!("{} and up to {records} records before it", row.id)).await?;
         let last = reader.open(&row).await?;
         let described = self.described(&reader, &row, &last).await?;
         let definition = described.definition.clone().ok_or_else(|| without_definition(&row, &described))?;
@@ -154,7 +154,7 @@ impl Site {
             newest_first: true,
             ..RecordQuery::default()
         };
-        let mut page = self.blocking(move |site| Ok(site.plant.ledger.list(&query)?)).await?;
+        let mut page = blocking(self, move |site| Ok(site.plant.ledger.list(&query)?)).await?;
         page.rows.retain(|earlier| earlier.state != RecordState::Dropped);
         Ok(page.rows)
     }

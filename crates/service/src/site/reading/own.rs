@@ -5,7 +5,7 @@ use std::sync::Arc;
 use tokio::task::block_in_place;
 
 use super::view::{record_page, record_query, record_view};
-use crate::crypto::{keyfile, read_public, record};
+use crate::crypto::{keyfile, record};
 use crate::model::bytes::hex;
 use crate::model::{Address, ProfileName, RecordState, Timestamp, TopicId};
 use crate::pipeline::columns::{self, Caveat, ShownState};
@@ -13,52 +13,38 @@ use crate::pipeline::epoch::tag_choice;
 use crate::pipeline::reader::Reader;
 use crate::pipeline::{Owner, PipelineError, authority};
 use crate::service::command::UploadQuery;
-use crate::service::failure::{input, internal};
+use crate::service::failure::internal;
 use crate::service::reply::{ExportedFile, Failure, Provenance, RecordPage};
-use crate::site::Site;
+use crate::site::{Site, blocking};
 use crate::store::{BatchPlace, FilterChoice, RecordQuery, RecordRow};
 
 impl Site {
-    pub(in crate::site) fn address_of(&self, profile: &ProfileName) -> Result<Address, Failure> {
-        if let Some(owner) = self.owner(profile) {
-            return Ok(owner.address);
-        }
-        let path = self.home.keyring(profile);
-        if !path.exists() {
-            return Err(input(format!(
-                "profile '{profile}' has no identity yet; make one with `authros --profile {profile} identity create`"
-            )));
-        }
-        Ok(tokio::task::block_in_place(|| read_public(&path))?.address)
-    }
-
     /// Own records; needs no passphrase.
     pub(in crate::site) async fn list_uploads(
         self: &Arc<Self>,
         profile: &ProfileName,
         query: UploadQuery,
     ) -> Result<RecordPage, Failure> {
-        let owner = self.address_of(profile)?;
+        let owner = self.owners.address_of(profile)?;
         if let (Some(reader), Some(network)) =
-            (self.owner(profile).filter(|owner| !owner.is_locked()), self.network_now())
+            (self.owners.get(profile).filter(|owner| !owner.is_locked()), self.link.network_now())
         {
             let reader = Reader { plant: &self.plant, network: &network, reader: &reader };
             self.learn_names(&reader, owner).await?;
         }
         let filters = self.own_tag_filters(profile, &query.tags)?;
         let query = RecordQuery { owner: Some(owner), filters: filters.clone(), ..record_query(query) };
-        let page = self.blocking(move |site| Ok(site.plant.ledger.list(&query)?)).await?;
+        let page = blocking(self, move |site| Ok(site.plant.ledger.list(&query)?)).await?;
         Ok(record_page(&self.compared(page.rows, &self.own_keys(), &filters)?, page.next, false))
     }
 
     /// Records of all profiles of the home, each with its owner; needs no passphrase.
     pub(in crate::site) async fn list_all_uploads(self: &Arc<Self>, query: UploadQuery) -> Result<RecordPage, Failure> {
-        let page = self
-            .blocking(move |site| {
-                let owners = Some(site.accounts());
-                Ok(site.plant.ledger.list(&RecordQuery { owners, owner: None, ..record_query(query) })?)
-            })
-            .await?;
+        let page = blocking(self, move |site| {
+            let owners = Some(site.owners.accounts());
+            Ok(site.plant.ledger.list(&RecordQuery { owners, owner: None, ..record_query(query) })?)
+        })
+        .await?;
         let mut page = record_page(&self.compared(page.rows, &self.own_keys(), &[])?, page.next, true);
         let names = self.names();
         for record in &mut page.records {
@@ -74,9 +60,10 @@ impl Site {
         }
         // IK stays in memory while the keyring is locked: records are sealed with it.
         let index = self
-            .owner(profile)
-            .map_or_else(|| self.unlocked(profile).map(|owner| owner.index()), |owner| Ok(owner.index()))?;
-        let topics = self.topics_of(self.address_of(profile)?)?;
+            .owners
+            .get(profile)
+            .map_or_else(|| self.owners.unlocked(profile).map(|owner| owner.index()), |owner| Ok(owner.index()))?;
+        let topics = self.topics_of(self.owners.address_of(profile)?)?;
         Ok(tags.iter().map(|(name, value)| tag_choice(&index, name, value, &topics)).collect())
     }
 
@@ -89,7 +76,7 @@ impl Site {
     /// A record by its id, whoever owns it.
     pub(in crate::site) async fn find_record(self: &Arc<Self>, id: &str) -> Result<RecordRow, Failure> {
         let id = id.to_owned();
-        self.blocking(move |site| {
+        blocking(self, move |site| {
             let row = site.plant.ledger.record_by_id(&id)?;
             Ok(row.ok_or_else(|| PipelineError::NoRecord(crate::model::clean(&id, 64)))?)
         })
@@ -98,7 +85,11 @@ impl Site {
 
     async fn own_record(self: &Arc<Self>, profile: &ProfileName, id: &str) -> Result<RecordRow, Failure> {
         let row = self.find_record(id).await?;
-        if row.owner == self.address_of(profile)? { Ok(row) } else { Err(PipelineError::NoRecord(row.id).into()) }
+        if row.owner == self.owners.address_of(profile)? {
+            Ok(row)
+        } else {
+            Err(PipelineError::NoRecord(row.id).into())
+        }
     }
 
     /// Where a record came from and where it stands, step by step.
@@ -121,7 +112,7 @@ impl Site {
             steps.push(step("vault", format!("its ciphertext lies there ({})", self.plant.vault.name())));
         }
         let digest = row.digest;
-        let place = self.blocking(move |site| Ok(site.plant.ledger.batch_place(digest)?)).await?;
+        let place = blocking(self, move |site| Ok(site.plant.ledger.batch_place(digest)?)).await?;
         if let Some(place) = &place {
             let inclusion = &place.inclusion;
             steps.push(step("batch", format!("root {}, closed {}", inclusion.root, moment(place.closed_at))));
@@ -137,11 +128,11 @@ impl Site {
         if let (Some(block), Some(hash)) = (row.block, row.block_hash) {
             steps.push(step("block", format!("{block} {hash}")));
             // A run without a chain has seen no block.
-            let head = *self.scanned.borrow();
+            let head = *self.link.scans().borrow();
             let (deep, wanted) = (head + 1 - block.min(head + 1), self.config.confirmations);
             steps.extend((head >= block).then(|| step("confirmations", format!("{deep} of {wanted} wanted"))));
         }
-        if let Some(earlier) = self.blocking(move |site| Ok(site.plant.ledger.earlier_anchor(digest)?)).await? {
+        if let Some(earlier) = blocking(self, move |site| Ok(site.plant.ledger.earlier_anchor(digest)?)).await? {
             let (block, domain) = (earlier.block, earlier.domain);
             let (name, text) = if row.block == Some(block) {
                 (
@@ -153,7 +144,7 @@ impl Site {
             };
             steps.push(step(name, text));
         }
-        if let Some(retained) = self.blocking(move |site| Ok(site.plant.ledger.retained(digest)?)).await? {
+        if let Some(retained) = blocking(self, move |site| Ok(site.plant.ledger.retained(digest)?)).await? {
             let done = retained.deleted_at.map_or("to be deleted".to_owned(), |at| format!("ciphertext deleted {at}"));
             steps.push(step("retention", format!("{done}; named in retention record {}", retained.report)));
         }
@@ -179,12 +170,12 @@ impl Site {
         addresses: bool,
     ) -> Result<Vec<ExportedFile>, Failure> {
         let row = self.own_record(&owner.profile, id).await?;
-        let network = self.network().await?;
-        self.audit_first(owner, "export record", &row.id).await?;
+        let network = self.link.network().await?;
+        self.log.begin(owner, "export record", &row.id).await?;
         let digest = row.digest;
         let stored = move |site: &Self| Ok((site.plant.vault.get(digest)?, site.plant.ledger.batch_place(digest)?));
-        let (blob, place) = self.blocking(stored).await?;
-        let gone = self.blocking(move |site| Ok(site.plant.ledger.retained(digest)?)).await?;
+        let (blob, place) = blocking(self, stored).await?;
+        let gone = blocking(self, move |site| Ok(site.plant.ledger.retained(digest)?)).await?;
         let gone = gone.filter(|retained| retained.anchored);
         let blob = blob.ok_or_else(|| match gone {
             Some(retained) => PipelineError::Deleted(row.id.clone(), retained.report),
@@ -198,7 +189,7 @@ impl Site {
         let bound = header.map_or(network.domain, |header| header.domain);
         let contract = tokio::task::block_in_place(|| network.place_of(&self.plant, &row))?;
         let (asked, asking) = (row.clone(), network.clone());
-        let signer = self.blocking(move |site| Ok(authority::signer_of(&site.plant, &asking, &asked)?)).await?;
+        let signer = blocking(self, move |site| Ok(authority::signer_of(&site.plant, &asking, &asked)?)).await?;
         let signer = signer.map_err(|why| PipelineError::NoRight { id: row.id.clone(), why: Box::new(why) })?;
         let signed = record::signed_bytes(&bound, &row.digest);
         let pin = contract.chain.pin();

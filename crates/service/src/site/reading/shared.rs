@@ -13,7 +13,7 @@ use crate::pipeline::{Network, Owner, authority};
 use crate::service::command::UploadQuery;
 use crate::service::failure::input;
 use crate::service::reply::{CheckView, Failure, RecordPage};
-use crate::site::Site;
+use crate::site::{Site, blocking};
 use crate::store::{FilterChoice, RecordQuery, RecordRow};
 
 impl Site {
@@ -23,7 +23,7 @@ impl Site {
         owner: &Arc<Owner>,
         query: UploadQuery,
     ) -> Result<RecordPage, Failure> {
-        let network = self.network().await?;
+        let network = self.link.network().await?;
         let wanted = query.owner.as_ref().map(|owner| self.resolve(owner)).transpose()?;
         let mut grants = authority::shared_with(&network.directory, owner.address);
         grants.retain(|grant| wanted.is_none_or(|wanted| wanted == grant.terms.owner));
@@ -34,7 +34,7 @@ impl Site {
         if scopes.is_empty() {
             return Ok(RecordPage { records: Vec::new(), next: None });
         }
-        self.audit_query(owner, "list shared", &query).await?;
+        self.log.asked(owner, "list shared", &query).await?;
         let filters = self.shared_tag_filters(&network, owner, &grants, &query.tags)?;
         let readable = self.readable_topics(&scopes).await?;
         let query = RecordQuery {
@@ -65,7 +65,7 @@ impl Site {
     ) -> Result<RecordPage, Failure> {
         loop {
             let asked = query.clone();
-            let mut page = self.blocking(move |site| Ok(site.plant.ledger.list(&asked)?)).await?;
+            let mut page = blocking(self, move |site| Ok(site.plant.ledger.list(&asked)?)).await?;
             page.rows.retain(|row| !is_held(row) && reader.topic_key(row).is_ok());
             if !page.rows.is_empty() || page.next.is_none() {
                 return Ok(record_page(&self.compared(page.rows, reader, filters)?, page.next, true));
@@ -111,7 +111,7 @@ impl Site {
                 Scope::Topics(topics) => ids.extend(topics.iter().copied()),
                 Scope::All => {
                     let owner = *owner;
-                    let counts = self.blocking(move |site| Ok(site.plant.ledger.counts(Some(owner))?)).await?;
+                    let counts = blocking(self, move |site| Ok(site.plant.ledger.counts(Some(owner))?)).await?;
                     ids.extend(counts.topics.iter().filter_map(|topic| topic.topic_id));
                 }
             }
@@ -126,9 +126,9 @@ impl Site {
         id: &str,
     ) -> Result<(RecordRow, Network), Failure> {
         let row = self.find_record(id).await?;
-        let network = self.network().await?;
+        let network = self.link.network().await?;
         let allowed = Reader { plant: &self.plant, network: &network, reader: owner }.authorise(&row);
-        self.count_refusal(owner, &allowed);
+        self.log.count_refusal(owner, &allowed);
         allowed?;
         Ok((row, network))
     }
@@ -141,7 +141,7 @@ impl Site {
     ) -> Result<CheckView, Failure> {
         let (row, network) = self.authorised(owner, id).await?;
         let reader = Reader { plant: &self.plant, network: &network, reader: owner };
-        self.audit_first(owner, "check", &row.id).await?;
+        self.log.begin(owner, "check", &row.id).await?;
         let (verdict, digest) = reader.check(&row).await?;
         Ok(CheckView { id: row.id, verdict, digest, transaction: row.transaction, block: row.block })
     }

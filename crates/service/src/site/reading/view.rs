@@ -36,7 +36,7 @@ impl Keys for OwnKeys {
 impl Site {
     /// Keys of the profiles whose keyrings were opened since the site began.
     pub(in crate::site) fn own_keys(&self) -> OwnKeys {
-        OwnKeys(self.all_owners().into_iter().map(|owner| (owner.address, owner)).collect())
+        OwnKeys(self.owners.all().into_iter().map(|owner| (owner.address, owner)).collect())
     }
 
     /// Rows as they may be shown; each must have the ids in `filters` by which they were found.

@@ -15,6 +15,7 @@ use crate::ros::recording::{Channel, RecordingFormat, RecordingWriter};
 use crate::service::command::ExportWishes;
 use crate::service::failure::{input, internal};
 use crate::service::reply::{ExportView, ExportedTopic, Failure, Refused};
+use crate::site::blocking;
 use crate::store::{RecordQuery, RecordRow};
 
 /// Records asked of the ledger at a time.
@@ -48,13 +49,13 @@ impl Site {
                 "chunks of {format} are never compressed with {compression}; choose another one"
             )));
         }
-        let network = self.network().await?;
+        let network = self.link.network().await?;
         let scopes = self.readable_scopes(owner, &network, &wishes)?;
         let file = clean(&wishes.path.display().to_string(), 300);
-        self.audit_first(owner, "export recording", &file).await?;
+        self.log.begin(owner, "export recording", &file).await?;
         let running = self.begin_run(&owner.profile, &wishes.path, "exporting");
         let written = self.write_recording(owner, &network, &scopes, &wishes, &running.run).await;
-        self.audit_end(owner, "export recording", &file, written).await
+        self.log.end(owner, "export recording", &file, written).await
     }
 
     /// Whose records are asked for, and what of them.
@@ -107,13 +108,13 @@ impl Site {
         let mut seen = 0;
         loop {
             let asked = query.clone();
-            let page = self.blocking(move |site| Ok(site.plant.ledger.list(&asked)?)).await?;
+            let page = blocking(self, move |site| Ok(site.plant.ledger.list(&asked)?)).await?;
             for row in &page.rows {
                 export.take(&reader, row).await?;
                 seen += 1;
                 run.at(seen, 0, export.view.messages);
             }
-            if self.is_stopping() {
+            if self.life.is_stopping() {
                 return Err(internal("the site ended before the recording was whole; repeat the command"));
             }
             match page.next {

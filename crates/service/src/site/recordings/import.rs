@@ -25,6 +25,7 @@ use crate::service::command::ImportWishes;
 use crate::service::event::NoticeLevel;
 use crate::service::failure::{input, refused};
 use crate::service::reply::{Failure, ImportView, ImportedTopic, LeftOut};
+use crate::site::blocking;
 
 /// Tags that a person may give: with the importer's own they stay far below what a head takes.
 const MOST_TAGS: usize = 24;
@@ -64,13 +65,13 @@ impl Site {
             self.register(owner).await?;
         }
         // Without a chain nothing would ever be verified.
-        let network = self.network().await?;
+        let network = self.link.network().await?;
         workers::seal_here(self)?;
         let file = clean(&wishes.path.display().to_string(), 300);
         if self.is_running(&owner.profile, &file) {
             return Err(refused(format!("{file} is being imported already; wait for that to end")));
         }
-        self.audit_first(owner, "import recording", &file).await?;
+        self.log.begin(owner, "import recording", &file).await?;
         let running = self.begin_run(&owner.profile, &wishes.path, "hashing");
         // Ends the import as a capture is ended: by the same command.
         let control = Arc::new(CaptureSession::new(&[], None, Vec::new()));
@@ -78,8 +79,8 @@ impl Site {
         self.captures.lock().unwrap_or_else(PoisonError::into_inner).push(control_of);
         let (run, author) = (Arc::clone(&running.run), Arc::clone(owner));
         let (stop, again) = (Arc::clone(&control), wishes.again);
-        let read = self.blocking(move |site| site.read_recording(&author, &network, &wishes, &run, &stop)).await;
-        let imported = self.audit_end(owner, "import recording", &file, read).await;
+        let read = blocking(self, move |site| site.read_recording(&author, &network, &wishes, &run, &stop)).await;
+        let imported = self.log.end(owner, "import recording", &file, read).await;
         let ended = match imported {
             Ok(read) => self.settle_import(owner, read, &running.run, again).await,
             Err(failure) => Err(failure),
@@ -117,7 +118,7 @@ impl Site {
         if let Some(digest) = view.digest.filter(|_| !view.ended_early && view.lost == 0 && !again) {
             standings.values_mut().for_each(|standing| *standing = Standing::Whole);
             let address = owner.address;
-            self.blocking(move |site| site.put_standings(address, digest, &standings)).await?;
+            blocking(self, move |site| site.put_standings(address, digest, &standings)).await?;
         }
         let text = format!("{}: {} messages imported, {} there before", view.file, view.imported, view.already);
         self.hub.notice(NoticeLevel::Info, &text);
@@ -144,7 +145,7 @@ impl Site {
         control: &CaptureSession,
     ) -> Result<ReadOut, Failure> {
         let mut recording = Recording::open(&wishes.path)?;
-        let goes_on = || !control.is_closed() && !self.is_stopping();
+        let goes_on = || !control.is_closed() && !self.life.is_stopping();
         let digest = digest_of(&wishes.path, run, &goes_on)?;
         let mut standings = if wishes.again { Standings::new() } else { self.standings(owner.address, digest)? };
         let before = standings.clone();

@@ -23,7 +23,7 @@ impl Site {
         owner: &Arc<Owner>,
         why: &str,
     ) -> Result<TransactionView, Failure> {
-        let network = self.network().await?;
+        let network = self.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
         network.directory.identity(owner.address)?;
         self.begin_epoch(owner, &network, &format!("rotate ({why})"), |new_token| Call::Rotate { new_token }).await
@@ -45,16 +45,16 @@ impl Site {
         let sent = self.sender.send(&network.chain, &owner.eoa(), call(token), purpose).await;
         let outcome = if sent.is_ok() { "done" } else { "failed" };
         let (action, what) = purpose.split_once(' ').unwrap_or((purpose, ""));
-        self.record_audit(&owner.profile, action, format!("{what} epoch {next}").trim_start(), outcome).await?;
+        self.log.write(&owner.profile, action, format!("{what} epoch {next}").trim_start(), outcome).await?;
         let (transaction, receipt) = sent?;
-        self.scanned(receipt.block).await;
+        self.link.scanned(receipt.block).await;
         owner.confirm_epoch(network.domain, next)?;
         if let Err(failure) = self.rewrap(owner, network).await {
             let text =
                 format!("some readers of {} lack the keys of epoch {next} for now: {}", owner.profile, failure.message);
             self.hub.notice(NoticeLevel::Error, &text);
         }
-        self.changed(Part::Grants);
+        self.hub.changed(Part::Grants);
         Ok(TransactionView {
             transaction: Some(transaction),
             block: Some(receipt.block),
@@ -65,7 +65,7 @@ impl Site {
 
     /// Finishes an epoch that was begun but did not reach the chain, and re-wraps what is missing.
     pub(in crate::site) async fn finish_epoch(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<(), Failure> {
-        let network = self.network().await?;
+        let network = self.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
         // Transactions of the run before may still bring the epoch to the chain.
         self.settle_open(owner, &network).await?;
@@ -129,12 +129,12 @@ impl Site {
         }
         if !envelopes.is_empty() {
             let readers: Vec<String> = envelopes.iter().map(|(reader, _)| reader.short()).collect();
-            self.audit_first(owner, "wrap", &format!("epoch {epoch} for {}", readers.join(" "))).await?;
+            self.log.begin(owner, "wrap", &format!("epoch {epoch} for {}", readers.join(" "))).await?;
         }
         for chunk in envelopes.chunks(ENVELOPES_A_CALL) {
             let call = Call::Wrap { epoch, envelopes: chunk.to_vec() };
             match self.sender.send(&network.chain, &owner.eoa(), call, "wrap").await {
-                Ok((_, receipt)) => self.scanned(receipt.block).await,
+                Ok((_, receipt)) => self.link.scanned(receipt.block).await,
                 Err(error) => failed = Some(error.into()),
             }
         }

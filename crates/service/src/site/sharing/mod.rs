@@ -29,7 +29,7 @@ impl Site {
         epochs: Epochs,
         expires: Option<Timestamp>,
     ) -> Result<TransactionView, Failure> {
-        let network = self.network().await?;
+        let network = self.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
         network.directory.identity(owner.address)?;
         let grantee = self.resolve(grantee)?;
@@ -57,17 +57,17 @@ impl Site {
             Epochs::All => owner.epochs(network.domain).into_iter().filter(|known| *known <= epoch).collect(),
         };
         let envelope = self.wrap_keys(owner, &network, terms.clone(), &names, covered)?;
-        self.audit_first(owner, "grant", &grantee.to_string()).await?;
+        self.log.begin(owner, "grant", &grantee.to_string()).await?;
         self.settle_revocation(owner, grantee)?;
         self.foresee_expiry(owner, &network, expires)?;
         let call = Call::AuthorityGrant { grantee, epoch, expiry: terms.expiry, scope: terms.scope, envelope };
         let sent = self.sender.send(&network.chain, &owner.eoa(), call, "authorityGrant").await;
-        let sent = self.audit_end(owner, "grant", &grantee.to_string(), sent.map_err(Failure::from)).await;
+        let sent = self.log.end(owner, "grant", &grantee.to_string(), sent.map_err(Failure::from)).await;
         let (transaction, receipt) = sent?;
         let notice = GrantNotice { grantee, epoch, expiry: expires.map_or(0, Timestamp::seconds), transaction };
         self.tell_of_grant(owner, &network, notice).await;
-        self.scanned(receipt.block).await;
-        self.changed(Part::Grants);
+        self.link.scanned(receipt.block).await;
+        self.hub.changed(Part::Grants);
         let what = if names.is_empty() { "all topics".to_owned() } else { names.join(", ") };
         Ok(TransactionView {
             transaction: Some(transaction),
@@ -84,7 +84,7 @@ impl Site {
         grantee: &Party,
         expires: Option<Timestamp>,
     ) -> Result<TransactionView, Failure> {
-        let network = self.network().await?;
+        let network = self.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
         let grantee = self.resolve(grantee)?;
         let Some(grant) = self.active_grant(&network, owner.address, grantee) else {
@@ -101,11 +101,11 @@ impl Site {
         let call = Call::Extend { grantee, expiry: expires };
         call.expect_offered(network.chain.revision()?)?;
         let subject = grantee.to_string();
-        self.audit_first(owner, "extend", &subject).await?;
+        self.log.begin(owner, "extend", &subject).await?;
         let sent = self.sender.send(&network.chain, &owner.eoa(), call, "extend").await.map_err(Failure::from);
-        let (transaction, receipt) = self.audit_end(owner, "extend", &subject, sent).await?;
-        self.scanned(receipt.block).await;
-        self.changed(Part::Grants);
+        let (transaction, receipt) = self.log.end(owner, "extend", &subject, sent).await?;
+        self.link.scanned(receipt.block).await;
+        self.hub.changed(Part::Grants);
         let end = expires.map_or_else(|| "has no end".to_owned(), |expires| format!("ends at {expires}"));
         Ok(TransactionView {
             transaction: Some(transaction),
@@ -159,7 +159,7 @@ impl Site {
 
     /// Grants given and received.
     pub(super) async fn grant_rows(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<Vec<GrantRow>, Failure> {
-        let network = self.network().await?;
+        let network = self.link.network().await?;
         let me = owner.address;
         let grants = tokio::task::block_in_place(|| kept::history(&self.plant.ledger, &network.directory, me))?;
         let names = self.names();

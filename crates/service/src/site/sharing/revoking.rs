@@ -10,7 +10,7 @@ use crate::pipeline::{Network, Owner};
 use crate::service::event::NoticeLevel;
 use crate::service::failure::refused;
 use crate::service::reply::{Failure, TransactionView};
-use crate::site::Site;
+use crate::site::{Site, blocking};
 
 /// How long the watcher may take to see what a first attempt brought to the chain.
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -22,7 +22,7 @@ impl Site {
         owner: &Arc<Owner>,
         grantee: Address,
     ) -> Result<TransactionView, Failure> {
-        let network = self.network().await?;
+        let network = self.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
         if self.active_grant(&network, owner.address, grantee).is_none() {
             return Err(refused(format!(
@@ -35,7 +35,7 @@ impl Site {
             Err(failure) => failure,
         };
         // Only a disk that takes no more is helped by space.
-        if failure.kind != ErrorKind::Home || !self.blocking(|site| Ok(site.reserve.release()?)).await? {
+        if failure.kind != ErrorKind::Home || !blocking(self, |site| Ok(site.reserve.release()?)).await? {
             return Err(failure);
         }
         let _space_is_for_this = self.plant.ledger.hold_records();
@@ -76,12 +76,12 @@ impl Site {
     ) -> Result<TransactionView, Failure> {
         self.settle_open(owner, network).await?;
         let head = network.chain.head().await?.number;
-        drop(tokio::time::timeout(PATIENCE, self.scanned(head)).await);
+        drop(tokio::time::timeout(PATIENCE, self.link.scanned(head)).await);
         if self.active_grant(network, owner.address, grantee).is_some() {
             return self.revoke_once(owner, network, grantee).await;
         }
         let epoch = network.directory.epoch(owner.address);
-        self.record_audit(&owner.profile, "revoke", &format!("{grantee} epoch {epoch}"), "done").await?;
+        self.log.write(&owner.profile, "revoke", &format!("{grantee} epoch {epoch}"), "done").await?;
         owner.confirm_epoch(network.domain, epoch)?;
         self.settle_revocation(owner, grantee)?;
         let view = TransactionView { transaction: None, block: None, epoch, text: String::new() };

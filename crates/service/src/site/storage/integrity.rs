@@ -6,7 +6,7 @@ use std::time::Duration;
 use crate::model::ProfileName;
 use crate::service::event::NoticeLevel;
 use crate::service::reply::Failure;
-use crate::site::Site;
+use crate::site::{Site, blocking};
 
 /// Records re-read from the vault; a crash can only have touched what was written last.
 const NEWEST: usize = 256;
@@ -20,7 +20,7 @@ impl Site {
         let text = "this home is a copy: its ledger is another file than when it was last used. New records are numbered \
                     under a new recorder; do not run it beside the one it was copied from";
         if let Ok(profile) = "site".parse::<ProfileName>() {
-            let written = self.record_audit(&profile, "copied home", "a new recorder begins", "noticed").await;
+            let written = self.log.write(&profile, "copied home", "a new recorder begins", "noticed").await;
             if let Err(failure) = written {
                 self.hub.notice(NoticeLevel::Error, &failure.message);
             }
@@ -34,7 +34,7 @@ impl Site {
         if self.plant.ledger.ended_cleanly() {
             return;
         }
-        match self.blocking(contradictions).await {
+        match blocking(&self, contradictions).await {
             Ok(found) if found.is_empty() => {
                 self.hub.notice(NoticeLevel::Info, "the run before did not end cleanly; ledger and vault are sound");
             }

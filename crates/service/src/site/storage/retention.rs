@@ -8,7 +8,7 @@ use crate::pipeline::Owner;
 use crate::pipeline::retention::{Retention, Round};
 use crate::service::event::NoticeLevel;
 use crate::service::reply::Failure;
-use crate::site::Site;
+use crate::site::{Site, blocking};
 
 /// Between two looks.
 const LOOK: Duration = Duration::from_secs(1);
@@ -20,15 +20,15 @@ impl Site {
     pub(in crate::site) async fn keep_retention(self: Arc<Self>) {
         let keeping = self.config.keeping();
         let mut retention = Some(Retention::new(keeping.clone()));
-        while !self.is_stopping() {
-            if !self.beat(LOOK).await {
+        while !self.life.is_stopping() {
+            if !self.life.beat(LOOK).await {
                 return;
             }
             self.drop_copies().await;
             if keeping.is_empty() {
                 continue;
             }
-            for owner in self.all_owners() {
+            for owner in self.owners.all() {
                 if let Err(failure) = self.apply(&owner, &mut retention).await {
                     let text = format!("retention of {} waits: {}", owner.profile, failure.message);
                     self.hub.notice(NoticeLevel::Error, &text);
@@ -40,22 +40,21 @@ impl Site {
     async fn apply(self: &Arc<Self>, owner: &Arc<Owner>, retention: &mut Option<Retention>) -> Result<(), Failure> {
         let mut rules = retention.take().unwrap_or_else(|| Retention::new(self.config.keeping()));
         let asked = Arc::clone(owner);
-        let (round, rules) = self
-            .blocking(move |site| {
-                let round = rules.round(&site.plant, &asked);
-                Ok((round, rules))
-            })
-            .await?;
+        let (round, rules) = blocking(self, move |site| {
+            let round = rules.round(&site.plant, &asked);
+            Ok((round, rules))
+        })
+        .await?;
         *retention = Some(rules);
         self.tell(owner, &round?).await
     }
 
     async fn tell(self: &Arc<Self>, owner: &Owner, round: &Round) -> Result<(), Failure> {
         for (topic, count) in &round.named {
-            self.record_audit(&owner.profile, "retention", &format!("{topic}: {count} records"), "named").await?;
+            self.log.write(&owner.profile, "retention", &format!("{topic}: {count} records"), "named").await?;
         }
         if round.deleted > 0 {
-            self.record_audit(&owner.profile, "retention", &format!("{} records", round.deleted), "deleted").await?;
+            self.log.write(&owner.profile, "retention", &format!("{} records", round.deleted), "deleted").await?;
         }
         Ok(())
     }
@@ -65,7 +64,7 @@ impl Site {
         let Some(span) = self.config.vault_local.filter(|_| !self.plant.vault.durable()) else { return };
         let age = u64::try_from(span.as_nanos()).unwrap_or(u64::MAX);
         let before = Timestamp(Timestamp::now().0.saturating_sub(age));
-        let dropped = self.blocking(move |site| Ok(site.plant.ledger.drop_old_copies(before, COPIES)?)).await;
+        let dropped = blocking(self, move |site| Ok(site.plant.ledger.drop_old_copies(before, COPIES)?)).await;
         if let Err(failure) = dropped {
             self.hub.notice(NoticeLevel::Warning, &format!("local copies are kept for now: {}", failure.message));
         }

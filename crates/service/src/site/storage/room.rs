@@ -8,7 +8,7 @@ use crate::model::ByteSize;
 use crate::paths::Home;
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::reply::{Failure, HealthLevel};
-use crate::site::Site;
+use crate::site::{Site, blocking};
 use crate::store::files::free_bytes;
 use crate::store::{Ledger, Reserve, StoreError};
 
@@ -43,11 +43,11 @@ impl Site {
     pub(in crate::site) async fn keep_room(self: Arc<Self>) {
         let (mut held, mut pause) = (None, LOOKS.0);
         let reserve = self.config.disk_reserve;
-        while !self.is_stopping() {
-            if !self.beat(pause).await {
+        while !self.life.is_stopping() {
+            if !self.life.beat(pause).await {
                 return;
             }
-            let Ok(free) = self.blocking(|site| Ok(free_bytes(site.home.root())?)).await else { continue };
+            let Ok(free) = blocking(&self, |site| Ok(free_bytes(site.home.root())?)).await else { continue };
             pause = if free.saturating_sub(reserve) / FASTEST > LOOKS.1.as_secs() { LOOKS.1 } else { LOOKS.0 };
             if free < reserve && held.is_none() {
                 held = Some(self.plant.ledger.hold_records());
@@ -55,7 +55,7 @@ impl Site {
             }
             if free < reserve.min(LAST) && self.states.is_held() {
                 // Removing a file takes no space.
-                drop(self.blocking(|site| Ok(site.states.release()?)).await);
+                drop(blocking(&self, |site| Ok(site.states.release()?)).await);
             }
             // Some more than the reserve, so that it does not flutter.
             if free >= reserve.saturating_add(reserve / 4) {
@@ -63,7 +63,7 @@ impl Site {
                     self.tell_room(NoticeLevel::Info, "there is room on the disk again: records are taken again");
                 }
                 if !self.states.is_held() && free >= reserve.saturating_add(MOST_FOR_STATES) {
-                    drop(self.blocking(|site| Ok(site.states.refill()?)).await);
+                    drop(blocking(&self, |site| Ok(site.states.refill()?)).await);
                 }
             }
         }
@@ -71,7 +71,7 @@ impl Site {
 
     fn tell_room(&self, level: NoticeLevel, text: &str) {
         self.hub.notice(level, text);
-        self.changed(Part::Health);
+        self.hub.changed(Part::Health);
     }
 
     fn full_text(&self, free: u64) -> String {
