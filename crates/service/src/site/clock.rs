@@ -1,10 +1,17 @@
 //! The machine's clock beside one that does not jump: a jump is told, written into the audit log, and part of the
 //! site's health until it is over or believed.
 
+use crate::pipeline::Plant;
+use crate::service::hub::Hub;
+use crate::site::audit::Log;
+use crate::site::chain::link::Link;
+use crate::site::identity::owners::Owners;
+use crate::site::lifetime::Lifetime;
+use crate::site::parts::Parts;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use super::{Site, blocking};
+use super::blocking;
 use crate::model::ProfileName;
 use crate::model::steady_clock::{Reading, SETTLING, look};
 use crate::service::event::{NoticeLevel, Part};
@@ -33,9 +40,27 @@ fn span(seconds: i64) -> String {
     format!("{} s {way}", seconds.unsigned_abs())
 }
 
-impl Site {
+/// The machine's clock.
+pub(in crate::site) struct Clock {
+    plant: Plant,
+    hub: Arc<Hub>,
+    log: Arc<Log>,
+    owners: Arc<Owners>,
+    link: Arc<Link>,
+    life: Arc<Lifetime>,
+}
+
+impl Clock {
+    /// From the shared parts.
+    pub fn new(parts: &Parts) -> Self {
+        let Parts { plant, hub, log, owners, link, life, .. } = parts.clone();
+        Self { plant, hub, log, owners, link, life }
+    }
+}
+
+impl Clock {
     /// Looks at the clock until the site ends.
-    pub(super) async fn keep_clock(self: Arc<Self>) {
+    pub(super) async fn keep(self: Arc<Self>) {
         let begun = Instant::now();
         let (mut before, mut ahead) = (gained(&look(), begun), 0);
         self.compare_with_records().await;
@@ -86,7 +111,7 @@ impl Site {
 
     /// A machine without a battery wakes up in the past.
     async fn compare_with_records(self: &Arc<Self>) {
-        let Ok(Some(newest)) = blocking(self, |site| Ok(site.plant.ledger.newest_capture()?)).await else { return };
+        let Ok(Some(newest)) = blocking(self, |clock| Ok(clock.plant.ledger.newest_capture()?)).await else { return };
         let behind = newest.seconds().saturating_sub(look().machine.seconds());
         if i64::try_from(behind).is_ok_and(|behind| behind >= SHORTEST) {
             let text = format!(
@@ -108,7 +133,7 @@ impl Site {
     }
 
     /// How the clock is, where there is something to say of it.
-    pub(super) fn clock_health(&self) -> Option<PartHealth> {
+    pub(super) fn health(&self) -> Option<PartHealth> {
         let reading = look();
         let head = self.link.newest_head();
         let chain = head.map_or(0, |head| head.timestamp.saturating_sub(reading.steady.seconds()));

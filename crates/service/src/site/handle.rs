@@ -61,18 +61,18 @@ impl Site {
                 self.watch_topic(&profile, topic, type_name).await.map(ask::WatchTopic::told)
             }
             Command::UnwatchTopic { topic } => self.unwatch_topic(&profile, &topic).await.map(ask::UnwatchTopic::told),
-            Command::ListPins { topic } => self.pins_view(&profile, topic.as_ref()).await.map(ask::ListPins::told),
+            Command::ListPins { topic } => self.pins.view(&profile, topic.as_ref()).await.map(ask::ListPins::told),
             Command::PinTopic { topic, publishers } => {
-                self.pin_topic(&profile, &topic, publishers).await.map(ask::PinTopic::told)
+                self.pins.pin(&profile, &topic, publishers).await.map(ask::PinTopic::told)
             }
             Command::UnpinTopic { topic, caller_id } => {
-                self.unpin_topic(&profile, &topic, &caller_id).await.map(ask::UnpinTopic::told)
+                self.pins.unpin(&profile, &topic, &caller_id).await.map(ask::UnpinTopic::told)
             }
             Command::ListQuarantine { topic, limit } => {
-                self.quarantine_view(&profile, topic, limit).await.map(ask::ListQuarantine::told)
+                self.quarantine.view(&profile, topic, limit).await.map(ask::ListQuarantine::told)
             }
-            Command::ReleaseHeld { held } => self.release_held(&owner()?, held).await.map(ask::ReleaseHeld::told),
-            Command::DiscardHeld { held } => self.discard_held(&owner()?, held).await.map(ask::DiscardHeld::told),
+            Command::ReleaseHeld { held } => self.quarantine.release(&owner()?, held).await.map(ask::ReleaseHeld::told),
+            Command::DiscardHeld { held } => self.quarantine.discard(&owner()?, held).await.map(ask::DiscardHeld::told),
             Command::Policy { with } => self.policy(&profile, with).await.map(ask::Policy::told),
             Command::Capture { topics, type_name, count, milliseconds, tags } => {
                 let captured = self.capture(&owner()?, &topics, type_name, count, milliseconds, tags).await;
@@ -83,29 +83,33 @@ impl Site {
                 Ok(ask::StopCapture::told(()))
             }
             Command::Recording { with } => self.recording(&owner()?, with).await,
-            Command::ListUploads(query) => self.list_uploads(&profile, query).await.map(ask::ListUploads::told),
-            Command::ShowUpload { id } => self.provenance(&profile, &id).await.map(ask::ShowUpload::told),
+            Command::ListUploads(query) => self.reading.list_own(&profile, query).await.map(ask::ListUploads::told),
+            Command::ShowUpload { id } => self.reading.provenance(&profile, &id).await.map(ask::ShowUpload::told),
             Command::ExportUpload { id, addresses } => {
-                self.export_upload(&owner()?, &id, addresses).await.map(ask::ExportUpload::told)
+                self.reading.export_upload(&owner()?, &id, addresses).await.map(ask::ExportUpload::told)
             }
             Command::ListShared(query) => {
-                self.list_shared(&self.caught_up_owner(&profile).await?, query).await.map(ask::ListShared::told)
+                self.reading.list_shared(&self.caught_up_owner(&profile).await?, query).await.map(ask::ListShared::told)
             }
             Command::CheckShared { id } => {
-                self.check_record(&self.caught_up_owner(&profile).await?, &id).await.map(ask::CheckShared::told)
+                self.reading.check_record(&self.caught_up_owner(&profile).await?, &id).await.map(ask::CheckShared::told)
             }
             Command::OpenShared { id } => {
-                let view = self.open_record(&self.caught_up_owner(&profile).await?, &id).await;
+                let view = self.reading.open_record(&self.caught_up_owner(&profile).await?, &id).await;
                 view.map(Box::new).map(ask::OpenShared::told)
             }
-            Command::View(viewing) => self.handle_viewing(&self.caught_up_owner(&profile).await?, viewing).await,
+            Command::View(viewing) => {
+                self.reading.handle_viewing(&self.caught_up_owner(&profile).await?, viewing).await
+            }
             Command::Grant { grantee, topics, epochs, expires } => {
                 self.grant(&owner()?, &grantee, &topics, epochs, expires).await.map(ask::Grant::told)
             }
             Command::ExtendGrant { grantee, expires } => {
                 self.extend(&owner()?, &grantee, expires).await.map(ask::ExtendGrant::told)
             }
-            Command::Revoke { grantee } => self.revoke(&owner()?, self.resolve(&grantee)?).await.map(ask::Revoke::told),
+            Command::Revoke { grantee } => {
+                self.revoke(&owner()?, self.contacts.resolve(&grantee)?).await.map(ask::Revoke::told)
+            }
             Command::ListGrants => self.grant_rows(&owner()?).await.map(ask::ListGrants::told),
             Command::LendDevice { device, until } => {
                 self.lend_device(&owner()?, device, until).await.map(ask::LendDevice::told)
@@ -119,16 +123,18 @@ impl Site {
             Command::EnrolDevice(wishes) => self.enrol_device(&owner()?, wishes).await.map(ask::EnrolDevice::told),
             Command::ListDevices => self.device_rows(&owner()?).await.map(ask::ListDevices::told),
             Command::CompareFingerprint { fingerprint, account } => {
-                let compared = self.compare_fingerprint(&profile, &fingerprint, account).await;
+                let compared = self.contacts.compare(&profile, &fingerprint, account).await;
                 compared.map(ask::CompareFingerprint::told)
             }
-            Command::ListContacts => self.contact_rows().await.map(ask::ListContacts::told),
+            Command::ListContacts => self.contacts.rows().await.map(ask::ListContacts::told),
             Command::AddContact { name, address, fingerprint } => {
-                self.add_contact(&profile, name, address, fingerprint).await.map(ask::AddContact::told)
+                self.contacts.add(&profile, name, address, fingerprint).await.map(ask::AddContact::told)
             }
-            Command::RemoveContact { name } => self.remove_contact(&profile, &name).await.map(ask::RemoveContact::told),
+            Command::RemoveContact { name } => {
+                self.contacts.remove(&profile, &name).await.map(ask::RemoveContact::told)
+            }
             Command::ConfirmContact { name, fingerprint } => {
-                self.confirm_contact(&profile, &name, fingerprint).await.map(ask::ConfirmContact::told)
+                self.contacts.confirm(&profile, &name, fingerprint).await.map(ask::ConfirmContact::told)
             }
             Command::Administer(act) => self.administer(&owner()?, &act).await.map(ask::Administer::told),
             Command::NameRecovery { recovery } => {
@@ -170,9 +176,9 @@ impl Site {
             StoreCommand::AuditRecords { deep, since } => {
                 self.audit.records(self.pin()?.is_some(), deep, since).await.map(Box::new).map(ask::AuditRecords::told)
             }
-            StoreCommand::ListAllUploads(query) => self.list_all_uploads(query).await.map(ask::ListAllUploads::told),
+            StoreCommand::ListAllUploads(query) => self.reading.list_all(query).await.map(ask::ListAllUploads::told),
             StoreCommand::BackUp { file, passphrase } => {
-                self.back_up(profile, file, passphrase).await.map(ask::BackUp::told)
+                self.backup.back_up(profile, file, passphrase).await.map(ask::BackUp::told)
             }
         }
     }

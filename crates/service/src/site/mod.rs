@@ -16,6 +16,7 @@ mod handle;
 mod identity;
 mod lifetime;
 mod mirror;
+mod parts;
 mod pins;
 mod quarantine;
 mod reading;
@@ -41,9 +42,18 @@ pub(super) use devices::enrolling::Enrolled;
 pub use reading::view::record_page;
 
 use audit::{Audit, Log};
+use backup::Backup;
+use chain::lanes::Lanes;
 use chain::link::Link;
+use clock::Clock;
+use contacts::Contacts;
 use identity::owners::Owners;
 use lifetime::Lifetime;
+use parts::Parts;
+use pins::Pinning;
+use quarantine::Quarantine;
+use reading::Reading;
+use storage::Storage;
 use supervision::Supervisor;
 
 use super::client::{Call, Client};
@@ -55,7 +65,6 @@ use crate::config::Config;
 use crate::crypto::provider;
 use crate::model::{Address, ProfileName};
 use crate::paths::Home;
-use crate::pipeline::columns::Heads;
 use crate::pipeline::recorder::CapturedMessage;
 use crate::pipeline::ring::Rings;
 use crate::pipeline::sender::Policy;
@@ -87,9 +96,14 @@ pub struct Site {
     recorder: Arc<Recorder>,
     /// The gateway that this site serves, if it does.
     served_gateway: Mutex<Option<gateway::status::Serving>>,
-    pins: Arc<Pins>,
-    /// Quarantine records are sealed one at a time.
-    reporting: tokio::sync::Mutex<()>,
+    contacts: Arc<Contacts>,
+    pins: Arc<Pinning>,
+    reading: Arc<Reading>,
+    quarantine: Arc<Quarantine>,
+    storage: Arc<Storage>,
+    clock: Arc<Clock>,
+    backup: Arc<Backup>,
+    lanes: Arc<Lanes>,
     rings: Arc<Rings<CapturedMessage>>,
     losses: Arc<Losses>,
     life: Arc<Lifetime>,
@@ -98,15 +112,9 @@ pub struct Site {
     owners: Arc<Owners>,
     link: Arc<Link>,
     audit: Arc<Audit>,
-    /// Heads of records opened for lists.
-    heads: Heads,
     reserve: Arc<Reserve>,
-    /// Space for the states of records on a full disk.
-    states: Reserve,
     /// Changes of the watch lists happen one at a time.
     watching: Mutex<()>,
-    /// Changes of the address book happen one at a time.
-    contacts: tokio::sync::Mutex<()>,
     consoles: Mutex<HashSet<ProfileName>>,
     captures: Mutex<Vec<(ProfileName, Arc<CaptureSession>)>>,
     recordings: recordings::Runs,
@@ -120,7 +128,6 @@ pub struct Site {
     /// Who may use the gateway of this home, as far as it was read; changes happen one at a time.
     admitted: RwLock<Option<BTreeSet<Address>>>,
     admitting: tokio::sync::Mutex<()>,
-    witnesses: Mutex<chain::lanes::Witnesses>,
     sealer: Mutex<Option<std::thread::JoinHandle<()>>>,
     ros_task: Mutex<Option<tokio::task::JoinHandle<()>>>,
     _lock: SiteLock,
@@ -155,13 +162,13 @@ impl Site {
         let losses = Arc::new(Losses::default());
         let recorder = Recorder::new(Arc::clone(&rings), Arc::clone(&losses), hub.clone());
         let (reserve, reserved) = Reserve::open(&home.reserve(), RESERVE_BYTES);
-        let states = storage::room::working_reserve(&home, config.disk_reserve);
         let rules = PinRules { mode: config.pin_mode, listed: config.publishers.clone() };
         let pins = Arc::new(Pins::new(ledger.clone(), hub.clone(), rules));
         let recorder = recorder.with_pins(Arc::clone(&pins)).with_rules(config.topic_rules.clone());
         let (config, reserve, life) = (Arc::new(config), Arc::new(reserve), Arc::new(Lifetime::new()));
         let supervisor = Arc::new(Supervisor::new(Arc::clone(&hub), Arc::clone(&life)));
-        let log = Arc::new(Log::new(ledger.clone(), Arc::clone(&hub)));
+        let sender = Arc::new(Sender::new(ledger.clone(), hub.clone(), Policy { cap: config.max_fee }));
+        let log = Arc::new(Log::new(ledger, Arc::clone(&hub)));
         let (open, opened) = mpsc::unbounded_channel();
         let owners = Arc::new(Owners::new(home.clone(), open));
         let link = Arc::new(Link::new(Arc::clone(&hub), needs.chain));
@@ -175,23 +182,41 @@ impl Site {
             life: Arc::clone(&life),
             reserve: Arc::clone(&reserve),
         };
+        let parts = Parts {
+            home: home.clone(),
+            config: Arc::clone(&config),
+            plant: plant.clone(),
+            hub: Arc::clone(&hub),
+            log: Arc::clone(&log),
+            owners: Arc::clone(&owners),
+            link: Arc::clone(&link),
+            life: Arc::clone(&life),
+            supervisor: Arc::clone(&supervisor),
+            sender: Arc::clone(&sender),
+        };
+        let contacts = Arc::new(Contacts::new(&parts));
+        let reading = Arc::new(Reading::new(&parts, Arc::clone(&contacts)));
+        let quarantine = Arc::new(Quarantine::new(&parts, Arc::clone(&reading)));
         let site = Arc::new(Self {
             recorder: Arc::new(recorder),
-            pins,
-            reporting: tokio::sync::Mutex::default(),
-            sender: Arc::new(Sender::new(ledger, hub.clone(), Policy { cap: config.max_fee })),
+            contacts,
+            pins: Arc::new(Pinning::new(&parts, pins)),
+            reading,
+            backup: Arc::new(Backup::new(&parts, Arc::clone(&quarantine))),
+            quarantine,
+            storage: Arc::new(Storage::new(&parts)),
+            clock: Arc::new(Clock::new(&parts)),
+            lanes: Arc::new(Lanes::new(&parts)),
+            sender,
             life,
             supervisor,
             log,
             owners,
             link,
             audit: Arc::new(audit),
-            heads: Heads::default(),
             served_gateway: Mutex::default(),
             reserve,
-            states,
             watching: Mutex::default(),
-            contacts: tokio::sync::Mutex::default(),
             home,
             config,
             plant,
@@ -208,7 +233,6 @@ impl Site {
             deploying: tokio::sync::Mutex::default(),
             admitted: RwLock::default(),
             admitting: tokio::sync::Mutex::default(),
-            witnesses: Mutex::default(),
             sealer: Mutex::default(),
             ros_task: Mutex::default(),
             _lock: lock,
@@ -220,7 +244,7 @@ impl Site {
         }
         workers::start(&site, needs, opened)?;
         if copied {
-            tokio::spawn(Arc::clone(&site).tell_of_copy());
+            tokio::spawn(Arc::clone(&site.storage).tell_of_copy());
         }
         Ok(site)
     }

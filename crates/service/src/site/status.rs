@@ -25,7 +25,7 @@ impl Site {
         };
         let profiles = self.owners.all().iter().map(|owner| owner.profile.clone()).collect();
         let mut health = vec![self.ros_health(), self.chain_health(), self.vault_health(), self.gateway_health()];
-        health.extend(self.clock_health());
+        health.extend(self.clock.health());
         health.extend(block_in_place(|| self.account_health())?);
         let life = block_in_place(|| self.life_line(profile))?;
         Ok(SiteView { health, life, robots, profiles, queue: self.queue_view(), tasks: self.supervisor.views() })
@@ -61,7 +61,7 @@ impl Site {
             NetworkState::Connecting => (HealthLevel::Waiting, format!("connecting to {name}")),
             NetworkState::Bare(_) => (HealthLevel::Ok, format!("{name}, no contract yet")),
             NetworkState::Up(_) if silent => (HealthLevel::Waiting, format!("{name} does not answer, retry in 2 s")),
-            NetworkState::Up(network) => match self.paused_text(network) {
+            NetworkState::Up(network) => match self.lanes.paused_text(network) {
                 Some(text) => (HealthLevel::Failed, text),
                 None => (HealthLevel::Ok, name),
             },
@@ -76,7 +76,7 @@ impl Site {
 
     fn vault_health(&self) -> PartHealth {
         let name = self.config.vault_url.as_deref().map_or_else(|| "embedded vault".to_owned(), without_password);
-        if let Some((level, text)) = self.room_health() {
+        if let Some((level, text)) = self.storage.room_health() {
             return part("vault", level, &text);
         }
         match self.hub.vault_condition() {
@@ -162,7 +162,7 @@ impl Site {
         };
         let status = chain.status(address).await?;
         let lanes = match (self.owners.get(profile), self.link.network_now(), address) {
-            (Some(owner), Some(network), _) => self.lane_states(&owner, &network)?,
+            (Some(owner), Some(network), _) => self.lanes.lane_states(&owner, &network)?,
             (_, _, Some(address)) => vec![self.sender.state_of(address)?],
             (_, _, None) => Vec::new(),
         };

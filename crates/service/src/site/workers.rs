@@ -7,6 +7,10 @@ use std::time::{Duration, Instant};
 use tokio::sync::mpsc;
 
 use super::audit::Audit;
+use super::chain::lanes::Lanes;
+use super::clock::Clock;
+use super::quarantine::Quarantine;
+use super::storage::Storage;
 use super::{Needs, RosState, Site};
 use crate::chain::ChainError;
 use crate::model::{Address, Domain};
@@ -30,11 +34,11 @@ pub(super) fn start(
 ) -> Result<(), Failure> {
     site.supervisor.keep("news", &site.hub, Hub::run);
     site.supervisor.keep("audit", &site.audit, Audit::keep);
-    site.supervisor.keep("quarantine", site, Site::keep_quarantine);
-    site.supervisor.keep("room", site, Site::keep_room);
-    site.supervisor.keep("clock", site, Site::keep_clock);
-    tokio::spawn(Arc::clone(site).check_after_crash());
-    site.supervisor.keep("retention", site, Site::keep_retention);
+    site.supervisor.keep("quarantine", &site.quarantine, Quarantine::keep);
+    site.supervisor.keep("room", &site.storage, Storage::keep_room);
+    site.supervisor.keep("clock", &site.clock, Clock::keep);
+    tokio::spawn(Arc::clone(&site.storage).check_after_crash());
+    site.supervisor.keep("retention", &site.storage, Storage::keep_retention);
     begin_with_owners(site, opened);
     if needs.ros {
         seal_here(site)?;
@@ -123,7 +127,7 @@ async fn watch(site: Arc<Site>) {
                     site.hub.changed(Part::Chain);
                     site.hub.confirmed.notify_one();
                 }
-                site.tend_lanes(&network).await;
+                site.lanes.tend(&network).await;
                 network.chain.next_block(head.number, watcher::PATIENCE).await.err().map(|error| error.to_string())
             }
             Err(PipelineError::Chain(error @ ChainError::Swapped { .. })) => {
@@ -193,31 +197,34 @@ async fn anchor_round(
         }
         *spoken = Some(network.domain);
     }
-    let lanes = site.lanes(owner, network)?;
+    let lanes = site.lanes.of(owner, network)?;
     Ok(anchorer.round(&site.plant, network, &site.sender, owner, &lanes).await?)
 }
 
 impl Site {
     /// Begins what is done for each open owner, until the owner is closed or the site ends.
     pub(super) fn work_for(self: &Arc<Self>, owner: &Arc<Owner>) {
-        let open = |owner: &Arc<Owner>| {
-            let owner = Arc::clone(owner);
-            move |site: &Arc<Site>| site.owners.is_open(&owner)
-        };
         let (name, given) = (&owner.profile, Arc::clone(owner));
-        self.supervisor
-            .keep_while(&format!("anchorer {name}"), self, open(owner), move |site| anchor(site, Arc::clone(&given)));
+        self.supervisor.keep_while(&format!("anchorer {name}"), self, while_open(self, owner), move |site| {
+            anchor(site, Arc::clone(&given))
+        });
         if self.config.lanes > 1 {
             let given = Arc::clone(owner);
-            let work = move |site: Arc<Site>| site.keep_witnesses(Arc::clone(&given));
-            self.supervisor.keep_while(&format!("witnesses {name}"), self, open(owner), work);
+            let work = move |lanes: Arc<Lanes>| lanes.keep_witnesses(Arc::clone(&given));
+            self.supervisor.keep_while(&format!("witnesses {name}"), &self.lanes, while_open(self, owner), work);
         }
         if self.remote.is_some() {
             let given = Arc::clone(owner);
             let work = move |site: Arc<Site>| site.mirror(Arc::clone(&given));
-            self.supervisor.keep_while(&format!("mirror {name}"), self, open(owner), work);
+            self.supervisor.keep_while(&format!("mirror {name}"), self, while_open(self, owner), work);
         }
     }
+}
+
+/// Whether work for an owner is still wanted.
+fn while_open<Whose>(site: &Site, owner: &Arc<Owner>) -> impl Fn(&Arc<Whose>) -> bool + Send + 'static {
+    let (owners, owner) = (Arc::clone(&site.owners), Arc::clone(owner));
+    move |_| owners.is_open(&owner)
 }
 
 /// Anchors the records of one owner until the owner is closed or the site ends.

@@ -1,5 +1,12 @@
 //! Back-up of a running home: ledger, vault and chain as of one moment, then the small files, sealed into one file.
 
+use crate::config::Config;
+use crate::paths::Home;
+use crate::pipeline::Plant;
+use crate::site::audit::Log;
+use crate::site::chain::link::Link;
+use crate::site::parts::Parts;
+use crate::site::quarantine::Quarantine;
 use std::fs::{self, File};
 use std::io::{self, Write};
 use std::os::unix::fs::PermissionsExt as _;
@@ -8,7 +15,7 @@ use std::sync::Arc;
 
 use tokio::runtime::Handle;
 
-use super::{NetworkState, Site, blocking};
+use super::{NetworkState, blocking};
 use crate::chain::Chain;
 use crate::crypto::Passphrase;
 use crate::crypto::sealed_stream::SealedWriter;
@@ -24,9 +31,27 @@ pub const LEDGER: &str = "ledger.db";
 const VAULT: &str = "vault/vault.db";
 const CHAIN: &str = "chain/chain.db";
 /// What belongs to the running process, or is made anew: by the beginning of its name.
-const LEFT_OUT: [&str; 5] = ["site.lock", "site.sock", "reserve", ".new-", ".back-up-"];
+const LEFT_OUT: [&str; 5] = ["backup.lock", "backup.sock", "reserve", ".new-", ".back-up-"];
 
-impl Site {
+/// Back-ups of a running home.
+pub(in crate::site) struct Backup {
+    home: Home,
+    config: Arc<Config>,
+    plant: Plant,
+    log: Arc<Log>,
+    link: Arc<Link>,
+    quarantine: Arc<Quarantine>,
+}
+
+impl Backup {
+    /// From the shared parts.
+    pub fn new(parts: &Parts, quarantine: Arc<Quarantine>) -> Self {
+        let Parts { home, config, plant, log, link, .. } = parts.clone();
+        Self { home, config, plant, log, link, quarantine }
+    }
+}
+
+impl Backup {
     /// Writes the home into one sealed file, 0600, never over another; a crash leaves none.
     pub(super) async fn back_up(
         self: &Arc<Self>,
@@ -47,10 +72,10 @@ impl Site {
         self.log.write(profile, "back up", &shown, "begun").await?;
         let runtime = Handle::current();
         // Whatever deletes ciphertext before the ledger says so waits until the moment is taken.
-        let quiet = self.reporting.lock().await;
-        let moment = blocking(self, move |site| site.moment(&runtime)).await?;
+        let quiet = self.quarantine.quiet().await;
+        let moment = blocking(self, move |backup| backup.moment(&runtime)).await?;
         drop(quiet);
-        let written = blocking(self, move |site| site.pack(&moment, &file, &passphrase)).await;
+        let written = blocking(self, move |backup| backup.pack(&moment, &file, &passphrase)).await;
         let outcome = if written.is_ok() { "done" } else { "failed" };
         self.log.write(profile, "back up", &shown, outcome).await?;
         written

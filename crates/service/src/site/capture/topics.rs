@@ -41,8 +41,8 @@ impl Site {
             }
         }
         let captured = self.captured_by_topic(profile)?;
-        let alarms = self.alarmed_topics(profile)?;
-        let pins = self.pinned_names(profile)?;
+        let alarms = self.pins.alarmed_topics(profile)?;
+        let pins = self.pins.pinned_names(profile)?;
         let watched: HashSet<&str> = watches.iter().map(|(topic, _)| topic.as_str()).collect();
         for row in &mut rows {
             if let Some(pinned) = pins.get(&row.topic) {
@@ -94,26 +94,6 @@ impl Site {
         let Ok(owner) = self.owners.address_of(profile) else { return Ok(HashMap::new()) };
         let counts = block_in_place(|| self.losses.counts(&self.plant, owner))?;
         Ok(counts.topics.into_iter().map(|topic| (topic.topic.clone(), topic)).collect())
-    }
-
-    /// Topics with an open alarm about a publisher.
-    fn alarmed_topics(&self, profile: &ProfileName) -> Result<HashSet<String>, Failure> {
-        let Ok(owner) = self.owners.address_of(profile) else { return Ok(HashSet::new()) };
-        let alarms = block_in_place(|| self.plant.ledger.alarms(owner, None))?;
-        Ok(alarms.into_iter().filter(|alarm| alarm.open).map(|alarm| alarm.topic).collect())
-    }
-
-    /// Node names pinned to each topic, by the operator, by first sight or by the settings.
-    fn pinned_names(&self, profile: &ProfileName) -> Result<HashMap<String, HashSet<String>>, Failure> {
-        let Ok(owner) = self.owners.address_of(profile) else { return Ok(HashMap::new()) };
-        let kept = block_in_place(|| self.plant.ledger.pins(owner, None))?;
-        let kept = kept.into_iter().map(|row| (row.topic, row.publisher.caller_id));
-        let listed = self.pins.all_listed().map(|(topic, publisher)| (topic.clone(), publisher.caller_id.clone()));
-        let mut names: HashMap<String, HashSet<String>> = HashMap::new();
-        for (topic, caller_id) in kept.chain(listed) {
-            names.entry(clean(&topic, 255)).or_default().insert(clean(&caller_id, 255));
-        }
-        Ok(names)
     }
 
     fn watches(&self, profile: &ProfileName) -> Result<Watches, Failure> {

@@ -48,7 +48,7 @@ impl Site {
         let network = self.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
         network.directory.identity(owner.address)?;
-        let recovery = recovery.map(|party| self.resolve(party)).transpose()?;
+        let recovery = recovery.map(|party| self.contacts.resolve(party)).transpose()?;
         if recovery == Some(owner.address) {
             return Err(refused(
                 "a thief of this account must not be able to stop its succession; name another account",
@@ -82,22 +82,22 @@ impl Site {
     fn act(&self, network: &Network, act: &Administration) -> Result<(Call, String), Failure> {
         Ok(match act {
             Administration::Dismiss { account } => {
-                let account = self.resolve(account)?;
+                let account = self.contacts.resolve(account)?;
                 if network.directory.epoch(account) > 0 {
                     return Err(refused(format!("{account} has registered already; `authros chain suspend` stops it")));
                 }
                 (Call::Dismiss { account }, format!("{account} may no longer register while registration is closed"))
             }
             Administration::Admit { account } => {
-                let account = self.resolve(account)?;
+                let account = self.contacts.resolve(account)?;
                 (Call::Admit { account }, format!("{account} may register"))
             }
             Administration::Suspend { account } => {
-                let account = self.resolve(account)?;
+                let account = self.contacts.resolve(account)?;
                 (Call::Suspend { account }, format!("{account} may change nothing but take rights away"))
             }
             Administration::Restore { account } => {
-                let account = self.resolve(account)?;
+                let account = self.contacts.resolve(account)?;
                 (Call::Restore { account }, format!("{account} is free again"))
             }
             Administration::Open { open } => {
@@ -106,21 +106,21 @@ impl Site {
             }
             Administration::Pause { paused, seconds } => pause(network.chain.revision()?, *paused, *seconds)?,
             Administration::HandOver { account } => {
-                let account = self.resolve(account)?;
+                let account = self.contacts.resolve(account)?;
                 (Call::Nominate { account }, format!("{account} is to administer; it takes over with `chain accept`"))
             }
             Administration::Accept => (Call::AcceptAdministrator, "this profile administers the contract".to_owned()),
             Administration::Propose { lost, successor } => self.propose(network, lost, successor)?,
             Administration::Cancel { lost } => {
-                let lost = self.resolve(lost)?;
+                let lost = self.contacts.resolve(lost)?;
                 (Call::CancelSuccession { lost }, format!("nobody is to continue for {lost} any more"))
             }
             Administration::Complete { lost } => {
-                let lost = self.resolve(lost)?;
+                let lost = self.contacts.resolve(lost)?;
                 (Call::CompleteSuccession { lost }, format!("{lost} is suspended for good, its successor continues"))
             }
             Administration::Succeed { lost, successor } => {
-                let (lost, successor) = (self.resolve(lost)?, self.resolve(successor)?);
+                let (lost, successor) = (self.contacts.resolve(lost)?, self.contacts.resolve(successor)?);
                 network.directory.identity(successor)?;
                 let text = format!("{successor} continues for {lost}, which is suspended for good");
                 (Call::Succeed { lost, successor }, text)
@@ -129,7 +129,7 @@ impl Site {
     }
 
     fn propose(&self, network: &Network, lost: &Party, successor: &Party) -> Result<(Call, String), Failure> {
-        let (lost, successor) = (self.resolve(lost)?, self.resolve(successor)?);
+        let (lost, successor) = (self.contacts.resolve(lost)?, self.contacts.resolve(successor)?);
         network.directory.identity(successor)?;
         let recovery = network.directory.account(lost).and_then(|account| account.recovery);
         let recovery = recovery.and_then(|recovery| recovery.in_effect(Timestamp::now()));
@@ -146,7 +146,7 @@ impl Site {
     /// What the administrator decided, with the names of the address book; the recovery account is `own`'s.
     pub(in crate::site) fn administration_view(&self, network: &Network, own: Option<Address>) -> AdministrationView {
         let (decided, now) = (network.directory.administration(), Timestamp::now());
-        let names = self.names();
+        let names = self.contacts.names();
         let name = |account: &Address| names.get(account).cloned();
         let proposals = decided.proposals.iter().map(|waits| ProposalView {
             lost: waits.lost,
@@ -200,7 +200,7 @@ impl Site {
                 continue;
             }
             let mut texts = self.succession_texts(&network);
-            match self.changed_contacts(&network) {
+            match self.contacts.changed_contacts(&network) {
                 Ok(changed) => texts.extend(changed),
                 Err(failure) => texts.push(failure.message),
             }

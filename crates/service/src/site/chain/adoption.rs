@@ -123,11 +123,11 @@ impl Site {
         let deadline = tokio::time::Instant::now() + REST;
         let mut quiet = 0usize;
         while quiet < QUIET && tokio::time::Instant::now() < deadline {
-            self.tend_lanes(network).await;
+            self.lanes.tend(network).await;
             watcher::watch_round(&self.plant, network).await?;
             let mut open = 0;
             for owner in self.owners.all() {
-                open += self.lane_states(&owner, network)?.iter().map(|lane| lane.open).sum::<u64>();
+                open += self.lanes.lane_states(&owner, network)?.iter().map(|lane| lane.open).sum::<u64>();
             }
             quiet = if open == 0 { quiet + 1 } else { 0 };
             tokio::time::sleep(Duration::from_millis(200)).await;

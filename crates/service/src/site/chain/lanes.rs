@@ -1,5 +1,14 @@
 //! The accounts that anchor for each owner: the owner's own and its witnesses, tended and kept ready.
 
+use crate::config::Config;
+use crate::pipeline::Plant;
+use crate::pipeline::Sender;
+use crate::service::hub::Hub;
+use crate::site::chain::link::Link;
+use crate::site::identity::owners::Owners;
+use crate::site::lifetime::Lifetime;
+use crate::site::parts::Parts;
+use std::sync::Mutex;
 use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
@@ -10,7 +19,6 @@ use crate::pipeline::witness::{self, MOST_LANES};
 use crate::pipeline::{Network, Owner};
 use crate::service::event::NoticeLevel;
 use crate::service::reply::Failure;
-use crate::site::Site;
 
 /// How often it is looked whether witnesses are ready.
 const LOOK: Duration = Duration::from_secs(2);
@@ -18,7 +26,27 @@ const LOOK: Duration = Duration::from_secs(2);
 /// Witnesses derived so far, with their addresses, by owner and network.
 pub(in crate::site) type Witnesses = std::collections::HashMap<(Address, Domain), Arc<Vec<(Address, EoaSecret)>>>;
 
-impl Site {
+/// The accounts that anchor.
+pub(in crate::site) struct Lanes {
+    config: Arc<Config>,
+    plant: Plant,
+    hub: Arc<Hub>,
+    owners: Arc<Owners>,
+    link: Arc<Link>,
+    life: Arc<Lifetime>,
+    sender: Arc<Sender>,
+    witnesses: Mutex<Witnesses>,
+}
+
+impl Lanes {
+    /// From the shared parts.
+    pub fn new(parts: &Parts) -> Self {
+        let Parts { config, plant, hub, owners, link, life, sender, .. } = parts.clone();
+        Self { config, plant, hub, owners, link, life, sender, witnesses: Mutex::default() }
+    }
+}
+
+impl Lanes {
     /// All witnesses that the owner can have on this network.
     fn witnesses(&self, owner: &Owner, network: &Network) -> Result<Arc<Vec<(Address, EoaSecret)>>, Failure> {
         let mut known = self.witnesses.lock().unwrap_or_else(PoisonError::into_inner);
@@ -33,7 +61,7 @@ impl Site {
     }
 
     /// The accounts that anchor for an owner now, the owner's own first.
-    pub(in crate::site) fn lanes(&self, owner: &Owner, network: &Network) -> Result<Vec<EoaSecret>, Failure> {
+    pub(in crate::site) fn of(&self, owner: &Owner, network: &Network) -> Result<Vec<EoaSecret>, Failure> {
         let mut lanes = vec![owner.eoa()];
         if self.config.lanes > 1 {
             let wanted = usize::from(self.config.lanes) - 1;
@@ -66,7 +94,7 @@ impl Site {
     }
 
     /// Tends the lanes of every open owner: after each block, and while none comes.
-    pub(in crate::site) async fn tend_lanes(&self, network: &Network) {
+    pub(in crate::site) async fn tend(&self, network: &Network) {
         for owner in self.owners.all() {
             if let Err(failure) = self.tend_lanes_of(&owner, network).await {
                 let text = format!("transactions of {} wait: {}", owner.profile, failure.message);

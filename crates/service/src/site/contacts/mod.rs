@@ -1,13 +1,19 @@
 //! The address book of this home: names for accounts, and the fingerprint each is known by. It lies in the ledger,
 //! never on the chain.
 
+use crate::paths::Home;
+use crate::pipeline::Plant;
+use crate::service::hub::Hub;
+use crate::site::audit::Log;
+use crate::site::chain::link::Link;
+use crate::site::identity::owners::Owners;
+use crate::site::parts::Parts;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 use tokio::task::block_in_place;
 
-use super::Site;
 use crate::crypto::Fingerprint;
 use crate::model::{Address, ContactName, Party, ProfileName};
 use crate::pipeline::Network;
@@ -35,7 +41,38 @@ fn read(text: &str) -> Result<Fingerprint, Failure> {
     text.parse().map_err(|error| input(format!("{error}")))
 }
 
-impl Site {
+/// The address book.
+pub(in crate::site) struct Contacts {
+    home: Home,
+    plant: Plant,
+    hub: Arc<Hub>,
+    log: Arc<Log>,
+    owners: Arc<Owners>,
+    link: Arc<Link>,
+    /// Whether the chain is known from a gateway's word alone.
+    is_joined: bool,
+    /// Changes of the book happen one at a time.
+    changing: tokio::sync::Mutex<()>,
+}
+
+impl Contacts {
+    /// From the shared parts.
+    pub fn new(parts: &Parts) -> Self {
+        let Parts { home, plant, hub, log, owners, link, .. } = parts.clone();
+        Self {
+            home,
+            plant,
+            hub,
+            log,
+            owners,
+            link,
+            is_joined: parts.config.site.is_some(),
+            changing: tokio::sync::Mutex::default(),
+        }
+    }
+}
+
+impl Contacts {
     fn book(&self) -> Result<Vec<Contact>, Failure> {
         let Some(text) = block_in_place(|| self.plant.ledger.setting(BOOK))? else { return Ok(Vec::new()) };
         serde_json::from_str(&text)
@@ -79,7 +116,7 @@ impl Site {
     }
 
     /// Enters an account. Without a fingerprint, the one it has registered is noted as found.
-    pub(super) async fn add_contact(
+    pub(super) async fn add(
         self: &Arc<Self>,
         profile: &ProfileName,
         name: ContactName,
@@ -87,7 +124,7 @@ impl Site {
         fingerprint: Option<String>,
     ) -> Result<Vec<ContactRow>, Failure> {
         let given = fingerprint.is_some();
-        if !given && self.remote.is_some() {
+        if !given && self.is_joined {
             return Err(refused(format!(
                 "which key {address} has is known here from a gateway's word alone; have its owner tell its fingerprint \
                  by another way, then `authros contacts add {name} {address} --fingerprint FINGERPRINT`"
@@ -98,7 +135,7 @@ impl Site {
         let found = || network.as_ref().and_then(|network| Self::registered_fingerprint(network, address));
         let fingerprint = fingerprint.or_else(found);
         {
-            let _one_at_a_time = self.contacts.lock().await;
+            let _one_at_a_time = self.changing.lock().await;
             let mut book = self.book()?;
             if let Some(known) = book.iter().find(|contact| contact.name == name || contact.address == address) {
                 let (name, address) = (&known.name, known.address);
@@ -114,28 +151,28 @@ impl Site {
             book.sort_by(|one, other| one.name.cmp(&other.name));
             self.write_book(&book)?;
         }
-        self.contact_rows().await
+        self.rows().await
     }
 
     /// Takes an account out.
-    pub(super) async fn remove_contact(
+    pub(super) async fn remove(
         self: &Arc<Self>,
         profile: &ProfileName,
         name: &ContactName,
     ) -> Result<Vec<ContactRow>, Failure> {
         {
-            let _one_at_a_time = self.contacts.lock().await;
+            let _one_at_a_time = self.changing.lock().await;
             let contact = self.contact(name)?;
             let mut book = self.book()?;
             book.retain(|other| *other != contact);
             self.log.write(profile, "contact remove", &format!("{name} {}", contact.address), "done").await?;
             self.write_book(&book)?;
         }
-        self.contact_rows().await
+        self.rows().await
     }
 
     /// From now on the key is known that the account has registered now; where a fingerprint is given, only that one.
-    pub(super) async fn confirm_contact(
+    pub(super) async fn confirm(
         self: &Arc<Self>,
         profile: &ProfileName,
         name: &ContactName,
@@ -143,9 +180,9 @@ impl Site {
     ) -> Result<Vec<ContactRow>, Failure> {
         let network = self.link.network().await?;
         {
-            let _one_at_a_time = self.contacts.lock().await;
+            let _one_at_a_time = self.changing.lock().await;
             let contact = self.contact(name)?;
-            if fingerprint.is_none() && self.remote.is_some() {
+            if fingerprint.is_none() && self.is_joined {
                 return Err(refused(format!(
                     "which key '{name}' has is known here from a gateway's word alone; have its owner tell its \
                      fingerprint by another way, then `authros contacts confirm {name} --fingerprint FINGERPRINT`"
@@ -168,11 +205,11 @@ impl Site {
             self.log.write(profile, "contact confirm", &format!("{name} {registered}"), "done").await?;
             self.write_book(&book)?;
         }
-        self.contact_rows().await
+        self.rows().await
     }
 
     /// The whole book, each with what the chain says now.
-    pub(super) async fn contact_rows(self: &Arc<Self>) -> Result<Vec<ContactRow>, Failure> {
+    pub(super) async fn rows(self: &Arc<Self>) -> Result<Vec<ContactRow>, Failure> {
         let network = self.link.network().await.ok();
         let row = |contact: Contact| {
             let registered =
@@ -205,10 +242,10 @@ impl Site {
     /// # Errors
     /// `Refused`, until the contact is confirmed.
     pub(super) async fn check_contact(self: &Arc<Self>, network: &Network, account: Address) -> Result<(), Failure> {
-        let _one_at_a_time = self.contacts.lock().await;
+        let _one_at_a_time = self.changing.lock().await;
         let mut book = self.book()?;
         let contact = book.iter_mut().find(|contact| contact.address == account);
-        if self.remote.is_some() && contact.as_ref().is_none_or(|contact| !contact.given) {
+        if self.is_joined && contact.as_ref().is_none_or(|contact| !contact.given) {
             let known = contact.as_ref().map(|contact| contact.name.clone());
             return Err(refused(uncompared_text(known.as_ref(), account)));
         }
@@ -235,7 +272,7 @@ impl Site {
         owner: Address,
         reader: Address,
     ) -> Result<(), Failure> {
-        let Some(found) = Self::registered_fingerprint(network, reader).filter(|_| self.remote.is_some()) else {
+        let Some(found) = Self::registered_fingerprint(network, reader).filter(|_| self.is_joined) else {
             return Ok(());
         };
         let place = format!("wrapped for:{owner}:{reader}");
@@ -248,7 +285,7 @@ impl Site {
     }
 
     /// A fingerprint beside that of an account's registered key, or of this profile's own.
-    pub(super) async fn compare_fingerprint(
+    pub(super) async fn compare(
         self: &Arc<Self>,
         profile: &ProfileName,
         given: &str,

@@ -91,7 +91,7 @@ impl Site {
         profile: &ProfileName,
         owner: &Party,
     ) -> Result<Vec<AdmittedView>, Failure> {
-        let owner = self.resolve(owner)?;
+        let owner = self.contacts.resolve(owner)?;
         {
             let _one_at_a_time = self.admitting.lock().await;
             let mut list = self.admissions()?;
@@ -113,7 +113,7 @@ impl Site {
         profile: &ProfileName,
         owner: &Party,
     ) -> Result<Vec<AdmittedView>, Failure> {
-        let owner = self.resolve(owner)?;
+        let owner = self.contacts.resolve(owner)?;
         if self.home_accounts().contains(&owner) {
             return Err(refused(format!("{owner} is a profile of this home, which always may use its gateway")));
         }
@@ -133,7 +133,7 @@ impl Site {
 
     /// Who is admitted, with the names of the address book.
     pub(in crate::site) fn admitted_rows(&self) -> Result<Vec<AdmittedView>, Failure> {
-        let (names, list) = (self.names(), self.admissions()?);
+        let (names, list) = (self.contacts.names(), self.admissions()?);
         let row = |admitted: Admitted| AdmittedView {
             owner: admitted.owner,
             name: names.get(&admitted.owner).cloned(),

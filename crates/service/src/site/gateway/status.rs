@@ -59,7 +59,7 @@ impl Site {
                     block_in_place(|| self.foresee_locked(&owner, &network))?;
                 }
                 owner.lock(self.plant.provider)?;
-                self.heads.forget();
+                self.reading.forget();
             }
             self.hub.changed(Part::Identity);
             self.log.write(profile, "lock", "keyring", "done").await?;

@@ -104,7 +104,7 @@ impl Site {
     /// Puts an open keyring into the site, in place of the profile's former one.
     pub(super) fn adopt_owner(self: &Arc<Self>, profile: ProfileName, keyring: UnlockedKeyring) -> Arc<Owner> {
         let owner = Arc::new(Owner::new(profile.clone(), keyring));
-        self.pins.introduce(owner.address, profile.as_str());
+        self.pins.introduce(&owner);
         self.owners.insert(&owner);
         self.seal_as_before(&owner);
         self.restore_watches(&owner);

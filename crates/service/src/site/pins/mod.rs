@@ -1,11 +1,18 @@
 //! Pinned publishers of watched topics: shown, accepted and taken back by the operator.
 
+use crate::pipeline::Pins;
+use crate::pipeline::Plant;
+use crate::service::hub::Hub;
+use crate::site::audit::Log;
+use crate::site::identity::owners::Owners;
+use crate::site::parts::Parts;
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 use tokio::task::block_in_place;
 
-use super::Site;
 use crate::model::{ProfileName, Publisher, TopicName, clean};
+use crate::pipeline::Owner;
 use crate::service::event::Part;
 use crate::service::failure::input;
 use crate::service::reply::{AlarmView, Failure, PinView, PinsView};
@@ -24,9 +31,27 @@ fn cleaned(publisher: Publisher) -> Publisher {
     }
 }
 
-impl Site {
+/// Pinned publishers as the operator sees and decides them.
+pub(in crate::site) struct Pinning {
+    plant: Plant,
+    hub: Arc<Hub>,
+    log: Arc<Log>,
+    owners: Arc<Owners>,
+    /// Judges publishers.
+    pins: Arc<Pins>,
+}
+
+impl Pinning {
+    /// From the shared parts.
+    pub fn new(parts: &Parts, pins: Arc<Pins>) -> Self {
+        let Parts { plant, hub, log, owners, .. } = parts.clone();
+        Self { plant, hub, log, owners, pins }
+    }
+}
+
+impl Pinning {
     /// Pins and alarms of a profile; needs no passphrase.
-    pub(super) async fn pins_view(
+    pub(super) async fn view(
         self: &Arc<Self>,
         profile: &ProfileName,
         topic: Option<&TopicName>,
@@ -61,7 +86,7 @@ impl Site {
     }
 
     /// Accepts publishers of a topic; none named = those that are being read now.
-    pub(super) async fn pin_topic(
+    pub(super) async fn pin(
         self: &Arc<Self>,
         profile: &ProfileName,
         topic: &TopicName,
@@ -79,11 +104,11 @@ impl Site {
         }
         block_in_place(|| self.pins.pin(owner, topic.as_str(), &publishers))?;
         self.hub.changed(Part::Topics);
-        self.pins_view(profile, Some(topic)).await
+        self.view(profile, Some(topic)).await
     }
 
     /// No longer accepts a caller id on a topic.
-    pub(super) async fn unpin_topic(
+    pub(super) async fn unpin(
         self: &Arc<Self>,
         profile: &ProfileName,
         topic: &TopicName,
@@ -99,6 +124,31 @@ impl Site {
             return Err(input(format!("{name} is not pinned to {topic}; `authros topics pins` lists who is")));
         }
         self.hub.changed(Part::Topics);
-        self.pins_view(profile, Some(topic)).await
+        self.view(profile, Some(topic)).await
+    }
+
+    /// Topics with an open alarm about a publisher.
+    pub fn alarmed_topics(&self, profile: &ProfileName) -> Result<HashSet<String>, Failure> {
+        let Ok(owner) = self.owners.address_of(profile) else { return Ok(HashSet::new()) };
+        let alarms = block_in_place(|| self.plant.ledger.alarms(owner, None))?;
+        Ok(alarms.into_iter().filter(|alarm| alarm.open).map(|alarm| alarm.topic).collect())
+    }
+
+    /// Node names pinned to each topic, by the operator, by first sight or by the settings.
+    pub fn pinned_names(&self, profile: &ProfileName) -> Result<HashMap<String, HashSet<String>>, Failure> {
+        let Ok(owner) = self.owners.address_of(profile) else { return Ok(HashMap::new()) };
+        let kept = block_in_place(|| self.plant.ledger.pins(owner, None))?;
+        let kept = kept.into_iter().map(|row| (row.topic, row.publisher.caller_id));
+        let listed = self.pins.all_listed().map(|(topic, publisher)| (topic.clone(), publisher.caller_id.clone()));
+        let mut names: HashMap<String, HashSet<String>> = HashMap::new();
+        for (topic, caller_id) in kept.chain(listed) {
+            names.entry(clean(&topic, 255)).or_default().insert(clean(&caller_id, 255));
+        }
+        Ok(names)
+    }
+
+    /// Publishers of an owner are known by its profile's name.
+    pub fn introduce(&self, owner: &Owner) {
+        self.pins.introduce(owner.address, owner.profile.as_str());
     }
 }

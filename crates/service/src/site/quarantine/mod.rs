@@ -1,13 +1,20 @@
 //! What is held back: listed, released or discarded by the operator, and counted on the chain before.
 
+use crate::pipeline::Plant;
+use crate::service::hub::Hub;
+use crate::site::audit::Log;
+use crate::site::identity::owners::Owners;
+use crate::site::lifetime::Lifetime;
+use crate::site::parts::Parts;
+use crate::site::reading::Reading;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use tokio::task::block_in_place;
 
+use super::blocking;
 use super::reading::view::record_view;
-use super::{Site, blocking};
 use crate::model::{Digest, ErrorKind, ProfileName, RecordState, Timestamp, TopicName, clean};
 use crate::pipeline::columns::Shown;
 use crate::pipeline::{Owner, quarantine};
@@ -24,9 +31,29 @@ const LOOK: Duration = Duration::from_secs(1);
 /// Records decided about in one command, at most.
 const MOST: usize = 100_000;
 
-impl Site {
+/// What is held back.
+pub(in crate::site) struct Quarantine {
+    plant: Plant,
+    hub: Arc<Hub>,
+    log: Arc<Log>,
+    owners: Arc<Owners>,
+    life: Arc<Lifetime>,
+    reading: Arc<Reading>,
+    /// Quarantine records are sealed one at a time.
+    reporting: tokio::sync::Mutex<()>,
+}
+
+impl Quarantine {
+    /// From the shared parts.
+    pub fn new(parts: &Parts, reading: Arc<Reading>) -> Self {
+        let Parts { plant, hub, log, owners, life, .. } = parts.clone();
+        Self { plant, hub, log, owners, life, reading, reporting: tokio::sync::Mutex::default() }
+    }
+}
+
+impl Quarantine {
     /// Seals the quarantine records that are due, minute by minute, until the site ends.
-    pub(super) async fn keep_quarantine(self: Arc<Self>) {
+    pub(super) async fn keep(self: Arc<Self>) {
         while !self.life.is_stopping() {
             if !self.life.beat(LOOK).await {
                 return;
@@ -49,12 +76,17 @@ impl Site {
     async fn report(self: &Arc<Self>, owner: &Arc<Owner>, before: u64) -> Result<(), Failure> {
         let _one_at_a_time = self.reporting.lock().await;
         let owner = Arc::clone(owner);
-        blocking(self, move |site| Ok(quarantine::report(&site.plant, &owner, before)?)).await?;
+        blocking(self, move |quarantine| Ok(quarantine::report(&quarantine.plant, &owner, before)?)).await?;
         Ok(())
     }
 
+    /// While this is held, nothing held back is counted or discarded.
+    pub async fn quiet(&self) -> tokio::sync::MutexGuard<'_, ()> {
+        self.reporting.lock().await
+    }
+
     /// What is held back of a profile; needs no passphrase.
-    pub(super) async fn quarantine_view(
+    pub(super) async fn view(
         self: &Arc<Self>,
         profile: &ProfileName,
         topic: Option<TopicName>,
@@ -64,13 +96,13 @@ impl Site {
         let name = topic.as_ref().map(ToString::to_string);
         let query =
             HeldQuery { topic: name.clone(), messages: true, limit: limit.clamp(1, 1000), ..HeldQuery::default() };
-        let (rows, counts) = blocking(self, move |site| {
-            Ok((site.plant.ledger.held(owner, &query)?, site.plant.ledger.counts(Some(owner))?))
+        let (rows, counts) = blocking(self, move |quarantine| {
+            Ok((quarantine.plant.ledger.held(owner, &query)?, quarantine.plant.ledger.counts(Some(owner))?))
         })
         .await?;
         let wanted = counts.topics.iter().filter(|counts| name.as_ref().is_none_or(|name| *name == counts.topic));
-        let keys = self.own_keys();
-        let shown = self.compared(rows.iter().map(|row| row.record.clone()).collect(), &keys, &[])?;
+        let keys = self.reading.own_keys();
+        let shown = self.reading.compared(rows.iter().map(|row| row.record.clone()).collect(), &keys, &[])?;
         let view = |(row, shown): (HeldRow, Shown)| HeldView {
             record: record_view(&shown, false),
             reason: row.reason,
@@ -88,13 +120,13 @@ impl Site {
         let address = owner.address;
         let query =
             HeldQuery { topic: held.topic.as_ref().map(ToString::to_string), limit: MOST, ..HeldQuery::default() };
-        let mut rows = blocking(self, move |site| Ok(site.plant.ledger.held(address, &query)?)).await?;
+        let mut rows = blocking(self, move |quarantine| Ok(quarantine.plant.ledger.held(address, &query)?)).await?;
         if held.topic.is_some() {
             return Ok(rows);
         }
         let mut wanted = BTreeSet::new();
         for id in &held.ids {
-            let row = self.find_record(id).await?;
+            let row = self.reading.find_record(id).await?;
             if row.owner != address || row.state != RecordState::Quarantined {
                 return Err(input(format!(
                     "record {} is not in quarantine (it is {}); `authros quarantine list` names those that are",
@@ -109,14 +141,14 @@ impl Site {
     }
 
     /// Lets held messages go on to be anchored; the tag in their sealed head stays.
-    pub(super) async fn release_held(self: &Arc<Self>, owner: &Arc<Owner>, held: Held) -> Result<DecidedView, Failure> {
+    pub(super) async fn release(self: &Arc<Self>, owner: &Arc<Owner>, held: Held) -> Result<DecidedView, Failure> {
         let rows = self.named(owner, &held).await?;
         self.audit_each(owner, "release quarantined", &rows).await?;
         // The record of the holding back comes first, so that its count is of all that was held.
         self.report(owner, u64::MAX).await?;
         let digests = self.with_definitions(owner, &rows).await?;
         let asked: Vec<Digest> = digests.into_iter().collect();
-        blocking(self, move |site| Ok(site.plant.ledger.release(&asked)?)).await?;
+        blocking(self, move |quarantine| Ok(quarantine.plant.ledger.release(&asked)?)).await?;
         self.decided(owner, &held)?;
         self.hub.stored.notify_waiters();
         let messages = messages(&rows);
@@ -135,14 +167,14 @@ impl Site {
         for topic in topics {
             let (address, query) =
                 (owner.address, HeldQuery { topic: Some(topic), limit: MOST, ..HeldQuery::default() });
-            let held = blocking(self, move |site| Ok(site.plant.ledger.held(address, &query)?)).await?;
+            let held = blocking(self, move |quarantine| Ok(quarantine.plant.ledger.held(address, &query)?)).await?;
             digests.extend(held.iter().filter(|row| !row.is_message()).map(|row| row.record.digest));
         }
         Ok(digests)
     }
 
     /// Deletes held messages, once the quarantine records that count them stand on the chain.
-    pub(super) async fn discard_held(self: &Arc<Self>, owner: &Arc<Owner>, held: Held) -> Result<DecidedView, Failure> {
+    pub(super) async fn discard(self: &Arc<Self>, owner: &Arc<Owner>, held: Held) -> Result<DecidedView, Failure> {
         let rows = self.named(owner, &held).await?;
         self.report(owner, u64::MAX).await?;
         // Asked again: the reports are known only now.
@@ -154,7 +186,7 @@ impl Site {
         let digests: Vec<Digest> = rows_now.iter().map(|row| row.record.digest).collect();
         // A back-up that is taken now must not see the bytes gone and the rows not.
         let one_at_a_time = self.reporting.lock().await;
-        blocking(self, move |site| Ok(quarantine::discard(&site.plant, &digests)?)).await?;
+        blocking(self, move |quarantine| Ok(quarantine::discard(&quarantine.plant, &digests)?)).await?;
         drop(one_at_a_time);
         self.decided(owner, &held)?;
         let messages = messages(&rows_now);
@@ -172,10 +204,10 @@ impl Site {
         let deadline = Instant::now() + PATIENCE;
         while counted && !self.life.is_stopping() {
             let asked = reports.clone();
-            let standing = blocking(self, move |site| {
+            let standing = blocking(self, move |quarantine| {
                 let mut standing = true;
                 for digest in asked {
-                    let row = site.plant.ledger.record(digest)?;
+                    let row = quarantine.plant.ledger.record(digest)?;
                     standing &=
                         row.is_some_and(|row| (RecordState::Mined..=RecordState::Verified).contains(&row.state));
                 }

@@ -1,5 +1,6 @@
 //! Opened records for the eye: fields, readable form, files, and the path over a topic's records.
 
+use super::Reading;
 use std::ffi::OsStr;
 use std::sync::Arc;
 
@@ -18,7 +19,7 @@ use crate::ros::readable::{self, Exported};
 use crate::ros::recording::{Described, TYPE_HASH, TypeFacts};
 use crate::service::command::{self as ask, Ask, LONGEST_PATH, Viewing};
 use crate::service::reply::{Failure, OpenedView, PathView, Reply};
-use crate::site::{Site, blocking};
+use crate::site::blocking;
 use crate::store::{RecordQuery, RecordRow};
 
 /// Messages up to this length come with their bytes when they are looked at; longer ones as files only.
@@ -37,7 +38,7 @@ struct Opened {
     described: Described,
 }
 
-impl Site {
+impl Reading {
     /// Answers what is asked about opened records.
     pub(in crate::site) async fn handle_viewing(
         self: &Arc<Self>,
@@ -154,7 +155,7 @@ impl Site {
             newest_first: true,
             ..RecordQuery::default()
         };
-        let mut page = blocking(self, move |site| Ok(site.plant.ledger.list(&query)?)).await?;
+        let mut page = blocking(self, move |reading| Ok(reading.plant.ledger.list(&query)?)).await?;
         page.rows.retain(|earlier| earlier.state != RecordState::Dropped);
         Ok(page.rows)
     }

@@ -1,5 +1,6 @@
 //! A profile's own records: lists, provenance, export for others to check.
 
+use super::Reading;
 use std::sync::Arc;
 
 use tokio::task::block_in_place;
@@ -15,12 +16,12 @@ use crate::pipeline::{Owner, PipelineError, authority};
 use crate::service::command::UploadQuery;
 use crate::service::failure::internal;
 use crate::service::reply::{ExportedFile, Failure, Provenance, RecordPage};
-use crate::site::{Site, blocking};
+use crate::site::blocking;
 use crate::store::{BatchPlace, FilterChoice, RecordQuery, RecordRow};
 
-impl Site {
+impl Reading {
     /// Own records; needs no passphrase.
-    pub(in crate::site) async fn list_uploads(
+    pub(in crate::site) async fn list_own(
         self: &Arc<Self>,
         profile: &ProfileName,
         query: UploadQuery,
@@ -34,19 +35,19 @@ impl Site {
         }
         let filters = self.own_tag_filters(profile, &query.tags)?;
         let query = RecordQuery { owner: Some(owner), filters: filters.clone(), ..record_query(query) };
-        let page = blocking(self, move |site| Ok(site.plant.ledger.list(&query)?)).await?;
+        let page = blocking(self, move |reading| Ok(reading.plant.ledger.list(&query)?)).await?;
         Ok(record_page(&self.compared(page.rows, &self.own_keys(), &filters)?, page.next, false))
     }
 
     /// Records of all profiles of the home, each with its owner; needs no passphrase.
-    pub(in crate::site) async fn list_all_uploads(self: &Arc<Self>, query: UploadQuery) -> Result<RecordPage, Failure> {
-        let page = blocking(self, move |site| {
-            let owners = Some(site.owners.accounts());
-            Ok(site.plant.ledger.list(&RecordQuery { owners, owner: None, ..record_query(query) })?)
+    pub(in crate::site) async fn list_all(self: &Arc<Self>, query: UploadQuery) -> Result<RecordPage, Failure> {
+        let page = blocking(self, move |reading| {
+            let owners = Some(reading.owners.accounts());
+            Ok(reading.plant.ledger.list(&RecordQuery { owners, owner: None, ..record_query(query) })?)
         })
         .await?;
         let mut page = record_page(&self.compared(page.rows, &self.own_keys(), &[])?, page.next, true);
-        let names = self.names();
+        let names = self.contacts.names();
         for record in &mut page.records {
             record.owner_name = record.owner.and_then(|owner| names.get(&owner).cloned());
         }
@@ -76,8 +77,8 @@ impl Site {
     /// A record by its id, whoever owns it.
     pub(in crate::site) async fn find_record(self: &Arc<Self>, id: &str) -> Result<RecordRow, Failure> {
         let id = id.to_owned();
-        blocking(self, move |site| {
-            let row = site.plant.ledger.record_by_id(&id)?;
+        blocking(self, move |reading| {
+            let row = reading.plant.ledger.record_by_id(&id)?;
             Ok(row.ok_or_else(|| PipelineError::NoRecord(crate::model::clean(&id, 64)))?)
         })
         .await
@@ -112,7 +113,7 @@ impl Site {
             steps.push(step("vault", format!("its ciphertext lies there ({})", self.plant.vault.name())));
         }
         let digest = row.digest;
-        let place = blocking(self, move |site| Ok(site.plant.ledger.batch_place(digest)?)).await?;
+        let place = blocking(self, move |reading| Ok(reading.plant.ledger.batch_place(digest)?)).await?;
         if let Some(place) = &place {
             let inclusion = &place.inclusion;
             steps.push(step("batch", format!("root {}, closed {}", inclusion.root, moment(place.closed_at))));
@@ -132,7 +133,7 @@ impl Site {
             let (deep, wanted) = (head + 1 - block.min(head + 1), self.config.confirmations);
             steps.extend((head >= block).then(|| step("confirmations", format!("{deep} of {wanted} wanted"))));
         }
-        if let Some(earlier) = blocking(self, move |site| Ok(site.plant.ledger.earlier_anchor(digest)?)).await? {
+        if let Some(earlier) = blocking(self, move |reading| Ok(reading.plant.ledger.earlier_anchor(digest)?)).await? {
             let (block, domain) = (earlier.block, earlier.domain);
             let (name, text) = if row.block == Some(block) {
                 (
@@ -144,7 +145,7 @@ impl Site {
             };
             steps.push(step(name, text));
         }
-        if let Some(retained) = blocking(self, move |site| Ok(site.plant.ledger.retained(digest)?)).await? {
+        if let Some(retained) = blocking(self, move |reading| Ok(reading.plant.ledger.retained(digest)?)).await? {
             let done = retained.deleted_at.map_or("to be deleted".to_owned(), |at| format!("ciphertext deleted {at}"));
             steps.push(step("retention", format!("{done}; named in retention record {}", retained.report)));
         }
@@ -173,9 +174,10 @@ impl Site {
         let network = self.link.network().await?;
         self.log.begin(owner, "export record", &row.id).await?;
         let digest = row.digest;
-        let stored = move |site: &Self| Ok((site.plant.vault.get(digest)?, site.plant.ledger.batch_place(digest)?));
+        let stored =
+            move |reading: &Self| Ok((reading.plant.vault.get(digest)?, reading.plant.ledger.batch_place(digest)?));
         let (blob, place) = blocking(self, stored).await?;
-        let gone = blocking(self, move |site| Ok(site.plant.ledger.retained(digest)?)).await?;
+        let gone = blocking(self, move |reading| Ok(reading.plant.ledger.retained(digest)?)).await?;
         let gone = gone.filter(|retained| retained.anchored);
         let blob = blob.ok_or_else(|| match gone {
             Some(retained) => PipelineError::Deleted(row.id.clone(), retained.report),
@@ -189,7 +191,7 @@ impl Site {
         let bound = header.map_or(network.domain, |header| header.domain);
         let contract = tokio::task::block_in_place(|| network.place_of(&self.plant, &row))?;
         let (asked, asking) = (row.clone(), network.clone());
-        let signer = blocking(self, move |site| Ok(authority::signer_of(&site.plant, &asking, &asked)?)).await?;
+        let signer = blocking(self, move |reading| Ok(authority::signer_of(&reading.plant, &asking, &asked)?)).await?;
         let signer = signer.map_err(|why| PipelineError::NoRight { id: row.id.clone(), why: Box::new(why) })?;
         let signed = record::signed_bytes(&bound, &row.digest);
         let pin = contract.chain.pin();

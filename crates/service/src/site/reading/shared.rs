@@ -1,5 +1,6 @@
 //! Records that others share: listed, checked and opened, by the chain's grants at that moment.
 
+use super::Reading;
 use std::collections::HashMap;
 use std::sync::Arc;
 
@@ -13,10 +14,10 @@ use crate::pipeline::{Network, Owner, authority};
 use crate::service::command::UploadQuery;
 use crate::service::failure::input;
 use crate::service::reply::{CheckView, Failure, RecordPage};
-use crate::site::{Site, blocking};
+use crate::site::blocking;
 use crate::store::{FilterChoice, RecordQuery, RecordRow};
 
-impl Site {
+impl Reading {
     /// Records of all owners with an active grant to this profile, within each grant's scope.
     pub(in crate::site) async fn list_shared(
         self: &Arc<Self>,
@@ -24,7 +25,7 @@ impl Site {
         query: UploadQuery,
     ) -> Result<RecordPage, Failure> {
         let network = self.link.network().await?;
-        let wanted = query.owner.as_ref().map(|owner| self.resolve(owner)).transpose()?;
+        let wanted = query.owner.as_ref().map(|owner| self.contacts.resolve(owner)).transpose()?;
         let mut grants = authority::shared_with(&network.directory, owner.address);
         grants.retain(|grant| wanted.is_none_or(|wanted| wanted == grant.terms.owner));
         let mut scopes: HashMap<Address, Scope> = HashMap::new();
@@ -49,7 +50,7 @@ impl Site {
             self.learn_names(&reader, *owner).await?;
         }
         let mut page = self.readable_page(&reader, query, &filters).await?;
-        let names = self.names();
+        let names = self.contacts.names();
         for record in &mut page.records {
             record.owner_name = record.owner.and_then(|owner| names.get(&owner).cloned());
         }
@@ -65,7 +66,7 @@ impl Site {
     ) -> Result<RecordPage, Failure> {
         loop {
             let asked = query.clone();
-            let mut page = blocking(self, move |site| Ok(site.plant.ledger.list(&asked)?)).await?;
+            let mut page = blocking(self, move |reading| Ok(reading.plant.ledger.list(&asked)?)).await?;
             page.rows.retain(|row| !is_held(row) && reader.topic_key(row).is_ok());
             if !page.rows.is_empty() || page.next.is_none() {
                 return Ok(record_page(&self.compared(page.rows, reader, filters)?, page.next, true));
@@ -111,7 +112,7 @@ impl Site {
                 Scope::Topics(topics) => ids.extend(topics.iter().copied()),
                 Scope::All => {
                     let owner = *owner;
-                    let counts = blocking(self, move |site| Ok(site.plant.ledger.counts(Some(owner))?)).await?;
+                    let counts = blocking(self, move |reading| Ok(reading.plant.ledger.counts(Some(owner))?)).await?;
                     ids.extend(counts.topics.iter().filter_map(|topic| topic.topic_id));
                 }
             }

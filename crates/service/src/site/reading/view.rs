@@ -1,5 +1,6 @@
 //! Ledger rows as people see them: compared with their records first, untrusted text cleaned.
 
+use super::Reading;
 use std::collections::HashMap;
 use std::sync::Arc;
 
@@ -12,7 +13,6 @@ use crate::pipeline::Owner;
 use crate::pipeline::columns::{self, Comparison, Keys, Shown};
 use crate::service::command::UploadQuery;
 use crate::service::reply::Failure;
-use crate::site::Site;
 use crate::store::{FilterChoice, RecordQuery, RecordRow};
 
 /// Widest topic or type shown, characters (ROS names are shorter than this).
@@ -33,7 +33,7 @@ impl Keys for OwnKeys {
     }
 }
 
-impl Site {
+impl Reading {
     /// Keys of the profiles whose keyrings were opened since the site began.
     pub(in crate::site) fn own_keys(&self) -> OwnKeys {
         OwnKeys(self.owners.all().into_iter().map(|owner| (owner.address, owner)).collect())

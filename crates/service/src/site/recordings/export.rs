@@ -66,7 +66,7 @@ impl Site {
         wishes: &ExportWishes,
     ) -> Result<HashMap<Address, Scope>, Failure> {
         let me = owner.address;
-        let wanted = wishes.owner.as_ref().map(|party| self.resolve(party)).transpose()?;
+        let wanted = wishes.owner.as_ref().map(|party| self.contacts.resolve(party)).transpose()?;
         let is_wanted = |address: Address| wanted.is_none_or(|wanted| wanted == address);
         let granted = authority::shared_with(&network.directory, me)
             .into_iter()
@@ -92,11 +92,11 @@ impl Site {
     ) -> Result<ExportView, Failure> {
         let reader = Reader { plant: &self.plant, network, reader: owner };
         for address in scopes.keys() {
-            self.learn_names(&reader, *address).await?;
+            self.reading.learn_names(&reader, *address).await?;
         }
         let mut query = RecordQuery {
             owners: Some(scopes.keys().copied().collect()),
-            topic_ids: Some(self.readable_topics(scopes).await?),
+            topic_ids: Some(self.reading.readable_topics(scopes).await?),
             kind: Some(RecordKind::Data),
             since: wishes.since,
             until: wishes.until,

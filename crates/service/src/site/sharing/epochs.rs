@@ -121,7 +121,7 @@ impl Site {
         let epoch = network.directory.epoch(owner.address);
         let (mut envelopes, mut failed) = (Vec::new(), None);
         for grant in self.lacking(owner, network)? {
-            let checked = self.check_reader(network, owner.address, grant.terms.grantee).await;
+            let checked = self.contacts.check_reader(network, owner.address, grant.terms.grantee).await;
             match checked.and_then(|()| self.envelope_for(owner, network, &grant, epoch)) {
                 Ok(envelope) => envelopes.push((grant.terms.grantee, envelope)),
                 Err(failure) => failed = Some(failure),

@@ -7,6 +7,7 @@ mod revoking;
 use std::sync::Arc;
 
 use super::Site;
+use super::contacts::Contacts;
 use crate::chain::Call;
 use crate::gateway::GrantNotice;
 use crate::model::grant::MOST_TOPICS;
@@ -32,7 +33,7 @@ impl Site {
         let network = self.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
         network.directory.identity(owner.address)?;
-        let grantee = self.resolve(grantee)?;
+        let grantee = self.contacts.resolve(grantee)?;
         if grantee == owner.address {
             return Err(refused(format!("{grantee} is this profile itself; it reads its own records without a grant")));
         }
@@ -43,8 +44,8 @@ impl Site {
             return Err(input(too_early(network.directory.now())));
         }
         network.directory.identity(grantee)?;
-        self.check_contact(&network, grantee).await?;
-        self.check_reader(&network, owner.address, grantee).await?;
+        self.contacts.check_contact(&network, grantee).await?;
+        self.contacts.check_reader(&network, owner.address, grantee).await?;
         if self.active_grant(&network, owner.address, grantee).is_some() {
             return Err(refused(format!("{grantee} has an active grant already; revoke it first to change its terms")));
         }
@@ -86,7 +87,7 @@ impl Site {
     ) -> Result<TransactionView, Failure> {
         let network = self.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
-        let grantee = self.resolve(grantee)?;
+        let grantee = self.contacts.resolve(grantee)?;
         let Some(grant) = self.active_grant(&network, owner.address, grantee) else {
             return Err(refused(format!("{grantee} has no active grant; `authros grant` gives one")));
         };
@@ -162,11 +163,11 @@ impl Site {
         let network = self.link.network().await?;
         let me = owner.address;
         let grants = tokio::task::block_in_place(|| kept::history(&self.plant.ledger, &network.directory, me))?;
-        let names = self.names();
+        let names = self.contacts.names();
         let with_name = |mut row: GrantRow| {
             let other = if row.owner == me { row.grantee } else { row.owner };
             row.name = names.get(&other).cloned();
-            row.fingerprint = Self::registered_fingerprint(&network, other);
+            row.fingerprint = Contacts::registered_fingerprint(&network, other);
             row
         };
         grants.iter().map(|grant| self.grant_row(owner, &network, grant).map(with_name)).collect()

@@ -1,12 +1,13 @@
 //! After an unclean end: whether the ledger agrees with itself, and the newest records with the vault.
 
+use super::Storage;
 use std::sync::Arc;
 use std::time::Duration;
 
 use crate::model::ProfileName;
 use crate::service::event::NoticeLevel;
 use crate::service::reply::Failure;
-use crate::site::{Site, blocking};
+use crate::site::blocking;
 
 /// Records re-read from the vault; a crash can only have touched what was written last.
 const NEWEST: usize = 256;
@@ -14,7 +15,7 @@ const NEWEST: usize = 256;
 /// How long whoever started the site may take to listen.
 const LISTENING: Duration = Duration::from_millis(500);
 
-impl Site {
+impl Storage {
     /// This home is a copy of another one.
     pub(in crate::site) async fn tell_of_copy(self: Arc<Self>) {
         let text = "this home is a copy: its ledger is another file than when it was last used. New records are numbered \
@@ -47,8 +48,8 @@ impl Site {
     }
 }
 
-fn contradictions(site: &Site) -> Result<Vec<String>, Failure> {
-    let plant = &site.plant;
+fn contradictions(storage: &Storage) -> Result<Vec<String>, Failure> {
+    let plant = &storage.plant;
     let mut found: Vec<String> = plant
         .ledger
         .contradictions()?

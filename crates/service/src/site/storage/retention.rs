@@ -1,5 +1,6 @@
 //! Retention at work: rules applied, deletions written into the audit log, local copies beside a cache given up.
 
+use super::Storage;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -8,14 +9,14 @@ use crate::pipeline::Owner;
 use crate::pipeline::retention::{Retention, Round};
 use crate::service::event::NoticeLevel;
 use crate::service::reply::Failure;
-use crate::site::{Site, blocking};
+use crate::site::blocking;
 
 /// Between two looks.
 const LOOK: Duration = Duration::from_secs(1);
 /// Local copies deleted at a time.
 const COPIES: usize = 1024;
 
-impl Site {
+impl Storage {
     /// Applies the rules until the site ends.
     pub(in crate::site) async fn keep_retention(self: Arc<Self>) {
         let keeping = self.config.keeping();
@@ -40,8 +41,8 @@ impl Site {
     async fn apply(self: &Arc<Self>, owner: &Arc<Owner>, retention: &mut Option<Retention>) -> Result<(), Failure> {
         let mut rules = retention.take().unwrap_or_else(|| Retention::new(self.config.keeping()));
         let asked = Arc::clone(owner);
-        let (round, rules) = blocking(self, move |site| {
-            let round = rules.round(&site.plant, &asked);
+        let (round, rules) = blocking(self, move |storage| {
+            let round = rules.round(&storage.plant, &asked);
             Ok((round, rules))
         })
         .await?;
@@ -64,7 +65,7 @@ impl Site {
         let Some(span) = self.config.vault_local.filter(|_| !self.plant.vault.durable()) else { return };
         let age = u64::try_from(span.as_nanos()).unwrap_or(u64::MAX);
         let before = Timestamp(Timestamp::now().0.saturating_sub(age));
-        let dropped = blocking(self, move |site| Ok(site.plant.ledger.drop_old_copies(before, COPIES)?)).await;
+        let dropped = blocking(self, move |storage| Ok(storage.plant.ledger.drop_old_copies(before, COPIES)?)).await;
         if let Err(failure) = dropped {
             self.hub.notice(NoticeLevel::Warning, &format!("local copies are kept for now: {}", failure.message));
         }

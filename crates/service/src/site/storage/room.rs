@@ -1,6 +1,7 @@
 //! Room on the disk: below the reserve no further record is acknowledged, so that those that are can go on to the
 //! chain; on a disk that others have filled, the states of records are written out of space set aside for them.
 
+use super::Storage;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -8,7 +9,7 @@ use crate::model::ByteSize;
 use crate::paths::Home;
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::reply::{Failure, HealthLevel};
-use crate::site::{Site, blocking};
+use crate::site::blocking;
 use crate::store::files::free_bytes;
 use crate::store::{Ledger, Reserve, StoreError};
 
@@ -38,7 +39,7 @@ pub(in crate::site) fn working_reserve(home: &Home, reserve: u64) -> Reserve {
     Reserve::open(&home.working_reserve(), reserve.min(MOST_FOR_STATES)).0
 }
 
-impl Site {
+impl Storage {
     /// Watches the room on the disk until the site ends.
     pub(in crate::site) async fn keep_room(self: Arc<Self>) {
         let (mut held, mut pause) = (None, LOOKS.0);
@@ -47,7 +48,7 @@ impl Site {
             if !self.life.beat(pause).await {
                 return;
             }
-            let Ok(free) = blocking(&self, |site| Ok(free_bytes(site.home.root())?)).await else { continue };
+            let Ok(free) = blocking(&self, |storage| Ok(free_bytes(storage.home.root())?)).await else { continue };
             pause = if free.saturating_sub(reserve) / FASTEST > LOOKS.1.as_secs() { LOOKS.1 } else { LOOKS.0 };
             if free < reserve && held.is_none() {
                 held = Some(self.plant.ledger.hold_records());
@@ -55,7 +56,7 @@ impl Site {
             }
             if free < reserve.min(LAST) && self.states.is_held() {
                 // Removing a file takes no space.
-                drop(blocking(&self, |site| Ok(site.states.release()?)).await);
+                drop(blocking(&self, |storage| Ok(storage.states.release()?)).await);
             }
             // Some more than the reserve, so that it does not flutter.
             if free >= reserve.saturating_add(reserve / 4) {
@@ -63,7 +64,7 @@ impl Site {
                     self.tell_room(NoticeLevel::Info, "there is room on the disk again: records are taken again");
                 }
                 if !self.states.is_held() && free >= reserve.saturating_add(MOST_FOR_STATES) {
-                    drop(blocking(&self, |site| Ok(site.states.refill()?)).await);
+                    drop(blocking(&self, |storage| Ok(storage.states.refill()?)).await);
                 }
             }
         }
