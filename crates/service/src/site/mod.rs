@@ -27,49 +27,58 @@ mod storage;
 mod supervision;
 mod workers;
 
-use std::collections::{BTreeSet, HashSet};
+use std::collections::HashSet;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, RwLock};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use tokio::sync::{broadcast, mpsc, watch};
+use tokio::sync::{broadcast, mpsc};
 
 pub use agent::{Agent, AgentEnd, AgentFigures, AgentWishes};
 pub use capture::ros::RosState;
 pub use chain::link::NetworkState;
+pub(super) use devices::enrolled::Enrolled;
 pub use devices::enrolling::EnrolWishes;
-pub(super) use devices::enrolling::Enrolled;
 pub use reading::view::record_page;
 
-use audit::{Audit, Log};
+use audit::Audit;
 use backup::Backup;
+use capture::Capture;
+use capture::ros::RosSide;
+use capture::sealer_thread::SealerThread;
+use capture::watches::Watches;
+use chain::administration::Administering;
+use chain::adoption::Adoption;
+use chain::connection::Connection;
 use chain::lanes::Lanes;
-use chain::link::Link;
 use clock::Clock;
 use contacts::Contacts;
-use identity::owners::Owners;
-use lifetime::Lifetime;
+use devices::Devices;
+use devices::enrolled::Enrolments;
+use gateway::Gateway;
+use gateway::admissions::Admissions;
+use identity::Profiles;
+use mirror::Joined;
+use mirror::remote::Remote;
 use parts::Parts;
 use pins::Pinning;
 use quarantine::Quarantine;
 use reading::Reading;
+use recordings::Recordings;
+use sharing::Sharing;
 use storage::Storage;
-use supervision::Supervisor;
 
 use super::client::{Call, Client};
 use super::event::Event;
 use super::failure::internal;
-use super::hub::Hub;
 use super::reply::Failure;
 use crate::config::Config;
-use crate::crypto::provider;
-use crate::model::{Address, ProfileName};
+use crate::model::ProfileName;
 use crate::paths::Home;
 use crate::pipeline::recorder::CapturedMessage;
 use crate::pipeline::ring::Rings;
-use crate::pipeline::sender::Policy;
-use crate::pipeline::{CaptureSession, Losses, Owner, PinRules, Pins, Plant, Recorder, Sender};
-use crate::store::{RESERVE_BYTES, Reserve, SiteLock, open_vault};
+use crate::pipeline::{Losses, Owner, PinRules, Pins, Plant, Recorder};
+use crate::store::{RESERVE_BYTES, Reserve, SiteLock};
 
 /// How long the nodes may take to leave the ROS graph.
 const LEAVING: Duration = Duration::from_secs(2);
@@ -85,50 +94,38 @@ pub struct Needs {
     pub chain: bool,
 }
 
-/// Everything of a running site.
+/// A running site: its parts and its features.
 pub struct Site {
-    pub(crate) home: Home,
-    pub(crate) config: Arc<Config>,
     /// Ledger, vault and provider, which all its workers share.
     pub plant: Plant,
-    pub(crate) hub: Arc<Hub>,
-    pub(crate) sender: Arc<Sender>,
-    recorder: Arc<Recorder>,
-    /// The gateway that this site serves, if it does.
-    served_gateway: Mutex<Option<gateway::status::Serving>>,
-    contacts: Arc<Contacts>,
-    pins: Arc<Pinning>,
-    reading: Arc<Reading>,
-    quarantine: Arc<Quarantine>,
-    storage: Arc<Storage>,
-    clock: Arc<Clock>,
-    backup: Arc<Backup>,
-    lanes: Arc<Lanes>,
+    parts: Parts,
     rings: Arc<Rings<CapturedMessage>>,
     losses: Arc<Losses>,
-    life: Arc<Lifetime>,
-    supervisor: Arc<Supervisor>,
-    pub(crate) log: Arc<Log>,
-    owners: Arc<Owners>,
-    link: Arc<Link>,
+    recorder: Arc<Recorder>,
+    ros: Arc<RosSide>,
+    sealer: Arc<SealerThread>,
+    connection: Arc<Connection>,
+    lanes: Arc<Lanes>,
+    administering: Arc<Administering>,
+    adoption: Arc<Adoption>,
+    joined: Arc<Joined>,
+    profiles: Arc<Profiles>,
+    contacts: Arc<Contacts>,
+    sharing: Arc<Sharing>,
+    devices: Arc<Devices>,
+    reading: Arc<Reading>,
+    capture: Arc<Capture>,
+    recordings: Arc<Recordings>,
+    pins: Arc<Pinning>,
+    quarantine: Arc<Quarantine>,
+    admissions: Arc<Admissions>,
+    gateway: Arc<Gateway>,
     audit: Arc<Audit>,
-    reserve: Arc<Reserve>,
-    /// Changes of the watch lists happen one at a time.
-    watching: Mutex<()>,
+    backup: Arc<Backup>,
+    storage: Arc<Storage>,
+    clock: Arc<Clock>,
     consoles: Mutex<HashSet<ProfileName>>,
-    captures: Mutex<Vec<(ProfileName, Arc<CaptureSession>)>>,
-    recordings: recordings::Runs,
-    /// How many look at every topic of the graph now.
-    learning: AtomicUsize,
-    ros: watch::Sender<RosState>,
-    /// The gateway through which this site joins another one.
-    remote: Option<mirror::remote::Remote>,
     guests: AtomicUsize,
-    deploying: tokio::sync::Mutex<()>,
-    /// Who may use the gateway of this home, as far as it was read; changes happen one at a time.
-    admitted: RwLock<Option<BTreeSet<Address>>>,
-    admitting: tokio::sync::Mutex<()>,
-    sealer: Mutex<Option<std::thread::JoinHandle<()>>>,
     ros_task: Mutex<Option<tokio::task::JoinHandle<()>>>,
     _lock: SiteLock,
 }
@@ -150,97 +147,13 @@ impl Site {
     pub fn start(home: Home, config: Config, lock: SiteLock, needs: Needs) -> Result<Arc<Self>, Failure> {
         // Robots are where the gateway is.
         let needs = Needs { ros: needs.ros && config.site.is_none(), ..needs };
-        let provider = provider(config.provider);
-        let remote = config.site.as_ref().map(|site| mirror::remote::Remote::new(site, &home, provider)).transpose()?;
-        let (events, _) = broadcast::channel(1024);
-        let hub = Arc::new(Hub::new(events));
-        let (ledger, copied) = storage::room::open_ledger(&home)?;
-        let vault = open_vault(config.vault_url.as_deref(), &home.vault())?;
-        let backlog = config.vault_backlog;
-        let plant = Plant { ledger: ledger.clone(), vault, provider, observer: hub.clone(), backlog };
-        let rings = Arc::new(Rings::new(usize::try_from(config.capture_memory).unwrap_or(usize::MAX)));
-        let losses = Arc::new(Losses::default());
-        let recorder = Recorder::new(Arc::clone(&rings), Arc::clone(&losses), hub.clone());
-        let (reserve, reserved) = Reserve::open(&home.reserve(), RESERVE_BYTES);
-        let rules = PinRules { mode: config.pin_mode, listed: config.publishers.clone() };
-        let pins = Arc::new(Pins::new(ledger.clone(), hub.clone(), rules));
-        let recorder = recorder.with_pins(Arc::clone(&pins)).with_rules(config.topic_rules.clone());
-        let (config, reserve, life) = (Arc::new(config), Arc::new(reserve), Arc::new(Lifetime::new()));
-        let supervisor = Arc::new(Supervisor::new(Arc::clone(&hub), Arc::clone(&life)));
-        let sender = Arc::new(Sender::new(ledger.clone(), hub.clone(), Policy { cap: config.max_fee }));
-        let log = Arc::new(Log::new(ledger, Arc::clone(&hub)));
-        let (open, opened) = mpsc::unbounded_channel();
-        let owners = Arc::new(Owners::new(home.clone(), open));
-        let link = Arc::new(Link::new(Arc::clone(&hub), needs.chain));
-        let audit = Audit {
-            config: Arc::clone(&config),
-            plant: plant.clone(),
-            hub: Arc::clone(&hub),
-            log: Arc::clone(&log),
-            owners: Arc::clone(&owners),
-            link: Arc::clone(&link),
-            life: Arc::clone(&life),
-            reserve: Arc::clone(&reserve),
-        };
-        let parts = Parts {
-            home: home.clone(),
-            config: Arc::clone(&config),
-            plant: plant.clone(),
-            hub: Arc::clone(&hub),
-            log: Arc::clone(&log),
-            owners: Arc::clone(&owners),
-            link: Arc::clone(&link),
-            life: Arc::clone(&life),
-            supervisor: Arc::clone(&supervisor),
-            sender: Arc::clone(&sender),
-        };
-        let contacts = Arc::new(Contacts::new(&parts));
-        let reading = Arc::new(Reading::new(&parts, Arc::clone(&contacts)));
-        let quarantine = Arc::new(Quarantine::new(&parts, Arc::clone(&reading)));
-        let site = Arc::new(Self {
-            recorder: Arc::new(recorder),
-            contacts,
-            pins: Arc::new(Pinning::new(&parts, pins)),
-            reading,
-            backup: Arc::new(Backup::new(&parts, Arc::clone(&quarantine))),
-            quarantine,
-            storage: Arc::new(Storage::new(&parts)),
-            clock: Arc::new(Clock::new(&parts)),
-            lanes: Arc::new(Lanes::new(&parts)),
-            sender,
-            life,
-            supervisor,
-            log,
-            owners,
-            link,
-            audit: Arc::new(audit),
-            served_gateway: Mutex::default(),
-            reserve,
-            watching: Mutex::default(),
-            home,
-            config,
-            plant,
-            hub,
-            rings,
-            losses,
-            consoles: Mutex::default(),
-            captures: Mutex::default(),
-            recordings: Mutex::default(),
-            learning: AtomicUsize::new(0),
-            ros: watch::channel(if needs.ros { RosState::Starting } else { RosState::Off }).0,
-            remote,
-            guests: AtomicUsize::new(0),
-            deploying: tokio::sync::Mutex::default(),
-            admitted: RwLock::default(),
-            admitting: tokio::sync::Mutex::default(),
-            sealer: Mutex::default(),
-            ros_task: Mutex::default(),
-            _lock: lock,
-        });
+        let (parts, opened, copied) = Parts::open(home, config, needs.chain)?;
+        let (reserve, reserved) = Reserve::open(&parts.home.reserve(), RESERVE_BYTES);
+        let site = Arc::new(Self::assemble(parts, Arc::new(reserve), lock, needs)?);
         site.warn_of_policy();
         if let Err(error) = reserved {
             let text = format!("no space could be set aside for a revoke on a full disk: {error}");
-            site.hub.notice(super::event::NoticeLevel::Warning, &text);
+            site.parts.hub.notice(super::event::NoticeLevel::Warning, &text);
         }
         workers::start(&site, needs, opened)?;
         if copied {
@@ -249,9 +162,105 @@ impl Site {
         Ok(site)
     }
 
+    /// The features over the shared parts, each with the ones that it asks.
+    fn assemble(parts: Parts, reserve: Arc<Reserve>, lock: SiteLock, needs: Needs) -> Result<Self, Failure> {
+        let (config, plant) = (Arc::clone(&parts.config), parts.plant.clone());
+        let rings = Arc::new(Rings::new(usize::try_from(config.capture_memory).unwrap_or(usize::MAX)));
+        let losses = Arc::new(Losses::default());
+        let rules = PinRules { mode: config.pin_mode, listed: config.publishers.clone() };
+        let judges = Arc::new(Pins::new(plant.ledger.clone(), parts.hub.clone(), rules));
+        let recorder = Recorder::new(Arc::clone(&rings), Arc::clone(&losses), parts.hub.clone());
+        let recorder = recorder.with_pins(Arc::clone(&judges)).with_rules(config.topic_rules.clone());
+        let recorder = Arc::new(recorder);
+        let remote = config.site.as_ref().map(|site| Remote::new(site, &parts.home, plant.provider)).transpose()?;
+        let remote = remote.map(Arc::new);
+        let of = Parts::clone(&parts);
+        let ros = Arc::new(RosSide::new(&of, Arc::clone(&recorder), needs.ros));
+        let sealer = Arc::new(SealerThread::new(&of, Arc::clone(&rings), Arc::clone(&losses)));
+        let lanes = Arc::new(Lanes::new(&of));
+        let connection = Arc::new(Connection::new(&of, remote.clone()));
+        let joined = Arc::new(Joined::new(&of, remote.clone()));
+        let contacts = Arc::new(Contacts::new(&of));
+        let pins = Arc::new(Pinning::new(&of, judges));
+        let reading = Arc::new(Reading::new(&of, Arc::clone(&contacts)));
+        let quarantine = Arc::new(Quarantine::new(&of, Arc::clone(&reading)));
+        let enrolments = Arc::new(Enrolments::new(&of));
+        let asked = (Arc::clone(&contacts), Arc::clone(&enrolments), Arc::clone(&joined), Arc::clone(&reserve));
+        let sharing = Arc::new(Sharing::new(&of, asked.0, asked.1, asked.2, asked.3));
+        let devices = Arc::new(Devices::new(&of, Arc::clone(&sharing), Arc::clone(&enrolments)));
+        let admissions = Arc::new(Admissions::new(&of, Arc::clone(&contacts)));
+        let gateway = Gateway::new(&of, Arc::clone(&sharing), Arc::clone(&admissions), remote.clone());
+        let gateway = Arc::new(gateway);
+        let watches = Arc::new(Watches::new(&of, Arc::clone(&recorder), Arc::clone(&ros)));
+        let profiles = Arc::new(Profiles::new(
+            &of,
+            Arc::clone(&connection),
+            Arc::clone(&sharing),
+            enrolments,
+            Arc::clone(&gateway),
+            Arc::clone(&reading),
+            Arc::clone(&pins),
+            Arc::clone(&recorder),
+            Arc::clone(&watches),
+        ));
+        let capture = Arc::new(Capture::new(
+            &of,
+            Arc::clone(&recorder),
+            Arc::clone(&losses),
+            Arc::clone(&ros),
+            watches,
+            Arc::clone(&profiles),
+            Arc::clone(&pins),
+        ));
+        let recordings = Recordings::new(
+            &of,
+            Arc::clone(&contacts),
+            Arc::clone(&reading),
+            Arc::clone(&capture),
+            Arc::clone(&profiles),
+            Arc::clone(&joined),
+            Arc::clone(&sealer),
+            Arc::clone(&rings),
+        );
+        let (lanes_of, connection_of) = (Arc::clone(&lanes), Arc::clone(&connection));
+        Ok(Self {
+            administering: Arc::new(Administering::new(&of, Arc::clone(&contacts))),
+            adoption: Arc::new(Adoption::new(&of, lanes_of, connection_of, Arc::clone(&profiles), remote)),
+            audit: Arc::new(Audit::new(&of, reserve)),
+            backup: Arc::new(Backup::new(&of, Arc::clone(&quarantine))),
+            storage: Arc::new(Storage::new(&of)),
+            clock: Arc::new(Clock::new(&of)),
+            recordings: Arc::new(recordings),
+            plant,
+            parts,
+            rings,
+            losses,
+            recorder,
+            ros,
+            sealer,
+            connection,
+            lanes,
+            joined,
+            profiles,
+            contacts,
+            sharing,
+            devices,
+            reading,
+            capture,
+            pins,
+            quarantine,
+            admissions,
+            gateway,
+            consoles: Mutex::default(),
+            guests: AtomicUsize::new(0),
+            ros_task: Mutex::default(),
+            _lock: lock,
+        })
+    }
+
     fn warn_of_policy(&self) {
         for warning in self.plant.vault.policy_warnings() {
-            self.hub.notice(super::event::NoticeLevel::Warning, &warning);
+            self.parts.hub.notice(super::event::NoticeLevel::Warning, &warning);
         }
     }
 
@@ -259,7 +268,7 @@ impl Site {
     pub fn client(self: &Arc<Self>, profile: ProfileName) -> Client {
         let (calls, receiver) = mpsc::unbounded_channel();
         tokio::spawn(Arc::clone(self).serve(receiver));
-        Client::new(profile, calls, self.hub.events().clone())
+        Client::new(profile, calls, self.parts.hub.events().clone())
     }
 
     /// Answers calls until their sender is gone; consoles claimed through it are then free again.
@@ -277,7 +286,7 @@ impl Site {
 
     /// Everything the site tells.
     pub fn events(&self) -> broadcast::Receiver<Event> {
-        self.hub.events().subscribe()
+        self.parts.hub.events().subscribe()
     }
 
     /// A joined process asks something; counted until the guard is dropped.
@@ -293,7 +302,7 @@ impl Site {
 
     /// Waits until the site is ending.
     pub async fn stopped(&self) {
-        self.life.stopped().await;
+        self.parts.life.stopped().await;
     }
 
     /// The chain, as soon as the first attempt has ended.
@@ -301,7 +310,7 @@ impl Site {
     /// # Errors
     /// Why the link is down.
     pub async fn chain(&self) -> Result<crate::chain::Chain, Failure> {
-        self.link.chain().await
+        self.parts.link.chain().await
     }
 
     /// The network with its contract.
@@ -309,7 +318,7 @@ impl Site {
     /// # Errors
     /// Why the link is down, or that no contract is known yet.
     pub async fn network(&self) -> Result<crate::pipeline::Network, Failure> {
-        self.link.network().await
+        self.parts.link.network().await
     }
 
     /// The owner behind a profile that is unlocked here.
@@ -317,12 +326,28 @@ impl Site {
     /// # Errors
     /// That it is locked or not there.
     pub fn unlocked(&self, profile: &ProfileName) -> Result<Arc<Owner>, Failure> {
-        self.owners.unlocked(profile)
+        self.parts.owners.unlocked(profile)
+    }
+
+    /// The master's URI, as soon as it is reached.
+    ///
+    /// # Errors
+    /// Why the master is not reached.
+    pub async fn ros_uri(&self) -> Result<String, Failure> {
+        self.ros.uri().await
+    }
+
+    pub(crate) fn home(&self) -> &Home {
+        &self.parts.home
+    }
+
+    pub(crate) fn config(&self) -> &Config {
+        &self.parts.config
     }
 
     /// Times of the line since the site began.
     pub fn stages(&self) -> &crate::pipeline::stages::Stages {
-        &self.hub.stages
+        &self.parts.hub.stages
     }
 
     /// Keeps work for the whole site going until the site ends; aborting the handle ends it.
@@ -331,29 +356,21 @@ impl Site {
         Work: Fn(Arc<Self>) -> Run + Send + 'static,
         Run: Future<Output = ()> + Send + 'static,
     {
-        self.supervisor.keep(name, self, work)
+        self.parts.supervisor.keep(name, self, work)
     }
 
     /// Ends the site within five seconds: no further capture, all captured messages acknowledged, files closed.
     pub async fn stop(self: Arc<Self>) {
         let begun = Instant::now();
-        self.life.end();
-        self.ros.send_replace(RosState::Off);
+        self.parts.life.end();
         let ros = self.ros_task.lock().unwrap_or_else(std::sync::PoisonError::into_inner).take();
-        if let Some(task) = ros {
-            drop(tokio::time::timeout(LEAVING, task).await);
+        self.ros.leave(ros, LEAVING).await;
+        if !self.sealer.finish(FLUSHING.saturating_sub(begun.elapsed())).await {
+            self.tell_unstored();
         }
-        self.rings.close();
-        let sealer = self.sealer.lock().unwrap_or_else(std::sync::PoisonError::into_inner).take();
-        if let Some(thread) = sealer {
-            let joined = tokio::task::spawn_blocking(move || thread.join());
-            if tokio::time::timeout(FLUSHING.saturating_sub(begun.elapsed()), joined).await.is_err() {
-                self.tell_unstored();
-            }
-        }
-        self.life.stop();
-        self.link.set(NetworkState::Off);
-        self.log.write_counted(None).await;
+        self.parts.life.stop();
+        self.parts.link.set(NetworkState::Off);
+        self.parts.log.write_counted(None).await;
         let ledger = self.plant.ledger.clone();
         drop(tokio::task::spawn_blocking(move || ledger.close()).await);
     }
@@ -365,7 +382,7 @@ impl Site {
             "{messages} or more captured messages could not be stored before the end, they were never acknowledged; \
              see to disk and vault before the next start"
         );
-        self.hub.notice(super::event::NoticeLevel::Error, &text);
+        self.parts.hub.notice(super::event::NoticeLevel::Error, &text);
     }
 }
 

@@ -11,6 +11,7 @@ use super::blocking;
 use super::chain::link::Link;
 use super::identity::owners::Owners;
 use super::lifetime::Lifetime;
+use super::parts::Parts;
 use crate::config::Config;
 use crate::model::{Timestamp, clean};
 use crate::pipeline::reader::Reader;
@@ -29,18 +30,24 @@ const REFILL: Duration = Duration::from_secs(60);
 
 /// The audit of a site: of its log and of its records.
 pub(super) struct Audit {
-    pub(super) config: Arc<Config>,
-    pub(super) plant: Plant,
-    pub(super) hub: Arc<Hub>,
-    pub(super) log: Arc<Log>,
-    pub(super) owners: Arc<Owners>,
-    pub(super) link: Arc<Link>,
-    pub(super) life: Arc<Lifetime>,
+    config: Arc<Config>,
+    plant: Plant,
+    hub: Arc<Hub>,
+    log: Arc<Log>,
+    owners: Arc<Owners>,
+    link: Arc<Link>,
+    life: Arc<Lifetime>,
     /// Space for a revoke on a full disk.
-    pub(super) reserve: Arc<Reserve>,
+    reserve: Arc<Reserve>,
 }
 
 impl Audit {
+    /// From the shared parts, and the space set aside for a revoke.
+    pub fn new(parts: &Parts, reserve: Arc<Reserve>) -> Self {
+        let Parts { config, plant, hub, log, owners, link, life, .. } = parts.clone();
+        Self { config, plant, hub, log, owners, link, life, reserve }
+    }
+
     /// Writes what was counted, anchors the head of the log, sets a lost reserve aside again; until the site ends.
     pub(in crate::site) async fn keep(self: Arc<Self>) {
         let mut refill = Instant::now();

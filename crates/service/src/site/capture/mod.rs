@@ -2,19 +2,84 @@
 
 mod policy;
 pub(super) mod ros;
+pub(super) mod sealer_thread;
 mod topics;
+pub(super) mod watches;
 
+use crate::config::Config;
+use crate::pipeline::Losses;
+use crate::pipeline::Plant;
+use crate::pipeline::Recorder;
+use crate::service::hub::Hub;
+use crate::site::audit::Log;
+use crate::site::capture::ros::RosSide;
+use crate::site::capture::watches::Watches;
+use crate::site::chain::link::Link;
+use crate::site::identity::Profiles;
+use crate::site::identity::owners::Owners;
+use crate::site::lifetime::Lifetime;
+use crate::site::parts::Parts;
+use crate::site::pins::Pinning;
+use std::sync::Mutex;
 use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
-use super::Site;
 use crate::model::{ProfileName, TopicName, TypeName};
 use crate::pipeline::{CaptureSession, Owner};
 use crate::service::event::NoticeLevel;
 use crate::service::failure::input;
 use crate::service::reply::{CaptureSummary, Failure, TopicSummary};
 
-impl Site {
+/// What is captured, and by which rules.
+pub(in crate::site) struct Capture {
+    config: Arc<Config>,
+    plant: Plant,
+    hub: Arc<Hub>,
+    log: Arc<Log>,
+    owners: Arc<Owners>,
+    link: Arc<Link>,
+    life: Arc<Lifetime>,
+    recorder: Arc<Recorder>,
+    losses: Arc<Losses>,
+    ros: Arc<RosSide>,
+    watches: Arc<Watches>,
+    profiles: Arc<Profiles>,
+    pins: Arc<Pinning>,
+    running: Mutex<Vec<(ProfileName, Arc<CaptureSession>)>>,
+}
+
+impl Capture {
+    /// From the shared parts.
+    pub fn new(
+        parts: &Parts,
+        recorder: Arc<Recorder>,
+        losses: Arc<Losses>,
+        ros: Arc<RosSide>,
+        watches: Arc<Watches>,
+        profiles: Arc<Profiles>,
+        pins: Arc<Pinning>,
+    ) -> Self {
+        let Parts { config, plant, hub, log, owners, link, life, .. } = parts.clone();
+        Self {
+            config,
+            plant,
+            hub,
+            log,
+            owners,
+            link,
+            life,
+            recorder,
+            losses,
+            ros,
+            watches,
+            profiles,
+            pins,
+            running: Mutex::default(),
+        }
+    }
+}
+
+impl Capture {
     /// Runs one capture; registers the owner first where needed.
     pub(super) async fn capture(
         self: &Arc<Self>,
@@ -28,9 +93,9 @@ impl Site {
         if topics.is_empty() {
             return Err(input("a capture needs at least one topic; name it with --topic"));
         }
-        self.ros_link().await?;
+        self.ros.link().await?;
         if owner.sealing().is_none() {
-            self.register(owner).await?;
+            self.profiles.register(owner).await?;
         } else {
             // Whoever waits for verified records is told at once where there is no chain to verify them.
             self.link.network().await?;
@@ -71,21 +136,33 @@ impl Site {
         for topic in topics {
             self.recorder.join(topic, &owner.author, type_name.cloned(), session);
         }
-        self.captures.lock().unwrap_or_else(PoisonError::into_inner).push((owner.profile.clone(), Arc::clone(session)));
-        self.wishes_changed();
+        self.note(&owner.profile, session);
+        self.ros.wishes_changed();
     }
 
     fn end(&self, owner: &Arc<Owner>, topics: &[String], session: &Arc<CaptureSession>) {
         for topic in topics {
             self.recorder.leave(topic, &owner.author, session);
         }
-        self.captures.lock().unwrap_or_else(PoisonError::into_inner).retain(|(_, other)| !Arc::ptr_eq(other, session));
-        self.wishes_changed();
+        self.forget(session);
+        self.ros.wishes_changed();
+    }
+
+    /// This too is ended by the command that ends captures.
+    pub fn note(&self, profile: &ProfileName, session: &Arc<CaptureSession>) {
+        let mut running = self.running.lock().unwrap_or_else(PoisonError::into_inner);
+        running.push((profile.clone(), Arc::clone(session)));
+    }
+
+    /// It has ended.
+    pub fn forget(&self, session: &Arc<CaptureSession>) {
+        let mut running = self.running.lock().unwrap_or_else(PoisonError::into_inner);
+        running.retain(|(_, other)| !Arc::ptr_eq(other, session));
     }
 
     /// Ends the running captures of a profile; their own answers follow.
-    pub(super) fn stop_captures(&self, profile: &ProfileName) {
-        let captures = self.captures.lock().unwrap_or_else(PoisonError::into_inner);
+    pub(super) fn stop(&self, profile: &ProfileName) {
+        let captures = self.running.lock().unwrap_or_else(PoisonError::into_inner);
         captures.iter().filter(|(owner, _)| owner == profile).for_each(|(_, session)| session.close());
     }
 }

@@ -1,35 +1,18 @@
 //! Rules for topics: which holds for which, and what topics do, so that rules can be drafted.
 
+use super::Capture;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 use crate::model::{ProfileName, TopicRule};
 use crate::service::command::PolicyCommand;
 use crate::service::failure::input;
 use crate::service::reply::{Failure, PolicyRow, PolicyView};
-use crate::site::Site;
 
 /// The longest look at the graph.
 const LONGEST: u64 = 600_000;
 
-/// Everything is subscribed to as long as somebody learns.
-struct Learning<'a>(&'a AtomicUsize);
-
-impl<'a> Learning<'a> {
-    fn begin(count: &'a AtomicUsize) -> Self {
-        count.fetch_add(1, Ordering::AcqRel);
-        Self(count)
-    }
-}
-
-impl Drop for Learning<'_> {
-    fn drop(&mut self) {
-        self.0.fetch_sub(1, Ordering::AcqRel);
-    }
-}
-
-impl Site {
+impl Capture {
     /// Answers a command about rules.
     pub(in crate::site) async fn policy(
         self: &Arc<Self>,
@@ -42,16 +25,16 @@ impl Site {
                 if !(1000..=LONGEST).contains(&milliseconds) {
                     return Err(input("look at the topics for 1 second to 10 minutes, as `--for 5s`"));
                 }
-                self.ros_link().await?;
-                let learning = Learning::begin(&self.learning);
-                self.wishes_changed();
+                self.ros.link().await?;
+                let learning = self.ros.learn();
+                self.ros.wishes_changed();
                 tokio::select! {
                     () = tokio::time::sleep(Duration::from_millis(milliseconds)) => {}
                     () = self.life.stopped() => {}
                 }
                 let view = self.policy_view(profile, true).await;
                 drop(learning);
-                self.wishes_changed();
+                self.ros.wishes_changed();
                 view
             }
         }
@@ -69,7 +52,7 @@ impl Site {
             type_name: row.type_name,
             topic: row.topic,
         };
-        let topics: Vec<PolicyRow> = self.topic_rows(profile).await?.into_iter().map(row).collect();
+        let topics: Vec<PolicyRow> = self.topics(profile).await?.into_iter().map(row).collect();
         let followed = |rule: &TopicRule| topics.iter().any(|row| row.rule.as_ref() == Some(rule));
         let idle = rules.0.iter().filter(|rule| !followed(rule)).map(|rule| TopicRule::clone(rule)).collect();
         Ok(PolicyView { topics, idle, learned })

@@ -1,9 +1,17 @@
 //! The site's ROS side: master (embedded or real), simulated robots, the monitoring node.
 
+use crate::config::Config;
+use crate::pipeline::Recorder;
+use crate::service::hub::Hub;
+use crate::site::lifetime::Lifetime;
+use crate::site::parts::Parts;
 use std::collections::BTreeSet;
 use std::sync::Arc;
+use std::sync::atomic::AtomicUsize;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
+use tokio::sync::watch;
+use tokio::task::JoinHandle;
 
 use tokio::task::block_in_place;
 
@@ -15,7 +23,7 @@ use crate::ros::{Capture, CaptureOptions, EmbeddedMaster, Fleet, FleetOptions, G
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::internal;
 use crate::service::reply::Failure;
-use crate::site::{Site, blocking};
+use crate::site::blocking;
 
 /// Between two looks at the graph.
 const LOOK: Duration = Duration::from_secs(1);
@@ -81,24 +89,89 @@ impl RosLink {
     }
 }
 
-impl Site {
+/// Everything is subscribed to as long as somebody learns.
+pub(in crate::site) struct Learning<'a>(&'a AtomicUsize);
+
+impl<'a> Learning<'a> {
+    fn begin(count: &'a AtomicUsize) -> Self {
+        count.fetch_add(1, Ordering::AcqRel);
+        Self(count)
+    }
+}
+
+impl Drop for Learning<'_> {
+    fn drop(&mut self) {
+        self.0.fetch_sub(1, Ordering::AcqRel);
+    }
+}
+
+/// The ROS side of a site.
+pub(in crate::site) struct RosSide {
+    config: Arc<Config>,
+    hub: Arc<Hub>,
+    life: Arc<Lifetime>,
+    recorder: Arc<Recorder>,
+    state: watch::Sender<RosState>,
+    /// How many look at every topic of the graph now.
+    learning: AtomicUsize,
+}
+
+impl RosSide {
+    /// From the shared parts.
+    pub fn new(parts: &Parts, recorder: Arc<Recorder>, needed: bool) -> Self {
+        let Parts { config, hub, life, .. } = parts.clone();
+        Self {
+            config,
+            hub,
+            life,
+            recorder,
+            state: watch::channel(if needed { RosState::Starting } else { RosState::Off }).0,
+            learning: AtomicUsize::new(0),
+        }
+    }
+}
+
+impl RosSide {
+    /// Where it stands now.
+    pub fn state(&self) -> watch::Ref<'_, RosState> {
+        self.state.borrow()
+    }
+
+    /// Whether this run has a ROS side, and is not ending.
+    pub fn is_wanted(&self) -> bool {
+        !matches!(*self.state.borrow(), RosState::Off)
+    }
+
+    /// Everything of the graph is subscribed to until the guard is dropped.
+    pub fn learn(&self) -> Learning<'_> {
+        Learning::begin(&self.learning)
+    }
+
+    /// The nodes leave the graph; waits for them no longer than `patience`. `task` is the one that keeps the side up.
+    pub async fn leave(&self, task: Option<JoinHandle<()>>, patience: Duration) {
+        self.state.send_replace(RosState::Off);
+        if let Some(task) = task {
+            drop(tokio::time::timeout(patience, task).await);
+        }
+    }
+
     /// Brings the ROS side up and keeps looking at the graph until the site ends.
-    pub(in crate::site) async fn keep_ros(self: Arc<Self>) {
+    pub(in crate::site) async fn keep(self: Arc<Self>) {
         let link = loop {
             // Begun again after a fault, the task finds the link still at work.
-            let kept = match &*self.ros.borrow() {
+            let kept = match &*self.state.borrow() {
                 RosState::Up(link) | RosState::Down { link: Some(link), .. } => Some(Arc::clone(link)),
                 _ => None,
             };
             if let Some(link) = kept {
                 break link;
             }
-            let site = Arc::clone(&self);
-            match blocking(&self, move |_| site.start_ros()).await {
+            let ros = Arc::clone(&self);
+            match blocking(&self, move |_| ros.start()).await {
                 Ok(link) => break Arc::new(link),
                 Err(failure) => {
                     self.hub.notice(NoticeLevel::Error, &failure.message);
-                    self.ros.send_replace(RosState::Down { failure, link: None });
+                    self.state.send_replace(RosState::Down { failure, link: None });
                     self.hub.changed(Part::Health);
                 }
             }
@@ -107,7 +180,7 @@ impl Site {
                 () = self.leaving() => return,
             }
         };
-        self.ros.send_replace(RosState::Up(Arc::clone(&link)));
+        self.state.send_replace(RosState::Up(Arc::clone(&link)));
         self.hub.changed(Part::Health);
         self.hub.changed(Part::Topics);
         let mut calm = 0_u32;
@@ -120,7 +193,7 @@ impl Site {
             calm = if self.look_at_graph(&link).await { 0 } else { calm.saturating_add(1) };
             if link.has_lost_its_master() {
                 // Returning early is a fault: everything here is begun anew, with another master.
-                self.ros.send_if_modified(|state| {
+                self.state.send_if_modified(|state| {
                     let ending = matches!(state, RosState::Off);
                     if !ending {
                         *state = RosState::Starting;
@@ -135,12 +208,12 @@ impl Site {
     }
 
     async fn leaving(&self) {
-        let mut ros = self.ros.subscribe();
+        let mut ros = self.state.subscribe();
         // An error means that the site is gone, which is an end too.
         drop(ros.wait_for(|state| matches!(state, RosState::Off)).await);
     }
 
-    fn start_ros(&self) -> Result<RosLink, Failure> {
+    fn start(&self) -> Result<RosLink, Failure> {
         let master = if self.config.ros_master.is_none() { Some(EmbeddedMaster::start()?) } else { None };
         let uri = master.as_ref().map(|master| master.uri().to_owned()).or_else(|| self.config.ros_master.clone());
         let uri = uri.ok_or_else(|| internal("no ROS master is configured"))?;
@@ -181,9 +254,9 @@ impl Site {
         match block_in_place(|| link.look()) {
             Ok(changed) => {
                 self.follow_wishes(link);
-                let was_down = matches!(&*self.ros.borrow(), RosState::Down { .. });
+                let was_down = matches!(&*self.state.borrow(), RosState::Down { .. });
                 if was_down {
-                    self.ros.send_replace(RosState::Up(Arc::clone(link)));
+                    self.state.send_replace(RosState::Up(Arc::clone(link)));
                     self.hub.changed(Part::Health);
                     self.hub.notice(NoticeLevel::Info, "the ROS master answers again");
                 }
@@ -193,9 +266,9 @@ impl Site {
                 }
                 moved || was_down
             }
-            Err(failure) if matches!(&*self.ros.borrow(), RosState::Up(_)) => {
+            Err(failure) if matches!(&*self.state.borrow(), RosState::Up(_)) => {
                 self.hub.notice(NoticeLevel::Error, &failure.message);
-                self.ros.send_replace(RosState::Down { failure, link: Some(Arc::clone(link)) });
+                self.state.send_replace(RosState::Down { failure, link: Some(Arc::clone(link)) });
                 self.hub.changed(Part::Health);
                 true
             }
@@ -222,7 +295,7 @@ impl Site {
 
     /// The subscriptions follow the recorder's wishes at once.
     pub(in crate::site) fn wishes_changed(&self) {
-        if let RosState::Up(link) | RosState::Down { link: Some(link), .. } = &*self.ros.borrow() {
+        if let RosState::Up(link) | RosState::Down { link: Some(link), .. } = &*self.state.borrow() {
             self.follow_wishes(link);
         }
         self.hub.changed(Part::Topics);
@@ -232,16 +305,16 @@ impl Site {
     ///
     /// # Errors
     /// Why the master is not reached.
-    pub async fn ros_uri(&self) -> Result<String, Failure> {
-        Ok(self.ros_link().await?.uri.clone())
+    pub async fn uri(&self) -> Result<String, Failure> {
+        Ok(self.link().await?.uri.clone())
     }
 
     /// The ROS link, as soon as the first attempt has ended.
     ///
     /// # Errors
     /// Why the master is not reached.
-    pub(in crate::site) async fn ros_link(&self) -> Result<Arc<RosLink>, Failure> {
-        let mut state = self.ros.subscribe();
+    pub(in crate::site) async fn link(&self) -> Result<Arc<RosLink>, Failure> {
+        let mut state = self.state.subscribe();
         let settled = state.wait_for(|state| !matches!(state, RosState::Starting)).await;
         let settled = settled.map_err(|_| internal("the site is ending"))?.clone();
         match settled {

@@ -1,23 +1,20 @@
 //! Topics of the graph: listed with their rates, watched and unwatched.
 
+use super::Capture;
 use std::collections::{HashMap, HashSet};
-use std::sync::{Arc, PoisonError};
+use std::sync::Arc;
 
 use tokio::task::block_in_place;
 
 use crate::model::{ProfileName, Timestamp, TopicName, TypeName, clean};
-use crate::pipeline::Owner;
 use crate::service::reply::{Failure, TopicRow};
-use crate::site::{RosState, Site};
 use crate::store::TopicCounts;
 
-type Watches = Vec<(TopicName, Option<TypeName>)>;
-
-impl Site {
+impl Capture {
     /// Every topic of the graph, and those watched that nobody publishes yet.
-    pub(in crate::site) async fn topic_rows(self: &Arc<Self>, profile: &ProfileName) -> Result<Vec<TopicRow>, Failure> {
-        let link = self.ros_link().await?;
-        let watches = block_in_place(|| self.watches(profile))?;
+    pub(in crate::site) async fn topics(self: &Arc<Self>, profile: &ProfileName) -> Result<Vec<TopicRow>, Failure> {
+        let link = self.ros.link().await?;
+        let watches = block_in_place(|| self.watches.of(profile))?;
         let now = Timestamp::now();
         let mut rows: Vec<TopicRow> = link
             .topics()
@@ -96,69 +93,40 @@ impl Site {
         Ok(counts.topics.into_iter().map(|topic| (topic.topic.clone(), topic)).collect())
     }
 
-    fn watches(&self, profile: &ProfileName) -> Result<Watches, Failure> {
-        let text = self.plant.ledger.setting(&key(profile))?;
-        Ok(text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default())
-    }
-
-    /// Reads, changes and keeps a watch list; of several changes at once none is lost.
-    fn change_watches(&self, profile: &ProfileName, change: impl FnOnce(&mut Watches)) -> Result<(), Failure> {
-        block_in_place(|| {
-            let _one_at_a_time = self.watching.lock().unwrap_or_else(PoisonError::into_inner);
-            let mut watches = self.watches(profile)?;
-            change(&mut watches);
-            let text = serde_json::to_string(&watches).unwrap_or_default();
-            Ok(self.plant.ledger.put_setting(&key(profile), &text)?)
-        })
-    }
-
     /// Captures a topic until it is unwatched, over restarts.
-    pub(in crate::site) async fn watch_topic(
+    pub(in crate::site) async fn watch(
         self: &Arc<Self>,
         profile: &ProfileName,
         topic: TopicName,
         type_name: Option<TypeName>,
     ) -> Result<(), Failure> {
-        self.change_watches(profile, |watches| {
+        self.watches.change(profile, |watches| {
             watches.retain(|(watched, _)| *watched != topic);
             watches.push((topic.clone(), type_name.clone()));
         })?;
         self.log.write(profile, "watch", topic.as_str(), "done").await?;
         if let Some(owner) = self.owners.get(profile) {
-            if !matches!(&*self.ros.borrow(), RosState::Off) && owner.sealing().is_none() {
-                self.register(&owner).await?;
+            if self.ros.is_wanted() && owner.sealing().is_none() {
+                self.profiles.register(&owner).await?;
             }
             self.recorder.watch(topic.as_str(), &owner.author, type_name);
-            self.wishes_changed();
+            self.ros.wishes_changed();
         }
         Ok(())
     }
 
     /// Stops capturing a topic.
-    pub(in crate::site) async fn unwatch_topic(
+    pub(in crate::site) async fn unwatch(
         self: &Arc<Self>,
         profile: &ProfileName,
         topic: &TopicName,
     ) -> Result<(), Failure> {
-        self.change_watches(profile, |watches| watches.retain(|(watched, _)| watched != topic))?;
+        self.watches.change(profile, |watches| watches.retain(|(watched, _)| watched != topic))?;
         self.log.write(profile, "unwatch", topic.as_str(), "done").await?;
         if let Some(owner) = self.owners.get(profile) {
             self.recorder.unwatch(topic.as_str(), &owner.author);
-            self.wishes_changed();
+            self.ros.wishes_changed();
         }
         Ok(())
     }
-
-    /// The recorder takes up what the owner watched before.
-    pub(in crate::site) fn restore_watches(&self, owner: &Arc<Owner>) {
-        let watches = block_in_place(|| self.watches(&owner.profile)).unwrap_or_default();
-        for (topic, type_name) in watches {
-            self.recorder.watch(topic.as_str(), &owner.author, type_name);
-        }
-        self.wishes_changed();
-    }
-}
-
-fn key(profile: &ProfileName) -> String {
-    format!("watch:{profile}")
 }

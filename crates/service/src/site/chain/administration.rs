@@ -1,6 +1,13 @@
 //! The administrator's acts and what bounds them, and what everybody is told of them: above all who continues, or is to
 //! continue, for a lost account.
 
+use crate::pipeline::Sender;
+use crate::service::hub::Hub;
+use crate::site::audit::Log;
+use crate::site::chain::link::Link;
+use crate::site::contacts::Contacts;
+use crate::site::lifetime::Lifetime;
+use crate::site::parts::Parts;
 use std::collections::HashSet;
 use std::sync::Arc;
 
@@ -11,12 +18,29 @@ use crate::service::command::Administration;
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::refused;
 use crate::service::reply::{AdministrationView, Failure, ProposalView, RecoveryView, SuccessionView, TransactionView};
-use crate::site::Site;
 
 /// How long a pause lasts where nothing else is asked for, seconds.
 const PAUSE: u64 = 86_400;
 
-impl Site {
+/// The administrator's acts.
+pub(in crate::site) struct Administering {
+    hub: Arc<Hub>,
+    log: Arc<Log>,
+    link: Arc<Link>,
+    life: Arc<Lifetime>,
+    sender: Arc<Sender>,
+    contacts: Arc<Contacts>,
+}
+
+impl Administering {
+    /// From the shared parts.
+    pub fn new(parts: &Parts, contacts: Arc<Contacts>) -> Self {
+        let Parts { hub, log, link, life, sender, .. } = parts.clone();
+        Self { hub, log, link, life, sender, contacts }
+    }
+}
+
+impl Administering {
     /// Does one act of the administrator; the contract refuses it to anybody else, but for what others may as well.
     pub(in crate::site) async fn administer(
         self: &Arc<Self>,
@@ -144,7 +168,7 @@ impl Site {
     }
 
     /// What the administrator decided, with the names of the address book; the recovery account is `own`'s.
-    pub(in crate::site) fn administration_view(&self, network: &Network, own: Option<Address>) -> AdministrationView {
+    pub(in crate::site) fn view(&self, network: &Network, own: Option<Address>) -> AdministrationView {
         let (decided, now) = (network.directory.administration(), Timestamp::now());
         let names = self.contacts.names();
         let name = |account: &Address| names.get(account).cloned();
@@ -213,7 +237,7 @@ impl Site {
     }
 
     fn succession_texts(&self, network: &Network) -> Vec<String> {
-        let view = self.administration_view(network, None);
+        let view = self.view(network, None);
         let shown = |account: Address, name: &Option<String>| {
             name.as_ref().map_or_else(|| account.to_string(), |name| format!("{name} ({account})"))
         };

@@ -1,6 +1,18 @@
 //! `chain adopt`: the operator decides to go on with the chain that is there now instead of the pinned one, or on the
 //! pinned one with a contract of the newest revision.
 
+use crate::config::Config;
+use crate::paths::Home;
+use crate::pipeline::Plant;
+use crate::service::hub::Hub;
+use crate::site::audit::Log;
+use crate::site::chain::connection::Connection;
+use crate::site::chain::lanes::Lanes;
+use crate::site::chain::link::Link;
+use crate::site::identity::Profiles;
+use crate::site::identity::owners::Owners;
+use crate::site::mirror::remote::Remote;
+use crate::site::parts::Parts;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -9,11 +21,11 @@ use tokio::task::block_in_place;
 use crate::chain::{Chain, ChainError, ChainOptions, Endpoint, Pin, Revision};
 use crate::model::Timestamp;
 use crate::pipeline::adoption::{self, Step};
-use crate::pipeline::{Network, Owner, PipelineError, watcher};
+use crate::pipeline::{Network, Owner, watcher};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::{input, internal, refused};
 use crate::service::reply::{Failure, TransactionView};
-use crate::site::{NetworkState, Site};
+use crate::site::NetworkState;
 use crate::store::StoreError;
 
 /// How long the command waits for the adoption record's block.
@@ -27,14 +39,43 @@ const QUIET: usize = 5;
 /// How many contracts are deployed at most until one has an address of its own.
 const DEPLOYMENTS: usize = 4;
 
-impl Site {
+/// Going over to another chain or contract.
+pub(in crate::site) struct Adoption {
+    home: Home,
+    config: Arc<Config>,
+    plant: Plant,
+    hub: Arc<Hub>,
+    log: Arc<Log>,
+    owners: Arc<Owners>,
+    link: Arc<Link>,
+    lanes: Arc<Lanes>,
+    connection: Arc<Connection>,
+    profiles: Arc<Profiles>,
+    remote: Option<Arc<Remote>>,
+}
+
+impl Adoption {
+    /// From the shared parts.
+    pub fn new(
+        parts: &Parts,
+        lanes: Arc<Lanes>,
+        connection: Arc<Connection>,
+        profiles: Arc<Profiles>,
+        remote: Option<Arc<Remote>>,
+    ) -> Self {
+        let Parts { home, config, plant, hub, log, owners, link, .. } = parts.clone();
+        Self { home, config, plant, hub, log, owners, link, lanes, connection, profiles, remote }
+    }
+}
+
+impl Adoption {
     /// Pins the chain that answers now, with its contract (deployed where there is none), registers the owner
     /// there, and anchors the owner's adoption record before anything else.
-    pub(in crate::site) async fn adopt_chain(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<TransactionView, Failure> {
+    pub(in crate::site) async fn adopt(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<TransactionView, Failure> {
         // Until the first attempt to connect has ended, which needs the lock as well.
         let known = self.link.network().await;
         let left = {
-            let _one_at_a_time = self.deploying.lock().await;
+            let _one_at_a_time = self.connection.one_at_a_time().await;
             let (pinned, outgrown) = self.to_leave(known)?;
             self.log.begin(owner, "adopt chain", &format!("in place of {}", pinned.contract)).await?;
             let chain = match &outgrown {
@@ -55,14 +96,14 @@ impl Site {
                 self.link.set(NetworkState::Up(Box::new(network)));
             }
             let left = left?;
-            self.save_pin(&pin)?;
-            self.use_network(chain, &pin).await?;
+            self.connection.save_pin(&pin)?;
+            self.connection.use_network(chain, &pin).await?;
             left
         };
         self.hub.changed(Part::Uploads);
-        self.register(owner).await?;
+        self.profiles.register(owner).await?;
         for other in self.owners.all().iter().filter(|other| !Arc::ptr_eq(other, owner)) {
-            if let Err(failure) = self.register(other).await {
+            if let Err(failure) = self.profiles.register(other).await {
                 let profile = &other.profile;
                 let text = format!("profile {profile} is not registered on the adopted chain yet: {}", failure.message);
                 self.hub.notice(NoticeLevel::Error, &text);
@@ -93,7 +134,7 @@ impl Site {
     /// the network in use.
     fn to_leave(&self, known: Result<Network, Failure>) -> Result<(Pin, Option<Network>), Failure> {
         let swapped = matches!(*self.link.state(), NetworkState::Swapped(_));
-        let pin = self.pin()?;
+        let pin = self.connection.pin()?;
         match pin {
             Some(pin) if swapped => Ok((pin, None)),
             Some(pin) => {
@@ -185,7 +226,7 @@ impl Site {
                 Err(error) => return Err(error.into()),
             }
         }
-        self.fund(chain, owner).await?;
+        self.connection.fund(chain, owner).await?;
         for _ in 0..DEPLOYMENTS {
             let pin = chain.deploy(&owner.eoa()).await?;
             if adoption::domain_of(&pin) != adoption::domain_of(left) {
@@ -245,16 +286,6 @@ impl Site {
             }
             tokio::time::sleep(Duration::from_millis(100)).await;
         }
-    }
-
-    /// The network with everything bound to it, and what this home was bound to before.
-    pub(in crate::site) async fn network_of(&self, chain: Chain, pin: &Pin) -> Result<Network, PipelineError> {
-        let domain = adoption::domain_of(pin);
-        let directory = Arc::new(crate::pipeline::Directory::new(domain, self.plant.provider));
-        let earlier = Arc::new(block_in_place(|| adoption::earlier(&self.plant.ledger, domain))?);
-        let former = Arc::new(adoption::former(&self.plant, &chain).await?);
-        let confirmations = self.config.confirmations;
-        Ok(Network { chain, domain, directory, earlier, former, confirmations, times: Arc::default() })
     }
 }
 

@@ -1,5 +1,14 @@
 //! Connecting to the chain and staying connected; the contract, and the pin of the home.
 
+use crate::config::Config;
+use crate::paths::Home;
+use crate::pipeline::Plant;
+use crate::service::hub::Hub;
+use crate::site::audit::Log;
+use crate::site::chain::link::Link;
+use crate::site::lifetime::Lifetime;
+use crate::site::mirror::remote::Remote;
+use crate::site::parts::Parts;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -7,17 +16,43 @@ use tokio::task::block_in_place;
 
 use crate::chain::{Chain, ChainError, ChainOptions, DEFAULT_DELAY, Endpoint, Pin, Revision};
 use crate::model::ErrorKind;
-use crate::pipeline::{Network, Owner, PipelineError, watcher};
+use crate::pipeline::{Network, Owner, PipelineError, adoption, watcher};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::{input, internal};
 use crate::service::reply::Failure;
-use crate::site::{NetworkState, Site};
+use crate::site::NetworkState;
 use crate::store::atomic_write;
 
 /// The longest pause between two attempts to connect, seconds: a node that is back is found within it.
 const LONGEST_PAUSE: u64 = 5;
 
-impl Site {
+/// The connection to the chain, and the home's pin.
+pub(in crate::site) struct Connection {
+    pub(super) home: Home,
+    pub(super) config: Arc<Config>,
+    pub(super) plant: Plant,
+    pub(super) hub: Arc<Hub>,
+    pub(super) log: Arc<Log>,
+    pub(super) link: Arc<Link>,
+    pub(super) life: Arc<Lifetime>,
+    pub(super) remote: Option<Arc<Remote>>,
+    pub(super) deploying: tokio::sync::Mutex<()>,
+}
+
+impl Connection {
+    /// From the shared parts.
+    pub fn new(parts: &Parts, remote: Option<Arc<Remote>>) -> Self {
+        let Parts { home, config, plant, hub, log, link, life, .. } = parts.clone();
+        Self { home, config, plant, hub, log, link, life, remote, deploying: tokio::sync::Mutex::default() }
+    }
+}
+
+impl Connection {
+    /// While this is held nobody else connects, deploys or adopts.
+    pub async fn one_at_a_time(&self) -> tokio::sync::MutexGuard<'_, ()> {
+        self.deploying.lock().await
+    }
+
     pub(in crate::site) fn pin(&self) -> Result<Option<Pin>, Failure> {
         let path = self.home.pin();
         match std::fs::read(&path) {
@@ -110,12 +145,17 @@ impl Site {
         self.link.set(NetworkState::Up(Box::new(network)));
         self.hub.changed(Part::Chain);
         self.hub.changed(Part::Health);
-        for owner in self.owners.all() {
-            if let Err(failure) = self.resume_owner(&owner).await {
-                self.hub.notice(NoticeLevel::Error, &failure.message);
-            }
-        }
         Ok(())
+    }
+
+    /// The network with everything bound to it, and what this home was bound to before.
+    pub(in crate::site) async fn network_of(&self, chain: Chain, pin: &Pin) -> Result<Network, PipelineError> {
+        let domain = adoption::domain_of(pin);
+        let directory = Arc::new(crate::pipeline::Directory::new(domain, self.plant.provider));
+        let earlier = Arc::new(block_in_place(|| adoption::earlier(&self.plant.ledger, domain))?);
+        let former = Arc::new(adoption::former(&self.plant, &chain).await?);
+        let confirmations = self.config.confirmations;
+        Ok(Network { chain, domain, directory, earlier, former, confirmations, times: Arc::default() })
     }
 
     /// The network; deploys the contract with the owner's account where there is none yet.

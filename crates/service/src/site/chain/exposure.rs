@@ -1,5 +1,6 @@
 //! The chain for others: the contract put on it by command, and its JSON-RPC for other tools.
 
+use super::connection::Connection;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
@@ -12,9 +13,9 @@ use crate::pipeline::Owner;
 use crate::service::event::NoticeLevel;
 use crate::service::failure::input;
 use crate::service::reply::{DeployedView, Failure, ServedView};
-use crate::site::{NetworkState, Site};
+use crate::site::NetworkState;
 
-impl Site {
+impl Connection {
     /// Deploys the contract with the owner's account and pins it.
     pub(in crate::site) async fn deploy_contract(
         self: &Arc<Self>,
@@ -58,17 +59,17 @@ impl Site {
             contract: chain.pin().map(|pin| pin.contract),
         };
         self.hub.notice(NoticeLevel::Info, &format!("the chain is served to tools of this machine at {}", view.url));
-        let site = Arc::clone(self);
+        let connection = Arc::clone(self);
         tokio::spawn(async move {
             let stop = async {
                 tokio::select! {
-                    () = site.life.stopped() => {}
+                    () = connection.life.stopped() => {}
                     // A dropped sender says the same.
                     _ = ended => {}
                 }
             };
             if let Err(error) = chain.serve(listener, stop).await {
-                site.hub.notice(NoticeLevel::Error, &error.to_string());
+                connection.hub.notice(NoticeLevel::Error, &error.to_string());
             }
         });
         Ok(view)

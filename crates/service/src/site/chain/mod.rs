@@ -1,7 +1,7 @@
 //! The chain: the link to it, the accounts that anchor, its administration, and its change for another one.
 
-mod administration;
-mod adoption;
+pub(super) mod administration;
+pub(super) mod adoption;
 pub(super) mod connection;
 mod exposure;
 pub(super) mod lanes;

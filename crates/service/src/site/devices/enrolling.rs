@@ -1,23 +1,23 @@
 //! Making a robot a device of its owner: a pair of its own, K_T for its name at a gateway, the loan on the chain,
 //! its public key to the gateway, and the file with all that the robot works with.
 
+use super::Devices;
 use std::sync::Arc;
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 use tokio::task::block_in_place;
 
+use super::enrolled::Enrolled;
 use crate::crypto::{
-    Enrolment, EpochIssue, GatewayAccess, IssuedKeys, IssuedTopic, Passphrase, Pseudonyms, SealedEnrolment, SealingKey,
-    SmKeyPair, TransportKey, filter_key, notice_key, notice_topic, signer_id, topic_id, topic_key,
+    Enrolment, GatewayAccess, Passphrase, SealedEnrolment, SmKeyPair, TransportKey, notice_key, notice_topic, signer_id,
 };
 use crate::gateway::{Applicant, Client, Code, Context, Credentials, DeviceNotice, Endpoint, GatewayError, Trust};
 use crate::model::{ErrorKind, ProfileName, SignerId, Timestamp, TopicName, clean};
-use crate::pipeline::{Network, Owner, quarantine};
+use crate::pipeline::{Network, Owner};
 use crate::service::command::{SecretBytes, SecretText};
 use crate::service::failure::{input, refused};
 use crate::service::reply::{DeviceTopicsView, EnrolledView, Failure};
-use crate::site::Site;
 
 /// How long a gateway may take to answer.
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -48,35 +48,14 @@ pub struct EnrolWishes {
     pub passphrase: SecretText,
 }
 
-/// A device that was enrolled, as its owner's ledger keeps it: no secret.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub(crate) struct Enrolled {
-    /// N.
-    pub name: ProfileName,
-    /// SM3 of its public key.
-    pub device: SignerId,
-    /// What it is limited to; empty = nothing.
-    pub topics: Vec<String>,
-    /// Version of its enrolment.
-    #[serde(default = "first")]
-    pub version: u8,
-    /// Whether it was recalled.
-    #[serde(default)]
-    pub ended: bool,
-}
-
-fn first() -> u8 {
-    1
-}
-
-impl Site {
+impl Devices {
     /// Enrols a robot; the answer holds the sealed file.
-    pub(in crate::site) async fn enrol_device(
+    pub(in crate::site) async fn enrol(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
         wishes: EnrolWishes,
     ) -> Result<EnrolledView, Failure> {
-        if self.remote.is_some() && wishes.fingerprint.is_none() {
+        if self.is_joined && wishes.fingerprint.is_none() {
             return Err(refused(
                 "a site that joins another one enrols robots only at a gateway whose fingerprint was compared: have its \
                  keeper tell it, and give it as --gateway-key",
@@ -96,7 +75,7 @@ impl Site {
         let endpoint = Endpoint { address: wishes.gateway.clone(), context, patience: PATIENCE };
         let mut trust = wishes.fingerprint.map_or_else(Trust::on_first_use, Trust::pinned);
         let transport = allocate(owner, &endpoint, &mut trust, &wishes.name).await?;
-        self.lend_device(owner, id, wishes.until).await?;
+        self.lend(owner, id, wishes.until).await?;
         let notice_id = owner.topic_id(&notice_topic(&id));
         let notice = DeviceNotice { key: device.public, notices: Some(notice_id) };
         let told = self.tell_gateway(owner, &network, &endpoint, &mut trust, (&wishes.name, &transport), notice);
@@ -107,7 +86,7 @@ impl Site {
         }
         let version = Enrolment::NEWEST;
         let enrolled = Enrolled { name: wishes.name.clone(), device: id, topics, version, ended: false };
-        let keys = self.issue(owner, &network, &enrolled)?;
+        let keys = self.enrolments.issue(owner, &network, &enrolled)?;
         let fingerprint = trust.pinned.ok_or_else(|| refused("the gateway did not show who it is"))?;
         let enrolment = Enrolment {
             domain: network.domain,
@@ -126,8 +105,8 @@ impl Site {
             keys,
             version,
         };
-        block_in_place(|| self.note_told(owner, &enrolled, &enrolment.keys))?;
-        self.note_enrolled(owner, enrolled)?;
+        block_in_place(|| self.enrolments.note_told(owner, &enrolled, &enrolment.keys))?;
+        self.enrolments.add(owner, enrolled)?;
         let file = block_in_place(|| SealedEnrolment::new(enrolment, &passphrase).and_then(|sealed| sealed.seal()))?;
         self.enrolled_view(&endpoint, fingerprint, id, owner, SecretBytes::new(file))
     }
@@ -140,7 +119,7 @@ impl Site {
         owner: &Owner,
         file: SecretBytes,
     ) -> Result<EnrolledView, Failure> {
-        let enrolled = self.enrolled_devices(owner)?;
+        let enrolled = self.enrolments.of(owner)?;
         let name = enrolled.iter().find(|other| other.device == device).map(|other| other.name.clone());
         let name = name.ok_or_else(|| refused("the device was not noted"))?;
         Ok(EnrolledView { name, device, gateway: clean(&endpoint.address, 255), gateway_key, file })
@@ -181,42 +160,8 @@ impl Site {
         Ok(())
     }
 
-    /// What a device is to seal under, as the owner's own recorder does.
-    pub(in crate::site) fn issue(
-        &self,
-        owner: &Owner,
-        network: &Network,
-        to: &Enrolled,
-    ) -> Result<IssuedKeys, Failure> {
-        let sealing = owner.sealing().filter(|keys| keys.domain == network.domain);
-        let sealing = sealing.ok_or_else(|| refused("no epoch has begun; run `authros register` first"))?;
-        let now = self.issue_of(owner, network, to, sealing.epoch)?;
-        let next = match owner.author.next().filter(|(_, keys)| keys.epoch > sealing.epoch) {
-            Some((moment, keys)) => Some((moment, self.issue_of(owner, network, to, keys.epoch)?)),
-            None => None,
-        };
-        Ok(IssuedKeys { now, next })
-    }
-
-    fn issue_of(&self, owner: &Owner, network: &Network, to: &Enrolled, epoch: u64) -> Result<EpochIssue, Failure> {
-        let lacking = || refused(format!("the keyring has no key of epoch {epoch}"));
-        let key = owner.epoch_key(network.domain, epoch).ok_or_else(lacking)?;
-        let token = owner.token(network.domain, epoch).ok_or_else(lacking)?;
-        let index = owner.index();
-        let of = |topic: &String| {
-            let id = topic_id(&index, topic);
-            let pseudonyms = (to.version > 1).then(|| Pseudonyms { id, filters: filter_key(&index, &id) });
-            (topic.clone(), IssuedTopic { key: topic_key(&key, &id), pseudonyms })
-        };
-        // What it holds back of its topics is counted under a name of its own.
-        let statements = (to.version > 1).then(|| quarantine::TOPIC.to_owned());
-        let keys = to.topics.iter().chain(&statements).map(of).collect();
-        let key = if to.topics.is_empty() { SealingKey::Epoch(key) } else { SealingKey::Topics(keys) };
-        Ok(EpochIssue { epoch, token, ends: self.earliest_expiry(owner, network, epoch), key })
-    }
-
     /// Gives an enrolled robot the keys of more topics; its next notice tells it.
-    pub(in crate::site) async fn add_device_topics(
+    pub(in crate::site) async fn add_topics(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
         device: &str,
@@ -224,7 +169,7 @@ impl Site {
     ) -> Result<DeviceTopicsView, Failure> {
         let network = self.link.network().await?;
         let device = self.lent_device(&network, owner, device)?;
-        let mut all = self.enrolled_devices(owner)?;
+        let mut all = self.enrolments.of(owner)?;
         let enrolled = all.iter_mut().rfind(|enrolled| enrolled.device == device);
         let enrolled = enrolled.ok_or_else(|| {
             refused(format!("device {device} was not enrolled from this home, so its topics are not known here"))
@@ -246,33 +191,9 @@ impl Site {
         }
         let enrolled = enrolled.clone();
         self.log.begin(owner, "device topics", &format!("{device}: {}", added.join(" "))).await?;
-        self.write_enrolled(owner, &all)?;
-        block_in_place(|| self.tell_devices(owner, &network))?;
+        self.enrolments.write(owner, &all)?;
+        block_in_place(|| self.enrolments.tell_devices(owner, &network))?;
         Ok(DeviceTopicsView { name: enrolled.name, device, added, topics: enrolled.topics })
-    }
-
-    /// The robots that this owner has enrolled, oldest first.
-    pub(in crate::site) fn enrolled_devices(&self, owner: &Owner) -> Result<Vec<Enrolled>, Failure> {
-        let text = block_in_place(|| self.plant.ledger.setting(&place(owner)))?;
-        Ok(text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default())
-    }
-
-    fn note_enrolled(&self, owner: &Owner, enrolled: Enrolled) -> Result<(), Failure> {
-        let mut all = self.enrolled_devices(owner)?;
-        all.push(enrolled);
-        self.write_enrolled(owner, &all)
-    }
-
-    /// Notes that a device was recalled.
-    pub(in crate::site) fn note_recalled(&self, owner: &Owner, device: SignerId) -> Result<(), Failure> {
-        let mut all = self.enrolled_devices(owner)?;
-        all.iter_mut().filter(|enrolled| enrolled.device == device).for_each(|enrolled| enrolled.ended = true);
-        self.write_enrolled(owner, &all)
-    }
-
-    fn write_enrolled(&self, owner: &Owner, all: &[Enrolled]) -> Result<(), Failure> {
-        let text = serde_json::to_string(all).unwrap_or_default();
-        Ok(block_in_place(|| self.plant.ledger.put_setting(&place(owner), &text))?)
     }
 }
 
@@ -289,10 +210,6 @@ fn covered(wishes: &EnrolWishes) -> Result<Vec<String>, Failure> {
     topics.sort();
     topics.dedup();
     if topics.len() > MOST_NAMED { Err(input(TOO_MANY)) } else { Ok(topics) }
-}
-
-fn place(owner: &Owner) -> String {
-    format!("enrolled:{}", owner.address)
 }
 
 async fn allocate(

@@ -1,11 +1,19 @@
 //! Devices that may sign for their owner: lent and recalled on the chain.
 
+pub(super) mod enrolled;
 pub(super) mod enrolling;
 mod telling;
 
+use crate::pipeline::Plant;
+use crate::pipeline::Sender;
+use crate::service::hub::Hub;
+use crate::site::audit::Log;
+use crate::site::chain::link::Link;
+use crate::site::devices::enrolled::Enrolments;
+use crate::site::parts::Parts;
+use crate::site::sharing::Sharing;
 use std::sync::Arc;
 
-use super::Site;
 use crate::chain::Call;
 use crate::crypto::Fingerprint;
 use crate::model::{SignerId, Timestamp, bytes::hex};
@@ -18,9 +26,30 @@ use crate::service::reply::{DeviceRow, Failure, TransactionView};
 /// Fewest characters of a device's id that name it.
 const SHORTEST: usize = 8;
 
-impl Site {
+/// Devices that sign for their owners.
+pub(in crate::site) struct Devices {
+    plant: Plant,
+    hub: Arc<Hub>,
+    log: Arc<Log>,
+    link: Arc<Link>,
+    sender: Arc<Sender>,
+    sharing: Arc<Sharing>,
+    enrolments: Arc<Enrolments>,
+    /// Whether the chain is known from a gateway's word alone.
+    is_joined: bool,
+}
+
+impl Devices {
+    /// From the shared parts.
+    pub fn new(parts: &Parts, sharing: Arc<Sharing>, enrolments: Arc<Enrolments>) -> Self {
+        let Parts { plant, hub, log, link, sender, .. } = parts.clone();
+        Self { plant, hub, log, link, sender, sharing, enrolments, is_joined: parts.config.site.is_some() }
+    }
+}
+
+impl Devices {
     /// Lets a device sign for the owner.
-    pub(super) async fn lend_device(
+    pub(super) async fn lend(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
         device: SignerId,
@@ -47,11 +76,7 @@ impl Site {
 
     /// Takes a loan back and begins a new epoch, so that what the device holds opens nothing sealed from now on. Gateways
     /// heed the chain's word: the device's name ends, its subscriptions are cut, its next Command is refused.
-    pub(super) async fn recall_device(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        device: &str,
-    ) -> Result<TransactionView, Failure> {
+    pub(super) async fn recall(self: &Arc<Self>, owner: &Arc<Owner>, device: &str) -> Result<TransactionView, Failure> {
         let network = self.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
         let device = self.lent_device(&network, owner, device)?;
@@ -59,8 +84,8 @@ impl Site {
         // In the keyring before anything is sent: an end in between is taken up at the next start.
         owner.prepare_epoch(network.domain, network.directory.epoch(owner.address) + 1)?;
         let recalled = self.send_recall(owner, &network, device).await?;
-        self.note_recalled(owner, device)?;
-        let rotated = self.next_epoch(owner, &network, "recall").await.map_err(|failure| {
+        self.enrolments.note_recalled(owner, device)?;
+        let rotated = self.sharing.next_epoch(owner, &network, "recall").await.map_err(|failure| {
             let what = "is recalled, but the new epoch is not on the chain yet and what it holds still opens new records; \
                         `authros keys rotate` begins it";
             Failure { message: format!("device {device} {what}: {}", failure.message), ..failure }
@@ -106,7 +131,7 @@ impl Site {
     }
 
     /// Every device ever lent, newest first.
-    pub(super) async fn device_rows(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<Vec<DeviceRow>, Failure> {
+    pub(super) async fn rows(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<Vec<DeviceRow>, Failure> {
         let network = self.link.network().await?;
         let row = |lending: &Lending| DeviceRow {
             device: lending.device,
@@ -127,7 +152,7 @@ impl Site {
     /// The lent device that a person names.
     pub(super) fn lent_device(&self, network: &Network, owner: &Owner, text: &str) -> Result<SignerId, Failure> {
         let lendings = self.lendings(network, owner);
-        let enrolled = self.enrolled_devices(owner)?;
+        let enrolled = self.enrolments.of(owner)?;
         let named = enrolled.iter().rfind(|device| device.name.as_str() == text && !device.ended);
         match named.filter(|named| lendings.iter().any(|loan| loan.device == named.device && loan.recalled.is_none())) {
             Some(named) => Ok(named.device),

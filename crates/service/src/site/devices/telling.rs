@@ -1,18 +1,18 @@
 //! The owner's end of notices: whenever what an enrolled robot should seal under has changed, a record for it alone.
 
-use super::enrolling::Enrolled;
+use super::enrolled::Enrolled;
+use super::enrolled::Enrolments;
 use crate::crypto::{IssuedKeys, Notice, OwnerKeyChange, notice_key, notice_topic};
 use crate::model::{PublicKey, RecordKind, Timestamp};
 use crate::pipeline::authority::{Moment, may_sign};
 use crate::pipeline::statement::{self, Speaker, Statement};
 use crate::pipeline::{Network, Owner};
 use crate::service::reply::Failure;
-use crate::site::Site;
 
 /// What the head of a notice says its type is.
 const TYPE: &str = "authros/Keys";
 
-impl Site {
+impl Enrolments {
     /// Seals a notice for each lent robot that does not know what it should seal under. A function of ledger and
     /// keyring: called again, it does what is left.
     ///
@@ -20,7 +20,7 @@ impl Site {
     /// Of ledger and vault.
     pub(in crate::site) fn tell_devices(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
         let sealing = owner.sealing().is_some_and(|keys| keys.domain == network.domain);
-        for device in self.enrolled_devices(owner)?.iter().filter(|_| sealing) {
+        for device in self.of(owner)?.iter().filter(|_| sealing) {
             let now = Moment::newest(network.directory.now());
             if device.ended || may_sign(&network.directory, owner.address, device.device, now).is_err() {
                 continue;
@@ -55,7 +55,7 @@ impl Site {
         let old = owner.signing().public;
         let change = OwnerKeyChange::sign(&network.domain, &owner.eoa(), old, *new)?;
         let (epoch, told) = (network.directory.epoch(owner.address), format!("{old} {new}"));
-        for device in self.enrolled_devices(owner)? {
+        for device in self.of(owner)? {
             let place = format!("rekeyed:{}:{}", owner.address, device.device);
             let now = Moment::newest(network.directory.now());
             let lent = may_sign(&network.directory, owner.address, device.device, now).is_ok();

@@ -1,8 +1,8 @@
-//! What an operator asks of the site itself: locking, a backup of the keys, a look at the gateway.
+//! A look at the gateway of this site: who is connected, what was refused.
 
+use super::Gateway;
 use std::collections::BTreeMap;
 use std::sync::{Arc, PoisonError};
-use std::time::Duration;
 
 use tokio::task::block_in_place;
 
@@ -10,16 +10,7 @@ use crate::gateway::ServerWatch;
 use crate::gateway::tally::Sender;
 use crate::model::{Address, ProfileName, Timestamp};
 use crate::pipeline::Owner;
-use crate::service::command::{self as ask, Ask, Operation, SecretBytes};
-use crate::service::event::Part;
-use crate::service::failure::{input, internal};
-use crate::service::reply::{
-    Failure, GatewayStatusView, GatewayView, IdentityView, RefusedView, Reply, SenderView, SystemKeyView,
-};
-use crate::site::{Site, blocking};
-
-/// How long a change under way may hold up the locking.
-const PATIENCE: Duration = Duration::from_secs(10);
+use crate::service::reply::{Failure, GatewayStatusView, GatewayView, RefusedView, SenderView, SystemKeyView};
 
 /// A gateway at work: what is told of it, and a look at its server.
 pub(in crate::site) struct Serving {
@@ -31,67 +22,20 @@ pub(in crate::site) struct Serving {
     pub under: super::KeptUnder,
 }
 
-impl Site {
-    /// Answers one of an operator's requests; none needs the keyring open.
-    pub(in crate::site) async fn operate(
-        self: &Arc<Self>,
-        profile: &ProfileName,
-        operation: Operation,
-    ) -> Result<Reply, Failure> {
-        match operation {
-            Operation::Lock => self.lock_profile(profile).await.map(ask::Lock::told),
-            Operation::BackUpKeys => self.back_up_keys(profile).await.map(ask::BackUpKeys::told),
-            Operation::GatewayStatus => self.gateway_status().map(ask::GatewayStatus::told),
-            Operation::Admit { owner } => self.admit(profile, &owner).await.map(ask::Admit::told),
-            Operation::Dismiss { owner } => self.dismiss(profile, &owner).await.map(ask::Dismiss::told),
-            Operation::ListAdmitted => self.admitted_rows().map(ask::ListAdmitted::told),
-        }
-    }
-
-    /// Wipes what decrypts, grants and revokes. A change of epochs or grants under way is waited for a moment: without
-    /// its keys it could not be finished.
-    async fn lock_profile(self: &Arc<Self>, profile: &ProfileName) -> Result<IdentityView, Failure> {
-        if let Some(owner) = self.owners.get(profile).filter(|owner| !owner.is_locked()) {
-            {
-                // One that hangs is cut: what it leaves open is taken up at the next unlock.
-                let _one_at_a_time = tokio::time::timeout(PATIENCE, owner.changes.lock()).await.ok();
-                if let Some(network) = self.link.network_now() {
-                    block_in_place(|| self.foresee_locked(&owner, &network))?;
-                }
-                owner.lock(self.plant.provider)?;
-                self.reading.forget();
-            }
-            self.hub.changed(Part::Identity);
-            self.log.write(profile, "lock", "keyring", "done").await?;
-        }
-        self.identity_view(profile).await
-    }
-
-    async fn back_up_keys(self: &Arc<Self>, profile: &ProfileName) -> Result<SecretBytes, Failure> {
-        let path = self.home.keyring(profile);
-        if !path.exists() {
-            return Err(input(format!("profile '{profile}' has no identity yet; there is nothing to back up")));
-        }
-        self.log.write(profile, "back up keys", "keyring", "begun").await?;
-        let read = move |_: &Self| {
-            std::fs::read(&path).map_err(|error| internal(format!("the keyring cannot be read: {error}")))
-        };
-        Ok(SecretBytes::new(blocking(self, read).await?))
-    }
-
+impl Gateway {
     /// What the transport keys of the gateway that this owner serves here lie under.
     pub(in crate::site) fn kept_under(&self, owner: &Owner) -> Option<super::KeptUnder> {
-        let serving = self.served_gateway.lock().unwrap_or_else(PoisonError::into_inner);
+        let serving = self.serving.lock().unwrap_or_else(PoisonError::into_inner);
         serving
             .as_ref()
             .filter(|serving| serving.view.account == owner.address)
             .map(|serving| Arc::clone(&serving.under))
     }
 
-    fn gateway_status(&self) -> Result<GatewayStatusView, Failure> {
+    pub(in crate::site) fn status(&self) -> Result<GatewayStatusView, Failure> {
         let bound = block_in_place(|| self.plant.ledger.bound_names())?;
         let through = self.remote.as_ref().map(|remote| crate::model::clean(&remote.chain_text(), 300));
-        let serving = self.served_gateway.lock().unwrap_or_else(PoisonError::into_inner);
+        let serving = self.serving.lock().unwrap_or_else(PoisonError::into_inner);
         let Some(serving) = &*serving else {
             let senders = sender_rows(bound, Vec::new());
             return Ok(GatewayStatusView { through, senders, ..GatewayStatusView::default() });

@@ -1,5 +1,6 @@
 //! Whom a change of an SM2 pair touches, said before it is made.
 
+use super::Profiles;
 use std::sync::Arc;
 
 use tokio::task::block_in_place;
@@ -12,9 +13,8 @@ use crate::pipeline::directory::Granted;
 use crate::pipeline::{Network, Owner};
 use crate::service::command::PairKind;
 use crate::service::reply::{Failure, KeyChangeView};
-use crate::site::Site;
 
-impl Site {
+impl Profiles {
     /// Whom it touches, and what happens then; changes nothing.
     pub(in crate::site) async fn foresee_key_change(
         self: &Arc<Self>,
@@ -34,7 +34,7 @@ impl Site {
             sharers: parties(&network.directory.grants_to(me), |grant| grant.terms.owner),
             robots: self.lent_robots(owner, &network)?,
             keeps_gateway: founded == Some(signer_id(&identity)),
-            joined: self.config.site.as_ref().map(|site| clean(&site.address, 255)),
+            joined: self.config.site.as_ref().map(|profiles| clean(&profiles.address, 255)),
             lines: Vec::new(),
         };
         view.lines = match kind {
@@ -47,7 +47,7 @@ impl Site {
     fn lent_robots(&self, owner: &Owner, network: &Network) -> Result<Vec<ProfileName>, Failure> {
         let now = Moment::newest(network.directory.now());
         let lent = |device| may_sign(&network.directory, owner.address, device, now).is_ok();
-        let enrolled = self.enrolled_devices(owner)?.into_iter();
+        let enrolled = self.enrolments.of(owner)?.into_iter();
         Ok(enrolled.filter(|device| lent(device.device)).map(|device| device.name).collect())
     }
 }

@@ -1,5 +1,6 @@
 //! A profile's keys: shown, loaded, handed out.
 
+use super::Profiles;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -13,11 +14,11 @@ use crate::service::command::{KeyKind, SecretBytes, SecretText};
 use crate::service::event::Part;
 use crate::service::failure::{input, refused};
 use crate::service::reply::{EpochView, Failure, KeysView};
-use crate::site::{Site, blocking};
+use crate::site::blocking;
 
-impl Site {
+impl Profiles {
     /// Keys with fingerprints and epochs; no secret.
-    pub(in crate::site) async fn keys_view(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<KeysView, Failure> {
+    pub(in crate::site) async fn keys(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<KeysView, Failure> {
         let (signing, envelope) = owner.public_keys();
         let mut epochs = Vec::new();
         if let Some(network) = self.link.network_now() {
@@ -54,7 +55,7 @@ impl Site {
             KeyKind::Eoa => self.load_eoa(owner, path, passphrase, registered.is_some()).await?,
         };
         self.hub.changed(Part::Identity);
-        self.keys_view(&owner).await
+        self.keys(&owner).await
     }
 
     async fn load_sm4(
@@ -70,7 +71,7 @@ impl Site {
             block_in_place(|| keyring.save())?;
         }
         if registered {
-            self.rotate(owner, "a new SM4 key was loaded").await?;
+            self.sharing.rotate(owner, "a new SM4 key was loaded").await?;
         }
         Ok(Arc::clone(owner))
     }
@@ -96,7 +97,7 @@ impl Site {
         let new = NewPairs { envelope: Some(pair), ..NewPairs::default() };
         self.change_pairs(owner, registered.as_ref(), new).await?;
         self.hub.changed(Part::Identity);
-        self.keys_view(owner).await
+        self.keys(owner).await
     }
 
     /// The network, where the owner is registered on it; nothing where this home has none.
@@ -136,7 +137,7 @@ impl Site {
             keyring.keyring.networks.clear();
             block_in_place(|| keyring.save())?;
         }
-        Ok(self.reopen_owner(owner))
+        Ok(self.reopen(owner))
     }
 
     /// Hands one key out, in the form that other tools read.

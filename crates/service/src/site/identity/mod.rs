@@ -2,13 +2,31 @@
 
 mod foreseeing;
 mod keys;
+mod locking;
 pub(super) mod owners;
 mod pairs;
 mod registration;
 
+use crate::config::Config;
+use crate::paths::Home;
+use crate::pipeline::Plant;
+use crate::pipeline::Recorder;
+use crate::pipeline::Sender;
+use crate::service::hub::Hub;
+use crate::site::audit::Log;
+use crate::site::capture::watches::Watches;
+use crate::site::chain::connection::Connection;
+use crate::site::chain::link::Link;
+use crate::site::devices::enrolled::Enrolments;
+use crate::site::gateway::Gateway;
+use crate::site::identity::owners::Owners;
+use crate::site::parts::Parts;
+use crate::site::pins::Pinning;
+use crate::site::reading::Reading;
+use crate::site::sharing::Sharing;
 use std::sync::Arc;
 
-use super::{Site, blocking};
+use super::blocking;
 use crate::crypto::{Fingerprint, Keyring, Passphrase, UnlockedKeyring, read_public};
 use crate::model::ProfileName;
 use crate::pipeline::{Owner, adoption};
@@ -17,9 +35,64 @@ use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::refused;
 use crate::service::reply::{Failure, IdentityView};
 
-impl Site {
+/// The profiles of a home and their keys.
+pub(in crate::site) struct Profiles {
+    home: Home,
+    config: Arc<Config>,
+    plant: Plant,
+    hub: Arc<Hub>,
+    log: Arc<Log>,
+    owners: Arc<Owners>,
+    link: Arc<Link>,
+    sender: Arc<Sender>,
+    connection: Arc<Connection>,
+    sharing: Arc<Sharing>,
+    enrolments: Arc<Enrolments>,
+    gateway: Arc<Gateway>,
+    reading: Arc<Reading>,
+    pins: Arc<Pinning>,
+    recorder: Arc<Recorder>,
+    watches: Arc<Watches>,
+}
+
+impl Profiles {
+    /// From the shared parts.
+    pub fn new(
+        parts: &Parts,
+        connection: Arc<Connection>,
+        sharing: Arc<Sharing>,
+        enrolments: Arc<Enrolments>,
+        gateway: Arc<Gateway>,
+        reading: Arc<Reading>,
+        pins: Arc<Pinning>,
+        recorder: Arc<Recorder>,
+        watches: Arc<Watches>,
+    ) -> Self {
+        let Parts { home, config, plant, hub, log, owners, link, sender, .. } = parts.clone();
+        Self {
+            home,
+            config,
+            plant,
+            hub,
+            log,
+            owners,
+            link,
+            sender,
+            connection,
+            sharing,
+            enrolments,
+            gateway,
+            reading,
+            pins,
+            recorder,
+            watches,
+        }
+    }
+}
+
+impl Profiles {
     /// Makes keys and a keyring for a new profile, and opens it.
-    pub(super) async fn create_identity(
+    pub(super) async fn create(
         self: &Arc<Self>,
         profile: ProfileName,
         secret: SecretText,
@@ -31,14 +104,14 @@ impl Site {
             )));
         }
         let passphrase = Passphrase::new(secret.expose().to_owned())?;
-        let unlocked = blocking(self, move |site| {
-            let keyring = Keyring::generate(site.plant.provider)?;
+        let unlocked = blocking(self, move |profiles| {
+            let keyring = Keyring::generate(profiles.plant.provider)?;
             Ok(UnlockedKeyring::create(keyring, &path, &passphrase)?)
         })
         .await?;
-        self.adopt_owner(profile.clone(), unlocked);
+        self.open(profile.clone(), unlocked);
         self.log.write(&profile, "create identity", "keys", "done").await?;
-        self.identity_view(&profile).await
+        self.view(&profile).await
     }
 
     /// Opens the keyring of a profile for this site.
@@ -56,14 +129,14 @@ impl Site {
             self.log.write(&profile, "unlock", "keyring", outcome).await?;
             match there {
                 Some(owner) => owner.unlock(opened?),
-                None => drop(self.adopt_owner(profile.clone(), opened?)),
+                None => drop(self.open(profile.clone(), opened?)),
             }
             self.hub.changed(Part::Identity);
         }
         if let (Some(owner), Some(_)) = (self.owners.get(&profile), self.link.network_now()) {
-            self.resume_owner(&owner).await?;
+            self.resume(&owner).await?;
         }
-        self.identity_view(&profile).await
+        self.view(&profile).await
     }
 
     /// Protects a keyring by another passphrase. The file is replaced in one step: it opens with the one or the other.
@@ -102,12 +175,12 @@ impl Site {
     }
 
     /// Puts an open keyring into the site, in place of the profile's former one.
-    pub(super) fn adopt_owner(self: &Arc<Self>, profile: ProfileName, keyring: UnlockedKeyring) -> Arc<Owner> {
+    pub(super) fn open(self: &Arc<Self>, profile: ProfileName, keyring: UnlockedKeyring) -> Arc<Owner> {
         let owner = Arc::new(Owner::new(profile.clone(), keyring));
         self.pins.introduce(&owner);
         self.owners.insert(&owner);
         self.seal_as_before(&owner);
-        self.restore_watches(&owner);
+        self.watches.restore(&owner);
         self.hub.changed(Part::Identity);
         owner
     }
@@ -115,7 +188,7 @@ impl Site {
     /// Seals under the newest epoch of the keyring until the chain says how it stands, so that a start costs no message
     /// and capture needs no chain; only where the chain is known to have an epoch of this owner.
     fn seal_as_before(&self, owner: &Owner) {
-        let Ok(Some(pin)) = self.pin() else { return };
+        let Ok(Some(pin)) = self.connection.pin() else { return };
         let domain = adoption::domain_of(&pin);
         let newest = owner.epochs(domain).last().copied().filter(|_| owner.has_registered_epoch(domain));
         if let Some(Err(error)) = newest.map(|epoch| owner.seal_under(domain, epoch)) {
@@ -124,13 +197,13 @@ impl Site {
     }
 
     /// Opens an owner anew after its account changed.
-    pub(super) fn reopen_owner(self: &Arc<Self>, owner: &Arc<Owner>) -> Arc<Owner> {
+    pub(super) fn reopen(self: &Arc<Self>, owner: &Arc<Owner>) -> Arc<Owner> {
         let keyring = owner.keyring().duplicate();
-        self.adopt_owner(owner.profile.clone(), keyring)
+        self.open(owner.profile.clone(), keyring)
     }
 
     /// The public side of a profile; needs no passphrase.
-    pub(super) async fn identity_view(self: &Arc<Self>, profile: &ProfileName) -> Result<IdentityView, Failure> {
+    pub(super) async fn view(self: &Arc<Self>, profile: &ProfileName) -> Result<IdentityView, Failure> {
         let path = self.home.keyring(profile);
         let owner = self.owners.get(profile);
         let mut view = IdentityView {

@@ -1,6 +1,7 @@
 //! Changes of an owner's SM2 pairs. The new pair is saved first; robots hear of a new P_C from the old one and the
 //! account; then the chain; then it takes its place. Each step can be cut: the next unlock does what is missing.
 
+use super::Profiles;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -13,7 +14,6 @@ use crate::model::{RecordState, SignerId};
 use crate::pipeline::{Network, Owner};
 use crate::service::failure::refused;
 use crate::service::reply::Failure;
-use crate::site::Site;
 use crate::store::{RecordQuery, RecordRow};
 
 /// How long a change of the signing key waits for records that the old one signed.
@@ -32,7 +32,7 @@ pub(in crate::site) struct NewPairs {
     pub envelope: Option<SmKeyPair>,
 }
 
-impl Site {
+impl Profiles {
     /// Replaces pairs; on the chain too, where `network` is given: the owner is registered there.
     pub(in crate::site) async fn change_pairs(
         self: &Arc<Self>,
@@ -104,14 +104,14 @@ impl Site {
             return self.send_pairs(owner, network, signing, envelope).await;
         }
         self.nothing_is_captured(owner)?;
-        block_in_place(|| self.tell_owner_key(owner, network, &signing.public))?;
+        block_in_place(|| self.enrolments.tell_owner_key(owner, network, &signing.public))?;
         self.drain(owner).await?;
         let sealing = owner.sealing();
         owner.author.rest();
         let sent = self.send_pairs(owner, network, signing, envelope).await;
         if let (Err(_), Some(keys)) = (&sent, sealing) {
             owner.author.seal_under(keys);
-            self.foresee_expiry(owner, network, None)?;
+            self.sharing.foresee_expiry(owner, network, None)?;
         }
         sent
     }
@@ -164,13 +164,13 @@ impl Site {
         let epoch = network.directory.epoch(owner.address);
         let newest = owner.epochs(network.domain).last().copied().unwrap_or(epoch);
         owner.seal_under(network.domain, newest)?;
-        self.foresee_expiry(owner, network, None)
+        self.sharing.foresee_expiry(owner, network, None)
     }
 
     /// Transport keys that this owner's gateway keeps are sealed under its present pair.
     fn reseal_kept(&self, owner: &Owner) -> Result<(), Failure> {
         let (pairs, provider, ledger) = (owner.envelopes(), self.plant.provider, &self.plant.ledger);
-        let under = self.kept_under(owner);
+        let under = self.gateway.kept_under(owner);
         // Nothing is bound meanwhile.
         let mut held = under.as_ref().map(|under| under.write().unwrap_or_else(std::sync::PoisonError::into_inner));
         let Some((present, former)) = pairs.split_first() else { return Ok(()) };

@@ -1,5 +1,6 @@
 //! Registration: the profile's public identity on the chain, and its epochs taken up again.
 
+use super::Profiles;
 use std::sync::Arc;
 
 use crate::chain::Call;
@@ -7,19 +8,18 @@ use crate::crypto::prove;
 use crate::pipeline::{Network, Owner};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::reply::{Failure, IdentityView};
-use crate::site::Site;
 
-impl Site {
+impl Profiles {
     /// Registers the owner's identity; nothing is sent where the chain has it already.
     pub(in crate::site) async fn register(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<IdentityView, Failure> {
-        let network = self.network_or_deploy(owner).await?;
+        let network = self.connection.network_or_deploy(owner).await?;
         let _one_at_a_time = owner.changes.lock().await;
         if network.directory.identity(owner.address).is_err() {
-            self.fund(&network.chain, owner).await?;
+            self.connection.fund(&network.chain, owner).await?;
             self.send_registration(owner, &network).await?;
         }
         self.take_up_epoch(owner, &network).await?;
-        self.identity_view(&owner.profile).await
+        self.view(&owner.profile).await
     }
 
     async fn send_registration(self: &Arc<Self>, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
@@ -37,7 +37,7 @@ impl Site {
 
     /// Takes up where the owner's epochs stand on the chain: seals under the current one, or
     /// finishes one that was begun and never reached the chain; re-wraps what readers lack.
-    pub(in crate::site) async fn resume_owner(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<(), Failure> {
+    pub(in crate::site) async fn resume(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<(), Failure> {
         let network = self.link.network().await?;
         if network.directory.identity(owner.address).is_err() {
             return Ok(());
@@ -46,19 +46,19 @@ impl Site {
             let _one_at_a_time = owner.changes.lock().await;
             self.take_up_epoch(owner, &network).await?;
         }
-        let site = Arc::clone(self);
+        let profiles = Arc::clone(self);
         let owner = Arc::clone(owner);
         tokio::spawn(async move {
             let pairs = async {
-                let network = site.link.network().await?;
+                let network = profiles.link.network().await?;
                 let _one_at_a_time = owner.changes.lock().await;
-                site.finish_pairs(&owner, &network).await
+                profiles.finish_pairs(&owner, &network).await
             };
             if let Err(failure) = pairs.await {
-                site.hub.notice(NoticeLevel::Error, &format!("the change of an SM2 key: {}", failure.message));
+                profiles.hub.notice(NoticeLevel::Error, &format!("the change of an SM2 key: {}", failure.message));
             }
-            if let Err(failure) = site.finish_epoch(&owner).await {
-                site.hub.notice(NoticeLevel::Error, &failure.message);
+            if let Err(failure) = profiles.sharing.finish_epoch(&owner).await {
+                profiles.hub.notice(NoticeLevel::Error, &failure.message);
             }
         });
         Ok(())
@@ -82,7 +82,7 @@ impl Site {
         if owner.sealing().is_none_or(|keys| keys.domain != network.domain || keys.epoch < newest) {
             owner.seal_under(network.domain, newest)?;
         }
-        self.foresee_expiry(owner, network, None)?;
+        self.sharing.foresee_expiry(owner, network, None)?;
         self.hub.changed(Part::Identity);
         Ok(())
     }

@@ -3,6 +3,13 @@
 
 pub(super) mod remote;
 
+use crate::paths::Home;
+use crate::pipeline::Plant;
+use crate::service::hub::Hub;
+use crate::site::chain::link::Link;
+use crate::site::identity::owners::Owners;
+use crate::site::lifetime::Lifetime;
+use crate::site::parts::Parts;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -10,7 +17,6 @@ use std::time::{Duration, Instant};
 use tokio::sync::mpsc;
 use tokio::task::block_in_place;
 
-use super::Site;
 use super::supervision::Aborted;
 use crate::gateway::{Client, Code, Entry, Fetched, GatewayError, Query, Selection, Standing};
 use crate::model::{Address, Timestamp};
@@ -67,7 +73,36 @@ impl From<Failure> for Broken {
 
 type Fed = Result<(Entry, Fetched), GatewayError>;
 
-impl Site {
+/// The site that this one joins through its gateway, where it joins one.
+pub(in crate::site) struct Joined {
+    home: Home,
+    plant: Plant,
+    hub: Arc<Hub>,
+    owners: Arc<Owners>,
+    link: Arc<Link>,
+    life: Arc<Lifetime>,
+    remote: Option<Arc<Remote>>,
+}
+
+impl Joined {
+    /// From the shared parts.
+    pub fn new(parts: &Parts, remote: Option<Arc<Remote>>) -> Self {
+        let Parts { home, plant, hub, owners, link, life, .. } = parts.clone();
+        Self { home, plant, hub, owners, link, life, remote }
+    }
+}
+
+impl Joined {
+    /// Whether this site joins another one.
+    pub fn is_joined(&self) -> bool {
+        self.remote.is_some()
+    }
+
+    /// Where the chain comes from, in words, where that is the other site.
+    pub fn chain_text(&self) -> Option<String> {
+        self.remote.as_ref().map(|remote| remote.chain_text())
+    }
+
     /// Mirrors a profile's records until its owner is closed or the site ends.
     pub(super) async fn mirror(self: Arc<Self>, owner: Arc<Owner>) {
         let Some(remote) = &self.remote else { return };
@@ -330,10 +365,10 @@ struct Place {
 }
 
 impl Place {
-    fn load(site: &Site, mirror: &Mirror<'_>, source: Address) -> Result<Self, Failure> {
+    fn load(joined: &Joined, mirror: &Mirror<'_>, source: Address) -> Result<Self, Failure> {
         let (domain, me, keeper) = (mirror.network.domain, mirror.reader.address, mirror.keeper);
         let name = format!("mirror:{domain}:{keeper}:{me}:{source}");
-        let text = block_in_place(|| site.plant.ledger.setting(&name))?.unwrap_or_default();
+        let text = block_in_place(|| joined.plant.ledger.setting(&name))?.unwrap_or_default();
         let (newest, whole) = text.split_once(' ').unwrap_or_default();
         let number = |text: &str| text.parse().unwrap_or(0);
         Ok(Self { newest: number(newest), whole: number(whole), name })
@@ -345,8 +380,8 @@ impl Place {
         if due { 0 } else { self.newest.saturating_sub(LATE) }
     }
 
-    fn save(&self, site: &Site) -> Result<(), Failure> {
+    fn save(&self, joined: &Joined) -> Result<(), Failure> {
         let text = format!("{} {}", self.newest, self.whole);
-        Ok(block_in_place(|| site.plant.ledger.put_setting(&self.name, &text))?)
+        Ok(block_in_place(|| joined.plant.ledger.put_setting(&self.name, &text))?)
     }
 }

@@ -1,6 +1,7 @@
 //! A site that joins another one through its gateway: the chain and the records come from there, and their operator's
 //! word has to be taken for the chain. What follows from signatures and digests is checked here all the same.
 
+use super::Joined;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -22,7 +23,6 @@ use crate::pipeline::{Network, Owner};
 use crate::service::event::NoticeLevel;
 use crate::service::failure::{internal, refused};
 use crate::service::reply::Failure;
-use crate::site::Site;
 use crate::site::chain::connection::Lost;
 
 /// How long a gateway may take to answer.
@@ -182,7 +182,7 @@ impl Remote {
     }
 }
 
-impl Site {
+impl Joined {
     /// Waits until what the gateway has for a profile is here; at once where this site joins none.
     ///
     /// # Errors

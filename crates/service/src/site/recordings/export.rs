@@ -6,7 +6,7 @@ use std::sync::Arc;
 use tokio::task::block_in_place;
 
 use super::writing::Draft;
-use super::{Run, Site};
+use super::{Recordings, Run};
 use crate::crypto::OpenedRecord;
 use crate::model::{Address, Digest, ErrorKind, RecordKind, Scope, Timestamp, TopicPattern, Verdict, clean};
 use crate::pipeline::reader::{Reader, is_held};
@@ -37,7 +37,7 @@ struct Export<'a> {
     view: ExportView,
 }
 
-impl Site {
+impl Recordings {
     pub(super) async fn export_recording(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
@@ -108,7 +108,7 @@ impl Site {
         let mut seen = 0;
         loop {
             let asked = query.clone();
-            let page = blocking(self, move |site| Ok(site.plant.ledger.list(&asked)?)).await?;
+            let page = blocking(self, move |recordings| Ok(recordings.plant.ledger.list(&asked)?)).await?;
             for row in &page.rows {
                 export.take(&reader, row).await?;
                 seen += 1;

@@ -1,6 +1,7 @@
 //! Epochs: beginning a new one at a revoke, a rotation or an expiry, and the re-wrap of the
 //! surviving readers' keys. The recorder switches before the transaction is sent.
 
+use super::Sharing;
 use std::sync::Arc;
 
 use crate::chain::Call;
@@ -11,12 +12,11 @@ use crate::pipeline::{Network, Owner, authority};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::refused;
 use crate::service::reply::{Failure, TransactionView};
-use crate::site::Site;
 
 /// Envelopes a `wrap` transaction carries at most, to stay below 32 KB.
 const ENVELOPES_A_CALL: usize = 8;
 
-impl Site {
+impl Sharing {
     /// Begins a new epoch.
     pub(in crate::site) async fn rotate(
         self: &Arc<Self>,

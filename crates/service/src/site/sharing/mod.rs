@@ -1,13 +1,23 @@
 //! Granting and revoking, and the list of who may read what.
 
 mod epochs;
-mod overdue;
+pub(super) mod overdue;
 mod revoking;
 
+use crate::pipeline::Plant;
+use crate::pipeline::Sender;
+use crate::service::hub::Hub;
+use crate::site::audit::Log;
+use crate::site::chain::link::Link;
+use crate::site::contacts::Contacts;
+use crate::site::devices::enrolled::Enrolments;
+use crate::site::identity::owners::Owners;
+use crate::site::lifetime::Lifetime;
+use crate::site::mirror::Joined;
+use crate::site::parts::Parts;
+use crate::store::Reserve;
 use std::sync::Arc;
 
-use super::Site;
-use super::contacts::Contacts;
 use crate::chain::Call;
 use crate::gateway::GrantNotice;
 use crate::model::grant::MOST_TOPICS;
@@ -20,7 +30,36 @@ use crate::service::failure::{input, refused};
 use crate::service::reply::{Direction, Failure, GrantRow, TransactionView};
 use crate::store::RecordRow;
 
-impl Site {
+/// Who may read what of this home's owners.
+pub(in crate::site) struct Sharing {
+    plant: Plant,
+    hub: Arc<Hub>,
+    log: Arc<Log>,
+    owners: Arc<Owners>,
+    link: Arc<Link>,
+    life: Arc<Lifetime>,
+    sender: Arc<Sender>,
+    contacts: Arc<Contacts>,
+    enrolments: Arc<Enrolments>,
+    joined: Arc<Joined>,
+    reserve: Arc<Reserve>,
+}
+
+impl Sharing {
+    /// From the shared parts.
+    pub fn new(
+        parts: &Parts,
+        contacts: Arc<Contacts>,
+        enrolments: Arc<Enrolments>,
+        joined: Arc<Joined>,
+        reserve: Arc<Reserve>,
+    ) -> Self {
+        let Parts { plant, hub, log, owners, link, life, sender, .. } = parts.clone();
+        Self { plant, hub, log, owners, link, life, sender, contacts, enrolments, joined, reserve }
+    }
+}
+
+impl Sharing {
     /// Shares with an account: its envelope goes on the chain.
     pub(super) async fn grant(
         self: &Arc<Self>,
@@ -66,7 +105,7 @@ impl Site {
         let sent = self.log.end(owner, "grant", &grantee.to_string(), sent.map_err(Failure::from)).await;
         let (transaction, receipt) = sent?;
         let notice = GrantNotice { grantee, epoch, expiry: expires.map_or(0, Timestamp::seconds), transaction };
-        self.tell_of_grant(owner, &network, notice).await;
+        self.joined.tell_of_grant(owner, &network, notice).await;
         self.link.scanned(receipt.block).await;
         self.hub.changed(Part::Grants);
         let what = if names.is_empty() { "all topics".to_owned() } else { names.join(", ") };
@@ -159,7 +198,7 @@ impl Site {
     }
 
     /// Grants given and received.
-    pub(super) async fn grant_rows(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<Vec<GrantRow>, Failure> {
+    pub(super) async fn rows(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<Vec<GrantRow>, Failure> {
         let network = self.link.network().await?;
         let me = owner.address;
         let grants = tokio::task::block_in_place(|| kept::history(&self.plant.ledger, &network.directory, me))?;

@@ -1,7 +1,10 @@
 //! What the chain is still owed: epochs that ended by an expiry, revocations that did not reach it,
 //! envelopes that readers lack. All of it is sent again until it stands there.
 
+use super::Sharing;
+use std::collections::HashMap;
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use tokio::task::block_in_place;
 
@@ -9,13 +12,16 @@ use crate::chain::Call;
 use crate::model::{Address, Timestamp};
 use crate::pipeline::directory::Granted;
 use crate::pipeline::{Network, Owner};
+use crate::service::event::NoticeLevel;
 use crate::service::reply::{Failure, TransactionView};
-use crate::site::Site;
 
 /// How long before an expiry the next epoch is readied, nanoseconds.
 const FORESIGHT: u64 = 60_000_000_000;
 
-impl Site {
+/// The longest pause between two attempts to send what the chain is owed.
+const LONGEST_REST: Duration = Duration::from_secs(8);
+
+impl Sharing {
     /// Readies the end of the sealing epoch where a grant that covers it runs out soon, or did while
     /// nobody looked: from that moment on records are sealed under the next epoch, whether or not the
     /// chain answers. `also` is an expiry that is not on the chain yet.
@@ -28,7 +34,7 @@ impl Site {
         let Some(epoch) = owner.sealing().filter(|keys| keys.domain == network.domain).map(|keys| keys.epoch) else {
             return Ok(());
         };
-        let earliest = self.earliest_expiry(owner, network, epoch).into_iter().chain(also).min();
+        let earliest = earliest_expiry(owner, network, epoch).into_iter().chain(also).min();
         if let Some(moment) = earliest.filter(|moment| moment.0 < network.directory.now().0 + FORESIGHT) {
             owner.prepare_epoch(network.domain, epoch + 1)?;
             owner.seal_from(moment, network.domain, epoch + 1)?;
@@ -41,18 +47,11 @@ impl Site {
         let Some(epoch) = owner.sealing().filter(|keys| keys.domain == network.domain).map(|keys| keys.epoch) else {
             return Ok(());
         };
-        if let Some(moment) = self.earliest_expiry(owner, network, epoch) {
+        if let Some(moment) = earliest_expiry(owner, network, epoch) {
             owner.prepare_epoch(network.domain, epoch + 1)?;
             owner.seal_from(moment, network.domain, epoch + 1)?;
         }
         Ok(())
-    }
-
-    /// When the first of the grants that cover an epoch runs out.
-    pub(in crate::site) fn earliest_expiry(&self, owner: &Owner, network: &Network, epoch: u64) -> Option<Timestamp> {
-        let grants = network.directory.grants_of(owner.address);
-        let covering = grants.iter().filter(|grant| grant.is_wrapped(epoch));
-        covering.filter_map(Granted::expiry).min()
     }
 
     /// Sends what is overdue: the next epoch where a grant that covers the current one has run out or records
@@ -63,7 +62,7 @@ impl Site {
         network: &Network,
     ) -> Result<(), Failure> {
         self.foresee_expiry(owner, network, None)?;
-        block_in_place(|| self.tell_devices(owner, network))?;
+        block_in_place(|| self.enrolments.tell_devices(owner, network))?;
         if !self.is_behind(owner, network)? && self.lacking(owner, network)?.is_empty() {
             return Ok(());
         }
@@ -143,4 +142,41 @@ impl Site {
 
 fn owed_key(owner: &Owner) -> String {
     format!("revoking:{}", owner.address)
+}
+
+/// When the first of the grants that cover an epoch runs out.
+pub(in crate::site) fn earliest_expiry(owner: &Owner, network: &Network, epoch: u64) -> Option<Timestamp> {
+    let grants = network.directory.grants_of(owner.address);
+    let covering = grants.iter().filter(|grant| grant.is_wrapped(epoch));
+    covering.filter_map(Granted::expiry).min()
+}
+
+impl Sharing {
+    /// Sends what the chain is owed, and after a failure again with growing pauses.
+    pub(in crate::site) async fn keep_settled(self: Arc<Self>) {
+        let mut resting: HashMap<Address, (Instant, Duration)> = HashMap::new();
+        while !self.life.is_stopping() {
+            if !self.life.beat(Duration::from_secs(1)).await {
+                return;
+            }
+            let Some(network) = self.link.network_now() else { continue };
+            // What is overdue needs keys that a locked keyring does not have; keys sealed ahead hold without them.
+            for owner in self.owners.all().into_iter().filter(|owner| !owner.is_locked()) {
+                if resting.get(&owner.address).is_some_and(|(until, _)| Instant::now() < *until) {
+                    continue;
+                }
+                let Err(failure) = self.settle_overdue(&owner, &network).await else {
+                    resting.remove(&owner.address);
+                    continue;
+                };
+                let pause = resting.get(&owner.address).map_or(Duration::from_secs(2), |(_, pause)| *pause * 2);
+                let pause = pause.min(LONGEST_REST);
+                resting.insert(owner.address, (Instant::now() + pause, pause));
+                self.hub.notice(
+                    NoticeLevel::Error,
+                    &format!("the end of a grant of {} is not on the chain yet: {}", owner.profile, failure.message),
+                );
+            }
+        }
+    }
 }

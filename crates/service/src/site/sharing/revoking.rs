@@ -1,5 +1,6 @@
 //! Taking a grant back, also on a full disk: then out of the space that was set aside for it.
 
+use super::Sharing;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -10,12 +11,12 @@ use crate::pipeline::{Network, Owner};
 use crate::service::event::NoticeLevel;
 use crate::service::failure::refused;
 use crate::service::reply::{Failure, TransactionView};
-use crate::site::{Site, blocking};
+use crate::site::blocking;
 
 /// How long the watcher may take to see what a first attempt brought to the chain.
 const PATIENCE: Duration = Duration::from_secs(30);
 
-impl Site {
+impl Sharing {
     /// Stops sharing with an account. What it has read cannot be recalled.
     pub(in crate::site) async fn revoke(
         self: &Arc<Self>,
@@ -35,7 +36,7 @@ impl Site {
             Err(failure) => failure,
         };
         // Only a disk that takes no more is helped by space.
-        if failure.kind != ErrorKind::Home || !blocking(self, |site| Ok(site.reserve.release()?)).await? {
+        if failure.kind != ErrorKind::Home || !blocking(self, |sharing| Ok(sharing.reserve.release()?)).await? {
             return Err(failure);
         }
         let _space_is_for_this = self.plant.ledger.hold_records();
@@ -61,7 +62,7 @@ impl Site {
         })?;
         if let (Some(transaction), Some(token)) = (view.transaction, owner.token(network.domain, view.epoch)) {
             let notice = RevokeNotice { grantee, epoch: view.epoch, token, transaction };
-            self.tell_of_revoke(owner, network, notice).await;
+            self.joined.tell_of_revoke(owner, network, notice).await;
         }
         self.settle_revocation(owner, grantee)?;
         Ok(told(grantee, view))
