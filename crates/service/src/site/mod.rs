@@ -25,6 +25,10 @@ mod sharing;
 mod status;
 mod storage;
 mod supervision;
+#[cfg(test)]
+mod supervision_tests;
+#[cfg(test)]
+mod testing;
 mod workers;
 
 use std::collections::HashSet;
@@ -174,63 +178,51 @@ impl Site {
         let recorder = Arc::new(recorder);
         let remote = config.site.as_ref().map(|site| Remote::new(site, &parts.home, plant.provider)).transpose()?;
         let remote = remote.map(Arc::new);
-        let of = Parts::clone(&parts);
-        let ros = Arc::new(RosSide::new(&of, Arc::clone(&recorder), needs.ros));
-        let sealer = Arc::new(SealerThread::new(&of, Arc::clone(&rings), Arc::clone(&losses)));
-        let lanes = Arc::new(Lanes::new(&of));
-        let connection = Arc::new(Connection::new(&of, remote.clone()));
-        let joined = Arc::new(Joined::new(&of, remote.clone()));
-        let contacts = Arc::new(Contacts::new(&of));
-        let pins = Arc::new(Pinning::new(&of, judges));
-        let reading = Arc::new(Reading::new(&of, Arc::clone(&contacts)));
-        let quarantine = Arc::new(Quarantine::new(&of, Arc::clone(&reading)));
-        let enrolments = Arc::new(Enrolments::new(&of));
-        let asked = (Arc::clone(&contacts), Arc::clone(&enrolments), Arc::clone(&joined), Arc::clone(&reserve));
-        let sharing = Arc::new(Sharing::new(&of, asked.0, asked.1, asked.2, asked.3));
-        let devices = Arc::new(Devices::new(&of, Arc::clone(&sharing), Arc::clone(&enrolments)));
-        let admissions = Arc::new(Admissions::new(&of, Arc::clone(&contacts)));
-        let gateway = Gateway::new(&of, Arc::clone(&sharing), Arc::clone(&admissions), remote.clone());
-        let gateway = Arc::new(gateway);
-        let watches = Arc::new(Watches::new(&of, Arc::clone(&recorder), Arc::clone(&ros)));
-        let profiles = Arc::new(Profiles::new(
-            &of,
-            Arc::clone(&connection),
-            Arc::clone(&sharing),
-            enrolments,
-            Arc::clone(&gateway),
-            Arc::clone(&reading),
-            Arc::clone(&pins),
-            Arc::clone(&recorder),
-            Arc::clone(&watches),
-        ));
-        let capture = Arc::new(Capture::new(
-            &of,
-            Arc::clone(&recorder),
-            Arc::clone(&losses),
-            Arc::clone(&ros),
-            watches,
-            Arc::clone(&profiles),
-            Arc::clone(&pins),
-        ));
-        let recordings = Recordings::new(
-            &of,
-            Arc::clone(&contacts),
-            Arc::clone(&reading),
-            Arc::clone(&capture),
-            Arc::clone(&profiles),
-            Arc::clone(&joined),
-            Arc::clone(&sealer),
-            Arc::clone(&rings),
-        );
-        let (lanes_of, connection_of) = (Arc::clone(&lanes), Arc::clone(&connection));
+        let of = &parts;
+        let ros = Arc::new(RosSide::new(of, &recorder, needs.ros));
+        let sealer = Arc::new(SealerThread::new(of, &rings, &losses));
+        let lanes = Arc::new(Lanes::new(of));
+        let connection = Arc::new(Connection::new(of, remote.clone()));
+        let joined = Arc::new(Joined::new(of, remote.clone()));
+        let contacts = Arc::new(Contacts::new(of));
+        let pins = Arc::new(Pinning::new(of, &judges));
+        let reading = Arc::new(Reading::new(of, &contacts));
+        let quarantine = Arc::new(Quarantine::new(of, &reading));
+        let enrolments = Arc::new(Enrolments::new(of));
+        let sharing = Arc::new(Sharing::new(of, &contacts, &enrolments, &joined, &reserve));
+        let admissions = Arc::new(Admissions::new(of, &contacts));
+        let gateway = Arc::new(Gateway::new(of, &sharing, &admissions, remote.clone()));
+        let watches = Arc::new(Watches::new(of, &recorder, &ros));
+        let asked = identity::Asked {
+            connection: &connection,
+            sharing: &sharing,
+            enrolments: &enrolments,
+            gateway: &gateway,
+            reading: &reading,
+            pins: &pins,
+            recorder: &recorder,
+            watches: &watches,
+        };
+        let profiles = Arc::new(Profiles::new(of, &asked));
+        let capture = Arc::new(Capture::new(of, &recorder, &losses, &ros, &watches, &profiles, &pins));
+        let asked = recordings::Asked {
+            contacts: &contacts,
+            reading: &reading,
+            capture: &capture,
+            profiles: &profiles,
+            joined: &joined,
+            sealer: &sealer,
+            rings: &rings,
+        };
         Ok(Self {
-            administering: Arc::new(Administering::new(&of, Arc::clone(&contacts))),
-            adoption: Arc::new(Adoption::new(&of, lanes_of, connection_of, Arc::clone(&profiles), remote)),
-            audit: Arc::new(Audit::new(&of, reserve)),
-            backup: Arc::new(Backup::new(&of, Arc::clone(&quarantine))),
-            storage: Arc::new(Storage::new(&of)),
-            clock: Arc::new(Clock::new(&of)),
-            recordings: Arc::new(recordings),
+            recordings: Arc::new(Recordings::new(of, &asked)),
+            devices: Arc::new(Devices::new(of, &sharing, &enrolments)),
+            administering: Arc::new(Administering::new(of, &contacts)),
+            adoption: Arc::new(Adoption::new(of, &lanes, &connection, &profiles, remote)),
+            audit: Arc::new(Audit::new(of, &reserve)),
+            backup: Arc::new(Backup::new(of, &quarantine)),
+            storage: Arc::new(Storage::new(of)),
+            clock: Arc::new(Clock::new(of)),
             plant,
             parts,
             rings,
@@ -244,7 +236,6 @@ impl Site {
             profiles,
             contacts,
             sharing,
-            devices,
             reading,
             capture,
             pins,

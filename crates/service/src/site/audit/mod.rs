@@ -3,6 +3,8 @@
 pub(crate) mod log;
 mod records;
 mod refusals;
+#[cfg(test)]
+mod tests;
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -43,9 +45,9 @@ pub(super) struct Audit {
 
 impl Audit {
     /// From the shared parts, and the space set aside for a revoke.
-    pub fn new(parts: &Parts, reserve: Arc<Reserve>) -> Self {
+    pub fn new(parts: &Parts, reserve: &Arc<Reserve>) -> Self {
         let Parts { config, plant, hub, log, owners, link, life, .. } = parts.clone();
-        Self { config, plant, hub, log, owners, link, life, reserve }
+        Self { config, plant, hub, log, owners, link, life, reserve: Arc::clone(reserve) }
     }
 
     /// Writes what was counted, anchors the head of the log, sets a lost reserve aside again; until the site ends.

@@ -1,5 +1,8 @@
 //! Back-up of a running home: ledger, vault and chain as of one moment, then the small files, sealed into one file.
 
+#[cfg(test)]
+mod tests;
+
 use crate::config::Config;
 use crate::paths::Home;
 use crate::pipeline::Plant;
@@ -45,9 +48,9 @@ pub(in crate::site) struct Backup {
 
 impl Backup {
     /// From the shared parts.
-    pub fn new(parts: &Parts, quarantine: Arc<Quarantine>) -> Self {
+    pub fn new(parts: &Parts, quarantine: &Arc<Quarantine>) -> Self {
         let Parts { home, config, plant, log, link, .. } = parts.clone();
-        Self { home, config, plant, log, link, quarantine }
+        Self { home, config, plant, log, link, quarantine: Arc::clone(quarantine) }
     }
 }
 

@@ -3,6 +3,8 @@
 mod policy;
 pub(super) mod ros;
 pub(super) mod sealer_thread;
+#[cfg(test)]
+mod tests;
 mod topics;
 pub(super) mod watches;
 
@@ -52,12 +54,12 @@ impl Capture {
     /// From the shared parts.
     pub fn new(
         parts: &Parts,
-        recorder: Arc<Recorder>,
-        losses: Arc<Losses>,
-        ros: Arc<RosSide>,
-        watches: Arc<Watches>,
-        profiles: Arc<Profiles>,
-        pins: Arc<Pinning>,
+        recorder: &Arc<Recorder>,
+        losses: &Arc<Losses>,
+        ros: &Arc<RosSide>,
+        watches: &Arc<Watches>,
+        profiles: &Arc<Profiles>,
+        pins: &Arc<Pinning>,
     ) -> Self {
         let Parts { config, plant, hub, log, owners, link, life, .. } = parts.clone();
         Self {
@@ -68,12 +70,12 @@ impl Capture {
             owners,
             link,
             life,
-            recorder,
-            losses,
-            ros,
-            watches,
-            profiles,
-            pins,
+            recorder: Arc::clone(recorder),
+            losses: Arc::clone(losses),
+            ros: Arc::clone(ros),
+            watches: Arc::clone(watches),
+            profiles: Arc::clone(profiles),
+            pins: Arc::clone(pins),
             running: Mutex::default(),
         }
     }

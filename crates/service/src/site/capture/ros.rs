@@ -118,13 +118,13 @@ pub(in crate::site) struct RosSide {
 
 impl RosSide {
     /// From the shared parts.
-    pub fn new(parts: &Parts, recorder: Arc<Recorder>, needed: bool) -> Self {
+    pub fn new(parts: &Parts, recorder: &Arc<Recorder>, needed: bool) -> Self {
         let Parts { config, hub, life, .. } = parts.clone();
         Self {
             config,
             hub,
             life,
-            recorder,
+            recorder: Arc::clone(recorder),
             state: watch::channel(if needed { RosState::Starting } else { RosState::Off }).0,
             learning: AtomicUsize::new(0),
         }

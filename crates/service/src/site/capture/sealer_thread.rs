@@ -27,9 +27,17 @@ pub(in crate::site) struct SealerThread {
 
 impl SealerThread {
     /// A sealer of what comes through `rings`, not begun yet.
-    pub fn new(parts: &Parts, rings: Arc<Rings<CapturedMessage>>, losses: Arc<Losses>) -> Self {
+    pub fn new(parts: &Parts, rings: &Arc<Rings<CapturedMessage>>, losses: &Arc<Losses>) -> Self {
         let Parts { config, plant, hub, supervisor, .. } = parts.clone();
-        Self { config, plant, hub, supervisor, rings, losses, thread: Mutex::default() }
+        Self {
+            config,
+            plant,
+            hub,
+            supervisor,
+            rings: Arc::clone(rings),
+            losses: Arc::clone(losses),
+            thread: Mutex::default(),
+        }
     }
 
     /// Begins where it has not begun yet: a run that captures nothing still may import.

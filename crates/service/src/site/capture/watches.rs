@@ -23,8 +23,13 @@ pub(in crate::site) struct Watches {
 
 impl Watches {
     /// Lists that `recorder` follows.
-    pub fn new(parts: &Parts, recorder: Arc<Recorder>, ros: Arc<RosSide>) -> Self {
-        Self { plant: parts.plant.clone(), recorder, ros, changing: Mutex::default() }
+    pub fn new(parts: &Parts, recorder: &Arc<Recorder>, ros: &Arc<RosSide>) -> Self {
+        Self {
+            plant: parts.plant.clone(),
+            recorder: Arc::clone(recorder),
+            ros: Arc::clone(ros),
+            changing: Mutex::default(),
+        }
     }
 
     /// The list of a profile.

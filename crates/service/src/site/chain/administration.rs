@@ -34,9 +34,9 @@ pub(in crate::site) struct Administering {
 
 impl Administering {
     /// From the shared parts.
-    pub fn new(parts: &Parts, contacts: Arc<Contacts>) -> Self {
+    pub fn new(parts: &Parts, contacts: &Arc<Contacts>) -> Self {
         let Parts { hub, log, link, life, sender, .. } = parts.clone();
-        Self { hub, log, link, life, sender, contacts }
+        Self { hub, log, link, life, sender, contacts: Arc::clone(contacts) }
     }
 }
 

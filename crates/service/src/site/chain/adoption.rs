@@ -58,13 +58,25 @@ impl Adoption {
     /// From the shared parts.
     pub fn new(
         parts: &Parts,
-        lanes: Arc<Lanes>,
-        connection: Arc<Connection>,
-        profiles: Arc<Profiles>,
+        lanes: &Arc<Lanes>,
+        connection: &Arc<Connection>,
+        profiles: &Arc<Profiles>,
         remote: Option<Arc<Remote>>,
     ) -> Self {
         let Parts { home, config, plant, hub, log, owners, link, .. } = parts.clone();
-        Self { home, config, plant, hub, log, owners, link, lanes, connection, profiles, remote }
+        Self {
+            home,
+            config,
+            plant,
+            hub,
+            log,
+            owners,
+            link,
+            lanes: Arc::clone(lanes),
+            connection: Arc::clone(connection),
+            profiles: Arc::clone(profiles),
+            remote,
+        }
     }
 }
 

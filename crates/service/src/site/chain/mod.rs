@@ -6,3 +6,5 @@ pub(super) mod connection;
 mod exposure;
 pub(super) mod lanes;
 pub(super) mod link;
+#[cfg(test)]
+mod tests;

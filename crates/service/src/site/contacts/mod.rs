@@ -1,6 +1,9 @@
 //! The address book of this home: names for accounts, and the fingerprint each is known by. It lies in the ledger,
 //! never on the chain.
 
+#[cfg(test)]
+mod tests;
+
 use crate::paths::Home;
 use crate::pipeline::Plant;
 use crate::service::hub::Hub;

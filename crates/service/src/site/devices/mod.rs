@@ -2,6 +2,8 @@
 
 pub(super) mod enrolled;
 pub(super) mod enrolling;
+#[cfg(test)]
+mod loan_tests;
 mod telling;
 
 use crate::pipeline::Plant;
@@ -41,9 +43,18 @@ pub(in crate::site) struct Devices {
 
 impl Devices {
     /// From the shared parts.
-    pub fn new(parts: &Parts, sharing: Arc<Sharing>, enrolments: Arc<Enrolments>) -> Self {
+    pub fn new(parts: &Parts, sharing: &Arc<Sharing>, enrolments: &Arc<Enrolments>) -> Self {
         let Parts { plant, hub, log, link, sender, .. } = parts.clone();
-        Self { plant, hub, log, link, sender, sharing, enrolments, is_joined: parts.config.site.is_some() }
+        Self {
+            plant,
+            hub,
+            log,
+            link,
+            sender,
+            sharing: Arc::clone(sharing),
+            enrolments: Arc::clone(enrolments),
+            is_joined: parts.config.site.is_some(),
+        }
     }
 }
 

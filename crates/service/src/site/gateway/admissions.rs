@@ -49,7 +49,7 @@ pub(in crate::site) struct Admissions {
 
 impl Admissions {
     /// From the shared parts.
-    pub fn new(parts: &Parts, contacts: Arc<Contacts>) -> Self {
+    pub fn new(parts: &Parts, contacts: &Arc<Contacts>) -> Self {
         let Parts { home, plant, hub, log, owners, .. } = parts.clone();
         Self {
             home,
@@ -57,7 +57,7 @@ impl Admissions {
             hub,
             log,
             owners,
-            contacts,
+            contacts: Arc::clone(contacts),
             admitted: RwLock::default(),
             changing: tokio::sync::Mutex::default(),
         }

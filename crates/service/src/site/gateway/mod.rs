@@ -2,6 +2,8 @@
 //! of the profile that runs it, and answers queries by the chain's grants at that moment.
 
 mod admission;
+#[cfg(test)]
+mod admission_tests;
 pub(super) mod admissions;
 mod desk;
 mod devices;
@@ -113,7 +115,12 @@ pub(in crate::site) struct Gateway {
 
 impl Gateway {
     /// From the shared parts.
-    pub fn new(parts: &Parts, sharing: Arc<Sharing>, admissions: Arc<Admissions>, remote: Option<Arc<Remote>>) -> Self {
+    pub fn new(
+        parts: &Parts,
+        sharing: &Arc<Sharing>,
+        admissions: &Arc<Admissions>,
+        remote: Option<Arc<Remote>>,
+    ) -> Self {
         let Parts { home, config, plant, hub, log, owners, link, life, supervisor, .. } = parts.clone();
         Self {
             home,
@@ -125,8 +132,8 @@ impl Gateway {
             link,
             life,
             supervisor,
-            sharing,
-            admissions,
+            sharing: Arc::clone(sharing),
+            admissions: Arc::clone(admissions),
             serving: Mutex::default(),
             remote,
         }

@@ -6,6 +6,8 @@ mod locking;
 pub(super) mod owners;
 mod pairs;
 mod registration;
+#[cfg(test)]
+mod tests;
 
 use crate::config::Config;
 use crate::paths::Home;
@@ -55,19 +57,22 @@ pub(in crate::site) struct Profiles {
     watches: Arc<Watches>,
 }
 
+/// The parts that profiles ask.
+pub(in crate::site) struct Asked<'a> {
+    pub connection: &'a Arc<Connection>,
+    pub sharing: &'a Arc<Sharing>,
+    pub enrolments: &'a Arc<Enrolments>,
+    pub gateway: &'a Arc<Gateway>,
+    pub reading: &'a Arc<Reading>,
+    pub pins: &'a Arc<Pinning>,
+    pub recorder: &'a Arc<Recorder>,
+    pub watches: &'a Arc<Watches>,
+}
+
 impl Profiles {
     /// From the shared parts.
-    pub fn new(
-        parts: &Parts,
-        connection: Arc<Connection>,
-        sharing: Arc<Sharing>,
-        enrolments: Arc<Enrolments>,
-        gateway: Arc<Gateway>,
-        reading: Arc<Reading>,
-        pins: Arc<Pinning>,
-        recorder: Arc<Recorder>,
-        watches: Arc<Watches>,
-    ) -> Self {
+    pub fn new(parts: &Parts, asked: &Asked<'_>) -> Self {
+        let Asked { connection, sharing, enrolments, gateway, reading, pins, recorder, watches } = asked;
         let Parts { home, config, plant, hub, log, owners, link, sender, .. } = parts.clone();
         Self {
             home,
@@ -78,14 +83,14 @@ impl Profiles {
             owners,
             link,
             sender,
-            connection,
-            sharing,
-            enrolments,
-            gateway,
-            reading,
-            pins,
-            recorder,
-            watches,
+            connection: Arc::clone(connection),
+            sharing: Arc::clone(sharing),
+            enrolments: Arc::clone(enrolments),
+            gateway: Arc::clone(gateway),
+            reading: Arc::clone(reading),
+            pins: Arc::clone(pins),
+            recorder: Arc::clone(recorder),
+            watches: Arc::clone(watches),
         }
     }
 }

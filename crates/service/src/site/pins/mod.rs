@@ -1,5 +1,8 @@
 //! Pinned publishers of watched topics: shown, accepted and taken back by the operator.
 
+#[cfg(test)]
+mod tests;
+
 use crate::pipeline::Pins;
 use crate::pipeline::Plant;
 use crate::service::hub::Hub;
@@ -43,9 +46,9 @@ pub(in crate::site) struct Pinning {
 
 impl Pinning {
     /// From the shared parts.
-    pub fn new(parts: &Parts, pins: Arc<Pins>) -> Self {
+    pub fn new(parts: &Parts, pins: &Arc<Pins>) -> Self {
         let Parts { plant, hub, log, owners, .. } = parts.clone();
-        Self { plant, hub, log, owners, pins }
+        Self { plant, hub, log, owners, pins: Arc::clone(pins) }
     }
 }
 

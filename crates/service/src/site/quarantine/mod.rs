@@ -1,5 +1,8 @@
 //! What is held back: listed, released or discarded by the operator, and counted on the chain before.
 
+#[cfg(test)]
+mod tests;
+
 use crate::pipeline::Plant;
 use crate::service::hub::Hub;
 use crate::site::audit::Log;
@@ -45,9 +48,9 @@ pub(in crate::site) struct Quarantine {
 
 impl Quarantine {
     /// From the shared parts.
-    pub fn new(parts: &Parts, reading: Arc<Reading>) -> Self {
+    pub fn new(parts: &Parts, reading: &Arc<Reading>) -> Self {
         let Parts { plant, hub, log, owners, life, .. } = parts.clone();
-        Self { plant, hub, log, owners, life, reading, reporting: tokio::sync::Mutex::default() }
+        Self { plant, hub, log, owners, life, reading: Arc::clone(reading), reporting: tokio::sync::Mutex::default() }
     }
 }
 

@@ -30,9 +30,9 @@ pub(in crate::site) struct Reading {
 
 impl Reading {
     /// From the shared parts.
-    pub fn new(parts: &Parts, contacts: Arc<Contacts>) -> Self {
+    pub fn new(parts: &Parts, contacts: &Arc<Contacts>) -> Self {
         let Parts { config, plant, log, owners, link, .. } = parts.clone();
-        Self { config, plant, log, owners, link, contacts, heads: Heads::default() }
+        Self { config, plant, log, owners, link, contacts: Arc::clone(contacts), heads: Heads::default() }
     }
 
     /// Forgets the heads that were opened for lists.

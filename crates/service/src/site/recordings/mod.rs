@@ -95,18 +95,21 @@ pub(in crate::site) struct Recordings {
     runs: Runs,
 }
 
+/// The parts that recordings ask.
+pub(in crate::site) struct Asked<'a> {
+    pub contacts: &'a Arc<Contacts>,
+    pub reading: &'a Arc<Reading>,
+    pub capture: &'a Arc<Capture>,
+    pub profiles: &'a Arc<Profiles>,
+    pub joined: &'a Arc<Joined>,
+    pub sealer: &'a Arc<SealerThread>,
+    pub rings: &'a Arc<Rings<CapturedMessage>>,
+}
+
 impl Recordings {
     /// From the shared parts.
-    pub fn new(
-        parts: &Parts,
-        contacts: Arc<Contacts>,
-        reading: Arc<Reading>,
-        capture: Arc<Capture>,
-        profiles: Arc<Profiles>,
-        joined: Arc<Joined>,
-        sealer: Arc<SealerThread>,
-        rings: Arc<Rings<CapturedMessage>>,
-    ) -> Self {
+    pub fn new(parts: &Parts, asked: &Asked<'_>) -> Self {
+        let Asked { contacts, reading, capture, profiles, joined, sealer, rings } = asked;
         let Parts { config, plant, hub, log, link, life, .. } = parts.clone();
         Self {
             config,
@@ -115,13 +118,13 @@ impl Recordings {
             log,
             link,
             life,
-            contacts,
-            reading,
-            capture,
-            profiles,
-            joined,
-            sealer,
-            rings,
+            contacts: Arc::clone(contacts),
+            reading: Arc::clone(reading),
+            capture: Arc::clone(capture),
+            profiles: Arc::clone(profiles),
+            joined: Arc::clone(joined),
+            sealer: Arc::clone(sealer),
+            rings: Arc::clone(rings),
             runs: Runs::default(),
         }
     }

@@ -3,6 +3,8 @@
 mod epochs;
 pub(super) mod overdue;
 mod revoking;
+#[cfg(test)]
+mod tests;
 
 use crate::pipeline::Plant;
 use crate::pipeline::Sender;
@@ -49,13 +51,25 @@ impl Sharing {
     /// From the shared parts.
     pub fn new(
         parts: &Parts,
-        contacts: Arc<Contacts>,
-        enrolments: Arc<Enrolments>,
-        joined: Arc<Joined>,
-        reserve: Arc<Reserve>,
+        contacts: &Arc<Contacts>,
+        enrolments: &Arc<Enrolments>,
+        joined: &Arc<Joined>,
+        reserve: &Arc<Reserve>,
     ) -> Self {
         let Parts { plant, hub, log, owners, link, life, sender, .. } = parts.clone();
-        Self { plant, hub, log, owners, link, life, sender, contacts, enrolments, joined, reserve }
+        Self {
+            plant,
+            hub,
+            log,
+            owners,
+            link,
+            life,
+            sender,
+            contacts: Arc::clone(contacts),
+            enrolments: Arc::clone(enrolments),
+            joined: Arc::clone(joined),
+            reserve: Arc::clone(reserve),
+        }
     }
 }
 

@@ -3,6 +3,8 @@
 mod integrity;
 mod retention;
 pub(super) mod room;
+#[cfg(test)]
+mod tests;
 use crate::config::Config;
 use crate::paths::Home;
 use crate::pipeline::Plant;
