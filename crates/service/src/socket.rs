@@ -65,7 +65,7 @@ fn reachable(path: &Path) -> std::io::Result<(PathBuf, Option<std::fs::File>)> {
 /// # Errors
 /// Where the socket cannot be made.
 pub fn listen(site: &Arc<Site>) -> Result<(), Failure> {
-    let path = site.home.socket();
+    let path = site.home().socket();
     let unusable = |error: std::io::Error| {
         Failure::new(ErrorKind::Home, format!("the socket {} cannot be made: {error}", path.display()))
     };
@@ -139,7 +139,7 @@ pub fn greeting(site: &Site) -> Greeting {
         "site.address",
         "site.gateway_key",
     ];
-    let settings = site.config.show().into_iter().filter(|setting| binding.contains(&setting.name));
+    let settings = site.config().show().into_iter().filter(|setting| binding.contains(&setting.name));
     Greeting {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         settings: settings.map(|setting| (setting.name.to_owned(), setting.value)).collect(),

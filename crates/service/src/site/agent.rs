@@ -102,11 +102,11 @@ impl Agent {
         if !site.plant.vault.durable() {
             return Err(input("an agent keeps its outbox itself; leave --vault and vault.url out"));
         }
-        let kept = SealedEnrolment::kept_in(site.home.root());
+        let kept = SealedEnrolment::kept_in(site.parts.home.root());
         sealed.catch_up(&kept)?;
         let enrolment = &sealed.enrolment;
         let topics = topics(enrolment, &wishes.topics)?;
-        site.record_audit(&enrolment.name, "agent", &enrolment.device_id().to_string(), "begun").await?;
+        site.parts.log.write(&enrolment.name, "agent", &enrolment.device_id().to_string(), "begun").await?;
         let author = Arc::new(Author::new(enrolment.owner));
         author.obey(enrolment);
         let (name, forwarder) = (enrolment.name.clone(), block_in_place(|| forwarder(site, enrolment))?);
@@ -122,10 +122,10 @@ impl Agent {
                     "there is no key for topic {topic}: its messages are refused and counted until the owner adds it with \
                      `authros devices topics add {name} {topic}`"
                 );
-                site.hub.notice(NoticeLevel::Warning, &text);
+                site.parts.hub.notice(NoticeLevel::Warning, &text);
             }
         }
-        site.wishes_changed();
+        site.ros.wishes_changed();
         let (link, refused) = (forwarder.link(), forwarder.refused());
         let forwarder = Arc::new(tokio::sync::Mutex::new(forwarder));
         let forwarder = site.supervise("forwarder", move |site| forward(site, Arc::clone(&forwarder)));
@@ -194,7 +194,7 @@ impl Agent {
             self.site.recorder.join(&topic, &self.author, None, &session);
             self.sessions.push(session);
             self.topics.push(topic);
-            self.site.wishes_changed();
+            self.site.ros.wishes_changed();
         }
     }
 
@@ -202,7 +202,7 @@ impl Agent {
         if self.author.sealing().is_none() {
             let text = "the epoch that this robot seals under has ended and its owner has not sent the next key: \
                         nothing is captured until the notice comes or the robot is enrolled again";
-            self.site.hub.alert(true, text.to_owned());
+            self.site.parts.hub.alert(true, text.to_owned());
         }
     }
 
@@ -278,11 +278,11 @@ impl Agent {
 }
 
 async fn forward(site: Arc<Site>, forwarder: Arc<tokio::sync::Mutex<Forwarder>>) {
-    forwarder.lock().await.run(&site.hub.stored).await;
+    forwarder.lock().await.run(&site.parts.hub.stored).await;
 }
 
 fn forwarder(site: &Site, enrolment: &Enrolment) -> Result<Forwarder, Failure> {
-    let trust_file = site.home.root().join("gateway.json");
+    let trust_file = site.parts.home.root().join("gateway.json");
     let damaged = |_| internal("the enrolment names no gateway; have its owner enrol the robot again");
     let gateway = enrolment.gateway().map_err(damaged)?;
     let trust = trust_in(&trust_file, gateway.fingerprint)?;
@@ -291,8 +291,10 @@ fn forwarder(site: &Site, enrolment: &Enrolment) -> Result<Forwarder, Failure> {
     let credentials =
         Credentials { name: enrolment.name.clone(), key: gateway.transport.clone(), token: enrolment.token };
     let forwarder = Forwarder::new(site.plant.clone(), endpoint, credentials, trust, trust_file);
-    let keeping =
-        CopyKeeping { time: site.config.outbox_keep.unwrap_or(Duration::MAX), reserve: site.config.disk_reserve };
+    let keeping = CopyKeeping {
+        time: site.parts.config.outbox_keep.unwrap_or(Duration::MAX),
+        reserve: site.parts.config.disk_reserve,
+    };
     let forwarder = forwarder.keeping(keeping);
     forwarder.tidy()?;
     Ok(forwarder)

@@ -1,10 +1,17 @@
 //! The machine's clock beside one that does not jump: a jump is told, written into the audit log, and part of the
 //! site's health until it is over or believed.
 
-use std::sync::{Arc, PoisonError};
+use crate::pipeline::Plant;
+use crate::service::hub::Hub;
+use crate::site::audit::Log;
+use crate::site::chain::link::Link;
+use crate::site::identity::owners::Owners;
+use crate::site::lifetime::Lifetime;
+use crate::site::parts::Parts;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use super::Site;
+use super::blocking;
 use crate::model::ProfileName;
 use crate::model::steady_clock::{Reading, SETTLING, look};
 use crate::service::event::{NoticeLevel, Part};
@@ -33,14 +40,32 @@ fn span(seconds: i64) -> String {
     format!("{} s {way}", seconds.unsigned_abs())
 }
 
-impl Site {
+/// The machine's clock.
+pub(in crate::site) struct Clock {
+    plant: Plant,
+    hub: Arc<Hub>,
+    log: Arc<Log>,
+    owners: Arc<Owners>,
+    link: Arc<Link>,
+    life: Arc<Lifetime>,
+}
+
+impl Clock {
+    /// From the shared parts.
+    pub fn new(parts: &Parts) -> Self {
+        let Parts { plant, hub, log, owners, link, life, .. } = parts.clone();
+        Self { plant, hub, log, owners, link, life }
+    }
+}
+
+impl Clock {
     /// Looks at the clock until the site ends.
-    pub(super) async fn keep_clock(self: Arc<Self>) {
+    pub(super) async fn keep(self: Arc<Self>) {
         let begun = Instant::now();
         let (mut before, mut ahead) = (gained(&look(), begun), 0);
         self.compare_with_records().await;
-        while !self.is_stopping() {
-            if !self.beat(LOOK).await {
+        while !self.life.is_stopping() {
+            if !self.life.beat(LOOK).await {
                 return;
             }
             let reading = look();
@@ -70,7 +95,7 @@ impl Site {
             self.hub.notice_about(ABOUT, NoticeLevel::Error, &text);
         }
         self.note_clock(&format!("jumped {}", span(jump))).await;
-        self.changed(Part::Health);
+        self.hub.changed(Part::Health);
     }
 
     async fn tell_belief(self: &Arc<Self>) {
@@ -80,13 +105,13 @@ impl Site {
         );
         self.hub.notice_about(ABOUT, NoticeLevel::Info, &text);
         self.note_clock("the new time is gone by").await;
-        self.changed(Part::Health);
-        self.changed(Part::Grants);
+        self.hub.changed(Part::Health);
+        self.hub.changed(Part::Grants);
     }
 
     /// A machine without a battery wakes up in the past.
     async fn compare_with_records(self: &Arc<Self>) {
-        let Ok(Some(newest)) = self.blocking(|site| Ok(site.plant.ledger.newest_capture()?)).await else { return };
+        let Ok(Some(newest)) = blocking(self, |clock| Ok(clock.plant.ledger.newest_capture()?)).await else { return };
         let behind = newest.seconds().saturating_sub(look().machine.seconds());
         if i64::try_from(behind).is_ok_and(|behind| behind >= SHORTEST) {
             let text = format!(
@@ -99,19 +124,19 @@ impl Site {
     }
 
     async fn note_clock(self: &Arc<Self>, subject: &str) {
-        let open = self.all_owners().first().map(|owner| owner.profile.clone());
+        let open = self.owners.all().first().map(|owner| owner.profile.clone());
         let Some(profile) = open.or_else(|| NOBODY.parse::<ProfileName>().ok()) else { return };
-        let written: Result<(), Failure> = self.record_audit(&profile, "clock", subject, "noticed").await;
+        let written: Result<(), Failure> = self.log.write(&profile, "clock", subject, "noticed").await;
         if let Err(failure) = written {
             self.hub.notice(NoticeLevel::Error, &failure.message);
         }
     }
 
     /// How the clock is, where there is something to say of it.
-    pub(super) fn clock_health(&self) -> Option<PartHealth> {
+    pub(super) fn health(&self) -> Option<PartHealth> {
         let reading = look();
-        let head = *self.head_seen.lock().unwrap_or_else(PoisonError::into_inner);
-        let chain = head.map_or(0, |(_, head)| head.timestamp.saturating_sub(reading.steady.seconds()));
+        let head = self.link.newest_head();
+        let chain = head.map_or(0, |head| head.timestamp.saturating_sub(reading.steady.seconds()));
         let text = if reading.ahead().abs() >= SHORTEST {
             format!("jumped {}, not followed until it has stood for {} s", span(reading.ahead()), SETTLING.as_secs())
         } else if chain > CHAIN_AHEAD {

@@ -10,7 +10,7 @@ use tokio::sync::oneshot;
 use super::Site;
 use crate::model::{ErrorKind, ProfileName};
 use crate::pipeline::Owner;
-use crate::service::command::{self as ask, Ask, Command, Request, StoreCommand};
+use crate::service::command::{self as ask, Ask, Command, Operation, Request, StoreCommand};
 use crate::service::reply::{Failure, Reply};
 
 /// What a connection holds as long as it lasts.
@@ -32,155 +32,178 @@ impl Site {
     #[allow(clippy::too_many_lines, reason = "an arm for each request")]
     pub async fn handle(self: &Arc<Self>, request: Request, claims: &Claims) -> Result<Reply, Failure> {
         let Request { profile, command } = request;
-        let owner = || self.unlocked(&profile);
+        let owner = || self.parts.owners.unlocked(&profile);
         match command {
             Command::OpenConsole => self.claim(profile, claims).map(ask::OpenConsole::told),
             Command::CreateIdentity { passphrase } => {
-                self.create_identity(profile, passphrase).await.map(ask::CreateIdentity::told)
+                self.profiles.create(profile, passphrase).await.map(ask::CreateIdentity::told)
             }
-            Command::ShowIdentity => self.identity_view(&profile).await.map(ask::ShowIdentity::told),
-            Command::Unlock { passphrase } => self.unlock(profile, passphrase).await.map(ask::Unlock::told),
+            Command::ShowIdentity => self.profiles.view(&profile).await.map(ask::ShowIdentity::told),
+            Command::Unlock { passphrase } => self.profiles.unlock(profile, passphrase).await.map(ask::Unlock::told),
             Command::ChangePassphrase { old, new } => {
-                self.change_passphrase(&profile, old, new).await.map(ask::ChangePassphrase::told)
+                self.profiles.change_passphrase(&profile, old, new).await.map(ask::ChangePassphrase::told)
             }
-            Command::Register => self.register(&owner()?).await.map(ask::Register::told),
-            Command::ListKeys => self.keys_view(&owner()?).await.map(ask::ListKeys::told),
+            Command::Register => self.profiles.register(&owner()?).await.map(ask::Register::told),
+            Command::ListKeys => self.profiles.keys(&owner()?).await.map(ask::ListKeys::told),
             Command::LoadKey { kind, path, passphrase } => {
-                self.load_key(&owner()?, kind, path, passphrase).await.map(ask::LoadKey::told)
+                self.profiles.load_key(&owner()?, kind, path, passphrase).await.map(ask::LoadKey::told)
             }
-            Command::RotateEnvelope => self.rotate_envelope(&owner()?).await.map(ask::RotateEnvelope::told),
+            Command::RotateEnvelope => self.profiles.rotate_envelope(&owner()?).await.map(ask::RotateEnvelope::told),
             Command::ForeseeKeyChange { kind } => {
-                self.foresee_key_change(&owner()?, kind).await.map(ask::ForeseeKeyChange::told)
+                self.profiles.foresee_key_change(&owner()?, kind).await.map(ask::ForeseeKeyChange::told)
             }
-            Command::RotateKeys => self.rotate(&owner()?, "asked for").await.map(ask::RotateKeys::told),
+            Command::RotateKeys => self.sharing.rotate(&owner()?, "asked for").await.map(ask::RotateKeys::told),
             Command::ExportKey { kind, passphrase } => {
-                self.export_key(&owner()?, kind, passphrase).await.map(ask::ExportKey::told)
+                self.profiles.export_key(&owner()?, kind, passphrase).await.map(ask::ExportKey::told)
             }
-            Command::ListTopics => self.topic_rows(&profile).await.map(ask::ListTopics::told),
+            Command::ListTopics => self.capture.topics(&profile).await.map(ask::ListTopics::told),
             Command::WatchTopic { topic, type_name } => {
-                self.watch_topic(&profile, topic, type_name).await.map(ask::WatchTopic::told)
+                self.capture.watch(&profile, topic, type_name).await.map(ask::WatchTopic::told)
             }
-            Command::UnwatchTopic { topic } => self.unwatch_topic(&profile, &topic).await.map(ask::UnwatchTopic::told),
-            Command::ListPins { topic } => self.pins_view(&profile, topic.as_ref()).await.map(ask::ListPins::told),
+            Command::UnwatchTopic { topic } => {
+                self.capture.unwatch(&profile, &topic).await.map(ask::UnwatchTopic::told)
+            }
+            Command::ListPins { topic } => self.pins.view(&profile, topic.as_ref()).await.map(ask::ListPins::told),
             Command::PinTopic { topic, publishers } => {
-                self.pin_topic(&profile, &topic, publishers).await.map(ask::PinTopic::told)
+                self.pins.pin(&profile, &topic, publishers).await.map(ask::PinTopic::told)
             }
             Command::UnpinTopic { topic, caller_id } => {
-                self.unpin_topic(&profile, &topic, &caller_id).await.map(ask::UnpinTopic::told)
+                self.pins.unpin(&profile, &topic, &caller_id).await.map(ask::UnpinTopic::told)
             }
             Command::ListQuarantine { topic, limit } => {
-                self.quarantine_view(&profile, topic, limit).await.map(ask::ListQuarantine::told)
+                self.quarantine.view(&profile, topic, limit).await.map(ask::ListQuarantine::told)
             }
-            Command::ReleaseHeld { held } => self.release_held(&owner()?, held).await.map(ask::ReleaseHeld::told),
-            Command::DiscardHeld { held } => self.discard_held(&owner()?, held).await.map(ask::DiscardHeld::told),
-            Command::Policy { with } => self.policy(&profile, with).await.map(ask::Policy::told),
+            Command::ReleaseHeld { held } => self.quarantine.release(&owner()?, held).await.map(ask::ReleaseHeld::told),
+            Command::DiscardHeld { held } => self.quarantine.discard(&owner()?, held).await.map(ask::DiscardHeld::told),
+            Command::Policy { with } => self.capture.policy(&profile, with).await.map(ask::Policy::told),
             Command::Capture { topics, type_name, count, milliseconds, tags } => {
-                let captured = self.capture(&owner()?, &topics, type_name, count, milliseconds, tags).await;
+                let captured = self.capture.capture(&owner()?, &topics, type_name, count, milliseconds, tags).await;
                 captured.map(ask::Capture::told)
             }
             Command::StopCapture => {
-                self.stop_captures(&profile);
+                self.capture.stop(&profile);
                 Ok(ask::StopCapture::told(()))
             }
-            Command::Recording { with } => self.recording(&owner()?, with).await,
-            Command::ListUploads(query) => self.list_uploads(&profile, query).await.map(ask::ListUploads::told),
-            Command::ShowUpload { id } => self.provenance(&profile, &id).await.map(ask::ShowUpload::told),
+            Command::Recording { with } => self.recordings.answer(&owner()?, with).await,
+            Command::ListUploads(query) => self.reading.list_own(&profile, query).await.map(ask::ListUploads::told),
+            Command::ShowUpload { id } => self.reading.provenance(&profile, &id).await.map(ask::ShowUpload::told),
             Command::ExportUpload { id, addresses } => {
-                self.export_upload(&owner()?, &id, addresses).await.map(ask::ExportUpload::told)
+                self.reading.export_upload(&owner()?, &id, addresses).await.map(ask::ExportUpload::told)
             }
             Command::ListShared(query) => {
-                self.list_shared(&self.caught_up_owner(&profile).await?, query).await.map(ask::ListShared::told)
+                self.reading.list_shared(&self.caught_up_owner(&profile).await?, query).await.map(ask::ListShared::told)
             }
             Command::CheckShared { id } => {
-                self.check_record(&self.caught_up_owner(&profile).await?, &id).await.map(ask::CheckShared::told)
+                self.reading.check_record(&self.caught_up_owner(&profile).await?, &id).await.map(ask::CheckShared::told)
             }
             Command::OpenShared { id } => {
-                let view = self.open_record(&self.caught_up_owner(&profile).await?, &id).await;
+                let view = self.reading.open_record(&self.caught_up_owner(&profile).await?, &id).await;
                 view.map(Box::new).map(ask::OpenShared::told)
             }
-            Command::View(viewing) => self.handle_viewing(&self.caught_up_owner(&profile).await?, viewing).await,
+            Command::View(viewing) => {
+                self.reading.handle_viewing(&self.caught_up_owner(&profile).await?, viewing).await
+            }
             Command::Grant { grantee, topics, epochs, expires } => {
-                self.grant(&owner()?, &grantee, &topics, epochs, expires).await.map(ask::Grant::told)
+                self.sharing.grant(&owner()?, &grantee, &topics, epochs, expires).await.map(ask::Grant::told)
             }
             Command::ExtendGrant { grantee, expires } => {
-                self.extend(&owner()?, &grantee, expires).await.map(ask::ExtendGrant::told)
+                self.sharing.extend(&owner()?, &grantee, expires).await.map(ask::ExtendGrant::told)
             }
-            Command::Revoke { grantee } => self.revoke(&owner()?, self.resolve(&grantee)?).await.map(ask::Revoke::told),
-            Command::ListGrants => self.grant_rows(&owner()?).await.map(ask::ListGrants::told),
+            Command::Revoke { grantee } => {
+                self.sharing.revoke(&owner()?, self.contacts.resolve(&grantee)?).await.map(ask::Revoke::told)
+            }
+            Command::ListGrants => self.sharing.rows(&owner()?).await.map(ask::ListGrants::told),
             Command::LendDevice { device, until } => {
-                self.lend_device(&owner()?, device, until).await.map(ask::LendDevice::told)
+                self.devices.lend(&owner()?, device, until).await.map(ask::LendDevice::told)
             }
             Command::RecallDevice { device } => {
-                self.recall_device(&owner()?, &device).await.map(ask::RecallDevice::told)
+                self.devices.recall(&owner()?, &device).await.map(ask::RecallDevice::told)
             }
             Command::AddDeviceTopics { device, topics } => {
-                self.add_device_topics(&owner()?, &device, &topics).await.map(ask::AddDeviceTopics::told)
+                self.devices.add_topics(&owner()?, &device, &topics).await.map(ask::AddDeviceTopics::told)
             }
-            Command::EnrolDevice(wishes) => self.enrol_device(&owner()?, wishes).await.map(ask::EnrolDevice::told),
-            Command::ListDevices => self.device_rows(&owner()?).await.map(ask::ListDevices::told),
+            Command::EnrolDevice(wishes) => self.devices.enrol(&owner()?, wishes).await.map(ask::EnrolDevice::told),
+            Command::ListDevices => self.devices.rows(&owner()?).await.map(ask::ListDevices::told),
             Command::CompareFingerprint { fingerprint, account } => {
-                let compared = self.compare_fingerprint(&profile, &fingerprint, account).await;
+                let compared = self.contacts.compare(&profile, &fingerprint, account).await;
                 compared.map(ask::CompareFingerprint::told)
             }
-            Command::ListContacts => self.contact_rows().await.map(ask::ListContacts::told),
+            Command::ListContacts => self.contacts.rows().await.map(ask::ListContacts::told),
             Command::AddContact { name, address, fingerprint } => {
-                self.add_contact(&profile, name, address, fingerprint).await.map(ask::AddContact::told)
+                self.contacts.add(&profile, name, address, fingerprint).await.map(ask::AddContact::told)
             }
-            Command::RemoveContact { name } => self.remove_contact(&profile, &name).await.map(ask::RemoveContact::told),
+            Command::RemoveContact { name } => {
+                self.contacts.remove(&profile, &name).await.map(ask::RemoveContact::told)
+            }
             Command::ConfirmContact { name, fingerprint } => {
-                self.confirm_contact(&profile, &name, fingerprint).await.map(ask::ConfirmContact::told)
+                self.contacts.confirm(&profile, &name, fingerprint).await.map(ask::ConfirmContact::told)
             }
-            Command::Administer(act) => self.administer(&owner()?, &act).await.map(ask::Administer::told),
+            Command::Administer(act) => self.administering.administer(&owner()?, &act).await.map(ask::Administer::told),
             Command::NameRecovery { recovery } => {
-                self.name_recovery(&owner()?, recovery.as_ref()).await.map(ask::NameRecovery::told)
+                self.administering.name_recovery(&owner()?, recovery.as_ref()).await.map(ask::NameRecovery::told)
             }
             Command::ListSuccessions => {
                 let view = self.chain_view(&profile).await?;
                 Ok(ask::ListSuccessions::told(Box::new(view.administration)))
             }
             Command::ChainStatus => self.chain_view(&profile).await.map(Box::new).map(ask::ChainStatus::told),
-            Command::AdoptChain => self.adopt_chain(&owner()?).await.map(ask::AdoptChain::told),
+            Command::AdoptChain => self.adoption.adopt(&owner()?).await.map(ask::AdoptChain::told),
             Command::DeployContract { delay, revision } => {
-                self.deploy_contract(&owner()?, delay, revision).await.map(ask::DeployContract::told)
+                self.connection.deploy_contract(&owner()?, delay, revision).await.map(ask::DeployContract::told)
             }
             Command::ServeChain { address } => {
-                let served = self.serve_chain(&profile, address, until_released(claims)).await;
+                let served = self.connection.serve_chain(&profile, address, until_released(claims)).await;
                 served.map(ask::ServeChain::told)
             }
             Command::ServeGateway { address, open } => {
-                let served = self.serve_gateway(&owner()?, address, open, until_released(claims)).await;
+                let served = self.gateway.serve(&owner()?, address, open, until_released(claims)).await;
                 served.map(ask::ServeGateway::told)
             }
             Command::SiteStatus => self.site_view(&profile).await.map(ask::SiteStatus::told),
-            Command::ListAudit(query) => self.audit_lines(query).await.map(ask::ListAudit::told),
+            Command::ListAudit(query) => self.parts.log.list(query).await.map(ask::ListAudit::told),
             Command::VerifyAudit { heads } => {
                 let owner = if heads { Some(owner()?) } else { None };
-                self.verify_audit(owner).await.map(ask::VerifyAudit::told)
+                self.audit.verify(owner).await.map(ask::VerifyAudit::told)
             }
             Command::ExportAudit { addresses } => {
-                self.export_audit(&owner()?, addresses).await.map(ask::ExportAudit::told)
+                self.parts.log.export(&owner()?, addresses).await.map(ask::ExportAudit::told)
             }
             Command::OfStore(command) => self.handle_store(&profile, command).await,
             Command::Operate(operation) => self.operate(&profile, operation).await,
         }
     }
 
+    /// Answers one of an operator's requests; none needs the keyring open.
+    async fn operate(self: &Arc<Self>, profile: &ProfileName, operation: Operation) -> Result<Reply, Failure> {
+        match operation {
+            Operation::Lock => self.profiles.lock(profile).await.map(ask::Lock::told),
+            Operation::BackUpKeys => self.profiles.back_up_keys(profile).await.map(ask::BackUpKeys::told),
+            Operation::GatewayStatus => self.gateway.status().map(ask::GatewayStatus::told),
+            Operation::Admit { owner } => self.admissions.admit(profile, &owner).await.map(ask::Admit::told),
+            Operation::Dismiss { owner } => self.admissions.dismiss(profile, &owner).await.map(ask::Dismiss::told),
+            Operation::ListAdmitted => self.admissions.rows().map(ask::ListAdmitted::told),
+        }
+    }
+
     async fn handle_store(self: &Arc<Self>, profile: &ProfileName, command: StoreCommand) -> Result<Reply, Failure> {
         match command {
-            StoreCommand::AuditRecords { deep, since } => {
-                self.audit_records(deep, since).await.map(Box::new).map(ask::AuditRecords::told)
-            }
-            StoreCommand::ListAllUploads(query) => self.list_all_uploads(query).await.map(ask::ListAllUploads::told),
+            StoreCommand::AuditRecords { deep, since } => self
+                .audit
+                .records(self.connection.pin()?.is_some(), deep, since)
+                .await
+                .map(Box::new)
+                .map(ask::AuditRecords::told),
+            StoreCommand::ListAllUploads(query) => self.reading.list_all(query).await.map(ask::ListAllUploads::told),
             StoreCommand::BackUp { file, passphrase } => {
-                self.back_up(profile, file, passphrase).await.map(ask::BackUp::told)
+                self.backup.back_up(profile, file, passphrase).await.map(ask::BackUp::told)
             }
         }
     }
 
     /// The profile's owner, once what others share with it is known up to now.
     async fn caught_up_owner(self: &Arc<Self>, profile: &ProfileName) -> Result<Arc<Owner>, Failure> {
-        let owner = self.unlocked(profile)?;
-        self.caught_up(profile).await?;
+        let owner = self.parts.owners.unlocked(profile)?;
+        self.joined.caught_up(profile).await?;
         Ok(owner)
     }
 

@@ -3,86 +3,86 @@
 //! `start` brings the parts up in the background; requests wait for the parts they need. One
 //! process of a home is the site, further ones join it over the socket (`service::socket`).
 
-mod adoption;
 mod agent;
 mod audit;
-mod backing_up;
-mod beat;
+mod backup;
 mod capture;
-mod chain_link;
+mod chain;
 mod clock;
 mod contacts;
 mod devices;
-mod disk;
-mod enrolling;
-mod epochs;
-mod exposure;
-mod foreseeing;
 mod gateway;
 mod handle;
 mod identity;
-mod integrity;
-mod keys;
-mod lanes;
+mod lifetime;
 mod mirror;
-mod naming;
-mod opening;
-mod operating;
-mod overdue;
-mod owners;
-mod pairs;
+mod parts;
 mod pins;
-mod policy;
 mod quarantine;
-mod record_audit;
+mod reading;
 mod recordings;
-mod refusals;
-mod remote;
-mod retaining;
-mod revoking;
-mod robots;
 mod sharing;
-mod statements;
 mod status;
-mod succession;
+mod storage;
 mod supervision;
-mod telling;
-mod topics;
-mod uploads;
-mod view;
-mod viewing;
+#[cfg(test)]
+mod supervision_tests;
+#[cfg(test)]
+mod testing;
 mod workers;
 
-use std::collections::{BTreeMap, BTreeSet, HashSet};
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, RwLock};
+use std::collections::HashSet;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use tokio::sync::{broadcast, mpsc, watch};
+use tokio::sync::{broadcast, mpsc};
 
 pub use agent::{Agent, AgentEnd, AgentFigures, AgentWishes};
-pub use chain_link::NetworkState;
-pub use enrolling::EnrolWishes;
-pub(super) use enrolling::Enrolled;
-pub use robots::RosState;
-pub use view::record_page;
+pub use capture::ros::RosState;
+pub use chain::link::NetworkState;
+pub(super) use devices::enrolled::Enrolled;
+pub use devices::enrolling::EnrolWishes;
+pub use reading::view::record_page;
+
+use audit::Audit;
+use backup::Backup;
+use capture::Capture;
+use capture::ros::RosSide;
+use capture::sealer_thread::SealerThread;
+use capture::watches::Watches;
+use chain::administration::Administering;
+use chain::adoption::Adoption;
+use chain::connection::Connection;
+use chain::lanes::Lanes;
+use clock::Clock;
+use contacts::Contacts;
+use devices::Devices;
+use devices::enrolled::Enrolments;
+use gateway::Gateway;
+use gateway::admissions::Admissions;
+use identity::Profiles;
+use mirror::Joined;
+use mirror::remote::Remote;
+use parts::Parts;
+use pins::Pinning;
+use quarantine::Quarantine;
+use reading::Reading;
+use recordings::Recordings;
+use sharing::Sharing;
+use storage::Storage;
 
 use super::client::{Call, Client};
-use super::event::{Event, Part};
+use super::event::Event;
 use super::failure::internal;
-use super::hub::Hub;
 use super::reply::Failure;
-use crate::chain::BlockRef;
 use crate::config::Config;
-use crate::crypto::provider;
-use crate::model::{Address, ProfileName};
+use crate::model::ProfileName;
 use crate::paths::Home;
-use crate::pipeline::columns::Heads;
 use crate::pipeline::recorder::CapturedMessage;
 use crate::pipeline::ring::Rings;
-use crate::pipeline::sender::Policy;
-use crate::pipeline::{CaptureSession, Losses, Owner, PinRules, Pins, Plant, Recorder, Sender};
-use crate::store::{AuditLog, RESERVE_BYTES, Reserve, SiteLock, open_vault};
+use crate::pipeline::{Losses, Owner, PinRules, Pins, Plant, Recorder};
+use crate::store::{RESERVE_BYTES, Reserve, SiteLock};
 
 /// How long the nodes may take to leave the ROS graph.
 const LEAVING: Duration = Duration::from_secs(2);
@@ -100,58 +100,38 @@ pub struct Needs {
     pub chain: bool,
 }
 
-/// Everything of a running site.
+/// A running site: its parts and its features.
 pub struct Site {
-    pub(crate) home: Home,
-    pub(crate) config: Config,
     /// Ledger, vault and provider, which all its workers share.
     pub plant: Plant,
-    pub(crate) hub: Arc<Hub>,
-    pub(crate) sender: Arc<Sender>,
-    recorder: Arc<Recorder>,
-    /// The gateway that this site serves, if it does.
-    served_gateway: Mutex<Option<operating::Serving>>,
-    pins: Arc<Pins>,
-    /// Quarantine records are sealed one at a time.
-    reporting: tokio::sync::Mutex<()>,
+    parts: Parts,
     rings: Arc<Rings<CapturedMessage>>,
     losses: Arc<Losses>,
-    audit: AuditLog,
-    /// Heads of records opened for lists.
-    heads: Heads,
-    refusals: refusals::Refusals,
-    reserve: Reserve,
-    /// Space for the states of records on a full disk.
-    states: Reserve,
-    /// Changes of the watch lists happen one at a time.
-    watching: Mutex<()>,
-    /// Changes of the address book happen one at a time.
-    contacts: tokio::sync::Mutex<()>,
-    owners: RwLock<BTreeMap<ProfileName, Arc<Owner>>>,
+    recorder: Arc<Recorder>,
+    ros: Arc<RosSide>,
+    sealer: Arc<SealerThread>,
+    connection: Arc<Connection>,
+    lanes: Arc<Lanes>,
+    administering: Arc<Administering>,
+    adoption: Arc<Adoption>,
+    joined: Arc<Joined>,
+    profiles: Arc<Profiles>,
+    contacts: Arc<Contacts>,
+    sharing: Arc<Sharing>,
+    devices: Arc<Devices>,
+    reading: Arc<Reading>,
+    capture: Arc<Capture>,
+    recordings: Arc<Recordings>,
+    pins: Arc<Pinning>,
+    quarantine: Arc<Quarantine>,
+    admissions: Arc<Admissions>,
+    gateway: Arc<Gateway>,
+    audit: Arc<Audit>,
+    backup: Arc<Backup>,
+    storage: Arc<Storage>,
+    clock: Arc<Clock>,
     consoles: Mutex<HashSet<ProfileName>>,
-    captures: Mutex<Vec<(ProfileName, Arc<CaptureSession>)>>,
-    recordings: recordings::Runs,
-    /// How many look at every topic of the graph now.
-    learning: AtomicUsize,
-    network: watch::Sender<NetworkState>,
-    scanned: watch::Sender<u64>,
-    ros: watch::Sender<RosState>,
-    stopping: watch::Sender<bool>,
-    /// Set as soon as the site was told to end; background tasks are not begun again from then on.
-    ending: AtomicBool,
-    tasks: supervision::Tasks,
-    chain_silent: AtomicBool,
-    /// The newest head, and when the chain told it.
-    head_seen: Mutex<Option<(Instant, BlockRef)>>,
-    /// The gateway through which this site joins another one.
-    remote: Option<remote::Remote>,
     guests: AtomicUsize,
-    deploying: tokio::sync::Mutex<()>,
-    /// Who may use the gateway of this home, as far as it was read; changes happen one at a time.
-    admitted: RwLock<Option<BTreeSet<Address>>>,
-    admitting: tokio::sync::Mutex<()>,
-    witnesses: Mutex<lanes::Witnesses>,
-    sealer: Mutex<Option<std::thread::JoinHandle<()>>>,
     ros_task: Mutex<Option<tokio::task::JoinHandle<()>>>,
     _lock: SiteLock,
 }
@@ -173,79 +153,107 @@ impl Site {
     pub fn start(home: Home, config: Config, lock: SiteLock, needs: Needs) -> Result<Arc<Self>, Failure> {
         // Robots are where the gateway is.
         let needs = Needs { ros: needs.ros && config.site.is_none(), ..needs };
-        let provider = provider(config.provider);
-        let remote = config.site.as_ref().map(|site| remote::Remote::new(site, &home, provider)).transpose()?;
-        let (events, _) = broadcast::channel(1024);
-        let hub = Arc::new(Hub::new(events));
-        let (ledger, copied) = disk::open_ledger(&home)?;
-        let vault = open_vault(config.vault_url.as_deref(), &home.vault())?;
-        let backlog = config.vault_backlog;
-        let plant = Plant { ledger: ledger.clone(), vault, provider, observer: hub.clone(), backlog };
-        let rings = Arc::new(Rings::new(usize::try_from(config.capture_memory).unwrap_or(usize::MAX)));
-        let losses = Arc::new(Losses::default());
-        let recorder = Recorder::new(Arc::clone(&rings), Arc::clone(&losses), hub.clone());
-        let (reserve, reserved) = Reserve::open(&home.reserve(), RESERVE_BYTES);
-        let states = disk::working_reserve(&home, config.disk_reserve);
-        let rules = PinRules { mode: config.pin_mode, listed: config.publishers.clone() };
-        let pins = Arc::new(Pins::new(ledger.clone(), hub.clone(), rules));
-        let recorder = recorder.with_pins(Arc::clone(&pins)).with_rules(config.topic_rules.clone());
-        let site = Arc::new(Self {
-            recorder: Arc::new(recorder),
-            pins,
-            reporting: tokio::sync::Mutex::default(),
-            sender: Arc::new(Sender::new(ledger, hub.clone(), Policy { cap: config.max_fee })),
-            audit: AuditLog::new(plant.ledger.clone()),
-            heads: Heads::default(),
-            refusals: refusals::Refusals::default(),
-            served_gateway: Mutex::default(),
-            reserve,
-            states,
-            watching: Mutex::default(),
-            contacts: tokio::sync::Mutex::default(),
-            home,
-            config,
-            plant,
-            hub,
-            rings,
-            losses,
-            owners: RwLock::default(),
-            consoles: Mutex::default(),
-            captures: Mutex::default(),
-            recordings: Mutex::default(),
-            learning: AtomicUsize::new(0),
-            network: watch::channel(if needs.chain { NetworkState::Connecting } else { NetworkState::Off }).0,
-            scanned: watch::channel(0).0,
-            ros: watch::channel(if needs.ros { RosState::Starting } else { RosState::Off }).0,
-            stopping: watch::channel(false).0,
-            ending: AtomicBool::new(false),
-            tasks: supervision::Tasks::default(),
-            chain_silent: AtomicBool::new(false),
-            head_seen: Mutex::default(),
-            remote,
-            guests: AtomicUsize::new(0),
-            deploying: tokio::sync::Mutex::default(),
-            admitted: RwLock::default(),
-            admitting: tokio::sync::Mutex::default(),
-            witnesses: Mutex::default(),
-            sealer: Mutex::default(),
-            ros_task: Mutex::default(),
-            _lock: lock,
-        });
+        let (parts, opened, copied) = Parts::open(home, config, needs.chain)?;
+        let (reserve, reserved) = Reserve::open(&parts.home.reserve(), RESERVE_BYTES);
+        let site = Arc::new(Self::assemble(parts, Arc::new(reserve), lock, needs)?);
         site.warn_of_policy();
         if let Err(error) = reserved {
             let text = format!("no space could be set aside for a revoke on a full disk: {error}");
-            site.hub.notice(super::event::NoticeLevel::Warning, &text);
+            site.parts.hub.notice(super::event::NoticeLevel::Warning, &text);
         }
-        workers::start(&site, needs)?;
+        workers::start(&site, needs, opened)?;
         if copied {
-            tokio::spawn(Arc::clone(&site).tell_of_copy());
+            tokio::spawn(Arc::clone(&site.storage).tell_of_copy());
         }
         Ok(site)
     }
 
+    /// The features over the shared parts, each with the ones that it asks.
+    fn assemble(parts: Parts, reserve: Arc<Reserve>, lock: SiteLock, needs: Needs) -> Result<Self, Failure> {
+        let (config, plant) = (Arc::clone(&parts.config), parts.plant.clone());
+        let rings = Arc::new(Rings::new(usize::try_from(config.capture_memory).unwrap_or(usize::MAX)));
+        let losses = Arc::new(Losses::default());
+        let rules = PinRules { mode: config.pin_mode, listed: config.publishers.clone() };
+        let judges = Arc::new(Pins::new(plant.ledger.clone(), parts.hub.clone(), rules));
+        let recorder = Recorder::new(Arc::clone(&rings), Arc::clone(&losses), parts.hub.clone());
+        let recorder = recorder.with_pins(Arc::clone(&judges)).with_rules(config.topic_rules.clone());
+        let recorder = Arc::new(recorder);
+        let remote = config.site.as_ref().map(|site| Remote::new(site, &parts.home, plant.provider)).transpose()?;
+        let remote = remote.map(Arc::new);
+        let of = &parts;
+        let ros = Arc::new(RosSide::new(of, &recorder, needs.ros));
+        let sealer = Arc::new(SealerThread::new(of, &rings, &losses));
+        let lanes = Arc::new(Lanes::new(of));
+        let connection = Arc::new(Connection::new(of, remote.clone()));
+        let joined = Arc::new(Joined::new(of, remote.clone()));
+        let contacts = Arc::new(Contacts::new(of));
+        let pins = Arc::new(Pinning::new(of, &judges));
+        let reading = Arc::new(Reading::new(of, &contacts));
+        let quarantine = Arc::new(Quarantine::new(of, &reading));
+        let enrolments = Arc::new(Enrolments::new(of));
+        let sharing = Arc::new(Sharing::new(of, &contacts, &enrolments, &joined, &reserve));
+        let admissions = Arc::new(Admissions::new(of, &contacts));
+        let gateway = Arc::new(Gateway::new(of, &sharing, &admissions, remote.clone()));
+        let watches = Arc::new(Watches::new(of, &recorder, &ros));
+        let asked = identity::Asked {
+            connection: &connection,
+            sharing: &sharing,
+            enrolments: &enrolments,
+            gateway: &gateway,
+            reading: &reading,
+            pins: &pins,
+            recorder: &recorder,
+            watches: &watches,
+        };
+        let profiles = Arc::new(Profiles::new(of, &asked));
+        let capture = Arc::new(Capture::new(of, &recorder, &losses, &ros, &watches, &profiles, &pins));
+        let asked = recordings::Asked {
+            contacts: &contacts,
+            reading: &reading,
+            capture: &capture,
+            profiles: &profiles,
+            joined: &joined,
+            sealer: &sealer,
+            rings: &rings,
+        };
+        Ok(Self {
+            recordings: Arc::new(Recordings::new(of, &asked)),
+            devices: Arc::new(Devices::new(of, &sharing, &enrolments)),
+            administering: Arc::new(Administering::new(of, &contacts)),
+            adoption: Arc::new(Adoption::new(of, &lanes, &connection, &profiles, remote)),
+            audit: Arc::new(Audit::new(of, &reserve)),
+            backup: Arc::new(Backup::new(of, &quarantine)),
+            storage: Arc::new(Storage::new(of)),
+            clock: Arc::new(Clock::new(of)),
+            plant,
+            parts,
+            rings,
+            losses,
+            recorder,
+            ros,
+            sealer,
+            connection,
+            lanes,
+            joined,
+            profiles,
+            contacts,
+            sharing,
+            reading,
+            capture,
+            pins,
+            quarantine,
+            admissions,
+            gateway,
+            consoles: Mutex::default(),
+            guests: AtomicUsize::new(0),
+            ros_task: Mutex::default(),
+            _lock: lock,
+        })
+    }
+
     fn warn_of_policy(&self) {
         for warning in self.plant.vault.policy_warnings() {
-            self.hub.notice(super::event::NoticeLevel::Warning, &warning);
+            self.parts.hub.notice(super::event::NoticeLevel::Warning, &warning);
         }
     }
 
@@ -253,7 +261,7 @@ impl Site {
     pub fn client(self: &Arc<Self>, profile: ProfileName) -> Client {
         let (calls, receiver) = mpsc::unbounded_channel();
         tokio::spawn(Arc::clone(self).serve(receiver));
-        Client::new(profile, calls, self.hub.events().clone())
+        Client::new(profile, calls, self.parts.hub.events().clone())
     }
 
     /// Answers calls until their sender is gone; consoles claimed through it are then free again.
@@ -271,11 +279,7 @@ impl Site {
 
     /// Everything the site tells.
     pub fn events(&self) -> broadcast::Receiver<Event> {
-        self.hub.events().subscribe()
-    }
-
-    pub(crate) fn changed(&self, part: Part) {
-        self.hub.changed(part);
+        self.parts.hub.events().subscribe()
     }
 
     /// A joined process asks something; counted until the guard is dropped.
@@ -289,49 +293,78 @@ impl Site {
         self.guests.load(Ordering::Acquire)
     }
 
-    /// Whether the site is ending.
-    pub fn is_stopping(&self) -> bool {
-        *self.stopping.borrow()
-    }
-
-    /// Whether the site was told to end; it may still be storing what was captured.
-    pub(super) fn is_ending(&self) -> bool {
-        self.ending.load(Ordering::Acquire)
-    }
-
     /// Waits until the site is ending.
     pub async fn stopped(&self) {
-        let mut stopping = self.stopping.subscribe();
-        // An error means that the site is gone, which is an end too.
-        drop(stopping.wait_for(|stopping| *stopping).await);
+        self.parts.life.stopped().await;
+    }
+
+    /// The chain, as soon as the first attempt has ended.
+    ///
+    /// # Errors
+    /// Why the link is down.
+    pub async fn chain(&self) -> Result<crate::chain::Chain, Failure> {
+        self.parts.link.chain().await
+    }
+
+    /// The network with its contract.
+    ///
+    /// # Errors
+    /// Why the link is down, or that no contract is known yet.
+    pub async fn network(&self) -> Result<crate::pipeline::Network, Failure> {
+        self.parts.link.network().await
+    }
+
+    /// The owner behind a profile that is unlocked here.
+    ///
+    /// # Errors
+    /// That it is locked or not there.
+    pub fn unlocked(&self, profile: &ProfileName) -> Result<Arc<Owner>, Failure> {
+        self.parts.owners.unlocked(profile)
+    }
+
+    /// The master's URI, as soon as it is reached.
+    ///
+    /// # Errors
+    /// Why the master is not reached.
+    pub async fn ros_uri(&self) -> Result<String, Failure> {
+        self.ros.uri().await
+    }
+
+    pub(crate) fn home(&self) -> &Home {
+        &self.parts.home
+    }
+
+    pub(crate) fn config(&self) -> &Config {
+        &self.parts.config
     }
 
     /// Times of the line since the site began.
     pub fn stages(&self) -> &crate::pipeline::stages::Stages {
-        &self.hub.stages
+        &self.parts.hub.stages
+    }
+
+    /// Keeps work for the whole site going until the site ends; aborting the handle ends it.
+    pub(crate) fn supervise<Work, Run>(self: &Arc<Self>, name: &str, work: Work) -> tokio::task::JoinHandle<()>
+    where
+        Work: Fn(Arc<Self>) -> Run + Send + 'static,
+        Run: Future<Output = ()> + Send + 'static,
+    {
+        self.parts.supervisor.keep(name, self, work)
     }
 
     /// Ends the site within five seconds: no further capture, all captured messages acknowledged, files closed.
     pub async fn stop(self: Arc<Self>) {
         let begun = Instant::now();
-        self.ending.store(true, Ordering::Release);
-        self.ros.send_replace(RosState::Off);
+        self.parts.life.end();
         let ros = self.ros_task.lock().unwrap_or_else(std::sync::PoisonError::into_inner).take();
-        if let Some(task) = ros {
-            drop(tokio::time::timeout(LEAVING, task).await);
+        self.ros.leave(ros, LEAVING).await;
+        if !self.sealer.finish(FLUSHING.saturating_sub(begun.elapsed())).await {
+            self.tell_unstored();
         }
-        self.rings.close();
-        let sealer = self.sealer.lock().unwrap_or_else(std::sync::PoisonError::into_inner).take();
-        if let Some(thread) = sealer {
-            let joined = tokio::task::spawn_blocking(move || thread.join());
-            if tokio::time::timeout(FLUSHING.saturating_sub(begun.elapsed()), joined).await.is_err() {
-                self.tell_unstored();
-            }
-        }
-        let chain = self.open_chain();
-        self.stopping.send_replace(true);
-        self.network.send_replace(NetworkState::Off);
-        self.write_counted(None).await;
+        let chain = self.parts.link.connected();
+        self.parts.life.stop();
+        self.parts.link.set(NetworkState::Off);
+        self.parts.log.write_counted(None).await;
         if let Some(chain) = chain {
             drop(tokio::time::timeout(CLOSING, chain.end()).await);
         }
@@ -346,38 +379,16 @@ impl Site {
             "{messages} or more captured messages could not be stored before the end, they were never acknowledged; \
              see to disk and vault before the next start"
         );
-        self.hub.notice(super::event::NoticeLevel::Error, &text);
+        self.parts.hub.notice(super::event::NoticeLevel::Error, &text);
     }
+}
 
-    pub(crate) fn owner(&self, profile: &ProfileName) -> Option<Arc<Owner>> {
-        self.owners.read().unwrap_or_else(std::sync::PoisonError::into_inner).get(profile).cloned()
-    }
-
-    pub(crate) fn all_owners(&self) -> Vec<Arc<Owner>> {
-        self.owners.read().unwrap_or_else(std::sync::PoisonError::into_inner).values().cloned().collect()
-    }
-
-    /// The owner behind a profile that is unlocked here.
-    ///
-    /// # Errors
-    /// That it is locked or not there.
-    pub fn unlocked(&self, profile: &ProfileName) -> Result<Arc<Owner>, Failure> {
-        self.owner(profile).filter(|owner| !owner.is_locked()).ok_or_else(|| match self.home.keyring(profile).exists() {
-            true => super::failure::refused(format!(
-                "the keyring of profile '{profile}' is locked; unlock it with --passphrase-file or --passphrase-fd"
-            )),
-            false => super::failure::input(format!(
-                "profile '{profile}' has no identity yet; make one with `authros --profile {profile} identity create`"
-            )),
-        })
-    }
-
-    pub(crate) async fn blocking<T: Send + 'static>(
-        self: &Arc<Self>,
-        work: impl FnOnce(&Self) -> Result<T, Failure> + Send + 'static,
-    ) -> Result<T, Failure> {
-        let site = Arc::clone(self);
-        let joined = tokio::task::spawn_blocking(move || work(&site)).await;
-        joined.unwrap_or_else(|_| Err(internal("a background task of the site failed; please report what you did")))
-    }
+/// Does work for a part that waits for the disk, off the runtime's threads.
+pub(crate) async fn blocking<Whose: Send + Sync + 'static, Done: Send + 'static>(
+    part: &Arc<Whose>,
+    work: impl FnOnce(&Whose) -> Result<Done, Failure> + Send + 'static,
+) -> Result<Done, Failure> {
+    let part = Arc::clone(part);
+    let joined = tokio::task::spawn_blocking(move || work(&part)).await;
+    joined.unwrap_or_else(|_| Err(internal("a background task of the site failed; please report what you did")))
 }

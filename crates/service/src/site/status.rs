@@ -1,6 +1,6 @@
 //! The site at a glance: health in words, the life line, the chain.
 
-use std::sync::{Arc, PoisonError};
+use std::sync::Arc;
 
 use tokio::task::block_in_place;
 
@@ -10,7 +10,6 @@ use crate::model::{ProfileName, RecordState, clean};
 use crate::pipeline::sender::LaneState;
 use crate::pipeline::storer::Condition;
 use crate::pipeline::watcher::foreign;
-use crate::service::event::Part;
 use crate::service::hub::lacking;
 use crate::service::reply::{ChainView, Failure, GasView, HealthLevel, LifeLine, PartHealth, QueueView, SiteView};
 
@@ -20,16 +19,16 @@ const GAS_OVER: u64 = 100;
 impl Site {
     /// Health, counts, robots and open profiles.
     pub(super) async fn site_view(self: &Arc<Self>, profile: &ProfileName) -> Result<SiteView, Failure> {
-        let robots = match &*self.ros.borrow() {
+        let robots = match &*self.ros.state() {
             RosState::Up(link) => link.robots,
             _ => 0,
         };
-        let profiles = self.all_owners().iter().map(|owner| owner.profile.clone()).collect();
+        let profiles = self.parts.owners.all().iter().map(|owner| owner.profile.clone()).collect();
         let mut health = vec![self.ros_health(), self.chain_health(), self.vault_health(), self.gateway_health()];
-        health.extend(self.clock_health());
+        health.extend(self.clock.health());
         health.extend(block_in_place(|| self.account_health())?);
         let life = block_in_place(|| self.life_line(profile))?;
-        Ok(SiteView { health, life, robots, profiles, queue: self.queue_view(), tasks: self.task_views() })
+        Ok(SiteView { health, life, robots, profiles, queue: self.queue_view(), tasks: self.parts.supervisor.views() })
     }
 
     fn queue_view(&self) -> QueueView {
@@ -39,7 +38,7 @@ impl Site {
     }
 
     fn ros_health(&self) -> PartHealth {
-        let (level, text) = match &*self.ros.borrow() {
+        let (level, text) = match &*self.ros.state() {
             RosState::Off => (HealthLevel::Absent, "not part of this run".to_owned()),
             RosState::Starting => (HealthLevel::Waiting, "starting".to_owned()),
             RosState::Up(link) if link.embedded => {
@@ -52,17 +51,19 @@ impl Site {
     }
 
     fn chain_health(&self) -> PartHealth {
-        let name = match &self.remote {
-            Some(remote) => remote.chain_text(),
-            None => self.config.chain_url.as_deref().map_or_else(|| "embedded chain".to_owned(), without_password),
+        let name = match self.joined.chain_text() {
+            Some(text) => text,
+            None => {
+                self.parts.config.chain_url.as_deref().map_or_else(|| "embedded chain".to_owned(), without_password)
+            }
         };
-        let silent = self.chain_is_silent();
-        let (level, text) = match &*self.network.borrow() {
+        let silent = self.parts.link.is_silent();
+        let (level, text) = match &*self.parts.link.state() {
             NetworkState::Off => (HealthLevel::Absent, "not part of this run".to_owned()),
             NetworkState::Connecting => (HealthLevel::Waiting, format!("connecting to {name}")),
             NetworkState::Bare(_) => (HealthLevel::Ok, format!("{name}, no contract yet")),
             NetworkState::Up(_) if silent => (HealthLevel::Waiting, format!("{name} does not answer, retry in 2 s")),
-            NetworkState::Up(network) => match self.paused_text(network) {
+            NetworkState::Up(network) => match self.lanes.paused_text(network) {
                 Some(text) => (HealthLevel::Failed, text),
                 None => (HealthLevel::Ok, name),
             },
@@ -76,11 +77,11 @@ impl Site {
     }
 
     fn vault_health(&self) -> PartHealth {
-        let name = self.config.vault_url.as_deref().map_or_else(|| "embedded vault".to_owned(), without_password);
-        if let Some((level, text)) = self.room_health() {
+        let name = self.parts.config.vault_url.as_deref().map_or_else(|| "embedded vault".to_owned(), without_password);
+        if let Some((level, text)) = self.storage.room_health() {
             return part("vault", level, &text);
         }
-        match self.hub.vault_condition() {
+        match self.parts.hub.vault_condition() {
             (Condition::Takes, _) => part("vault", HealthLevel::Ok, &name),
             (Condition::Lacks(count), since) => {
                 PartHealth { since, ..part("vault", HealthLevel::Failed, &lacking(count)) }
@@ -103,34 +104,18 @@ impl Site {
     }
 
     fn gateway_health(&self) -> PartHealth {
-        let served = self.served_gateway.lock().unwrap_or_else(PoisonError::into_inner);
-        match &*served {
-            Some(serving) => part(
+        match self.gateway.served() {
+            Some(view) => part(
                 "gateway",
                 HealthLevel::Ok,
-                &format!(
-                    "{}, fingerprint {}, anchors as {}",
-                    serving.view.address, serving.view.fingerprint, serving.view.account
-                ),
+                &format!("{}, fingerprint {}, anchors as {}", view.address, view.fingerprint, view.account),
             ),
             None => part("gateway", HealthLevel::Absent, "none here; authros gateway serve"),
         }
     }
 
-    /// Notes whether the chain answered the last time it was asked.
-    pub(super) fn chain_answers(&self, answers: bool) {
-        let before = self.chain_silent.swap(!answers, std::sync::atomic::Ordering::AcqRel);
-        if before == answers {
-            self.changed(Part::Health);
-        }
-    }
-
-    fn chain_is_silent(&self) -> bool {
-        self.chain_silent.load(std::sync::atomic::Ordering::Acquire)
-    }
-
     fn life_line(&self, profile: &ProfileName) -> Result<LifeLine, Failure> {
-        let Ok(owner) = self.address_of(profile) else {
+        let Ok(owner) = self.parts.owners.address_of(profile) else {
             return Ok(LifeLine { conserved: true, ..LifeLine::default() });
         };
         let (waiting, _) = self.rings.depth();
@@ -166,17 +151,17 @@ impl Site {
 
     /// The chain as this profile sees it.
     pub(super) async fn chain_view(self: &Arc<Self>, profile: &ProfileName) -> Result<ChainView, Failure> {
-        let chain = self.chain().await?;
-        let path = self.home.keyring(profile);
-        let address = match self.owner(profile) {
+        let chain = self.parts.link.chain().await?;
+        let path = self.parts.home.keyring(profile);
+        let address = match self.parts.owners.get(profile) {
             Some(owner) => Some(owner.address),
             None if path.exists() => Some(block_in_place(|| crate::crypto::read_public(&path))?.address),
             None => None,
         };
         let status = chain.status(address).await?;
-        let lanes = match (self.owner(profile), self.network_now(), address) {
-            (Some(owner), Some(network), _) => self.lane_states(&owner, &network)?,
-            (_, _, Some(address)) => vec![self.sender.state_of(address)?],
+        let lanes = match (self.parts.owners.get(profile), self.parts.link.network_now(), address) {
+            (Some(owner), Some(network), _) => self.lanes.lane_states(&owner, &network)?,
+            (_, _, Some(address)) => vec![self.parts.sender.state_of(address)?],
             (_, _, None) => Vec::new(),
         };
         // What is in a block already but not looked at yet does not wait any more.
@@ -196,10 +181,12 @@ impl Site {
             gas: block_in_place(|| self.gas_of(&lanes))?,
             lanes,
             client: clean(&status.client, 100),
-            through: self.remote.as_ref().map(|remote| clean(&remote.chain_text(), 300)),
+            through: self.joined.chain_text().map(|text| clean(&text, 300)),
             administration: self
+                .parts
+                .link
                 .network_now()
-                .map(|network| self.administration_view(&network, address))
+                .map(|network| self.administering.view(&network, address))
                 .unwrap_or_default(),
             sealing: chain.sealing().await?,
         })

@@ -7,11 +7,12 @@ use std::time::{Duration, Instant};
 
 use tokio::task::JoinHandle;
 
-use super::Site;
+use super::lifetime::Lifetime;
 use crate::crypto::fault;
 use crate::model::clean;
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::internal;
+use crate::service::hub::Hub;
 use crate::service::reply::{Failure, TaskState, TaskView};
 
 /// The first pause before a task is begun again, and the longest.
@@ -21,9 +22,13 @@ const STEADY: Duration = Duration::from_secs(60);
 /// How often a resting thread looks whether the site ends.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// The tasks of a site, in the order in which they were begun.
-#[derive(Default)]
-pub(super) struct Tasks(Mutex<Vec<Arc<Task>>>);
+/// Keeps the tasks of a site at work.
+pub(super) struct Supervisor {
+    hub: Arc<Hub>,
+    life: Arc<Lifetime>,
+    /// In the order in which they were begun.
+    tasks: Mutex<Vec<Arc<Task>>>,
+}
 
 /// One task, for as long as it is wanted.
 struct Task {
@@ -39,21 +44,25 @@ struct Standing {
     reason: Option<String>,
 }
 
-impl Tasks {
+impl Supervisor {
+    pub fn new(hub: Arc<Hub>, life: Arc<Lifetime>) -> Self {
+        Self { hub, life, tasks: Mutex::default() }
+    }
+
     fn add(&self, name: String) -> Arc<Task> {
         let standing = Standing { begun: Instant::now(), restarts: 0, pause: PAUSES.0, resumes: None, reason: None };
         let task = Arc::new(Task { name, standing: Mutex::new(standing) });
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).push(Arc::clone(&task));
+        self.tasks.lock().unwrap_or_else(PoisonError::into_inner).push(Arc::clone(&task));
         task
     }
 
     fn remove(&self, task: &Arc<Task>) {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).retain(|other| !Arc::ptr_eq(other, task));
+        self.tasks.lock().unwrap_or_else(PoisonError::into_inner).retain(|other| !Arc::ptr_eq(other, task));
     }
 
     /// How they all are.
     pub fn views(&self) -> Vec<TaskView> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).iter().map(|task| task.view()).collect()
+        self.tasks.lock().unwrap_or_else(PoisonError::into_inner).iter().map(|task| task.view()).collect()
     }
 }
 
@@ -87,37 +96,35 @@ impl Task {
     }
 }
 
-impl Site {
-    /// How the background tasks are.
-    pub(super) fn task_views(&self) -> Vec<TaskView> {
-        self.tasks.views()
-    }
-
-    /// Keeps a task at work until the site ends; aborting the handle ends the task.
-    pub(crate) fn supervise<Work, Run>(self: &Arc<Self>, name: &str, work: Work) -> JoinHandle<()>
+impl Supervisor {
+    /// Keeps the work of a part going until the site ends; aborting the handle ends it.
+    pub fn keep<Whose, Work, Run>(self: &Arc<Self>, name: &str, part: &Arc<Whose>, work: Work) -> JoinHandle<()>
     where
-        Work: Fn(Arc<Site>) -> Run + Send + 'static,
+        Whose: Send + Sync + 'static,
+        Work: Fn(Arc<Whose>) -> Run + Send + 'static,
         Run: Future<Output = ()> + Send + 'static,
     {
-        self.supervise_while(name, |_| true, work)
+        self.keep_while(name, part, |_| true, work)
     }
 
-    /// Keeps a task at work for as long as it is wanted and the site does not end.
-    pub(super) fn supervise_while<Wanted, Work, Run>(
+    /// Keeps the work of a part going for as long as it is wanted and the site does not end.
+    pub fn keep_while<Whose, Wanted, Work, Run>(
         self: &Arc<Self>,
         name: &str,
+        part: &Arc<Whose>,
         wanted: Wanted,
         work: Work,
     ) -> JoinHandle<()>
     where
-        Wanted: Fn(&Arc<Site>) -> bool + Send + 'static,
-        Work: Fn(Arc<Site>) -> Run + Send + 'static,
+        Whose: Send + Sync + 'static,
+        Wanted: Fn(&Arc<Whose>) -> bool + Send + 'static,
+        Work: Fn(Arc<Whose>) -> Run + Send + 'static,
         Run: Future<Output = ()> + Send + 'static,
     {
-        let (site, task) = (Arc::clone(self), self.tasks.add(name.to_owned()));
+        let (supervisor, part, task) = (Arc::clone(self), Arc::clone(part), self.add(name.to_owned()));
         tokio::spawn(async move {
             loop {
-                let (run, name) = (work(Arc::clone(&site)), task.name.clone());
+                let (run, name) = (work(Arc::clone(&part)), task.name.clone());
                 let mut running = Aborted(tokio::spawn(async move {
                     tokio::select! {
                         () = run => {}
@@ -125,19 +132,19 @@ impl Site {
                     }
                 }));
                 let ended = (&mut running.0).await;
-                if site.is_ending() || !wanted(&site) {
+                if supervisor.life.is_ending() || !wanted(&part) {
                     break;
                 }
                 let reason = ended.err().map_or_else(|| "it ended too early".to_owned(), reason_of);
-                let pause = site.tell_ended(&task, &reason);
+                let pause = supervisor.tell_ended(&task, &reason);
                 tokio::select! {
                     () = tokio::time::sleep(pause) => {}
-                    () = site.stopped() => break,
+                    () = supervisor.life.stopped() => break,
                 }
                 task.begins_again();
-                site.changed(Part::Health);
+                supervisor.hub.changed(Part::Health);
             }
-            site.tasks.remove(&task);
+            supervisor.remove(&task);
         })
     }
 
@@ -145,20 +152,20 @@ impl Site {
     ///
     /// # Errors
     /// Where the thread cannot be started.
-    pub(super) fn supervise_thread(
+    pub fn keep_thread(
         self: &Arc<Self>,
         name: &'static str,
         mut work: impl FnMut() + Send + 'static,
     ) -> Result<std::thread::JoinHandle<()>, Failure> {
-        let (site, task) = (Arc::downgrade(self), self.tasks.add(name.to_owned()));
+        let (supervisor, task) = (Arc::downgrade(self), self.add(name.to_owned()));
         let run = move || {
             while let Err(panic) = catch_unwind(AssertUnwindSafe(&mut work)) {
-                if !rest(&site, &task, &words(&*panic)) {
+                if !rest(&supervisor, &task, &words(&*panic)) {
                     break;
                 }
             }
-            if let Some(site) = site.upgrade() {
-                site.tasks.remove(&task);
+            if let Some(supervisor) = supervisor.upgrade() {
+                supervisor.remove(&task);
             }
         };
         let spawned = std::thread::Builder::new().name(name.to_owned()).spawn(run);
@@ -175,7 +182,7 @@ impl Site {
                 pause.as_secs_f32()
             ),
         );
-        self.changed(Part::Health);
+        self.hub.changed(Part::Health);
         pause
     }
 }
@@ -191,16 +198,16 @@ impl Drop for Aborted {
 
 /// Rests a thread that panicked; whether it is still wanted then. What it holds must be worked off even while the
 /// site ends, so an end only shortens the rest.
-fn rest(site: &Weak<Site>, task: &Task, reason: &str) -> bool {
-    let Some(pause) = site.upgrade().map(|site| site.tell_ended(task, reason)) else { return false };
+fn rest(supervisor: &Weak<Supervisor>, task: &Task, reason: &str) -> bool {
+    let Some(pause) = supervisor.upgrade().map(|supervisor| supervisor.tell_ended(task, reason)) else { return false };
     let resumes = Instant::now() + pause;
-    while Instant::now() < resumes && site.upgrade().is_some_and(|site| !site.is_ending()) {
+    while Instant::now() < resumes && supervisor.upgrade().is_some_and(|supervisor| !supervisor.life.is_ending()) {
         std::thread::sleep(LOOK);
     }
     task.begins_again();
-    site.upgrade().is_some_and(|site| {
-        site.changed(Part::Health);
-        !site.is_stopping()
+    supervisor.upgrade().is_some_and(|supervisor| {
+        supervisor.hub.changed(Part::Health);
+        !supervisor.life.is_stopping()
     })
 }
 

@@ -1,75 +1,85 @@
 //! Starts the background tasks of a site: sealer, storer, watcher, anchorers, verifier.
 
-use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use super::{Needs, RosState, Site};
+use tokio::sync::mpsc;
+
+use super::audit::Audit;
+use super::capture::ros::RosSide;
+use super::chain::administration::Administering;
+use super::chain::connection::Connection;
+use super::chain::lanes::Lanes;
+use super::clock::Clock;
+use super::mirror::Joined;
+use super::quarantine::Quarantine;
+use super::sharing::Sharing;
+use super::storage::Storage;
+use super::{Needs, NetworkState, Site};
 use crate::chain::ChainError;
-use crate::model::{Address, Domain};
+use crate::model::Domain;
 use crate::pipeline::adoption::{self, Word};
 use crate::pipeline::anchorer::{Anchorer, Round};
-use crate::pipeline::sealer::Sealer;
 use crate::pipeline::stages::Stage;
 use crate::pipeline::{Network, Owner, PipelineError, storer, verifier, watcher};
 use crate::service::event::{NoticeLevel, Part};
+use crate::service::hub::Hub;
 use crate::service::reply::Failure;
 
-/// The longest pause between two attempts to send what the chain is owed.
-const LONGEST_REST: Duration = Duration::from_secs(8);
-
 /// Starts all tasks that the run needs.
-pub(super) fn start(site: &Arc<Site>, needs: Needs) -> Result<(), Failure> {
-    site.supervise("news", |site| Arc::clone(&site.hub).run());
-    site.supervise("audit", Site::keep_audit);
-    site.supervise("quarantine", Site::keep_quarantine);
-    site.supervise("room", Site::keep_room);
-    site.supervise("clock", Site::keep_clock);
-    tokio::spawn(Arc::clone(site).check_after_crash());
-    site.supervise("retention", Site::keep_retention);
+pub(super) fn start(
+    site: &Arc<Site>,
+    needs: Needs,
+    opened: mpsc::UnboundedReceiver<Arc<Owner>>,
+) -> Result<(), Failure> {
+    site.parts.supervisor.keep("news", &site.parts.hub, Hub::run);
+    site.parts.supervisor.keep("audit", &site.audit, Audit::keep);
+    site.parts.supervisor.keep("quarantine", &site.quarantine, Quarantine::keep);
+    site.parts.supervisor.keep("room", &site.storage, Storage::keep_room);
+    site.parts.supervisor.keep("clock", &site.clock, Clock::keep);
+    tokio::spawn(Arc::clone(&site.storage).check_after_crash());
+    site.parts.supervisor.keep("retention", &site.storage, Storage::keep_retention);
+    begin_with_owners(site, opened);
     if needs.ros {
-        seal_here(site)?;
-        let here = |site: &Arc<Site>| !matches!(*site.ros.borrow(), RosState::Off);
-        let task = site.supervise_while("ros", here, Site::keep_ros);
+        site.sealer.begin()?;
+        let task = site.parts.supervisor.keep_while("ros", &site.ros, |ros| ros.is_wanted(), RosSide::keep);
         *site.ros_task.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = Some(task);
     }
     if needs.chain {
         if !site.plant.vault.durable() {
             start_storer(site)?;
         }
-        site.supervise("chain", Site::keep_connected);
-        site.supervise("watcher", watch);
-        site.supervise("verifier", verify);
-        site.supervise("scrubber", Site::keep_scrubbing);
-        site.supervise("expiry", Site::expire_grants);
-        site.supervise("parties", Site::keep_parties_known);
+        site.parts.supervisor.keep("chain", &site.connection, Connection::keep_connected);
+        site.parts.supervisor.keep("owners", site, resume_owners);
+        site.parts.supervisor.keep("watcher", site, watch);
+        site.parts.supervisor.keep("verifier", site, verify);
+        site.parts.supervisor.keep("scrubber", &site.audit, Audit::keep_scrubbing);
+        site.parts.supervisor.keep("expiry", &site.sharing, Sharing::keep_settled);
+        site.parts.supervisor.keep("parties", &site.administering, Administering::keep_parties_known);
     }
     Ok(())
 }
 
-/// Starts the sealer where this run has none yet: one that captures nothing still may import.
-pub(super) fn seal_here(site: &Arc<Site>) -> Result<(), Failure> {
-    let mut sealer = site.sealer.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-    if sealer.is_none() && !site.rings.is_closed() {
-        *sealer = Some(start_sealer(site)?);
-    }
-    Ok(())
-}
-
-fn start_sealer(site: &Arc<Site>) -> Result<std::thread::JoinHandle<()>, Failure> {
-    let (plant, hub, losses) = (site.plant.clone(), Arc::clone(&site.hub), Arc::clone(&site.losses));
-    let (rings, compression) = (Arc::clone(&site.rings), site.config.compression);
-    site.supervise_thread("sealer", move || {
-        let sealer = Sealer::new(plant.clone(), Arc::clone(&hub.sessions), Arc::clone(&losses));
-        let mut sealer = if compression { sealer } else { sealer.without_compression() };
-        sealer.run(&rings, &|| hub.stored.notify_waiters());
-    })
+/// Begins what is done for each owner as it is opened.
+fn begin_with_owners(site: &Arc<Site>, mut opened: mpsc::UnboundedReceiver<Arc<Owner>>) {
+    let site = Arc::clone(site);
+    tokio::spawn(async move {
+        loop {
+            tokio::select! {
+                owner = opened.recv() => match owner {
+                    Some(owner) => site.work_for(&owner),
+                    None => return,
+                },
+                () = site.parts.life.stopped() => return,
+            }
+        }
+    });
 }
 
 fn start_storer(site: &Arc<Site>) -> Result<(), Failure> {
-    let (plant, hub, weak) = (site.plant.clone(), Arc::clone(&site.hub), Arc::downgrade(site));
-    let stopped = move || weak.upgrade().is_none_or(|site| site.is_stopping());
-    site.supervise_thread("storer", move || {
+    let (plant, hub, weak) = (site.plant.clone(), Arc::clone(&site.parts.hub), Arc::downgrade(&site.parts.life));
+    let stopped = move || weak.upgrade().is_none_or(|life| life.is_stopping());
+    site.parts.supervisor.keep_thread("storer", move || {
         storer::run(&plant, &stopped, &|pause| std::thread::sleep(pause.min(Duration::from_secs(1))), &|| {
             hub.stored.notify_waiters()
         });
@@ -78,9 +88,9 @@ fn start_storer(site: &Arc<Site>) -> Result<(), Failure> {
 }
 
 async fn watch(site: Arc<Site>) {
-    let (mut seen, mut state) = (0, site.network.subscribe());
-    while !site.is_stopping() {
-        let Some(network) = site.network_now() else {
+    let (mut seen, mut state) = (0, site.parts.link.follow());
+    while !site.parts.life.is_stopping() {
+        let Some(network) = site.parts.link.network_now() else {
             if state.changed().await.is_err() {
                 return;
             }
@@ -89,27 +99,27 @@ async fn watch(site: Arc<Site>) {
         let begun = Instant::now();
         let pause = match watcher::watch_round(&site.plant, &network).await {
             Ok(head) => {
-                site.scanned.send_replace(head.number);
-                site.hub.stages.spent(Stage::Watch, begun.elapsed());
-                site.chain_answers(true);
-                site.saw_head(head);
+                site.parts.link.has_scanned(head.number);
+                site.parts.hub.stages.spent(Stage::Watch, begun.elapsed());
+                site.parts.link.answers(true);
+                site.parts.link.saw_head(head);
                 if head.number != seen {
                     seen = head.number;
-                    site.changed(Part::Chain);
-                    site.hub.confirmed.notify_one();
+                    site.parts.hub.changed(Part::Chain);
+                    site.parts.hub.confirmed.notify_one();
                 }
-                site.tend_lanes(&network).await;
+                site.lanes.tend(&network).await;
                 network.chain.next_block(head.number, watcher::PATIENCE).await.err().map(|error| error.to_string())
             }
             Err(PipelineError::Chain(error @ ChainError::Swapped { .. })) => {
-                site.lose_chain(error.into());
+                site.parts.link.lose_chain(error.into());
                 continue;
             }
             Err(error) => Some(error.to_string()),
         };
         if let Some(problem) = pause {
-            site.chain_answers(false);
-            site.hub.notice(
+            site.parts.link.answers(false);
+            site.parts.hub.notice(
                 NoticeLevel::Error,
                 &format!("the chain does not answer; anchoring waits, nothing is lost: {problem}"),
             );
@@ -119,12 +129,12 @@ async fn watch(site: Arc<Site>) {
 }
 
 async fn verify(site: Arc<Site>) {
-    while !site.is_stopping() {
+    while !site.parts.life.is_stopping() {
         tokio::select! {
-            () = site.hub.confirmed.notified() => {}
+            () = site.parts.hub.confirmed.notified() => {}
             () = tokio::time::sleep(Duration::from_secs(1)) => {}
         }
-        while let Some(network) = site.network_now() {
+        while let Some(network) = site.parts.link.network_now() {
             let plant = site.plant.clone();
             let round = tokio::task::spawn_blocking(move || verifier::verify_round(&plant, &network)).await;
             match round {
@@ -135,7 +145,7 @@ async fn verify(site: Arc<Site>) {
                     let is_told = matches!(&error, PipelineError::Store(error) if error.is_of_redis());
                     if !is_told {
                         let text = format!("records cannot be verified now, they wait: {error}");
-                        site.hub.notice(NoticeLevel::Error, &text);
+                        site.parts.hub.notice(NoticeLevel::Error, &text);
                     }
                     tokio::time::sleep(Duration::from_secs(1)).await;
                     break;
@@ -163,33 +173,56 @@ async fn anchor_round(
     spoken: &mut Option<Domain>,
 ) -> Result<Round, Failure> {
     if *spoken != Some(network.domain) {
-        if adoption::give_word(&site.plant, network, &site.sender, owner).await? == Word::OnItsWay {
+        if adoption::give_word(&site.plant, network, &site.parts.sender, owner).await? == Word::OnItsWay {
             return Ok(Round { submitted: 0, next: Duration::from_millis(250) });
         }
         *spoken = Some(network.domain);
     }
-    let lanes = site.lanes(owner, network)?;
-    Ok(anchorer.round(&site.plant, network, &site.sender, owner, &lanes).await?)
+    let lanes = site.lanes.of(owner, network)?;
+    Ok(anchorer.round(&site.plant, network, &site.parts.sender, owner, &lanes).await?)
 }
 
 impl Site {
     /// Begins what is done for each open owner, until the owner is closed or the site ends.
     pub(super) fn work_for(self: &Arc<Self>, owner: &Arc<Owner>) {
-        let open = |owner: &Arc<Owner>| {
-            let owner = Arc::clone(owner);
-            move |site: &Arc<Site>| site.owner(&owner.profile).is_some_and(|other| Arc::ptr_eq(&other, &owner))
-        };
         let (name, given) = (&owner.profile, Arc::clone(owner));
-        self.supervise_while(&format!("anchorer {name}"), open(owner), move |site| anchor(site, Arc::clone(&given)));
-        if self.config.lanes > 1 {
+        self.parts.supervisor.keep_while(&format!("anchorer {name}"), self, while_open(self, owner), move |site| {
+            anchor(site, Arc::clone(&given))
+        });
+        if self.parts.config.lanes > 1 {
             let given = Arc::clone(owner);
-            let work = move |site: Arc<Site>| site.keep_witnesses(Arc::clone(&given));
-            self.supervise_while(&format!("witnesses {name}"), open(owner), work);
+            let work = move |lanes: Arc<Lanes>| lanes.keep_witnesses(Arc::clone(&given));
+            self.parts.supervisor.keep_while(&format!("witnesses {name}"), &self.lanes, while_open(self, owner), work);
         }
-        if self.remote.is_some() {
+        if self.joined.is_joined() {
             let given = Arc::clone(owner);
-            let work = move |site: Arc<Site>| site.mirror(Arc::clone(&given));
-            self.supervise_while(&format!("mirror {name}"), open(owner), work);
+            let work = move |joined: Arc<Joined>| joined.mirror(Arc::clone(&given));
+            self.parts.supervisor.keep_while(&format!("mirror {name}"), &self.joined, while_open(self, owner), work);
+        }
+    }
+}
+
+/// Whether work for an owner is still wanted.
+fn while_open<Whose>(site: &Site, owner: &Arc<Owner>) -> impl Fn(&Arc<Whose>) -> bool + Send + 'static {
+    let (owners, owner) = (Arc::clone(&site.parts.owners), Arc::clone(owner));
+    move |_| owners.is_open(&owner)
+}
+
+/// Takes up where each open owner stands on the chain, whenever the network comes up.
+async fn resume_owners(site: Arc<Site>) {
+    let mut state = site.parts.link.follow();
+    while !site.parts.life.is_stopping() {
+        tokio::select! {
+            up = state.wait_for(|state| matches!(state, NetworkState::Up(_))) => if up.is_err() { return },
+            () = site.parts.life.stopped() => return,
+        }
+        for owner in site.parts.owners.all() {
+            if let Err(failure) = site.profiles.resume(&owner).await {
+                site.parts.hub.notice(NoticeLevel::Error, &failure.message);
+            }
+        }
+        if state.changed().await.is_err() {
+            return;
         }
     }
 }
@@ -197,29 +230,29 @@ impl Site {
 /// Anchors the records of one owner until the owner is closed or the site ends.
 async fn anchor(site: Arc<Site>, owner: Arc<Owner>) {
     let mut pause = Duration::from_millis(250);
-    let mut anchorer = Anchorer::new(site.config.anchor_mode);
+    let mut anchorer = Anchorer::new(site.parts.config.anchor_mode);
     let mut spoken = None;
-    let mut scanned = site.scanned.subscribe();
-    while !site.is_stopping() {
-        let still_open = site.owner(&owner.profile).is_some_and(|other| Arc::ptr_eq(&other, &owner));
+    let mut scanned = site.parts.link.scans();
+    while !site.parts.life.is_stopping() {
+        let still_open = site.parts.owners.is_open(&owner);
         if !still_open {
             return;
         }
-        let Some(network) = site.network_now() else {
+        let Some(network) = site.parts.link.network_now() else {
             tokio::time::sleep(Duration::from_millis(200)).await;
             continue;
         };
         let begun = Instant::now();
         match anchor_round(&site, &mut anchorer, &network, &owner, &mut spoken).await {
             Ok(round) => {
-                site.hub.stages.spent(Stage::Anchor, begun.elapsed());
+                site.parts.hub.stages.spent(Stage::Anchor, begun.elapsed());
                 pause = Duration::from_millis(250);
                 if round.submitted > 0 {
-                    site.changed(Part::Uploads);
+                    site.parts.hub.changed(Part::Uploads);
                 }
                 if !round.next.is_zero() {
                     tokio::select! {
-                        () = site.hub.stored.notified() => {}
+                        () = site.parts.hub.stored.notified() => {}
                         // A block may have freed a lane.
                         _ = scanned.changed() => {}
                         () = tokio::time::sleep(round.next) => {}
@@ -227,42 +260,12 @@ async fn anchor(site: Arc<Site>, owner: Arc<Owner>) {
                 }
             }
             Err(error) => {
-                site.hub.notice(
+                site.parts.hub.notice(
                     NoticeLevel::Error,
                     &format!("records of {} wait to be anchored: {}", owner.profile, error.message),
                 );
                 tokio::time::sleep(pause).await;
                 pause = (pause * 2).min(Duration::from_secs(5));
-            }
-        }
-    }
-}
-
-impl Site {
-    /// Sends what the chain is owed, and after a failure again with growing pauses.
-    async fn expire_grants(self: Arc<Self>) {
-        let mut resting: HashMap<Address, (Instant, Duration)> = HashMap::new();
-        while !self.is_stopping() {
-            if !self.beat(Duration::from_secs(1)).await {
-                return;
-            }
-            let Some(network) = self.network_now() else { continue };
-            // What is overdue needs keys that a locked keyring does not have; keys sealed ahead hold without them.
-            for owner in self.all_owners().into_iter().filter(|owner| !owner.is_locked()) {
-                if resting.get(&owner.address).is_some_and(|(until, _)| Instant::now() < *until) {
-                    continue;
-                }
-                let Err(failure) = self.settle_overdue(&owner, &network).await else {
-                    resting.remove(&owner.address);
-                    continue;
-                };
-                let pause = resting.get(&owner.address).map_or(Duration::from_secs(2), |(_, pause)| *pause * 2);
-                let pause = pause.min(LONGEST_REST);
-                resting.insert(owner.address, (Instant::now() + pause, pause));
-                self.hub.notice(
-                    NoticeLevel::Error,
-                    &format!("the end of a grant of {} is not on the chain yet: {}", owner.profile, failure.message),
-                );
             }
         }
     }

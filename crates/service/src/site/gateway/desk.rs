@@ -42,28 +42,28 @@ impl GatewayDesk {
 
     async fn audit(&self, caller: &Caller, action: &str, subject: &str) -> Result<(), Refusal> {
         let outcome = format!("asked by {} ({})", caller.name, caller.account);
-        let written = self.site.record_audit(&self.keeper.profile, action, subject, &outcome).await;
+        let written = self.gateway.log.write(&self.keeper.profile, action, subject, &outcome).await;
         written.map_err(|failure| Refusal::new(Code::Internal, failure.message))
     }
 
     /// A record contradicts the ledger: where its number is another's, both signatures are kept.
     fn tell_conflict(&self, claims: &[Claim], error: &StoreError) {
-        let told = claims.iter().map(|claim| equivocation::tell(&self.site.plant, claim));
+        let told = claims.iter().map(|claim| equivocation::tell(&self.gateway.plant, claim));
         if told.filter(|told| matches!(told, Ok(true))).count() == 0 {
             let text = format!("a sender's record contradicts another one: {error}");
-            self.site.hub.notice(NoticeLevel::Error, &text);
+            self.gateway.hub.notice(NoticeLevel::Error, &text);
         }
     }
 
     /// As [`Self::audit`], but the same of the same caller only once a minute; repetitions are counted.
     async fn audit_once(&self, caller: &Caller, action: &str, subject: &str) -> Result<(), Refusal> {
-        let (refusals, query) = (&self.site.refusals, format!("{action} {subject}"));
-        if !refusals.is_new_query(Timestamp::now(), caller.name.as_str(), &query) {
+        let (log, query) = (&self.gateway.log, format!("{action} {subject}"));
+        if !log.is_new_query(caller.name.as_str(), &query) {
             return Ok(());
         }
         let written = self.audit(caller, action, subject).await;
         if written.is_err() {
-            refusals.forget_query(caller.name.as_str(), &query);
+            log.forget_query(caller.name.as_str(), &query);
         }
         written
     }
@@ -82,7 +82,7 @@ impl GatewayDesk {
         if guest {
             self.check_quota(account, &records)?;
         }
-        let plant = &self.site.plant;
+        let plant = &self.gateway.plant;
         let row = |record: Received| NewRecord::foreign(record.into(), self.keeper.address);
         let rows: Vec<_> = records.into_iter().map(row).collect();
         let claims: Vec<_> = rows.iter().filter_map(Claim::of).collect();
@@ -93,8 +93,8 @@ impl GatewayDesk {
             }
             error => Refusal::new(Code::Internal, error),
         })?;
-        self.site.hub.stored.notify_waiters();
-        self.site.changed(crate::service::event::Part::Uploads);
+        self.gateway.hub.stored.notify_waiters();
+        self.gateway.hub.changed(crate::service::event::Part::Uploads);
         Ok(Timestamp::now())
     }
 }
@@ -118,7 +118,7 @@ impl Desk for GatewayDesk {
         let (account, token) = (*account, *token);
         self.blocking(move |desk| {
             let directory = desk.fresh_network()?.directory;
-            let known = kept::has_token(&desk.site.plant.ledger, &directory, account, token);
+            let known = kept::has_token(&desk.gateway.plant.ledger, &directory, account, token);
             known.map_err(Refusal::because(Code::Internal))
         })
         .await
@@ -136,7 +136,7 @@ impl Desk for GatewayDesk {
         }
         let signer = *signer;
         self.blocking(move |desk| {
-            let key = desk.site.plant.ledger.signer(signer).map_err(Refusal::because(Code::Internal))?;
+            let key = desk.gateway.plant.ledger.signer(signer).map_err(Refusal::because(Code::Internal))?;
             Ok(key.filter(|key| signer_id(key) == signer))
         })
         .await
@@ -146,8 +146,8 @@ impl Desk for GatewayDesk {
         let name = name.clone();
         self.blocking(move |desk| {
             let internal = Refusal::because(Code::Internal);
-            let Some(kept) = desk.site.plant.ledger.binding(&name).map_err(&internal)? else { return Ok(None) };
-            let provider = desk.site.plant.provider;
+            let Some(kept) = desk.gateway.plant.ledger.binding(&name).map_err(&internal)? else { return Ok(None) };
+            let provider = desk.gateway.plant.provider;
             let under = desk.under.read().unwrap_or_else(PoisonError::into_inner);
             let open =
                 |pair: &SmKeyPair| open_transport_key(provider, &pair.secret, name.as_str(), &kept.sealed_key).ok();
@@ -174,7 +174,7 @@ impl Desk for GatewayDesk {
         let subject = format!("{name} for {}", binding.account);
         let (asked, account) = (name.clone(), binding.account);
         self.blocking(move |desk| desk.check_name(&desk.fresh_network()?, &account, &asked)).await?;
-        let audited = self.site.record_audit(&self.keeper.profile, "allocate key", &subject, "begun").await;
+        let audited = self.gateway.log.write(&self.keeper.profile, "allocate key", &subject, "begun").await;
         audited.map_err(|failure| Refusal::new(Code::Internal, failure.message))?;
         let name = name.clone();
         self.blocking(move |desk| {
@@ -182,11 +182,11 @@ impl Desk for GatewayDesk {
             let under = desk.under.read().unwrap_or_else(PoisonError::into_inner);
             let pair =
                 under.first().ok_or_else(|| Refusal::new(Code::Internal, "no key to keep transport keys under"))?;
-            let sealed_key = seal_transport_key(desk.site.plant.provider, &pair.secret, name.as_str(), &binding.key);
+            let sealed_key = seal_transport_key(desk.gateway.plant.provider, &pair.secret, name.as_str(), &binding.key);
             let sealed_key = sealed_key.map_err(Refusal::because(Code::Internal))?;
             let Binding { account, signing, envelope, .. } = binding;
             let kept = KeptBinding { account, signing, envelope, sealed_key, device: None };
-            desk.site.plant.ledger.bind(&name, kept).map_err(Refusal::because(Code::Internal))
+            desk.gateway.plant.ledger.bind(&name, kept).map_err(Refusal::because(Code::Internal))
         })
         .await
     }
@@ -244,10 +244,10 @@ impl Desk for GatewayDesk {
     async fn revoke(&self, caller: &Caller, notice: &RevokeNotice) -> Result<(), Refusal> {
         let (key, epoch) = (announced_key(&caller.account, &notice.grantee), notice.epoch.to_string());
         self.blocking(move |desk| {
-            desk.site.plant.ledger.put_setting(&key, &epoch).map_err(Refusal::because(Code::Internal))
+            desk.gateway.plant.ledger.put_setting(&key, &epoch).map_err(Refusal::because(Code::Internal))
         })
         .await?;
-        self.site.hub.authority.send_modify(|count| *count += 1);
+        self.gateway.hub.authority.send_modify(|count| *count += 1);
         self.audit(caller, "revoke notice", &notice.grantee.to_string()).await
     }
 
@@ -269,7 +269,7 @@ impl Desk for GatewayDesk {
         self.audit(caller, "device notice", &device.to_string()).await?;
         let (name, account) = (caller.name.to_string(), caller.account);
         self.blocking(move |desk| {
-            let ledger = &desk.site.plant.ledger;
+            let ledger = &desk.gateway.plant.ledger;
             ledger.keep_signer(device, key).map_err(Refusal::because(Code::Internal))?;
             ledger.bind_device(&name, account, device, notices).map(drop).map_err(Refusal::because(Code::Internal))
         })
@@ -278,9 +278,9 @@ impl Desk for GatewayDesk {
 
     fn refused(&self, peer: SocketAddr, refusal: &Refusal) {
         // A line per peer, code and minute: whoever is refused again and again can fill neither log.
-        if self.site.refused(&peer.ip().to_string(), &format!("{:?}", refusal.code)) {
+        if self.gateway.log.refused(&peer.ip().to_string(), &format!("{:?}", refusal.code)) {
             let text = format!("the gateway refused {}: {refusal}", peer.ip());
-            self.site.hub.notice(NoticeLevel::Info, &text);
+            self.gateway.hub.notice(NoticeLevel::Info, &text);
         }
     }
 }

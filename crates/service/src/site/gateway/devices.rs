@@ -1,9 +1,10 @@
 //! Names that belong to devices: they end with the loan, wherever the chain says that it ended. Names that were bound
 //! before gateways kept whose they are, are found in this gateway's own audit log.
 
+use super::Gateway;
 use std::collections::BTreeMap;
 
-use super::{GatewayDesk, Site};
+use super::GatewayDesk;
 use crate::gateway::{Caller, Code, Refusal};
 use crate::model::{Address, SignerId};
 use crate::pipeline::Network;
@@ -33,7 +34,7 @@ impl GatewayDesk {
     }
 }
 
-impl Site {
+impl Gateway {
     /// Finds, once, the devices of names that an earlier version bound: it wrote down which name brought which device's
     /// key, after the name was allocated.
     pub(super) fn resolve_devices(&self) -> Result<(), Failure> {
@@ -43,7 +44,7 @@ impl Site {
         }
         let lines = |action: &str| {
             let query = AuditQuery { action: Some(action.to_owned()), limit: LINES, ..AuditQuery::default() };
-            self.audit.list(&query)
+            self.log.lines().list(&query)
         };
         let mut told: BTreeMap<String, (u64, Address, SignerId)> = BTreeMap::new();
         for line in lines("device notice")? {

@@ -26,8 +26,8 @@ impl Watch {
     /// Begins; the caller is authorised now, or refused.
     pub(super) fn begin(self) -> Result<mpsc::Receiver<Entry>, Refusal> {
         let mut reach = self.reach()?;
-        let mut settled = self.desk.site.hub.settled.subscribe();
-        let mut authority = self.desk.site.hub.authority.subscribe();
+        let mut settled = self.desk.gateway.hub.settled.subscribe();
+        let mut authority = self.desk.gateway.hub.authority.subscribe();
         let (sender, receiver) = mpsc::channel(AHEAD);
         tokio::spawn(async move {
             loop {
@@ -67,14 +67,14 @@ impl Watch {
     }
 
     fn entries(&self, digests: &[Digest], reach: &ReadingRight) -> Vec<Entry> {
-        let ledger = &self.desk.site.plant.ledger;
+        let ledger = &self.desk.gateway.plant.ledger;
         let rows = digests.iter().filter_map(|digest| ledger.record(*digest).ok().flatten());
         rows.filter(|row| self.wants(row, reach)).map(|row| entry(&row)).collect()
     }
 
     fn wants(&self, row: &RecordRow, reach: &ReadingRight) -> bool {
         let Selection { owner, topic_id, kind, filters } = &self.selection;
-        let ledger = &self.desk.site.plant.ledger;
+        let ledger = &self.desk.gateway.plant.ledger;
         row.owner == *owner
             && row.state == RecordState::Verified
             && reach.covers(row.topic_id)

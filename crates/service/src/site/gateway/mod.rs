@@ -2,13 +2,30 @@
 //! of the profile that runs it, and answers queries by the chain's grants at that moment.
 
 mod admission;
+#[cfg(test)]
+mod admission_tests;
+pub(super) mod admissions;
 mod desk;
 mod devices;
 mod live;
 mod passing;
 mod reading;
 mod standing;
+pub(super) mod status;
 
+use crate::config::Config;
+use crate::paths::Home;
+use crate::pipeline::Plant;
+use crate::service::hub::Hub;
+use crate::site::audit::Log;
+use crate::site::chain::link::Link;
+use crate::site::gateway::admissions::Admissions;
+use crate::site::identity::owners::Owners;
+use crate::site::lifetime::Lifetime;
+use crate::site::mirror::remote::Remote;
+use crate::site::parts::Parts;
+use crate::site::sharing::Sharing;
+use crate::site::supervision::Supervisor;
 use std::collections::BTreeSet;
 use std::net::SocketAddr;
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
@@ -17,8 +34,6 @@ use std::time::Duration;
 use tokio::sync::{oneshot, watch};
 use tokio::task::block_in_place;
 
-use super::Site;
-use super::operating::Serving;
 use crate::crypto::{Fingerprint, SmKeyPair};
 use crate::gateway::{Cabinet, Context, Limits, Schedule, Server};
 use crate::model::{Address, AnchorMode, Domain, Timestamp};
@@ -26,6 +41,7 @@ use crate::pipeline::Owner;
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::{input, refused};
 use crate::service::reply::{Failure, GatewayView};
+use status::Serving;
 
 /// How long requests under way may take when the gateway ends.
 const FAREWELL: Duration = Duration::from_secs(3);
@@ -45,17 +61,17 @@ struct Place {
 }
 
 /// Serves with the server that is there, or with a new one at the same place; returns early where it breaks.
-async fn serve_until(site: Arc<Site>, place: Place, server: Option<Server>, mut over: watch::Receiver<bool>) {
+async fn serve_until(gateway: Arc<Gateway>, place: Place, server: Option<Server>, mut over: watch::Receiver<bool>) {
     let server = match server {
         Some(server) => Ok(server),
-        None => site.listen(&place).await,
+        None => gateway.listen(&place).await,
     };
     let mut server = match server {
         Ok(server) => server,
-        Err(failure) => return site.hub.notice(NoticeLevel::Error, &failure.message),
+        Err(failure) => return gateway.hub.notice(NoticeLevel::Error, &failure.message),
     };
     tokio::select! {
-        () = site.stopped() => {}
+        () = gateway.life.stopped() => {}
         // A dropped sender says the same.
         _ = over.wait_for(|over| *over) => {}
         () = server.broken() => return,
@@ -66,7 +82,7 @@ async fn serve_until(site: Arc<Site>, place: Place, server: Option<Server>, mut 
 /// What a gateway does with commands; one profile of the site keeps it.
 #[derive(Clone)]
 pub(super) struct GatewayDesk {
-    site: Arc<Site>,
+    gateway: Arc<Gateway>,
     /// Whose account anchors, and whose SM2 key is, or was when it was founded, the gateway's identity.
     keeper: Arc<Owner>,
     under: KeptUnder,
@@ -79,9 +95,59 @@ pub(super) struct GatewayDesk {
     guests: Arc<Mutex<()>>,
 }
 
-impl Site {
+/// The gateway of this home.
+pub(in crate::site) struct Gateway {
+    home: Home,
+    config: Arc<Config>,
+    plant: Plant,
+    hub: Arc<Hub>,
+    log: Arc<Log>,
+    owners: Arc<Owners>,
+    link: Arc<Link>,
+    life: Arc<Lifetime>,
+    supervisor: Arc<Supervisor>,
+    sharing: Arc<Sharing>,
+    admissions: Arc<Admissions>,
+    /// The one that is served, if one is.
+    serving: Mutex<Option<Serving>>,
+    remote: Option<Arc<Remote>>,
+}
+
+impl Gateway {
+    /// From the shared parts.
+    pub fn new(
+        parts: &Parts,
+        sharing: &Arc<Sharing>,
+        admissions: &Arc<Admissions>,
+        remote: Option<Arc<Remote>>,
+    ) -> Self {
+        let Parts { home, config, plant, hub, log, owners, link, life, supervisor, .. } = parts.clone();
+        Self {
+            home,
+            config,
+            plant,
+            hub,
+            log,
+            owners,
+            link,
+            life,
+            supervisor,
+            sharing: Arc::clone(sharing),
+            admissions: Arc::clone(admissions),
+            serving: Mutex::default(),
+            remote,
+        }
+    }
+}
+
+impl Gateway {
+    /// What is told of the gateway, while one is served.
+    pub fn served(&self) -> Option<GatewayView> {
+        self.serving.lock().unwrap_or_else(PoisonError::into_inner).as_ref().map(|serving| serving.view.clone())
+    }
+
     /// Serves the gateway's protocol until `ended`, or the site's end.
-    pub(super) async fn serve_gateway(
+    pub(super) async fn serve(
         self: &Arc<Self>,
         keeper: &Arc<Owner>,
         address: SocketAddr,
@@ -93,7 +159,7 @@ impl Site {
                 "a gateway anchors records of many owners, which only batches can; set anchor.mode = 'batch'",
             ));
         }
-        let network = self.network().await?;
+        let network = self.link.network().await?;
         let registered = network.directory.identity(keeper.address)?;
         if registered.signing != keeper.signing().public {
             return Err(refused(format!(
@@ -101,7 +167,7 @@ impl Site {
                 keeper.profile
             )));
         }
-        self.open_admissions()?;
+        self.admissions.open()?;
         let open = open || self.config.gateway.open;
         let under = Arc::new(RwLock::new(keeper.envelopes()));
         let (keeper_of, kept) = (Arc::clone(keeper), Arc::clone(&under));
@@ -115,11 +181,11 @@ impl Site {
             account: keeper.address,
             domain: network.domain,
         };
-        self.record_audit(&keeper.profile, "gateway", &view.address, "serving").await?;
+        self.log.write(&keeper.profile, "gateway", &view.address, "serving").await?;
         self.hub.notice(NoticeLevel::Info, &format!("the gateway listens at {}", view.address));
-        *self.served_gateway.lock().unwrap_or_else(PoisonError::into_inner) =
+        *self.serving.lock().unwrap_or_else(PoisonError::into_inner) =
             Some(Serving { view: view.clone(), watch: server.watch(), under: Arc::clone(&under) });
-        self.changed(Part::Health);
+        self.hub.changed(Part::Health);
         self.keep_gateway(place, server, ended);
         Ok(view)
     }
@@ -127,22 +193,23 @@ impl Site {
     /// Keeps the gateway open at its address until `ended`, or the site's end.
     fn keep_gateway(self: &Arc<Self>, place: Place, server: Server, ended: oneshot::Receiver<()>) {
         let (over, is_over) = watch::channel(false);
-        let site = Arc::clone(self);
+        let gateway = Arc::clone(self);
         tokio::spawn(async move {
             // A dropped sender says the same.
             drop(ended.await);
             over.send_replace(true);
-            *site.served_gateway.lock().unwrap_or_else(PoisonError::into_inner) = None;
-            site.changed(Part::Health);
+            *gateway.serving.lock().unwrap_or_else(PoisonError::into_inner) = None;
+            gateway.hub.changed(Part::Health);
         });
         let (place, first) = (Place { address: server.address(), ..place }, Mutex::new(Some(server)));
         let over = is_over.clone();
-        self.supervise_while(
+        self.supervisor.keep_while(
             "gateway",
+            self,
             move |_| !*is_over.borrow(),
-            move |site| {
+            move |gateway| {
                 let first = first.lock().unwrap_or_else(PoisonError::into_inner).take();
-                serve_until(site, place.clone(), first, over.clone())
+                serve_until(gateway, place.clone(), first, over.clone())
             },
         );
     }
@@ -156,12 +223,12 @@ impl Site {
             Cabinet::open(&directory, provider, *domain, identity, Schedule::default(), Timestamp::now())
         })?;
         let desk = Arc::new(GatewayDesk {
-            site: Arc::clone(self),
+            gateway: Arc::clone(self),
             keeper: Arc::clone(keeper),
             under: Arc::clone(under),
             domain: *domain,
             open: *open,
-            home_accounts: Arc::new(GatewayDesk::accounts_of(self)),
+            home_accounts: Arc::new(self.admissions.home_accounts()),
             guests: Arc::default(),
         });
         let context = Context { provider, domain: *domain };

@@ -29,7 +29,7 @@ impl GatewayDesk {
         parameters: &Value,
     ) -> Result<Value, RelayError> {
         let network = self.fresh_network().map_err(|refusal| silent(&refusal))?;
-        let (Some(pin), Some(head)) = (network.chain.pin(), self.site.fresh_head(LONGEST_SILENCE)) else {
+        let (Some(pin), Some(head)) = (network.chain.pin(), self.gateway.link.fresh_head(LONGEST_SILENCE)) else {
             return Err(RelayError::Silent("no fresh head of the chain".to_owned()));
         };
         let asker = if caller.is_some() { Asker::Registered } else { Asker::Visitor };
@@ -62,7 +62,7 @@ impl GatewayDesk {
         transaction: Vec<u8>,
     ) -> Result<(), RelayError> {
         if let Some(identity) = registers {
-            let context = Context { provider: self.site.plant.provider, domain: self.domain };
+            let context = Context { provider: self.gateway.plant.provider, domain: self.domain };
             let registration = Registration { account: sender, identity: *identity, transaction };
             return check_registration(&context, &registration)
                 .map_err(|_| rejected("the identity that it registers is not proven by its own keys"));

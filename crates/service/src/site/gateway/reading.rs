@@ -26,8 +26,8 @@ fn not_authorised(owner: &Address, reader: &Address) -> Refusal {
 impl GatewayDesk {
     /// The network, where the chain has told a head lately.
     pub(super) fn fresh_network(&self) -> Result<Network, Refusal> {
-        let network = self.site.network_now().filter(|network| network.domain == self.domain);
-        let fresh = self.site.fresh_head(LONGEST_SILENCE);
+        let network = self.gateway.link.network_now().filter(|network| network.domain == self.domain);
+        let fresh = self.gateway.link.fresh_head(LONGEST_SILENCE);
         network.filter(|_| fresh.is_some()).ok_or_else(|| Refusal::new(Code::Stale, "no fresh head of the chain"))
     }
 
@@ -37,7 +37,7 @@ impl GatewayDesk {
             return Ok(ReadingRight::Own);
         }
         let policy = Policy::Gateway {
-            head: self.site.fresh_head(LONGEST_SILENCE),
+            head: self.gateway.link.fresh_head(LONGEST_SILENCE),
             confirmations: network.confirmations,
             revoke_announced: self.is_revoke_announced(network, owner, reader)?,
         };
@@ -56,13 +56,13 @@ impl GatewayDesk {
         signer: &SignerId,
     ) -> Result<Result<SigningRight, NoRight>, Refusal> {
         let network = self.fresh_network()?;
-        let head = self.site.fresh_head(LONGEST_SILENCE).map_or(0, |head| head.timestamp);
+        let head = self.gateway.link.fresh_head(LONGEST_SILENCE).map_or(0, |head| head.timestamp);
         let at = Moment::newest(network.directory.now().max(Timestamp::from_seconds(head)));
         Ok(may_sign(&network.directory, *owner, *signer, at))
     }
 
     fn is_revoke_announced(&self, network: &Network, owner: &Address, reader: &Address) -> Result<bool, Refusal> {
-        let ledger = &self.site.plant.ledger;
+        let ledger = &self.gateway.plant.ledger;
         let internal = Refusal::because(Code::Internal);
         let announced = ledger.setting(&announced_key(owner, reader)).map_err(&internal)?;
         let epoch: Option<u64> = announced.and_then(|text| text.parse().ok());
@@ -70,9 +70,9 @@ impl GatewayDesk {
         if epoch.is_some_and(|epoch| network.directory.epoch(*owner) < epoch) {
             return Ok(true);
         }
-        let owners = self.site.all_owners();
+        let owners = self.gateway.owners.all();
         let Some(local) = owners.iter().find(|local| local.address == *owner) else { return Ok(false) };
-        let owed = self.site.owed_revocations(local, network);
+        let owed = self.gateway.sharing.owed_revocations(local, network);
         Ok(owed.map_err(|failure| Refusal::new(Code::Internal, failure.message))?.contains(reader))
     }
 
@@ -81,7 +81,7 @@ impl GatewayDesk {
         self.check_loan(&network, caller)?;
         let reach = self.reach(&network, &caller.account, &query.selection.owner)?;
         let asked = record_query(query, &reach, &caller.account)?;
-        let found = self.site.plant.ledger.list(&asked).map_err(Refusal::because(Code::Internal))?;
+        let found = self.gateway.plant.ledger.list(&asked).map_err(Refusal::because(Code::Internal))?;
         let next = found.next.as_deref().and_then(|cursor| u128::from_str_radix(cursor, 16).ok());
         Ok(Page { entries: found.rows.iter().map(entry).collect(), next })
     }
@@ -92,7 +92,7 @@ impl GatewayDesk {
         let mut known: Vec<(Address, Option<ReadingRight>)> = Vec::new();
         let mut standings = Vec::with_capacity(digests.len());
         for digest in digests {
-            let row = self.site.plant.ledger.record(*digest).map_err(Refusal::because(Code::Internal))?;
+            let row = self.gateway.plant.ledger.record(*digest).map_err(Refusal::because(Code::Internal))?;
             let Some(row) = row else {
                 standings.push(Standing::Unknown);
                 continue;
@@ -110,7 +110,7 @@ impl GatewayDesk {
 
     /// How digests stand, each with where the chain has it.
     pub(super) fn proven(&self, caller: &Caller, digests: &[Digest]) -> Result<Vec<Stood>, Refusal> {
-        let ledger = &self.site.plant.ledger;
+        let ledger = &self.gateway.plant.ledger;
         let mut stood = Vec::with_capacity(digests.len());
         for (digest, standing) in digests.iter().zip(self.standings(caller, digests)?) {
             let mut found = None;
@@ -128,7 +128,7 @@ impl GatewayDesk {
     pub(super) fn record(&self, caller: &Caller, digest: &Digest) -> Result<Fetched, Refusal> {
         let internal = Refusal::because(Code::Internal);
         let network = self.fresh_network()?;
-        let plant = &self.site.plant;
+        let plant = &self.gateway.plant;
         let row = plant.ledger.record(*digest).map_err(&internal)?;
         let row = row.filter(is_offered);
         let row = row.ok_or_else(|| Refusal::new(Code::NotFound, format_args!("no record {digest}")))?;

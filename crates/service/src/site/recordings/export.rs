@@ -6,7 +6,7 @@ use std::sync::Arc;
 use tokio::task::block_in_place;
 
 use super::writing::Draft;
-use super::{Run, Site};
+use super::{Recordings, Run};
 use crate::crypto::OpenedRecord;
 use crate::model::{Address, Digest, ErrorKind, RecordKind, Scope, Timestamp, TopicPattern, Verdict, clean};
 use crate::pipeline::reader::{Reader, is_held};
@@ -15,6 +15,7 @@ use crate::ros::recording::{Channel, RecordingFormat, RecordingWriter};
 use crate::service::command::ExportWishes;
 use crate::service::failure::{input, internal};
 use crate::service::reply::{ExportView, ExportedTopic, Failure, Refused};
+use crate::site::blocking;
 use crate::store::{RecordQuery, RecordRow};
 
 /// Records asked of the ledger at a time.
@@ -36,7 +37,7 @@ struct Export<'a> {
     view: ExportView,
 }
 
-impl Site {
+impl Recordings {
     pub(super) async fn export_recording(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
@@ -48,13 +49,13 @@ impl Site {
                 "chunks of {format} are never compressed with {compression}; choose another one"
             )));
         }
-        let network = self.network().await?;
+        let network = self.link.network().await?;
         let scopes = self.readable_scopes(owner, &network, &wishes)?;
         let file = clean(&wishes.path.display().to_string(), 300);
-        self.audit_first(owner, "export recording", &file).await?;
+        self.log.begin(owner, "export recording", &file).await?;
         let running = self.begin_run(&owner.profile, &wishes.path, "exporting");
         let written = self.write_recording(owner, &network, &scopes, &wishes, &running.run).await;
-        self.audit_end(owner, "export recording", &file, written).await
+        self.log.end(owner, "export recording", &file, written).await
     }
 
     /// Whose records are asked for, and what of them.
@@ -65,7 +66,7 @@ impl Site {
         wishes: &ExportWishes,
     ) -> Result<HashMap<Address, Scope>, Failure> {
         let me = owner.address;
-        let wanted = wishes.owner.as_ref().map(|party| self.resolve(party)).transpose()?;
+        let wanted = wishes.owner.as_ref().map(|party| self.contacts.resolve(party)).transpose()?;
         let is_wanted = |address: Address| wanted.is_none_or(|wanted| wanted == address);
         let granted = authority::shared_with(&network.directory, me)
             .into_iter()
@@ -91,11 +92,11 @@ impl Site {
     ) -> Result<ExportView, Failure> {
         let reader = Reader { plant: &self.plant, network, reader: owner };
         for address in scopes.keys() {
-            self.learn_names(&reader, *address).await?;
+            self.reading.learn_names(&reader, *address).await?;
         }
         let mut query = RecordQuery {
             owners: Some(scopes.keys().copied().collect()),
-            topic_ids: Some(self.readable_topics(scopes).await?),
+            topic_ids: Some(self.reading.readable_topics(scopes).await?),
             kind: Some(RecordKind::Data),
             since: wishes.since,
             until: wishes.until,
@@ -107,13 +108,13 @@ impl Site {
         let mut seen = 0;
         loop {
             let asked = query.clone();
-            let page = self.blocking(move |site| Ok(site.plant.ledger.list(&asked)?)).await?;
+            let page = blocking(self, move |recordings| Ok(recordings.plant.ledger.list(&asked)?)).await?;
             for row in &page.rows {
                 export.take(&reader, row).await?;
                 seen += 1;
                 run.at(seen, 0, export.view.messages);
             }
-            if self.is_stopping() {
+            if self.life.is_stopping() {
                 return Err(internal("the site ended before the recording was whole; repeat the command"));
             }
             match page.next {

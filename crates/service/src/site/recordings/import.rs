@@ -7,13 +7,12 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::Read;
 use std::path::Path;
-use std::sync::{Arc, PoisonError};
+use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::super::workers;
 use super::sealed_before::SealedBefore;
-use super::{Run, Site};
+use super::{Recordings, Run};
 use crate::crypto::Sm3Hasher;
 use crate::model::{Address, Digest, ErrorKind, TopicPattern, clean};
 use crate::pipeline::importer::{Importer, fault};
@@ -25,6 +24,7 @@ use crate::service::command::ImportWishes;
 use crate::service::event::NoticeLevel;
 use crate::service::failure::{input, refused};
 use crate::service::reply::{Failure, ImportView, ImportedTopic, LeftOut};
+use crate::site::blocking;
 
 /// Tags that a person may give: with the importer's own they stay far below what a head takes.
 const MOST_TAGS: usize = 24;
@@ -51,7 +51,7 @@ struct ReadOut {
     standings: Standings,
 }
 
-impl Site {
+impl Recordings {
     pub(super) async fn import_recording(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
@@ -61,31 +61,30 @@ impl Site {
             return Err(input(format!("more than {MOST_TAGS} tags are too many for an import")));
         }
         if owner.sealing().is_none() {
-            self.register(owner).await?;
+            self.profiles.register(owner).await?;
         }
         // Without a chain nothing would ever be verified.
-        let network = self.network().await?;
-        workers::seal_here(self)?;
+        let network = self.link.network().await?;
+        self.sealer.begin()?;
         let file = clean(&wishes.path.display().to_string(), 300);
         if self.is_running(&owner.profile, &file) {
             return Err(refused(format!("{file} is being imported already; wait for that to end")));
         }
-        self.audit_first(owner, "import recording", &file).await?;
+        self.log.begin(owner, "import recording", &file).await?;
         let running = self.begin_run(&owner.profile, &wishes.path, "hashing");
         // Ends the import as a capture is ended: by the same command.
         let control = Arc::new(CaptureSession::new(&[], None, Vec::new()));
-        let control_of = (owner.profile.clone(), Arc::clone(&control));
-        self.captures.lock().unwrap_or_else(PoisonError::into_inner).push(control_of);
+        self.capture.note(&owner.profile, &control);
         let (run, author) = (Arc::clone(&running.run), Arc::clone(owner));
         let (stop, again) = (Arc::clone(&control), wishes.again);
-        let read = self.blocking(move |site| site.read_recording(&author, &network, &wishes, &run, &stop)).await;
-        let imported = self.audit_end(owner, "import recording", &file, read).await;
+        let read =
+            blocking(self, move |recordings| recordings.read_recording(&author, &network, &wishes, &run, &stop)).await;
+        let imported = self.log.end(owner, "import recording", &file, read).await;
         let ended = match imported {
             Ok(read) => self.settle_import(owner, read, &running.run, again).await,
             Err(failure) => Err(failure),
         };
-        let mut captures = self.captures.lock().unwrap_or_else(PoisonError::into_inner);
-        captures.retain(|(_, other)| !Arc::ptr_eq(other, &control));
+        self.capture.forget(&control);
         ended
     }
 
@@ -117,7 +116,7 @@ impl Site {
         if let Some(digest) = view.digest.filter(|_| !view.ended_early && view.lost == 0 && !again) {
             standings.values_mut().for_each(|standing| *standing = Standing::Whole);
             let address = owner.address;
-            self.blocking(move |site| site.put_standings(address, digest, &standings)).await?;
+            blocking(self, move |recordings| recordings.put_standings(address, digest, &standings)).await?;
         }
         let text = format!("{}: {} messages imported, {} there before", view.file, view.imported, view.already);
         self.hub.notice(NoticeLevel::Info, &text);
@@ -144,7 +143,7 @@ impl Site {
         control: &CaptureSession,
     ) -> Result<ReadOut, Failure> {
         let mut recording = Recording::open(&wishes.path)?;
-        let goes_on = || !control.is_closed() && !self.is_stopping();
+        let goes_on = || !control.is_closed() && !self.life.is_stopping();
         let digest = digest_of(&wishes.path, run, &goes_on)?;
         let mut standings = if wishes.again { Standings::new() } else { self.standings(owner.address, digest)? };
         let before = standings.clone();

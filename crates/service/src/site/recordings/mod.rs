@@ -5,11 +5,25 @@ mod import;
 mod sealed_before;
 mod writing;
 
+use crate::config::Config;
+use crate::pipeline::Plant;
+use crate::pipeline::recorder::CapturedMessage;
+use crate::pipeline::ring::Rings;
+use crate::service::hub::Hub;
+use crate::site::audit::Log;
+use crate::site::capture::Capture;
+use crate::site::capture::sealer_thread::SealerThread;
+use crate::site::chain::link::Link;
+use crate::site::contacts::Contacts;
+use crate::site::identity::Profiles;
+use crate::site::lifetime::Lifetime;
+use crate::site::mirror::Joined;
+use crate::site::parts::Parts;
+use crate::site::reading::Reading;
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
-use super::Site;
 use crate::model::{ProfileName, clean};
 use crate::pipeline::Owner;
 use crate::service::command::{Ask, ExportWishes, ImportWishes, RecordingCommand, RecordingProgress};
@@ -52,18 +66,71 @@ pub(super) type Runs = Mutex<Vec<Arc<Run>>>;
 
 /// Takes a run off the list when it ends, however it ends.
 struct Running<'a> {
-    site: &'a Site,
+    recordings: &'a Recordings,
     run: Arc<Run>,
 }
 
 impl Drop for Running<'_> {
     fn drop(&mut self) {
-        let mut runs = self.site.recordings.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut runs = self.recordings.runs.lock().unwrap_or_else(PoisonError::into_inner);
         runs.retain(|run| !Arc::ptr_eq(run, &self.run));
     }
 }
 
-impl Site {
+/// Imports and exports of recordings.
+pub(in crate::site) struct Recordings {
+    config: Arc<Config>,
+    plant: Plant,
+    hub: Arc<Hub>,
+    log: Arc<Log>,
+    link: Arc<Link>,
+    life: Arc<Lifetime>,
+    contacts: Arc<Contacts>,
+    reading: Arc<Reading>,
+    capture: Arc<Capture>,
+    profiles: Arc<Profiles>,
+    joined: Arc<Joined>,
+    sealer: Arc<SealerThread>,
+    rings: Arc<Rings<CapturedMessage>>,
+    runs: Runs,
+}
+
+/// The parts that recordings ask.
+pub(in crate::site) struct Asked<'a> {
+    pub contacts: &'a Arc<Contacts>,
+    pub reading: &'a Arc<Reading>,
+    pub capture: &'a Arc<Capture>,
+    pub profiles: &'a Arc<Profiles>,
+    pub joined: &'a Arc<Joined>,
+    pub sealer: &'a Arc<SealerThread>,
+    pub rings: &'a Arc<Rings<CapturedMessage>>,
+}
+
+impl Recordings {
+    /// From the shared parts.
+    pub fn new(parts: &Parts, asked: &Asked<'_>) -> Self {
+        let Asked { contacts, reading, capture, profiles, joined, sealer, rings } = asked;
+        let Parts { config, plant, hub, log, link, life, .. } = parts.clone();
+        Self {
+            config,
+            plant,
+            hub,
+            log,
+            link,
+            life,
+            contacts: Arc::clone(contacts),
+            reading: Arc::clone(reading),
+            capture: Arc::clone(capture),
+            profiles: Arc::clone(profiles),
+            joined: Arc::clone(joined),
+            sealer: Arc::clone(sealer),
+            rings: Arc::clone(rings),
+            runs: Runs::default(),
+        }
+    }
+}
+
+impl Recordings {
     fn begin_run(&self, profile: &ProfileName, path: &Path, step: &'static str) -> Running<'_> {
         let run = Arc::new(Run {
             profile: profile.clone(),
@@ -73,18 +140,18 @@ impl Site {
             of: AtomicU64::new(0),
             messages: AtomicU64::new(0),
         });
-        self.recordings.lock().unwrap_or_else(PoisonError::into_inner).push(Arc::clone(&run));
-        Running { site: self, run }
+        self.runs.lock().unwrap_or_else(PoisonError::into_inner).push(Arc::clone(&run));
+        Running { recordings: self, run }
     }
 
     /// Whether this file is being read or written for the profile.
     fn is_running(&self, profile: &ProfileName, file: &str) -> bool {
-        let runs = self.recordings.lock().unwrap_or_else(PoisonError::into_inner);
+        let runs = self.runs.lock().unwrap_or_else(PoisonError::into_inner);
         runs.iter().any(|run| run.profile == *profile && run.file == file)
     }
 
     /// Answers a command about recordings.
-    pub(super) async fn recording(
+    pub(super) async fn answer(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
         command: RecordingCommand,
@@ -92,11 +159,11 @@ impl Site {
         match command {
             RecordingCommand::Import(wishes) => self.import_recording(owner, wishes).await.map(ImportWishes::told),
             RecordingCommand::Export(wishes) => {
-                self.caught_up(&owner.profile).await?;
+                self.joined.caught_up(&owner.profile).await?;
                 self.export_recording(owner, wishes).await.map(ExportWishes::told)
             }
             RecordingCommand::Progress => {
-                let runs = self.recordings.lock().unwrap_or_else(PoisonError::into_inner);
+                let runs = self.runs.lock().unwrap_or_else(PoisonError::into_inner);
                 let own = runs.iter().filter(|run| run.profile == owner.profile);
                 Ok(RecordingProgress::told(own.map(|run| run.view()).collect()))
             }

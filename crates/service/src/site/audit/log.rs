@@ -1,0 +1,210 @@
+//! The audit log as the site writes and shows it, with what is only counted.
+
+use std::sync::Arc;
+
+use super::refusals::Refusals;
+use crate::model::{ProfileName, Timestamp, clean};
+use crate::pipeline::{Owner, PipelineError};
+use crate::service::command::UploadQuery;
+use crate::service::event::NoticeLevel;
+use crate::service::failure::internal;
+use crate::service::hub::Hub;
+use crate::service::reply::{AuditView, ExportedFile, Failure};
+use crate::site::blocking;
+use crate::store::{AuditEntry, AuditLine, AuditLog, AuditQuery, Ledger};
+
+/// Lines exported at a time.
+const PAGE: usize = 1000;
+
+/// The log of a home, which every part writes.
+pub(crate) struct Log {
+    lines: AuditLog,
+    counted: Refusals,
+    hub: Arc<Hub>,
+}
+
+impl Log {
+    /// The log of this ledger.
+    pub fn new(ledger: Ledger, hub: Arc<Hub>) -> Self {
+        Self { lines: AuditLog::new(ledger), counted: Refusals::default(), hub }
+    }
+
+    /// The lines themselves, for checks of them all.
+    pub fn lines(&self) -> &AuditLog {
+        &self.lines
+    }
+
+    /// Writes one line; it is durable when this returns.
+    pub(crate) async fn write(
+        self: &Arc<Self>,
+        profile: &ProfileName,
+        action: &str,
+        subject: &str,
+        outcome: &str,
+    ) -> Result<(), Failure> {
+        let entry = entry(profile.as_str(), action, subject, outcome);
+        blocking(self, move |log| Ok(log.lines.append(entry)?)).await
+    }
+
+    /// No durable line, no deed: written before what it tells of.
+    pub(crate) async fn begin(self: &Arc<Self>, owner: &Owner, action: &str, subject: &str) -> Result<(), Failure> {
+        self.write(&owner.profile, action, subject, "begun").await
+    }
+
+    /// How a deed ended that [`Self::begin`] announced.
+    pub(in crate::site) async fn end<T>(
+        self: &Arc<Self>,
+        owner: &Owner,
+        action: &str,
+        subject: &str,
+        outcome: Result<T, Failure>,
+    ) -> Result<T, Failure> {
+        let word = if outcome.is_ok() { "done" } else { "failed" };
+        let written = self.write(&owner.profile, action, subject, word).await;
+        let done = outcome?;
+        // The deed is done and was announced durably; that its end is not written down is told, not taken back.
+        if let Err(failure) = written {
+            self.hub.notice(NoticeLevel::Error, &failure.message);
+        }
+        Ok(done)
+    }
+
+    /// A page of somebody's list is given out: a line before it, unless the same was asked within a minute.
+    pub(in crate::site) async fn asked(
+        self: &Arc<Self>,
+        owner: &Owner,
+        action: &str,
+        query: &UploadQuery,
+    ) -> Result<(), Failure> {
+        let (profile, text) = (owner.profile.as_str(), query_text(query));
+        if !self.counted.is_new_query(Timestamp::now(), profile, &text) {
+            return Ok(());
+        }
+        let written = self.write(&owner.profile, action, &text, "done").await;
+        if written.is_err() {
+            self.counted.forget_query(profile, &text);
+        }
+        written
+    }
+
+    /// Whether this is to be a line of its own: the same was not asked by this name within the last minute.
+    pub fn is_new_query(&self, name: &str, query: &str) -> bool {
+        self.counted.is_new_query(Timestamp::now(), name, query)
+    }
+
+    /// The line of a query could not be written: it does not count as asked.
+    pub fn forget_query(&self, name: &str, query: &str) {
+        self.counted.forget_query(name, query);
+    }
+
+    /// Counts a refusal; a line per peer, code and minute tells how many there were. `peer` is a profile's name, or
+    /// what is known of a remote peer (no port: each connection has another); `code` is one of the program's. Returns
+    /// whether it is the first of its minute.
+    pub(crate) fn refused(&self, peer: &str, code: &str) -> bool {
+        self.counted.add(Timestamp::now(), peer, code)
+    }
+
+    /// Counts a local refusal where there is one.
+    pub fn count_refusal<T>(&self, owner: &Owner, outcome: &Result<T, PipelineError>) {
+        if let Err(PipelineError::NotGranted { .. }) = outcome {
+            let _first = self.refused(owner.profile.as_str(), "not_granted");
+        }
+    }
+
+    /// Writes the counters of ended minutes; all of them where `now` is `None`.
+    pub(in crate::site) async fn write_counted(self: &Arc<Self>, now: Option<Timestamp>) {
+        let mut refusals = self.counted.take(now).into_iter();
+        while let Some(((minute, peer, code), count)) = refusals.next() {
+            let outcome = format!("{count} in the minute from {}", Timestamp::from_seconds(minute * 60));
+            let line = entry(&peer, "refused", &code, &outcome);
+            if let Err(failure) = blocking(self, move |log| Ok(log.lines.append(line)?)).await {
+                let lost = std::iter::once(((minute, peer, code), count)).chain(refusals).collect();
+                self.counted.put_back(lost);
+                self.hub.notice(NoticeLevel::Error, &failure.message);
+                break;
+            }
+        }
+        for again in self.counted.repeated(now) {
+            let line = entry(&again.profile, "list shared", &again.query, &format!("{} times again", again.times));
+            if let Err(failure) = blocking(self, move |log| Ok(log.lines.append(line)?)).await {
+                self.hub.notice(NoticeLevel::Error, &failure.message);
+                return;
+            }
+        }
+    }
+
+    /// The newest lines that match, newest first.
+    pub(in crate::site) async fn list(self: &Arc<Self>, query: AuditQuery) -> Result<Vec<AuditView>, Failure> {
+        let query = AuditQuery { limit: query.limit.clamp(1, PAGE), ..query };
+        let mut lines = blocking(self, move |log| Ok(log.lines.list(&query)?)).await?;
+        lines.reverse();
+        Ok(lines.into_iter().map(view).collect())
+    }
+
+    /// The whole log as a file for others: one JSON document a line, addresses redacted unless asked for.
+    pub(in crate::site) async fn export(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        addresses: bool,
+    ) -> Result<Vec<ExportedFile>, Failure> {
+        self.begin(owner, "export audit", if addresses { "with addresses" } else { "redacted" }).await?;
+        let bytes = blocking(self, move |log| {
+            let (mut pages, mut before) = (Vec::new(), None);
+            loop {
+                let page = log.lines.list(&AuditQuery { before, limit: PAGE, ..AuditQuery::default() })?;
+                let Some(first) = page.first() else { break };
+                before = Some(first.line);
+                pages.push(page);
+            }
+            let mut bytes = Vec::new();
+            for mut line in pages.into_iter().rev().flatten() {
+                if !addresses {
+                    line.entry.action = crate::model::redact_addresses(&line.entry.action);
+                    line.entry.subject = crate::model::redact_addresses(&line.entry.subject);
+                    line.entry.outcome = crate::model::redact_addresses(&line.entry.outcome);
+                }
+                serde_json::to_writer(&mut bytes, &line).map_err(|error| internal(error.to_string()))?;
+                bytes.push(b'\n');
+            }
+            Ok(bytes)
+        })
+        .await?;
+        Ok(vec![ExportedFile { name: "audit.jsonl".to_owned(), bytes }])
+    }
+}
+
+fn entry(profile: &str, action: &str, subject: &str, outcome: &str) -> AuditEntry {
+    AuditEntry {
+        at: Timestamp::now(),
+        profile: clean(profile, 100),
+        action: clean(action, 100),
+        subject: clean(subject, 200),
+        outcome: clean(outcome, 100),
+    }
+}
+
+fn view(line: AuditLine) -> AuditView {
+    AuditView {
+        line: line.line,
+        at: line.entry.at,
+        profile: clean(&line.entry.profile, 100),
+        action: clean(&line.entry.action, 100),
+        subject: clean(&line.entry.subject, 200),
+        outcome: clean(&line.entry.outcome, 100),
+    }
+}
+
+/// What was asked for, in words: only the filters that are set.
+fn query_text(query: &UploadQuery) -> String {
+    let mut words = vec!["records".to_owned()];
+    words.extend(query.owner.as_ref().map(|owner| format!("of {owner}")));
+    words.extend(query.topic.as_ref().map(|topic| format!("topic {topic}")));
+    words.extend(query.type_name.as_ref().map(|name| format!("type {name}")));
+    words.extend(query.tags.iter().map(|(name, value)| format!("tag {}={}", clean(name, 40), clean(value, 40))));
+    words.extend(query.kind.map(|kind| format!("kind {}", kind.word())));
+    words.extend(query.state.map(|state| format!("state {}", state.word())));
+    words.extend(query.since.map(|since| format!("since {since}")));
+    words.extend(query.until.map(|until| format!("until {until}")));
+    words.extend(query.after.as_ref().map(|after| format!("after {}", clean(after, 40))));
+    words.join(" ")
+}

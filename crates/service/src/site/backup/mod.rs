@@ -1,0 +1,229 @@
+//! Back-up of a running home: ledger, vault and chain as of one moment, then the small files, sealed into one file.
+
+#[cfg(test)]
+mod tests;
+
+use crate::config::Config;
+use crate::paths::Home;
+use crate::pipeline::Plant;
+use crate::site::audit::Log;
+use crate::site::chain::link::Link;
+use crate::site::parts::Parts;
+use crate::site::quarantine::Quarantine;
+use std::fs::{self, File};
+use std::io::{self, Write};
+use std::os::unix::fs::PermissionsExt as _;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use tokio::runtime::Handle;
+
+use super::{NetworkState, blocking};
+use crate::chain::Chain;
+use crate::crypto::Passphrase;
+use crate::crypto::sealed_stream::SealedWriter;
+use crate::model::{ErrorKind, ProfileName, clean};
+use crate::service::command::SecretText;
+use crate::service::failure::input;
+use crate::service::reply::{BackupView, Failure};
+use crate::store::snapshot::Snapshot;
+use crate::store::{StoreError, archive};
+
+/// What copies are called in the back-up, and where they lie in a home.
+pub const LEDGER: &str = "ledger.db";
+const VAULT: &str = "vault/vault.db";
+const CHAIN: &str = "chain/chain.db";
+/// What belongs to the running process, or is made anew: by the beginning of its name.
+const LEFT_OUT: [&str; 5] = ["backup.lock", "backup.sock", "reserve", ".new-", ".back-up-"];
+
+/// Back-ups of a running home.
+pub(in crate::site) struct Backup {
+    home: Home,
+    config: Arc<Config>,
+    plant: Plant,
+    log: Arc<Log>,
+    link: Arc<Link>,
+    quarantine: Arc<Quarantine>,
+}
+
+impl Backup {
+    /// From the shared parts.
+    pub fn new(parts: &Parts, quarantine: &Arc<Quarantine>) -> Self {
+        let Parts { home, config, plant, log, link, .. } = parts.clone();
+        Self { home, config, plant, log, link, quarantine: Arc::clone(quarantine) }
+    }
+}
+
+impl Backup {
+    /// Writes the home into one sealed file, 0600, never over another; a crash leaves none.
+    pub(super) async fn back_up(
+        self: &Arc<Self>,
+        profile: &ProfileName,
+        file: PathBuf,
+        secret: SecretText,
+    ) -> Result<BackupView, Failure> {
+        let passphrase = Passphrase::new(secret.expose().to_owned())?;
+        let shown = clean(&file.display().to_string(), 200);
+        if file.starts_with(self.home.root()) || self.home.outside().iter().any(|(_, place)| file.starts_with(place)) {
+            return Err(input(format!(
+                "{shown} lies in the home itself; write the back-up elsewhere, best on another disk"
+            )));
+        }
+        if fs::symlink_metadata(&file).is_ok() {
+            return Err(input(format!("{shown} exists; name a new file, no back-up is written over another")));
+        }
+        self.log.write(profile, "back up", &shown, "begun").await?;
+        let runtime = Handle::current();
+        // Whatever deletes ciphertext before the ledger says so waits until the moment is taken.
+        let quiet = self.quarantine.quiet().await;
+        let moment = blocking(self, move |backup| backup.moment(&runtime)).await?;
+        drop(quiet);
+        let written = blocking(self, move |backup| backup.pack(&moment, &file, &passphrase)).await;
+        let outcome = if written.is_ok() { "done" } else { "failed" };
+        self.log.write(profile, "back up", &shown, outcome).await?;
+        written
+    }
+
+    /// The three databases as of one moment.
+    fn moment(&self, runtime: &Handle) -> Result<Moment, Failure> {
+        let folder = tempfile::Builder::new()
+            .prefix(".back-up-")
+            .permissions(fs::Permissions::from_mode(0o700))
+            .tempdir_in(self.home.root())
+            .map_err(|error| unwritten(self.home.root(), &error))?;
+        let vault = self.home.vault().join("vault.db");
+        let vault = (self.config.vault_url.is_none() && vault.exists()).then_some(vault);
+        let (chain, runtime, copy) = (self.link.connected(), runtime.clone(), folder.path().join("chain.db"));
+        let closed = self.home.chain().join("chain.db");
+        let also = move || {
+            let vault = vault.map(|vault| Snapshot::begin(&vault)).transpose()?;
+            Ok((vault, copy_chain(chain, &runtime, &closed, copy)?))
+        };
+        let (ledger, (vault, chain)) = self.plant.ledger.snapshot_with(also)?;
+        Ok(Moment { folder, ledger, vault, chain })
+    }
+
+    fn pack(&self, moment: &Moment, file: &Path, passphrase: &Passphrase) -> Result<BackupView, Failure> {
+        let directory = file.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let failed = |error: io::Error| unwritten(file, &error);
+        let target = tempfile::Builder::new()
+            .prefix(".new-")
+            .permissions(fs::Permissions::from_mode(0o600))
+            .tempfile_in(directory)
+            .map_err(failed)?;
+        let mut view = BackupView {
+            file: clean(&file.display().to_string(), 200),
+            files: 0,
+            bytes: 0,
+            profiles: self.home.profiles().iter().map(ToString::to_string).collect(),
+            notes: Vec::new(),
+        };
+        let mut sealed = SealedWriter::new(io::BufWriter::new(target), passphrase).map_err(failed)?;
+        let copy = moment.folder.path().join("copy.db");
+        for (name, snapshot) in [(LEDGER, Some(&moment.ledger)), (VAULT, moment.vault.as_ref())] {
+            let Some(snapshot) = snapshot else { continue };
+            snapshot.copy_to(&copy)?;
+            add(&mut sealed, name, &copy, &mut view).map_err(failed)?;
+            fs::remove_file(&copy).map_err(failed)?;
+        }
+        if moment.chain {
+            add(&mut sealed, CHAIN, &moment.folder.path().join("chain.db"), &mut view).map_err(failed)?;
+        }
+        // After the ledger: the keyring must have the keys of every epoch that the ledger names.
+        let mut small = Small { sealed: &mut sealed, view: &mut view };
+        small.directory("", self.home.root()).map_err(failed)?;
+        for (name, path) in self.home.outside() {
+            small.outside(name, path).map_err(failed)?;
+        }
+        archive::end(&mut sealed).map_err(failed)?;
+        let target = sealed.finish().map_err(failed)?.into_inner().map_err(|error| failed(error.into_error()))?;
+        target.as_file().sync_all().map_err(failed)?;
+        target.persist_noclobber(file).map_err(|error| failed(error.error))?;
+        File::open(directory).and_then(|directory| directory.sync_all()).map_err(failed)?;
+        if moment.vault.is_none() {
+            view.notes.push(format!("the vault is {}: back it up by its own means", self.plant.vault.name()));
+        }
+        Ok(view)
+    }
+}
+
+/// Puts every other file of the home into the back-up.
+struct Small<'a, W> {
+    sealed: &'a mut W,
+    view: &'a mut BackupView,
+}
+
+impl<W: Write> Small<'_, W> {
+    fn directory(&mut self, within: &str, directory: &Path) -> io::Result<()> {
+        let mut entries = fs::read_dir(directory)?.collect::<io::Result<Vec<_>>>()?;
+        entries.sort_by_key(fs::DirEntry::file_name);
+        for entry in entries {
+            let last = entry.file_name();
+            let Some(last) = last.to_str() else { continue };
+            let name = if within.is_empty() { last.to_owned() } else { format!("{within}/{last}") };
+            let is_database = [LEDGER, VAULT, CHAIN].iter().any(|database| name.starts_with(database));
+            if !is_database && !LEFT_OUT.iter().any(|begin| last.starts_with(begin)) {
+                self.entry(&name, &entry.path(), entry.file_type()?)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn entry(&mut self, name: &str, path: &Path, kind: fs::FileType) -> io::Result<()> {
+        if kind.is_dir() {
+            self.directory(name, path)
+        } else if kind.is_file() && archive::is_plain(name) {
+            add(self.sealed, name, path, self.view)
+        } else {
+            self.view.notes.push(format!("{} is no plain file and is left out", clean(name, 100)));
+            Ok(())
+        }
+    }
+
+    /// What lies in a folder of its own, if it is there. Settings are often links into a folder that is kept elsewhere.
+    fn outside(&mut self, name: &str, path: &Path) -> io::Result<()> {
+        match fs::metadata(path) {
+            Ok(about) => self.entry(name, path, about.file_type()),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
+            Err(error) => Err(error),
+        }
+    }
+}
+
+/// The databases of one moment; the temporary folder goes with it.
+struct Moment {
+    folder: tempfile::TempDir,
+    ledger: Snapshot,
+    vault: Option<Snapshot>,
+    /// Whether the chain was copied into the folder.
+    chain: bool,
+}
+
+/// Copies the embedded chain; whether there is one.
+fn copy_chain(chain: Option<Chain>, runtime: &Handle, closed: &Path, copy: PathBuf) -> Result<bool, StoreError> {
+    let failed = |detail: String| StoreError::Database { file: closed.to_owned(), detail };
+    if let Some(chain) = chain
+        && runtime.block_on(chain.copy_to(copy.clone())).map_err(|error| failed(error.to_string()))?
+    {
+        return Ok(true);
+    }
+    if !closed.exists() {
+        return Ok(false);
+    }
+    Snapshot::begin(closed)?.copy_to(&copy)?;
+    Ok(true)
+}
+
+fn add(sealed: &mut impl Write, name: &str, path: &Path, view: &mut BackupView) -> io::Result<()> {
+    let mut file = File::open(path)?;
+    let length = file.metadata()?.len();
+    archive::put(sealed, name, length, &mut file)?;
+    view.files += 1;
+    view.bytes += length;
+    Ok(())
+}
+
+fn unwritten(path: &Path, error: &io::Error) -> Failure {
+    let path = clean(&path.display().to_string(), 200);
+    Failure::new(ErrorKind::Home, format!("the back-up at {path} cannot be written: {error}; nothing was left there"))
+}

@@ -1,0 +1,194 @@
+//! Captures with an end: so many messages, so long, or until told; answered when all is verified.
+
+mod policy;
+pub(super) mod ros;
+pub(super) mod sealer_thread;
+#[cfg(test)]
+mod tests;
+mod topics;
+pub(super) mod watches;
+
+use crate::config::Config;
+use crate::pipeline::Losses;
+use crate::pipeline::Plant;
+use crate::pipeline::Recorder;
+use crate::service::hub::Hub;
+use crate::site::audit::Log;
+use crate::site::capture::ros::RosSide;
+use crate::site::capture::watches::Watches;
+use crate::site::chain::link::Link;
+use crate::site::identity::Profiles;
+use crate::site::identity::owners::Owners;
+use crate::site::lifetime::Lifetime;
+use crate::site::parts::Parts;
+use crate::site::pins::Pinning;
+use std::sync::Mutex;
+use std::sync::{Arc, PoisonError};
+use std::time::Duration;
+
+use crate::model::{ProfileName, TopicName, TypeName};
+use crate::pipeline::{CaptureSession, Owner};
+use crate::service::event::NoticeLevel;
+use crate::service::failure::input;
+use crate::service::reply::{CaptureSummary, Failure, TopicSummary};
+
+/// What is captured, and by which rules.
+pub(in crate::site) struct Capture {
+    config: Arc<Config>,
+    plant: Plant,
+    hub: Arc<Hub>,
+    log: Arc<Log>,
+    owners: Arc<Owners>,
+    link: Arc<Link>,
+    life: Arc<Lifetime>,
+    recorder: Arc<Recorder>,
+    losses: Arc<Losses>,
+    ros: Arc<RosSide>,
+    watches: Arc<Watches>,
+    profiles: Arc<Profiles>,
+    pins: Arc<Pinning>,
+    running: Mutex<Vec<(ProfileName, Arc<CaptureSession>)>>,
+}
+
+impl Capture {
+    /// From the shared parts.
+    pub fn new(
+        parts: &Parts,
+        recorder: &Arc<Recorder>,
+        losses: &Arc<Losses>,
+        ros: &Arc<RosSide>,
+        watches: &Arc<Watches>,
+        profiles: &Arc<Profiles>,
+        pins: &Arc<Pinning>,
+    ) -> Self {
+        let Parts { config, plant, hub, log, owners, link, life, .. } = parts.clone();
+        Self {
+            config,
+            plant,
+            hub,
+            log,
+            owners,
+            link,
+            life,
+            recorder: Arc::clone(recorder),
+            losses: Arc::clone(losses),
+            ros: Arc::clone(ros),
+            watches: Arc::clone(watches),
+            profiles: Arc::clone(profiles),
+            pins: Arc::clone(pins),
+            running: Mutex::default(),
+        }
+    }
+}
+
+impl Capture {
+    /// Runs one capture; registers the owner first where needed.
+    pub(super) async fn capture(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        topics: &[TopicName],
+        type_name: Option<TypeName>,
+        count: Option<u64>,
+        milliseconds: Option<u64>,
+        tags: Vec<(String, String)>,
+    ) -> Result<CaptureSummary, Failure> {
+        if topics.is_empty() {
+            return Err(input("a capture needs at least one topic; name it with --topic"));
+        }
+        self.ros.link().await?;
+        if owner.sealing().is_none() {
+            self.profiles.register(owner).await?;
+        } else {
+            // Whoever waits for verified records is told at once where there is no chain to verify them.
+            self.link.network().await?;
+        }
+        let names: Vec<String> = topics.iter().map(ToString::to_string).collect();
+        let listed = names.join(" ");
+        self.log.begin(owner, "capture start", &listed).await?;
+        let session = Arc::new(CaptureSession::new(&names, count, tags));
+        self.begin(owner, &names, type_name.as_ref(), &session);
+        let time_is_up = async {
+            match milliseconds {
+                Some(milliseconds) => tokio::time::sleep(Duration::from_millis(milliseconds)).await,
+                None => std::future::pending().await,
+            }
+        };
+        tokio::select! {
+            () = session.closed() => {}
+            () = time_is_up => session.close(),
+            () = self.life.stopped() => session.close(),
+        }
+        self.end(owner, &names, &session);
+        let captured: u64 = session.figures().iter().map(|topic| topic.captured).sum();
+        let ended = self.log.write(&owner.profile, "capture stop", &listed, &format!("{captured} captured")).await;
+        session.settled().await;
+        if let Err(failure) = ended {
+            self.hub.notice(NoticeLevel::Error, &failure.message);
+        }
+        Ok(summary(&session))
+    }
+
+    fn begin(
+        &self,
+        owner: &Arc<Owner>,
+        topics: &[String],
+        type_name: Option<&TypeName>,
+        session: &Arc<CaptureSession>,
+    ) {
+        for topic in topics {
+            self.recorder.join(topic, &owner.author, type_name.cloned(), session);
+        }
+        self.note(&owner.profile, session);
+        self.ros.wishes_changed();
+    }
+
+    fn end(&self, owner: &Arc<Owner>, topics: &[String], session: &Arc<CaptureSession>) {
+        for topic in topics {
+            self.recorder.leave(topic, &owner.author, session);
+        }
+        self.forget(session);
+        self.ros.wishes_changed();
+    }
+
+    /// This too is ended by the command that ends captures.
+    pub fn note(&self, profile: &ProfileName, session: &Arc<CaptureSession>) {
+        let mut running = self.running.lock().unwrap_or_else(PoisonError::into_inner);
+        running.push((profile.clone(), Arc::clone(session)));
+    }
+
+    /// It has ended.
+    pub fn forget(&self, session: &Arc<CaptureSession>) {
+        let mut running = self.running.lock().unwrap_or_else(PoisonError::into_inner);
+        running.retain(|(_, other)| !Arc::ptr_eq(other, session));
+    }
+
+    /// Ends the running captures of a profile; their own answers follow.
+    pub(super) fn stop(&self, profile: &ProfileName) {
+        let captures = self.running.lock().unwrap_or_else(PoisonError::into_inner);
+        captures.iter().filter(|(owner, _)| owner == profile).for_each(|(_, session)| session.close());
+    }
+}
+
+fn summary(session: &CaptureSession) -> CaptureSummary {
+    let topics: Vec<TopicSummary> = session
+        .figures()
+        .into_iter()
+        .map(|figures| TopicSummary {
+            topic: figures.topic,
+            type_name: figures.type_name.map(|name| crate::model::clean(&name, 255)),
+            captured: figures.captured,
+            verified: figures.verified,
+            quarantined: figures.quarantined,
+            lost: figures.lost,
+        })
+        .collect();
+    let sum = |each: fn(&TopicSummary) -> u64| topics.iter().map(each).sum();
+    CaptureSummary {
+        captured: sum(|topic| topic.captured),
+        verified: sum(|topic| topic.verified),
+        quarantined: sum(|topic| topic.quarantined),
+        lost: sum(|topic| topic.lost),
+        skipped: 0,
+        topics,
+    }
+}

@@ -1,0 +1,326 @@
+//! The site's ROS side: master (embedded or real), simulated robots, the monitoring node.
+
+use crate::config::Config;
+use crate::pipeline::Recorder;
+use crate::service::hub::Hub;
+use crate::site::lifetime::Lifetime;
+use crate::site::parts::Parts;
+use std::collections::BTreeSet;
+use std::sync::Arc;
+use std::sync::atomic::AtomicUsize;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+use tokio::sync::watch;
+use tokio::task::JoinHandle;
+
+use tokio::task::block_in_place;
+
+use crate::config::MeterMode;
+use crate::crypto::random_bytes;
+use crate::model::TopicName;
+use crate::model::bytes::hex;
+use crate::ros::{Capture, CaptureOptions, EmbeddedMaster, Fleet, FleetOptions, Graph, LastLook, TopicInfo};
+use crate::service::event::{NoticeLevel, Part};
+use crate::service::failure::internal;
+use crate::service::reply::Failure;
+use crate::site::blocking;
+
+/// Between two looks at the graph.
+const LOOK: Duration = Duration::from_secs(1);
+/// Looks at which nothing changed, after which they are half as many.
+const CALM: u32 = 10;
+
+/// Where the ROS side stands.
+#[derive(Clone)]
+pub enum RosState {
+    /// This run needs no ROS, or is ending.
+    Off,
+    /// First attempt.
+    Starting,
+    /// Working.
+    Up(Arc<RosLink>),
+    /// The master does not answer; the next look may find it.
+    Down {
+        /// Why.
+        failure: Failure,
+        /// The link, once there was one: its capture heals by itself.
+        link: Option<Arc<RosLink>>,
+    },
+}
+
+/// A working connection to a master.
+pub struct RosLink {
+    /// The master.
+    pub uri: String,
+    /// Whether it is this process's own.
+    pub embedded: bool,
+    /// The monitoring node.
+    pub capture: Capture,
+    /// Simulated robots.
+    pub fleet: Option<Fleet>,
+    /// Simulated robots, counted.
+    pub robots: u16,
+    graph: Graph,
+    last_look: std::sync::Mutex<LastLook>,
+    topics: std::sync::RwLock<Vec<TopicInfo>>,
+    // Dropped last: nodes unregister at it.
+    master: Option<EmbeddedMaster>,
+}
+
+impl RosLink {
+    /// The graph's topics at the last look.
+    pub fn topics(&self) -> Vec<TopicInfo> {
+        self.topics.read().unwrap_or_else(std::sync::PoisonError::into_inner).clone()
+    }
+
+    /// Whether the master in this process has ended by a fault of its own.
+    fn has_lost_its_master(&self) -> bool {
+        self.master.as_ref().is_some_and(|master| !master.is_running())
+    }
+
+    fn look(&self) -> Result<bool, Failure> {
+        let mut last = self.last_look.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let mut found = self.graph.topics_again(&mut last)?;
+        found.sort_by(|one, other| one.name.cmp(&other.name));
+        let mut topics = self.topics.write().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let changed = *topics != found;
+        *topics = found;
+        Ok(changed)
+    }
+}
+
+/// Everything is subscribed to as long as somebody learns.
+pub(in crate::site) struct Learning<'a>(&'a AtomicUsize);
+
+impl<'a> Learning<'a> {
+    fn begin(count: &'a AtomicUsize) -> Self {
+        count.fetch_add(1, Ordering::AcqRel);
+        Self(count)
+    }
+}
+
+impl Drop for Learning<'_> {
+    fn drop(&mut self) {
+        self.0.fetch_sub(1, Ordering::AcqRel);
+    }
+}
+
+/// The ROS side of a site.
+pub(in crate::site) struct RosSide {
+    config: Arc<Config>,
+    hub: Arc<Hub>,
+    life: Arc<Lifetime>,
+    recorder: Arc<Recorder>,
+    state: watch::Sender<RosState>,
+    /// How many look at every topic of the graph now.
+    learning: AtomicUsize,
+}
+
+impl RosSide {
+    /// From the shared parts.
+    pub fn new(parts: &Parts, recorder: &Arc<Recorder>, needed: bool) -> Self {
+        let Parts { config, hub, life, .. } = parts.clone();
+        Self {
+            config,
+            hub,
+            life,
+            recorder: Arc::clone(recorder),
+            state: watch::channel(if needed { RosState::Starting } else { RosState::Off }).0,
+            learning: AtomicUsize::new(0),
+        }
+    }
+}
+
+impl RosSide {
+    /// Where it stands now.
+    pub fn state(&self) -> watch::Ref<'_, RosState> {
+        self.state.borrow()
+    }
+
+    /// Whether this run has a ROS side, and is not ending.
+    pub fn is_wanted(&self) -> bool {
+        !matches!(*self.state.borrow(), RosState::Off)
+    }
+
+    /// Everything of the graph is subscribed to until the guard is dropped.
+    pub fn learn(&self) -> Learning<'_> {
+        Learning::begin(&self.learning)
+    }
+
+    /// The nodes leave the graph; waits for them no longer than `patience`. `task` is the one that keeps the side up.
+    pub async fn leave(&self, task: Option<JoinHandle<()>>, patience: Duration) {
+        self.state.send_replace(RosState::Off);
+        if let Some(task) = task {
+            drop(tokio::time::timeout(patience, task).await);
+        }
+    }
+
+    /// Brings the ROS side up and keeps looking at the graph until the site ends.
+    pub(in crate::site) async fn keep(self: Arc<Self>) {
+        let link = loop {
+            // Begun again after a fault, the task finds the link still at work.
+            let kept = match &*self.state.borrow() {
+                RosState::Up(link) | RosState::Down { link: Some(link), .. } => Some(Arc::clone(link)),
+                _ => None,
+            };
+            if let Some(link) = kept {
+                break link;
+            }
+            let ros = Arc::clone(&self);
+            match blocking(&self, move |_| ros.start()).await {
+                Ok(link) => break Arc::new(link),
+                Err(failure) => {
+                    self.hub.notice(NoticeLevel::Error, &failure.message);
+                    self.state.send_replace(RosState::Down { failure, link: None });
+                    self.hub.changed(Part::Health);
+                }
+            }
+            tokio::select! {
+                () = tokio::time::sleep(Duration::from_secs(2)) => {}
+                () = self.leaving() => return,
+            }
+        };
+        self.state.send_replace(RosState::Up(Arc::clone(&link)));
+        self.hub.changed(Part::Health);
+        self.hub.changed(Part::Topics);
+        let mut calm = 0_u32;
+        loop {
+            let pause = if calm < CALM { LOOK } else { LOOK * 2 };
+            tokio::select! {
+                _ = self.life.beat(pause) => {}
+                () = self.leaving() => break,
+            }
+            calm = if self.look_at_graph(&link).await { 0 } else { calm.saturating_add(1) };
+            if link.has_lost_its_master() {
+                // Returning early is a fault: everything here is begun anew, with another master.
+                self.state.send_if_modified(|state| {
+                    let ending = matches!(state, RosState::Off);
+                    if !ending {
+                        *state = RosState::Starting;
+                    }
+                    !ending
+                });
+                break;
+            }
+        }
+        // The nodes unregister at the master and their threads are joined: not on an async thread.
+        drop(tokio::task::spawn_blocking(move || drop(link)).await);
+    }
+
+    async fn leaving(&self) {
+        let mut ros = self.state.subscribe();
+        // An error means that the site is gone, which is an end too.
+        drop(ros.wait_for(|state| matches!(state, RosState::Off)).await);
+    }
+
+    fn start(&self) -> Result<RosLink, Failure> {
+        let master = if self.config.ros_master.is_none() { Some(EmbeddedMaster::start()?) } else { None };
+        let uri = master.as_ref().map(|master| master.uri().to_owned()).or_else(|| self.config.ros_master.clone());
+        let uri = uri.ok_or_else(|| internal("no ROS master is configured"))?;
+        let node_name = format!("/authros_{}", hex(&random_bytes::<4>()?));
+        let graph = Graph::new(&uri, &node_name)?;
+        graph.ping()?;
+        let robots = self.config.robots;
+        let fleet = match &master {
+            Some(_) if robots > 0 => Some(Fleet::start(&uri, robots, FleetOptions::default())?),
+            _ => None,
+        };
+        self.recorder.set_simulated(if fleet.is_some() {
+            (1..=robots).map(|number| format!("/robot{number}_sim")).collect()
+        } else {
+            Vec::new()
+        });
+        let options = CaptureOptions { master_uri: uri.clone(), own_host: self.config.ros_host.clone(), node_name };
+        let capture = Capture::start(options, self.recorder.clone())?;
+        let embedded = master.is_some();
+        let link = RosLink {
+            uri,
+            embedded,
+            capture,
+            robots: if fleet.is_some() { robots } else { 0 },
+            fleet,
+            graph,
+            last_look: std::sync::Mutex::default(),
+            topics: std::sync::RwLock::default(),
+            master,
+        };
+        link.look()?;
+        self.follow_wishes(&link);
+        Ok(link)
+    }
+
+    /// Whether anything is other than at the last look.
+    async fn look_at_graph(self: &Arc<Self>, link: &Arc<RosLink>) -> bool {
+        match block_in_place(|| link.look()) {
+            Ok(changed) => {
+                self.follow_wishes(link);
+                let was_down = matches!(&*self.state.borrow(), RosState::Down { .. });
+                if was_down {
+                    self.state.send_replace(RosState::Up(Arc::clone(link)));
+                    self.hub.changed(Part::Health);
+                    self.hub.notice(NoticeLevel::Info, "the ROS master answers again");
+                }
+                let moved = changed || self.recorder.meter_moved();
+                if moved {
+                    self.hub.changed(Part::Topics);
+                }
+                moved || was_down
+            }
+            Err(failure) if matches!(&*self.state.borrow(), RosState::Up(_)) => {
+                self.hub.notice(NoticeLevel::Error, &failure.message);
+                self.state.send_replace(RosState::Down { failure, link: Some(Arc::clone(link)) });
+                self.hub.changed(Part::Health);
+                true
+            }
+            // A master that is gone is asked as often as before, so that its return is seen at once.
+            Err(_) => true,
+        }
+    }
+
+    /// Subscribes to what is wanted or measured, and to nothing else.
+    fn follow_wishes(&self, link: &RosLink) {
+        let mut wanted: BTreeSet<TopicName> =
+            self.recorder.wanted().iter().filter_map(|topic| topic.parse().ok()).collect();
+        if self.config.meter == MeterMode::All || self.learning.load(Ordering::Acquire) > 0 {
+            wanted.extend(link.topics().iter().filter_map(|topic| topic.name.parse::<TopicName>().ok()));
+        }
+        let watched: BTreeSet<TopicName> = link.capture.watched().into_iter().map(|(topic, _)| topic).collect();
+        for topic in watched.difference(&wanted) {
+            link.capture.unwatch(topic);
+        }
+        for topic in wanted.difference(&watched) {
+            link.capture.watch(topic.clone(), None);
+        }
+    }
+
+    /// The subscriptions follow the recorder's wishes at once.
+    pub(in crate::site) fn wishes_changed(&self) {
+        if let RosState::Up(link) | RosState::Down { link: Some(link), .. } = &*self.state.borrow() {
+            self.follow_wishes(link);
+        }
+        self.hub.changed(Part::Topics);
+    }
+
+    /// The master's URI, as soon as it is reached.
+    ///
+    /// # Errors
+    /// Why the master is not reached.
+    pub async fn uri(&self) -> Result<String, Failure> {
+        Ok(self.link().await?.uri.clone())
+    }
+
+    /// The ROS link, as soon as the first attempt has ended.
+    ///
+    /// # Errors
+    /// Why the master is not reached.
+    pub(in crate::site) async fn link(&self) -> Result<Arc<RosLink>, Failure> {
+        let mut state = self.state.subscribe();
+        let settled = state.wait_for(|state| !matches!(state, RosState::Starting)).await;
+        let settled = settled.map_err(|_| internal("the site is ending"))?.clone();
+        match settled {
+            RosState::Up(link) | RosState::Down { link: Some(link), .. } => Ok(link),
+            RosState::Down { failure, link: None } => Err(failure),
+            _ => Err(internal("this run of the site has no ROS side; run the command again")),
+        }
+    }
+}

@@ -1,0 +1,73 @@
+//! The thread that seals what is captured or imported, begun where it is first needed.
+
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use crate::config::Config;
+use crate::pipeline::recorder::CapturedMessage;
+use crate::pipeline::ring::Rings;
+use crate::pipeline::sealer::Sealer;
+use crate::pipeline::{Losses, Plant};
+use crate::service::hub::Hub;
+use crate::service::reply::Failure;
+use crate::site::parts::Parts;
+use crate::site::supervision::Supervisor;
+
+/// The sealer of a site.
+pub(in crate::site) struct SealerThread {
+    config: Arc<Config>,
+    plant: Plant,
+    hub: Arc<Hub>,
+    supervisor: Arc<Supervisor>,
+    rings: Arc<Rings<CapturedMessage>>,
+    losses: Arc<Losses>,
+    thread: Mutex<Option<JoinHandle<()>>>,
+}
+
+impl SealerThread {
+    /// A sealer of what comes through `rings`, not begun yet.
+    pub fn new(parts: &Parts, rings: &Arc<Rings<CapturedMessage>>, losses: &Arc<Losses>) -> Self {
+        let Parts { config, plant, hub, supervisor, .. } = parts.clone();
+        Self {
+            config,
+            plant,
+            hub,
+            supervisor,
+            rings: Arc::clone(rings),
+            losses: Arc::clone(losses),
+            thread: Mutex::default(),
+        }
+    }
+
+    /// Begins where it has not begun yet: a run that captures nothing still may import.
+    ///
+    /// # Errors
+    /// Where the thread cannot be started.
+    pub fn begin(&self) -> Result<(), Failure> {
+        let mut thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner);
+        if thread.is_none() && !self.rings.is_closed() {
+            *thread = Some(self.start()?);
+        }
+        Ok(())
+    }
+
+    fn start(&self) -> Result<JoinHandle<()>, Failure> {
+        let (plant, hub, losses) = (self.plant.clone(), Arc::clone(&self.hub), Arc::clone(&self.losses));
+        let (rings, compression) = (Arc::clone(&self.rings), self.config.compression);
+        self.supervisor.keep_thread("sealer", move || {
+            let sealer = Sealer::new(plant.clone(), Arc::clone(&hub.sessions), Arc::clone(&losses));
+            let mut sealer = if compression { sealer } else { sealer.without_compression() };
+            sealer.run(&rings, &|| hub.stored.notify_waiters());
+        })
+    }
+
+    /// Takes nothing more and seals what waits; whether that was done within `patience`.
+    pub async fn finish(&self, patience: Duration) -> bool {
+        self.rings.close();
+        let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let Some(thread) = thread else { return true };
+        let joined = tokio::task::spawn_blocking(move || thread.join());
+        tokio::time::timeout(patience, joined).await.is_ok()
+    }
+}

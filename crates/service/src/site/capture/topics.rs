@@ -1,0 +1,132 @@
+//! Topics of the graph: listed with their rates, watched and unwatched.
+
+use super::Capture;
+use std::collections::{HashMap, HashSet};
+use std::sync::Arc;
+
+use tokio::task::block_in_place;
+
+use crate::model::{ProfileName, Timestamp, TopicName, TypeName, clean};
+use crate::service::reply::{Failure, TopicRow};
+use crate::store::TopicCounts;
+
+impl Capture {
+    /// Every topic of the graph, and those watched that nobody publishes yet.
+    pub(in crate::site) async fn topics(self: &Arc<Self>, profile: &ProfileName) -> Result<Vec<TopicRow>, Failure> {
+        let link = self.ros.link().await?;
+        let watches = block_in_place(|| self.watches.of(profile))?;
+        let now = Timestamp::now();
+        let mut rows: Vec<TopicRow> = link
+            .topics()
+            .iter()
+            .map(|info| {
+                let simulated = info.publishers.iter().any(|publisher| self.recorder.is_simulated(publisher));
+                let publishers = info.publishers.iter().map(|publisher| clean(publisher, 255)).collect();
+                self.topic_row(&info.name, info.type_name.as_deref(), publishers, simulated, now)
+            })
+            .collect();
+        let published: HashSet<String> = rows.iter().map(|row| row.topic.clone()).collect();
+        for (topic, type_name) in &watches {
+            if !published.contains(topic.as_str()) {
+                rows.push(self.topic_row(
+                    topic.as_str(),
+                    type_name.as_ref().map(TypeName::as_str),
+                    Vec::new(),
+                    false,
+                    now,
+                ));
+            }
+        }
+        let captured = self.captured_by_topic(profile)?;
+        let alarms = self.pins.alarmed_topics(profile)?;
+        let pins = self.pins.pinned_names(profile)?;
+        let watched: HashSet<&str> = watches.iter().map(|(topic, _)| topic.as_str()).collect();
+        for row in &mut rows {
+            if let Some(pinned) = pins.get(&row.topic) {
+                row.pins = pinned.len() as u64;
+                row.unpinned = row.publishers.iter().filter(|name| !pinned.contains(*name)).cloned().collect();
+            }
+            if let Some(counts) = captured.get(&row.topic) {
+                (row.messages, row.quarantined) = (counts.captured, counts.quarantined);
+                (row.lost_in_transport, row.lost_in_recorder) = (counts.missed, counts.lost);
+            }
+            row.alarm = alarms.contains(&row.topic);
+            row.watched = watched.contains(row.topic.as_str());
+        }
+        rows.sort_by(|one, other| one.topic.cmp(&other.topic));
+        Ok(rows)
+    }
+
+    fn topic_row(
+        &self,
+        topic: &str,
+        type_name: Option<&str>,
+        publishers: Vec<String>,
+        simulated: bool,
+        now: Timestamp,
+    ) -> TopicRow {
+        let rate = self.recorder.meter().rate(topic, now);
+        TopicRow {
+            topic: clean(topic, 255),
+            type_name: type_name.map(|name| clean(name, 255)),
+            publishers,
+            watched: false,
+            simulated,
+            hz: rate.map(|rate| rate.hz),
+            bytes_per_second: rate.map(|rate| rate.bytes_per_second),
+            messages: 0,
+            lost_in_transport: 0,
+            lost_in_recorder: 0,
+            left_out: self.recorder.left_out(topic),
+            last_message: rate.and_then(|rate| rate.last),
+            pins: 0,
+            unpinned: Vec::new(),
+            quarantined: 0,
+            alarm: false,
+        }
+    }
+
+    /// What became of the profile's messages, by topic.
+    fn captured_by_topic(&self, profile: &ProfileName) -> Result<HashMap<String, TopicCounts>, Failure> {
+        let Ok(owner) = self.owners.address_of(profile) else { return Ok(HashMap::new()) };
+        let counts = block_in_place(|| self.losses.counts(&self.plant, owner))?;
+        Ok(counts.topics.into_iter().map(|topic| (topic.topic.clone(), topic)).collect())
+    }
+
+    /// Captures a topic until it is unwatched, over restarts.
+    pub(in crate::site) async fn watch(
+        self: &Arc<Self>,
+        profile: &ProfileName,
+        topic: TopicName,
+        type_name: Option<TypeName>,
+    ) -> Result<(), Failure> {
+        self.watches.change(profile, |watches| {
+            watches.retain(|(watched, _)| *watched != topic);
+            watches.push((topic.clone(), type_name.clone()));
+        })?;
+        self.log.write(profile, "watch", topic.as_str(), "done").await?;
+        if let Some(owner) = self.owners.get(profile) {
+            if self.ros.is_wanted() && owner.sealing().is_none() {
+                self.profiles.register(&owner).await?;
+            }
+            self.recorder.watch(topic.as_str(), &owner.author, type_name);
+            self.ros.wishes_changed();
+        }
+        Ok(())
+    }
+
+    /// Stops capturing a topic.
+    pub(in crate::site) async fn unwatch(
+        self: &Arc<Self>,
+        profile: &ProfileName,
+        topic: &TopicName,
+    ) -> Result<(), Failure> {
+        self.watches.change(profile, |watches| watches.retain(|(watched, _)| watched != topic))?;
+        self.log.write(profile, "unwatch", topic.as_str(), "done").await?;
+        if let Some(owner) = self.owners.get(profile) {
+            self.recorder.unwatch(topic.as_str(), &owner.author);
+            self.ros.wishes_changed();
+        }
+        Ok(())
+    }
+}

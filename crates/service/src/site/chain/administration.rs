@@ -1,0 +1,288 @@
+//! The administrator's acts and what bounds them, and what everybody is told of them: above all who continues, or is to
+//! continue, for a lost account.
+
+use crate::pipeline::Sender;
+use crate::service::hub::Hub;
+use crate::site::audit::Log;
+use crate::site::chain::link::Link;
+use crate::site::contacts::Contacts;
+use crate::site::lifetime::Lifetime;
+use crate::site::parts::Parts;
+use std::collections::HashSet;
+use std::sync::Arc;
+
+use crate::chain::{Call, ChainError, Revision};
+use crate::model::{Address, Party, Timestamp};
+use crate::pipeline::{Network, Owner};
+use crate::service::command::Administration;
+use crate::service::event::{NoticeLevel, Part};
+use crate::service::failure::refused;
+use crate::service::reply::{AdministrationView, Failure, ProposalView, RecoveryView, SuccessionView, TransactionView};
+
+/// How long a pause lasts where nothing else is asked for, seconds.
+const PAUSE: u64 = 86_400;
+
+/// The administrator's acts.
+pub(in crate::site) struct Administering {
+    hub: Arc<Hub>,
+    log: Arc<Log>,
+    link: Arc<Link>,
+    life: Arc<Lifetime>,
+    sender: Arc<Sender>,
+    contacts: Arc<Contacts>,
+}
+
+impl Administering {
+    /// From the shared parts.
+    pub fn new(parts: &Parts, contacts: &Arc<Contacts>) -> Self {
+        let Parts { hub, log, link, life, sender, .. } = parts.clone();
+        Self { hub, log, link, life, sender, contacts: Arc::clone(contacts) }
+    }
+}
+
+impl Administering {
+    /// Does one act of the administrator; the contract refuses it to anybody else, but for what others may as well.
+    pub(in crate::site) async fn administer(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        act: &Administration,
+    ) -> Result<TransactionView, Failure> {
+        let network = self.link.network().await?;
+        let _one_at_a_time = owner.changes.lock().await;
+        let (call, text) = self.act(&network, act)?;
+        if let Some(administrator) = network.directory.administration().administrator
+            && administrator != owner.address
+            && !is_for_others(&call)
+        {
+            return Err(refused(format!(
+                "{administrator} administers this contract, not {}; only the administrator can do this",
+                owner.address
+            )));
+        }
+        call.expect_offered(network.chain.revision()?)?;
+        self.send_act(owner, &network, call, text).await
+    }
+
+    /// Names who may stop a succession of the profile's own account; it takes effect after the contract's delay.
+    pub(in crate::site) async fn name_recovery(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        recovery: Option<&Party>,
+    ) -> Result<TransactionView, Failure> {
+        let network = self.link.network().await?;
+        let _one_at_a_time = owner.changes.lock().await;
+        network.directory.identity(owner.address)?;
+        let recovery = recovery.map(|party| self.contacts.resolve(party)).transpose()?;
+        if recovery == Some(owner.address) {
+            return Err(refused(
+                "a thief of this account must not be able to stop its succession; name another account",
+            ));
+        }
+        let call = Call::NameRecovery { recovery };
+        call.expect_offered(network.chain.revision()?)?;
+        let days = network.directory.administration().delay.unwrap_or(0) / 86_400;
+        let who = recovery.map_or_else(|| "nobody".to_owned(), |recovery| recovery.to_string());
+        let text = format!("{who} may stop a succession of {} that is proposed in {days} days or later", owner.address);
+        self.send_act(owner, &network, call, text).await
+    }
+
+    async fn send_act(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        network: &Network,
+        call: Call,
+        text: String,
+    ) -> Result<TransactionView, Failure> {
+        let name = call.name();
+        self.log.begin(owner, name, &text).await?;
+        let sent = self.sender.send(&network.chain, &owner.eoa(), call, name).await.map_err(Failure::from);
+        let (transaction, receipt) = self.log.end(owner, name, &text, sent).await?;
+        self.link.scanned(receipt.block).await;
+        self.hub.changed(Part::Chain);
+        let epoch = network.directory.epoch(owner.address);
+        Ok(TransactionView { transaction: Some(transaction), block: Some(receipt.block), epoch, text })
+    }
+
+    fn act(&self, network: &Network, act: &Administration) -> Result<(Call, String), Failure> {
+        Ok(match act {
+            Administration::Dismiss { account } => {
+                let account = self.contacts.resolve(account)?;
+                if network.directory.epoch(account) > 0 {
+                    return Err(refused(format!("{account} has registered already; `authros chain suspend` stops it")));
+                }
+                (Call::Dismiss { account }, format!("{account} may no longer register while registration is closed"))
+            }
+            Administration::Admit { account } => {
+                let account = self.contacts.resolve(account)?;
+                (Call::Admit { account }, format!("{account} may register"))
+            }
+            Administration::Suspend { account } => {
+                let account = self.contacts.resolve(account)?;
+                (Call::Suspend { account }, format!("{account} may change nothing but take rights away"))
+            }
+            Administration::Restore { account } => {
+                let account = self.contacts.resolve(account)?;
+                (Call::Restore { account }, format!("{account} is free again"))
+            }
+            Administration::Open { open } => {
+                let text = if *open { "anyone may register" } else { "only admitted accounts may register" };
+                (Call::SetOpen { open: *open }, text.to_owned())
+            }
+            Administration::Pause { paused, seconds } => pause(network.chain.revision()?, *paused, *seconds)?,
+            Administration::HandOver { account } => {
+                let account = self.contacts.resolve(account)?;
+                (Call::Nominate { account }, format!("{account} is to administer; it takes over with `chain accept`"))
+            }
+            Administration::Accept => (Call::AcceptAdministrator, "this profile administers the contract".to_owned()),
+            Administration::Propose { lost, successor } => self.propose(network, lost, successor)?,
+            Administration::Cancel { lost } => {
+                let lost = self.contacts.resolve(lost)?;
+                (Call::CancelSuccession { lost }, format!("nobody is to continue for {lost} any more"))
+            }
+            Administration::Complete { lost } => {
+                let lost = self.contacts.resolve(lost)?;
+                (Call::CompleteSuccession { lost }, format!("{lost} is suspended for good, its successor continues"))
+            }
+            Administration::Succeed { lost, successor } => {
+                let (lost, successor) = (self.contacts.resolve(lost)?, self.contacts.resolve(successor)?);
+                network.directory.identity(successor)?;
+                let text = format!("{successor} continues for {lost}, which is suspended for good");
+                (Call::Succeed { lost, successor }, text)
+            }
+        })
+    }
+
+    fn propose(&self, network: &Network, lost: &Party, successor: &Party) -> Result<(Call, String), Failure> {
+        let (lost, successor) = (self.contacts.resolve(lost)?, self.contacts.resolve(successor)?);
+        network.directory.identity(successor)?;
+        let recovery = network.directory.account(lost).and_then(|account| account.recovery);
+        let recovery = recovery.and_then(|recovery| recovery.in_effect(Timestamp::now()));
+        let delay = network.directory.administration().delay.unwrap_or(0);
+        let (days, stops) = match recovery {
+            Some(recovery) => (delay / 86_400, format!("{recovery} may stop it until then")),
+            None => (2 * delay / 86_400, "it had named no recovery account that could stop it".to_owned()),
+        };
+        let text =
+            format!("{successor} is to continue for {lost} in {days} days, by `chain succession complete`; {stops}");
+        Ok((Call::ProposeSuccession { lost, successor }, text))
+    }
+
+    /// What the administrator decided, with the names of the address book; the recovery account is `own`'s.
+    pub(in crate::site) fn view(&self, network: &Network, own: Option<Address>) -> AdministrationView {
+        let (decided, now) = (network.directory.administration(), Timestamp::now());
+        let names = self.contacts.names();
+        let name = |account: &Address| names.get(account).cloned();
+        let proposals = decided.proposals.iter().map(|waits| ProposalView {
+            lost: waits.lost,
+            lost_name: name(&waits.lost),
+            successor: waits.successor,
+            successor_name: name(&waits.successor),
+            recovery: waits.recovery,
+            due: waits.due,
+            block: waits.block,
+        });
+        let recovery = own.and_then(|own| network.directory.account(own)?.recovery);
+        let recovery = recovery.map(|named| RecoveryView {
+            account: named.in_effect(now),
+            next: named.next.filter(|_| now < named.from),
+            from: (now < named.from).then_some(named.from),
+        });
+        let successions = decided.successions.iter().map(|named| SuccessionView {
+            lost: named.lost,
+            lost_name: name(&named.lost),
+            successor: named.successor,
+            successor_name: name(&named.successor),
+            block: named.block,
+        });
+        AdministrationView {
+            administrator: decided.administrator,
+            nominee: decided.nominee,
+            open: decided.open,
+            paused: decided.is_paused(now),
+            paused_until: decided.paused_until.filter(|until| now < *until),
+            revision: network.chain.revision().ok(),
+            delay: decided.delay,
+            proposals: proposals.collect(),
+            recovery: recovery.unwrap_or_default(),
+            suspended: decided.suspended.iter().copied().collect(),
+            successions: successions.collect(),
+        }
+    }
+
+    /// Tells of successors and of contacts with other keys as soon as the chain does, each once a run.
+    pub(in crate::site) async fn keep_parties_known(self: Arc<Self>) {
+        let mut scanned = self.link.scans();
+        let (mut seen, mut told) = (None, HashSet::new());
+        while !self.life.is_stopping() {
+            tokio::select! {
+                changed = scanned.changed() => if changed.is_err() { return },
+                () = self.life.stopped() => return,
+            }
+            let Some(network) = self.link.network_now() else { continue };
+            let newest = (network.domain, network.directory.newest());
+            if seen.replace(newest) == Some(newest) {
+                continue;
+            }
+            let mut texts = self.succession_texts(&network);
+            match self.contacts.changed_contacts(&network) {
+                Ok(changed) => texts.extend(changed),
+                Err(failure) => texts.push(failure.message),
+            }
+            for text in texts {
+                if told.insert(text.clone()) {
+                    self.hub.notice(NoticeLevel::Error, &text);
+                }
+            }
+        }
+    }
+
+    fn succession_texts(&self, network: &Network) -> Vec<String> {
+        let view = self.view(network, None);
+        let shown = |account: Address, name: &Option<String>| {
+            name.as_ref().map_or_else(|| account.to_string(), |name| format!("{name} ({account})"))
+        };
+        let text = |named: &SuccessionView| {
+            let (lost, successor) =
+                (shown(named.lost, &named.lost_name), shown(named.successor, &named.successor_name));
+            format!(
+                "the administrator named {successor} the successor of {lost}, which is lost (block {})",
+                named.block
+            )
+        };
+        let waits = |waits: &ProposalView| {
+            let (lost, successor) =
+                (shown(waits.lost, &waits.lost_name), shown(waits.successor, &waits.successor_name));
+            let stop = waits.recovery.map_or_else(
+                || "it has no recovery account".to_owned(),
+                |recovery| format!("its recovery account {recovery} can stop it: `authros chain succession cancel`"),
+            );
+            format!(
+                "the administrator wants {successor} to continue for {lost} from {} on (block {}); {stop}",
+                waits.due, waits.block
+            )
+        };
+        view.successions.iter().map(text).chain(view.proposals.iter().map(waits)).collect()
+    }
+}
+
+/// Acts that are not the administrator's alone.
+fn is_for_others(call: &Call) -> bool {
+    matches!(call, Call::AcceptAdministrator | Call::CancelSuccession { .. } | Call::CompleteSuccession { .. })
+}
+
+/// A pause has an end, but on a contract of the first revision.
+fn pause(revision: Revision, paused: bool, seconds: Option<u64>) -> Result<(Call, String), Failure> {
+    const STOPPED: &str = "all changes are stopped but those that take rights away";
+    Ok(match (revision, paused) {
+        (Revision::First, true) if seconds.is_some() => {
+            return Err(ChainError::NotOffered { revision, function: "pause" }.into());
+        }
+        (Revision::First, true) => (Call::SetPaused { paused }, format!("{STOPPED}, until `authros chain resume`")),
+        (Revision::First, false) => (Call::SetPaused { paused }, "changes go on".to_owned()),
+        (Revision::Second, true) => {
+            let until = Timestamp::from_seconds(Timestamp::now().seconds().saturating_add(seconds.unwrap_or(PAUSE)));
+            (Call::Pause { until }, format!("{STOPPED}, until {until}; they go on by themselves then"))
+        }
+        (Revision::Second, false) => (Call::Resume, "changes go on".to_owned()),
+    })
+}

@@ -1,0 +1,237 @@
+//! Connecting to the chain and staying connected; the contract, and the pin of the home.
+
+use crate::config::Config;
+use crate::paths::Home;
+use crate::pipeline::Plant;
+use crate::service::hub::Hub;
+use crate::site::audit::Log;
+use crate::site::chain::link::Link;
+use crate::site::lifetime::Lifetime;
+use crate::site::mirror::remote::Remote;
+use crate::site::parts::Parts;
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::task::block_in_place;
+
+use crate::chain::{Chain, ChainError, ChainOptions, DEFAULT_DELAY, Endpoint, Pin, Revision};
+use crate::model::ErrorKind;
+use crate::pipeline::{Network, Owner, PipelineError, adoption, watcher};
+use crate::service::event::{NoticeLevel, Part};
+use crate::service::failure::{input, internal};
+use crate::service::reply::Failure;
+use crate::site::NetworkState;
+use crate::store::atomic_write;
+
+/// The longest pause between two attempts to connect, seconds: a node that is back is found within it.
+const LONGEST_PAUSE: u64 = 5;
+
+/// The connection to the chain, and the home's pin.
+pub(in crate::site) struct Connection {
+    pub(super) home: Home,
+    pub(super) config: Arc<Config>,
+    pub(super) plant: Plant,
+    pub(super) hub: Arc<Hub>,
+    pub(super) log: Arc<Log>,
+    pub(super) link: Arc<Link>,
+    pub(super) life: Arc<Lifetime>,
+    pub(super) remote: Option<Arc<Remote>>,
+    pub(super) deploying: tokio::sync::Mutex<()>,
+}
+
+impl Connection {
+    /// From the shared parts.
+    pub fn new(parts: &Parts, remote: Option<Arc<Remote>>) -> Self {
+        let Parts { home, config, plant, hub, log, link, life, .. } = parts.clone();
+        Self { home, config, plant, hub, log, link, life, remote, deploying: tokio::sync::Mutex::default() }
+    }
+}
+
+impl Connection {
+    /// While this is held nobody else connects, deploys or adopts.
+    pub async fn one_at_a_time(&self) -> tokio::sync::MutexGuard<'_, ()> {
+        self.deploying.lock().await
+    }
+
+    pub(in crate::site) fn pin(&self) -> Result<Option<Pin>, Failure> {
+        let path = self.home.pin();
+        match std::fs::read(&path) {
+            Ok(bytes) => serde_json::from_slice(&bytes).map(Some).map_err(|_| {
+                let path = path.display();
+                input(format!(
+                    "{path} is damaged, so the chain this home is bound to is unknown; restore the file from a backup"
+                ))
+            }),
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
+            Err(error) => Err(Failure::new(ErrorKind::Home, format!("{} cannot be read: {error}", path.display()))),
+        }
+    }
+
+    /// Writes the pin where it is not what the file says already: nothing is written by a command that only looks.
+    pub(in crate::site) fn save_pin(&self, pin: &Pin) -> Result<(), Failure> {
+        let bytes = serde_json::to_vec_pretty(pin).map_err(|error| internal(error.to_string()))?;
+        if std::fs::read(self.home.pin()).is_ok_and(|there| there == bytes) {
+            return Ok(());
+        }
+        Ok(atomic_write(&self.home.pin(), &bytes)?)
+    }
+
+    /// Connects and stays connected, with growing pauses between attempts, until the site ends. Once connected,
+    /// it waits until the chain is found to be another one, and then for the pinned one to come back.
+    pub(in crate::site) async fn keep_connected(self: Arc<Self>) {
+        let mut pause = 1;
+        while !self.life.is_stopping() {
+            let is_lost = |state: &NetworkState| {
+                matches!(state, NetworkState::Connecting | NetworkState::Swapped(_) | NetworkState::Down { .. })
+            };
+            let mut state = self.link.follow();
+            if !is_lost(&state.borrow()) {
+                pause = 1;
+                // An error means that the site is gone.
+                drop(state.wait_for(|state| is_lost(state) || matches!(state, NetworkState::Off)).await);
+                continue;
+            }
+            match self.connect().await {
+                Ok(()) => continue,
+                Err(Lost::Swapped(failure)) => self.link.lose_chain(failure),
+                Err(Lost::Other(failure)) => {
+                    self.hub.notice(NoticeLevel::Error, &failure.message);
+                    self.link.lost(NetworkState::Down { failure, retry: pause });
+                }
+            }
+            tokio::select! {
+                () = tokio::time::sleep(Duration::from_secs(pause)) => {}
+                () = self.life.stopped() => return,
+            }
+            pause = (pause * 2).min(LONGEST_PAUSE);
+        }
+    }
+
+    async fn connect(self: &Arc<Self>) -> Result<(), Lost> {
+        // `chain adopt` may be at it, and have connected by the time it is done.
+        let _one_at_a_time = self.deploying.lock().await;
+        if matches!(*self.link.state(), NetworkState::Up(_) | NetworkState::Bare(_) | NetworkState::Off) {
+            return Ok(());
+        }
+        let chain = self.reach_chain().await?;
+        if let Some(pin) = chain.pin() {
+            self.save_pin(&pin)?;
+            return self.use_network(chain, &pin).await;
+        }
+        self.link.set(NetworkState::Bare(chain));
+        self.hub.changed(Part::Chain);
+        self.hub.changed(Part::Health);
+        Ok(())
+    }
+
+    /// The chain of the settings, held against the home's pin.
+    async fn reach_chain(&self) -> Result<Chain, Lost> {
+        let (pinned, contract, confirmations) = (self.pin()?, self.config.contract, self.config.confirmations);
+        if let Some(remote) = &self.remote {
+            return remote.chain(pinned, contract, confirmations).await;
+        }
+        let endpoint = match &self.config.chain_url {
+            Some(url) => Endpoint::Node { url: url.clone() },
+            None => Endpoint::Embedded { directory: self.home.chain(), consensus: self.config.consensus },
+        };
+        Ok(Chain::connect(ChainOptions { endpoint, contract, pinned, confirmations }).await?)
+    }
+
+    pub(in crate::site) async fn use_network(self: &Arc<Self>, chain: Chain, pin: &Pin) -> Result<(), Lost> {
+        let network = self.network_of(chain, pin).await?;
+        block_in_place(|| watcher::restore(&self.plant, &network))?;
+        let head = watcher::watch_round(&self.plant, &network).await?;
+        self.link.has_scanned(head.number);
+        self.link.set(NetworkState::Up(Box::new(network)));
+        self.hub.changed(Part::Chain);
+        self.hub.changed(Part::Health);
+        Ok(())
+    }
+
+    /// The network with everything bound to it, and what this home was bound to before.
+    pub(in crate::site) async fn network_of(&self, chain: Chain, pin: &Pin) -> Result<Network, PipelineError> {
+        let domain = adoption::domain_of(pin);
+        let directory = Arc::new(crate::pipeline::Directory::new(domain, self.plant.provider));
+        let earlier = Arc::new(block_in_place(|| adoption::earlier(&self.plant.ledger, domain))?);
+        let former = Arc::new(adoption::former(&self.plant, &chain).await?);
+        let confirmations = self.config.confirmations;
+        Ok(Network { chain, domain, directory, earlier, former, confirmations, times: Arc::default() })
+    }
+
+    /// The network; deploys the contract with the owner's account where there is none yet.
+    pub(in crate::site) async fn network_or_deploy(self: &Arc<Self>, owner: &Owner) -> Result<Network, Failure> {
+        self.network_or_deploy_as(owner, Revision::NEWEST, DEFAULT_DELAY).await
+    }
+
+    /// The same, of a chosen revision and with a chosen delay of successions.
+    pub(in crate::site) async fn network_or_deploy_as(
+        self: &Arc<Self>,
+        owner: &Owner,
+        revision: Revision,
+        delay: Duration,
+    ) -> Result<Network, Failure> {
+        // Not before the first attempt has ended, which needs the lock as well.
+        self.link.settled().await?;
+        let _one_at_a_time = self.deploying.lock().await;
+        let NetworkState::Bare(chain) = self.link.settled().await? else { return self.link.network().await };
+        let eoa = owner.eoa();
+        self.fund(&chain, owner).await?;
+        let pin = chain.deploy_revision(&eoa, revision, delay).await?;
+        self.save_pin(&pin)?;
+        self.use_network(chain, &pin).await?;
+        self.log.write(&owner.profile, "deploy", &pin.contract.to_string(), "done").await?;
+        self.hub.notice(
+            NoticeLevel::Info,
+            &format!("contract {} deployed; {} administers it", pin.contract, owner.address),
+        );
+        self.link.network().await
+    }
+
+    /// Asks a development node for money where the account has none.
+    pub(in crate::site) async fn fund(&self, chain: &Chain, owner: &Owner) -> Result<(), Failure> {
+        if self.config.chain_url.is_some() && chain.fund_from_node(owner.address).await? {
+            self.hub.notice(NoticeLevel::Info, &format!("the development node gave {} money for gas", owner.address));
+        }
+        Ok(())
+    }
+}
+
+/// Why no link to the chain came about.
+pub(in crate::site) enum Lost {
+    /// Another chain is there.
+    Swapped(Failure),
+    /// Anything else.
+    Other(Failure),
+}
+
+impl From<ChainError> for Lost {
+    fn from(error: ChainError) -> Self {
+        match error {
+            ChainError::Swapped { .. } => Self::Swapped(error.into()),
+            other => Self::Other(other.into()),
+        }
+    }
+}
+
+impl From<PipelineError> for Lost {
+    fn from(error: PipelineError) -> Self {
+        match error {
+            PipelineError::Chain(error) => error.into(),
+            other => Self::Other(other.into()),
+        }
+    }
+}
+
+impl From<Lost> for Failure {
+    fn from(lost: Lost) -> Self {
+        match lost {
+            Lost::Swapped(failure) | Lost::Other(failure) => failure,
+        }
+    }
+}
+
+impl From<Failure> for Lost {
+    fn from(failure: Failure) -> Self {
+        Self::Other(failure)
+    }
+}

@@ -1,0 +1,77 @@
+//! The chain for others: the contract put on it by command, and its JSON-RPC for other tools.
+
+use super::connection::Connection;
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::sync::oneshot;
+
+use crate::chain::{DEFAULT_DELAY, LONGEST_DELAY, Revision, SHORTEST_DELAY, serve};
+use crate::model::ProfileName;
+use crate::pipeline::Owner;
+use crate::service::event::NoticeLevel;
+use crate::service::failure::input;
+use crate::service::reply::{DeployedView, Failure, ServedView};
+use crate::site::NetworkState;
+
+impl Connection {
+    /// Deploys the contract with the owner's account and pins it.
+    pub(in crate::site) async fn deploy_contract(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        delay: Option<u64>,
+        revision: Option<Revision>,
+    ) -> Result<DeployedView, Failure> {
+        let delay = delay.map_or(DEFAULT_DELAY, Duration::from_secs);
+        if !(SHORTEST_DELAY..=LONGEST_DELAY).contains(&delay) {
+            return Err(input("a succession waits at least a day and at most 365 days; give another --delay"));
+        }
+        self.link.chain().await?;
+        if let NetworkState::Up(network) = &*self.link.state() {
+            let contract = network.chain.pin().map_or_else(|| "a contract".to_owned(), |pin| pin.contract.to_string());
+            return Err(input(format!(
+                "{contract} is pinned for this home already, nothing was deployed; use another --home for another one"
+            )));
+        }
+        let network = self.network_or_deploy_as(owner, revision.unwrap_or(Revision::NEWEST), delay).await?;
+        let pin = network.chain.pin().ok_or_else(|| input("the chain is gone; run the command again"))?;
+        Ok(DeployedView { pin, administrator: owner.address })
+    }
+
+    /// Answers other tools until `ended`, or the site's end.
+    pub(in crate::site) async fn serve_chain(
+        self: &Arc<Self>,
+        profile: &ProfileName,
+        address: SocketAddr,
+        ended: oneshot::Receiver<()>,
+    ) -> Result<ServedView, Failure> {
+        let chain = self.link.chain().await?;
+        if self.config.chain_url.is_some() {
+            return Err(input(format!("this site uses the node at {}; point other tools there", chain.url())));
+        }
+        let listener = serve::listen(address).await?;
+        self.log.write(profile, "serve chain", &address.to_string(), "begun").await?;
+        let address = listener.local_addr().map_err(|error| input(format!("no address to serve at: {error}")))?;
+        let view = ServedView {
+            url: format!("http://{address}"),
+            chain_id: chain.chain_id(),
+            contract: chain.pin().map(|pin| pin.contract),
+        };
+        self.hub.notice(NoticeLevel::Info, &format!("the chain is served to tools of this machine at {}", view.url));
+        let connection = Arc::clone(self);
+        tokio::spawn(async move {
+            let stop = async {
+                tokio::select! {
+                    () = connection.life.stopped() => {}
+                    // A dropped sender says the same.
+                    _ = ended => {}
+                }
+            };
+            if let Err(error) = chain.serve(listener, stop).await {
+                connection.hub.notice(NoticeLevel::Error, &error.to_string());
+            }
+        });
+        Ok(view)
+    }
+}

@@ -1,0 +1,147 @@
+//! The accounts that anchor for each owner: the owner's own and its witnesses, tended and kept ready.
+
+use crate::config::Config;
+use crate::pipeline::Plant;
+use crate::pipeline::Sender;
+use crate::service::hub::Hub;
+use crate::site::chain::link::Link;
+use crate::site::identity::owners::Owners;
+use crate::site::lifetime::Lifetime;
+use crate::site::parts::Parts;
+use std::sync::Mutex;
+use std::sync::{Arc, PoisonError};
+use std::time::Duration;
+
+use crate::crypto::EoaSecret;
+use crate::model::{Address, Domain};
+use crate::pipeline::sender::LaneState;
+use crate::pipeline::witness::{self, MOST_LANES};
+use crate::pipeline::{Network, Owner};
+use crate::service::event::NoticeLevel;
+use crate::service::reply::Failure;
+
+/// How often it is looked whether witnesses are ready.
+const LOOK: Duration = Duration::from_secs(2);
+
+/// Witnesses derived so far, with their addresses, by owner and network.
+pub(in crate::site) type Witnesses = std::collections::HashMap<(Address, Domain), Arc<Vec<(Address, EoaSecret)>>>;
+
+/// The accounts that anchor.
+pub(in crate::site) struct Lanes {
+    config: Arc<Config>,
+    plant: Plant,
+    hub: Arc<Hub>,
+    owners: Arc<Owners>,
+    link: Arc<Link>,
+    life: Arc<Lifetime>,
+    sender: Arc<Sender>,
+    witnesses: Mutex<Witnesses>,
+}
+
+impl Lanes {
+    /// From the shared parts.
+    pub fn new(parts: &Parts) -> Self {
+        let Parts { config, plant, hub, owners, link, life, sender, .. } = parts.clone();
+        Self { config, plant, hub, owners, link, life, sender, witnesses: Mutex::default() }
+    }
+}
+
+impl Lanes {
+    /// All witnesses that the owner can have on this network.
+    fn witnesses(&self, owner: &Owner, network: &Network) -> Result<Arc<Vec<(Address, EoaSecret)>>, Failure> {
+        let mut known = self.witnesses.lock().unwrap_or_else(PoisonError::into_inner);
+        let key = (owner.address, network.domain);
+        if let Some(found) = known.get(&key) {
+            return Ok(Arc::clone(found));
+        }
+        let keys = witness::witnesses(&owner.eoa(), &network.domain, MOST_LANES)?;
+        let found = Arc::new(keys.into_iter().map(|key| (key.address(), key)).collect::<Vec<_>>());
+        known.insert(key, Arc::clone(&found));
+        Ok(found)
+    }
+
+    /// The accounts that anchor for an owner now, the owner's own first.
+    pub(in crate::site) fn of(&self, owner: &Owner, network: &Network) -> Result<Vec<EoaSecret>, Failure> {
+        let mut lanes = vec![owner.eoa()];
+        if self.config.lanes > 1 {
+            let wanted = usize::from(self.config.lanes) - 1;
+            let witnesses = self.witnesses(owner, network)?;
+            let ready =
+                witnesses.iter().take(wanted).filter(|(account, _)| network.directory.identity(*account).is_ok());
+            lanes.extend(ready.map(|(_, key)| key.clone()));
+        }
+        Ok(lanes)
+    }
+
+    /// How the lanes of an owner are: the own one, and every witness's that is in use or holds something.
+    pub(in crate::site) fn lane_states(&self, owner: &Owner, network: &Network) -> Result<Vec<LaneState>, Failure> {
+        let mut states = vec![self.sender.state_of(owner.address)?];
+        let wanted = usize::from(self.config.lanes).saturating_sub(1);
+        for (index, (account, _)) in self.witnesses(owner, network)?.iter().enumerate() {
+            let state = self.sender.state_of(*account)?;
+            if index < wanted || state.open > 0 {
+                states.push(state);
+            }
+        }
+        Ok(states)
+    }
+
+    /// Why a lane of an open owner stands still, if one does.
+    pub(in crate::site) fn paused_text(&self, network: &Network) -> Option<String> {
+        let owners = self.owners.all();
+        let mut states = owners.iter().filter_map(|owner| self.lane_states(owner, network).ok()).flatten();
+        states.find_map(|state| state.paused.map(|reason| reason.text(state.account)))
+    }
+
+    /// Tends the lanes of every open owner: after each block, and while none comes.
+    pub(in crate::site) async fn tend(&self, network: &Network) {
+        for owner in self.owners.all() {
+            if let Err(failure) = self.tend_lanes_of(&owner, network).await {
+                let text = format!("transactions of {} wait: {}", owner.profile, failure.message);
+                self.hub.notice(NoticeLevel::Error, &text);
+            }
+        }
+    }
+
+    async fn tend_lanes_of(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
+        let mut keys = vec![owner.eoa()];
+        for (account, key) in self.witnesses(owner, network)?.iter() {
+            // Also those of a setting that is lower by now.
+            let state = self.sender.state_of(*account)?;
+            if state.open > 0 || state.paused.is_some() {
+                keys.push(key.clone());
+            }
+        }
+        for key in keys {
+            for reason in self.sender.tend(&network.chain, &key).await? {
+                let text = format!("the contract refused a transaction of {}: {reason}", owner.profile);
+                self.hub.notice(NoticeLevel::Error, &text);
+            }
+        }
+        Ok(())
+    }
+
+    /// Keeps the witnesses of an owner registered and able to pay, until the owner is closed or the site ends.
+    pub(in crate::site) async fn keep_witnesses(self: Arc<Self>, owner: Arc<Owner>) {
+        while !self.life.is_stopping() && self.owners.is_open(&owner) {
+            if let Some(network) = self.link.network_now()
+                && network.directory.identity(owner.address).is_ok()
+                && let Err(failure) = self.ready_witnesses(&owner, &network).await
+            {
+                let text = format!("a witness of {} is not ready to anchor: {}", owner.profile, failure.message);
+                self.hub.notice(NoticeLevel::Warning, &text);
+            }
+            if !self.life.beat(LOOK).await {
+                return;
+            }
+        }
+    }
+
+    async fn ready_witnesses(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
+        let wanted = usize::from(self.config.lanes) - 1;
+        for (_, key) in self.witnesses(owner, network)?.iter().take(wanted) {
+            witness::ensure_ready(&self.plant, network, &self.sender, owner, key).await?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,197 @@
+//! The site's link to its chain: whether there is a chain and a contract now, the newest head, how far the watcher is.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use tokio::sync::watch;
+
+use crate::chain::{BlockRef, Chain};
+use crate::pipeline::Network;
+use crate::service::event::{NoticeLevel, Part};
+use crate::service::failure::{input, internal};
+use crate::service::hub::Hub;
+use crate::service::reply::Failure;
+
+/// Where the link stands.
+#[derive(Clone)]
+pub enum NetworkState {
+    /// This run needs no chain, or is ending.
+    Off,
+    /// First attempt.
+    Connecting,
+    /// Connected, but no contract is known yet: the first registration deploys one.
+    Bare(Chain),
+    /// Working.
+    Up(Box<Network>),
+    /// Another chain answers than the pinned one, or the same one wiped: anchoring stands still until the pinned
+    /// one is back or the operator adopts this one.
+    Swapped(Failure),
+    /// The last attempt failed; another follows.
+    Down {
+        /// Why.
+        failure: Failure,
+        /// Seconds until the next attempt.
+        retry: u64,
+    },
+}
+
+/// The link, which every part that needs the chain asks.
+pub(in crate::site) struct Link {
+    hub: Arc<Hub>,
+    state: watch::Sender<NetworkState>,
+    scanned: watch::Sender<u64>,
+    silent: AtomicBool,
+    /// The newest head, and when the chain told it.
+    head: Mutex<Option<(Instant, BlockRef)>>,
+}
+
+impl Link {
+    /// A link that is to come up, or none where this run needs no chain.
+    pub fn new(hub: Arc<Hub>, needed: bool) -> Self {
+        let state = if needed { NetworkState::Connecting } else { NetworkState::Off };
+        let (state, scanned) = (watch::channel(state).0, watch::channel(0).0);
+        Self { hub, state, scanned, silent: AtomicBool::new(false), head: Mutex::default() }
+    }
+
+    /// Where it stands now.
+    pub fn state(&self) -> watch::Ref<'_, NetworkState> {
+        self.state.borrow()
+    }
+
+    /// The chain, where it is connected to one now.
+    pub fn connected(&self) -> Option<Chain> {
+        match &*self.state() {
+            NetworkState::Bare(chain) => Some(chain.clone()),
+            NetworkState::Up(network) => Some(network.chain.clone()),
+            _ => None,
+        }
+    }
+
+    /// Follows where it stands.
+    pub fn follow(&self) -> watch::Receiver<NetworkState> {
+        self.state.subscribe()
+    }
+
+    /// It stands elsewhere now.
+    pub fn set(&self, state: NetworkState) {
+        self.state.send_replace(state);
+    }
+
+    /// Another chain answers than the pinned one: everything that needs the chain stands still.
+    pub fn lose_chain(&self, failure: Failure) {
+        self.hub.notice(NoticeLevel::Error, &failure.message);
+        self.lost(NetworkState::Swapped(failure));
+    }
+
+    /// The chain is gone, unless the site ends anyway.
+    pub fn lost(&self, to: NetworkState) {
+        self.state.send_if_modified(|state| {
+            let ending = matches!(state, NetworkState::Off);
+            if !ending {
+                *state = to;
+            }
+            !ending
+        });
+        self.hub.changed(Part::Health);
+        self.hub.changed(Part::Chain);
+    }
+
+    /// The chain, as soon as the first attempt has ended.
+    ///
+    /// # Errors
+    /// Why the link is down.
+    pub async fn chain(&self) -> Result<Chain, Failure> {
+        match self.settled().await? {
+            NetworkState::Bare(chain) => Ok(chain),
+            NetworkState::Up(network) => Ok(network.chain),
+            _ => Err(off()),
+        }
+    }
+
+    /// Where it stands, as soon as the first attempt has ended.
+    ///
+    /// # Errors
+    /// Why the link is down.
+    pub async fn settled(&self) -> Result<NetworkState, Failure> {
+        let mut state = self.state.subscribe();
+        let settled = state.wait_for(|state| !matches!(state, NetworkState::Connecting)).await;
+        let settled = settled.map_err(|_| off())?.clone();
+        match settled {
+            NetworkState::Down { failure, .. } | NetworkState::Swapped(failure) => Err(failure),
+            settled => Ok(settled),
+        }
+    }
+
+    /// The network with its contract.
+    ///
+    /// # Errors
+    /// Why the link is down, or that no contract is known yet.
+    pub async fn network(&self) -> Result<Network, Failure> {
+        match self.settled().await? {
+            NetworkState::Up(network) => Ok(*network),
+            NetworkState::Bare(_) => {
+                Err(input("no contract is deployed yet; `authros register` deploys one, or set chain.contract"))
+            }
+            _ => Err(off()),
+        }
+    }
+
+    /// The network, if it is up right now.
+    pub fn network_now(&self) -> Option<Network> {
+        match &*self.state.borrow() {
+            NetworkState::Up(network) => Some((**network).clone()),
+            _ => None,
+        }
+    }
+
+    /// Notes the head that the chain just told.
+    pub fn saw_head(&self, head: BlockRef) {
+        *self.head.lock().unwrap_or_else(PoisonError::into_inner) = Some((Instant::now(), head));
+    }
+
+    /// The newest head that the chain told.
+    pub fn newest_head(&self) -> Option<BlockRef> {
+        self.head.lock().unwrap_or_else(PoisonError::into_inner).map(|(_, head)| head)
+    }
+
+    /// The newest head, unless the chain has not told one for `longest`.
+    pub fn fresh_head(&self, longest: Duration) -> Option<BlockRef> {
+        let seen = *self.head.lock().unwrap_or_else(PoisonError::into_inner);
+        seen.filter(|(at, _)| at.elapsed() <= longest).map(|(_, head)| head)
+    }
+
+    /// The watcher has seen everything up to this block.
+    pub fn has_scanned(&self, number: u64) {
+        self.scanned.send_replace(number);
+    }
+
+    /// Follows how far the watcher is.
+    pub fn scans(&self) -> watch::Receiver<u64> {
+        self.scanned.subscribe()
+    }
+
+    /// Waits until the watcher has seen block `number`.
+    pub async fn scanned(&self, number: u64) {
+        let mut scanned = self.scanned.subscribe();
+        // An error means that the site is ending.
+        drop(scanned.wait_for(|seen| *seen >= number).await);
+    }
+
+    /// Notes whether the chain answered the last time it was asked.
+    pub fn answers(&self, answers: bool) {
+        let before = self.silent.swap(!answers, Ordering::AcqRel);
+        if before == answers {
+            self.hub.changed(Part::Health);
+        }
+    }
+
+    /// Whether the chain did not answer the last time it was asked.
+    pub fn is_silent(&self) -> bool {
+        self.silent.load(Ordering::Acquire)
+    }
+}
+
+fn off() -> Failure {
+    internal("this run of the site has no chain, or is ending; run the command again")
+}

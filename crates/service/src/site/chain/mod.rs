@@ -1,0 +1,10 @@
+//! The chain: the link to it, the accounts that anchor, its administration, and its change for another one.
+
+pub(super) mod administration;
+pub(super) mod adoption;
+pub(super) mod connection;
+mod exposure;
+pub(super) mod lanes;
+pub(super) mod link;
+#[cfg(test)]
+mod tests;

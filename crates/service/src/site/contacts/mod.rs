@@ -1,0 +1,341 @@
+//! The address book of this home: names for accounts, and the fingerprint each is known by. It lies in the ledger,
+//! never on the chain.
+
+#[cfg(test)]
+mod tests;
+
+use crate::paths::Home;
+use crate::pipeline::Plant;
+use crate::service::hub::Hub;
+use crate::site::audit::Log;
+use crate::site::chain::link::Link;
+use crate::site::identity::owners::Owners;
+use crate::site::parts::Parts;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+use tokio::task::block_in_place;
+
+use crate::crypto::Fingerprint;
+use crate::model::{Address, ContactName, Party, ProfileName};
+use crate::pipeline::Network;
+use crate::service::event::Part;
+use crate::service::failure::{input, internal, refused};
+use crate::service::reply::{CompareView, ContactRow, Failure};
+
+/// Where the book lies in the ledger.
+const BOOK: &str = "contacts";
+/// The most contacts of a home.
+const MOST: usize = 1_000;
+
+/// One entry of the book.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+struct Contact {
+    name: ContactName,
+    address: Address,
+    /// As a person reads it.
+    fingerprint: Option<String>,
+    /// A person gave it, or confirmed it.
+    given: bool,
+}
+
+fn read(text: &str) -> Result<Fingerprint, Failure> {
+    text.parse().map_err(|error| input(format!("{error}")))
+}
+
+/// The address book.
+pub(in crate::site) struct Contacts {
+    home: Home,
+    plant: Plant,
+    hub: Arc<Hub>,
+    log: Arc<Log>,
+    owners: Arc<Owners>,
+    link: Arc<Link>,
+    /// Whether the chain is known from a gateway's word alone.
+    is_joined: bool,
+    /// Changes of the book happen one at a time.
+    changing: tokio::sync::Mutex<()>,
+}
+
+impl Contacts {
+    /// From the shared parts.
+    pub fn new(parts: &Parts) -> Self {
+        let Parts { home, plant, hub, log, owners, link, .. } = parts.clone();
+        Self {
+            home,
+            plant,
+            hub,
+            log,
+            owners,
+            link,
+            is_joined: parts.config.site.is_some(),
+            changing: tokio::sync::Mutex::default(),
+        }
+    }
+}
+
+impl Contacts {
+    fn book(&self) -> Result<Vec<Contact>, Failure> {
+        let Some(text) = block_in_place(|| self.plant.ledger.setting(BOOK))? else { return Ok(Vec::new()) };
+        serde_json::from_str(&text)
+            .map_err(|_| input("the address book in the ledger cannot be read; restore a backup"))
+    }
+
+    fn write_book(&self, book: &[Contact]) -> Result<(), Failure> {
+        let text = serde_json::to_string(book).map_err(|error| internal(error.to_string()))?;
+        block_in_place(|| self.plant.ledger.put_setting(BOOK, &text))?;
+        self.hub.changed(Part::Grants);
+        Ok(())
+    }
+
+    /// The account that is meant.
+    pub(crate) fn resolve(&self, party: &Party) -> Result<Address, Failure> {
+        match party {
+            Party::Address(address) => Ok(*address),
+            Party::Contact(name) => self.contact(name).map(|contact| contact.address),
+        }
+    }
+
+    fn contact(&self, name: &ContactName) -> Result<Contact, Failure> {
+        let found = self.book()?.into_iter().find(|contact| contact.name == *name);
+        found.ok_or_else(|| {
+            input(format!(
+                "'{name}' is not in the address book; `authros contacts list` shows it, `authros contacts add {name} \
+                 ADDRESS` adds"
+            ))
+        })
+    }
+
+    /// Names by address, to show beside them. A book that cannot be read shows none; commands that need it say so.
+    pub(crate) fn names(&self) -> BTreeMap<Address, String> {
+        let book = self.book().unwrap_or_default();
+        book.into_iter().map(|contact| (contact.address, contact.name.to_string())).collect()
+    }
+
+    /// The fingerprint of the key that an account has registered.
+    pub(super) fn registered_fingerprint(network: &Network, account: Address) -> Option<String> {
+        network.directory.identity(account).ok().map(|identity| Fingerprint::of(&identity.signing).to_string())
+    }
+
+    /// Enters an account. Without a fingerprint, the one it has registered is noted as found.
+    pub(super) async fn add(
+        self: &Arc<Self>,
+        profile: &ProfileName,
+        name: ContactName,
+        address: Address,
+        fingerprint: Option<String>,
+    ) -> Result<Vec<ContactRow>, Failure> {
+        let given = fingerprint.is_some();
+        if !given && self.is_joined {
+            return Err(refused(format!(
+                "which key {address} has is known here from a gateway's word alone; have its owner tell its fingerprint \
+                 by another way, then `authros contacts add {name} {address} --fingerprint FINGERPRINT`"
+            )));
+        }
+        let fingerprint = fingerprint.map(|text| read(&text)).transpose()?.map(|found| found.to_string());
+        let network = self.link.network().await.ok();
+        let found = || network.as_ref().and_then(|network| Self::registered_fingerprint(network, address));
+        let fingerprint = fingerprint.or_else(found);
+        {
+            let _one_at_a_time = self.changing.lock().await;
+            let mut book = self.book()?;
+            if let Some(known) = book.iter().find(|contact| contact.name == name || contact.address == address) {
+                let (name, address) = (&known.name, known.address);
+                return Err(refused(format!(
+                    "the address book has '{name}' for {address} already; `authros contacts remove {name}` takes it out"
+                )));
+            }
+            if book.len() >= MOST {
+                return Err(refused(format!("the address book holds at most {MOST} contacts; remove one first")));
+            }
+            self.log.write(profile, "contact add", &format!("{name} {address}"), "done").await?;
+            book.push(Contact { name, address, fingerprint, given });
+            book.sort_by(|one, other| one.name.cmp(&other.name));
+            self.write_book(&book)?;
+        }
+        self.rows().await
+    }
+
+    /// Takes an account out.
+    pub(super) async fn remove(
+        self: &Arc<Self>,
+        profile: &ProfileName,
+        name: &ContactName,
+    ) -> Result<Vec<ContactRow>, Failure> {
+        {
+            let _one_at_a_time = self.changing.lock().await;
+            let contact = self.contact(name)?;
+            let mut book = self.book()?;
+            book.retain(|other| *other != contact);
+            self.log.write(profile, "contact remove", &format!("{name} {}", contact.address), "done").await?;
+            self.write_book(&book)?;
+        }
+        self.rows().await
+    }
+
+    /// From now on the key is known that the account has registered now; where a fingerprint is given, only that one.
+    pub(super) async fn confirm(
+        self: &Arc<Self>,
+        profile: &ProfileName,
+        name: &ContactName,
+        fingerprint: Option<String>,
+    ) -> Result<Vec<ContactRow>, Failure> {
+        let network = self.link.network().await?;
+        {
+            let _one_at_a_time = self.changing.lock().await;
+            let contact = self.contact(name)?;
+            if fingerprint.is_none() && self.is_joined {
+                return Err(refused(format!(
+                    "which key '{name}' has is known here from a gateway's word alone; have its owner tell its \
+                     fingerprint by another way, then `authros contacts confirm {name} --fingerprint FINGERPRINT`"
+                )));
+            }
+            let identity = network.directory.identity(contact.address)?;
+            let registered = Fingerprint::of(&identity.signing);
+            if let Some(given) = fingerprint.map(|text| read(&text)).transpose()?
+                && given != registered
+            {
+                return Err(refused(format!(
+                    "{} has registered {registered}, not {given}; ask '{name}' by another way which one is right",
+                    contact.address
+                )));
+            }
+            let mut book = self.book()?;
+            for other in book.iter_mut().filter(|other| other.name == *name) {
+                (other.fingerprint, other.given) = (Some(registered.to_string()), true);
+            }
+            self.log.write(profile, "contact confirm", &format!("{name} {registered}"), "done").await?;
+            self.write_book(&book)?;
+        }
+        self.rows().await
+    }
+
+    /// The whole book, each with what the chain says now.
+    pub(super) async fn rows(self: &Arc<Self>) -> Result<Vec<ContactRow>, Failure> {
+        let network = self.link.network().await.ok();
+        let row = |contact: Contact| {
+            let registered =
+                network.as_ref().and_then(|network| Self::registered_fingerprint(network, contact.address));
+            let state = match (&contact.fingerprint, &registered) {
+                (_, None) => "not registered",
+                (None, Some(_)) => "not noted",
+                (Some(noted), Some(found)) if noted == found => "same",
+                (Some(_), Some(_)) => "differs",
+            };
+            let Contact { name, address, fingerprint, given } = contact;
+            ContactRow { name, address, fingerprint, given, registered, state: state.to_owned() }
+        };
+        Ok(self.book()?.into_iter().map(row).collect())
+    }
+
+    /// Contacts whose registered key is another one than is noted.
+    pub(super) fn changed_contacts(&self, network: &Network) -> Result<Vec<String>, Failure> {
+        let changed = |contact: &Contact| {
+            let (noted, found) =
+                (contact.fingerprint.as_ref()?, Self::registered_fingerprint(network, contact.address)?);
+            (*noted != found).then(|| changed_text(contact, &found))
+        };
+        Ok(self.book()?.iter().filter_map(changed).collect())
+    }
+
+    /// Whether keys may be wrapped for this account: one of the address book only under the key that is noted there.
+    /// One that had none when it was entered is noted now.
+    ///
+    /// # Errors
+    /// `Refused`, until the contact is confirmed.
+    pub(super) async fn check_contact(self: &Arc<Self>, network: &Network, account: Address) -> Result<(), Failure> {
+        let _one_at_a_time = self.changing.lock().await;
+        let mut book = self.book()?;
+        let contact = book.iter_mut().find(|contact| contact.address == account);
+        if self.is_joined && contact.as_ref().is_none_or(|contact| !contact.given) {
+            let known = contact.as_ref().map(|contact| contact.name.clone());
+            return Err(refused(uncompared_text(known.as_ref(), account)));
+        }
+        let Some(contact) = contact else { return Ok(()) };
+        let Some(found) = Self::registered_fingerprint(network, account) else { return Ok(()) };
+        match &contact.fingerprint {
+            Some(noted) if *noted == found => Ok(()),
+            Some(_) => Err(refused(changed_text(contact, &found))),
+            None => {
+                contact.fingerprint = Some(found);
+                self.write_book(&book)
+            }
+        }
+    }
+
+    /// Whether the keys of a further epoch may be wrapped for a reader who had them before: not for another key than
+    /// then, where the chain is known from a gateway's word, unless that key was compared. Notes the key at first.
+    ///
+    /// # Errors
+    /// `Refused`, until the contact is confirmed.
+    pub(super) async fn check_reader(
+        self: &Arc<Self>,
+        network: &Network,
+        owner: Address,
+        reader: Address,
+    ) -> Result<(), Failure> {
+        let Some(found) = Self::registered_fingerprint(network, reader).filter(|_| self.is_joined) else {
+            return Ok(());
+        };
+        let place = format!("wrapped for:{owner}:{reader}");
+        match block_in_place(|| self.plant.ledger.setting(&place))? {
+            Some(noted) if noted == found => return Ok(()),
+            Some(_) => self.check_contact(network, reader).await?,
+            None => {}
+        }
+        Ok(block_in_place(|| self.plant.ledger.put_setting(&place, &found))?)
+    }
+
+    /// A fingerprint beside that of an account's registered key, or of this profile's own.
+    pub(super) async fn compare(
+        self: &Arc<Self>,
+        profile: &ProfileName,
+        given: &str,
+        account: Option<Party>,
+    ) -> Result<CompareView, Failure> {
+        let given = read(given)?;
+        let (account, fingerprint) = match account {
+            Some(party) => {
+                let account = self.resolve(&party)?;
+                let identity = self.link.network().await?.directory.identity(account)?;
+                (account, Fingerprint::of(&identity.signing))
+            }
+            None => {
+                let path = self.home.keyring(profile);
+                if !path.exists() {
+                    self.owners.unlocked(profile)?;
+                }
+                let public = block_in_place(|| crate::crypto::read_public(&path))?;
+                (public.address, Fingerprint::of(&public.signing))
+            }
+        };
+        Ok(CompareView {
+            account,
+            name: self.names().remove(&account),
+            fingerprint: fingerprint.to_string(),
+            given: given.to_string(),
+            equal: fingerprint == given,
+        })
+    }
+}
+
+fn uncompared_text(known: Option<&ContactName>, account: Address) -> String {
+    let how = match known {
+        Some(name) => format!("authros contacts confirm {name} --fingerprint FINGERPRINT"),
+        None => format!("authros contacts add NAME {account} --fingerprint FINGERPRINT"),
+    };
+    format!(
+        "which key {account} has is known here from a gateway's word alone, which could show one of its own: nothing is \
+         granted to it until its owner told its fingerprint by another way; then `{how}`"
+    )
+}
+
+fn changed_text(contact: &Contact, found: &str) -> String {
+    let Contact { name, address, .. } = contact;
+    let noted = contact.fingerprint.as_deref().unwrap_or_default();
+    format!(
+        "'{name}' ({address}) has registered the key {found}, not {noted} as is noted here: nothing is granted to it \
+         until `authros contacts confirm {name}`; compare the fingerprint with '{name}' by another way first"
+    )
+}

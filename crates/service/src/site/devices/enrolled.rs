@@ -1,0 +1,114 @@
+//! The robots that an owner has enrolled, and what each is to seal under.
+
+use crate::pipeline::Plant;
+use crate::service::hub::Hub;
+use crate::site::parts::Parts;
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+use tokio::task::block_in_place;
+
+use crate::crypto::{EpochIssue, IssuedKeys, IssuedTopic, Pseudonyms, SealingKey, filter_key, topic_id, topic_key};
+use crate::model::{ProfileName, SignerId};
+use crate::pipeline::{Network, Owner, quarantine};
+use crate::service::failure::refused;
+use crate::service::reply::Failure;
+use crate::site::sharing::overdue::earliest_expiry;
+
+/// A device that was enrolled, as its owner's ledger keeps it: no secret.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct Enrolled {
+    /// N.
+    pub name: ProfileName,
+    /// SM3 of its public key.
+    pub device: SignerId,
+    /// What it is limited to; empty = nothing.
+    pub topics: Vec<String>,
+    /// Version of its enrolment.
+    #[serde(default = "first")]
+    pub version: u8,
+    /// Whether it was recalled.
+    #[serde(default)]
+    pub ended: bool,
+}
+
+fn first() -> u8 {
+    1
+}
+
+/// The enrolled robots, and what they were told.
+pub(in crate::site) struct Enrolments {
+    pub(super) plant: Plant,
+    pub(super) hub: Arc<Hub>,
+}
+
+impl Enrolments {
+    /// From the shared parts.
+    pub fn new(parts: &Parts) -> Self {
+        let Parts { plant, hub, .. } = parts.clone();
+        Self { plant, hub }
+    }
+}
+
+impl Enrolments {
+    /// What a device is to seal under, as the owner's own recorder does.
+    pub(in crate::site) fn issue(
+        &self,
+        owner: &Owner,
+        network: &Network,
+        to: &Enrolled,
+    ) -> Result<IssuedKeys, Failure> {
+        let sealing = owner.sealing().filter(|keys| keys.domain == network.domain);
+        let sealing = sealing.ok_or_else(|| refused("no epoch has begun; run `authros register` first"))?;
+        let now = self.issue_of(owner, network, to, sealing.epoch)?;
+        let next = match owner.author.next().filter(|(_, keys)| keys.epoch > sealing.epoch) {
+            Some((moment, keys)) => Some((moment, self.issue_of(owner, network, to, keys.epoch)?)),
+            None => None,
+        };
+        Ok(IssuedKeys { now, next })
+    }
+
+    fn issue_of(&self, owner: &Owner, network: &Network, to: &Enrolled, epoch: u64) -> Result<EpochIssue, Failure> {
+        let lacking = || refused(format!("the keyring has no key of epoch {epoch}"));
+        let key = owner.epoch_key(network.domain, epoch).ok_or_else(lacking)?;
+        let token = owner.token(network.domain, epoch).ok_or_else(lacking)?;
+        let index = owner.index();
+        let of = |topic: &String| {
+            let id = topic_id(&index, topic);
+            let pseudonyms = (to.version > 1).then(|| Pseudonyms { id, filters: filter_key(&index, &id) });
+            (topic.clone(), IssuedTopic { key: topic_key(&key, &id), pseudonyms })
+        };
+        // What it holds back of its topics is counted under a name of its own.
+        let statements = (to.version > 1).then(|| quarantine::TOPIC.to_owned());
+        let keys = to.topics.iter().chain(&statements).map(of).collect();
+        let key = if to.topics.is_empty() { SealingKey::Epoch(key) } else { SealingKey::Topics(keys) };
+        Ok(EpochIssue { epoch, token, ends: earliest_expiry(owner, network, epoch), key })
+    }
+
+    /// The robots that this owner has enrolled, oldest first.
+    pub(in crate::site) fn of(&self, owner: &Owner) -> Result<Vec<Enrolled>, Failure> {
+        let text = block_in_place(|| self.plant.ledger.setting(&place(owner)))?;
+        Ok(text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default())
+    }
+
+    pub(super) fn add(&self, owner: &Owner, enrolled: Enrolled) -> Result<(), Failure> {
+        let mut all = self.of(owner)?;
+        all.push(enrolled);
+        self.write(owner, &all)
+    }
+
+    /// Notes that a device was recalled.
+    pub(in crate::site) fn note_recalled(&self, owner: &Owner, device: SignerId) -> Result<(), Failure> {
+        let mut all = self.of(owner)?;
+        all.iter_mut().filter(|enrolled| enrolled.device == device).for_each(|enrolled| enrolled.ended = true);
+        self.write(owner, &all)
+    }
+
+    pub(super) fn write(&self, owner: &Owner, all: &[Enrolled]) -> Result<(), Failure> {
+        let text = serde_json::to_string(all).unwrap_or_default();
+        Ok(block_in_place(|| self.plant.ledger.put_setting(&place(owner), &text))?)
+    }
+}
+
+fn place(owner: &Owner) -> String {
+    format!("enrolled:{}", owner.address)
+}

@@ -1,0 +1,114 @@
+//! The owner's end of notices: whenever what an enrolled robot should seal under has changed, a record for it alone.
+
+use super::enrolled::Enrolled;
+use super::enrolled::Enrolments;
+use crate::crypto::{IssuedKeys, Notice, OwnerKeyChange, notice_key, notice_topic};
+use crate::model::{PublicKey, RecordKind, Timestamp};
+use crate::pipeline::authority::{Moment, may_sign};
+use crate::pipeline::statement::{self, Speaker, Statement};
+use crate::pipeline::{Network, Owner};
+use crate::service::reply::Failure;
+
+/// What the head of a notice says its type is.
+const TYPE: &str = "authros/Keys";
+
+impl Enrolments {
+    /// Seals a notice for each lent robot that does not know what it should seal under. A function of ledger and
+    /// keyring: called again, it does what is left.
+    ///
+    /// # Errors
+    /// Of ledger and vault.
+    pub(in crate::site) fn tell_devices(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
+        let sealing = owner.sealing().is_some_and(|keys| keys.domain == network.domain);
+        for device in self.of(owner)?.iter().filter(|_| sealing) {
+            let now = Moment::newest(network.directory.now());
+            if device.ended || may_sign(&network.directory, owner.address, device.device, now).is_err() {
+                continue;
+            }
+            // Until a new key is in its place there is nobody whom robots would believe.
+            if owner.keyring().keyring.further.next_signing.is_some() {
+                continue;
+            }
+            let keys = self.issue(owner, network, device)?;
+            let told = self.plant.ledger.setting(&place(owner, device))?;
+            if told.as_deref() != Some(summary(&keys).as_str()) {
+                let epoch = keys.now.epoch;
+                self.seal_notice(owner, network, device, epoch, &Notice::Keys(keys.clone()))?;
+                self.note_told(owner, device, &keys)?;
+                self.hub.stored.notify_waiters();
+            }
+        }
+        Ok(())
+    }
+
+    /// Seals a notice for each lent robot that is to know its owner by `new` from now on: signed by the present key, and
+    /// within it by the account. Called again, it does what is left.
+    ///
+    /// # Errors
+    /// Of ledger and vault.
+    pub(in crate::site) fn tell_owner_key(
+        &self,
+        owner: &Owner,
+        network: &Network,
+        new: &PublicKey,
+    ) -> Result<(), Failure> {
+        let old = owner.signing().public;
+        let change = OwnerKeyChange::sign(&network.domain, &owner.eoa(), old, *new)?;
+        let (epoch, told) = (network.directory.epoch(owner.address), format!("{old} {new}"));
+        for device in self.of(owner)? {
+            let place = format!("rekeyed:{}:{}", owner.address, device.device);
+            let now = Moment::newest(network.directory.now());
+            let lent = may_sign(&network.directory, owner.address, device.device, now).is_ok();
+            if !lent || self.plant.ledger.setting(&place)?.as_deref() == Some(&told) {
+                continue;
+            }
+            self.seal_notice(owner, network, &device, epoch, &Notice::OwnerKey(change))?;
+            self.plant.ledger.put_setting(&place, &told)?;
+            self.hub.stored.notify_waiters();
+        }
+        Ok(())
+    }
+
+    /// The device knows these keys.
+    pub(in crate::site) fn note_told(
+        &self,
+        owner: &Owner,
+        device: &Enrolled,
+        keys: &IssuedKeys,
+    ) -> Result<(), Failure> {
+        Ok(self.plant.ledger.put_setting(&place(owner, device), &summary(keys))?)
+    }
+
+    fn seal_notice(
+        &self,
+        owner: &Owner,
+        network: &Network,
+        device: &Enrolled,
+        epoch: u64,
+        notice: &Notice,
+    ) -> Result<(), Failure> {
+        let (name, body) = (notice_topic(&device.device), notice.encode());
+        let speaker = Speaker {
+            domain: network.domain,
+            owner: owner.address,
+            signing: &owner.signing(),
+            epoch,
+            topic_id: owner.topic_id(&name),
+            topic_key: &notice_key(&owner.eoa(), &network.domain, &device.device),
+        };
+        let statement = Statement { kind: RecordKind::Key, topic: &name, type_name: TYPE, body: &body };
+        Ok(statement::put(&self.plant, &speaker, statement, |row| self.plant.ledger.append(vec![row]))?)
+    }
+}
+
+fn place(owner: &Owner, device: &Enrolled) -> String {
+    format!("told:{}:{}", owner.address, device.device)
+}
+
+/// What tells two issues apart; no secret. Topics are told by how many there are: they are only ever added.
+fn summary(keys: &IssuedKeys) -> String {
+    let moment = |time: Option<Timestamp>| time.map_or(0, |time| time.0);
+    let next = keys.next.as_ref().map_or((0, 0), |(moment, next)| (moment.0, next.epoch));
+    let topics = keys.now.key.topics().map_or(String::new(), |topics| format!("/{}", topics.len()));
+    format!("{}/{}/{}/{}{topics}", keys.now.epoch, moment(keys.now.ends), next.0, next.1)
+}

@@ -1,0 +1,172 @@
+//! The list of owners who may use the gateway of this home, as its keeper decides; it lies in the ledger.
+
+use crate::paths::Home;
+use crate::pipeline::Plant;
+use crate::service::hub::Hub;
+use crate::site::audit::Log;
+use crate::site::contacts::Contacts;
+use crate::site::identity::owners::Owners;
+use crate::site::parts::Parts;
+use std::collections::BTreeSet;
+use std::sync::RwLock;
+use std::sync::{Arc, PoisonError};
+
+use serde::{Deserialize, Serialize};
+use tokio::task::block_in_place;
+
+use crate::model::{Address, Party, ProfileName, Timestamp};
+use crate::service::event::Part;
+use crate::service::failure::{input, internal, refused};
+use crate::service::reply::{AdmittedView, Failure};
+
+/// Where the list lies in the ledger.
+const LIST: &str = "gateway admitted";
+/// The most owners on it.
+const MOST: usize = 10_000;
+
+/// One owner on the list.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+struct Admitted {
+    owner: Address,
+    since: Timestamp,
+    /// Who admitted it, or why it is here.
+    by: String,
+}
+
+/// Who may use the gateway of this home.
+pub(in crate::site) struct Admissions {
+    home: Home,
+    plant: Plant,
+    hub: Arc<Hub>,
+    log: Arc<Log>,
+    owners: Arc<Owners>,
+    contacts: Arc<Contacts>,
+    /// As far as the list was read.
+    admitted: RwLock<Option<BTreeSet<Address>>>,
+    /// Changes happen one at a time.
+    changing: tokio::sync::Mutex<()>,
+}
+
+impl Admissions {
+    /// From the shared parts.
+    pub fn new(parts: &Parts, contacts: &Arc<Contacts>) -> Self {
+        let Parts { home, plant, hub, log, owners, .. } = parts.clone();
+        Self {
+            home,
+            plant,
+            hub,
+            log,
+            owners,
+            contacts: Arc::clone(contacts),
+            admitted: RwLock::default(),
+            changing: tokio::sync::Mutex::default(),
+        }
+    }
+}
+
+impl Admissions {
+    /// The list as the ledger has it. The first time, it holds everybody who has a name at this gateway already: an
+    /// upgrade locks nobody out.
+    fn list(&self) -> Result<Vec<Admitted>, Failure> {
+        let ledger = &self.plant.ledger;
+        if let Some(text) = block_in_place(|| ledger.setting(LIST))? {
+            return serde_json::from_str(&text)
+                .map_err(|_| input("the list of admitted owners in the ledger cannot be read; restore a backup"));
+        }
+        let bound: BTreeSet<Address> =
+            block_in_place(|| ledger.bound_names())?.into_iter().map(|(_, owner)| owner).collect();
+        let since = Timestamp::now();
+        let by = "had a name here before owners were admitted";
+        let list = bound.into_iter().map(|owner| Admitted { owner, since, by: by.to_owned() }).collect();
+        self.write(&list)?;
+        Ok(list)
+    }
+
+    fn write(&self, list: &Vec<Admitted>) -> Result<(), Failure> {
+        let text = serde_json::to_string(list).map_err(|error| internal(error.to_string()))?;
+        block_in_place(|| self.plant.ledger.put_setting(LIST, &text))?;
+        let owners = list.iter().map(|admitted| admitted.owner).collect();
+        *self.admitted.write().unwrap_or_else(PoisonError::into_inner) = Some(owners);
+        self.hub.changed(Part::Health);
+        Ok(())
+    }
+
+    /// Reads the list, so that [`Self::is_on_list`] can tell.
+    pub fn open(&self) -> Result<(), Failure> {
+        let owners = self.list()?.iter().map(|admitted| admitted.owner).collect();
+        *self.admitted.write().unwrap_or_else(PoisonError::into_inner) = Some(owners);
+        Ok(())
+    }
+
+    /// Who is on the list.
+    pub fn listed(&self) -> BTreeSet<Address> {
+        self.admitted.read().unwrap_or_else(PoisonError::into_inner).clone().unwrap_or_default()
+    }
+
+    /// Whether an owner is on it.
+    pub fn is_on_list(&self, owner: &Address) -> bool {
+        let listed = self.admitted.read().unwrap_or_else(PoisonError::into_inner);
+        listed.as_ref().is_some_and(|owners| owners.contains(owner))
+    }
+
+    /// Lets an owner use the gateway of this home.
+    pub async fn admit(self: &Arc<Self>, profile: &ProfileName, owner: &Party) -> Result<Vec<AdmittedView>, Failure> {
+        let owner = self.contacts.resolve(owner)?;
+        {
+            let _one_at_a_time = self.changing.lock().await;
+            let mut list = self.list()?;
+            if !list.iter().any(|admitted| admitted.owner == owner) {
+                if list.len() >= MOST {
+                    return Err(refused(format!("a gateway admits at most {MOST} owners; dismiss one first")));
+                }
+                self.log.write(profile, "gateway admit", &owner.to_string(), "done").await?;
+                list.push(Admitted { owner, since: Timestamp::now(), by: profile.to_string() });
+                self.write(&list)?;
+            }
+        }
+        self.rows()
+    }
+
+    /// Ends it: from the next Command on the owner is refused. What it sent is kept and anchored.
+    pub async fn dismiss(self: &Arc<Self>, profile: &ProfileName, owner: &Party) -> Result<Vec<AdmittedView>, Failure> {
+        let owner = self.contacts.resolve(owner)?;
+        if self.home_accounts().contains(&owner) {
+            return Err(refused(format!("{owner} is a profile of this home, which always may use its gateway")));
+        }
+        {
+            let _one_at_a_time = self.changing.lock().await;
+            let mut list = self.list()?;
+            let before = list.len();
+            list.retain(|admitted| admitted.owner != owner);
+            if list.len() == before {
+                return Err(input(format!("{owner} is not admitted; `authros gateway admitted` lists who is")));
+            }
+            self.log.write(profile, "gateway dismiss", &owner.to_string(), "done").await?;
+            self.write(&list)?;
+        }
+        self.rows()
+    }
+
+    /// Who is admitted, with the names of the address book.
+    pub fn rows(&self) -> Result<Vec<AdmittedView>, Failure> {
+        let (names, list) = (self.contacts.names(), self.list()?);
+        let row = |admitted: Admitted| AdmittedView {
+            owner: admitted.owner,
+            name: names.get(&admitted.owner).cloned(),
+            since: admitted.since,
+            by: admitted.by,
+        };
+        Ok(list.into_iter().map(row).collect())
+    }
+
+    /// Accounts of this home's profiles, those included that are not open.
+    pub fn home_accounts(&self) -> BTreeSet<Address> {
+        let open = self.owners.all().iter().map(|owner| owner.address).collect::<BTreeSet<_>>();
+        let kept = self.home.profiles().into_iter().filter_map(|profile| {
+            let public = block_in_place(|| crate::crypto::read_public(&self.home.keyring(&profile)));
+            // One that cannot be read is told of where it is opened.
+            public.ok().map(|public| public.address)
+        });
+        open.into_iter().chain(kept).collect()
+    }
+}

@@ -1,0 +1,50 @@
+//! Locking a profile, and a copy of its keys.
+
+use super::Profiles;
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::task::block_in_place;
+
+use crate::model::ProfileName;
+use crate::service::command::SecretBytes;
+use crate::service::event::Part;
+use crate::service::failure::{input, internal};
+use crate::service::reply::{Failure, IdentityView};
+use crate::site::blocking;
+
+/// How long a change under way may hold up the locking.
+const PATIENCE: Duration = Duration::from_secs(10);
+
+impl Profiles {
+    /// Wipes what decrypts, grants and revokes. A change of epochs or grants under way is waited for a moment: without
+    /// its keys it could not be finished.
+    pub(in crate::site) async fn lock(self: &Arc<Self>, profile: &ProfileName) -> Result<IdentityView, Failure> {
+        if let Some(owner) = self.owners.get(profile).filter(|owner| !owner.is_locked()) {
+            {
+                // One that hangs is cut: what it leaves open is taken up at the next unlock.
+                let _one_at_a_time = tokio::time::timeout(PATIENCE, owner.changes.lock()).await.ok();
+                if let Some(network) = self.link.network_now() {
+                    block_in_place(|| self.sharing.foresee_locked(&owner, &network))?;
+                }
+                owner.lock(self.plant.provider)?;
+                self.reading.forget();
+            }
+            self.hub.changed(Part::Identity);
+            self.log.write(profile, "lock", "keyring", "done").await?;
+        }
+        self.view(profile).await
+    }
+
+    pub(in crate::site) async fn back_up_keys(self: &Arc<Self>, profile: &ProfileName) -> Result<SecretBytes, Failure> {
+        let path = self.home.keyring(profile);
+        if !path.exists() {
+            return Err(input(format!("profile '{profile}' has no identity yet; there is nothing to back up")));
+        }
+        self.log.write(profile, "back up keys", "keyring", "begun").await?;
+        let read = move |_: &Self| {
+            std::fs::read(&path).map_err(|error| internal(format!("the keyring cannot be read: {error}")))
+        };
+        Ok(SecretBytes::new(blocking(self, read).await?))
+    }
+}

@@ -1,0 +1,240 @@
+//! Profiles of the home: making, opening and showing them.
+
+mod foreseeing;
+mod keys;
+mod locking;
+pub(super) mod owners;
+mod pairs;
+mod registration;
+#[cfg(test)]
+mod tests;
+
+use crate::config::Config;
+use crate::paths::Home;
+use crate::pipeline::Plant;
+use crate::pipeline::Recorder;
+use crate::pipeline::Sender;
+use crate::service::hub::Hub;
+use crate::site::audit::Log;
+use crate::site::capture::watches::Watches;
+use crate::site::chain::connection::Connection;
+use crate::site::chain::link::Link;
+use crate::site::devices::enrolled::Enrolments;
+use crate::site::gateway::Gateway;
+use crate::site::identity::owners::Owners;
+use crate::site::parts::Parts;
+use crate::site::pins::Pinning;
+use crate::site::reading::Reading;
+use crate::site::sharing::Sharing;
+use std::sync::Arc;
+
+use super::blocking;
+use crate::crypto::{Fingerprint, Keyring, Passphrase, UnlockedKeyring, read_public};
+use crate::model::ProfileName;
+use crate::pipeline::{Owner, adoption};
+use crate::service::command::SecretText;
+use crate::service::event::{NoticeLevel, Part};
+use crate::service::failure::refused;
+use crate::service::reply::{Failure, IdentityView};
+
+/// The profiles of a home and their keys.
+pub(in crate::site) struct Profiles {
+    home: Home,
+    config: Arc<Config>,
+    plant: Plant,
+    hub: Arc<Hub>,
+    log: Arc<Log>,
+    owners: Arc<Owners>,
+    link: Arc<Link>,
+    sender: Arc<Sender>,
+    connection: Arc<Connection>,
+    sharing: Arc<Sharing>,
+    enrolments: Arc<Enrolments>,
+    gateway: Arc<Gateway>,
+    reading: Arc<Reading>,
+    pins: Arc<Pinning>,
+    recorder: Arc<Recorder>,
+    watches: Arc<Watches>,
+}
+
+/// The parts that profiles ask.
+pub(in crate::site) struct Asked<'a> {
+    pub connection: &'a Arc<Connection>,
+    pub sharing: &'a Arc<Sharing>,
+    pub enrolments: &'a Arc<Enrolments>,
+    pub gateway: &'a Arc<Gateway>,
+    pub reading: &'a Arc<Reading>,
+    pub pins: &'a Arc<Pinning>,
+    pub recorder: &'a Arc<Recorder>,
+    pub watches: &'a Arc<Watches>,
+}
+
+impl Profiles {
+    /// From the shared parts.
+    pub fn new(parts: &Parts, asked: &Asked<'_>) -> Self {
+        let Asked { connection, sharing, enrolments, gateway, reading, pins, recorder, watches } = asked;
+        let Parts { home, config, plant, hub, log, owners, link, sender, .. } = parts.clone();
+        Self {
+            home,
+            config,
+            plant,
+            hub,
+            log,
+            owners,
+            link,
+            sender,
+            connection: Arc::clone(connection),
+            sharing: Arc::clone(sharing),
+            enrolments: Arc::clone(enrolments),
+            gateway: Arc::clone(gateway),
+            reading: Arc::clone(reading),
+            pins: Arc::clone(pins),
+            recorder: Arc::clone(recorder),
+            watches: Arc::clone(watches),
+        }
+    }
+}
+
+impl Profiles {
+    /// Makes keys and a keyring for a new profile, and opens it.
+    pub(super) async fn create(
+        self: &Arc<Self>,
+        profile: ProfileName,
+        secret: SecretText,
+    ) -> Result<IdentityView, Failure> {
+        let path = self.home.keyring(&profile);
+        if path.exists() {
+            return Err(refused(format!(
+                "profile '{profile}' exists already; `authros --profile {profile} identity show` shows it"
+            )));
+        }
+        let passphrase = Passphrase::new(secret.expose().to_owned())?;
+        let unlocked = blocking(self, move |profiles| {
+            let keyring = Keyring::generate(profiles.plant.provider)?;
+            Ok(UnlockedKeyring::create(keyring, &path, &passphrase)?)
+        })
+        .await?;
+        self.open(profile.clone(), unlocked);
+        self.log.write(&profile, "create identity", "keys", "done").await?;
+        self.view(&profile).await
+    }
+
+    /// Opens the keyring of a profile for this site.
+    pub(super) async fn unlock(
+        self: &Arc<Self>,
+        profile: ProfileName,
+        secret: SecretText,
+    ) -> Result<IdentityView, Failure> {
+        let there = self.owners.get(&profile);
+        if there.as_ref().is_none_or(|owner| owner.is_locked()) {
+            let path = self.home.keyring(&profile);
+            let passphrase = Passphrase::new(secret.expose().to_owned())?;
+            let opened = blocking(self, move |_| Ok(UnlockedKeyring::open(&path, &passphrase)?)).await;
+            let outcome = if opened.is_ok() { "done" } else { "refused" };
+            self.log.write(&profile, "unlock", "keyring", outcome).await?;
+            match there {
+                Some(owner) => owner.unlock(opened?),
+                None => drop(self.open(profile.clone(), opened?)),
+            }
+            self.hub.changed(Part::Identity);
+        }
+        if let (Some(owner), Some(_)) = (self.owners.get(&profile), self.link.network_now()) {
+            self.resume(&owner).await?;
+        }
+        self.view(&profile).await
+    }
+
+    /// Protects a keyring by another passphrase. The file is replaced in one step: it opens with the one or the other.
+    pub(super) async fn change_passphrase(
+        self: &Arc<Self>,
+        profile: &ProfileName,
+        old: SecretText,
+        new: SecretText,
+    ) -> Result<(), Failure> {
+        let path = self.home.keyring(profile);
+        if !path.exists() {
+            return Err(refused(format!("profile '{profile}' has no identity yet; there is no passphrase to change")));
+        }
+        let (old, new) = (Passphrase::new(old.expose().to_owned())?, Passphrase::new(new.expose().to_owned())?);
+        self.log.write(profile, "change passphrase", "keyring", "begun").await?;
+        let owner = self.owners.get(profile).filter(|owner| !owner.is_locked());
+        // No save of the keyring under the old passphrase may come after it.
+        let _one_at_a_time = match &owner {
+            Some(owner) => Some(owner.changes.lock().await),
+            None => None,
+        };
+        let open = owner.clone();
+        let changed = blocking(self, move |_| {
+            // Also of an open keyring: who asks knows the present one.
+            let mut kept = UnlockedKeyring::open(&path, &old)?;
+            match &open {
+                Some(owner) => owner.keyring().change_passphrase(&new)?,
+                None => kept.change_passphrase(&new)?,
+            }
+            Ok(())
+        });
+        let changed = changed.await;
+        let outcome = if changed.is_ok() { "done" } else { "refused" };
+        self.log.write(profile, "change passphrase", "keyring", outcome).await?;
+        changed
+    }
+
+    /// Puts an open keyring into the site, in place of the profile's former one.
+    pub(super) fn open(self: &Arc<Self>, profile: ProfileName, keyring: UnlockedKeyring) -> Arc<Owner> {
+        let owner = Arc::new(Owner::new(profile.clone(), keyring));
+        self.pins.introduce(&owner);
+        self.owners.insert(&owner);
+        self.seal_as_before(&owner);
+        self.watches.restore(&owner);
+        self.hub.changed(Part::Identity);
+        owner
+    }
+
+    /// Seals under the newest epoch of the keyring until the chain says how it stands, so that a start costs no message
+    /// and capture needs no chain; only where the chain is known to have an epoch of this owner.
+    fn seal_as_before(&self, owner: &Owner) {
+        let Ok(Some(pin)) = self.connection.pin() else { return };
+        let domain = adoption::domain_of(&pin);
+        let newest = owner.epochs(domain).last().copied().filter(|_| owner.has_registered_epoch(domain));
+        if let Some(Err(error)) = newest.map(|epoch| owner.seal_under(domain, epoch)) {
+            self.hub.notice(NoticeLevel::Warning, &error.to_string());
+        }
+    }
+
+    /// Opens an owner anew after its account changed.
+    pub(super) fn reopen(self: &Arc<Self>, owner: &Arc<Owner>) -> Arc<Owner> {
+        let keyring = owner.keyring().duplicate();
+        self.open(owner.profile.clone(), keyring)
+    }
+
+    /// The public side of a profile; needs no passphrase.
+    pub(super) async fn view(self: &Arc<Self>, profile: &ProfileName) -> Result<IdentityView, Failure> {
+        let path = self.home.keyring(profile);
+        let owner = self.owners.get(profile);
+        let mut view = IdentityView {
+            profile: profile.clone(),
+            exists: path.exists(),
+            unlocked: owner.is_some_and(|owner| !owner.is_locked()),
+            registered: false,
+            address: None,
+            epoch: None,
+            signing_key: None,
+            fingerprint: None,
+            envelope_key: None,
+        };
+        if !view.exists {
+            return Ok(view);
+        }
+        let public = blocking(self, move |_| Ok(read_public(&path)?)).await?;
+        view.address = Some(public.address);
+        view.signing_key = Some(public.signing);
+        view.envelope_key = Some(public.envelope);
+        view.fingerprint = Some(Fingerprint::of(&public.signing).to_string());
+        if let Ok(network) = self.link.network().await {
+            view.registered =
+                network.directory.identity(public.address).is_ok_and(|identity| identity.signing == public.signing);
+            view.epoch = Some(network.directory.epoch(public.address)).filter(|epoch| *epoch > 0);
+        }
+        Ok(view)
+    }
+}

@@ -1,0 +1,387 @@
+//! Keeps what a gateway has for a profile here: lists and fetches what is missing, then takes records as they come.
+//! A lost connection is opened again, with pauses that grow to five seconds.
+
+pub(super) mod remote;
+
+use crate::paths::Home;
+use crate::pipeline::Plant;
+use crate::service::hub::Hub;
+use crate::site::chain::link::Link;
+use crate::site::identity::owners::Owners;
+use crate::site::lifetime::Lifetime;
+use crate::site::parts::Parts;
+use std::collections::BTreeSet;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use tokio::sync::mpsc;
+use tokio::task::block_in_place;
+
+use super::supervision::Aborted;
+use crate::gateway::{Client, Code, Entry, Fetched, GatewayError, Query, Selection, Standing};
+use crate::model::{Address, Timestamp};
+use crate::pipeline::mirror::{Anchors, Mirror, sources};
+use crate::pipeline::{Network, Owner, PipelineError};
+use crate::service::event::{NoticeLevel, Part};
+use crate::service::reply::Failure;
+use remote::{Mirrored, Remote};
+
+/// The first pause after a failure, and the longest.
+const PAUSES: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(5));
+/// How often proofs that are missing are asked for, and grants are looked at.
+const TICK: Duration = Duration::from_millis(500);
+/// Entries on a page.
+const PAGE: u16 = 500;
+/// Digests checked at once.
+const CHECKED: usize = 500;
+/// Subscriptions of one connection; owners beyond that are listed now and then.
+const SUBSCRIPTIONS: usize = 16;
+/// How often owners without a subscription are listed.
+const LISTING: Duration = Duration::from_secs(10);
+/// How long a connection may be silent before it is tried.
+const SILENCE: Duration = Duration::from_secs(30);
+/// How far behind the newest record seen a listing begins: outboxes of robots may be hours old.
+const LATE: u64 = 24 * 3600;
+/// How often a listing begins at the very beginning.
+const WHOLE: u64 = 24 * 3600;
+/// Records that may wait to be taken in.
+const WAITING: usize = 64;
+
+/// Why a mirror's round ended.
+enum Broken {
+    Gateway(GatewayError),
+    Other(Failure),
+}
+
+impl From<GatewayError> for Broken {
+    fn from(error: GatewayError) -> Self {
+        Self::Gateway(error)
+    }
+}
+
+impl From<PipelineError> for Broken {
+    fn from(error: PipelineError) -> Self {
+        Self::Other(error.into())
+    }
+}
+
+impl From<Failure> for Broken {
+    fn from(failure: Failure) -> Self {
+        Self::Other(failure)
+    }
+}
+
+type Fed = Result<(Entry, Fetched), GatewayError>;
+
+/// The site that this one joins through its gateway, where it joins one.
+pub(in crate::site) struct Joined {
+    home: Home,
+    plant: Plant,
+    hub: Arc<Hub>,
+    owners: Arc<Owners>,
+    link: Arc<Link>,
+    life: Arc<Lifetime>,
+    remote: Option<Arc<Remote>>,
+}
+
+impl Joined {
+    /// From the shared parts.
+    pub fn new(parts: &Parts, remote: Option<Arc<Remote>>) -> Self {
+        let Parts { home, plant, hub, owners, link, life, .. } = parts.clone();
+        Self { home, plant, hub, owners, link, life, remote }
+    }
+}
+
+impl Joined {
+    /// Whether this site joins another one.
+    pub fn is_joined(&self) -> bool {
+        self.remote.is_some()
+    }
+
+    /// Where the chain comes from, in words, where that is the other site.
+    pub fn chain_text(&self) -> Option<String> {
+        self.remote.as_ref().map(|remote| remote.chain_text())
+    }
+
+    /// Mirrors a profile's records until its owner is closed or the site ends.
+    pub(super) async fn mirror(self: Arc<Self>, owner: Arc<Owner>) {
+        let Some(remote) = &self.remote else { return };
+        let mut pause = PAUSES.0;
+        while !self.life.is_stopping() && self.owners.is_open(&owner) {
+            let Some(network) = self.link.network_now() else {
+                tokio::time::sleep(TICK).await;
+                continue;
+            };
+            if owner.is_locked() {
+                // The transport key lies under d_E.
+                tokio::time::sleep(TICK).await;
+                continue;
+            }
+            if network.directory.identity(owner.address).is_err() {
+                // Nobody can share with it, and the gateway does not know it.
+                remote.note(&owner.profile, Mirrored::Caught);
+                tokio::time::sleep(TICK).await;
+                continue;
+            }
+            match self.mirror_round(remote, &owner, &network).await {
+                Ok(()) => pause = PAUSES.0,
+                Err(broken) => {
+                    self.tell_broken(remote, &owner, broken, pause);
+                    tokio::select! {
+                        () = tokio::time::sleep(pause) => {}
+                        () = self.life.stopped() => return,
+                    }
+                    pause = (pause * 2).min(PAUSES.1);
+                }
+            }
+        }
+    }
+
+    fn tell_broken(&self, remote: &Remote, owner: &Owner, broken: Broken, pause: Duration) {
+        let failure = match broken {
+            Broken::Gateway(error) => {
+                // The chain has other keys by now than the transport key was allocated under: allocate again.
+                if matches!(error, GatewayError::Refused(Code::NotRegistered)) {
+                    drop(std::fs::remove_file(self.home.transport_key(&owner.profile)));
+                }
+                error.into()
+            }
+            Broken::Other(failure) => failure,
+        };
+        let seconds = pause.as_secs();
+        let text = format!(
+            "the records of '{}' do not come in from the gateway, retry in {seconds} s: {}",
+            owner.profile, failure.message
+        );
+        self.hub.notice(NoticeLevel::Error, &text);
+        remote.note(&owner.profile, Mirrored::Failed(failure));
+    }
+
+    /// Until the connection breaks, or somebody else shares or does not share any more.
+    async fn mirror_round(
+        self: &Arc<Self>,
+        remote: &Remote,
+        owner: &Arc<Owner>,
+        network: &Network,
+    ) -> Result<(), Broken> {
+        let keeper = remote.keeper(network)?;
+        let mirror =
+            Mirror { plant: &self.plant, network, reader: owner.as_ref(), keeper, anchors: Anchors::default() };
+        let mut client = remote.connect(&self.home, owner, network).await?;
+        let sources = sources(network, owner);
+        // Subscribed before it is listed, so that nothing falls in between.
+        let (feed, mut fed) = mpsc::channel(WAITING);
+        let subscriber = remote.connect(&self.home, owner, network).await?;
+        let live: Vec<Address> = sources.iter().copied().take(SUBSCRIPTIONS).collect();
+        let subscriber = subscribe(subscriber, &live).await?;
+        let _feeding = Aborted(tokio::spawn(follow(subscriber, feed)));
+        remote.note(&owner.profile, Mirrored::Behind);
+        for source in &sources {
+            self.catch_up(&mut client, &mirror, *source).await?;
+        }
+        remote.note(&owner.profile, Mirrored::Caught);
+        let (mut listed, mut heard) = (Instant::now(), Instant::now());
+        loop {
+            tokio::select! {
+                next = fed.recv() => {
+                    let next = next.unwrap_or(Err(GatewayError::Closed));
+                    if matches!(next, Err(GatewayError::Refused(Code::NotAuthorised))) {
+                        // Somebody does not share any more: begin again with those who do.
+                        remote.note(&owner.profile, Mirrored::Behind);
+                        tokio::time::sleep(TICK).await;
+                        return Ok(());
+                    }
+                    let (entry, record) = next?;
+                    if mirror.wants(&entry)? {
+                        self.take(&mirror, entry.owner, &entry, record).await?;
+                    }
+                }
+                () = tokio::time::sleep(TICK) => {}
+                () = self.life.stopped() => return Ok(()),
+            }
+            if crate::pipeline::mirror::sources(network, owner) != sources || client.is_spent() {
+                remote.note(&owner.profile, Mirrored::Behind);
+                return Ok(());
+            }
+            if self.settle_proofs(&mut client, &mirror, &sources).await? {
+                heard = Instant::now();
+            }
+            if listed.elapsed() >= LISTING {
+                for source in sources.iter().filter(|source| !live.contains(source)) {
+                    self.catch_up(&mut client, &mirror, *source).await?;
+                }
+                listed = Instant::now();
+            }
+            if heard.elapsed() >= SILENCE {
+                client.ping().await?;
+                heard = Instant::now();
+            }
+        }
+    }
+
+    async fn take(
+        &self,
+        mirror: &Mirror<'_>,
+        source: Address,
+        entry: &Entry,
+        record: Fetched,
+    ) -> Result<(), PipelineError> {
+        match mirror.take(source, entry.digest, record).await {
+            Ok(changed) => {
+                if changed {
+                    self.hub.changed(Part::Uploads);
+                    self.hub.changed(Part::Grants);
+                    self.hub.confirmed.notify_one();
+                }
+                Ok(())
+            }
+            // One bad record must not keep the others away.
+            Err(error @ (PipelineError::NotTakenIn { .. } | PipelineError::Crypto(_))) => {
+                self.hub.notice(NoticeLevel::Error, &error.to_string());
+                Ok(())
+            }
+            Err(error) => Err(error),
+        }
+    }
+
+    /// Lists what the gateway has of an owner, and fetches what is missing here.
+    async fn catch_up(
+        self: &Arc<Self>,
+        client: &mut Client,
+        mirror: &Mirror<'_>,
+        source: Address,
+    ) -> Result<(), Broken> {
+        let place = Place::load(self, mirror, source)?;
+        let begin = place.begin(Timestamp::now());
+        let from = Timestamp::from_seconds(begin);
+        let selection = Selection::all(source);
+        let mut query = Query { selection, from, until: Timestamp(u64::MAX), cursor: 0, limit: PAGE };
+        let mut newest = place.newest;
+        loop {
+            let page = match client.query(&query).await {
+                // A grant ended meanwhile: the chain is going to say so.
+                Err(GatewayError::Refused(Code::NotAuthorised)) => return Ok(()),
+                page => page?,
+            };
+            for entry in &page.entries {
+                newest = newest.max(entry.captured_at.seconds());
+                if mirror.wants(entry)? {
+                    self.fetch(client, mirror, source, entry).await?;
+                }
+            }
+            let Some(next) = page.next else { break };
+            query.cursor = next;
+        }
+        let now = Timestamp::now().seconds();
+        let whole = if begin == 0 { now } else { place.whole };
+        Ok(Place { newest: newest.min(now), whole, ..place }.save(self)?)
+    }
+
+    async fn fetch(
+        &self,
+        client: &mut Client,
+        mirror: &Mirror<'_>,
+        source: Address,
+        entry: &Entry,
+    ) -> Result<(), Broken> {
+        match client.fetch(&entry.digest).await {
+            Ok(record) => Ok(self.take(mirror, source, entry, record).await?),
+            Err(GatewayError::Refused(Code::NotFound | Code::NotAuthorised | Code::Tampered)) => Ok(()),
+            Err(GatewayError::Crypto(error)) => {
+                self.hub.notice(NoticeLevel::Error, &PipelineError::from(error).to_string());
+                Ok(())
+            }
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    /// Fetches records again that have a proof by now. Returns whether the gateway was asked anything.
+    async fn settle_proofs(
+        &self,
+        client: &mut Client,
+        mirror: &Mirror<'_>,
+        sources: &BTreeSet<Address>,
+    ) -> Result<bool, Broken> {
+        let mut asked = false;
+        for source in sources {
+            let waiting = mirror.unproven(*source, CHECKED)?;
+            if waiting.is_empty() {
+                continue;
+            }
+            asked = true;
+            let standings = client.check(&waiting).await?;
+            let anchored = |standing: &Standing| matches!(standing, Standing::Anchored | Standing::Verified);
+            for (digest, _) in waiting.iter().zip(&standings).filter(|(_, standing)| anchored(standing)) {
+                match client.fetch(digest).await {
+                    Ok(record) => {
+                        if mirror.take(*source, *digest, record).await? {
+                            self.hub.confirmed.notify_one();
+                            self.hub.changed(Part::Uploads);
+                        }
+                    }
+                    Err(GatewayError::Refused(Code::NotFound | Code::NotAuthorised | Code::Tampered)) => {}
+                    Err(error) => return Err(error.into()),
+                }
+            }
+        }
+        Ok(asked)
+    }
+}
+
+async fn subscribe(mut client: Client, owners: &[Address]) -> Result<Client, GatewayError> {
+    for owner in owners {
+        match client.subscribe(&Selection::all(*owner)).await {
+            Ok(_) | Err(GatewayError::Refused(Code::NotAuthorised)) => {}
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(client)
+}
+
+/// Passes on what comes, until the connection or a subscription ends.
+async fn follow(mut client: Client, feed: mpsc::Sender<Fed>) {
+    loop {
+        let next = match client.next_event(SILENCE).await {
+            Ok((_, entry, record)) => Ok((entry, record)),
+            Err(GatewayError::TimedOut) => match client.ping().await {
+                Ok(_) if !client.is_spent() => continue,
+                Ok(_) => Err(GatewayError::Closed),
+                Err(error) => Err(error),
+            },
+            Err(error) => Err(error),
+        };
+        let ended = next.is_err();
+        if feed.send(next).await.is_err() || ended {
+            return;
+        }
+    }
+}
+
+/// Where the mirror of an owner's records stands, durably: capture times in seconds.
+struct Place {
+    name: String,
+    newest: u64,
+    whole: u64,
+}
+
+impl Place {
+    fn load(joined: &Joined, mirror: &Mirror<'_>, source: Address) -> Result<Self, Failure> {
+        let (domain, me, keeper) = (mirror.network.domain, mirror.reader.address, mirror.keeper);
+        let name = format!("mirror:{domain}:{keeper}:{me}:{source}");
+        let text = block_in_place(|| joined.plant.ledger.setting(&name))?.unwrap_or_default();
+        let (newest, whole) = text.split_once(' ').unwrap_or_default();
+        let number = |text: &str| text.parse().unwrap_or(0);
+        Ok(Self { newest: number(newest), whole: number(whole), name })
+    }
+
+    /// Where the next listing begins: a day before the newest record seen, and now and then at the beginning.
+    fn begin(&self, now: Timestamp) -> u64 {
+        let due = now.seconds().saturating_sub(self.whole) >= WHOLE;
+        if due { 0 } else { self.newest.saturating_sub(LATE) }
+    }
+
+    fn save(&self, joined: &Joined) -> Result<(), Failure> {
+        let text = format!("{} {}", self.newest, self.whole);
+        Ok(block_in_place(|| joined.plant.ledger.put_setting(&self.name, &text))?)
+    }
+}

@@ -1,0 +1,70 @@
+//! What the features of a site share; each takes from here what it needs.
+
+use std::sync::Arc;
+
+use tokio::sync::{broadcast, mpsc};
+
+use super::audit::Log;
+use super::chain::link::Link;
+use super::identity::owners::Owners;
+use super::lifetime::Lifetime;
+use super::storage::room::open_ledger;
+use super::supervision::Supervisor;
+use crate::config::Config;
+use crate::crypto::provider;
+use crate::paths::Home;
+use crate::pipeline::sender::Policy;
+use crate::pipeline::{Owner, Plant, Sender};
+use crate::service::hub::Hub;
+use crate::service::reply::Failure;
+use crate::store::open_vault;
+
+/// The shared parts of one site.
+#[derive(Clone)]
+pub(super) struct Parts {
+    pub home: Home,
+    pub config: Arc<Config>,
+    /// Ledger, vault and provider.
+    pub plant: Plant,
+    pub hub: Arc<Hub>,
+    pub log: Arc<Log>,
+    pub owners: Arc<Owners>,
+    pub link: Arc<Link>,
+    pub life: Arc<Lifetime>,
+    pub supervisor: Arc<Supervisor>,
+    /// Sends transactions.
+    pub sender: Arc<Sender>,
+}
+
+/// Hears of each owner as it is opened.
+pub(super) type Opened = mpsc::UnboundedReceiver<Arc<Owner>>;
+
+impl Parts {
+    /// Opens ledger and vault of a home; the last value says whether the home is a copy of another one.
+    ///
+    /// # Errors
+    /// Where ledger or vault cannot be opened.
+    pub fn open(home: Home, config: Config, needs_chain: bool) -> Result<(Self, Opened, bool), Failure> {
+        let (events, _) = broadcast::channel(1024);
+        let hub = Arc::new(Hub::new(events));
+        let (ledger, copied) = open_ledger(&home)?;
+        let vault = open_vault(config.vault_url.as_deref(), &home.vault())?;
+        let (provider, backlog) = (provider(config.provider), config.vault_backlog);
+        let plant = Plant { ledger: ledger.clone(), vault, provider, observer: hub.clone(), backlog };
+        let life = Arc::new(Lifetime::new());
+        let (open, opened) = mpsc::unbounded_channel();
+        let parts = Self {
+            supervisor: Arc::new(Supervisor::new(Arc::clone(&hub), Arc::clone(&life))),
+            log: Arc::new(Log::new(ledger.clone(), Arc::clone(&hub))),
+            owners: Arc::new(Owners::new(home.clone(), open)),
+            link: Arc::new(Link::new(Arc::clone(&hub), needs_chain)),
+            sender: Arc::new(Sender::new(ledger, hub.clone(), Policy { cap: config.max_fee })),
+            home,
+            config: Arc::new(config),
+            plant,
+            hub,
+            life,
+        };
+        Ok((parts, opened, copied))
+    }
+}

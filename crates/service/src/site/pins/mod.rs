@@ -1,0 +1,157 @@
+//! Pinned publishers of watched topics: shown, accepted and taken back by the operator.
+
+#[cfg(test)]
+mod tests;
+
+use crate::pipeline::Pins;
+use crate::pipeline::Plant;
+use crate::service::hub::Hub;
+use crate::site::audit::Log;
+use crate::site::identity::owners::Owners;
+use crate::site::parts::Parts;
+use std::collections::{HashMap, HashSet};
+use std::sync::Arc;
+
+use tokio::task::block_in_place;
+
+use crate::model::{ProfileName, Publisher, TopicName, clean};
+use crate::pipeline::Owner;
+use crate::service::event::Part;
+use crate::service::failure::input;
+use crate::service::reply::{AlarmView, Failure, PinView, PinsView};
+
+/// Widest publisher shown, characters.
+const WIDEST: usize = 400;
+
+/// A publisher as people see it.
+fn cleaned(publisher: Publisher) -> Publisher {
+    let Publisher { caller_id, host, type_name, md5sum } = publisher;
+    Publisher {
+        caller_id: clean(&caller_id, 255),
+        host: clean(&host, 255),
+        type_name: clean(&type_name, 255),
+        md5sum: clean(&md5sum, 32),
+    }
+}
+
+/// Pinned publishers as the operator sees and decides them.
+pub(in crate::site) struct Pinning {
+    plant: Plant,
+    hub: Arc<Hub>,
+    log: Arc<Log>,
+    owners: Arc<Owners>,
+    /// Judges publishers.
+    pins: Arc<Pins>,
+}
+
+impl Pinning {
+    /// From the shared parts.
+    pub fn new(parts: &Parts, pins: &Arc<Pins>) -> Self {
+        let Parts { plant, hub, log, owners, .. } = parts.clone();
+        Self { plant, hub, log, owners, pins: Arc::clone(pins) }
+    }
+}
+
+impl Pinning {
+    /// Pins and alarms of a profile; needs no passphrase.
+    pub(super) async fn view(
+        self: &Arc<Self>,
+        profile: &ProfileName,
+        topic: Option<&TopicName>,
+    ) -> Result<PinsView, Failure> {
+        let owner = self.owners.address_of(profile)?;
+        let topic = topic.map(|topic| topic.as_str().to_owned());
+        let wanted = |name: &str| topic.as_deref().is_none_or(|topic| topic == name);
+        let settings = self.pins.all_listed().filter(|(name, _)| wanted(name)).map(|(topic, publisher)| PinView {
+            topic: topic.clone(),
+            publisher: publisher.clone(),
+            source: "settings".to_owned(),
+            at: None,
+        });
+        let mut pins: Vec<PinView> = settings.collect();
+        let ledger = &self.plant.ledger;
+        let kept = block_in_place(|| ledger.pins(owner, topic.as_deref()))?;
+        pins.extend(kept.into_iter().map(|row| PinView {
+            topic: clean(&row.topic, 255),
+            publisher: cleaned(row.publisher),
+            source: row.source,
+            at: Some(row.at),
+        }));
+        let alarms = block_in_place(|| ledger.alarms(owner, topic.as_deref()))?;
+        let alarms = alarms.into_iter().map(|row| AlarmView {
+            topic: clean(&row.topic, 255),
+            publisher: clean(&row.publisher, WIDEST),
+            reason: row.reason,
+            at: row.at,
+            open: row.open,
+        });
+        Ok(PinsView { mode: self.pins.mode(), pins, alarms: alarms.collect() })
+    }
+
+    /// Accepts publishers of a topic; none named = those that are being read now.
+    pub(super) async fn pin(
+        self: &Arc<Self>,
+        profile: &ProfileName,
+        topic: &TopicName,
+        publishers: Vec<Publisher>,
+    ) -> Result<PinsView, Failure> {
+        let owner = self.owners.address_of(profile)?;
+        let publishers = if publishers.is_empty() { self.pins.live(topic.as_str()) } else { publishers };
+        if publishers.is_empty() {
+            return Err(input(format!(
+                "no publisher of {topic} is being read now; name it with --publisher CALLER_ID@HOST:TYPE:MD5"
+            )));
+        }
+        for publisher in &publishers {
+            self.log.write(profile, "pin", &format!("{topic} {publisher}"), "begun").await?;
+        }
+        block_in_place(|| self.pins.pin(owner, topic.as_str(), &publishers))?;
+        self.hub.changed(Part::Topics);
+        self.view(profile, Some(topic)).await
+    }
+
+    /// No longer accepts a caller id on a topic.
+    pub(super) async fn unpin(
+        self: &Arc<Self>,
+        profile: &ProfileName,
+        topic: &TopicName,
+        caller_id: &str,
+    ) -> Result<PinsView, Failure> {
+        let owner = self.owners.address_of(profile)?;
+        let name = clean(caller_id, 255);
+        if self.pins.listed(topic.as_str()).iter().any(|publisher| publisher.caller_id == caller_id) {
+            return Err(input(format!("{name} is pinned to {topic} by ros.publishers; take it out there")));
+        }
+        self.log.write(profile, "unpin", &format!("{topic} {name}"), "begun").await?;
+        if block_in_place(|| self.pins.unpin(owner, topic.as_str(), caller_id))? == 0 {
+            return Err(input(format!("{name} is not pinned to {topic}; `authros topics pins` lists who is")));
+        }
+        self.hub.changed(Part::Topics);
+        self.view(profile, Some(topic)).await
+    }
+
+    /// Topics with an open alarm about a publisher.
+    pub fn alarmed_topics(&self, profile: &ProfileName) -> Result<HashSet<String>, Failure> {
+        let Ok(owner) = self.owners.address_of(profile) else { return Ok(HashSet::new()) };
+        let alarms = block_in_place(|| self.plant.ledger.alarms(owner, None))?;
+        Ok(alarms.into_iter().filter(|alarm| alarm.open).map(|alarm| alarm.topic).collect())
+    }
+
+    /// Node names pinned to each topic, by the operator, by first sight or by the settings.
+    pub fn pinned_names(&self, profile: &ProfileName) -> Result<HashMap<String, HashSet<String>>, Failure> {
+        let Ok(owner) = self.owners.address_of(profile) else { return Ok(HashMap::new()) };
+        let kept = block_in_place(|| self.plant.ledger.pins(owner, None))?;
+        let kept = kept.into_iter().map(|row| (row.topic, row.publisher.caller_id));
+        let listed = self.pins.all_listed().map(|(topic, publisher)| (topic.clone(), publisher.caller_id.clone()));
+        let mut names: HashMap<String, HashSet<String>> = HashMap::new();
+        for (topic, caller_id) in kept.chain(listed) {
+            names.entry(clean(&topic, 255)).or_default().insert(clean(&caller_id, 255));
+        }
+        Ok(names)
+    }
+
+    /// Publishers of an owner are known by its profile's name.
+    pub fn introduce(&self, owner: &Owner) {
+        self.pins.introduce(owner.address, owner.profile.as_str());
+    }
+}

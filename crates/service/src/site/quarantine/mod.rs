@@ -1,0 +1,259 @@
+//! What is held back: listed, released or discarded by the operator, and counted on the chain before.
+
+#[cfg(test)]
+mod tests;
+
+use crate::pipeline::Plant;
+use crate::service::hub::Hub;
+use crate::site::audit::Log;
+use crate::site::identity::owners::Owners;
+use crate::site::lifetime::Lifetime;
+use crate::site::parts::Parts;
+use crate::site::reading::Reading;
+use std::collections::BTreeSet;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use tokio::task::block_in_place;
+
+use super::blocking;
+use super::reading::view::record_view;
+use crate::model::{Digest, ErrorKind, ProfileName, RecordState, Timestamp, TopicName, clean};
+use crate::pipeline::columns::Shown;
+use crate::pipeline::{Owner, quarantine};
+use crate::service::command::Held;
+use crate::service::event::{NoticeLevel, Part};
+use crate::service::failure::input;
+use crate::service::reply::{DecidedView, Failure, HeldView, QuarantineView};
+use crate::store::{HeldQuery, HeldRow};
+
+/// How long a discard waits for the quarantine records to stand in a block.
+const PATIENCE: Duration = Duration::from_secs(60);
+/// Between two looks.
+const LOOK: Duration = Duration::from_secs(1);
+/// Records decided about in one command, at most.
+const MOST: usize = 100_000;
+
+/// What is held back.
+pub(in crate::site) struct Quarantine {
+    plant: Plant,
+    hub: Arc<Hub>,
+    log: Arc<Log>,
+    owners: Arc<Owners>,
+    life: Arc<Lifetime>,
+    reading: Arc<Reading>,
+    /// Quarantine records are sealed one at a time.
+    reporting: tokio::sync::Mutex<()>,
+}
+
+impl Quarantine {
+    /// From the shared parts.
+    pub fn new(parts: &Parts, reading: &Arc<Reading>) -> Self {
+        let Parts { plant, hub, log, owners, life, .. } = parts.clone();
+        Self { plant, hub, log, owners, life, reading: Arc::clone(reading), reporting: tokio::sync::Mutex::default() }
+    }
+}
+
+impl Quarantine {
+    /// Seals the quarantine records that are due, minute by minute, until the site ends.
+    pub(super) async fn keep(self: Arc<Self>) {
+        while !self.life.is_stopping() {
+            if !self.life.beat(LOOK).await {
+                return;
+            }
+            // It is counted once records are taken again.
+            if block_in_place(|| self.plant.takes_records()).is_err() {
+                continue;
+            }
+            for owner in self.owners.all() {
+                if let Err(failure) = self.report(&owner, quarantine::minute(Timestamp::now())).await {
+                    let text =
+                        format!("what is quarantined of {} is not counted yet: {}", owner.profile, failure.message);
+                    self.hub.notice(NoticeLevel::Error, &text);
+                }
+            }
+        }
+    }
+
+    /// Counts what was held back before this minute.
+    async fn report(self: &Arc<Self>, owner: &Arc<Owner>, before: u64) -> Result<(), Failure> {
+        let _one_at_a_time = self.reporting.lock().await;
+        let owner = Arc::clone(owner);
+        blocking(self, move |quarantine| Ok(quarantine::report(&quarantine.plant, &owner, before)?)).await?;
+        Ok(())
+    }
+
+    /// While this is held, nothing held back is counted or discarded.
+    pub async fn quiet(&self) -> tokio::sync::MutexGuard<'_, ()> {
+        self.reporting.lock().await
+    }
+
+    /// What is held back of a profile; needs no passphrase.
+    pub(super) async fn view(
+        self: &Arc<Self>,
+        profile: &ProfileName,
+        topic: Option<TopicName>,
+        limit: usize,
+    ) -> Result<QuarantineView, Failure> {
+        let owner = self.owners.address_of(profile)?;
+        let name = topic.as_ref().map(ToString::to_string);
+        let query =
+            HeldQuery { topic: name.clone(), messages: true, limit: limit.clamp(1, 1000), ..HeldQuery::default() };
+        let (rows, counts) = blocking(self, move |quarantine| {
+            Ok((quarantine.plant.ledger.held(owner, &query)?, quarantine.plant.ledger.counts(Some(owner))?))
+        })
+        .await?;
+        let wanted = counts.topics.iter().filter(|counts| name.as_ref().is_none_or(|name| *name == counts.topic));
+        let keys = self.reading.own_keys();
+        let shown = self.reading.compared(rows.iter().map(|row| row.record.clone()).collect(), &keys, &[])?;
+        let view = |(row, shown): (HeldRow, Shown)| HeldView {
+            record: record_view(&shown, false),
+            reason: row.reason,
+            publisher: clean(&row.publisher, 400),
+            report: row.report,
+        };
+        Ok(QuarantineView {
+            messages: wanted.map(|topic| topic.quarantined).sum(),
+            records: rows.into_iter().zip(shown).map(view).collect(),
+        })
+    }
+
+    /// The held records that a person names; definitions are among them only by their topic.
+    async fn named(self: &Arc<Self>, owner: &Arc<Owner>, held: &Held) -> Result<Vec<HeldRow>, Failure> {
+        let address = owner.address;
+        let query =
+            HeldQuery { topic: held.topic.as_ref().map(ToString::to_string), limit: MOST, ..HeldQuery::default() };
+        let mut rows = blocking(self, move |quarantine| Ok(quarantine.plant.ledger.held(address, &query)?)).await?;
+        if held.topic.is_some() {
+            return Ok(rows);
+        }
+        let mut wanted = BTreeSet::new();
+        for id in &held.ids {
+            let row = self.reading.find_record(id).await?;
+            if row.owner != address || row.state != RecordState::Quarantined {
+                return Err(input(format!(
+                    "record {} is not in quarantine (it is {}); `authros quarantine list` names those that are",
+                    row.id,
+                    row.state.word()
+                )));
+            }
+            wanted.insert(row.digest);
+        }
+        rows.retain(|row| wanted.contains(&row.record.digest));
+        Ok(rows)
+    }
+
+    /// Lets held messages go on to be anchored; the tag in their sealed head stays.
+    pub(super) async fn release(self: &Arc<Self>, owner: &Arc<Owner>, held: Held) -> Result<DecidedView, Failure> {
+        let rows = self.named(owner, &held).await?;
+        self.audit_each(owner, "release quarantined", &rows).await?;
+        // The record of the holding back comes first, so that its count is of all that was held.
+        self.report(owner, u64::MAX).await?;
+        let digests = self.with_definitions(owner, &rows).await?;
+        let asked: Vec<Digest> = digests.into_iter().collect();
+        blocking(self, move |quarantine| Ok(quarantine.plant.ledger.release(&asked)?)).await?;
+        self.decided(owner, &held)?;
+        self.hub.stored.notify_waiters();
+        let messages = messages(&rows);
+        let text = format!("{messages} messages released; they are anchored like others, and keep their tag");
+        Ok(DecidedView { decision: "released".to_owned(), messages, reports: Vec::new(), text })
+    }
+
+    /// A released message needs its definition, which is held back with its first message.
+    async fn with_definitions(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        rows: &[HeldRow],
+    ) -> Result<BTreeSet<Digest>, Failure> {
+        let topics: BTreeSet<String> = rows.iter().map(|row| row.record.topic.clone()).collect();
+        let mut digests: BTreeSet<Digest> = rows.iter().map(|row| row.record.digest).collect();
+        for topic in topics {
+            let (address, query) =
+                (owner.address, HeldQuery { topic: Some(topic), limit: MOST, ..HeldQuery::default() });
+            let held = blocking(self, move |quarantine| Ok(quarantine.plant.ledger.held(address, &query)?)).await?;
+            digests.extend(held.iter().filter(|row| !row.is_message()).map(|row| row.record.digest));
+        }
+        Ok(digests)
+    }
+
+    /// Deletes held messages, once the quarantine records that count them stand on the chain.
+    pub(super) async fn discard(self: &Arc<Self>, owner: &Arc<Owner>, held: Held) -> Result<DecidedView, Failure> {
+        let rows = self.named(owner, &held).await?;
+        self.report(owner, u64::MAX).await?;
+        // Asked again: the reports are known only now.
+        let mut rows_now = self.named(owner, &held).await?;
+        let known: BTreeSet<Digest> = rows.iter().map(|row| row.record.digest).collect();
+        rows_now.retain(|row| row.is_message() && known.contains(&row.record.digest));
+        let reports = self.anchored_reports(&rows_now).await?;
+        self.audit_each(owner, "discard quarantined", &rows_now).await?;
+        let digests: Vec<Digest> = rows_now.iter().map(|row| row.record.digest).collect();
+        // A back-up that is taken now must not see the bytes gone and the rows not.
+        let one_at_a_time = self.reporting.lock().await;
+        blocking(self, move |quarantine| Ok(quarantine::discard(&quarantine.plant, &digests)?)).await?;
+        drop(one_at_a_time);
+        self.decided(owner, &held)?;
+        let messages = messages(&rows_now);
+        let counted = reports.len();
+        let text = format!(
+            "{messages} messages discarded; their digests stay, and {counted} quarantine records on the chain count them"
+        );
+        Ok(DecidedView { decision: "discarded".to_owned(), messages, reports, text })
+    }
+
+    /// The quarantine records that count these, as soon as all of them stand in a block.
+    async fn anchored_reports(self: &Arc<Self>, rows: &[HeldRow]) -> Result<Vec<Digest>, Failure> {
+        let reports: BTreeSet<Digest> = rows.iter().filter_map(|row| row.report).collect();
+        let counted = rows.iter().all(|row| row.report.is_some());
+        let deadline = Instant::now() + PATIENCE;
+        while counted && !self.life.is_stopping() {
+            let asked = reports.clone();
+            let standing = blocking(self, move |quarantine| {
+                let mut standing = true;
+                for digest in asked {
+                    let row = quarantine.plant.ledger.record(digest)?;
+                    standing &=
+                        row.is_some_and(|row| (RecordState::Mined..=RecordState::Verified).contains(&row.state));
+                }
+                Ok(standing)
+            })
+            .await?;
+            if standing {
+                return Ok(reports.into_iter().collect());
+            }
+            if Instant::now() >= deadline {
+                break;
+            }
+            tokio::time::sleep(Duration::from_millis(100)).await;
+        }
+        Err(Failure::new(
+            ErrorKind::Incomplete,
+            "nothing was discarded: the quarantine records that count these messages are not on the chain yet; \
+             look at `authros chain status`, then repeat the command",
+        ))
+    }
+
+    /// One line for each topic, before the deed.
+    async fn audit_each(self: &Arc<Self>, owner: &Arc<Owner>, action: &str, rows: &[HeldRow]) -> Result<(), Failure> {
+        let topics: BTreeSet<&str> = rows.iter().map(|row| row.record.topic.as_str()).collect();
+        for topic in topics {
+            let of_topic = || rows.iter().filter(|row| row.record.topic == topic && row.is_message());
+            let (count, first) = (of_topic().count(), of_topic().next().map_or("none", |row| row.record.id.as_str()));
+            self.log.begin(owner, action, &format!("{topic}: {count} messages from {first} on")).await?;
+        }
+        Ok(())
+    }
+
+    /// Deciding about a whole topic closes its alarms.
+    fn decided(&self, owner: &Owner, held: &Held) -> Result<(), Failure> {
+        if let Some(topic) = &held.topic {
+            block_in_place(|| self.plant.ledger.close_alarms(owner.address, topic.as_str()))?;
+        }
+        self.hub.changed(Part::Topics);
+        self.hub.changed(Part::Uploads);
+        Ok(())
+    }
+}
+
+fn messages(rows: &[HeldRow]) -> u64 {
+    rows.iter().filter(|row| row.is_message()).count() as u64
+}

@@ -1,0 +1,223 @@
+//! Opened records for the eye: fields, readable form, files, and the path over a topic's records.
+
+use super::Reading;
+use std::ffi::OsStr;
+use std::sync::Arc;
+
+use tokio::task::block_in_place;
+
+use super::statements;
+use super::view::record_view;
+use crate::crypto::OpenedRecord;
+use crate::model::{ErrorKind, RecordKind, RecordState, clean};
+use crate::pipeline::columns::{Compared, Shown};
+use crate::pipeline::reader::Reader;
+use crate::pipeline::{Owner, importer};
+use crate::ros::Limits;
+use crate::ros::message::Folders;
+use crate::ros::readable::{self, Exported};
+use crate::ros::recording::{Described, TYPE_HASH, TypeFacts};
+use crate::service::command::{self as ask, Ask, LONGEST_PATH, Viewing};
+use crate::service::reply::{Failure, OpenedView, PathView, Reply};
+use crate::site::blocking;
+use crate::store::{RecordQuery, RecordRow};
+
+/// Messages up to this length come with their bytes when they are looked at; longer ones as files only.
+const WHOLE: usize = 4 << 20;
+
+/// Bytes that a view shows in hex.
+const SHOWN: usize = 16 << 10;
+
+/// Rows of fields in a view.
+const MOST_FIELDS: usize = 5_000;
+
+/// An opened record with what decodes it.
+struct Opened {
+    row: RecordRow,
+    record: OpenedRecord,
+    described: Described,
+}
+
+impl Reading {
+    /// Answers what is asked about opened records.
+    pub(in crate::site) async fn handle_viewing(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        viewing: Viewing,
+    ) -> Result<Reply, Failure> {
+        match viewing {
+            Viewing::ViewFile { id, kind } => {
+                self.file_of(owner, &id, kind).await.map(Box::new).map(ask::ViewFile::told)
+            }
+            Viewing::ViewPath { id, records } => self.path_to(owner, &id, records).await.map(ask::ViewPath::told),
+        }
+    }
+
+    /// Checks, decrypts and decodes one record, shared or own.
+    pub(in crate::site) async fn open_record(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        id: &str,
+    ) -> Result<OpenedView, Failure> {
+        let opened = self.opened(owner, id, "decrypt").await?;
+        Ok(block_in_place(|| {
+            let mut view = view_of(&opened, owner);
+            if opened.record.body.len() <= WHOLE {
+                view.picture = own_picture(&opened);
+                view.body = Some(opened.record.body);
+            }
+            view
+        }))
+    }
+
+    async fn file_of(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        id: &str,
+        kind: Option<Exported>,
+    ) -> Result<OpenedView, Failure> {
+        let opened = self.opened(owner, id, "export message").await?;
+        block_in_place(|| {
+            let mut view = view_of(&opened, owner);
+            view.file = Some(match (kind, &opened.described.definition) {
+                (Some(Exported::Bin), _) => opened.record.body,
+                (None, _) => own_picture(&opened).unwrap_or(opened.record.body),
+                (Some(kind), Some(definition)) => readable::export(kind, definition, &opened.record.body)
+                    .map_err(|error| Failure::new(error.kind(), error.to_string()))?,
+                (Some(_), None) => return Err(without_definition(&opened.row, &opened.described)),
+            });
+            Ok(view)
+        })
+    }
+
+    async fn opened(self: &Arc<Self>, owner: &Arc<Owner>, id: &str, deed: &str) -> Result<Opened, Failure> {
+        let (row, network) = self.authorised(owner, id).await?;
+        let reader = Reader { plant: &self.plant, network: &network, reader: owner };
+        self.log.begin(owner, deed, &row.id).await?;
+        let record = reader.open(&row).await?;
+        let described = self.described(&reader, &row, &record).await?;
+        let row = as_signed(row, &record);
+        Ok(Opened { row, record, described })
+    }
+
+    /// By which definition the record's message is read.
+    async fn described(
+        &self,
+        reader: &Reader<'_>,
+        row: &RecordRow,
+        record: &OpenedRecord,
+    ) -> Result<Described, Failure> {
+        if row.kind != RecordKind::Data {
+            return Ok(Described::default());
+        }
+        let text = reader.definition_text(row, record).await?;
+        let (head, about) = (&record.head, importer::about(&record.head.tags));
+        let (encoding, hash) = (importer::encoding(&head.tags), about.get(TYPE_HASH).map(|hash| &**hash));
+        let facts = TypeFacts { name: &head.type_name, encoding, text: text.as_deref(), hash };
+        let folders = Folders::of_prefixes(OsStr::new(&self.config.definitions));
+        Ok(block_in_place(|| Described::of(facts, &folders)))
+    }
+
+    async fn path_to(self: &Arc<Self>, owner: &Arc<Owner>, id: &str, records: usize) -> Result<PathView, Failure> {
+        let records = records.clamp(2, LONGEST_PATH);
+        let (row, network) = self.authorised(owner, id).await?;
+        let reader = Reader { plant: &self.plant, network: &network, reader: owner };
+        self.log.begin(owner, "decrypt", &format!("{} and up to {records} records before it", row.id)).await?;
+        let last = reader.open(&row).await?;
+        let described = self.described(&reader, &row, &last).await?;
+        let definition = described.definition.clone().ok_or_else(|| without_definition(&row, &described))?;
+        let here = readable::place(&definition, &last.body).ok_or_else(|| {
+            let kind = clean(definition.type_name(), 120);
+            Failure::new(ErrorKind::Usage, format!("messages of {kind} tell no place, so there is no path over them"))
+        })?;
+        let (mut places, mut unread) = (vec![here], 0);
+        for earlier in self.before(&row, records - 1).await? {
+            let opened = if reader.authorise(&earlier).is_ok() { reader.open(&earlier).await.ok() } else { None };
+            match opened.and_then(|opened| readable::place(&definition, &opened.body)) {
+                Some(place) => places.push(place),
+                None => unread += 1,
+            }
+        }
+        places.reverse();
+        let topic = clean(&row.topic, 255);
+        let plot = readable::track(&format!("Path over {} records", places.len()), &places, Some(here));
+        Ok(PathView { id: row.id, topic, records: places.len(), unread, plot })
+    }
+
+    /// Messages of the record's stream that were captured before it, newest first.
+    async fn before(self: &Arc<Self>, row: &RecordRow, most: usize) -> Result<Vec<RecordRow>, Failure> {
+        let query = RecordQuery {
+            owner: Some(row.owner),
+            topic_ids: Some(vec![row.topic_id]),
+            kind: Some(RecordKind::Data),
+            until: Some(row.captured_at),
+            limit: most,
+            newest_first: true,
+            ..RecordQuery::default()
+        };
+        let mut page = blocking(self, move |reading| Ok(reading.plant.ledger.list(&query)?)).await?;
+        page.rows.retain(|earlier| earlier.state != RecordState::Dropped);
+        Ok(page.rows)
+    }
+}
+
+/// What is shown of an opened record is its own word, also where a gateway's row could only know pseudonyms.
+fn as_signed(row: RecordRow, record: &OpenedRecord) -> RecordRow {
+    let (header, head) = (&record.header, &record.head);
+    RecordRow {
+        seq: header.seq,
+        epoch: header.epoch,
+        kind: header.kind,
+        captured_at: header.captured_at,
+        topic: head.topic.clone(),
+        type_name: head.type_name.clone(),
+        bytes: head.plain_length,
+        simulated: head.is_simulated(),
+        ..row
+    }
+}
+
+fn without_definition(row: &RecordRow, described: &Described) -> Failure {
+    let why = described.note.as_deref().unwrap_or("it is no message");
+    Failure::new(ErrorKind::Input, format!("{} can only be written as .bin: {why}", row.id))
+}
+
+/// A picture's own bytes, where the message is one.
+fn own_picture(opened: &Opened) -> Option<Vec<u8>> {
+    let picture = opened.described.definition.as_ref()?.compressed_image(&opened.record.body)?;
+    let bytes = opened.record.body.get(picture.data).map(<[u8]>::to_vec);
+    bytes.filter(|_| !crate::crypto::fault::is_off("restore"))
+}
+
+fn view_of(opened: &Opened, owner: &Owner) -> OpenedView {
+    let (row, record, definition) = (&opened.row, &opened.record, opened.described.definition.as_ref());
+    let decoded = definition.map(|definition| definition.decode(&record.body, Limits::default()));
+    let (decoded, misfit) = match decoded.transpose() {
+        Ok(decoded) => (decoded, None),
+        Err(error) => (None, Some(error.to_string())),
+    };
+    let fields = decoded.as_ref().map(|value| value.flatten(MOST_FIELDS)).unwrap_or_default();
+    let stated = statements::view(row.kind, &record.body);
+    let fields = stated.as_ref().map_or(fields, statements::fields);
+    let of_another = row.owner != owner.address;
+    OpenedView {
+        record: record_view(&Shown { row: row.clone(), compared: Compared::Head, differs: None }, of_another),
+        verdict: record.verdict,
+        caller_id: clean(&record.head.caller_id, 255),
+        tags: record.head.tags.iter().map(|(key, value)| (clean(key, 64), clean(value, 200))).collect(),
+        compression: record.head.compression.word().to_owned(),
+        stored: record.header.body_length,
+        note: misfit.or_else(|| opened.described.note.clone()),
+        fields: fields
+            .into_iter()
+            .take(MOST_FIELDS)
+            .map(|(path, text)| (clean(&path, 200), clean(&text, 400)))
+            .collect(),
+        message: stated.or_else(|| decoded.map(|value| value.to_json())).unwrap_or_default(),
+        readable: definition.and_then(|definition| readable::read(definition, &record.body)),
+        beginning: record.body.get(..SHOWN.min(record.body.len())).unwrap_or_default().to_vec(),
+        body: None,
+        picture: None,
+        file: None,
+    }
+}

@@ -1,0 +1,305 @@
+//! A profile's own records: lists, provenance, export for others to check.
+
+use super::Reading;
+use std::sync::Arc;
+
+use tokio::task::block_in_place;
+
+use super::view::{record_page, record_query, record_view};
+use crate::crypto::{keyfile, record};
+use crate::model::bytes::hex;
+use crate::model::{Address, ProfileName, RecordState, Timestamp, TopicId};
+use crate::pipeline::columns::{self, Caveat, ShownState};
+use crate::pipeline::epoch::tag_choice;
+use crate::pipeline::reader::Reader;
+use crate::pipeline::{Owner, PipelineError, authority};
+use crate::service::command::UploadQuery;
+use crate::service::failure::internal;
+use crate::service::reply::{ExportedFile, Failure, Provenance, RecordPage};
+use crate::site::blocking;
+use crate::store::{BatchPlace, FilterChoice, RecordQuery, RecordRow};
+
+impl Reading {
+    /// Own records; needs no passphrase.
+    pub(in crate::site) async fn list_own(
+        self: &Arc<Self>,
+        profile: &ProfileName,
+        query: UploadQuery,
+    ) -> Result<RecordPage, Failure> {
+        let owner = self.owners.address_of(profile)?;
+        if let (Some(reader), Some(network)) =
+            (self.owners.get(profile).filter(|owner| !owner.is_locked()), self.link.network_now())
+        {
+            let reader = Reader { plant: &self.plant, network: &network, reader: &reader };
+            self.learn_names(&reader, owner).await?;
+        }
+        let filters = self.own_tag_filters(profile, &query.tags)?;
+        let query = RecordQuery { owner: Some(owner), filters: filters.clone(), ..record_query(query) };
+        let page = blocking(self, move |reading| Ok(reading.plant.ledger.list(&query)?)).await?;
+        Ok(record_page(&self.compared(page.rows, &self.own_keys(), &filters)?, page.next, false))
+    }
+
+    /// Records of all profiles of the home, each with its owner; needs no passphrase.
+    pub(in crate::site) async fn list_all(self: &Arc<Self>, query: UploadQuery) -> Result<RecordPage, Failure> {
+        let page = blocking(self, move |reading| {
+            let owners = Some(reading.owners.accounts());
+            Ok(reading.plant.ledger.list(&RecordQuery { owners, owner: None, ..record_query(query) })?)
+        })
+        .await?;
+        let mut page = record_page(&self.compared(page.rows, &self.own_keys(), &[])?, page.next, true);
+        let names = self.contacts.names();
+        for record in &mut page.records {
+            record.owner_name = record.owner.and_then(|owner| names.get(&owner).cloned());
+        }
+        Ok(page)
+    }
+
+    /// The ids by which a profile's own records are found by their tags; they follow from IK.
+    fn own_tag_filters(&self, profile: &ProfileName, tags: &[(String, String)]) -> Result<Vec<FilterChoice>, Failure> {
+        if tags.is_empty() {
+            return Ok(Vec::new());
+        }
+        // IK stays in memory while the keyring is locked: records are sealed with it.
+        let index = self
+            .owners
+            .get(profile)
+            .map_or_else(|| self.owners.unlocked(profile).map(|owner| owner.index()), |owner| Ok(owner.index()))?;
+        let topics = self.topics_of(self.owners.address_of(profile)?)?;
+        Ok(tags.iter().map(|(name, value)| tag_choice(&index, name, value, &topics)).collect())
+    }
+
+    /// The topics that an owner has records of here.
+    pub(in crate::site) fn topics_of(&self, owner: Address) -> Result<Vec<TopicId>, Failure> {
+        let counts = block_in_place(|| self.plant.ledger.counts(Some(owner)))?;
+        Ok(counts.topics.iter().filter_map(|topic| topic.topic_id).collect())
+    }
+
+    /// A record by its id, whoever owns it.
+    pub(in crate::site) async fn find_record(self: &Arc<Self>, id: &str) -> Result<RecordRow, Failure> {
+        let id = id.to_owned();
+        blocking(self, move |reading| {
+            let row = reading.plant.ledger.record_by_id(&id)?;
+            Ok(row.ok_or_else(|| PipelineError::NoRecord(crate::model::clean(&id, 64)))?)
+        })
+        .await
+    }
+
+    async fn own_record(self: &Arc<Self>, profile: &ProfileName, id: &str) -> Result<RecordRow, Failure> {
+        let row = self.find_record(id).await?;
+        if row.owner == self.owners.address_of(profile)? {
+            Ok(row)
+        } else {
+            Err(PipelineError::NoRecord(row.id).into())
+        }
+    }
+
+    /// Where a record came from and where it stands, step by step.
+    pub(in crate::site) async fn provenance(
+        self: &Arc<Self>,
+        profile: &ProfileName,
+        id: &str,
+    ) -> Result<Provenance, Failure> {
+        let shown = self.compared_one(&self.own_record(profile, id).await?, &self.own_keys())?;
+        let row = &shown.row;
+        let step = |word: &str, text: String| (word.to_owned(), text);
+        let of = if row.is_named() { row.topic.as_str() } else { "a topic whose name is not known here" };
+        let mut steps = vec![
+            step("message", format!("{} bytes of {of}, captured {}", row.bytes, moment(row.captured_at))),
+            step("record", format!("epoch {}, seq {}, on disk {}", row.epoch, row.seq, moment(row.acknowledged_at))),
+            step("digest", format!("SM3 {}", row.digest)),
+            step("signature", format!("SM2 by signer {}", row.signer)),
+        ];
+        if row.state >= RecordState::Stored {
+            steps.push(step("vault", format!("its ciphertext lies there ({})", self.plant.vault.name())));
+        }
+        let digest = row.digest;
+        let place = blocking(self, move |reading| Ok(reading.plant.ledger.batch_place(digest)?)).await?;
+        if let Some(place) = &place {
+            let inclusion = &place.inclusion;
+            steps.push(step("batch", format!("root {}, closed {}", inclusion.root, moment(place.closed_at))));
+            let (index, count, hashes) = (inclusion.index + 1, inclusion.count, inclusion.path.len());
+            steps.push(step("proof", format!("leaf {index} of {count}, {hashes} hashes to the root")));
+        }
+        if let Some(account) = place.and_then(|place| place.account) {
+            steps.push(step("witness", account.to_string()));
+        }
+        if let Some(transaction) = row.transaction {
+            steps.push(step("transaction", transaction.to_string()));
+        }
+        if let (Some(block), Some(hash)) = (row.block, row.block_hash) {
+            steps.push(step("block", format!("{block} {hash}")));
+            // A run without a chain has seen no block.
+            let head = *self.link.scans().borrow();
+            let (deep, wanted) = (head + 1 - block.min(head + 1), self.config.confirmations);
+            steps.extend((head >= block).then(|| step("confirmations", format!("{deep} of {wanted} wanted"))));
+        }
+        if let Some(earlier) = blocking(self, move |reading| Ok(reading.plant.ledger.earlier_anchor(digest)?)).await? {
+            let (block, domain) = (earlier.block, earlier.domain);
+            let (name, text) = if row.block == Some(block) {
+                (
+                    "earlier contract",
+                    format!("anchored in the contract of domain {domain}, which was left, and checked there"),
+                )
+            } else {
+                ("earlier chain", format!("anchored in block {block} of domain {domain}, which was left"))
+            };
+            steps.push(step(name, text));
+        }
+        if let Some(retained) = blocking(self, move |reading| Ok(reading.plant.ledger.retained(digest)?)).await? {
+            let done = retained.deleted_at.map_or("to be deleted".to_owned(), |at| format!("ciphertext deleted {at}"));
+            steps.push(step("retention", format!("{done}; named in retention record {}", retained.report)));
+        }
+        steps.push(match (shown.differs, shown.state()) {
+            (Some(field), state) => step(state.word(), altered(field)),
+            (None, state @ ShownState::Verified(Caveat::Unread)) => {
+                step(state.word(), "verified once; its bytes are not here to be compared now".to_owned())
+            }
+            (None, state @ ShownState::Verified(Caveat::NamesUnchecked)) => step(state.word(), unchecked()),
+            (None, ShownState::Verified(Caveat::Deleted) | ShownState::Kept(_)) => {
+                step(row.state.word(), standing(row.state).to_owned())
+            }
+        });
+        Ok(Provenance { record: record_view(&shown, false), steps })
+    }
+
+    /// The files by which others check a record with openssl and a node; accounts are redacted in `proof.json` unless
+    /// `addresses` are asked for.
+    pub(in crate::site) async fn export_upload(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        id: &str,
+        addresses: bool,
+    ) -> Result<Vec<ExportedFile>, Failure> {
+        let row = self.own_record(&owner.profile, id).await?;
+        let network = self.link.network().await?;
+        self.log.begin(owner, "export record", &row.id).await?;
+        let digest = row.digest;
+        let stored =
+            move |reading: &Self| Ok((reading.plant.vault.get(digest)?, reading.plant.ledger.batch_place(digest)?));
+        let (blob, place) = blocking(self, stored).await?;
+        let gone = blocking(self, move |reading| Ok(reading.plant.ledger.retained(digest)?)).await?;
+        let gone = gone.filter(|retained| retained.anchored);
+        let blob = blob.ok_or_else(|| match gone {
+            Some(retained) => PipelineError::Deleted(row.id.clone(), retained.report),
+            None => PipelineError::Missing(row.id.clone()),
+        })?;
+        let header = crate::model::Header::parse(&blob).ok().map(|(header, _)| header);
+        if let Some(field) = header.as_ref().and_then(|header| columns::header_difference(&row, header)) {
+            return Err(PipelineError::RowDiffers { id: row.id, field }.into());
+        }
+        // A record of a chain that was left is bound to that one's domain.
+        let bound = header.map_or(network.domain, |header| header.domain);
+        let contract = tokio::task::block_in_place(|| network.place_of(&self.plant, &row))?;
+        let (asked, asking) = (row.clone(), network.clone());
+        let signer = blocking(self, move |reading| Ok(authority::signer_of(&reading.plant, &asking, &asked)?)).await?;
+        let signer = signer.map_err(|why| PipelineError::NoRight { id: row.id.clone(), why: Box::new(why) })?;
+        let signed = record::signed_bytes(&bound, &row.digest);
+        let pin = contract.chain.pin();
+        // The record's own header and leaf hold the owner, and cannot do without: only what lies beside is redacted.
+        let shown = |account: Address| if addresses { account.to_string() } else { account.redacted() };
+        let mut anchor = anchor_json(&row, place.as_ref(), &shown);
+        let block = match row.block {
+            Some(number) => network.chain.block(number).await.ok().flatten(),
+            None => None,
+        };
+        if let Some(block) = block.filter(|block| row.block_hash == Some(block.hash)) {
+            // By the clock of those who seal the chain: whoever checks compares it with the chain's own.
+            anchor["block_time"] = serde_json::json!(Timestamp::from_seconds(block.timestamp));
+        }
+        let proof = serde_json::json!({
+            "format": "authros-proof/1",
+            "digest": row.digest,
+            "signed_message_hex": hex(&signed),
+            "signature_id": "1234567812345678",
+            "owner": shown(row.owner),
+            "addresses": if addresses { "full" } else { "redacted" },
+            "signer": row.signer,
+            "signing_key": signer,
+            "epoch": row.epoch,
+            "recorder": row.recorder,
+            "topic_id": row.topic_id,
+            "seq": row.seq,
+            "domain": bound,
+            "chain_id": network.chain.chain_id(),
+            "genesis": network.chain.genesis(),
+            "contract": pin.map(|pin| pin.contract),
+            "anchor": anchor,
+            "state": row.state.word(),
+        });
+        let proof = serde_json::to_vec_pretty(&proof).map_err(|error| internal(error.to_string()))?;
+        let file = |name: &str, bytes: Vec<u8>| ExportedFile { name: name.to_owned(), bytes };
+        Ok(vec![
+            file("record.bin", blob),
+            file("signature.bin", crate::crypto::signature_der(&row.signature)),
+            file("signer.pem", keyfile::sm2_public_pem(&signer)?.into_bytes()),
+            file("message.bin", signed),
+            file("proof.json", proof),
+        ])
+    }
+}
+
+/// What is said where a row and its record differ.
+fn altered(field: &str) -> String {
+    format!(
+        "the ledger was altered: its row differs from the record in its {field}; the record's own word is shown, \
+         `authros audit` names every such row"
+    )
+}
+
+/// What is said of a verified record that no key here opens.
+fn unchecked() -> String {
+    format!(
+        "{}; topic, type, length and mark of simulation are the ledger's word: they lie sealed, and no key is open \
+         here; look again while the console or `authros serve` has the keyring open",
+        standing(RecordState::Verified)
+    )
+}
+
+/// A moment to the millisecond.
+fn moment(at: Timestamp) -> String {
+    let text = at.to_string();
+    text.get(..23).map_or_else(|| text.clone(), |head| format!("{}Z", head.trim_end_matches('Z')))
+}
+
+/// What a record's state means, for whoever wonders what is still to come.
+fn standing(state: RecordState) -> &'static str {
+    match state {
+        RecordState::Captured | RecordState::Sealed => "sealed on this disk; the vault is next",
+        RecordState::Stored => "in the vault; waits to be anchored",
+        RecordState::Batched => "in a closed batch; its root waits to be sent",
+        RecordState::Submitted => "its transaction is sent; waits for a block",
+        RecordState::Mined => "in a block; waits for confirmations",
+        RecordState::Confirmed => "deep enough; is about to be read back from the vault",
+        RecordState::Verified => "read back from the vault: digest equal to the chain or its proof, signature valid",
+        RecordState::Quarantined => "held back: sent by a node that is not the pinned publisher",
+        RecordState::Dropped => "given up, and counted",
+        RecordState::RightEnded => {
+            "in the vault; whoever signed it may not sign for its owner now, and nobody here anchors it: it goes on when \
+             the owner is restored or the loan renewed"
+        }
+        RecordState::Tampered => "the stored bytes are not the ones that were anchored and signed",
+    }
+}
+
+/// Where the digest is on the chain, and for a batched one the path from its leaf to the root.
+fn anchor_json(row: &RecordRow, place: Option<&BatchPlace>, shown: &dyn Fn(Address) -> String) -> serde_json::Value {
+    let (transaction, block, block_hash) = (row.transaction, row.block, row.block_hash);
+    let Some(place) = place else {
+        return serde_json::json!({
+            "mode": "each", "transaction": transaction, "block": block, "block_hash": block_hash,
+        });
+    };
+    let inclusion = &place.inclusion;
+    serde_json::json!({
+        "mode": "batch",
+        "leaf": row.leaf().hash(),
+        "index": inclusion.index,
+        "count": inclusion.count,
+        "path": inclusion.path,
+        "root": inclusion.root,
+        "account": place.account.map(shown),
+        "transaction": transaction,
+        "block": block,
+        "block_hash": block_hash,
+    })
+}

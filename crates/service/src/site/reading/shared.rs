@@ -1,0 +1,149 @@
+//! Records that others share: listed, checked and opened, by the chain's grants at that moment.
+
+use super::Reading;
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use super::view::{record_page, record_query};
+use crate::crypto::GrantedKeys;
+use crate::model::{Address, Scope, TopicId};
+use crate::pipeline::directory::Granted;
+use crate::pipeline::epoch::tag_choice;
+use crate::pipeline::reader::{Reader, is_held};
+use crate::pipeline::{Network, Owner, authority};
+use crate::service::command::UploadQuery;
+use crate::service::failure::input;
+use crate::service::reply::{CheckView, Failure, RecordPage};
+use crate::site::blocking;
+use crate::store::{FilterChoice, RecordQuery, RecordRow};
+
+impl Reading {
+    /// Records of all owners with an active grant to this profile, within each grant's scope.
+    pub(in crate::site) async fn list_shared(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        query: UploadQuery,
+    ) -> Result<RecordPage, Failure> {
+        let network = self.link.network().await?;
+        let wanted = query.owner.as_ref().map(|owner| self.contacts.resolve(owner)).transpose()?;
+        let mut grants = authority::shared_with(&network.directory, owner.address);
+        grants.retain(|grant| wanted.is_none_or(|wanted| wanted == grant.terms.owner));
+        let mut scopes: HashMap<Address, Scope> = HashMap::new();
+        for grant in &grants {
+            scopes.insert(grant.terms.owner, grant.terms.scope.clone());
+        }
+        if scopes.is_empty() {
+            return Ok(RecordPage { records: Vec::new(), next: None });
+        }
+        self.log.asked(owner, "list shared", &query).await?;
+        let filters = self.shared_tag_filters(&network, owner, &grants, &query.tags)?;
+        let readable = self.readable_topics(&scopes).await?;
+        let query = RecordQuery {
+            owners: Some(scopes.keys().copied().collect()),
+            owner: None,
+            topic_ids: Some(readable),
+            filters: filters.clone(),
+            ..record_query(query)
+        };
+        let reader = Reader { plant: &self.plant, network: &network, reader: owner };
+        for owner in scopes.keys() {
+            self.learn_names(&reader, *owner).await?;
+        }
+        let mut page = self.readable_page(&reader, query, &filters).await?;
+        let names = self.contacts.names();
+        for record in &mut page.records {
+            record.owner_name = record.owner.and_then(|owner| names.get(&owner).cloned());
+        }
+        Ok(page)
+    }
+
+    /// The next page with a record that the reader's keys open; such pages may be short.
+    async fn readable_page(
+        self: &Arc<Self>,
+        reader: &Reader<'_>,
+        mut query: RecordQuery,
+        filters: &[FilterChoice],
+    ) -> Result<RecordPage, Failure> {
+        loop {
+            let asked = query.clone();
+            let mut page = blocking(self, move |reading| Ok(reading.plant.ledger.list(&asked)?)).await?;
+            page.rows.retain(|row| !is_held(row) && reader.topic_key(row).is_ok());
+            if !page.rows.is_empty() || page.next.is_none() {
+                return Ok(record_page(&self.compared(page.rows, reader, filters)?, page.next, true));
+            }
+            query.after = page.next;
+        }
+    }
+
+    /// The ids by which records of another are found by their tags: IK of one owner, as a grant of all topics
+    /// carries it.
+    fn shared_tag_filters(
+        &self,
+        network: &Network,
+        owner: &Owner,
+        grants: &[Granted],
+        tags: &[(String, String)],
+    ) -> Result<Vec<FilterChoice>, Failure> {
+        if tags.is_empty() {
+            return Ok(Vec::new());
+        }
+        let [grant] = grants else {
+            return Err(input("tags are looked for among the records of one owner; name the owner beside them"));
+        };
+        let reader = Reader { plant: &self.plant, network, reader: owner };
+        match reader.open_envelope(grant, grant.terms.epoch)?.keys {
+            GrantedKeys::All { ref index_key, .. } => {
+                let topics = self.topics_of(grant.terms.owner)?;
+                Ok(tags.iter().map(|(name, value)| tag_choice(index_key, name, value, &topics)).collect())
+            }
+            GrantedKeys::Topics { .. } => Err(input(
+                "a grant of some topics does not carry the key by which tags are found; search by topic or type",
+            )),
+        }
+    }
+
+    pub(in crate::site) async fn readable_topics(
+        self: &Arc<Self>,
+        scopes: &HashMap<Address, Scope>,
+    ) -> Result<Vec<TopicId>, Failure> {
+        let mut ids = Vec::new();
+        for (owner, scope) in scopes {
+            match scope {
+                Scope::Topics(topics) => ids.extend(topics.iter().copied()),
+                Scope::All => {
+                    let owner = *owner;
+                    let counts = blocking(self, move |reading| Ok(reading.plant.ledger.counts(Some(owner))?)).await?;
+                    ids.extend(counts.topics.iter().filter_map(|topic| topic.topic_id));
+                }
+            }
+        }
+        Ok(ids)
+    }
+
+    /// A record that the owner may read at this moment, and the chain that says so; a refusal is counted.
+    pub(in crate::site) async fn authorised(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        id: &str,
+    ) -> Result<(RecordRow, Network), Failure> {
+        let row = self.find_record(id).await?;
+        let network = self.link.network().await?;
+        let allowed = Reader { plant: &self.plant, network: &network, reader: owner }.authorise(&row);
+        self.log.count_refusal(owner, &allowed);
+        allowed?;
+        Ok((row, network))
+    }
+
+    /// The paper's `Data_Check`: digest against the chain, signature; no key needed.
+    pub(in crate::site) async fn check_record(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        id: &str,
+    ) -> Result<CheckView, Failure> {
+        let (row, network) = self.authorised(owner, id).await?;
+        let reader = Reader { plant: &self.plant, network: &network, reader: owner };
+        self.log.begin(owner, "check", &row.id).await?;
+        let (verdict, digest) = reader.check(&row).await?;
+        Ok(CheckView { id: row.id, verdict, digest, transaction: row.transaction, block: row.block })
+    }
+}

@@ -1,0 +1,103 @@
+//! Ledger rows as people see them: compared with their records first, untrusted text cleaned.
+
+use super::Reading;
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use tokio::task::block_in_place;
+
+use super::super::super::reply::{RecordPage, RecordView};
+use crate::crypto::{IndexKey, TopicKey};
+use crate::model::{Address, Header, RecordKind, clean};
+use crate::pipeline::Owner;
+use crate::pipeline::columns::{self, Comparison, Keys, Shown};
+use crate::service::command::UploadQuery;
+use crate::service::reply::Failure;
+use crate::store::{FilterChoice, RecordQuery, RecordRow};
+
+/// Widest topic or type shown, characters (ROS names are shorter than this).
+const WIDEST: usize = 255;
+
+/// Keys of the profiles that are open here.
+pub(in crate::site) struct OwnKeys(HashMap<Address, Arc<Owner>>);
+
+impl Keys for OwnKeys {
+    fn topic_keys(&self, row: &RecordRow, header: &Header) -> Vec<TopicKey> {
+        let key = self.0.get(&header.owner).and_then(|owner| owner.epoch_key(header.domain, header.epoch));
+        key.map(|key| columns::of_epoch(&key, row, header)).unwrap_or_default()
+    }
+
+    fn index_key(&self, row: &RecordRow) -> Option<IndexKey> {
+        // IK stays in memory while a keyring is locked: records are sealed with it.
+        self.0.get(&row.owner).map(|owner| owner.index())
+    }
+}
+
+impl Reading {
+    /// Keys of the profiles whose keyrings were opened since the site began.
+    pub(in crate::site) fn own_keys(&self) -> OwnKeys {
+        OwnKeys(self.owners.all().into_iter().map(|owner| (owner.address, owner)).collect())
+    }
+
+    /// Rows as they may be shown; each must have the ids in `filters` by which they were found.
+    pub(in crate::site) fn compared(
+        &self,
+        rows: Vec<RecordRow>,
+        keys: &dyn Keys,
+        filters: &[FilterChoice],
+    ) -> Result<Vec<Shown>, Failure> {
+        let comparison = Comparison { plant: &self.plant, keys, heads: &self.heads, filters };
+        Ok(block_in_place(|| comparison.of(rows))?)
+    }
+
+    /// One row as it may be shown.
+    pub(in crate::site) fn compared_one(&self, row: &RecordRow, keys: &dyn Keys) -> Result<Shown, Failure> {
+        let shown = self.compared(vec![row.clone()], keys, &[])?.into_iter().next();
+        Ok(shown.unwrap_or_else(|| Shown::unread(row.clone())))
+    }
+}
+
+/// One row; `with_owner` for lists of other owners' records.
+pub(in crate::site) fn record_view(shown: &Shown, with_owner: bool) -> RecordView {
+    let row = &shown.row;
+    RecordView {
+        id: row.id.clone(),
+        owner: with_owner.then_some(row.owner),
+        owner_name: None,
+        seq: row.seq,
+        topic: clean(&row.topic, WIDEST),
+        type_name: clean(&row.type_name, WIDEST),
+        kind: row.kind,
+        state: shown.state(),
+        digest: row.digest,
+        bytes: row.bytes,
+        captured_at: row.captured_at,
+        epoch: row.epoch,
+        simulated: row.simulated,
+        transaction: row.transaction,
+        block: row.block,
+        compared: shown.compared,
+        differs: shown.differs.map(str::to_owned),
+    }
+}
+
+/// A page of rows, and where the next one begins.
+pub fn record_page(rows: &[Shown], next: Option<String>, with_owner: bool) -> RecordPage {
+    RecordPage { records: rows.iter().map(|row| record_view(row, with_owner)).collect(), next }
+}
+
+/// A person's query as the ledger's; captured messages unless another kind is asked for.
+pub(in crate::site) fn record_query(query: UploadQuery) -> RecordQuery {
+    RecordQuery {
+        topic: query.topic.map(|topic| topic.to_string()),
+        type_name: query.type_name.map(|name| name.to_string()),
+        kind: Some(query.kind.unwrap_or(RecordKind::Data)),
+        state: query.state,
+        since: query.since,
+        until: query.until,
+        after: query.after,
+        limit: query.limit.clamp(1, 1000),
+        newest_first: query.newest_first,
+        ..RecordQuery::default()
+    }
+}

@@ -1,0 +1,184 @@
+//! Epochs: beginning a new one at a revoke, a rotation or an expiry, and the re-wrap of the
+//! surviving readers' keys. The recorder switches before the transaction is sent.
+
+use super::Sharing;
+use std::sync::Arc;
+
+use crate::chain::Call;
+use crate::crypto::{GrantedKeys, WrappedKeys, wrap};
+use crate::model::{GrantTerms, Scope};
+use crate::pipeline::directory::Granted;
+use crate::pipeline::{Network, Owner, authority};
+use crate::service::event::{NoticeLevel, Part};
+use crate::service::failure::refused;
+use crate::service::reply::{Failure, TransactionView};
+
+/// Envelopes a `wrap` transaction carries at most, to stay below 32 KB.
+const ENVELOPES_A_CALL: usize = 8;
+
+impl Sharing {
+    /// Begins a new epoch.
+    pub(in crate::site) async fn rotate(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        why: &str,
+    ) -> Result<TransactionView, Failure> {
+        let network = self.link.network().await?;
+        let _one_at_a_time = owner.changes.lock().await;
+        network.directory.identity(owner.address)?;
+        self.begin_epoch(owner, &network, &format!("rotate ({why})"), |new_token| Call::Rotate { new_token }).await
+    }
+
+    /// Switches the recorder to the next epoch, tells the chain, and re-wraps for the readers left.
+    pub(in crate::site) async fn begin_epoch(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        network: &Network,
+        purpose: &str,
+        call: impl FnOnce(crate::model::Token) -> Call,
+    ) -> Result<TransactionView, Failure> {
+        let next = network.directory.epoch(owner.address) + 1;
+        let token = owner.prepare_epoch(network.domain, next)?;
+        if !crate::crypto::fault::is_off("revoke") {
+            owner.seal_under(network.domain, next)?;
+        }
+        let sent = self.sender.send(&network.chain, &owner.eoa(), call(token), purpose).await;
+        let outcome = if sent.is_ok() { "done" } else { "failed" };
+        let (action, what) = purpose.split_once(' ').unwrap_or((purpose, ""));
+        self.log.write(&owner.profile, action, format!("{what} epoch {next}").trim_start(), outcome).await?;
+        let (transaction, receipt) = sent?;
+        self.link.scanned(receipt.block).await;
+        owner.confirm_epoch(network.domain, next)?;
+        if let Err(failure) = self.rewrap(owner, network).await {
+            let text =
+                format!("some readers of {} lack the keys of epoch {next} for now: {}", owner.profile, failure.message);
+            self.hub.notice(NoticeLevel::Error, &text);
+        }
+        self.hub.changed(Part::Grants);
+        Ok(TransactionView {
+            transaction: Some(transaction),
+            block: Some(receipt.block),
+            epoch: next,
+            text: format!("{purpose}: epoch {next} has begun; records from now on are sealed under its key"),
+        })
+    }
+
+    /// Finishes an epoch that was begun but did not reach the chain, and re-wraps what is missing.
+    pub(in crate::site) async fn finish_epoch(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<(), Failure> {
+        let network = self.link.network().await?;
+        let _one_at_a_time = owner.changes.lock().await;
+        // Transactions of the run before may still bring the epoch to the chain.
+        self.settle_open(owner, &network).await?;
+        let on_chain = network.directory.epoch(owner.address);
+        if owner.epochs(network.domain).last().is_some_and(|newest| *newest > on_chain) {
+            self.next_epoch(owner, &network, "resumed").await?;
+        }
+        self.rewrap(owner, &network).await
+    }
+
+    pub(in crate::site) async fn settle_open(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        network: &Network,
+    ) -> Result<(), Failure> {
+        let ledger = self.plant.ledger.clone();
+        let account = owner.address;
+        for _ in 0..60 {
+            let open = tokio::task::block_in_place(|| ledger.open_lane(account))?;
+            if open.iter().all(|row| row.anchors) {
+                return Ok(());
+            }
+            let head = network.chain.head().await?.number;
+            self.sender.tend(&network.chain, &owner.eoa()).await?;
+            network.chain.next_block(head, std::time::Duration::from_secs(1)).await?;
+        }
+        Err(refused(format!("transactions of '{}' from before are still not in a block", owner.profile)))
+    }
+
+    /// Active readers who lack an envelope of the current epoch for the key that they have now; not those whose revocation is on its way.
+    pub(in crate::site) fn lacking(&self, owner: &Owner, network: &Network) -> Result<Vec<Granted>, Failure> {
+        let epoch = network.directory.epoch(owner.address);
+        let mut lacking = authority::standing_grants(&network.directory, owner.address);
+        lacking
+            .retain(|grant| !grant.is_wrapped_since(epoch, network.directory.envelope_key_since(grant.terms.grantee)));
+        if !lacking.is_empty() {
+            let leaving = self.owed_revocations(owner, network)?;
+            lacking.retain(|grant| !leaving.contains(&grant.terms.grantee));
+        }
+        Ok(lacking)
+    }
+
+    /// Sends envelopes of the current epoch to every active reader who lacks one. One who cannot be given
+    /// any does not keep the others from theirs.
+    ///
+    /// # Errors
+    /// The last failure; it is tried again.
+    pub(in crate::site) async fn rewrap(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        network: &Network,
+    ) -> Result<(), Failure> {
+        let epoch = network.directory.epoch(owner.address);
+        let (mut envelopes, mut failed) = (Vec::new(), None);
+        for grant in self.lacking(owner, network)? {
+            let checked = self.contacts.check_reader(network, owner.address, grant.terms.grantee).await;
+            match checked.and_then(|()| self.envelope_for(owner, network, &grant, epoch)) {
+                Ok(envelope) => envelopes.push((grant.terms.grantee, envelope)),
+                Err(failure) => failed = Some(failure),
+            }
+        }
+        if !envelopes.is_empty() {
+            let readers: Vec<String> = envelopes.iter().map(|(reader, _)| reader.short()).collect();
+            self.log.begin(owner, "wrap", &format!("epoch {epoch} for {}", readers.join(" "))).await?;
+        }
+        for chunk in envelopes.chunks(ENVELOPES_A_CALL) {
+            let call = Call::Wrap { epoch, envelopes: chunk.to_vec() };
+            match self.sender.send(&network.chain, &owner.eoa(), call, "wrap").await {
+                Ok((_, receipt)) => self.link.scanned(receipt.block).await,
+                Err(error) => failed = Some(error.into()),
+            }
+        }
+        failed.map_or(Ok(()), Err)
+    }
+
+    fn envelope_for(&self, owner: &Owner, network: &Network, grant: &Granted, epoch: u64) -> Result<Vec<u8>, Failure> {
+        let topics = match &grant.terms.scope {
+            Scope::All => Vec::new(),
+            Scope::Topics(ids) => self.granted_topics(owner, grant.terms.grantee, ids)?.into_iter().flatten().collect(),
+        };
+        let terms = GrantTerms { epoch, ..grant.terms.clone() };
+        self.wrap_keys(owner, network, terms, &topics, vec![epoch])
+    }
+
+    /// Wraps the keys of `epochs` for the grantee of `terms`: all topics, or only `topics`.
+    pub(in crate::site) fn wrap_keys(
+        &self,
+        owner: &Owner,
+        network: &Network,
+        terms: GrantTerms,
+        topics: &[String],
+        epochs: Vec<u64>,
+    ) -> Result<Vec<u8>, Failure> {
+        let reader = network.directory.identity(terms.grantee)?;
+        let mut keys = Vec::with_capacity(epochs.len());
+        for epoch in epochs {
+            let key = owner.epoch_key(network.domain, epoch);
+            keys.push((epoch, key.ok_or_else(|| refused(format!("the keyring has no key of epoch {epoch}")))?));
+        }
+        let keys = match terms.scope {
+            Scope::All => GrantedKeys::All { epochs: keys, index_key: owner.index() },
+            Scope::Topics(_) => {
+                let mut granted = Vec::new();
+                for (epoch, key) in &keys {
+                    for topic in topics {
+                        let id = owner.topic_id(topic);
+                        granted.push((*epoch, topic.clone(), id, crate::crypto::topic_key(key, &id)));
+                    }
+                }
+                GrantedKeys::Topics { keys: granted }
+            }
+        };
+        let wrapped = WrappedKeys { terms, keys };
+        Ok(wrap(self.plant.provider, &network.domain, &wrapped, &owner.signing(), &reader.envelope)?)
+    }
+}

@@ -1,0 +1,310 @@
+//! Granting and revoking, and the list of who may read what.
+
+mod epochs;
+pub(super) mod overdue;
+mod revoking;
+#[cfg(test)]
+mod tests;
+
+use crate::pipeline::Plant;
+use crate::pipeline::Sender;
+use crate::service::hub::Hub;
+use crate::site::audit::Log;
+use crate::site::chain::link::Link;
+use crate::site::contacts::Contacts;
+use crate::site::devices::enrolled::Enrolments;
+use crate::site::identity::owners::Owners;
+use crate::site::lifetime::Lifetime;
+use crate::site::mirror::Joined;
+use crate::site::parts::Parts;
+use crate::store::Reserve;
+use std::sync::Arc;
+
+use crate::chain::Call;
+use crate::gateway::GrantNotice;
+use crate::model::grant::MOST_TOPICS;
+use crate::model::{Address, GrantTerms, Party, Scope, Timestamp, TopicId, TopicName};
+use crate::pipeline::directory::{Granted, kept};
+use crate::pipeline::{Owner, authority};
+use crate::service::command::Epochs;
+use crate::service::event::Part;
+use crate::service::failure::{input, refused};
+use crate::service::reply::{Direction, Failure, GrantRow, TransactionView};
+use crate::store::RecordRow;
+
+/// Who may read what of this home's owners.
+pub(in crate::site) struct Sharing {
+    plant: Plant,
+    hub: Arc<Hub>,
+    log: Arc<Log>,
+    owners: Arc<Owners>,
+    link: Arc<Link>,
+    life: Arc<Lifetime>,
+    sender: Arc<Sender>,
+    contacts: Arc<Contacts>,
+    enrolments: Arc<Enrolments>,
+    joined: Arc<Joined>,
+    reserve: Arc<Reserve>,
+}
+
+impl Sharing {
+    /// From the shared parts.
+    pub fn new(
+        parts: &Parts,
+        contacts: &Arc<Contacts>,
+        enrolments: &Arc<Enrolments>,
+        joined: &Arc<Joined>,
+        reserve: &Arc<Reserve>,
+    ) -> Self {
+        let Parts { plant, hub, log, owners, link, life, sender, .. } = parts.clone();
+        Self {
+            plant,
+            hub,
+            log,
+            owners,
+            link,
+            life,
+            sender,
+            contacts: Arc::clone(contacts),
+            enrolments: Arc::clone(enrolments),
+            joined: Arc::clone(joined),
+            reserve: Arc::clone(reserve),
+        }
+    }
+}
+
+impl Sharing {
+    /// Shares with an account: its envelope goes on the chain.
+    pub(super) async fn grant(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        grantee: &Party,
+        topics: &[TopicName],
+        epochs: Epochs,
+        expires: Option<Timestamp>,
+    ) -> Result<TransactionView, Failure> {
+        let network = self.link.network().await?;
+        let _one_at_a_time = owner.changes.lock().await;
+        network.directory.identity(owner.address)?;
+        let grantee = self.contacts.resolve(grantee)?;
+        if grantee == owner.address {
+            return Err(refused(format!("{grantee} is this profile itself; it reads its own records without a grant")));
+        }
+        if topics.len() > MOST_TOPICS {
+            return Err(input(format!("a grant names at most {MOST_TOPICS} topics; grant all topics, or fewer")));
+        }
+        if expires.is_some_and(|at| at <= network.directory.now()) {
+            return Err(input(too_early(network.directory.now())));
+        }
+        network.directory.identity(grantee)?;
+        self.contacts.check_contact(&network, grantee).await?;
+        self.contacts.check_reader(&network, owner.address, grantee).await?;
+        if self.active_grant(&network, owner.address, grantee).is_some() {
+            return Err(refused(format!("{grantee} has an active grant already; revoke it first to change its terms")));
+        }
+        let epoch = network.directory.epoch(owner.address);
+        let terms = GrantTerms { owner: owner.address, grantee, epoch, expiry: expires, scope: scope(owner, topics) };
+        let names: Vec<String> = topics.iter().map(ToString::to_string).collect();
+        self.remember_topics(owner, &names)?;
+        let covered = match epochs {
+            Epochs::Current => vec![epoch],
+            Epochs::All => owner.epochs(network.domain).into_iter().filter(|known| *known <= epoch).collect(),
+        };
+        let envelope = self.wrap_keys(owner, &network, terms.clone(), &names, covered)?;
+        self.log.begin(owner, "grant", &grantee.to_string()).await?;
+        self.settle_revocation(owner, grantee)?;
+        self.foresee_expiry(owner, &network, expires)?;
+        let call = Call::AuthorityGrant { grantee, epoch, expiry: terms.expiry, scope: terms.scope, envelope };
+        let sent = self.sender.send(&network.chain, &owner.eoa(), call, "authorityGrant").await;
+        let sent = self.log.end(owner, "grant", &grantee.to_string(), sent.map_err(Failure::from)).await;
+        let (transaction, receipt) = sent?;
+        let notice = GrantNotice { grantee, epoch, expiry: expires.map_or(0, Timestamp::seconds), transaction };
+        self.joined.tell_of_grant(owner, &network, notice).await;
+        self.link.scanned(receipt.block).await;
+        self.hub.changed(Part::Grants);
+        let what = if names.is_empty() { "all topics".to_owned() } else { names.join(", ") };
+        Ok(TransactionView {
+            transaction: Some(transaction),
+            block: Some(receipt.block),
+            epoch,
+            text: format!("{grantee} may read {what}, from epoch {epoch} on"),
+        })
+    }
+
+    /// Lets an active grant end later; its keys and the epoch stay as they are.
+    pub(super) async fn extend(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        grantee: &Party,
+        expires: Option<Timestamp>,
+    ) -> Result<TransactionView, Failure> {
+        let network = self.link.network().await?;
+        let _one_at_a_time = owner.changes.lock().await;
+        let grantee = self.contacts.resolve(grantee)?;
+        let Some(grant) = self.active_grant(&network, owner.address, grantee) else {
+            return Err(refused(format!("{grantee} has no active grant; `authros grant` gives one")));
+        };
+        let Some(ends) = grant.expiry() else {
+            return Err(refused(format!("the grant to {grantee} has no end, so there is nothing to extend")));
+        };
+        if expires.is_some_and(|expires| expires <= ends) {
+            return Err(refused(format!(
+                "the grant to {grantee} ends at {ends} already; `extend` only lengthens, revoke it to end it sooner"
+            )));
+        }
+        let call = Call::Extend { grantee, expiry: expires };
+        call.expect_offered(network.chain.revision()?)?;
+        let subject = grantee.to_string();
+        self.log.begin(owner, "extend", &subject).await?;
+        let sent = self.sender.send(&network.chain, &owner.eoa(), call, "extend").await.map_err(Failure::from);
+        let (transaction, receipt) = self.log.end(owner, "extend", &subject, sent).await?;
+        self.link.scanned(receipt.block).await;
+        self.hub.changed(Part::Grants);
+        let end = expires.map_or_else(|| "has no end".to_owned(), |expires| format!("ends at {expires}"));
+        Ok(TransactionView {
+            transaction: Some(transaction),
+            block: Some(receipt.block),
+            epoch: network.directory.epoch(owner.address),
+            text: format!("the grant to {grantee} {end} now, instead of {ends}"),
+        })
+    }
+
+    pub(super) fn active_grant(
+        &self,
+        network: &crate::pipeline::Network,
+        owner: Address,
+        grantee: Address,
+    ) -> Option<Granted> {
+        authority::standing_grant(&network.directory, owner, grantee)
+    }
+
+    /// Names are kept by the pseudonyms that the chain has, so that each grant finds its own.
+    fn remember_topics(&self, owner: &Owner, topics: &[String]) -> Result<(), Failure> {
+        tokio::task::block_in_place(|| {
+            topics.iter().try_for_each(|topic| {
+                let id = owner.topic_id(topic);
+                Ok(self.plant.ledger.put_setting(&topic_key(owner.address, id), topic)?)
+            })
+        })
+    }
+
+    /// The names of the topics that a scoped grant of this owner covers, in the order of its event; `None` where no
+    /// name that is known here leads to the pseudonym on the chain.
+    pub(super) fn granted_topics(
+        &self,
+        owner: &Owner,
+        grantee: Address,
+        ids: &[TopicId],
+    ) -> Result<Vec<Option<String>>, Failure> {
+        tokio::task::block_in_place(|| {
+            let ledger = &self.plant.ledger;
+            // Before, the names of the last grant alone were kept, one list for each account.
+            let last = ledger.setting(&format!("granted:{}:{grantee}", owner.address))?;
+            let last: Vec<String> = last.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default();
+            let name_of = |id: &TopicId| {
+                let kept = ledger.setting(&topic_key(owner.address, *id))?;
+                let others = ledger.topic_names(owner.address, *id)?;
+                let mut known = kept.into_iter().chain(last.iter().cloned()).chain(others);
+                Ok(known.find(|name| owner.topic_id(name) == *id))
+            };
+            ids.iter().map(name_of).collect()
+        })
+    }
+
+    /// Grants given and received.
+    pub(super) async fn rows(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<Vec<GrantRow>, Failure> {
+        let network = self.link.network().await?;
+        let me = owner.address;
+        let grants = tokio::task::block_in_place(|| kept::history(&self.plant.ledger, &network.directory, me))?;
+        let names = self.contacts.names();
+        let with_name = |mut row: GrantRow| {
+            let other = if row.owner == me { row.grantee } else { row.owner };
+            row.name = names.get(&other).cloned();
+            row.fingerprint = Contacts::registered_fingerprint(&network, other);
+            row
+        };
+        grants.iter().map(|grant| self.grant_row(owner, &network, grant).map(with_name)).collect()
+    }
+
+    fn grant_row(
+        &self,
+        owner: &Owner,
+        network: &crate::pipeline::Network,
+        grant: &Granted,
+    ) -> Result<GrantRow, Failure> {
+        let given = grant.terms.owner == owner.address;
+        let topics = match &grant.terms.scope {
+            Scope::All => Vec::new(),
+            Scope::Topics(ids) if given => {
+                let names = self.granted_topics(owner, grant.terms.grantee, ids)?;
+                let shown = |(name, id): (Option<String>, &TopicId)| {
+                    name.map_or_else(|| RecordRow::unnamed(*id), |name| crate::model::clean(&name, 255))
+                };
+                names.into_iter().zip(ids).map(shown).collect()
+            }
+            Scope::Topics(ids) => self.received_topics(owner, network, grant, ids),
+        };
+        Ok(GrantRow {
+            direction: if given { Direction::Given } else { Direction::Received },
+            owner: grant.terms.owner,
+            grantee: grant.terms.grantee,
+            epoch: grant.terms.epoch,
+            expires: grant.expiry(),
+            topics,
+            state: grant.state(network.directory.now()),
+            block: grant.block,
+            transaction: grant.transaction,
+            name: None,
+            fingerprint: None,
+        })
+    }
+
+    fn received_topics(
+        &self,
+        owner: &Owner,
+        network: &crate::pipeline::Network,
+        grant: &Granted,
+        ids: &[TopicId],
+    ) -> Vec<String> {
+        let reader = crate::pipeline::reader::Reader { plant: &self.plant, network, reader: owner };
+        match reader.open_envelope(grant, grant.terms.epoch).as_deref() {
+            Ok(crate::crypto::WrappedKeys { keys: crate::crypto::GrantedKeys::Topics { keys }, .. }) => {
+                let mut names: Vec<String> =
+                    keys.iter().map(|(_, topic, _, _)| crate::model::clean(topic, 255)).collect();
+                names.sort();
+                names.dedup();
+                names
+            }
+            _ => ids.iter().map(|id| RecordRow::unnamed(*id)).collect(),
+        }
+    }
+}
+
+/// Why a grant cannot end when it is asked to; the chain's time may be ahead of this machine's clock.
+fn too_early(now: Timestamp) -> String {
+    let ahead = now.seconds().saturating_sub(Timestamp::now().seconds());
+    let chain = if ahead > 60 {
+        format!(": rights go by the chain's time, which is {ahead} s ahead of this machine's clock")
+    } else {
+        String::new()
+    };
+    format!("the grant would end before it begins{chain}; give a later --expires")
+}
+
+fn scope(owner: &Owner, topics: &[TopicName]) -> Scope {
+    if topics.is_empty() {
+        return Scope::All;
+    }
+    let mut ids = Vec::with_capacity(topics.len());
+    for topic in topics {
+        let id = owner.topic_id(topic.as_str());
+        if !ids.contains(&id) {
+            ids.push(id);
+        }
+    }
+    Scope::Topics(ids)
+}
+
+fn topic_key(owner: Address, topic: TopicId) -> String {
+    format!("granted-topic:{owner}:{topic}")
+}

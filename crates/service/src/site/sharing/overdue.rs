@@ -1,0 +1,182 @@
+//! What the chain is still owed: epochs that ended by an expiry, revocations that did not reach it,
+//! envelopes that readers lack. All of it is sent again until it stands there.
+
+use super::Sharing;
+use std::collections::HashMap;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use tokio::task::block_in_place;
+
+use crate::chain::Call;
+use crate::model::{Address, Timestamp};
+use crate::pipeline::directory::Granted;
+use crate::pipeline::{Network, Owner};
+use crate::service::event::NoticeLevel;
+use crate::service::reply::{Failure, TransactionView};
+
+/// How long before an expiry the next epoch is readied, nanoseconds.
+const FORESIGHT: u64 = 60_000_000_000;
+
+/// The longest pause between two attempts to send what the chain is owed.
+const LONGEST_REST: Duration = Duration::from_secs(8);
+
+impl Sharing {
+    /// Readies the end of the sealing epoch where a grant that covers it runs out soon, or did while
+    /// nobody looked: from that moment on records are sealed under the next epoch, whether or not the
+    /// chain answers. `also` is an expiry that is not on the chain yet.
+    pub(in crate::site) fn foresee_expiry(
+        &self,
+        owner: &Owner,
+        network: &Network,
+        also: Option<Timestamp>,
+    ) -> Result<(), Failure> {
+        let Some(epoch) = owner.sealing().filter(|keys| keys.domain == network.domain).map(|keys| keys.epoch) else {
+            return Ok(());
+        };
+        let earliest = earliest_expiry(owner, network, epoch).into_iter().chain(also).min();
+        if let Some(moment) = earliest.filter(|moment| moment.0 < network.directory.now().0 + FORESIGHT) {
+            owner.prepare_epoch(network.domain, epoch + 1)?;
+            owner.seal_from(moment, network.domain, epoch + 1)?;
+        }
+        Ok(())
+    }
+
+    /// The same however far away that moment is: with a locked keyring it could not be done when the time comes.
+    pub(in crate::site) fn foresee_locked(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
+        let Some(epoch) = owner.sealing().filter(|keys| keys.domain == network.domain).map(|keys| keys.epoch) else {
+            return Ok(());
+        };
+        if let Some(moment) = earliest_expiry(owner, network, epoch) {
+            owner.prepare_epoch(network.domain, epoch + 1)?;
+            owner.seal_from(moment, network.domain, epoch + 1)?;
+        }
+        Ok(())
+    }
+
+    /// Sends what is overdue: the next epoch where a grant that covers the current one has run out or records
+    /// are sealed under the next one already, revocations that were cut short, envelopes that are lacking.
+    pub(in crate::site) async fn settle_overdue(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        network: &Network,
+    ) -> Result<(), Failure> {
+        self.foresee_expiry(owner, network, None)?;
+        block_in_place(|| self.enrolments.tell_devices(owner, network))?;
+        if !self.is_behind(owner, network)? && self.lacking(owner, network)?.is_empty() {
+            return Ok(());
+        }
+        let _one_at_a_time = owner.changes.lock().await;
+        // Another change may have begun the epoch meanwhile.
+        if self.is_behind(owner, network)? {
+            self.next_epoch(owner, network, "a grant expired").await?;
+        }
+        self.rewrap(owner, network).await
+    }
+
+    fn is_behind(&self, owner: &Owner, network: &Network) -> Result<bool, Failure> {
+        let (epoch, now) = (network.directory.epoch(owner.address), network.directory.now());
+        if epoch == 0 {
+            return Ok(false);
+        }
+        let sealing = owner.sealing().filter(|keys| keys.domain == network.domain);
+        let covered = |grant: &Granted| {
+            grant.state(now) == crate::pipeline::directory::GrantState::Expired && grant.is_wrapped(epoch)
+        };
+        let expired = network.directory.grants_of(owner.address).iter().any(covered);
+        let ended = sealing.is_some_and(|keys| keys.epoch > epoch) || expired;
+        Ok(ended || !self.owed_revocations(owner, network)?.is_empty())
+    }
+
+    /// Begins the next epoch: by the revocation that was cut short, if there is one, for a rotation would
+    /// give the new key to him who was to lose it.
+    pub(in crate::site) async fn next_epoch(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        network: &Network,
+        why: &str,
+    ) -> Result<TransactionView, Failure> {
+        let Some(grantee) = self.owed_revocations(owner, network)?.first().copied() else {
+            let call = |new_token| Call::Rotate { new_token };
+            return self.begin_epoch(owner, network, &format!("rotate ({why})"), call).await;
+        };
+        let call = |new_token| Call::AuthorityRevoke { grantee, new_token };
+        let view = self.begin_epoch(owner, network, &format!("revoke {grantee} (resumed)"), call).await?;
+        self.settle_revocation(owner, grantee)?;
+        Ok(view)
+    }
+
+    /// Revocations that were asked for and that the chain does not have yet.
+    pub(in crate::site) fn owed_revocations(&self, owner: &Owner, network: &Network) -> Result<Vec<Address>, Failure> {
+        let mut owed = self.read_owed(owner)?;
+        owed.retain(|grantee| self.active_grant(network, owner.address, *grantee).is_some());
+        Ok(owed)
+    }
+
+    /// Notes that `grantee` is to lose his grant, whatever happens now.
+    pub(in crate::site) fn owe_revocation(&self, owner: &Owner, grantee: Address) -> Result<(), Failure> {
+        let mut owed = self.read_owed(owner)?;
+        if !owed.contains(&grantee) {
+            owed.push(grantee);
+        }
+        self.write_owed(owner, &owed)
+    }
+
+    /// The chain has the revocation, or a new grant takes its place.
+    pub(in crate::site) fn settle_revocation(&self, owner: &Owner, grantee: Address) -> Result<(), Failure> {
+        let mut owed = self.read_owed(owner)?;
+        owed.retain(|other| *other != grantee);
+        self.write_owed(owner, &owed)
+    }
+
+    fn read_owed(&self, owner: &Owner) -> Result<Vec<Address>, Failure> {
+        let text = block_in_place(|| self.plant.ledger.setting(&owed_key(owner)))?;
+        Ok(text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default())
+    }
+
+    fn write_owed(&self, owner: &Owner, owed: &[Address]) -> Result<(), Failure> {
+        let text = serde_json::to_string(owed).unwrap_or_default();
+        Ok(block_in_place(|| self.plant.ledger.put_setting(&owed_key(owner), &text))?)
+    }
+}
+
+fn owed_key(owner: &Owner) -> String {
+    format!("revoking:{}", owner.address)
+}
+
+/// When the first of the grants that cover an epoch runs out.
+pub(in crate::site) fn earliest_expiry(owner: &Owner, network: &Network, epoch: u64) -> Option<Timestamp> {
+    let grants = network.directory.grants_of(owner.address);
+    let covering = grants.iter().filter(|grant| grant.is_wrapped(epoch));
+    covering.filter_map(Granted::expiry).min()
+}
+
+impl Sharing {
+    /// Sends what the chain is owed, and after a failure again with growing pauses.
+    pub(in crate::site) async fn keep_settled(self: Arc<Self>) {
+        let mut resting: HashMap<Address, (Instant, Duration)> = HashMap::new();
+        while !self.life.is_stopping() {
+            if !self.life.beat(Duration::from_secs(1)).await {
+                return;
+            }
+            let Some(network) = self.link.network_now() else { continue };
+            // What is overdue needs keys that a locked keyring does not have; keys sealed ahead hold without them.
+            for owner in self.owners.all().into_iter().filter(|owner| !owner.is_locked()) {
+                if resting.get(&owner.address).is_some_and(|(until, _)| Instant::now() < *until) {
+                    continue;
+                }
+                let Err(failure) = self.settle_overdue(&owner, &network).await else {
+                    resting.remove(&owner.address);
+                    continue;
+                };
+                let pause = resting.get(&owner.address).map_or(Duration::from_secs(2), |(_, pause)| *pause * 2);
+                let pause = pause.min(LONGEST_REST);
+                resting.insert(owner.address, (Instant::now() + pause, pause));
+                self.hub.notice(
+                    NoticeLevel::Error,
+                    &format!("the end of a grant of {} is not on the chain yet: {}", owner.profile, failure.message),
+                );
+            }
+        }
+    }
+}

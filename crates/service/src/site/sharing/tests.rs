@@ -1,0 +1,64 @@
+//! Grants and their end, on an embedded chain.
+#![allow(clippy::expect_used, reason = "a test fails by panicking")]
+
+use super::*;
+use crate::crypto::Fingerprint;
+use crate::model::{ErrorKind, SignerId};
+use crate::pipeline::directory::GrantState;
+use crate::site::testing::{profile, registered, site_with_chain};
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_grant_is_given_once_to_a_known_key_and_its_end_begins_an_epoch() {
+    let (site, _folder) = site_with_chain();
+    let (alice, bob) = (registered(&site, "alice").await, registered(&site, "bob").await);
+    let sharing = &site.sharing;
+    let to_bob = Party::Address(bob.address);
+    let itself = sharing.grant(&alice, &Party::Address(alice.address), &[], Epochs::Current, None).await;
+    assert!(itself.expect_err("to itself").message.contains("without a grant"));
+    let stranger = Party::Address(Address([9; 20]));
+    assert!(sharing.grant(&alice, &stranger, &[], Epochs::Current, None).await.is_err(), "not registered");
+
+    let given = sharing.grant(&alice, &to_bob, &[], Epochs::Current, None).await.expect("given");
+    assert_eq!(given.epoch, 1);
+    let again = sharing.grant(&alice, &to_bob, &[], Epochs::Current, None).await.expect_err("active already");
+    assert_eq!(again.kind, ErrorKind::Refused);
+    let rows = sharing.rows(&bob).await.expect("rows");
+    assert!(
+        matches!(rows.as_slice(), [row] if row.direction == Direction::Received && row.state == GrantState::Active)
+    );
+
+    let ended = sharing.revoke(&alice, bob.address).await.expect("revoked");
+    assert_eq!(ended.epoch, 2, "what is sealed from now on has another key");
+    assert_eq!(alice.sealing().map(|keys| keys.epoch), Some(2));
+    let network = site.network().await.expect("a network");
+    assert!(sharing.active_grant(&network, alice.address, bob.address).is_none());
+    assert!(sharing.owed_revocations(&alice, &network).expect("owed").is_empty());
+    let twice = sharing.revoke(&alice, bob.address).await.expect_err("nothing to revoke");
+    assert!(twice.message.contains("no active grant"), "{}", twice.message);
+    site.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn nothing_is_granted_to_a_contact_with_another_key_until_it_is_confirmed() {
+    let (site, _folder) = site_with_chain();
+    let (alice, bob) = (registered(&site, "alice").await, registered(&site, "bob").await);
+    let name: crate::model::ContactName = "bobby".parse().expect("a name");
+    let other = Fingerprint::of_signer(&SignerId([7; 32])).to_string();
+    let added = site.contacts.add(&profile("alice"), name.clone(), bob.address, Some(other.clone())).await;
+    assert_eq!(added.expect("added").first().map(|row| row.state.clone()), Some("differs".to_owned()));
+    let to_bob = Party::Contact(name.clone());
+    let refused = site.sharing.grant(&alice, &to_bob, &[], Epochs::Current, None).await.expect_err("another key");
+    assert_eq!(refused.kind, ErrorKind::Refused);
+    assert!(
+        refused.message.contains(&other) && refused.message.contains("contacts confirm bobby"),
+        "{}",
+        refused.message
+    );
+    assert!(site.sharing.rows(&alice).await.expect("rows").is_empty());
+
+    let wrong = site.contacts.confirm(&profile("alice"), &name, Some(other)).await.expect_err("still another one");
+    assert_eq!(wrong.kind, ErrorKind::Refused);
+    site.contacts.confirm(&profile("alice"), &name, None).await.expect("confirmed");
+    site.sharing.grant(&alice, &to_bob, &[], Epochs::Current, None).await.expect("given");
+    site.stop().await;
+}
