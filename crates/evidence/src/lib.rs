@@ -60,6 +60,8 @@ mod packing;
 mod report;
 mod signing;
 mod state;
+#[cfg(test)]
+mod tests;
 pub mod trie;
 mod trust;
 mod verify;

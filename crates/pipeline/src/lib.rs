@@ -20,6 +20,7 @@ mod block_times;
 pub mod columns;
 pub mod directory;
 pub mod epoch;
+pub mod evidence;
 pub mod equivocation;
 pub mod error;
 pub mod export_folder;

@@ -5,6 +5,7 @@ mod ask;
 mod administration;
 mod check;
 mod choices;
+mod evidence;
 mod operate;
 mod recordings;
 mod secret;
@@ -17,6 +18,7 @@ pub use self::ask::Ask;
 pub use self::check::{AuditRecords, BackUp, ListAllUploads, StoreCommand};
 pub use self::choices::{Epochs, Held, KeyKind, PairKind, UploadQuery};
 pub use self::operate::{Admit, BackUpKeys, Dismiss, GatewayStatus, ListAdmitted, Lock, Operation};
+pub use self::evidence::EvidenceWishes;
 pub use self::recordings::{ExportWishes, ImportWishes, PolicyCommand, RecordingCommand, RecordingProgress};
 pub use self::secret::{SecretBytes, SecretText};
 pub use self::viewing::{LONGEST_PATH, ViewFile, ViewPath, Viewing};
@@ -24,7 +26,7 @@ use crate::chain::Revision;
 use crate::model::{Address, ContactName, Party, ProfileName, Publisher, SignerId, Timestamp, TopicName, TypeName};
 use crate::service::reply::{
     AdministrationView, AuditCheck, AuditView, CaptureSummary, ChainView, CheckView, CompareView, ContactRow,
-    DecidedView, DeployedView, DeviceRow, DeviceTopicsView, EnrolledView, ExportedFile, GatewayView, GrantRow,
+    DecidedView, DeployedView, DeviceRow, DeviceTopicsView, EnrolledView, EvidenceView, ExportedFile, GatewayView, GrantRow,
     IdentityView, KeyChangeView, KeysView, OpenedView, PinsView, PolicyView, Provenance, QuarantineView, RecordPage,
     ServedView, SiteView, TopicRow, TransactionView,
 };
@@ -167,6 +169,8 @@ requests! {
         #[serde(default)]
         addresses: bool,
     } => Vec<ExportedFile>;
+    /// Own records with all that proves them, in one file.
+    ExportEvidence(wishes: EvidenceWishes) => EvidenceView;
     /// Share with another account.
     Grant {
         /// Who may read.

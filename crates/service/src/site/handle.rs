@@ -88,6 +88,9 @@ impl Site {
             Command::ExportUpload { id, addresses } => {
                 self.export_upload(&owner()?, &id, addresses).await.map(ask::ExportUpload::told)
             }
+            Command::ExportEvidence(wishes) => {
+                self.export_evidence(&owner()?, wishes).await.map(ask::ExportEvidence::told)
+            }
             Command::ListShared(query) => {
                 self.list_shared(&self.caught_up_owner(&profile).await?, query).await.map(ask::ListShared::told)
             }

@@ -16,6 +16,7 @@ mod devices;
 mod disk;
 mod enrolling;
 mod epochs;
+mod evidence;
 mod exposure;
 mod foreseeing;
 mod gateway;

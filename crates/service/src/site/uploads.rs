@@ -96,7 +96,7 @@ impl Site {
         .await
     }
 
-    async fn own_record(self: &Arc<Self>, profile: &ProfileName, id: &str) -> Result<RecordRow, Failure> {
+    pub(super) async fn own_record(self: &Arc<Self>, profile: &ProfileName, id: &str) -> Result<RecordRow, Failure> {
         let row = self.find_record(id).await?;
         if row.owner == self.address_of(profile)? { Ok(row) } else { Err(PipelineError::NoRecord(row.id).into()) }
     }
