@@ -501,6 +501,10 @@ class Record:
         sizes = sum(int.from_bytes(self.header[name], "big") for name in ("head_length", "body_length"))
         if len(self.record) != self.length + sizes or self.header["domain"] != self.domain:
             raise Refused("its length, or the chain that it is bound to, is another")
+        persons = self.trust.get("person", []) if self.trust else []
+        owner = self.header["owner"]
+        self.pinned = [p["key"].removeprefix("0x") for p in persons if unhex(p["account"]) == owner and "key" in p]
+        self.owner_key = None
         key = self.bundle.keys.get(self.header["signer"].hex())
         signed = b"AuthROS/signature/1" + self.domain + self.digest
         if key is None or not sm2_verify(key, signed, self.member("signature.der") or b""):
@@ -580,10 +584,9 @@ class Record:
             if keys[1] > self.block or (after and after[1] <= self.block):
                 raise Unproven("that version was not in force")
         signing = self.bundle.identity(keys[0], owner, self.domain)
-        persons = self.trust.get("person", []) if self.trust else []
-        pinned = [p["key"] for p in persons if unhex(p["account"]) == owner and "key" in p]
-        if signing is None or (pinned and unhex(pinned[0]) != sm3(b"\4" + signing)):
+        if signing is None or (self.pinned and unhex(self.pinned[0]) != sm3(b"\4" + signing)):
             raise Unproven("the identity is not in the bundle, or not the pinned one")
+        self.owner_key = signing
         if sm3(b"\4" + signing) != self.header["signer"]:
             loan = storage.word(mapped(self.header["signer"], mapped(owner, 9)))
             recalled, lent, until = struct.unpack(">3Q", loan[7:31])
@@ -617,10 +620,13 @@ class Record:
         if not packed and len(self.body) != self.head["plain_length"]:
             raise Refused("the message has another length")
         message = b"AuthROS/reveal/1" + self.domain + self.digest + secret
-        owners = (self.bundle.identity(h, self.header["owner"], self.domain) for h in self.bundle.identities)
-        if not any(key and sm2_verify(key, message, signature) for key in owners):
+        signed = lambda key: key is not None and sm2_verify(key, message, signature)
+        if signed(self.owner_key) or any(signed(self.bundle.keys.get(key)) for key in self.pinned):
+            return "proven"
+        # Anybody can make an identity for somebody else's account: only the state or a pin says whose a key is.
+        if not any(signed(self.bundle.identity(h, self.header["owner"], self.domain)) for h in self.bundle.identities):
             raise Refused("the disclosure is not signed by its owner")
-        return "proven"
+        raise Unproven("it opens; that its owner disclosed it is not shown")
 
     def report(self):
         found, notes = {"digest": self.digest.hex()}, {}
@@ -636,7 +642,11 @@ class Record:
                 found[name], notes[name] = "refused", str(why)
             except (IndexError, KeyError, TypeError, ValueError, struct.error) as why:
                 found[name], notes[name] = "refused", f"not of its form: {why!r}"
-        if found["opened"] == "proven":
+        # What a state says is worth as much as the seals on it.
+        for name in ("key", "opened"):
+            if found[name] == "proven":
+                found[name] = found["anchor"] if found["anchor"] in ("proven", "own_chain") else "unproven"
+        if hasattr(self, "body") and found["opened"] != "refused":
             found.update(topic=self.head["topic"], type=self.head["type"], length=len(self.body))
             found["message_sm3"], found["packed"] = sm3(self.body).hex(), self.head["compression"] == 2
         return found | {"notes": notes}

@@ -113,7 +113,8 @@ fn shown(bundle: &Bundle, report: &Report) -> serde_json::Value {
     let mut value = serde_json::to_value(report).unwrap_or_default();
     let records = value.get_mut("records").and_then(serde_json::Value::as_array_mut);
     for (shown, record) in records.into_iter().flatten().zip(&report.records) {
-        let (Some(disclosed), Some(fields)) = (shown.get_mut("disclosed"), message(bundle, report, record.digest)) else {
+        let (Some(disclosed), Some(fields)) = (shown.get_mut("disclosed"), message(bundle, report, record.digest))
+        else {
             continue;
         };
         if let Some(disclosed) = disclosed.as_object_mut() {
@@ -142,12 +143,15 @@ fn text(bundle: &Bundle, report: &Report) -> String {
         };
         lines.push(format!("record {} of {who}", record.digest));
         if let (Some(seq), Some(captured)) = (record.seq, record.captured_at) {
-            let gap = record.seconds_to_anchor.map_or(String::new(), |seconds| format!(", {seconds} s before its anchor"));
+            let gap =
+                record.seconds_to_anchor.map_or(String::new(), |seconds| format!(", {seconds} s before its anchor"));
             lines.push(format!("number {seq}, captured {captured} as its owner says{gap}"));
         }
         let rows: Vec<Vec<String>> = record
             .levels()
-            .map(|(letter, level)| vec![format!("({letter})"), level.standing.word().to_owned(), clean(&level.text, 400)])
+            .map(|(letter, level)| {
+                vec![format!("({letter})"), level.standing.word().to_owned(), clean(&level.text, 400)]
+            })
             .to_vec();
         lines.push(table(&["level", "", ""], &rows));
         if let Some(disclosed) = &record.disclosed {
@@ -155,7 +159,8 @@ fn text(bundle: &Bundle, report: &Report) -> String {
                 "{} {}, {} bytes, from {}",
                 disclosed.topic, disclosed.type_name, disclosed.length, disclosed.publisher
             ));
-            let fields = message(bundle, report, record.digest).and_then(|value| serde_json::to_string_pretty(&value).ok());
+            let fields =
+                message(bundle, report, record.digest).and_then(|value| serde_json::to_string_pretty(&value).ok());
             let unread = || "its fields are not shown: the message's definition is not in the bundle".to_owned();
             lines.push(clean_lines(&fields.unwrap_or_else(unread), MOST_SHOWN));
         }

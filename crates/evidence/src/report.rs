@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use authros_crypto::record::Revealed;
-use authros_model::{Address, Digest, RecorderId, Timestamp, TopicId};
+use authros_model::{Address, Digest, RecorderId, SignerId, Timestamp, TopicId};
 use serde::Serialize;
 
 /// How far a level goes.
@@ -60,6 +60,8 @@ pub struct RecordReport {
     pub owner: Option<Address>,
     /// Who that is, as it was pinned.
     pub person: Option<String>,
+    /// SM3 of the key that its owner had registered, where a state that is believed shows it.
+    pub owner_key: Option<SignerId>,
     /// The ledger that numbered it.
     pub recorder: Option<RecorderId>,
     /// Its topic's pseudonym.

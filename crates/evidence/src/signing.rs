@@ -1,25 +1,41 @@
 //! Level (b): whether a key was its owner's to sign with when the record was anchored.
 
 use authros_crypto::signer_id;
-use authros_model::{Header, Timestamp};
+use authros_model::{Header, PublicKey, Timestamp};
 
 use crate::anchoring::Anchored;
 use crate::report::{Level, Standing};
 use crate::state::Unproven;
 use crate::verify::Check;
 
+/// What the state shows of who signed a record.
+pub(crate) struct Signed {
+    /// Level (b), as far as the state itself is to be believed.
+    pub level: Level,
+    /// The key that the owner had registered at the anchoring block.
+    pub owner_key: Option<PublicKey>,
+}
+
 /// Level (b) of a record whose anchor the state shows.
-pub(crate) fn signing_right(check: &Check<'_>, header: &Header, anchored: &Anchored<'_>) -> Level {
-    match judged(check, header, anchored) {
-        Ok(level) => level,
-        Err(Unproven::Missing(_)) => Level::new(
+pub(crate) fn signing_right(check: &Check<'_>, header: &Header, anchored: &Anchored<'_>) -> Signed {
+    match owner_key(check, header, anchored) {
+        Ok(Own::Unknown(why)) => Signed { level: Level::new(Standing::Unproven, why), owner_key: None },
+        Ok(Own::Registered(key)) => {
+            let level = judged(header, anchored, &key).unwrap_or_else(|why| unshown(why, anchored));
+            Signed { level, owner_key: Some(key) }
+        }
+        Err(why) => Signed { level: unshown(why, anchored), owner_key: None },
+    }
+}
+
+fn unshown(why: Unproven, anchored: &Anchored<'_>) -> Level {
+    let at = anchored.shown_at;
+    match why {
+        Unproven::Missing(_) => Level::new(
             Standing::Unproven,
-            format!(
-                "the part of the state after block {} that has the key's registration is not in the bundle",
-                anchored.shown_at
-            ),
+            format!("the part of the state after block {at} that has the key's registration is not in the bundle"),
         ),
-        Err(why) => Level::new(Standing::Refused, format!("the key's registration: {why}")),
+        why => Level::new(Standing::Refused, format!("the key's registration: {why}")),
     }
 }
 
@@ -27,15 +43,12 @@ fn refused(text: impl Into<String>) -> Level {
     Level::new(Standing::Refused, text)
 }
 
-fn judged(check: &Check<'_>, header: &Header, anchored: &Anchored<'_>) -> Result<Level, Unproven> {
+fn judged(header: &Header, anchored: &Anchored<'_>, registered: &PublicKey) -> Result<Level, Unproven> {
     let (owner, block, at) = (header.owner, anchored.block, anchored.shown_at);
-    let Some(device) = check.bundle.keys.get(&header.signer) else { return Ok(refused("its key is missing")) };
-    let own = owner_key(check, header, anchored)?;
-    let how = match own {
-        Own::Signs => format!("the key was {owner}'s at block {block}"),
-        Own::Unknown(why) => return Ok(Level::new(Standing::Unproven, why)),
-        Own::Another => match lent(header, anchored)? {
-            Ok(()) => format!("the key {} is of a device that {owner} had lent at block {block}", signer_id(device)),
+    let how = match signer_id(registered) == header.signer {
+        true => format!("the key was {owner}'s at block {block}"),
+        false => match lent(header, anchored)? {
+            Ok(()) => format!("the key {} is of a device that {owner} had lent at block {block}", header.signer),
             Err(why) => return Ok(refused(why)),
         },
     };
@@ -62,15 +75,13 @@ fn judged(check: &Check<'_>, header: &Header, anchored: &Anchored<'_>) -> Result
 }
 
 enum Own {
-    /// The key is the owner's.
-    Signs,
-    /// The owner's key is another.
-    Another,
+    /// This one.
+    Registered(PublicKey),
     /// The state does not show which it was.
     Unknown(String),
 }
 
-/// Whether the signer's key is the one that the owner had registered at the anchoring block.
+/// The key that the owner had registered at the anchoring block.
 fn owner_key(check: &Check<'_>, header: &Header, anchored: &Anchored<'_>) -> Result<Own, Unproven> {
     let (owner, block, storage) = (header.owner, anchored.block, &anchored.storage);
     let version = anchored.keys.filter(|_| anchored.account == owner).unwrap_or(anchored.claimed_keys);
@@ -101,7 +112,7 @@ fn owner_key(check: &Check<'_>, header: &Header, anchored: &Anchored<'_>) -> Res
     if pinned.is_some_and(|pinned| pinned != signer_id(&identity.signing)) {
         return Ok(Own::Unknown(format!("the key that {owner} had registered is not the one you pinned")));
     }
-    Ok(if signer_id(&identity.signing) == header.signer { Own::Signs } else { Own::Another })
+    Ok(Own::Registered(identity.signing))
 }
 
 /// Whether the signer is a device that its owner had lent at the anchoring block.

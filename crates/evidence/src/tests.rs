@@ -2,12 +2,11 @@
 
 mod world;
 
-use authros_crypto::keccak256;
 use authros_crypto::record::RecordSecret;
-use authros_crypto::signer_id;
-use authros_model::Hash;
+use authros_crypto::{keccak256, prove, signer_id};
+use authros_model::{Hash, Token};
 
-use self::world::{BLOCK, GATEWAY, TIME, World, account, genesis, header, ours, pair, sealed, word};
+use self::world::{BLOCK, GATEWAY, TIME, World, account, bound, genesis, header, ours, pair, sealed, word};
 use crate::{AnchorClaim, Anchoring, Bundle, BundledRecord, Nodes, Outcome, Slot, Standing, Trust, pack, verify};
 
 use Standing::{Absent, OwnChain, Proven, Refused, Unproven};
@@ -33,7 +32,10 @@ fn without_pins_nothing_about_the_chain_is_proven() {
     let file = pack(&World::new().members()).expect("packs");
     let report = verify(&Bundle::parse(&file, ours()).expect("reads"), None, ours());
     let record = &report.records[0];
-    assert_eq!((record.bytes.standing, record.anchor.standing, report.outcome), (Proven, Unproven, Outcome::Incomplete));
+    assert_eq!(
+        (record.bytes.standing, record.anchor.standing, report.outcome),
+        (Proven, Unproven, Outcome::Incomplete)
+    );
     assert!(report.warnings[0].contains("--trust"), "{:?}", report.warnings);
 }
 
@@ -170,6 +172,31 @@ fn one_record_is_disclosed_by_its_owner_and_by_nothing_else() {
     assert!(RecordSecret::from_slice(&[0; 33]).is_none() && RecordSecret::from_slice(&[0; 31]).is_none());
 }
 
+/// Anybody can make an identity for somebody else's account: only the state says whose it is.
+#[test]
+fn an_identity_that_the_state_does_not_show_speaks_for_nobody() {
+    let mut world = World::new();
+    let thief = pair();
+    let forged = prove(ours(), &bound(), &world.owner, &thief, &pair().public, Token([5; 32])).expect("proves");
+    let secret = RecordSecret::of(&world.topic_key, &world.record.header);
+    world.disclose(&thief, secret);
+    let mut packing = world.packing();
+    packing.identity(&forged);
+    let members = packing.sign(genesis(), world.owner, &thief, ours()).expect("packs");
+    let report = verify(&Bundle::of_members(&members, ours()).expect("reads"), Some(&World::trust()), ours());
+    assert_eq!((report.records[0].opened.standing, report.exporter.standing), (Unproven, Unproven));
+    assert!(report.records[0].opened.text.contains("that its owner disclosed it is not shown"));
+}
+
+#[test]
+fn what_an_unsealed_state_says_of_keys_is_not_believed() {
+    let unsealed = World { sealers: vec![1], ..World::new() };
+    assert_eq!(unsealed.judged('b').0, [Proven, Unproven, Unproven, Absent]);
+    unsealed.expect('b', Unproven, "too few of the signers you pinned");
+    let report = unsealed.report();
+    assert_eq!((report.exporter.standing, report.records[0].owner_key), (Unproven, None));
+}
+
 #[test]
 fn two_records_with_one_number_are_two_histories() {
     let world = World::new();
@@ -199,7 +226,8 @@ fn every_flipped_byte_of_every_member_is_noticed() {
         for at in (0..bytes.len()).step_by(bytes.len() / 40 + 1) {
             let mut changed = members.clone();
             changed.get_mut(name).expect("there")[at] ^= 1;
-            let found = Bundle::of_members(&changed, ours()).map(|bundle| verify(&bundle, Some(&trust), ours()).outcome);
+            let found =
+                Bundle::of_members(&changed, ours()).map(|bundle| verify(&bundle, Some(&trust), ours()).outcome);
             assert!(!matches!(found, Ok(Outcome::Holds | Outcome::Incomplete)), "{name}, byte {at}: {found:?}");
         }
     }
@@ -225,7 +253,7 @@ fn a_stranger_who_signs_an_altered_bundle_anew_is_not_believed() {
     let members = packing.sign(genesis(), world.owner, &pair(), ours()).expect("packs");
     let report = verify(&Bundle::of_members(&members, ours()).expect("reads"), Some(&World::trust()), ours());
     assert_eq!((report.records[0].bytes.standing, report.exporter.standing), (Refused, Unproven));
-    assert!(report.exporter.text.contains("nothing here ties to an account"), "{}", report.exporter.text);
+    assert!(report.exporter.text.contains("which nothing here ties to"), "{}", report.exporter.text);
 }
 
 #[test]

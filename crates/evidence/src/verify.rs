@@ -35,7 +35,7 @@ pub fn verify(bundle: &Bundle, trust: Option<&Trust>, provider: &dyn Provider) -
     let records: Vec<RecordReport> =
         bundle.records.iter().map(|(digest, record)| check.record(*digest, record, &mut messages)).collect();
     let complete = stretches(&records);
-    let exporter = check.exporter();
+    let exporter = check.exporter(&records);
     let standings =
         || records.iter().flat_map(|record| record.levels().map(|(letter, level)| (letter, level.standing)));
     let refused = exporter.standing == Standing::Refused
@@ -64,6 +64,7 @@ impl Check<'_> {
             digest,
             owner: None,
             person: None,
+            owner_key: None,
             recorder: None,
             topic_id: None,
             seq: None,
@@ -78,7 +79,7 @@ impl Check<'_> {
             opened: Level::new(Standing::Absent, "sealed: its owner did not disclose it"),
             disclosed: None,
         };
-        let (header, signer) = match self.bytes(digest, record) {
+        let header = match self.bytes(digest, record) {
             Ok(found) => found,
             Err(why) => {
                 report.bytes = Level::new(Standing::Refused, why);
@@ -93,8 +94,11 @@ impl Check<'_> {
         report.bytes = Level::new(Standing::Proven, format!("intact, and signed by the key {}", header.signer));
         let (level, anchored) = anchored(self, digest, &header, record);
         report.anchor = level;
-        report.key = match &anchored {
-            Some(anchored) => signing_right(self, &header, anchored),
+        let signed = anchored.as_ref().map(|anchored| signing_right(self, &header, anchored));
+        let owner_key = signed.as_ref().and_then(|signed| signed.owner_key);
+        report.owner_key = owner_key.filter(|_| is_believed(&report.anchor)).map(|key| signer_id(&key));
+        report.key = match signed {
+            Some(signed) => capped(signed.level, &report.anchor),
             None => Level::new(Standing::Unproven, "no anchor is shown, and the key's right is judged at its block"),
         };
         if let Some(Anchored { block, time, .. }) = &anchored {
@@ -103,9 +107,9 @@ impl Check<'_> {
             report.seconds_to_anchor = time.and_then(|time| seconds_between(header.captured_at.seconds(), time));
         }
         if record.disclosure.is_some() {
-            match self.opened(digest, record, &header, signer) {
-                Ok(revealed) => {
-                    report.opened = Level::new(Standing::Proven, "opened by its owner's disclosure");
+            match self.opened(digest, record, &header, owner_key) {
+                Ok((revealed, level)) => {
+                    report.opened = capped(level, &report.anchor);
                     report.disclosed = Some(self.disclosed(&revealed));
                     messages.insert(digest, revealed);
                 }
@@ -116,7 +120,7 @@ impl Check<'_> {
     }
 
     /// (a): the digest, the network, the signature.
-    fn bytes(&self, digest: Digest, record: &BundledRecord) -> Result<(Header, PublicKey), String> {
+    fn bytes(&self, digest: Digest, record: &BundledRecord) -> Result<Header, String> {
         let found = Digest(self.provider.sm3(&[&record.record]));
         if found != digest {
             return Err(format!("its SM3 is {found}: it is not the record that it is filed as"));
@@ -136,28 +140,32 @@ impl Check<'_> {
         self.provider
             .verify(signer, &signed, &record.signature)
             .map_err(|_| format!("its signature is not one of the key {}", header.signer))?;
-        Ok((header, *signer))
+        Ok(header)
     }
 
-    /// (e): the secret is the record's, and its owner signed the disclosure.
+    /// (e): the secret is the record's, and its owner signed the disclosure. An identity proves that its key made it, and
+    /// not whose account it is: only the state or a pin ties the key to the owner.
     fn opened(
         &self,
         digest: Digest,
         record: &BundledRecord,
         header: &Header,
-        signer: PublicKey,
-    ) -> Result<authros_crypto::record::Revealed, String> {
+        owner_key: Option<PublicKey>,
+    ) -> Result<(authros_crypto::record::Revealed, Level), String> {
         let Some(disclosure) = &record.disclosure else { return Err("it has no disclosure".to_owned()) };
         let revealed = open_revealed(self.provider, &record.record, &disclosure.secret)
             .map_err(|error| format!("the disclosed secret does not open it: {error}"))?;
         let message = reveal_bytes(&header.domain, &digest, &disclosure.secret);
         let is_owners = |key: &PublicKey| self.provider.verify(key, &message, &disclosure.signature).is_ok();
-        let mut identities = self.bundle.identities.values().filter(|identity| self.is_of(identity, header.owner));
-        if identities.any(|identity| is_owners(&identity.signing)) {
-            return Ok(revealed);
+        let pinned = self.trust.and_then(|trust| trust.person(header.owner)).and_then(|person| person.key);
+        let pinned = pinned.and_then(|key| self.bundle.keys.get(&key)).copied();
+        if [owner_key, pinned].iter().flatten().any(is_owners) {
+            return Ok((revealed, Level::new(Standing::Proven, "opened by its owner's disclosure")));
         }
-        if is_owners(&signer) {
-            return Err("its signer disclosed it, and nothing shows that this is its owner's key".to_owned());
+        let mut claimed = self.bundle.identities.values().filter(|identity| self.is_of(identity, header.owner));
+        if claimed.any(|identity| is_owners(&identity.signing)) {
+            let text = "it opens, and this is the message; that its owner disclosed it is not shown";
+            return Ok((revealed, Level::new(Standing::Unproven, text)));
         }
         Err("the disclosure is not signed by its owner".to_owned())
     }
@@ -179,21 +187,20 @@ impl Check<'_> {
         }
     }
 
-    fn exporter(&self) -> Level {
+    fn exporter(&self, records: &[RecordReport]) -> Level {
         let exporter = &self.bundle.manifest.exporter;
         if !self.bundle.signed {
             let text = format!("the manifest is not signed by the key {} that it names", exporter.key);
             return Level::new(Standing::Refused, text);
         }
-        let mut own = self.bundle.identities.values().filter(|identity| signer_id(&identity.signing) == exporter.key);
-        if !own.any(|identity| self.is_of(identity, exporter.account)) {
-            let text = format!("put together by the key {}, which nothing here ties to an account", exporter.key);
-            return Level::new(Standing::Unproven, text);
-        }
         let person = self.trust.and_then(|trust| trust.person(exporter.account));
         let name = person.map_or(String::new(), |person| format!(" ({})", clean(&person.name, 80)));
-        if person.is_some_and(|person| person.key.is_some_and(|key| key != exporter.key)) {
-            let text = format!("put together by {}{name} with another key than you pinned", exporter.account);
+        let own =
+            |record: &RecordReport| (record.owner, record.owner_key) == (Some(exporter.account), Some(exporter.key));
+        let pinned = person.and_then(|person| person.key);
+        if pinned != Some(exporter.key) && (pinned.is_some() || !records.iter().any(own)) {
+            let text =
+                format!("put together by the key {}, which nothing here ties to {}", exporter.key, exporter.account);
             return Level::new(Standing::Unproven, text);
         }
         Level::new(Standing::Proven, format!("put together by {}{name}", exporter.account))
@@ -233,6 +240,23 @@ impl Check<'_> {
     /// The identity with this hash, where it is in the bundle and proves to be this account's.
     pub fn identity(&self, hash: Hash, account: Address) -> Option<&authros_model::Identity> {
         self.bundle.identities.get(&hash).filter(|identity| self.is_of(identity, account))
+    }
+}
+
+/// Whether the state that shows an anchor is one that pinned signers sealed.
+fn is_believed(anchor: &Level) -> bool {
+    matches!(anchor.standing, Standing::Proven | Standing::OwnChain)
+}
+
+/// What a state says is worth as much as the seals on it.
+fn capped(level: Level, anchor: &Level) -> Level {
+    match (level.standing, anchor.standing) {
+        (Standing::Proven, Standing::OwnChain) => Level { standing: Standing::OwnChain, ..level },
+        (Standing::Proven, standing) if standing != Standing::Proven => {
+            let text = format!("{}; as a state says that too few of the signers you pinned have sealed", level.text);
+            Level::new(Standing::Unproven, text)
+        }
+        _ => level,
     }
 }
 

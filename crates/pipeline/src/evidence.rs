@@ -60,7 +60,9 @@ pub async fn gather(
 ) -> Result<Gathered, PipelineError> {
     let (mut gathered, mut asked) = (Gathered::default(), Vec::new());
     for row in rows {
-        let Some((header, key, record)) = block_in_place(|| stored(reader, row, &mut gathered.notes))? else { continue };
+        let Some((header, key, record)) = block_in_place(|| stored(reader, row, &mut gathered.notes))? else {
+            continue;
+        };
         gathered.packing.key(&key).map_err(refused)?;
         let disclosure = match reveal.contains(&row.digest) {
             true => Some(disclosed(reader, row, &header, &record.record, &mut gathered).await?),
@@ -108,7 +110,10 @@ fn stored(
     let own = reader.reader.signing().public;
     let known = [Some(own), plant.ledger.signer(row.signer)?, authority::key_of(plant, reader.network, row)?];
     let Some(key) = known.into_iter().flatten().find(|key| signer_id(key) == row.signer) else {
-        notes.push(format!("the key that signed record {} is not known here, and the record is not in the bundle", row.id));
+        notes.push(format!(
+            "the key that signed record {} is not known here, and the record is not in the bundle",
+            row.id
+        ));
         return Ok(None);
     };
     let record = BundledRecord { record, signature: row.signature, anchor: None, disclosure: None };
@@ -178,7 +183,8 @@ async fn show(reader: &Reader<'_>, asked: Vec<Asked>, gathered: &mut Gathered) -
                 at
             }
             None => {
-                let text = format!("the node proves no state, of block {block} or a later one: level (c) is not proven");
+                let text =
+                    format!("the node proves no state, of block {block} or a later one: level (c) is not proven");
                 gathered.notes.push(text);
                 block
             }
@@ -217,7 +223,12 @@ fn slots(all: &[Asked]) -> Vec<Slot> {
         slots.extend([Slot::account(*owner).0, Slot::loan(*owner, &signer.0).0]);
         if *keys != 0 {
             let own = Slot::keys(*owner, *keys);
-            slots.extend([own.0, own.next(1).0, Slot::keys(*owner, *keys + 1).0, Slot::keys(*owner, *keys + 1).next(1).0]);
+            slots.extend([
+                own.0,
+                own.next(1).0,
+                Slot::keys(*owner, *keys + 1).0,
+                Slot::keys(*owner, *keys + 1).next(1).0,
+            ]);
         }
     }
     slots.into_iter().map(Slot).collect()

@@ -20,9 +20,9 @@ mod block_times;
 pub mod columns;
 pub mod directory;
 pub mod epoch;
-pub mod evidence;
 pub mod equivocation;
 pub mod error;
+pub mod evidence;
 pub mod export_folder;
 #[cfg(test)]
 mod fixture;

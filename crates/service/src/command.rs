@@ -17,8 +17,8 @@ pub use self::administration::Administration;
 pub use self::ask::Ask;
 pub use self::check::{AuditRecords, BackUp, ListAllUploads, StoreCommand};
 pub use self::choices::{Epochs, Held, KeyKind, PairKind, UploadQuery};
-pub use self::operate::{Admit, BackUpKeys, Dismiss, GatewayStatus, ListAdmitted, Lock, Operation};
 pub use self::evidence::EvidenceWishes;
+pub use self::operate::{Admit, BackUpKeys, Dismiss, GatewayStatus, ListAdmitted, Lock, Operation};
 pub use self::recordings::{ExportWishes, ImportWishes, PolicyCommand, RecordingCommand, RecordingProgress};
 pub use self::secret::{SecretBytes, SecretText};
 pub use self::viewing::{LONGEST_PATH, ViewFile, ViewPath, Viewing};
@@ -26,9 +26,9 @@ use crate::chain::Revision;
 use crate::model::{Address, ContactName, Party, ProfileName, Publisher, SignerId, Timestamp, TopicName, TypeName};
 use crate::service::reply::{
     AdministrationView, AuditCheck, AuditView, CaptureSummary, ChainView, CheckView, CompareView, ContactRow,
-    DecidedView, DeployedView, DeviceRow, DeviceTopicsView, EnrolledView, EvidenceView, ExportedFile, GatewayView, GrantRow,
-    IdentityView, KeyChangeView, KeysView, OpenedView, PinsView, PolicyView, Provenance, QuarantineView, RecordPage,
-    ServedView, SiteView, TopicRow, TransactionView,
+    DecidedView, DeployedView, DeviceRow, DeviceTopicsView, EnrolledView, EvidenceView, ExportedFile, GatewayView,
+    GrantRow, IdentityView, KeyChangeView, KeysView, OpenedView, PinsView, PolicyView, Provenance, QuarantineView,
+    RecordPage, ServedView, SiteView, TopicRow, TransactionView,
 };
 pub use crate::store::AuditQuery;
 

@@ -15,8 +15,8 @@ use rlp::RlpStream;
 
 use crate::archive::Members;
 use crate::{
-    AnchorClaim, Anchoring, Bundle, BundledRecord, ClaimedChain, Disclosure, Nodes, Outcome, Packing, PinnedChain, Report,
-    Slot, Standing, Trust, disclose, pack, verify,
+    AnchorClaim, Anchoring, Bundle, BundledRecord, ClaimedChain, Disclosure, Nodes, Outcome, Packing, PinnedChain,
+    Report, Slot, Standing, Trust, disclose, pack, verify,
 };
 
 /// The anchoring block.
@@ -42,8 +42,10 @@ pub fn bound() -> Domain {
 
 /// A trie's root over these keys, and its nodes into `nodes` (Yellow Paper, appendix D).
 pub fn trie(pairs: &[(Vec<u8>, Vec<u8>)], nodes: &mut Vec<Vec<u8>>) -> Hash {
-    let all: Vec<(Vec<u8>, &Vec<u8>)> =
-        pairs.iter().map(|(key, value)| (keccak256(&[key]).iter().flat_map(|byte| [byte >> 4, byte & 15]).collect(), value)).collect();
+    let all: Vec<(Vec<u8>, &Vec<u8>)> = pairs
+        .iter()
+        .map(|(key, value)| (keccak256(&[key]).iter().flat_map(|byte| [byte >> 4, byte & 15]).collect(), value))
+        .collect();
     let node = built(&all, 0, nodes);
     nodes.push(node.clone());
     Hash(keccak256(&[&node]))
@@ -297,4 +299,3 @@ pub fn sealed(owner: Address, signer: &SmKeyPair, topic_key: &TopicKey, seq: u64
     };
     seal(ours(), &request).expect("seals")
 }
-

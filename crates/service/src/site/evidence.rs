@@ -123,8 +123,5 @@ impl Site {
 
 /// Whether a record's ciphertext is to be in the vault.
 fn is_stored(row: &RecordRow) -> bool {
-    !matches!(
-        row.state,
-        RecordState::Captured | RecordState::Sealed | RecordState::Quarantined | RecordState::Dropped
-    )
+    !matches!(row.state, RecordState::Captured | RecordState::Sealed | RecordState::Quarantined | RecordState::Dropped)
 }
