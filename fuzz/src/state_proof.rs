@@ -26,7 +26,10 @@ fn header(bytes: &[u8]) -> bool {
     let genuine = HEADER.get(1..).and_then(BlockHeader::parse).expect("the kept one");
     if found.sealer() == genuine.sealer() {
         // The seal itself is not signed: r and s have one form, the vanity is.
-        assert_eq!((found.state_root, found.number, found.timestamp), (genuine.state_root, genuine.number, genuine.timestamp));
+        assert_eq!(
+            (found.state_root, found.number, found.timestamp),
+            (genuine.state_root, genuine.number, genuine.timestamp)
+        );
         return true;
     }
     false

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use serde_json::Value;
-use support::{Home, Outcome, Running, list, skipped, system_program, text};
+use support::{Anvil, Home, Outcome, Running, list, skipped, system_program, text};
 
 struct Exported {
     home: Home,
@@ -32,9 +32,13 @@ fn export() -> Exported {
     assert_eq!((&view["revealed"], &view["notes"]), (&1.into(), &Value::Array(Vec::new())), "{view}");
     let again = authros.run(&["evidence", "export", place]);
     assert_eq!(again.code, Some(3), "a file that exists is not replaced: {again}");
-    let audit = authros.records(&["audit", "list"]);
-    let deeds: Vec<String> = audit.iter().map(|line| text(line, "action")).collect();
-    assert!(deeds.iter().any(|deed| deed == "disclose record"), "{deeds:?}");
+    let audit = authros.json(&["audit", "list"]);
+    // The newest first: what is disclosed is written down before the export begins.
+    let deeds: Vec<String> =
+        list(&audit, "audit").iter().map(|line| text(line, "action") + " " + &text(line, "outcome")).collect();
+    let place =
+        |deed: &str| deeds.iter().position(|found| found == deed).unwrap_or_else(|| panic!("no {deed}: {deeds:?}"));
+    assert!(place("disclose record begun") > place("export evidence begun"), "{deeds:?}");
     // What the exporter suggests; here the test has looked at it.
     let suggested = unzipped(&bundle, "trust.toml");
     fs::write(&trust, suggested).expect("written");
@@ -101,7 +105,7 @@ fn a_bundle_is_verified_on_another_machine_and_every_lie_is_refused() {
     assert_eq!((text(&report, "outcome").as_str(), &report["pinned"]), ("holds", &true.into()), "{report}");
     let found = list(&report, "records");
     assert_eq!(found.len(), records.len() + 1, "the messages and the record of their definition");
-    for record in found {
+    for record in &found {
         let standing = |level: &str| text(&record[level], "standing");
         assert_eq!(standing("bytes"), "proven", "{record}");
         // The home seals its chain itself, and is told so.
@@ -165,4 +169,35 @@ fn the_same_export_twice_differs_in_its_signature_alone() {
     let manifest = unzipped(&one, "manifest.json");
     assert_eq!(manifest, unzipped(&other, "manifest.json"), "every other member is named in it with its hashes");
     assert_ne!(unzipped(&one, "manifest.der"), unzipped(&other, "manifest.der"), "signatures are drawn anew");
+}
+
+/// The proofs are another program's here (anvil's), and so are the headers, which nobody signs.
+#[test]
+fn a_foreign_nodes_proofs_show_the_anchor_and_its_unsigned_headers_are_named() {
+    if system_program("python3").is_none() {
+        skipped!("no python3");
+    }
+    let Some(node) = Anvil::start(&[]) else { skipped!("no anvil; tests/run installs it into target/peers") };
+    let home = Home::new();
+    let url = node.http();
+    let authros = home.authros().with(&["--chain", &url, "--robots", "1"]);
+    let made = authros.json(&["identity", "create"]);
+    node.fund(&text(&made, "address"));
+    authros.json(&["register"]);
+    authros.capture(&["/robot1/odom"], 2);
+    let (bundle, trust) = (home.root().join("case.authros"), home.root().join("trust.toml"));
+    let view = authros.json(&["evidence", "export", bundle.to_str().expect("UTF-8")]);
+    assert_eq!(view["notes"], Value::Array(Vec::new()), "{view}");
+    fs::write(&trust, unzipped(&bundle, "trust.toml")).expect("written");
+    let report = verified(&bundle, Some(&trust)).expect_code(8).document();
+    let found = list(&report, "records");
+    assert!(found.len() >= 3, "{report}");
+    for record in &found {
+        let told = text(&record["anchor"], "text");
+        assert_eq!(text(&record["bytes"], "standing"), "proven", "{record}");
+        assert_eq!(text(&record["anchor"], "standing"), "unproven", "{record}");
+        assert!(told.contains("anchored in block") && told.contains("no seal that this version checks"), "{told}");
+        assert!(text(&record["key"], "text").contains("the key was"), "the registration is shown: {record}");
+    }
+    expect_agreement(&bundle, Some(&trust));
 }
