@@ -7,6 +7,7 @@ pub use authros_config as config;
 pub use authros_config::paths;
 pub use authros_console::{app, term, ui};
 pub use authros_crypto as crypto;
+pub use authros_evidence as evidence;
 pub use authros_gateway as gateway;
 pub use authros_model as model;
 pub use authros_pipeline as pipeline;

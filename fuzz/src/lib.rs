@@ -2,6 +2,7 @@
 //! product breaks its word. `run` gives whether something valid went all the way through.
 
 pub mod backup;
+pub mod bundle;
 pub mod decoder;
 pub mod export_folder;
 pub mod frame;
@@ -12,6 +13,7 @@ pub mod record;
 pub mod recording;
 pub mod ros2_cdr;
 pub mod sm2;
+pub mod state_proof;
 
 mod cast;
 mod messages;

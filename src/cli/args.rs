@@ -88,10 +88,17 @@ pub enum Verb {
     Audit(super::audit::AuditArguments),
     /// Whether everything a home depends on is as it should be, and what to do
     Doctor,
-    /// Check a folder of `uploads export` against the chain at --chain, without home or keys
+    /// Bundles of evidence for somebody who trusts nobody: export
+    #[command(subcommand)]
+    Evidence(super::evidence::EvidenceVerb),
+    /// Check a bundle of `evidence export` offline against --trust, or a folder of `uploads export` against the chain at
+    /// --chain; without home or keys
     Verify {
-        /// The folder
-        dir: PathBuf,
+        /// The bundle, unpacked or not, or the folder
+        path: PathBuf,
+        /// For a bundle: what you know by another way of chain, signers and people (docs/evidence.md)
+        #[arg(long, value_name = "FILE", conflicts_with = "genesis")]
+        trust: Option<PathBuf>,
         /// Hash of the chain's block 0, as you know it by another way than from the folder
         #[arg(long, value_name = "HASH")]
         genesis: Option<String>,

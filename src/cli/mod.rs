@@ -13,6 +13,7 @@ mod check;
 mod connect;
 mod console;
 mod demo;
+mod evidence;
 mod follow;
 mod gateway;
 mod lists;
@@ -99,7 +100,13 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
         Verb::Config(verb) => Ok(verbs::config(&Context::new(global, output)?, &verb, output)),
         Verb::Restore { file } => check::run_restore(&Context::new(global, output)?, &file, output),
         Verb::Bench(bench) => runtime.block_on(run_bench(&global, bench, output)),
-        Verb::Verify { dir, genesis } => runtime.block_on(check::run_verify(&global, &dir, genesis.as_deref(), output)),
+        Verb::Evidence(verb) => runtime.block_on(evidence::run(Context::new(global, output)?, verb, output)),
+        Verb::Verify { path, trust, genesis: None } if evidence::is_bundle(&path) => {
+            evidence::run_verify(&path, trust.as_deref(), output)
+        }
+        Verb::Verify { path, trust: _, genesis } => {
+            runtime.block_on(check::run_verify(&global, &path, genesis.as_deref(), output))
+        }
         Verb::Agent(verb) => runtime.block_on(agent::run(global, verb, output)),
         Verb::Chain(verb) => runtime.block_on(chain::run(global, verb, output)),
         Verb::Serve => runtime.block_on(serve::run(Context::new(global, output)?, output)),

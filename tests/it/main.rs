@@ -21,6 +21,7 @@ mod console_journey;
 mod console_terminal;
 mod contacts;
 mod demo;
+mod evidence;
 mod faults;
 mod gateway;
 mod identity;

@@ -20,13 +20,13 @@ mod event;
 mod fees;
 mod foreign;
 mod genesis;
-pub mod merkle;
 mod reader;
 pub mod relay;
 mod sealed_by;
 mod sealing;
 mod sender;
 pub mod serve;
+mod state_proof;
 #[cfg(test)]
 mod tests;
 mod transport;
@@ -51,6 +51,7 @@ pub use self::relay::{Relay, RelayError, RelayLine};
 pub use self::sealed_by::{SealedBy, SealerKind};
 pub use self::sealing::Sealing;
 pub use self::work::BlockWork;
+pub use crate::crypto::merkle;
 pub use crate::model::Consensus;
 use crate::model::{Address, Digest, Hash, Identity, Timestamp, Token};
 

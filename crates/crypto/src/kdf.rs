@@ -35,6 +35,20 @@ pub fn derived<const N: usize>(key_material: &[u8], salt: &[u8], info: &Info) ->
     out
 }
 
+/// As [`derived`], from what was extracted of key material and salt already (RFC 5869, expand alone).
+///
+/// # Panics
+/// Never: a length that HKDF refuses does not compile.
+pub fn expanded<const N: usize>(extracted: &[u8; 32], info: &Info) -> [u8; N] {
+    const { assert!(N <= 255 * 32, "HKDF-SM3 gives at most 8,160 bytes") };
+    let mut out = [0; N];
+    let expanded = Hkdf::<Sm3>::from_prk(extracted).is_ok_and(|hkdf| hkdf.expand(info.as_bytes(), &mut out).is_ok());
+    if !expanded {
+        unreachable!("both lengths were checked at compile time");
+    }
+    out
+}
+
 /// HMAC-SM3 of the concatenation of `parts`.
 pub fn hmac_sm3(key: &[u8], parts: &[&[u8]]) -> [u8; 32] {
     let mut block = Zeroizing::new([0; 64]);

@@ -25,6 +25,7 @@ pub mod keyfile;
 pub mod keyring;
 pub mod keystore;
 mod libsm_provider;
+pub mod merkle;
 pub mod owner_key;
 pub mod passphrase;
 pub mod pool;

@@ -16,10 +16,12 @@ use super::{CryptoError, Provider, SmKeyPair, TopicKey, random_bytes, signer_id}
 
 mod many;
 mod opening;
+mod reveal;
 mod steps;
 
 pub use many::{Checked, Unchecked, check_alone, check_many};
 pub use opening::{Anchor, Expected, OpenedRecord, check, check_deleted, open, open_front, open_in_steps};
+pub use reveal::{RecordSecret, Revealed, open_revealed, reveal_bytes};
 pub use steps::Step;
 
 /// All that is sealed into one record.
@@ -189,21 +191,28 @@ struct RecordKeys {
 impl RecordKeys {
     /// From the topic key and the header's salt and names.
     fn derive(key: &TopicKey, header: &Header) -> Self {
-        let info = Info::new("AuthROS/record/1")
-            .fixed(&header.domain.0)
-            .fixed(&header.owner.0)
-            .fixed(&header.recorder.0)
-            .number(header.epoch)
-            .number(header.seq);
-        let bytes = Zeroizing::new(derived::<88>(key.expose(), &header.salt.0, &info));
+        Self::of(&Zeroizing::new(derived::<88>(key.expose(), &header.salt.0, &record_info(header))))
+    }
+
+    fn of(bytes: &[u8; 88]) -> Self {
         Self {
-            body_key: Zeroizing::new(part(&bytes, 0)),
-            body_nonce: part(&bytes, 16),
-            head_key: Zeroizing::new(part(&bytes, 28)),
-            head_nonce: part(&bytes, 44),
-            commit: part(&bytes, 56),
+            body_key: Zeroizing::new(part(bytes, 0)),
+            body_nonce: part(bytes, 16),
+            head_key: Zeroizing::new(part(bytes, 28)),
+            head_nonce: part(bytes, 44),
+            commit: part(bytes, 56),
         }
     }
+}
+
+/// What the keys of a record are bound to, beside its salt.
+fn record_info(header: &Header) -> Info {
+    Info::new("AuthROS/record/1")
+        .fixed(&header.domain.0)
+        .fixed(&header.owner.0)
+        .fixed(&header.recorder.0)
+        .number(header.epoch)
+        .number(header.seq)
 }
 
 fn part<const N: usize>(bytes: &[u8; 88], start: usize) -> [u8; N] {

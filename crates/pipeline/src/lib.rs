@@ -22,6 +22,7 @@ pub mod directory;
 pub mod epoch;
 pub mod equivocation;
 pub mod error;
+pub mod evidence;
 pub mod export_folder;
 #[cfg(test)]
 mod fixture;

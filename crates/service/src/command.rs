@@ -5,6 +5,7 @@ mod ask;
 mod administration;
 mod check;
 mod choices;
+mod evidence;
 mod operate;
 mod recordings;
 mod secret;
@@ -16,6 +17,7 @@ pub use self::administration::Administration;
 pub use self::ask::Ask;
 pub use self::check::{AuditRecords, BackUp, ListAllUploads, StoreCommand};
 pub use self::choices::{Epochs, Held, KeyKind, PairKind, UploadQuery};
+pub use self::evidence::EvidenceWishes;
 pub use self::operate::{Admit, BackUpKeys, Dismiss, GatewayStatus, ListAdmitted, Lock, Operation};
 pub use self::recordings::{ExportWishes, ImportWishes, PolicyCommand, RecordingCommand, RecordingProgress};
 pub use self::secret::{SecretBytes, SecretText};
@@ -24,9 +26,9 @@ use crate::chain::Revision;
 use crate::model::{Address, ContactName, Party, ProfileName, Publisher, SignerId, Timestamp, TopicName, TypeName};
 use crate::service::reply::{
     AdministrationView, AuditCheck, AuditView, CaptureSummary, ChainView, CheckView, CompareView, ContactRow,
-    DecidedView, DeployedView, DeviceRow, DeviceTopicsView, EnrolledView, ExportedFile, GatewayView, GrantRow,
-    IdentityView, KeyChangeView, KeysView, OpenedView, PinsView, PolicyView, Provenance, QuarantineView, RecordPage,
-    ServedView, SiteView, TopicRow, TransactionView,
+    DecidedView, DeployedView, DeviceRow, DeviceTopicsView, EnrolledView, EvidenceView, ExportedFile, GatewayView,
+    GrantRow, IdentityView, KeyChangeView, KeysView, OpenedView, PinsView, PolicyView, Provenance, QuarantineView,
+    RecordPage, ServedView, SiteView, TopicRow, TransactionView,
 };
 pub use crate::store::AuditQuery;
 
@@ -167,6 +169,8 @@ requests! {
         #[serde(default)]
         addresses: bool,
     } => Vec<ExportedFile>;
+    /// Own records with all that proves them, in one file.
+    ExportEvidence(wishes: EvidenceWishes) => EvidenceView;
     /// Share with another account.
     Grant {
         /// Who may read.

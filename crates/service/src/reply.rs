@@ -32,7 +32,9 @@ pub use self::recordings::{
     ExportView, ExportedTopic, ImportView, ImportedTopic, LeftOut, PolicyRow, PolicyView, ProgressView, RecordingReply,
     Refused,
 };
-pub use self::records::{Caveat, CheckView, ExportedFile, OpenedView, Provenance, RecordPage, RecordView, ShownState};
+pub use self::records::{
+    Caveat, CheckView, EvidenceView, ExportedFile, OpenedView, Provenance, RecordPage, RecordView, ShownState,
+};
 pub use self::site::{HealthLevel, LifeLine, PartHealth, QueueView, SiteView};
 pub use self::tasks::{TaskState, TaskView};
 pub use self::topics::{CaptureSummary, TopicRow, TopicSummary};
@@ -130,6 +132,8 @@ replies! {
     Provenance(Provenance);
     /// To `ExportUpload` and `ExportAudit`.
     Files(Vec<ExportedFile>);
+    /// To `ExportEvidence`.
+    Evidence(EvidenceView);
     /// To commands that send a transaction.
     Transaction(TransactionView);
     /// To `ListGrants`.

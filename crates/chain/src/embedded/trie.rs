@@ -8,14 +8,12 @@ use std::sync::Arc;
 use ethers::utils::keccak256;
 use ethers::utils::rlp::{Rlp, RlpStream};
 
+pub use authros_evidence::trie::EMPTY_ROOT;
+use authros_evidence::trie::{Step, follow, nibbles, unpacked};
+
 use crate::chain::ChainError;
 use crate::model::Hash;
 
-/// Root of a trie without keys: Keccak-256 of the RLP of nothing.
-pub const EMPTY_ROOT: Hash = Hash([
-    0x56, 0xe8, 0x1f, 0x17, 0x1b, 0xcc, 0x55, 0xa6, 0xff, 0x83, 0x45, 0xe6, 0x92, 0xc0, 0xf8, 0x6e, 0x5b, 0x48, 0xe0,
-    0x1b, 0x99, 0x6c, 0xad, 0xc0, 0x01, 0x62, 0x2f, 0xb5, 0xe3, 0x63, 0xb4, 0x21,
-]);
 /// A node shorter than this lies in the one above it.
 const SHORTEST: usize = 32;
 
@@ -271,39 +269,6 @@ fn look_up<N: Nodes + ?Sized>(
     }
 }
 
-enum Step {
-    End(Option<Vec<u8>>),
-    /// To a stored node, with so many nibbles left.
-    Down(Hash, usize),
-}
-
-/// Follows `path` within one stored node; `None` where it is no node.
-fn follow(node: &Rlp<'_>, path: &[u8]) -> Option<Step> {
-    let (child, rest) = match node.item_count().ok()? {
-        2 => {
-            let (own, leaf) = unpacked(node.at(0).ok()?.data().ok()?)?;
-            let Some(rest) = path.strip_prefix(&own[..]) else { return Some(Step::End(None)) };
-            if leaf {
-                let value = node.at(1).ok()?.data().ok()?.to_vec();
-                return Some(Step::End(rest.is_empty().then_some(value)));
-            }
-            (node.at(1).ok()?, rest)
-        }
-        17 => {
-            let Some((nibble, rest)) = path.split_first() else { return Some(Step::End(None)) };
-            (node.at(usize::from(*nibble)).ok()?, rest)
-        }
-        _ => return None,
-    };
-    if child.is_list() {
-        return follow(&child, rest);
-    }
-    match child.data().ok()? {
-        [] => Some(Step::End(None)),
-        hash => Some(Step::Down(Hash::from_slice(hash)?, rest.len())),
-    }
-}
-
 /// The stored nodes right below a stored node; `None` where it is no node.
 pub fn below(bytes: &[u8]) -> Option<Vec<Hash>> {
     fn collect(node: &Node, found: &mut Vec<Hash>) {
@@ -323,10 +288,6 @@ pub fn below(bytes: &[u8]) -> Option<Vec<Hash>> {
     let mut found = Vec::new();
     collect(&decode(&Rlp::new(bytes))?, &mut found);
     Some(found)
-}
-
-fn nibbles(key: &[u8]) -> Vec<u8> {
-    key.iter().flat_map(|byte| [byte >> 4, byte & 15]).collect()
 }
 
 fn common(one: &[u8], other: &[u8]) -> usize {
@@ -353,13 +314,6 @@ fn packed(path: &[u8], leaf: bool) -> Vec<u8> {
     let mark = if leaf { 2 } else { 0 } + u8::from(odd == 1);
     let first = (mark << 4) | if odd == 1 { path[0] } else { 0 };
     std::iter::once(first).chain(path[odd..].chunks(2).map(|pair| pair[0] << 4 | pair[1])).collect()
-}
-
-fn unpacked(bytes: &[u8]) -> Option<(Vec<u8>, bool)> {
-    let all = nibbles(bytes);
-    let mark = *all.first()?;
-    let begin = if mark & 1 == 1 { 1 } else { 2 };
-    (mark < 4).then(|| (all[begin..].to_vec(), mark & 2 == 2))
 }
 
 fn decode(rlp: &Rlp<'_>) -> Option<Node> {

@@ -184,6 +184,21 @@ pub fn open_in_steps(
         return Err(CryptoError::WrongKey);
     }
     done(Step::Keys);
+    let (head, body) = unseal(provider, &keys, &parts, done)?;
+    compare(expected, &parts.header, &head)?;
+    done(Step::Fields);
+    let body = restore(&head, body)?;
+    done(Step::Restore);
+    Ok(OpenedRecord { header: parts.header, head, body, digest, verdict })
+}
+
+/// Head and body, still packed, by the record's own keys.
+fn unseal(
+    provider: &dyn Provider,
+    keys: &RecordKeys,
+    parts: &Parts<'_>,
+    done: &mut impl FnMut(Step),
+) -> Result<(Head, Vec<u8>), CryptoError> {
     let tampered = |what| move |_| CryptoError::Tampered(what);
     let head = provider
         .gcm_open(&keys.head_key, &keys.head_nonce, parts.prefix, parts.head)
@@ -196,11 +211,23 @@ pub fn open_in_steps(
     if !is_length(&head, &body) {
         return Err(CryptoError::Tampered("plain length"));
     }
-    compare(expected, &parts.header, &head)?;
-    done(Step::Fields);
-    let body = restore(&head, std::mem::take(&mut *body))?;
-    done(Step::Restore);
-    Ok(OpenedRecord { header: parts.header, head, body, digest, verdict })
+    Ok((head, std::mem::take(&mut *body)))
+}
+
+/// Head and message of a stored record by its own keys, which have to be those that its header commits to.
+pub(super) fn open_by_keys(
+    provider: &dyn Provider,
+    blob: &[u8],
+    keys_of: impl FnOnce(&Header) -> RecordKeys,
+) -> Result<(Header, Head, Vec<u8>), CryptoError> {
+    let parts = parse(blob).map_err(CryptoError::DamagedRecord)?;
+    let keys = keys_of(&parts.header);
+    if !bool::from(keys.commit.ct_eq(&parts.header.commit.0)) {
+        return Err(CryptoError::WrongKey);
+    }
+    let (head, body) = unseal(provider, &keys, &parts, &mut |_| ())?;
+    let body = restore(&head, body)?;
+    Ok((parts.header, head, body))
 }
 
 /// Public header and sealed head of a record, from its first bytes. The seal of the head covers the header: both are as

@@ -223,3 +223,20 @@ proptest! {
         prop_assert!(sample.open(&noise, &Signature([1; 64]), Anchor::Unanchored).is_err());
     }
 }
+
+#[test]
+fn one_record_opens_by_its_own_secret_and_no_other_does() {
+    let sample = Sample::new(ProviderName::default(), b"the message");
+    let (record, another) = (sample.seal(), sample.seal());
+    let secret = RecordSecret::of(&sample.key, &record.header);
+    // RFC 5869: extract is HMAC under the salt; expanded with the header's names it gives the keys of the whole derivation.
+    assert_eq!(*secret.expose(), crate::crypto::hmac_sm3(&record.header.salt.0, &[sample.key.expose()]));
+    let revealed = open_revealed(sample.provider, &record.blob, &secret).expect("opens");
+    assert_eq!((revealed.body.as_slice(), revealed.head), (&b"the message"[..], sample.head.clone()));
+    let other = open_revealed(sample.provider, &another.blob, &secret);
+    assert!(matches!(other, Err(CryptoError::WrongKey)), "another record of the same topic stays closed");
+    let mut altered = record.blob.clone();
+    *altered.last_mut().expect("bytes") ^= 1;
+    assert!(matches!(open_revealed(sample.provider, &altered, &secret), Err(CryptoError::Tampered(_))));
+    assert!(RecordSecret::from_slice(&[0; 33]).is_none() && !format!("{secret:?}").contains("32"));
+}

@@ -79,6 +79,21 @@ pub struct ExportedFile {
     pub bytes: Vec<u8>,
 }
 
+/// A bundle of evidence that was written.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct EvidenceView {
+    /// The file.
+    pub file: String,
+    /// Its length.
+    pub bytes: u64,
+    /// Records in it.
+    pub records: u64,
+    /// How many of them are disclosed.
+    pub revealed: u64,
+    /// What could not be put into it, in words.
+    pub notes: Vec<String>,
+}
+
 /// What the opening of a record showed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct OpenedView {

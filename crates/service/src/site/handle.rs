@@ -90,6 +90,9 @@ impl Site {
             Command::ExportUpload { id, addresses } => {
                 self.reading.export_upload(&owner()?, &id, addresses).await.map(ask::ExportUpload::told)
             }
+            Command::ExportEvidence(wishes) => {
+                self.evidence.export(&owner()?, wishes).await.map(ask::ExportEvidence::told)
+            }
             Command::ListShared(query) => {
                 self.reading.list_shared(&self.caught_up_owner(&profile).await?, query).await.map(ask::ListShared::told)
             }

@@ -11,6 +11,7 @@ mod chain;
 mod clock;
 mod contacts;
 mod devices;
+mod evidence;
 mod gateway;
 mod handle;
 mod identity;
@@ -59,6 +60,7 @@ use clock::Clock;
 use contacts::Contacts;
 use devices::Devices;
 use devices::enrolled::Enrolments;
+use evidence::Evidence;
 use gateway::Gateway;
 use gateway::admissions::Admissions;
 use identity::Profiles;
@@ -120,6 +122,7 @@ pub struct Site {
     sharing: Arc<Sharing>,
     devices: Arc<Devices>,
     reading: Arc<Reading>,
+    evidence: Arc<Evidence>,
     capture: Arc<Capture>,
     recordings: Arc<Recordings>,
     pins: Arc<Pinning>,
@@ -223,6 +226,7 @@ impl Site {
             adoption: Arc::new(Adoption::new(of, &lanes, &connection, &profiles, remote)),
             audit: Arc::new(Audit::new(of, &reserve)),
             backup: Arc::new(Backup::new(of, &quarantine)),
+            evidence: Arc::new(Evidence::new(of, &reading)),
             storage: Arc::new(Storage::new(of)),
             clock: Arc::new(Clock::new(of)),
             plant,

@@ -18,7 +18,7 @@ use std::sync::Arc;
 
 use tokio::runtime::Handle;
 
-use super::{NetworkState, blocking};
+use super::blocking;
 use crate::chain::Chain;
 use crate::crypto::Passphrase;
 use crate::crypto::sealed_stream::SealedWriter;

@@ -3,7 +3,7 @@
 //! leaf = SM3(0x00 || owner || recorder || topic id || seq || D), node = SM3(0x01 || left || right);
 //! seq is 8 bytes, big endian. The root goes on the chain; each record keeps its path.
 
-use crate::crypto::sm3::{sm3, sm3_many};
+use super::sm3::{sm3, sm3_many};
 use crate::model::{Address, Digest, Hash, RecorderId, TopicId};
 
 /// The most leaves in a batch.

@@ -1,0 +1,111 @@
+//! What a bundle of evidence needs of a chain: headers of blocks as they were hashed, and proofs of the contract's storage.
+
+use ethers::utils::rlp::RlpStream;
+use serde_json::{Value, json};
+
+use super::{Chain, ChainError};
+use crate::crypto::keccak256;
+use crate::model::Hash;
+use crate::model::bytes::unhex;
+use authros_evidence::{LONGEST_HEADER, Slot};
+
+/// The most slots asked for at once; nodes bound it.
+const MOST_SLOTS: usize = 32;
+/// The largest node of a trie, bytes, generously: a branch of sixteen hashes, or a leaf.
+const LONGEST_NODE: usize = 1024;
+
+/// A header's fields in their order, by their names in JSON; those of later forks come last, and where one is missing so
+/// are all after it.
+const FIELDS: [(&str, Kind); 21] = [
+    ("parentHash", Kind::Bytes),
+    ("sha3Uncles", Kind::Bytes),
+    ("miner", Kind::Bytes),
+    ("stateRoot", Kind::Bytes),
+    ("transactionsRoot", Kind::Bytes),
+    ("receiptsRoot", Kind::Bytes),
+    ("logsBloom", Kind::Bytes),
+    ("difficulty", Kind::Number),
+    ("number", Kind::Number),
+    ("gasLimit", Kind::Number),
+    ("gasUsed", Kind::Number),
+    ("timestamp", Kind::Number),
+    ("extraData", Kind::Bytes),
+    ("mixHash", Kind::Bytes),
+    ("nonce", Kind::Bytes),
+    ("baseFeePerGas", Kind::Number),
+    ("withdrawalsRoot", Kind::Bytes),
+    ("blobGasUsed", Kind::Number),
+    ("excessBlobGas", Kind::Number),
+    ("parentBeaconBlockRoot", Kind::Bytes),
+    ("requestsHash", Kind::Bytes),
+];
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    /// As it stands.
+    Bytes,
+    /// Without leading zeros.
+    Number,
+}
+
+impl Chain {
+    /// A block's header, RLP, as its hash was made of it; `None` where there is no such block.
+    ///
+    /// # Errors
+    /// The node's, or that its fields do not give its hash.
+    pub async fn header_rlp(&self, number: u64) -> Result<Option<Vec<u8>>, ChainError> {
+        let block: Value = self.rpc("eth_getBlockByNumber", json!([format!("{number:#x}"), false])).await?;
+        if block.is_null() {
+            return Ok(None);
+        }
+        let wrong = || self.misunderstood("eth_getBlockByNumber", "its fields do not give its hash");
+        let header = encode(&block).filter(|header| header.len() <= LONGEST_HEADER).ok_or_else(wrong)?;
+        let named = block.get("hash").and_then(Value::as_str).and_then(|hash| hash.parse::<Hash>().ok());
+        if named == Some(Hash(keccak256(&[&header]))) { Ok(Some(header)) } else { Err(wrong()) }
+    }
+
+    /// The nodes that show slots of the contract's storage after a block (EIP-1186). What they show is for the reader of
+    /// the nodes to see.
+    ///
+    /// # Errors
+    /// The node's: most keep the state of the newest blocks alone.
+    pub async fn storage_nodes(&self, number: u64, slots: &[Slot]) -> Result<Vec<Vec<u8>>, ChainError> {
+        let contract = self.contract()?.to_string();
+        let mut nodes = Vec::new();
+        for some in slots.chunks(MOST_SLOTS) {
+            let keys: Vec<String> = some.iter().map(|slot| Hash(slot.0).to_string()).collect();
+            let answer: Value = self.rpc("eth_getProof", json!([contract, keys, format!("{number:#x}")])).await?;
+            let wrong = || self.misunderstood("eth_getProof", "it is no proof");
+            let storage = answer.get("storageProof").and_then(Value::as_array).ok_or_else(wrong)?;
+            let ways = std::iter::once(answer.get("accountProof")).chain(storage.iter().map(|one| one.get("proof")));
+            for way in ways {
+                for node in way.and_then(Value::as_array).ok_or_else(wrong)? {
+                    let bytes = node.as_str().and_then(unhex).filter(|bytes| bytes.len() <= LONGEST_NODE);
+                    nodes.push(bytes.ok_or_else(wrong)?);
+                }
+            }
+        }
+        Ok(nodes)
+    }
+}
+
+fn encode(block: &Value) -> Option<Vec<u8>> {
+    let text = |name: &str| block.get(name).and_then(Value::as_str);
+    let there = FIELDS.iter().take_while(|(name, _)| text(name).is_some()).count();
+    let mut list = RlpStream::new_list(there);
+    for (name, kind) in FIELDS.iter().take(there) {
+        let bytes = match kind {
+            Kind::Bytes => unhex(text(name)?)?,
+            Kind::Number => number(text(name)?)?,
+        };
+        list.append(&bytes);
+    }
+    (there >= 15).then(|| list.out().to_vec())
+}
+
+fn number(text: &str) -> Option<Vec<u8>> {
+    let digits = text.strip_prefix("0x")?;
+    let even = if digits.len() % 2 == 0 { digits.to_owned() } else { format!("0{digits}") };
+    let bytes = unhex(&even)?;
+    Some(bytes.into_iter().skip_while(|byte| *byte == 0).collect())
+}

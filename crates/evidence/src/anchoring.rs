@@ -1,0 +1,188 @@
+//! Level (c): the state after a block holds the record's digest or its batch's root, and those who were pinned sealed it.
+
+use authros_crypto::merkle::Leaf;
+use authros_model::{Address, Digest, Header, Timestamp};
+
+use crate::bundle::{AnchorClaim, Anchoring, BundledRecord};
+use crate::header::{BlockHeader, seals};
+use crate::report::{Level, Standing};
+use crate::state::{Storage, Unproven};
+use crate::verify::Check;
+
+/// An anchor that the state shows.
+pub(crate) struct Anchored<'a> {
+    /// The contract's storage that shows it.
+    pub storage: Storage<'a>,
+    /// After which block.
+    pub shown_at: u64,
+    /// The anchoring block.
+    pub block: u64,
+    /// Its time, seconds, where that is shown.
+    pub time: Option<u64>,
+    /// Who anchored it.
+    pub account: Address,
+    /// The version of that account's keys then, where the contract keeps it.
+    pub keys: Option<u64>,
+    /// The version of the owner's keys that the exporter names.
+    pub claimed_keys: u64,
+}
+
+/// What the state says of a record's anchor.
+enum Found<'a> {
+    Shown(Anchored<'a>, &'a BlockHeader),
+    Not(Level),
+}
+
+/// Level (c), and the anchor where the state shows it.
+pub(crate) fn anchored<'a>(
+    check: &Check<'a>,
+    digest: Digest,
+    header: &Header,
+    record: &'a BundledRecord,
+) -> (Level, Option<Anchored<'a>>) {
+    let Some(claim) = &record.anchor else {
+        return (Level::new(Standing::Unproven, "it was on no chain when it was exported"), None);
+    };
+    match find(check, digest, header, claim) {
+        Found::Not(level) => (level, None),
+        Found::Shown(anchored, shown_at) => (sealed(check, &anchored, shown_at), Some(anchored)),
+    }
+}
+
+fn refused(text: impl Into<String>) -> Found<'static> {
+    Found::Not(Level::new(Standing::Refused, text))
+}
+
+fn unproven(text: impl Into<String>) -> Found<'static> {
+    Found::Not(Level::new(Standing::Unproven, text))
+}
+
+fn find<'a>(check: &Check<'a>, digest: Digest, header: &Header, claim: &'a AnchorClaim) -> Found<'a> {
+    let Header { owner, recorder, topic_id, seq, .. } = *header;
+    let leaf = Leaf { owner, recorder, topic_id, seq, digest };
+    if claim.inclusion().is_some_and(|inclusion| !inclusion.proves(&leaf)) {
+        return refused("its path does not lead to the root that it names");
+    }
+    let Some(shown_at) = check.bundle.headers.get(&claim.shown_at) else {
+        return unproven(format!("the header of block {} is not in the bundle", claim.shown_at));
+    };
+    let storage = match Storage::of(&check.bundle.nodes, shown_at.state_root, check.contract) {
+        Ok(storage) => storage,
+        Err(Unproven::Missing(_)) => {
+            return unproven(format!("the state after block {} is not in the bundle", claim.shown_at));
+        }
+        Err(why) => return refused(format!("after block {}: {why}", claim.shown_at)),
+    };
+    if let Some(trust) = check.trust
+        && trust.chain.code_hash != storage.code_hash
+    {
+        return refused("the contract's code is not the one you pinned");
+    }
+    match in_state(&storage, digest, header, claim, shown_at) {
+        Ok(found) => found.map_or_else(
+            || refused(format!("the state after block {} does not have its anchor", claim.shown_at)),
+            |found| compare(found, claim, shown_at),
+        ),
+        Err(Unproven::Missing(_)) => unproven(format!(
+            "the part of the state after block {} that has its anchor is not in the bundle",
+            claim.shown_at
+        )),
+        Err(why) => refused(format!("after block {}: {why}", claim.shown_at)),
+    }
+}
+
+/// An anchor with how many leaves the state says it is over; `None` where it is a digest by itself.
+type Counted<'a> = (Anchored<'a>, Option<u64>);
+
+fn in_state<'a>(
+    storage: &Storage<'a>,
+    digest: Digest,
+    header: &Header,
+    claim: &AnchorClaim,
+    shown_at: &BlockHeader,
+) -> Result<Option<Counted<'a>>, Unproven> {
+    // Revision 1, and digests by themselves, keep no time: it is known where the block is the one whose state this is.
+    let own_time = |block: u64| (block == shown_at.number).then_some(shown_at.timestamp);
+    let (storage, shown_at, claimed_keys) = (*storage, shown_at.number, claim.keys);
+    let anchored =
+        |block, time, account, keys| Anchored { storage, shown_at, block, time, account, keys, claimed_keys };
+    match &claim.anchor {
+        Anchoring::Each => {
+            let block = storage.uploaded(header.owner, &digest.0)?;
+            Ok(block.map(|block| (anchored(block, own_time(block), header.owner, None), None)))
+        }
+        Anchoring::Batch { account, root, .. } => {
+            let Some(word) = storage.anchor(*account, *root)? else { return Ok(None) };
+            let time = Some(word.time).filter(|time| *time != 0).or_else(|| own_time(word.block));
+            let keys = Some(word.keys).filter(|keys| *keys != 0);
+            Ok(Some((anchored(word.block, time, *account, keys), Some(word.count))))
+        }
+    }
+}
+
+fn compare<'a>((anchored, counted): Counted<'a>, claim: &AnchorClaim, shown_at: &'a BlockHeader) -> Found<'a> {
+    let claimed = match &claim.anchor {
+        Anchoring::Each => None,
+        Anchoring::Batch { count, .. } => Some(*count),
+    };
+    if counted != claimed {
+        return refused("its path was made for another number of leaves than the chain has");
+    }
+    if anchored.block != claim.block {
+        let (found, said) = (anchored.block, claim.block);
+        return refused(format!("the chain has it in block {found}, the bundle says {said}"));
+    }
+    if anchored.block > shown_at.number || anchored.time.is_some_and(|time| time > shown_at.timestamp) {
+        return refused("the state has its anchor in a block that is later than itself");
+    }
+    Found::Shown(anchored, shown_at)
+}
+
+/// Who sealed the block that shows it.
+fn sealed(check: &Check<'_>, anchored: &Anchored<'_>, shown_at: &BlockHeader) -> Level {
+    let time = anchored.time.map_or_else(
+        || "at a time that is not shown".to_owned(),
+        |time| format!("at {}", Timestamp::from_seconds(time)),
+    );
+    let what = format!("anchored in block {} {time}", anchored.block);
+    let at = if anchored.block == shown_at.number {
+        String::new()
+    } else {
+        format!(", as block {} has it", shown_at.number)
+    };
+    let Some(trust) = check.trust else {
+        let who =
+            shown_at.sealer().map_or_else(|| "nobody whose seal can be checked".to_owned(), |who| who.to_string());
+        let text = format!("{what}{at}, sealed by {who}: you pinned no signers, so this proves nothing yet");
+        return Level::new(Standing::Unproven, text);
+    };
+    let found = seals(&check.bundle.headers, shown_at.number, &trust.chain.signers);
+    let (have, all, quorum) = (found.pinned.len(), trust.chain.signers.len(), trust.quorum());
+    if have < quorum {
+        return match (found.unsigned, found.stranger) {
+            (true, _) => Level::new(
+                Standing::Unproven,
+                format!(
+                    "{what}{at}; its header has no seal that this version checks (it checks Clique's): a development node, \
+                     proof of work or another consensus"
+                ),
+            ),
+            (_, Some(stranger)) if have == 0 => Level::new(
+                Standing::Refused,
+                format!("block {} is sealed by {stranger}, whom you did not pin", shown_at.number),
+            ),
+            _ => Level::new(
+                Standing::Unproven,
+                format!("{what}{at}, sealed by {have} of {all} pinned signers; {quorum} are needed"),
+            ),
+        };
+    }
+    let text = format!("{what}{at}, sealed by {have} of {all} pinned signers");
+    if trust.chain.sealed_by_exporter || shown_at.is_ours() {
+        return Level::new(
+            Standing::OwnChain,
+            format!("{text}: the exporter's own chain, which proves nothing against him"),
+        );
+    }
+    Level::new(Standing::Proven, text)
+}

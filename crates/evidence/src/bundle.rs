@@ -1,0 +1,379 @@
+//! A bundle in its parts: records with their signatures and anchors, keys, identities, headers of blocks, nodes of the
+//! state. Every part is within its bounds and of its form, or the bundle is refused with the part's name.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::Read as _;
+use std::path::Path;
+
+use authros_crypto::merkle::{Inclusion, LONGEST_PATH};
+use authros_crypto::record::RecordSecret;
+use authros_crypto::{Provider, keyfile, signature_from_der, signer_id};
+use authros_model::header::{LARGEST_BODY, LARGEST_HEAD};
+use authros_model::{Address, Digest, Hash, Identity, PublicKey, Signature, SignerId, clean};
+use serde::{Deserialize, Serialize};
+
+use crate::archive::{self, LARGEST, MIMETYPE, MOST_MEMBERS, Members, is_name};
+use crate::header::BlockHeader;
+use crate::manifest::{MANIFEST, Manifest, SIGNATURE};
+use crate::state::Nodes;
+
+/// The trust file that a bundle may suggest, and that is never believed.
+pub const SUGGESTED: &str = "trust.toml";
+/// Nodes of the state.
+pub const NODES: &str = "chain/nodes.rlp";
+/// What to do with the file, for whoever finds it without us.
+pub const READ_ME: &str = "VERIFY.txt";
+/// The most records in a bundle.
+pub const MOST_RECORDS: usize = 10_000;
+/// What an anchor's file begins with.
+const ANCHOR_FORMAT: &str = "authros-anchor/1";
+/// The longest of the small members, bytes.
+const LONGEST_SMALL: usize = 64 * 1024;
+
+/// Why a bundle cannot be looked at.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{member}: {why}")]
+pub struct BundleError {
+    /// Which member, or the bundle.
+    pub member: String,
+    /// What is wrong with it, cleaned.
+    pub why: String,
+}
+
+impl BundleError {
+    /// About one member.
+    pub fn of(member: &str, why: &str) -> Self {
+        Self { member: clean(member, 200), why: clean(why, 300) }
+    }
+
+    /// About all of it.
+    pub fn whole(why: &str) -> Self {
+        Self::of("the bundle", why)
+    }
+}
+
+/// How a record was anchored.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "snake_case", tag = "mode")]
+pub enum Anchoring {
+    /// Its digest by itself, by its owner.
+    Each,
+    /// The root of its batch.
+    Batch {
+        /// The account that anchored it.
+        account: Address,
+        /// The root.
+        root: Hash,
+        /// The leaf's place, from 0.
+        index: u64,
+        /// Leaves in the batch.
+        count: u64,
+        /// Hashes from the leaf up.
+        path: Vec<Hash>,
+    },
+}
+
+/// Where the exporter says that a record is anchored, and after which block the state shows that.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct AnchorClaim {
+    /// Names this format.
+    pub format: String,
+    /// The anchoring block.
+    pub block: u64,
+    /// The block whose state shows it; the same one, or a later.
+    pub shown_at: u64,
+    /// Which version of the owner's keys was in force.
+    pub keys: u64,
+    /// How.
+    pub anchor: Anchoring,
+}
+
+impl AnchorClaim {
+    /// A claim in this program's format.
+    pub fn new(block: u64, shown_at: u64, keys: u64, anchor: Anchoring) -> Self {
+        Self { format: ANCHOR_FORMAT.to_owned(), block, shown_at, keys, anchor }
+    }
+
+    /// The path, where the record is in a batch.
+    pub fn inclusion(&self) -> Option<Inclusion> {
+        match &self.anchor {
+            Anchoring::Each => None,
+            Anchoring::Batch { root, index, count, path, .. } => {
+                Some(Inclusion { index: *index, count: *count, path: path.clone(), root: *root })
+            }
+        }
+    }
+
+    fn parse(name: &str, text: &[u8]) -> Result<Self, BundleError> {
+        let wrong = |why: &str| BundleError::of(name, why);
+        let claim: Self = serde_json::from_slice(text).map_err(|error| wrong(&error.to_string()))?;
+        if claim.format != ANCHOR_FORMAT {
+            return Err(wrong(&format!("its form is not {ANCHOR_FORMAT}")));
+        }
+        if claim.inclusion().is_some_and(|inclusion| inclusion.path.len() > LONGEST_PATH) {
+            return Err(wrong("its path is longer than any batch has"));
+        }
+        Ok(claim)
+    }
+}
+
+/// A disclosure: the record's secret, and its owner's signature.
+#[derive(Debug, Clone)]
+pub struct Disclosure {
+    /// What the record's keys follow from.
+    pub secret: RecordSecret,
+    /// SM2 by the owner.
+    pub signature: Signature,
+}
+
+/// One record of a bundle.
+#[derive(Debug, Clone)]
+pub struct BundledRecord {
+    /// The record as it is stored.
+    pub record: Vec<u8>,
+    /// Its signature.
+    pub signature: Signature,
+    /// Where it is anchored; `None` where it was on no chain.
+    pub anchor: Option<AnchorClaim>,
+    /// Its disclosure.
+    pub disclosure: Option<Disclosure>,
+}
+
+/// A bundle whose members are what its manifest says, each of its form.
+#[derive(Debug, Clone)]
+pub struct Bundle {
+    /// The manifest.
+    pub manifest: Manifest,
+    /// Whether its exporter's key signed it.
+    pub signed: bool,
+    /// Records by the digest that they are filed under.
+    pub records: BTreeMap<Digest, BundledRecord>,
+    /// Keys of signers.
+    pub keys: BTreeMap<SignerId, PublicKey>,
+    /// Identities by their Keccak-256.
+    pub identities: BTreeMap<Hash, Identity>,
+    /// Headers by number.
+    pub headers: BTreeMap<u64, BlockHeader>,
+    /// Nodes of the state.
+    pub nodes: Nodes,
+    /// Texts of message definitions by their SM3.
+    pub definitions: BTreeMap<Digest, String>,
+    /// The trust file that its exporter suggests.
+    pub suggested: Option<String>,
+}
+
+impl Bundle {
+    /// Reads a bundle: the file, or the folder that it was unpacked into.
+    ///
+    /// # Errors
+    /// [`BundleError`] with what is wrong.
+    pub fn read(path: &Path, provider: &dyn Provider) -> Result<Self, BundleError> {
+        if path.is_dir() {
+            return Self::of_members(&folder(path)?, provider);
+        }
+        Self::parse(&file(path, "the bundle")?, provider)
+    }
+
+    /// From a file's bytes.
+    ///
+    /// # Errors
+    /// As [`Bundle::read`].
+    pub fn parse(bytes: &[u8], provider: &dyn Provider) -> Result<Self, BundleError> {
+        Self::of_members(&archive::read(bytes)?, provider)
+    }
+
+    /// From its members.
+    ///
+    /// # Errors
+    /// As [`Bundle::read`].
+    pub fn of_members(members: &Members, provider: &dyn Provider) -> Result<Self, BundleError> {
+        let manifest = Manifest::read(members, provider)?;
+        let (mut drafts, mut bundle) = (BTreeMap::new(), Self::empty(manifest));
+        for (name, bytes) in members {
+            bundle.take(name, bytes, &mut drafts, provider)?;
+        }
+        if drafts.len() > MOST_RECORDS {
+            return Err(BundleError::whole(&format!("it has more than {MOST_RECORDS} records")));
+        }
+        for (digest, draft) in drafts {
+            bundle.records.insert(digest, draft.finish(&digest)?);
+        }
+        let key = bundle.keys.get(&bundle.manifest.exporter.key);
+        bundle.signed =
+            key.is_some_and(|key| crate::manifest::is_signed(members, &bundle.manifest.exporter, key, provider));
+        Ok(bundle)
+    }
+
+    fn empty(manifest: Manifest) -> Self {
+        Self {
+            manifest,
+            signed: false,
+            records: BTreeMap::new(),
+            keys: BTreeMap::new(),
+            identities: BTreeMap::new(),
+            headers: BTreeMap::new(),
+            nodes: Nodes::default(),
+            definitions: BTreeMap::new(),
+            suggested: None,
+        }
+    }
+
+    /// Takes one member in, by its name.
+    fn take(
+        &mut self,
+        name: &str,
+        bytes: &[u8],
+        drafts: &mut BTreeMap<Digest, Draft>,
+        provider: &dyn Provider,
+    ) -> Result<(), BundleError> {
+        let wrong = |why: &str| BundleError::of(name, why);
+        let parts: Vec<&str> = name.split('/').collect();
+        if !matches!(parts.as_slice(), ["records", _, "record.bin"] | ["chain", "nodes.rlp"] | [MANIFEST])
+            && bytes.len() > LONGEST_SMALL
+        {
+            return Err(wrong("is longer than such a member is"));
+        }
+        match parts.as_slice() {
+            [MIMETYPE | MANIFEST | SIGNATURE | READ_ME] => {}
+            [SUGGESTED] => self.suggested = Some(text(name, bytes)?),
+            ["records", digest, part] => {
+                let digest = digest.parse().map_err(|_| wrong("is filed under what is no digest"))?;
+                drafts.entry(digest).or_insert_with(Draft::default).take(name, part, bytes)?;
+            }
+            ["keys", file] => {
+                let pem = std::str::from_utf8(bytes).ok().and_then(|text| keyfile::sm2_public_from_pem(text).ok());
+                let key = pem.ok_or_else(|| wrong("holds no SM2 public key"))?;
+                let id = signer_id(&key);
+                if *file != format!("{}.pem", id.to_hex()) {
+                    return Err(wrong("is filed under another key's name"));
+                }
+                self.keys.insert(id, key);
+            }
+            ["identities", file] => {
+                let hash = Hash(authros_crypto::keccak256(&[bytes]));
+                let identity = Identity::parse(bytes).map_err(|error| wrong(&error.to_string()))?;
+                if *file != format!("{}.bin", hash.to_hex()) {
+                    return Err(wrong("is filed under another identity's name"));
+                }
+                self.identities.insert(hash, identity);
+            }
+            ["chain", "nodes.rlp"] => {
+                self.nodes =
+                    Nodes::parse(bytes).ok_or_else(|| wrong("is no list of nodes, each once, by their hashes"))?;
+            }
+            ["chain", file] => {
+                let header = BlockHeader::parse(bytes).ok_or_else(|| wrong("is no header of a block"))?;
+                if *file != format!("{}.rlp", header.number) {
+                    return Err(wrong("is filed under another block's number"));
+                }
+                self.headers.insert(header.number, header);
+            }
+            ["definitions", file] => {
+                let digest = Digest(provider.sm3(&[bytes]));
+                if *file != format!("{}.txt", digest.to_hex()) {
+                    return Err(wrong("is filed under another text's name"));
+                }
+                self.definitions.insert(digest, text(name, bytes)?);
+            }
+            _ => return Err(wrong("is nothing that a bundle holds")),
+        }
+        Ok(())
+    }
+}
+
+/// A record whose files come one by one.
+#[derive(Default)]
+struct Draft {
+    record: Option<Vec<u8>>,
+    signature: Option<Signature>,
+    anchor: Option<AnchorClaim>,
+    secret: Option<RecordSecret>,
+    disclosed: Option<Signature>,
+}
+
+impl Draft {
+    fn take(&mut self, name: &str, part: &str, bytes: &[u8]) -> Result<(), BundleError> {
+        let signature = || signature_from_der(bytes).map_err(|error| BundleError::of(name, &error.to_string()));
+        match part {
+            "record.bin" if bytes.len() as u64 > LARGEST_BODY + u64::from(LARGEST_HEAD) + 1024 => {
+                return Err(BundleError::of(name, "is longer than any record"));
+            }
+            "record.bin" => self.record = Some(bytes.to_vec()),
+            "signature.der" => self.signature = Some(signature()?),
+            "anchor.json" => self.anchor = Some(AnchorClaim::parse(name, bytes)?),
+            "reveal.bin" => {
+                let secret = RecordSecret::from_slice(bytes);
+                self.secret = Some(secret.ok_or_else(|| BundleError::of(name, "is not exactly 32 bytes"))?);
+            }
+            "reveal.der" => self.disclosed = Some(signature()?),
+            _ => return Err(BundleError::of(name, "is nothing that a record has")),
+        }
+        Ok(())
+    }
+
+    fn finish(self, digest: &Digest) -> Result<BundledRecord, BundleError> {
+        let missing = |file: &str| BundleError::of(&format!("records/{digest}/{file}"), "is missing");
+        let disclosure = match (self.secret, self.disclosed) {
+            (None, None) => None,
+            (Some(secret), Some(signature)) => Some(Disclosure { secret, signature }),
+            (Some(_), None) => return Err(missing("reveal.der")),
+            (None, Some(_)) => return Err(missing("reveal.bin")),
+        };
+        Ok(BundledRecord {
+            record: self.record.ok_or_else(|| missing("record.bin"))?,
+            signature: self.signature.ok_or_else(|| missing("signature.der"))?,
+            anchor: self.anchor,
+            disclosure,
+        })
+    }
+}
+
+fn text(name: &str, bytes: &[u8]) -> Result<String, BundleError> {
+    std::str::from_utf8(bytes).map(str::to_owned).map_err(|_| BundleError::of(name, "is no text"))
+}
+
+/// A plain file within the bounds of a bundle.
+fn file(path: &Path, name: &str) -> Result<Vec<u8>, BundleError> {
+    let failed = |error: std::io::Error| BundleError::of(name, &format!("cannot be read: {error}"));
+    // Looked at before it is opened, since opening a pipe would wait for its writer.
+    if !path.metadata().map_err(failed)?.is_file() {
+        return Err(BundleError::of(name, "is no plain file"));
+    }
+    let mut bytes = Vec::new();
+    std::fs::File::open(path).map_err(failed)?.take(LARGEST + 1).read_to_end(&mut bytes).map_err(failed)?;
+    if bytes.len() as u64 > LARGEST {
+        return Err(BundleError::of(name, "is longer than any bundle"));
+    }
+    Ok(bytes)
+}
+
+/// The members of an unpacked bundle; links are refused.
+fn folder(root: &Path) -> Result<Members, BundleError> {
+    let (mut members, mut size) = (Members::new(), 0u64);
+    let mut waiting = BTreeSet::from([String::new()]);
+    while let Some(below) = waiting.pop_first() {
+        let failed = |error: std::io::Error| BundleError::of(&below, &format!("cannot be read: {error}"));
+        for entry in std::fs::read_dir(root.join(&below)).map_err(failed)? {
+            let entry = entry.map_err(failed)?;
+            let part = entry.file_name();
+            let name =
+                part.to_str().map(|part| if below.is_empty() { part.to_owned() } else { format!("{below}/{part}") });
+            let name = name.filter(|name| is_name(name) && name.split('/').count() <= 3);
+            let name =
+                name.ok_or_else(|| BundleError::of(&part.to_string_lossy(), "is nothing that a bundle holds"))?;
+            match entry.file_type().map_err(failed)? {
+                kind if kind.is_dir() => drop(waiting.insert(name)),
+                kind if kind.is_file() => {
+                    let bytes = file(&root.join(&name), &name)?;
+                    size = size.saturating_add(bytes.len() as u64);
+                    members.insert(name, bytes);
+                }
+                _ => return Err(BundleError::of(&name, "is no plain file")),
+            }
+            if size > LARGEST || members.len() + waiting.len() > MOST_MEMBERS {
+                return Err(BundleError::whole("it is larger than any bundle"));
+            }
+        }
+    }
+    Ok(members)
+}

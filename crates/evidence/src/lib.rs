@@ -1,0 +1,30 @@
+//! Evidence bundles: one file with sealed records, their signatures and the proof of when they were anchored, checked
+//! offline by somebody who trusts neither the exporter nor a node.
+#![doc = include_str!("../README.md")]
+
+mod anchoring;
+pub mod archive;
+mod bundle;
+mod completeness;
+mod header;
+mod manifest;
+mod packing;
+mod report;
+mod signing;
+mod state;
+#[cfg(test)]
+mod tests;
+pub mod trie;
+mod trust;
+mod verify;
+
+pub use bundle::{
+    AnchorClaim, Anchoring, Bundle, BundleError, BundledRecord, Disclosure, MOST_RECORDS, READ_ME, SUGGESTED,
+};
+pub use header::{BlockHeader, LONGEST_HEADER, Seals, seals};
+pub use manifest::{ClaimedChain, Exporter, FORMAT, MEDIA_TYPE, Manifest, Member};
+pub use packing::{Packing, PackingError, disclose, pack};
+pub use report::{Disclosed, Level, Outcome, RecordReport, Report, Standing, Stretch};
+pub use state::{AnchorWord, KeysWord, LoanWord, Nodes, Slot, Storage, Unproven, Word};
+pub use trust::{LONGEST_TRUST, Person, PinnedChain, Trust, TrustError};
+pub use verify::verify;

@@ -1,0 +1,146 @@
+//! The exporter's side: parts put together into a bundle's members, and those into its file.
+
+use authros_crypto::record::reveal_bytes;
+use authros_crypto::{CryptoError, Provider, SmKeyPair, keyfile, signature_der, signer_id};
+use authros_model::{Address, Digest, Domain, Identity, PublicKey};
+
+use crate::archive::{self, MIMETYPE, Members};
+use crate::bundle::{BundleError, BundledRecord, NODES, READ_ME, SUGGESTED};
+use crate::manifest::{ClaimedChain, Exporter, MANIFEST, MEDIA_TYPE, Manifest, SIGNATURE, signed_bytes};
+use crate::state::Nodes;
+use crate::trust::Trust;
+
+/// For whoever finds the file without the program.
+const READ_ME_TEXT: &str = include_str!("VERIFY.txt");
+
+/// A bundle that is being put together.
+#[derive(Debug, Default)]
+pub struct Packing {
+    members: Members,
+}
+
+/// Why a bundle cannot be put together.
+#[derive(Debug, thiserror::Error)]
+pub enum PackingError {
+    /// It would be too large.
+    #[error(transparent)]
+    Bundle(#[from] BundleError),
+    /// A key cannot be used.
+    #[error(transparent)]
+    Crypto(#[from] CryptoError),
+}
+
+impl Packing {
+    /// Adds a record.
+    ///
+    /// # Errors
+    /// None that is not a fault of this program.
+    pub fn record(&mut self, digest: Digest, record: BundledRecord) -> Result<(), PackingError> {
+        let mut put = |part: &str, bytes: Vec<u8>| {
+            self.members.insert(format!("records/{}/{part}", digest.to_hex()), bytes);
+        };
+        if let Some(anchor) = &record.anchor {
+            let text = serde_json::to_vec_pretty(anchor);
+            put("anchor.json", text.map_err(|error| BundleError::of("anchor.json", &error.to_string()))?);
+        }
+        if let Some(disclosure) = &record.disclosure {
+            put("reveal.bin", disclosure.secret.expose().to_vec());
+            put("reveal.der", signature_der(&disclosure.signature));
+        }
+        put("signature.der", signature_der(&record.signature));
+        put("record.bin", record.record);
+        Ok(())
+    }
+
+    /// Adds a signer's key.
+    ///
+    /// # Errors
+    /// Where it is no point.
+    pub fn key(&mut self, key: &PublicKey) -> Result<(), PackingError> {
+        let pem = keyfile::sm2_public_pem(key)?;
+        self.members.insert(format!("keys/{}.pem", signer_id(key).to_hex()), pem.into_bytes());
+        Ok(())
+    }
+
+    /// Adds an identity as the chain has it.
+    pub fn identity(&mut self, identity: &Identity) {
+        let bytes = identity.encode();
+        let hash = authros_model::Hash(authros_crypto::keccak256(&[&bytes]));
+        self.members.insert(format!("identities/{}.bin", hash.to_hex()), bytes);
+    }
+
+    /// Adds a block's header, RLP.
+    pub fn header(&mut self, number: u64, bytes: Vec<u8>) {
+        self.members.insert(format!("chain/{number}.rlp"), bytes);
+    }
+
+    /// The nodes of the states that the headers name.
+    pub fn nodes(&mut self, nodes: &Nodes) {
+        self.members.insert(NODES.to_owned(), nodes.encode());
+    }
+
+    /// Adds the text of a message definition.
+    pub fn definition(&mut self, text: &str, provider: &dyn Provider) {
+        let digest = Digest(provider.sm3(&[text.as_bytes()]));
+        self.members.insert(format!("definitions/{}.txt", digest.to_hex()), text.as_bytes().to_vec());
+    }
+
+    /// Suggests what to pin.
+    ///
+    /// # Errors
+    /// Where it cannot be written.
+    pub fn suggest(&mut self, trust: &Trust) -> Result<(), PackingError> {
+        let text = trust.to_text().map_err(|error| BundleError::of(SUGGESTED, &error.to_string()))?;
+        let note = "# What the exporter says. Compare each line with what you know by another way, then keep a copy of \
+                    your own.\n";
+        self.members.insert(SUGGESTED.to_owned(), [note, &text].concat().into_bytes());
+        Ok(())
+    }
+
+    /// The members with the manifest, signed by its exporter.
+    ///
+    /// # Errors
+    /// Where the key cannot sign.
+    pub fn sign(
+        mut self,
+        chain: ClaimedChain,
+        account: Address,
+        signer: &SmKeyPair,
+        provider: &dyn Provider,
+    ) -> Result<Members, PackingError> {
+        self.key(&signer.public)?;
+        self.members.insert(MIMETYPE.to_owned(), MEDIA_TYPE.as_bytes().to_vec());
+        self.members.insert(READ_ME.to_owned(), READ_ME_TEXT.as_bytes().to_vec());
+        let exporter = Exporter { account, key: signer_id(&signer.public) };
+        let manifest = Manifest::of(&self.members, chain, exporter, provider);
+        let mut text =
+            serde_json::to_vec_pretty(&manifest).map_err(|error| BundleError::of(MANIFEST, &error.to_string()))?;
+        text.push(b'\n');
+        let signature = provider.sign(&signer.secret, &signed_bytes(&text))?;
+        self.members.insert(SIGNATURE.to_owned(), signature_der(&signature));
+        self.members.insert(MANIFEST.to_owned(), text);
+        Ok(self.members)
+    }
+}
+
+/// The file of these members.
+///
+/// # Errors
+/// Where it would be too large.
+pub fn pack(members: &Members) -> Result<Vec<u8>, PackingError> {
+    Ok(archive::write(members)?)
+}
+
+/// An owner's signature under the disclosure of a record.
+///
+/// # Errors
+/// Where the key cannot sign.
+pub fn disclose(
+    secret: authros_crypto::record::RecordSecret,
+    (domain, digest): (&Domain, &Digest),
+    signer: &SmKeyPair,
+    provider: &dyn Provider,
+) -> Result<crate::bundle::Disclosure, PackingError> {
+    let signature = provider.sign(&signer.secret, &reveal_bytes(domain, digest, &secret))?;
+    Ok(crate::bundle::Disclosure { secret, signature })
+}

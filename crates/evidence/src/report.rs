@@ -1,0 +1,171 @@
+//! The verdict on a bundle: for each record, level by level, what is proven and what is not. There is no single tick.
+
+use std::collections::BTreeMap;
+
+use authros_crypto::record::Revealed;
+use authros_model::{Address, Digest, RecorderId, SignerId, Timestamp, TopicId};
+use serde::Serialize;
+
+/// How far a level goes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Standing {
+    /// It follows from the bytes and from what was pinned.
+    Proven,
+    /// It holds by the word of the exporter's own chain: it proves nothing against him.
+    OwnChain,
+    /// Nothing contradicts it, and something that would prove it is missing.
+    Unproven,
+    /// Nobody claims it.
+    Absent,
+    /// It is contradicted.
+    Refused,
+}
+
+impl Standing {
+    /// As told to people.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Proven => "proven",
+            Self::OwnChain => "own chain",
+            Self::Unproven => "not proven",
+            Self::Absent => "absent",
+            Self::Refused => "REFUSED",
+        }
+    }
+}
+
+/// One level of one record.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Level {
+    /// How far it goes.
+    pub standing: Standing,
+    /// Why, in words.
+    pub text: String,
+}
+
+impl Level {
+    /// A level.
+    pub fn new(standing: Standing, text: impl Into<String>) -> Self {
+        Self { standing, text: text.into() }
+    }
+}
+
+/// What is said of one record.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct RecordReport {
+    /// SM3 of it.
+    pub digest: Digest,
+    /// Its owner, as its header says.
+    pub owner: Option<Address>,
+    /// Who that is, as it was pinned.
+    pub person: Option<String>,
+    /// SM3 of the key that its owner had registered, where a state that is believed shows it.
+    pub owner_key: Option<SignerId>,
+    /// The ledger that numbered it.
+    pub recorder: Option<RecorderId>,
+    /// Its topic's pseudonym.
+    pub topic_id: Option<TopicId>,
+    /// Its number.
+    pub seq: Option<u64>,
+    /// When it was captured, by its owner's word alone.
+    pub captured_at: Option<Timestamp>,
+    /// The anchoring block's time, by the clock of whoever sealed it.
+    pub anchored_at: Option<Timestamp>,
+    /// The anchoring block.
+    pub block: Option<u64>,
+    /// Seconds from the claimed capture to the anchor; less than zero where the claim is later.
+    pub seconds_to_anchor: Option<i64>,
+    /// (a) The bytes are intact and signed.
+    pub bytes: Level,
+    /// (b) The key was the owner's to sign with.
+    pub key: Level,
+    /// (c) It is anchored.
+    pub anchor: Level,
+    /// (d) An outside authority's time.
+    pub time: Level,
+    /// (e) It is opened by its owner's disclosure.
+    pub opened: Level,
+    /// What was disclosed.
+    pub disclosed: Option<Disclosed>,
+}
+
+impl RecordReport {
+    /// Its levels by their letters.
+    pub fn levels(&self) -> [(char, &Level); 5] {
+        [('a', &self.bytes), ('b', &self.key), ('c', &self.anchor), ('d', &self.time), ('e', &self.opened)]
+    }
+}
+
+/// What a disclosed record says of itself.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Disclosed {
+    /// Its topic.
+    pub topic: String,
+    /// Its type.
+    #[serde(rename = "type")]
+    pub type_name: String,
+    /// The publisher's node.
+    pub publisher: String,
+    /// Length of the message.
+    pub length: u64,
+    /// SM3 of the message.
+    pub message_sm3: Digest,
+    /// Its tags.
+    pub tags: BTreeMap<String, String>,
+}
+
+/// (f) The records of one topic by one recorder.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Stretch {
+    /// Whose.
+    pub owner: Address,
+    /// The ledger.
+    pub recorder: RecorderId,
+    /// The topic.
+    pub topic_id: TopicId,
+    /// The first number in the bundle.
+    pub first: u64,
+    /// The last.
+    pub last: u64,
+    /// Numbers between them that are not there, from and to.
+    pub gaps: Vec<(u64, u64)>,
+    /// How many numbers are missing.
+    pub missing: u64,
+    /// Numbers that two different records have: their signer told two histories.
+    pub twice: Vec<u64>,
+    /// In words.
+    pub text: String,
+}
+
+/// What it all comes to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Outcome {
+    /// Levels (a) to (c) hold for every record, by what was pinned.
+    Holds,
+    /// Something is not proven.
+    Incomplete,
+    /// Something is contradicted.
+    Refused,
+}
+
+/// The verdict.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Report {
+    /// What it all comes to.
+    pub outcome: Outcome,
+    /// Whether a trust file was given.
+    pub pinned: bool,
+    /// Who made the bundle.
+    pub exporter: Level,
+    /// What has to be known beside the levels.
+    pub warnings: Vec<String>,
+    /// Each record.
+    pub records: Vec<RecordReport>,
+    /// (f) each topic of each recorder.
+    pub complete: Vec<Stretch>,
+    /// The messages that were disclosed.
+    #[serde(skip)]
+    pub messages: BTreeMap<Digest, Revealed>,
+}

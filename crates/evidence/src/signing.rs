@@ -1,0 +1,136 @@
+//! Level (b): whether a key was its owner's to sign with when the record was anchored.
+
+use authros_crypto::signer_id;
+use authros_model::{Header, PublicKey, Timestamp};
+
+use crate::anchoring::Anchored;
+use crate::report::{Level, Standing};
+use crate::state::Unproven;
+use crate::verify::Check;
+
+/// What the state shows of who signed a record.
+pub(crate) struct Signed {
+    /// Level (b), as far as the state itself is to be believed.
+    pub level: Level,
+    /// The key that the owner had registered at the anchoring block.
+    pub owner_key: Option<PublicKey>,
+}
+
+/// Level (b) of a record whose anchor the state shows.
+pub(crate) fn signing_right(check: &Check<'_>, header: &Header, anchored: &Anchored<'_>) -> Signed {
+    match owner_key(check, header, anchored) {
+        Ok(Own::Unknown(why)) => Signed { level: Level::new(Standing::Unproven, why), owner_key: None },
+        Ok(Own::Registered(key)) => {
+            let level = judged(header, anchored, &key).unwrap_or_else(|why| unshown(why, anchored));
+            Signed { level, owner_key: Some(key) }
+        }
+        Err(why) => Signed { level: unshown(why, anchored), owner_key: None },
+    }
+}
+
+fn unshown(why: Unproven, anchored: &Anchored<'_>) -> Level {
+    let at = anchored.shown_at;
+    match why {
+        Unproven::Missing(_) => Level::new(
+            Standing::Unproven,
+            format!("the part of the state after block {at} that has the key's registration is not in the bundle"),
+        ),
+        why => Level::new(Standing::Refused, format!("the key's registration: {why}")),
+    }
+}
+
+fn refused(text: impl Into<String>) -> Level {
+    Level::new(Standing::Refused, text)
+}
+
+fn judged(header: &Header, anchored: &Anchored<'_>, registered: &PublicKey) -> Result<Level, Unproven> {
+    let (owner, block, at) = (header.owner, anchored.block, anchored.shown_at);
+    let how = match signer_id(registered) == header.signer {
+        true => format!("the key was {owner}'s at block {block}"),
+        false => match lent(header, anchored)? {
+            Ok(()) => format!("the key {} is of a device that {owner} had lent at block {block}", header.signer),
+            Err(why) => return Ok(refused(why)),
+        },
+    };
+    // The contract lets no suspended account anchor.
+    if anchored.account == owner {
+        return Ok(Level::new(
+            Standing::Proven,
+            format!("{how}, and {owner} was not suspended: it anchored this itself"),
+        ));
+    }
+    let suspended = anchored.storage.is_suspended(owner)?;
+    Ok(match (suspended, at == block) {
+        (true, true) => refused(format!("{owner} was suspended at block {block}")),
+        (false, true) => Level::new(Standing::Proven, format!("{how}, and {owner} was not suspended")),
+        (true, false) => Level::new(
+            Standing::Unproven,
+            format!("{how}; {owner} is suspended at block {at}, and since when is not shown"),
+        ),
+        (false, false) => Level::new(
+            Standing::Unproven,
+            format!("{how}; {owner} is not suspended at block {at}, and nothing shows whether it was at block {block}"),
+        ),
+    })
+}
+
+enum Own {
+    /// This one.
+    Registered(PublicKey),
+    /// The state does not show which it was.
+    Unknown(String),
+}
+
+/// The key that the owner had registered at the anchoring block.
+fn owner_key(check: &Check<'_>, header: &Header, anchored: &Anchored<'_>) -> Result<Own, Unproven> {
+    let (owner, block, storage) = (header.owner, anchored.block, &anchored.storage);
+    let version = anchored.keys.filter(|_| anchored.account == owner).unwrap_or(anchored.claimed_keys);
+    if version == 0 {
+        return Ok(Own::Unknown(
+            "the contract is of revision 1, which keeps no history of keys; nothing shows it".to_owned(),
+        ));
+    }
+    let Some(keys) = storage.keys(owner, version)? else {
+        return Ok(Own::Unknown(format!("{owner} has no version {version} of its keys on this chain")));
+    };
+    // The contract notes the version with the anchor; for another account's anchor the blocks have to say it.
+    if anchored.account != owner || anchored.keys.is_none() {
+        let after = version.checked_add(1).map(|next| storage.keys(owner, next)).transpose()?.flatten();
+        if keys.block > block || after.is_some_and(|after| after.block <= block) {
+            return Ok(Own::Unknown(format!(
+                "version {version} of {owner}'s keys was not the one in force at block {block}"
+            )));
+        }
+    }
+    let Some(identity) = check.identity(keys.identity, owner) else {
+        return Ok(Own::Unknown(format!(
+            "the identity {} of {owner} is not in the bundle, or does not prove itself",
+            keys.identity
+        )));
+    };
+    let pinned = check.trust.and_then(|trust| trust.person(owner)).and_then(|person| person.key);
+    if pinned.is_some_and(|pinned| pinned != signer_id(&identity.signing)) {
+        return Ok(Own::Unknown(format!("the key that {owner} had registered is not the one you pinned")));
+    }
+    Ok(Own::Registered(identity.signing))
+}
+
+/// Whether the signer is a device that its owner had lent at the anchoring block.
+fn lent(header: &Header, anchored: &Anchored<'_>) -> Result<Result<(), String>, Unproven> {
+    let (owner, block) = (header.owner, anchored.block);
+    let Some(loan) = anchored.storage.loan(owner, &header.signer.0)? else {
+        return Ok(Err(format!("{owner} had neither registered nor lent the key at block {block}")));
+    };
+    if loan.lent > block {
+        return Ok(Err(format!("{owner} lent the device only in block {}, after block {block}", loan.lent)));
+    }
+    if loan.recalled != 0 && loan.recalled <= block {
+        return Ok(Err(format!("{owner} had recalled the device in block {}", loan.recalled)));
+    }
+    match anchored.time {
+        _ if loan.until == 0 => Ok(Ok(())),
+        Some(time) if time < loan.until => Ok(Ok(())),
+        Some(_) => Ok(Err(format!("the loan of the device was over at {}", Timestamp::from_seconds(loan.until)))),
+        None => Ok(Err("the loan of the device had an end, and the block's time is not shown".to_owned())),
+    }
+}

@@ -1,0 +1,102 @@
+//! What the reader of a bundle knows by another way than from the bundle: pinned in `trust.toml`.
+
+use authros_crypto::domain;
+use authros_model::{Address, Domain, Hash, SignerId, clean};
+use serde::{Deserialize, Serialize};
+
+/// The longest file, bytes.
+pub const LONGEST_TRUST: usize = 64 * 1024;
+
+/// A file of pins that cannot be used.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("the trust file cannot be used: {0}; docs/evidence.md shows one")]
+pub struct TrustError(String);
+
+/// What is pinned.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Trust {
+    /// The chain.
+    pub chain: PinnedChain,
+    /// Who is behind accounts and keys.
+    #[serde(default, rename = "person", skip_serializing_if = "Vec::is_empty")]
+    pub persons: Vec<Person>,
+}
+
+/// A chain and its contract.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PinnedChain {
+    /// Its id (EIP-155).
+    pub id: u64,
+    /// Hash of block 0.
+    pub genesis: Hash,
+    /// The contract.
+    pub contract: Address,
+    /// Keccak-256 of the contract's code.
+    pub code_hash: Hash,
+    /// Who may seal blocks.
+    pub signers: Vec<Address>,
+    /// How many of them have to have sealed a block or built on it; more than half unless it is set.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub quorum: Option<usize>,
+    /// Whether whoever exports seals this chain himself: its word then proves nothing against him.
+    #[serde(default)]
+    pub sealed_by_exporter: bool,
+}
+
+/// Somebody by name.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Person {
+    /// The account.
+    pub account: Address,
+    /// Who that is.
+    pub name: String,
+    /// The key, SM3 of it, where it was compared too.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub key: Option<SignerId>,
+}
+
+impl Trust {
+    /// From the text of a trust file.
+    ///
+    /// # Errors
+    /// [`TrustError`] where it is none, or demands what no chain can give.
+    pub fn parse(text: &[u8]) -> Result<Self, TrustError> {
+        let text = std::str::from_utf8(text).ok().filter(|text| text.len() <= LONGEST_TRUST);
+        let text = text.ok_or_else(|| TrustError("it is no text, or too long".into()))?;
+        let trust: Self = toml::from_str(text).map_err(|error| TrustError(clean(error.message(), 300)))?;
+        let signers = &trust.chain.signers;
+        if signers.iter().enumerate().any(|(at, signer)| signers.iter().skip(at + 1).any(|other| other == signer)) {
+            return Err(TrustError("a signer is named twice".into()));
+        }
+        if trust.chain.quorum.is_some_and(|quorum| quorum == 0 || quorum > signers.len()) {
+            return Err(TrustError("its quorum is none of its signers, or more than there are".into()));
+        }
+        Ok(trust)
+    }
+
+    /// As text.
+    ///
+    /// # Errors
+    /// [`TrustError`] where it cannot be written.
+    pub fn to_text(&self) -> Result<String, TrustError> {
+        toml::to_string(self).map_err(|error| TrustError(clean(&error.to_string(), 300)))
+    }
+
+    /// How many signers are enough.
+    pub fn quorum(&self) -> usize {
+        self.chain.quorum.unwrap_or(self.chain.signers.len() / 2 + 1)
+    }
+
+    /// What records of this chain and contract are bound to.
+    pub fn domain(&self) -> Domain {
+        domain(self.chain.id, &self.chain.genesis, &self.chain.contract)
+    }
+
+    /// Who an account is, as far as that is pinned.
+    pub fn person(&self, account: Address) -> Option<&Person> {
+        self.persons.iter().find(|person| person.account == account)
+    }
+}

@@ -1,0 +1,265 @@
+//! The check of a bundle against what its reader pinned, record by record and level by level.
+
+use std::collections::BTreeMap;
+
+use authros_crypto::record::{open_revealed, reveal_bytes, signed_bytes};
+use authros_crypto::{Provider, check_identity, domain, signer_id};
+use authros_model::{Address, Digest, Domain, Hash, Header, PublicKey, Timestamp, clean};
+
+use crate::anchoring::{Anchored, anchored};
+use crate::bundle::{Bundle, BundledRecord};
+use crate::completeness::stretches;
+use crate::report::{Disclosed, Level, Outcome, RecordReport, Report, Standing};
+use crate::signing::signing_right;
+use crate::trust::Trust;
+
+/// What a whole check is made with.
+pub(crate) struct Check<'a> {
+    pub bundle: &'a Bundle,
+    pub trust: Option<&'a Trust>,
+    pub provider: &'a dyn Provider,
+    /// What records are bound to: by the pins, else by the bundle's own word.
+    pub domain: Domain,
+    pub contract: Address,
+}
+
+/// Checks a bundle. Without a trust file nothing about the chain is proven, and the report says so.
+pub fn verify(bundle: &Bundle, trust: Option<&Trust>, provider: &dyn Provider) -> Report {
+    let claimed = &bundle.manifest.chain;
+    let (bound, contract) = match trust {
+        Some(trust) => (trust.domain(), trust.chain.contract),
+        None => (domain(claimed.id, &claimed.genesis, &claimed.contract), claimed.contract),
+    };
+    let check = Check { bundle, trust, provider, domain: bound, contract };
+    let mut messages = BTreeMap::new();
+    let records: Vec<RecordReport> =
+        bundle.records.iter().map(|(digest, record)| check.record(*digest, record, &mut messages)).collect();
+    let complete = stretches(&records);
+    let exporter = check.exporter(&records);
+    let standings =
+        || records.iter().flat_map(|record| record.levels().map(|(letter, level)| (letter, level.standing)));
+    let refused = exporter.standing == Standing::Refused
+        || standings().any(|(_, standing)| standing == Standing::Refused)
+        || complete.iter().any(|stretch| !stretch.twice.is_empty());
+    let needed = |(letter, standing): (char, Standing)| {
+        !('a'..='c').contains(&letter) || matches!(standing, Standing::Proven | Standing::OwnChain)
+    };
+    let outcome = match refused {
+        true => Outcome::Refused,
+        false if trust.is_some() && !records.is_empty() && standings().all(needed) => Outcome::Holds,
+        false => Outcome::Incomplete,
+    };
+    let warnings = check.warnings(&records);
+    Report { outcome, pinned: trust.is_some(), exporter, warnings, records, complete, messages }
+}
+
+impl Check<'_> {
+    fn record(
+        &self,
+        digest: Digest,
+        record: &BundledRecord,
+        messages: &mut BTreeMap<Digest, authros_crypto::record::Revealed>,
+    ) -> RecordReport {
+        let mut report = RecordReport {
+            digest,
+            owner: None,
+            person: None,
+            owner_key: None,
+            recorder: None,
+            topic_id: None,
+            seq: None,
+            captured_at: None,
+            anchored_at: None,
+            block: None,
+            seconds_to_anchor: None,
+            bytes: Level::new(Standing::Unproven, ""),
+            key: Level::new(Standing::Unproven, "the bytes do not hold"),
+            anchor: Level::new(Standing::Unproven, "the bytes do not hold"),
+            time: Level::new(Standing::Absent, "no authority's time stamp: this version neither makes nor reads any"),
+            opened: Level::new(Standing::Absent, "sealed: its owner did not disclose it"),
+            disclosed: None,
+        };
+        let header = match self.bytes(digest, record) {
+            Ok(found) => found,
+            Err(why) => {
+                report.bytes = Level::new(Standing::Refused, why);
+                return report;
+            }
+        };
+        report.owner = Some(header.owner);
+        report.person = self.trust.and_then(|trust| trust.person(header.owner)).map(|person| clean(&person.name, 80));
+        (report.recorder, report.topic_id, report.seq) =
+            (Some(header.recorder), Some(header.topic_id), Some(header.seq));
+        report.captured_at = Some(header.captured_at);
+        report.bytes = Level::new(Standing::Proven, format!("intact, and signed by the key {}", header.signer));
+        let (level, anchored) = anchored(self, digest, &header, record);
+        report.anchor = level;
+        let signed = anchored.as_ref().map(|anchored| signing_right(self, &header, anchored));
+        let owner_key = signed.as_ref().and_then(|signed| signed.owner_key);
+        report.owner_key = owner_key.filter(|_| is_believed(&report.anchor)).map(|key| signer_id(&key));
+        report.key = match signed {
+            Some(signed) => capped(signed.level, &report.anchor),
+            None => Level::new(Standing::Unproven, "no anchor is shown, and the key's right is judged at its block"),
+        };
+        if let Some(Anchored { block, time, .. }) = &anchored {
+            report.block = Some(*block);
+            report.anchored_at = time.map(Timestamp::from_seconds);
+            report.seconds_to_anchor = time.and_then(|time| seconds_between(header.captured_at.seconds(), time));
+        }
+        if record.disclosure.is_some() {
+            match self.opened(digest, record, &header, owner_key) {
+                Ok((revealed, level)) => {
+                    report.opened = capped(level, &report.anchor);
+                    report.disclosed = Some(self.disclosed(&revealed));
+                    messages.insert(digest, revealed);
+                }
+                Err(why) => report.opened = Level::new(Standing::Refused, why),
+            }
+        }
+        report
+    }
+
+    /// (a): the digest, the network, the signature.
+    fn bytes(&self, digest: Digest, record: &BundledRecord) -> Result<Header, String> {
+        let found = Digest(self.provider.sm3(&[&record.record]));
+        if found != digest {
+            return Err(format!("its SM3 is {found}: it is not the record that it is filed as"));
+        }
+        let (header, length) = Header::parse(&record.record).map_err(|error| format!("it is no record: {error}"))?;
+        let sealed = u64::from(header.head_length).saturating_add(header.body_length);
+        if (record.record.len() as u64).checked_sub(length as u64) != Some(sealed) {
+            return Err("it is not as long as its header says".to_owned());
+        }
+        if header.domain != self.domain {
+            let which = if self.trust.is_some() { "the one you pinned" } else { "the one that the bundle names" };
+            return Err(format!("it is bound to another chain or contract than {which}"));
+        }
+        let signer = self.bundle.keys.get(&header.signer);
+        let signer = signer.ok_or_else(|| format!("the key {} that signed it is not in the bundle", header.signer))?;
+        let signed = signed_bytes(&header.domain, &digest);
+        self.provider
+            .verify(signer, &signed, &record.signature)
+            .map_err(|_| format!("its signature is not one of the key {}", header.signer))?;
+        Ok(header)
+    }
+
+    /// (e): the secret is the record's, and its owner signed the disclosure. An identity proves that its key made it, and
+    /// not whose account it is: only the state or a pin ties the key to the owner.
+    fn opened(
+        &self,
+        digest: Digest,
+        record: &BundledRecord,
+        header: &Header,
+        owner_key: Option<PublicKey>,
+    ) -> Result<(authros_crypto::record::Revealed, Level), String> {
+        let Some(disclosure) = &record.disclosure else { return Err("it has no disclosure".to_owned()) };
+        let revealed = open_revealed(self.provider, &record.record, &disclosure.secret)
+            .map_err(|error| format!("the disclosed secret does not open it: {error}"))?;
+        let message = reveal_bytes(&header.domain, &digest, &disclosure.secret);
+        let is_owners = |key: &PublicKey| self.provider.verify(key, &message, &disclosure.signature).is_ok();
+        let pinned = self.trust.and_then(|trust| trust.person(header.owner)).and_then(|person| person.key);
+        let pinned = pinned.and_then(|key| self.bundle.keys.get(&key)).copied();
+        if [owner_key, pinned].iter().flatten().any(is_owners) {
+            return Ok((revealed, Level::new(Standing::Proven, "opened by its owner's disclosure")));
+        }
+        let mut claimed = self.bundle.identities.values().filter(|identity| self.is_of(identity, header.owner));
+        if claimed.any(|identity| is_owners(&identity.signing)) {
+            let text = "it opens, and this is the message; that its owner disclosed it is not shown";
+            return Ok((revealed, Level::new(Standing::Unproven, text)));
+        }
+        Err("the disclosure is not signed by its owner".to_owned())
+    }
+
+    /// Whether an identity proves that it is this account's.
+    pub fn is_of(&self, identity: &authros_model::Identity, account: Address) -> bool {
+        check_identity(self.provider, &self.domain, &account, identity).is_ok()
+    }
+
+    fn disclosed(&self, revealed: &authros_crypto::record::Revealed) -> Disclosed {
+        let head = &revealed.head;
+        Disclosed {
+            topic: clean(&head.topic, 256),
+            type_name: clean(&head.type_name, 256),
+            publisher: clean(&head.caller_id, 256),
+            length: revealed.body.len() as u64,
+            message_sm3: Digest(self.provider.sm3(&[&revealed.body])),
+            tags: head.tags.iter().map(|(tag, value)| (clean(tag, 64), clean(value, 256))).collect(),
+        }
+    }
+
+    fn exporter(&self, records: &[RecordReport]) -> Level {
+        let exporter = &self.bundle.manifest.exporter;
+        if !self.bundle.signed {
+            let text = format!("the manifest is not signed by the key {} that it names", exporter.key);
+            return Level::new(Standing::Refused, text);
+        }
+        let person = self.trust.and_then(|trust| trust.person(exporter.account));
+        let name = person.map_or(String::new(), |person| format!(" ({})", clean(&person.name, 80)));
+        let own =
+            |record: &RecordReport| (record.owner, record.owner_key) == (Some(exporter.account), Some(exporter.key));
+        let pinned = person.and_then(|person| person.key);
+        if pinned != Some(exporter.key) && (pinned.is_some() || !records.iter().any(own)) {
+            let text =
+                format!("put together by the key {}, which nothing here ties to {}", exporter.key, exporter.account);
+            return Level::new(Standing::Unproven, text);
+        }
+        Level::new(Standing::Proven, format!("put together by {}{name}", exporter.account))
+    }
+
+    fn warnings(&self, records: &[RecordReport]) -> Vec<String> {
+        let mut warnings = Vec::new();
+        if self.trust.is_none() {
+            warnings.push(
+                "no trust file: chain, contract and signers are the exporter's own word, and nothing about the chain is \
+                 proven; give --trust with what you know by another way"
+                    .to_owned(),
+            );
+        }
+        if records.iter().any(|record| record.anchor.standing == Standing::OwnChain) {
+            warnings.push(
+                "the exporter seals this chain himself: he could have written it anew, with any times; against him it \
+                 proves nothing"
+                    .to_owned(),
+            );
+        }
+        if records.iter().any(|record| record.seconds_to_anchor.is_some_and(|seconds| seconds < 0)) {
+            warnings
+                .push("a record claims to be captured after the block that anchors it: a clock was wrong".to_owned());
+        }
+        if !records.is_empty() {
+            warnings.push(
+                "capture times are the owner's claim; only the anchor says that a record existed by then".to_owned(),
+            );
+        }
+        if !self.bundle.manifest.members.iter().any(|member| member.name == crate::bundle::NODES) {
+            warnings.push("the bundle has no proof of the chain's state".to_owned());
+        }
+        warnings
+    }
+
+    /// The identity with this hash, where it is in the bundle and proves to be this account's.
+    pub fn identity(&self, hash: Hash, account: Address) -> Option<&authros_model::Identity> {
+        self.bundle.identities.get(&hash).filter(|identity| self.is_of(identity, account))
+    }
+}
+
+/// Whether the state that shows an anchor is one that pinned signers sealed.
+fn is_believed(anchor: &Level) -> bool {
+    matches!(anchor.standing, Standing::Proven | Standing::OwnChain)
+}
+
+/// What a state says is worth as much as the seals on it.
+fn capped(level: Level, anchor: &Level) -> Level {
+    match (level.standing, anchor.standing) {
+        (Standing::Proven, Standing::OwnChain) => Level { standing: Standing::OwnChain, ..level },
+        (Standing::Proven, standing) if standing != Standing::Proven => {
+            let text = format!("{}; as a state says that too few of the signers you pinned have sealed", level.text);
+            Level::new(Standing::Unproven, text)
+        }
+        _ => level,
+    }
+}
+
+fn seconds_between(from: u64, to: u64) -> Option<i64> {
+    i64::try_from(to).ok()?.checked_sub(i64::try_from(from).ok()?)
+}

@@ -1,0 +1,278 @@
+//! What a bundle of evidence is put together from: records as the vault holds them, their places in batches, and what the
+//! chain shows of their anchors and their signers' keys.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use authros_evidence::{
+    AnchorClaim, Anchoring, BundledRecord, Disclosure, Nodes, Packing, PackingError, PinnedChain, Slot, Trust, disclose,
+};
+use tokio::task::block_in_place;
+
+use crate::chain::{ChainError, Event, Revision, SealerKind};
+use crate::crypto::record::{RecordSecret, open_revealed};
+use crate::crypto::signer_id;
+use crate::model::{Address, Digest, ErrorKind, Header, Identity, PublicKey, SignerId};
+use crate::store::{RecordRow, Retained};
+
+use super::columns::{self, Keys as _};
+use super::reader::Reader;
+use super::{PipelineError, authority};
+
+/// The most records in a bundle.
+pub use authros_evidence::MOST_RECORDS;
+
+/// A bundle under way, and what could not be put into it.
+#[derive(Debug, Default)]
+pub struct Gathered {
+    /// The parts.
+    pub packing: Packing,
+    /// How many records.
+    pub records: u64,
+    /// How many of them are disclosed.
+    pub revealed: u64,
+    /// What is missing, in words.
+    pub notes: Vec<String>,
+}
+
+/// What a record of the bundle asks the chain to show.
+struct Asked {
+    digest: Digest,
+    owner: Address,
+    signer: SignerId,
+    block: u64,
+    keys: u64,
+    anchor: Anchoring,
+    record: BundledRecord,
+}
+
+fn refused(error: PackingError) -> PipelineError {
+    PipelineError::Refused(error.to_string())
+}
+
+/// Gathers these records, the reader's own, and discloses those that are named.
+///
+/// # Errors
+/// Of ledger, vault and chain; a record whose bytes are gone.
+pub async fn gather(
+    reader: &Reader<'_>,
+    rows: &[RecordRow],
+    reveal: &BTreeSet<Digest>,
+) -> Result<Gathered, PipelineError> {
+    let (mut gathered, mut asked) = (Gathered::default(), Vec::new());
+    for row in rows {
+        let Some((header, key, record)) = block_in_place(|| stored(reader, row, &mut gathered.notes))? else {
+            continue;
+        };
+        gathered.packing.key(&key).map_err(refused)?;
+        let disclosure = match reveal.contains(&row.digest) {
+            true => Some(disclosed(reader, row, &header, &record.record, &mut gathered).await?),
+            false => None,
+        };
+        gathered.records += 1;
+        gathered.revealed += u64::from(disclosure.is_some());
+        let record = BundledRecord { disclosure, ..record };
+        match block_in_place(|| anchoring(reader, row))? {
+            Some((block, anchor)) => {
+                let keys = key_version(reader, row.owner, block)?;
+                let (digest, owner, signer) = (row.digest, row.owner, row.signer);
+                asked.push(Asked { digest, owner, signer, block, keys, anchor, record });
+            }
+            None => gathered.packing.record(row.digest, record).map_err(refused)?,
+        }
+    }
+    show(reader, asked, &mut gathered).await?;
+    suggest(reader, &mut gathered).await?;
+    Ok(gathered)
+}
+
+/// The record's bytes, compared with its row, and the key that signed it.
+fn stored(
+    reader: &Reader<'_>,
+    row: &RecordRow,
+    notes: &mut Vec<String>,
+) -> Result<Option<(Header, PublicKey, BundledRecord)>, PipelineError> {
+    let plant = reader.plant;
+    let Some(record) = plant.vault.get(row.digest)? else {
+        let gone: Option<Retained> = plant.ledger.retained(row.digest)?.filter(|retained| retained.anchored);
+        return Err(gone.map_or_else(
+            || PipelineError::Missing(row.id.clone()),
+            |retained| PipelineError::Deleted(row.id.clone(), retained.report),
+        ));
+    };
+    let (header, _) = Header::parse(&record).map_err(crate::crypto::CryptoError::DamagedRecord)?;
+    if let Some(field) = columns::header_difference(row, &header) {
+        return Err(PipelineError::RowDiffers { id: row.id.clone(), field });
+    }
+    if header.domain != reader.network.domain {
+        notes.push(format!("record {} is of a chain or contract that was left, and is not in the bundle", row.id));
+        return Ok(None);
+    }
+    let own = reader.reader.signing().public;
+    let known = [Some(own), plant.ledger.signer(row.signer)?, authority::key_of(plant, reader.network, row)?];
+    let Some(key) = known.into_iter().flatten().find(|key| signer_id(key) == row.signer) else {
+        notes.push(format!(
+            "the key that signed record {} is not known here, and the record is not in the bundle",
+            row.id
+        ));
+        return Ok(None);
+    };
+    let record = BundledRecord { record, signature: row.signature, anchor: None, disclosure: None };
+    Ok(Some((header, key, record)))
+}
+
+/// The block of the record's anchor, and how it was anchored.
+fn anchoring(reader: &Reader<'_>, row: &RecordRow) -> Result<Option<(u64, Anchoring)>, PipelineError> {
+    let Some(place) = reader.plant.ledger.batch_place(row.digest)? else {
+        return Ok(row.block.map(|block| (block, Anchoring::Each)));
+    };
+    let (Some(account), Some(block)) = (place.account, place.block) else { return Ok(None) };
+    let crate::chain::merkle::Inclusion { index, count, path, root } = place.inclusion;
+    Ok(Some((block, Anchoring::Batch { account, root, index, count, path })))
+}
+
+/// Which version of an account's keys was in force at a block; 0 where the contract keeps no history of them.
+fn key_version(reader: &Reader<'_>, owner: Address, block: u64) -> Result<u64, PipelineError> {
+    if reader.network.chain.revision()? == Revision::First {
+        return Ok(0);
+    }
+    Ok(reader.network.directory.with_account(owner, |account| {
+        let identities = account.map(|account| account.identities.as_slice()).unwrap_or_default();
+        u64::try_from(identities.iter().filter(|identity| identity.block <= block).count()).unwrap_or(0)
+    }))
+}
+
+/// The owner's signed disclosure of a record; the text of its definition goes with it.
+async fn disclosed(
+    reader: &Reader<'_>,
+    row: &RecordRow,
+    header: &Header,
+    record: &[u8],
+    gathered: &mut Gathered,
+) -> Result<Disclosure, PipelineError> {
+    let (plant, network) = (reader.plant, reader.network);
+    let opened = reader.open(row).await?;
+    if let Some(definition) = reader.definition_text(row, &opened).await? {
+        gathered.packing.definition(&definition, plant.provider);
+    }
+    let secrets = reader.topic_keys(row, header).into_iter().map(|key| RecordSecret::of(&key, header));
+    let secret = { secrets }.find(|secret| open_revealed(plant.provider, record, secret).is_ok());
+    let secret = secret.ok_or(crate::crypto::CryptoError::WrongKey)?;
+    disclose(secret, (&network.domain, &row.digest), &reader.reader.signing(), plant.provider).map_err(refused)
+}
+
+/// Has the chain show every anchor, at its own block where the node still has that state, else at a late one.
+async fn show(reader: &Reader<'_>, asked: Vec<Asked>, gathered: &mut Gathered) -> Result<(), PipelineError> {
+    let chain = &reader.network.chain;
+    let mut blocks: BTreeMap<u64, Vec<Asked>> = BTreeMap::new();
+    asked.into_iter().for_each(|one| blocks.entry(one.block).or_default().push(one));
+    let head = chain.head().await?.number;
+    let further = u64::try_from(chain.sealing().await?.sealers.len() / 2).unwrap_or(0);
+    let (mut nodes, mut headers, mut identities) = (Vec::new(), BTreeSet::new(), BTreeSet::new());
+    identities.insert((reader.reader.address, key_version(reader, reader.reader.address, head)?));
+    for (block, all) in blocks {
+        let slots = slots(&all);
+        let late = head.saturating_sub(further).max(block);
+        let shown = match state_nodes(reader, block, &slots).await? {
+            Some(found) => Some((block, found)),
+            None => state_nodes(reader, late, &slots).await?.map(|found| (late, found)),
+        };
+        let shown_at = match shown {
+            Some((at, found)) => {
+                nodes.extend(found);
+                headers.extend(at..=at.saturating_add(further).min(head));
+                at
+            }
+            None => {
+                let text =
+                    format!("the node proves no state, of block {block} or a later one: level (c) is not proven");
+                gathered.notes.push(text);
+                block
+            }
+        };
+        for one in all {
+            identities.insert((one.owner, one.keys));
+            let anchor = Some(AnchorClaim::new(one.block, shown_at, one.keys, one.anchor));
+            gathered.packing.record(one.digest, BundledRecord { anchor, ..one.record }).map_err(refused)?;
+        }
+    }
+    for number in headers {
+        if let Some(header) = chain.header_rlp(number).await? {
+            gathered.packing.header(number, header);
+        }
+    }
+    for (account, version) in identities {
+        if let Some(identity) = identity(reader, account, version).await? {
+            gathered.packing.identity(&identity);
+        }
+    }
+    let nodes: Nodes = nodes.into_iter().collect();
+    if !nodes.is_empty() {
+        gathered.packing.nodes(&nodes);
+    }
+    Ok(())
+}
+
+/// What has to be shown of the contract's storage for these records.
+fn slots(all: &[Asked]) -> Vec<Slot> {
+    let mut slots = BTreeSet::new();
+    for Asked { digest, owner, signer, keys, anchor, .. } in all {
+        match anchor {
+            Anchoring::Each => slots.insert(Slot::uploaded(*owner, &digest.0).0),
+            Anchoring::Batch { account, root, .. } => slots.insert(Slot::anchor(*account, *root).0),
+        };
+        slots.extend([Slot::account(*owner).0, Slot::loan(*owner, &signer.0).0]);
+        if *keys != 0 {
+            let own = Slot::keys(*owner, *keys);
+            slots.extend([
+                own.0,
+                own.next(1).0,
+                Slot::keys(*owner, *keys + 1).0,
+                Slot::keys(*owner, *keys + 1).next(1).0,
+            ]);
+        }
+    }
+    slots.into_iter().map(Slot).collect()
+}
+
+/// `None` where the node no longer has that state, or proves nothing at all.
+async fn state_nodes(reader: &Reader<'_>, block: u64, slots: &[Slot]) -> Result<Option<Vec<Vec<u8>>>, PipelineError> {
+    match reader.network.chain.storage_nodes(block, slots).await {
+        Ok(nodes) => Ok(Some(nodes)),
+        Err(ChainError::Unreachable { url, reason }) => Err(ChainError::Unreachable { url, reason }.into()),
+        Err(error) if error.kind() == ErrorKind::Tampered => Err(error.into()),
+        Err(_) => Ok(None),
+    }
+}
+
+/// An account's identity of a version, as it was registered; the newest is asked of the contract, older ones of the block
+/// that registered them.
+async fn identity(reader: &Reader<'_>, account: Address, version: u64) -> Result<Option<Identity>, PipelineError> {
+    let chain = &reader.network.chain;
+    let Some(state) = chain.account(account).await? else { return Ok(None) };
+    if state.keys == version || version == 0 {
+        return Ok(Some(state.identity));
+    }
+    let place = usize::try_from(version - 1).unwrap_or(usize::MAX);
+    let block = reader.network.directory.with_account(account, |account| {
+        account.and_then(|account| account.identities.get(place)).map(|identity| identity.block)
+    });
+    let Some(block) = block else { return Ok(None) };
+    Ok(chain.changes(block, block).await?.into_iter().find_map(|at| match at.event {
+        Event::Registered { owner, identity, .. } if owner == account && version == 1 => Some(identity),
+        Event::KeysRotated { owner, keys, identity } if owner == account && keys == version => Some(identity),
+        _ => None,
+    }))
+}
+
+/// The trust file that the exporter would write.
+async fn suggest(reader: &Reader<'_>, gathered: &mut Gathered) -> Result<(), PipelineError> {
+    let chain = &reader.network.chain;
+    let Some(pin) = chain.pin() else { return Ok(()) };
+    let mut signers = chain.sealing().await?.sealers;
+    signers.sort_unstable();
+    let sealed_by_exporter = chain.sealed_by().await?.kind == SealerKind::Embedded;
+    let (id, genesis, contract, code_hash) = (pin.chain_id, pin.genesis, pin.contract, pin.code_hash);
+    let quorum = None;
+    let pinned = PinnedChain { id, genesis, contract, code_hash, signers, quorum, sealed_by_exporter };
+    gathered.packing.suggest(&Trust { chain: pinned, persons: Vec::new() }).map_err(refused)
+}

@@ -1,0 +1,146 @@
+//! Bundles of evidence: own records with all that proves them, for somebody who trusts nobody.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+use std::sync::Arc;
+
+use authros_evidence::{ClaimedChain, pack};
+
+use super::blocking;
+use crate::crypto::private_file;
+use crate::model::{Digest, ErrorKind, RecordState, clean};
+use crate::pipeline::evidence::{MOST_RECORDS, gather};
+use crate::pipeline::reader::Reader;
+use crate::pipeline::{Network, Owner, PipelineError, Plant};
+use crate::service::command::EvidenceWishes;
+use crate::service::failure::{input, internal};
+use crate::service::reply::{EvidenceView, Failure};
+use crate::site::audit::Log;
+use crate::site::chain::link::Link;
+use crate::site::parts::Parts;
+use crate::site::reading::Reading;
+use crate::store::{RecordQuery, RecordRow};
+
+/// Records asked of the ledger at a time.
+const PAGE: usize = 1000;
+
+/// Exports of what proves own records.
+pub(in crate::site) struct Evidence {
+    plant: Plant,
+    log: Arc<Log>,
+    link: Arc<Link>,
+    reading: Arc<Reading>,
+}
+
+impl Evidence {
+    /// From the shared parts.
+    pub fn new(parts: &Parts, reading: &Arc<Reading>) -> Self {
+        let Parts { plant, log, link, .. } = parts.clone();
+        Self { plant, log, link, reading: Arc::clone(reading) }
+    }
+
+    /// Writes records with all that proves them into a new file, 0600.
+    pub(super) async fn export(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        wishes: EvidenceWishes,
+    ) -> Result<EvidenceView, Failure> {
+        if wishes.file.symlink_metadata().is_ok() {
+            return Err(input(format!("{} exists; name a file that does not", wishes.file.display())));
+        }
+        let network = self.link.network().await?;
+        let mut rows = self.chosen(owner, &wishes).await?;
+        let mut reveal = BTreeSet::new();
+        for id in &wishes.reveal {
+            let row = self.reading.own_record(&owner.profile, id).await?;
+            reveal.insert(row.digest);
+            if !rows.iter().any(|known| known.digest == row.digest) {
+                rows.push(row.clone());
+            }
+            // A disclosure is for ever: it is written down before anything leaves.
+            self.log.begin(owner, "disclose record", &row.id).await?;
+        }
+        if rows.is_empty() {
+            return Err(input("no record of yours is in that choice; `authros uploads list` shows them".to_owned()));
+        }
+        let file = clean(&wishes.file.display().to_string(), 300);
+        self.log.begin(owner, "export evidence", &file).await?;
+        let written = self.write_evidence(owner, &network, &rows, &reveal, &wishes.file).await;
+        for row in rows.iter().filter(|row| reveal.contains(&row.digest)) {
+            let ended = written.as_ref().map(|_| ()).map_err(Clone::clone);
+            // What went wrong is told once, below.
+            drop(self.log.end(owner, "disclose record", &row.id, ended).await);
+        }
+        self.log.end(owner, "export evidence", &file, written).await
+    }
+
+    /// The own records that are asked for, whose bytes are stored; all of them where nothing narrows it.
+    async fn chosen(self: &Arc<Self>, owner: &Arc<Owner>, wishes: &EvidenceWishes) -> Result<Vec<RecordRow>, Failure> {
+        let mut rows = Vec::new();
+        for id in &wishes.records {
+            rows.push(self.reading.own_record(&owner.profile, id).await?);
+        }
+        let narrowed = wishes.topic.is_some() || wishes.since.is_some() || wishes.until.is_some();
+        if !narrowed && !(wishes.records.is_empty() && wishes.reveal.is_empty()) {
+            return Ok(rows);
+        }
+        let mut after = None;
+        loop {
+            let query = RecordQuery {
+                owner: Some(owner.address),
+                topic: wishes.topic.as_ref().map(ToString::to_string),
+                since: wishes.since,
+                until: wishes.until,
+                after,
+                limit: PAGE,
+                ..RecordQuery::default()
+            };
+            let page = blocking(self, move |evidence| Ok(evidence.plant.ledger.list(&query)?)).await?;
+            rows.extend(page.rows.into_iter().filter(is_stored));
+            if rows.len() > MOST_RECORDS {
+                return Err(input(format!(
+                    "that is more than {MOST_RECORDS} records; narrow it by --topic, --since and --until"
+                )));
+            }
+            after = page.next;
+            if after.is_none() {
+                return Ok(rows);
+            }
+        }
+    }
+
+    async fn write_evidence(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        network: &Network,
+        rows: &[RecordRow],
+        reveal: &BTreeSet<Digest>,
+        file: &Path,
+    ) -> Result<EvidenceView, Failure> {
+        let reader = Reader { plant: &self.plant, network, reader: owner };
+        let gathered = gather(&reader, rows, reveal).await?;
+        let chain = &network.chain;
+        let pin = chain.pin().ok_or_else(|| PipelineError::from(crate::chain::ChainError::NoContract))?;
+        let claimed = ClaimedChain { id: pin.chain_id, genesis: pin.genesis, contract: pin.contract };
+        let failed = |error: authros_evidence::PackingError| Failure::new(ErrorKind::Input, error.to_string());
+        let bytes = tokio::task::block_in_place(|| {
+            let members =
+                gathered.packing.sign(claimed, owner.address, &owner.signing(), self.plant.provider).map_err(failed)?;
+            pack(&members).map_err(failed)
+        })?;
+        private_file::create_private(file, &bytes)?;
+        let length = u64::try_from(bytes.len()).map_err(|error| internal(error.to_string()))?;
+        Ok(EvidenceView {
+            file: file.display().to_string(),
+            bytes: length,
+            records: gathered.records,
+            revealed: gathered.revealed,
+            notes: gathered.notes,
+        })
+    }
+}
+
+/// Whether a record's ciphertext is to be in the vault.
+fn is_stored(row: &RecordRow) -> bool {
+    !matches!(row.state, RecordState::Captured | RecordState::Sealed | RecordState::Quarantined | RecordState::Dropped)
+}

@@ -1,0 +1,183 @@
+//! `evidence export`, and `verify` of a bundle: what the levels say, for people.
+
+use std::path::{Path, PathBuf};
+
+use clap::Subcommand;
+
+use super::connect::{Context, ProfileNeed};
+use super::parse;
+use super::verbs::CHAIN;
+use crate::crypto::{ProviderName, provider};
+use crate::model::{Digest, ErrorKind, clean, clean_lines};
+use crate::ros::{Definition, Limits};
+use crate::service::Failure;
+use crate::service::command::{EvidenceWishes, ExportEvidence};
+use crate::service::reply::EvidenceView;
+use authros_evidence::{Bundle, Outcome, Report, Trust};
+use authros_output::{Output, table};
+
+/// The most characters of a disclosed message that are shown.
+const MOST_SHOWN: usize = 4000;
+
+/// `evidence …`
+#[derive(Debug, Subcommand)]
+pub enum EvidenceVerb {
+    /// Write own records, with all that proves them, into one file for `verify`; all records where nothing narrows it
+    Export {
+        /// The file, NAME.authros; must not exist
+        file: PathBuf,
+        /// Only this record, by its id; may be repeated
+        #[arg(long = "record", value_name = "ID")]
+        records: Vec<String>,
+        /// Only of this topic
+        #[arg(long, value_name = "TOPIC")]
+        topic: Option<String>,
+        /// Captured at or after, RFC 3339
+        #[arg(long, value_name = "TIME")]
+        since: Option<String>,
+        /// Captured before, RFC 3339
+        #[arg(long, value_name = "TIME")]
+        until: Option<String>,
+        /// Disclose this record, by its id: whoever has the file reads its topic, its type and its message, for ever, and
+        /// nothing else of the topic; may be repeated
+        #[arg(long = "reveal", value_name = "ID")]
+        reveal: Vec<String>,
+    },
+}
+
+/// `evidence export`.
+///
+/// # Errors
+/// What the arguments or the site say.
+pub async fn run(context: Context, verb: EvidenceVerb, output: &Output) -> Result<u8, Failure> {
+    let EvidenceVerb::Export { file, records, topic, since, until, reveal } = verb;
+    let file = std::path::absolute(&file)
+        .map_err(|error| Failure::new(ErrorKind::Input, format!("{}: {error}", file.display())))?;
+    let moment = |text: Option<String>| text.as_deref().map(parse::moment).transpose();
+    let topic = topic.as_deref().map(parse::value).transpose()?;
+    let wishes = EvidenceWishes { file, records, topic, since: moment(since)?, until: moment(until)?, reveal };
+    let connection = context.connect(CHAIN).await?;
+    let result = async {
+        context.prepare(&connection.client, ProfileNeed::Unlocked, output).await?;
+        connection.client.ask(ExportEvidence(wishes)).await
+    };
+    let result = result.await;
+    connection.close().await;
+    let view = result?;
+    output.result(&view, || exported(&view));
+    Ok(0)
+}
+
+/// What an export wrote, for people.
+pub fn exported(view: &EvidenceView) -> String {
+    let EvidenceView { file, bytes, records, revealed, notes } = view;
+    let mut lines = vec![format!("{records} records, {revealed} of them disclosed, in {file} (0600, {bytes} bytes)")];
+    lines.extend(notes.iter().map(|note| format!("note: {note}")));
+    lines.join("\n")
+}
+
+/// Whether `verify` is given a bundle, and not a folder of `uploads export`.
+pub fn is_bundle(path: &Path) -> bool {
+    !path.is_dir() || path.join("manifest.json").exists()
+}
+
+/// `verify` of a bundle: no home, no network.
+///
+/// # Errors
+/// Where it is no bundle, or the trust file is none.
+pub fn run_verify(path: &Path, trust: Option<&Path>, output: &Output) -> Result<u8, Failure> {
+    let provider = provider(ProviderName::default());
+    let trust = trust.map(read_trust).transpose()?;
+    let failed = |error: authros_evidence::BundleError| {
+        let text = format!("{}: {error}; nothing of it is shown, ask its exporter for another copy", path.display());
+        Failure::new(ErrorKind::Tampered, text)
+    };
+    let bundle = Bundle::read(path, provider).map_err(failed)?;
+    let report = authros_evidence::verify(&bundle, trust.as_ref(), provider);
+    output.result(&shown(&bundle, &report), || text(&bundle, &report));
+    Ok(match report.outcome {
+        Outcome::Holds => 0,
+        Outcome::Incomplete => ErrorKind::Incomplete.exit_code(),
+        Outcome::Refused => ErrorKind::Tampered.exit_code(),
+    })
+}
+
+fn read_trust(path: &Path) -> Result<Trust, Failure> {
+    let failed = |why: String| Failure::new(ErrorKind::Input, format!("{}: {why}", path.display()));
+    let bytes = std::fs::read(path).map_err(|error| failed(error.to_string()))?;
+    Trust::parse(&bytes).map_err(|error| failed(error.to_string()))
+}
+
+/// The report as JSON, with the fields of disclosed messages.
+fn shown(bundle: &Bundle, report: &Report) -> serde_json::Value {
+    let mut value = serde_json::to_value(report).unwrap_or_default();
+    let records = value.get_mut("records").and_then(serde_json::Value::as_array_mut);
+    for (shown, record) in records.into_iter().flatten().zip(&report.records) {
+        let (Some(disclosed), Some(fields)) = (shown.get_mut("disclosed"), message(bundle, report, record.digest))
+        else {
+            continue;
+        };
+        if let Some(disclosed) = disclosed.as_object_mut() {
+            disclosed.insert("message".to_owned(), fields);
+        }
+    }
+    value
+}
+
+/// A disclosed message's fields, where the definition that its head names is in the bundle.
+fn message(bundle: &Bundle, report: &Report, digest: Digest) -> Option<serde_json::Value> {
+    let revealed = report.messages.get(&digest)?;
+    let text = bundle.definitions.get(&revealed.head.definition)?;
+    let definition = Definition::parse(&revealed.head.type_name, text).ok()?;
+    let value = definition.decode(&revealed.body, Limits::default()).ok()?;
+    Some(value.to_json())
+}
+
+fn text(bundle: &Bundle, report: &Report) -> String {
+    let mut lines = Vec::new();
+    for record in &report.records {
+        let who = match (&record.person, record.owner) {
+            (Some(person), Some(owner)) => format!("{person} ({owner})"),
+            (None, Some(owner)) => owner.to_string(),
+            (_, None) => "unknown".to_owned(),
+        };
+        lines.push(format!("record {} of {who}", record.digest));
+        if let (Some(seq), Some(captured)) = (record.seq, record.captured_at) {
+            let gap =
+                record.seconds_to_anchor.map_or(String::new(), |seconds| format!(", {seconds} s before its anchor"));
+            lines.push(format!("number {seq}, captured {captured} as its owner says{gap}"));
+        }
+        let rows: Vec<Vec<String>> = record
+            .levels()
+            .map(|(letter, level)| {
+                vec![format!("({letter})"), level.standing.word().to_owned(), clean(&level.text, 400)]
+            })
+            .to_vec();
+        lines.push(table(&["level", "", ""], &rows));
+        if let Some(disclosed) = &record.disclosed {
+            lines.push(format!(
+                "{} {}, {} bytes, from {}",
+                disclosed.topic, disclosed.type_name, disclosed.length, disclosed.publisher
+            ));
+            let fields =
+                message(bundle, report, record.digest).and_then(|value| serde_json::to_string_pretty(&value).ok());
+            let unread = || "its fields are not shown: the message's definition is not in the bundle".to_owned();
+            lines.push(clean_lines(&fields.unwrap_or_else(unread), MOST_SHOWN));
+        }
+        lines.push(String::new());
+    }
+    for stretch in &report.complete {
+        lines.push(format!("(f) topic {} of recorder {}: {}", stretch.topic_id, stretch.recorder, stretch.text));
+    }
+    lines.push(report.exporter.text.clone());
+    lines.extend(report.warnings.iter().map(|warning| format!("note: {warning}")));
+    lines.push(
+        match report.outcome {
+            Outcome::Holds => "levels (a) to (c) hold for every record, by what you pinned; read the notes",
+            Outcome::Incomplete => "NOT ALL IS PROVEN: the levels say what is not",
+            Outcome::Refused => "REFUSED: something is contradicted; the levels say what",
+        }
+        .to_owned(),
+    );
+    lines.join("\n")
+}

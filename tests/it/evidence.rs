@@ -1,0 +1,203 @@
+//! A bundle of evidence, from a home to somebody who has neither home nor network nor our word.
+#![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
+
+use crate::support;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use serde_json::Value;
+use support::{Anvil, Home, Outcome, Running, list, skipped, system_program, text};
+
+struct Exported {
+    home: Home,
+    bundle: PathBuf,
+    trust: PathBuf,
+    revealed: String,
+    records: Vec<Value>,
+}
+
+fn export() -> Exported {
+    let home = Home::new();
+    let authros = home.authros().with(&["--robots", "1"]);
+    authros.enrol();
+    authros.capture(&["/robot1/odom"], 3);
+    let records = authros.records(&["uploads", "list"]);
+    let revealed = text(&records[0], "digest");
+    let (bundle, trust) = (home.root().join("case.authros"), home.root().join("trust.toml"));
+    let place = bundle.to_str().expect("UTF-8");
+    let view =
+        authros.json(&["evidence", "export", place, "--topic", "/robot1/odom", "--reveal", &text(&records[0], "id")]);
+    assert_eq!((&view["revealed"], &view["notes"]), (&1.into(), &Value::Array(Vec::new())), "{view}");
+    let again = authros.run(&["evidence", "export", place]);
+    assert_eq!(again.code, Some(3), "a file that exists is not replaced: {again}");
+    let audit = authros.json(&["audit", "list"]);
+    // The newest first: what is disclosed is written down before the export begins.
+    let deeds: Vec<String> =
+        list(&audit, "audit").iter().map(|line| text(line, "action") + " " + &text(line, "outcome")).collect();
+    let place =
+        |deed: &str| deeds.iter().position(|found| found == deed).unwrap_or_else(|| panic!("no {deed}: {deeds:?}"));
+    assert!(place("disclose record begun") > place("export evidence begun"), "{deeds:?}");
+    // What the exporter suggests; here the test has looked at it.
+    let suggested = unzipped(&bundle, "trust.toml");
+    fs::write(&trust, suggested).expect("written");
+    Exported { home, bundle, trust, revealed, records }
+}
+
+/// One member, by a program that knows ZIP and nothing of us.
+fn unzipped(bundle: &Path, name: &str) -> Vec<u8> {
+    let script = "import sys, zipfile\nsys.stdout.buffer.write(zipfile.ZipFile(sys.argv[1]).read(sys.argv[2]))\n";
+    let output = Command::new("python3").args(["-c", script]).arg(bundle).arg(name).output().expect("python3");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    output.stdout
+}
+
+/// `verify` with an empty HOME, and without a network where this machine can do that.
+fn verified(bundle: &Path, trust: Option<&Path>) -> Outcome {
+    let empty = tempfile::tempdir().expect("directory");
+    let cut = Command::new("unshare").args(["-rn", "true"]).status().is_ok_and(|status| status.success());
+    let mut command = if cut { Command::new("unshare") } else { Command::new(env!("CARGO_BIN_EXE_authros")) };
+    if cut {
+        command.args(["-rn", env!("CARGO_BIN_EXE_authros")]);
+    }
+    command.env_clear().env("HOME", empty.path()).arg("verify").arg(bundle).arg("--json");
+    if let Some(trust) = trust {
+        command.arg("--trust").arg(trust);
+    }
+    let outcome = Running::start(command).wait(60);
+    assert_eq!(fs::read_dir(empty.path()).expect("listed").count(), 0, "nothing is left in HOME");
+    outcome
+}
+
+/// The second verifier, in Python alone.
+fn by_the_second(bundle: &Path, trust: Option<&Path>) -> Outcome {
+    let mut command = Command::new("python3");
+    command.args(["-B", concat!(env!("CARGO_MANIFEST_DIR"), "/tools/verify.py")]).arg(bundle);
+    if let Some(trust) = trust {
+        command.arg("--trust").arg(trust);
+    }
+    Running::start(command).wait(120)
+}
+
+/// Both verifiers say the same of each record.
+fn expect_agreement(bundle: &Path, trust: Option<&Path>) {
+    let (ours, theirs) = (verified(bundle, trust), by_the_second(bundle, trust));
+    assert_eq!(ours.code, theirs.code, "{ours}\n{theirs}");
+    let (ours, theirs) = (ours.document(), theirs.document());
+    let standings = |record: &Value| {
+        ["bytes", "key", "anchor", "opened"].map(|level| {
+            let told = &record[level];
+            text(record, "digest") + " " + told.as_str().or_else(|| told["standing"].as_str()).expect("a standing")
+        })
+    };
+    let all = |report: &Value| list(report, "records").iter().map(standings).collect::<Vec<_>>();
+    assert_eq!(all(&ours), all(&theirs));
+}
+
+#[test]
+fn a_bundle_is_verified_on_another_machine_and_every_lie_is_refused() {
+    if system_program("python3").is_none() {
+        skipped!("no python3");
+    }
+    let Exported { home, bundle, trust, revealed, records } = export();
+    let report = verified(&bundle, Some(&trust)).expect_code(0).document();
+    assert_eq!((text(&report, "outcome").as_str(), &report["pinned"]), ("holds", &true.into()), "{report}");
+    let found = list(&report, "records");
+    assert_eq!(found.len(), records.len() + 1, "the messages and the record of their definition");
+    for record in &found {
+        let standing = |level: &str| text(&record[level], "standing");
+        assert_eq!(standing("bytes"), "proven", "{record}");
+        // The home seals its chain itself, and is told so.
+        assert_eq!((standing("key"), standing("anchor")), ("own_chain".into(), "own_chain".into()), "{record}");
+        let opened = text(record, "digest") == revealed;
+        assert_eq!(standing("opened"), if opened { "own_chain" } else { "absent" }, "{record}");
+        if opened {
+            let disclosed = &record["disclosed"];
+            assert_eq!(text(disclosed, "topic"), "/robot1/odom");
+            assert!(disclosed["message"]["pose"]["pose"]["position"]["x"].is_number(), "its values: {disclosed}");
+        } else {
+            assert!(record["disclosed"].is_null(), "nothing else is readable: {record}");
+        }
+    }
+    assert!(list(&report, "complete").iter().all(|stretch| stretch["missing"] == 0), "{report}");
+    verified(&bundle, None).expect_code(8);
+    expect_agreement(&bundle, Some(&trust));
+    expect_agreement(&bundle, None);
+    refused(&home, &bundle, &trust);
+}
+
+fn refused(home: &Home, bundle: &Path, trust: &Path) {
+    let bytes = fs::read(bundle).expect("read");
+    let altered = home.root().join("altered.authros");
+    for part in 0..24 {
+        let mut changed = bytes.clone();
+        let at = part * (bytes.len() / 24);
+        changed[at] ^= 1;
+        fs::write(&altered, changed).expect("written");
+        let outcome = verified(&altered, Some(trust));
+        assert_eq!(outcome.code, Some(6), "byte {at}: {outcome}");
+        let outcome = by_the_second(&altered, Some(trust));
+        assert_eq!(outcome.code, Some(6), "byte {at}: {outcome}");
+    }
+    let pins = fs::read_to_string(trust).expect("text");
+    let other = home.root().join("other.toml");
+    let signer = pins.lines().find(|line| line.starts_with("signers")).expect("signers");
+    let pinned = "signers = [\"0x0101010101010101010101010101010101010101\"]";
+    fs::write(&other, pins.replace(signer, pinned)).expect("written");
+    let report = verified(bundle, Some(&other)).expect_code(6).document();
+    assert!(report.to_string().contains("whom you did not pin"), "{report}");
+    expect_agreement(bundle, Some(&other));
+}
+
+#[test]
+fn the_same_export_twice_differs_in_its_signature_alone() {
+    if system_program("python3").is_none() {
+        skipped!("no python3");
+    }
+    let home = Home::new();
+    let authros = home.authros().with(&["--robots", "1"]);
+    authros.enrol();
+    authros.capture(&["/robot1/odom"], 2);
+    let id = text(&authros.records(&["uploads", "list"])[0], "id");
+    let export = |name: &str| {
+        let file = home.root().join(name);
+        authros.run(&["evidence", "export", file.to_str().expect("UTF-8"), "--record", &id]).expect_code(0);
+        file
+    };
+    let (one, other) = (export("one.authros"), export("other.authros"));
+    let manifest = unzipped(&one, "manifest.json");
+    assert_eq!(manifest, unzipped(&other, "manifest.json"), "every other member is named in it with its hashes");
+    assert_ne!(unzipped(&one, "manifest.der"), unzipped(&other, "manifest.der"), "signatures are drawn anew");
+}
+
+/// The proofs are another program's here (anvil's), and so are the headers, which nobody signs.
+#[test]
+fn a_foreign_nodes_proofs_show_the_anchor_and_its_unsigned_headers_are_named() {
+    if system_program("python3").is_none() {
+        skipped!("no python3");
+    }
+    let Some(node) = Anvil::start(&[]) else { skipped!("no anvil; tests/run installs it into target/peers") };
+    let home = Home::new();
+    let url = node.http();
+    let authros = home.authros().with(&["--chain", &url, "--robots", "1"]);
+    let made = authros.json(&["identity", "create"]);
+    node.fund(&text(&made, "address"));
+    authros.json(&["register"]);
+    authros.capture(&["/robot1/odom"], 2);
+    let (bundle, trust) = (home.root().join("case.authros"), home.root().join("trust.toml"));
+    let view = authros.json(&["evidence", "export", bundle.to_str().expect("UTF-8")]);
+    assert_eq!(view["notes"], Value::Array(Vec::new()), "{view}");
+    fs::write(&trust, unzipped(&bundle, "trust.toml")).expect("written");
+    let report = verified(&bundle, Some(&trust)).expect_code(8).document();
+    let found = list(&report, "records");
+    assert!(found.len() >= 3, "{report}");
+    for record in &found {
+        let told = text(&record["anchor"], "text");
+        assert_eq!(text(&record["bytes"], "standing"), "proven", "{record}");
+        assert_eq!(text(&record["anchor"], "standing"), "unproven", "{record}");
+        assert!(told.contains("anchored in block") && told.contains("no seal that this version checks"), "{told}");
+        assert!(text(&record["key"], "text").contains("the key was"), "the registration is shown: {record}");
+    }
+    expect_agreement(&bundle, Some(&trust));
+}

@@ -1,0 +1,677 @@
+#!/usr/bin/env python3
+"""A second verifier of evidence bundles, written from docs/format.md, section 11, with nothing but Python's standard library.
+
+    verify.py NAME.authros [--trust trust.toml]
+
+It says of each record whether level (a), (b), (c) and (e) are proven, own_chain, unproven, absent or refused, as JSON, and ends
+with 0 where (a) to (c) hold for all by what was pinned, 8 where something is not proven, 6 where something is refused. It is
+slow, on purpose: it can be read in one sitting. Bodies packed by the matrix code are opened and not unpacked, and it says so.
+"""
+import hashlib
+import hmac
+import json
+import pathlib
+import re
+import struct
+import sys
+import tomllib
+import zipfile
+
+
+class Refused(Exception):
+    """Something is contradicted."""
+
+
+class Unproven(Exception):
+    """Something that would prove it is missing."""
+
+
+M32 = 0xFFFFFFFF
+
+
+def rotl(x, n):
+    n %= 32
+    return ((x << n) | (x >> (32 - n))) & M32
+
+
+def sm3(data):  # GB/T 32905
+    v = [0x7380166F, 0x4914B2B9, 0x172442D7, 0xDA8A0600, 0xA96F30BC, 0x163138AA, 0xE38DEE4D, 0xB0FB0E4E]
+    data += b"\x80" + bytes((55 - len(data)) % 64) + struct.pack(">Q", len(data) * 8)
+    p1 = lambda x: x ^ rotl(x, 15) ^ rotl(x, 23)
+    for at in range(0, len(data), 64):
+        w = list(struct.unpack(">16I", data[at:at + 64]))
+        for j in range(16, 68):
+            w.append(p1(w[j - 16] ^ w[j - 9] ^ rotl(w[j - 3], 15)) ^ rotl(w[j - 13], 7) ^ w[j - 6])
+        a, b, c, d, e, f, g, h = v
+        for j in range(64):
+            ss1 = rotl((rotl(a, 12) + e + rotl(0x79CC4519 if j < 16 else 0x7A879D8A, j)) & M32, 7)
+            ff = a ^ b ^ c if j < 16 else (a & b) | (a & c) | (b & c)
+            gg = e ^ f ^ g if j < 16 else (e & f) | (~e & g)
+            tt1 = (ff + d + (ss1 ^ rotl(a, 12)) + (w[j] ^ w[j + 4])) & M32
+            tt2 = (gg + h + ss1 + w[j]) & M32
+            a, b, c, d = tt1, a, rotl(b, 9), c
+            e, f, g, h = tt2 ^ rotl(tt2, 9) ^ rotl(tt2, 17), e, rotl(f, 19), g
+        v = [x ^ y for x, y in zip(v, (a, b, c, d, e, f, g, h))]
+    return struct.pack(">8I", *v)
+
+
+def hmac_sm3(key, data):
+    key = (sm3(key) if len(key) > 64 else key).ljust(64, b"\0")
+    return sm3(bytes(b ^ 0x5C for b in key) + sm3(bytes(b ^ 0x36 for b in key) + data))
+
+
+def expand(prk, info, length):  # RFC 5869
+    out, block = b"", b""
+    for number in range(1, -(-length // 32) + 1):
+        block = hmac_sm3(prk, block + info + bytes([number]))
+        out += block
+    return out[:length]
+
+
+def keccak(data):  # Keccak-256, as Ethereum has it
+    rotation, constants, state = {}, [], [0] * 25
+    x, y, bits = 1, 0, 1
+    for t in range(24):
+        rotation[x + 5 * y] = (t + 1) * (t + 2) // 2 % 64
+        x, y = y, (2 * x + 3 * y) % 5
+    for _ in range(24):
+        constant = 0
+        for j in range(7):
+            constant ^= (1 << (2 ** j - 1)) if bits & 1 else 0
+            bits = (bits << 1) ^ (0x171 if bits & 0x80 else 0)
+        constants.append(constant)
+    mask = 2 ** 64 - 1
+    turn = lambda v, n: ((v << n) | (v >> (64 - n))) & mask
+    padded = bytearray(data + b"\1" + bytes(-(len(data) + 1) % 136))
+    padded[-1] |= 0x80
+    for at in range(0, len(padded), 136):
+        for lane in range(17):
+            state[lane] ^= int.from_bytes(padded[at + 8 * lane:at + 8 * lane + 8], "little")
+        for constant in constants:
+            c = [state[x] ^ state[x + 5] ^ state[x + 10] ^ state[x + 15] ^ state[x + 20] for x in range(5)]
+            state = [state[i] ^ c[(i + 4) % 5] ^ turn(c[(i + 1) % 5], 1) for i in range(25)]
+            b = [0] * 25
+            for i in range(25):
+                x, y = i % 5, i // 5
+                b[y + 5 * ((2 * x + 3 * y) % 5)] = turn(state[i], rotation.get(i, 0))
+            state = [b[i] ^ (~b[i // 5 * 5 + (i + 1) % 5] & b[i // 5 * 5 + (i + 2) % 5] & mask) for i in range(25)]
+            state[0] ^= constant
+    return b"".join(lane.to_bytes(8, "little") for lane in state[:4])
+
+
+assert keccak(b"").hex().startswith("c5d2460186f7233c") and sm3(b"abc").hex().startswith("66c7f0f462eeedd9")
+
+
+def sbox():  # GB/T 32907: affine, inversion modulo x^8 + x^7 + x^6 + x^5 + x^4 + x^2 + 1, affine
+    def times(a, b):
+        product = 0
+        while b:
+            product ^= a if b & 1 else 0
+            a, b = (a << 1) ^ (0x1F5 if a & 0x80 else 0), b >> 1
+        return product
+
+    def affine(x):
+        return sum((bin(x & row).count("1") & 1) << (7 - at) for at, row in enumerate(rows)) ^ 0xD3
+
+    rows = [(0xD3 >> at | 0xD3 << (8 - at)) & 0xFF for at in range(8)]
+    inverse = {0: 0}
+    inverse.update({a: b for a in range(1, 256) for b in range(1, 256) if times(a, b) == 1})
+    return [affine(inverse[affine(x)]) for x in range(256)]
+
+
+SBOX = sbox()
+assert (SBOX[0x00], SBOX[0x01], SBOX[0xEF], SBOX[0xFF]) == (0xD6, 0x90, 0x84, 0x48), "SM4's S-box"
+
+
+def tau(x):
+    return int.from_bytes(bytes(SBOX[b] for b in x.to_bytes(4, "big")), "big")
+
+
+def sm4_keys(key):
+    k = [a ^ b for a, b in zip(struct.unpack(">4I", key), (0xA3B1BAC6, 0x56AA3350, 0x677D9197, 0xB27022DC))]
+    for i in range(32):
+        ck = int.from_bytes(bytes((4 * i + j) * 7 % 256 for j in range(4)), "big")
+        b = tau(k[i + 1] ^ k[i + 2] ^ k[i + 3] ^ ck)
+        k.append(k[i] ^ b ^ rotl(b, 13) ^ rotl(b, 23))
+    return k[4:]
+
+
+def sm4(keys, block):
+    x = list(struct.unpack(">4I", block))
+    for rk in keys:
+        b = tau(x[1] ^ x[2] ^ x[3] ^ rk)
+        x = x[1:] + [x[0] ^ b ^ rotl(b, 2) ^ rotl(b, 10) ^ rotl(b, 18) ^ rotl(b, 24)]
+    return struct.pack(">4I", *reversed(x))
+
+
+def gcm_open(key, nonce, aad, sealed):  # NIST SP 800-38D over SM4, RFC 8998
+    keys = sm4_keys(key)
+    h = int.from_bytes(sm4(keys, bytes(16)), "big")
+
+    def times(x):
+        product, v = 0, h
+        for bit in range(127, -1, -1):
+            product ^= v if x >> bit & 1 else 0
+            v = (v >> 1) ^ (0xE1 << 120 if v & 1 else 0)
+        return product
+
+    text_, tag = sealed[:-16], sealed[-16:]
+    pad = lambda data: data + bytes(-len(data) % 16)
+    y, hashed = 0, pad(aad) + pad(text_) + struct.pack(">2Q", len(aad) * 8, len(text_) * 8)
+    for at in range(0, len(hashed), 16):
+        y = times(y ^ int.from_bytes(hashed[at:at + 16], "big"))
+    first = sm4(keys, nonce + b"\0\0\0\1")
+    if not hmac.compare_digest(tag, bytes(a ^ b for a, b in zip(first, y.to_bytes(16, "big")))):
+        raise Refused("a tag does not hold")
+    stream = b"".join(sm4(keys, nonce + struct.pack(">I", n + 2)) for n in range(-(-len(text_) // 16)))
+    return bytes(a ^ b for a, b in zip(text_, stream))
+
+
+# GB/T 32918: the recommended curve.
+P = 0xFFFFFFFEFFFFFFFFFFFFFFFFFFFFFFFFFFFFFFFF00000000FFFFFFFFFFFFFFFF
+A = P - 3
+B = 0x28E9FA9E9D9F5E344D5A9E4BCF6509A7F39789F515AB8F92DDBCBD414D940E93
+N = 0xFFFFFFFEFFFFFFFFFFFFFFFFFFFFFFFF7203DF6B21C6052B53BBF40939D54123
+G = (0x32C4AE2C1F1981195F9904466A39C9948FE30BBFF2660BE1715A4589334C74C7,
+     0xBC3736A2F4F6779C59BDCEE36B692153D0A9877CC62A474002DF32E52139F0A0)
+
+
+def add(p, q, a, modulus):
+    if p is None or q is None:
+        return p or q
+    if p[0] == q[0] and (p[1] + q[1]) % modulus == 0:
+        return None
+    rise, run = (3 * p[0] * p[0] + a, 2 * p[1]) if p == q else (q[1] - p[1], q[0] - p[0])
+    slope = rise * pow(run, -1, modulus) % modulus
+    x = (slope * slope - p[0] - q[0]) % modulus
+    return x, (slope * (p[0] - x) - p[1]) % modulus
+
+
+def mul(k, p, a, modulus):
+    total = None
+    while k:
+        total, p, k = add(total, p, a, modulus) if k & 1 else total, add(p, p, a, modulus), k >> 1
+    return total
+
+
+def sm2_verify(public, message, der):
+    try:
+        r, s = der_numbers(der)
+    except (IndexError, ValueError):
+        return False
+    point = tuple(int.from_bytes(public[at:at + 32], "big") for at in (0, 32))
+    if (point[1] ** 2 - point[0] ** 3 - A * point[0] - B) % P:
+        return False
+    number = lambda x: x.to_bytes(32, "big")
+    name = b"1234567812345678"
+    z = sm3(struct.pack(">H", len(name) * 8) + name + b"".join(map(number, (A, B, *G, *point))))
+    e = int.from_bytes(sm3(z + message), "big")
+    t = (r + s) % N
+    if not (0 < r < N and 0 < s < N and t):
+        return False
+    sum_ = add(mul(s, G, A, P), mul(t, point, A, P), A, P)
+    return sum_ is not None and (e + sum_[0]) % N == r
+
+
+def der_numbers(der):  # SEQUENCE of two INTEGERs, in the one form there is
+    if der[0] != 0x30 or der[1] != len(der) - 2:
+        raise ValueError("no signature")
+    numbers, rest = [], der[2:]
+    for _ in range(2):
+        if rest[0] != 2 or not 0 < rest[1] <= 33 or len(rest) < 2 + rest[1]:
+            raise ValueError("no signature")
+        value, rest = rest[2:2 + rest[1]], rest[2 + rest[1]:]
+        if value[0] & 0x80 or (len(value) > 1 and value[0] == 0 and not value[1] & 0x80):
+            raise ValueError("no signature")
+        numbers.append(int.from_bytes(value, "big"))
+    if rest:
+        raise ValueError("no signature")
+    return numbers
+
+
+def recover(hash_, seal):  # secp256k1: the account whose key made a seal
+    p = 2 ** 256 - 2 ** 32 - 977
+    order = 0xFFFFFFFFFFFFFFFFFFFFFFFFFFFFFFFEBAAEDCE6AF48A03BBFD25E8CD0364141
+    g = (0x79BE667EF9DCBBAC55A06295CE870B07029BFCDB2DCE28D959F2815B16F81798,
+         0x483ADA7726A3C4655DA4FBFC0E1108A8FD17B448A68554199C47D08FFB10D4B8)
+    r, s, parity = int.from_bytes(seal[:32], "big"), int.from_bytes(seal[32:64], "big"), seal[64]
+    square = (pow(r, 3, p) + 7) % p
+    y = pow(square, (p + 1) // 4, p)
+    if parity > 1 or not 0 < r < order or not 0 < s <= order // 2 or y * y % p != square:
+        return None
+    point, inverse = (r, y if y & 1 == parity else p - y), pow(r, -1, order)
+    e = int.from_bytes(hash_, "big")
+    key = add(mul(s * inverse % order, point, 0, p), mul(-e * inverse % order, g, 0, p), 0, p)
+    return None if key is None else keccak(key[0].to_bytes(32, "big") + key[1].to_bytes(32, "big"))[12:]
+
+
+def rlp(data):  # one item: bytes or a list; what it is of is hashed elsewhere
+    def item(at):
+        first = data[at]
+        if first < 0x80:
+            return data[at:at + 1], at + 1
+        short, base = (first < 0xB8, 0x80) if first < 0xC0 else (first < 0xF8, 0xC0)
+        size, begin = first - base, at + 1
+        if not short:
+            begin += size - 55
+            size = int.from_bytes(data[at + 1:begin], "big")
+        end = begin + size
+        if end > len(data):
+            raise Refused("RLP ends too early")
+        if first < 0xC0:
+            return data[begin:end], end
+        found, at = [], begin
+        while at < end:
+            one, at = item(at)
+            found.append(one)
+        return found, end
+
+    found, end = item(0)
+    if end != len(data):
+        raise Refused("bytes behind RLP")
+    return found
+
+
+def encode(item):
+    body = item if isinstance(item, bytes) else b"".join(map(encode, item))
+    base = 0x80 if isinstance(item, bytes) else 0xC0
+    if base == 0x80 and len(body) == 1 and body[0] < 0x80:
+        return body
+    if len(body) < 56:
+        return bytes([base + len(body)]) + body
+    size = len(body).to_bytes((len(body).bit_length() + 7) // 8, "big")
+    return bytes([base + 55 + len(size)]) + size + body
+
+
+EMPTY = keccak(b"\x80")
+
+
+def look_up(nodes, root, key):  # Yellow Paper, appendices C and D
+    if root == EMPTY:
+        return None
+    path = [nibble for byte in keccak(key) for nibble in (byte >> 4, byte & 15)]
+    at = root
+    while True:
+        if isinstance(at, bytes):
+            if at == b"":
+                return None
+            if at not in nodes:
+                raise Unproven("a node of the state is not in the bundle")
+            at = rlp(nodes[at])
+        if len(at) == 17:
+            if not path:
+                return None
+            at, path = at[path[0]], path[1:]
+            continue
+        packed = [nibble for byte in at[0] for nibble in (byte >> 4, byte & 15)]
+        own = packed[2 - (packed[0] & 1):]
+        if path[:len(own)] != own:
+            return None
+        path = path[len(own):]
+        if packed[0] & 2:
+            return None if path else at[1]
+        at = at[1]
+
+
+pad = lambda value: (value.to_bytes(8, "big") if isinstance(value, int) else value).rjust(32, b"\0")
+mapped = lambda key, below: keccak(pad(key) + pad(below))
+
+
+class Storage:
+    def __init__(self, nodes, state, contract):
+        account = look_up(nodes, state, contract)
+        if account is None:
+            raise Refused("the state has no contract there")
+        _, _, self.root, self.code = rlp(account)
+        self.nodes = nodes
+
+    def word(self, slot):
+        value = look_up(self.nodes, self.root, slot)
+        return pad(rlp(value)) if value is not None else bytes(32)
+
+    def numbers(self, slot):  # four numbers of eight bytes, from the low end
+        return struct.unpack(">4Q", self.word(slot))[::-1]
+
+    def keys(self, owner, version):
+        slot = mapped(version, mapped(owner, 15))
+        after = ((int.from_bytes(slot, "big") + 1) % 2 ** 256).to_bytes(32, "big")
+        identity = self.word(slot)
+        return (identity, self.numbers(after)[0]) if identity != bytes(32) else None
+
+
+def lz4(packed):
+    out, at = bytearray(), 0
+
+    def more(length):
+        nonlocal at
+        while length[-1:] == [15] or (len(length) > 1 and length[-1] == 255):
+            length.append(packed[at])
+            at += 1
+        return sum(length)
+
+    while at < len(packed):
+        token = packed[at]
+        at += 1
+        literals = more([token >> 4])
+        out += packed[at:at + literals]
+        at += literals
+        if at >= len(packed):
+            break
+        back = packed[at] | packed[at + 1] << 8
+        at += 2
+        for _ in range(more([token & 15]) + 4):
+            out.append(out[-back])
+    return bytes(out)
+
+
+def fields(data, *widths):
+    at = 0
+    for width in widths:
+        yield data[at:at + width]
+        at += width
+
+
+def parse_header(record):
+    if record[:10] != b"\x89AuthROS\x01\x01":
+        raise Refused("no record of this version and suite")
+    names = ("kind", "domain", "owner", "signer", "epoch", "recorder", "seq", "topic_id", "count")
+    header = dict(zip(names, fields(record[10:], 1, 32, 20, 32, 8, 16, 8, 16, 1)))
+    at = 10 + 134
+    header["filters"] = [record[at + 8 * n:at + 8 * n + 8] for n in range(header["count"][0])]
+    at += 8 * len(header["filters"])
+    names = ("time", "head_length", "body_length", "salt", "commit")
+    header.update(zip(names, fields(record[at:], 8, 4, 8, 24, 32)))
+    return header, at + 76
+
+
+def parse_head(head):
+    at = 0
+
+    def take(length):
+        nonlocal at
+        at += length
+        return head[at - length:at]
+
+    def word():
+        return take(struct.unpack(">H", take(2))[0]).decode()
+
+    found = {name: word() for name in ("topic", "type", "md5sum")}
+    found["definition"], found["caller_id"], found["boot_id"] = take(32).hex(), word(), take(16).hex()
+    found["compression"], found["plain_length"] = take(1)[0], int.from_bytes(take(8), "big")
+    found["tags"] = {word(): word() for _ in range(int.from_bytes(take(2), "big"))}
+    if at != len(head):
+        raise Refused("bytes behind the head")
+    return found
+
+
+def root_of(leaf, index, count, path):  # RFC 9162, 2.1.3.2
+    place, last, h = index, count - 1, leaf
+    for p in path:
+        if last == 0:
+            return None
+        if place & 1 or place == last:
+            h = sm3(b"\1" + p + h)
+            while place & 1 == 0 and place:
+                place, last = place >> 1, last >> 1
+        else:
+            h = sm3(b"\1" + h + p)
+        place, last = place >> 1, last >> 1
+    return h if last == 0 else None
+
+
+unhex = lambda text: bytes.fromhex(text.removeprefix("0x"))
+
+
+class Bundle:
+    FORMS = re.compile(r"mimetype|manifest\.(json|der)|trust\.toml|VERIFY\.txt|chain/(nodes|[0-9]+)\.rlp|"
+                       r"keys/[0-9a-f]{64}\.pem|identities/[0-9a-f]{64}\.bin|definitions/[0-9a-f]{64}\.txt|"
+                       r"records/[0-9a-f]{64}/(record\.bin|signature\.der|anchor\.json|reveal\.(bin|der))")
+
+    def __init__(self, path):
+        with zipfile.ZipFile(path) as archive:
+            names = archive.namelist()
+            if names != ["mimetype"] + sorted(set(names) - {"mimetype"}) or archive.testzip() is not None:
+                raise Refused("the archive is not of the one form")
+            if any(one.compress_type or one.extra or one.comment for one in archive.infolist()) or archive.comment:
+                raise Refused("the archive is not of the one form")
+            self.members = {name: archive.read(name) for name in names}
+        size = sum(len(data) + 2 * len(name) + 76 for name, data in self.members.items()) + 22
+        if size != pathlib.Path(path).stat().st_size or not all(map(self.FORMS.fullmatch, names)):
+            raise Refused("something is in the archive that a bundle does not hold")
+        if self.members["mimetype"] != b"application/vnd.authros.evidence+zip":
+            raise Refused("no evidence bundle")
+        text = self.members["manifest.json"]
+        self.manifest = json.loads(text)
+        listed = {name for name in names if name not in ("mimetype", "manifest.json", "manifest.der")}
+        if self.manifest["format"] != "authros-evidence/1" or [m["name"] for m in self.manifest["members"]] != sorted(listed):
+            raise Refused("the manifest does not name the members")
+        for member in self.manifest["members"]:
+            data = self.members[member["name"]]
+            found = len(data), sm3(data), hashlib.sha256(data).digest()
+            if found != (member["bytes"], unhex(member["sm3"]), unhex(member["sha256"])):
+                raise Refused(member["name"] + " is not what the manifest says")
+        self.keys = {name[5:69]: self.pem(data) for name, data in self.members.items() if name.startswith("keys/")}
+        if any(sm3(b"\4" + key).hex() != name for name, key in self.keys.items()):
+            raise Refused("a key is filed under another's name")
+        of = lambda folder: {n: d for n, d in self.members.items() if n.startswith(folder)}
+        self.identities = {keccak(data): data for data in of("identities/").values()}
+        self.headers = {int(n[6:-4]): d for n, d in of("chain/").items() if n != "chain/nodes.rlp"}
+        nodes = rlp(self.members["chain/nodes.rlp"]) if "chain/nodes.rlp" in self.members else []
+        self.nodes = {keccak(node): node for node in nodes}
+        key, kind = self.keys.get(self.manifest["exporter"]["key"]), b"application/vnd.authros.evidence+zip"
+        signed = b"DSSEv1 %d %s %d %s" % (len(kind), kind, len(text), text)
+        if key is None or not sm2_verify(key, signed, self.members["manifest.der"]):
+            raise Refused("the manifest is not signed by its exporter's key")
+
+    @staticmethod
+    def pem(data):  # SubjectPublicKeyInfo; its last 64 bytes are the point
+        import base64
+        return base64.b64decode(b"".join(line for line in data.split(b"\n") if b"-" not in line))[-64:]
+
+    def identity(self, hash_, owner, domain):
+        """P_C of an identity that proves itself for this account."""
+        data = self.identities.get(hash_)
+        if data is None or len(data) != 224:
+            return None
+        token, signing, envelope, proof = fields(data, 32, 64, 64, 64)
+        message = b"AuthROS/identity/1" + domain + owner + signing + envelope + token
+        return signing if signing != envelope and sm2_verify(signing, message, der(proof)) else None
+
+
+def der(raw):
+    number = lambda b: bytes([2, len(b)]) + b
+    short = lambda b: (lambda s: b"\0" + s if not s or s[0] & 0x80 else s)(b.lstrip(b"\0"))
+    body = number(short(raw[:32])) + number(short(raw[32:]))
+    return bytes([0x30, len(body)]) + body
+
+
+class Record:
+    def __init__(self, bundle, trust, digest):
+        self.bundle, self.trust, self.digest = bundle, trust, bytes.fromhex(digest)
+        self.member = lambda name: bundle.members.get(f"records/{digest}/{name}")
+        chain = trust["chain"] if trust else bundle.manifest["chain"]
+        self.contract = unhex(chain["contract"])
+        self.domain = sm3(b"AuthROS/domain/1" + struct.pack(">Q", chain["id"]) + unhex(chain["genesis"]) + self.contract)
+
+    def bytes(self):  # (a)
+        self.record = self.member("record.bin")
+        if self.record is None or sm3(self.record) != self.digest:
+            raise Refused("it is not the record that it is filed as")
+        self.header, self.length = parse_header(self.record)
+        sizes = sum(int.from_bytes(self.header[name], "big") for name in ("head_length", "body_length"))
+        if len(self.record) != self.length + sizes or self.header["domain"] != self.domain:
+            raise Refused("its length, or the chain that it is bound to, is another")
+        persons = self.trust.get("person", []) if self.trust else []
+        owner = self.header["owner"]
+        self.pinned = [p["key"].removeprefix("0x") for p in persons if unhex(p["account"]) == owner and "key" in p]
+        self.owner_key = None
+        key = self.bundle.keys.get(self.header["signer"].hex())
+        signed = b"AuthROS/signature/1" + self.domain + self.digest
+        if key is None or not sm2_verify(key, signed, self.member("signature.der") or b""):
+            raise Refused("its signature does not hold")
+        return "proven"
+
+    def anchor(self):  # (c)
+        if self.member("anchor.json") is None:
+            raise Unproven("it was on no chain")
+        claim = json.loads(self.member("anchor.json"))
+        how, owner = claim["anchor"], self.header["owner"]
+        leaf = sm3(b"\0" + b"".join(self.header[n] for n in ("owner", "recorder", "topic_id", "seq")) + self.digest)
+        if how["mode"] == "batch":
+            path = [unhex(step) for step in how["path"]]
+            if not how["index"] < how["count"] or root_of(leaf, how["index"], how["count"], path) != unhex(how["root"]):
+                raise Refused("its path does not lead to the root")
+        if claim["shown_at"] not in self.bundle.headers:
+            raise Unproven("the header is not in the bundle")
+        raw = self.bundle.headers[claim["shown_at"]]
+        header = rlp(raw)
+        number, time = int.from_bytes(header[8], "big"), int.from_bytes(header[11], "big")
+        self.storage = Storage(self.bundle.nodes, header[3], self.contract)
+        if self.trust and self.storage.code != unhex(self.trust["chain"]["code_hash"]):
+            raise Refused("the contract's code is another")
+        if how["mode"] == "batch":
+            self.account, slot = unhex(how["account"]), mapped(unhex(how["root"]), mapped(unhex(how["account"]), 8))
+            block, count, self.time, self.keys = self.storage.numbers(slot)
+        else:
+            self.account, self.time, self.keys = owner, 0, 0
+            block, count = self.storage.numbers(mapped(self.digest, mapped(owner, 5)))[0], None
+        if not block:
+            raise Refused("the state does not have its anchor")
+        if block != claim["block"] or count != how.get("count") or number != claim["shown_at"] or block > number:
+            raise Refused("the state has another anchor")
+        self.time = self.time or (time if block == number else 0)
+        if self.time > time:
+            raise Refused("the anchor is later than the state")
+        self.block, self.shown_at, self.claimed = block, number, claim["keys"]
+        return self.sealed(number, header)
+
+    def sealed(self, number, header):
+        if not self.trust:
+            return "unproven"
+        chain, found, parent = self.trust["chain"], set(), None
+        pinned, own = {unhex(one) for one in chain["signers"]}, header[12].startswith(b"AuthROS chain file version ")
+        first = None
+        for at in range(number, number + len(self.bundle.headers) + 1):
+            raw = self.bundle.headers.get(at)
+            fields_ = rlp(raw) if raw else None
+            if raw is None or (parent and fields_[0] != parent):
+                break
+            sealer = None
+            if len(fields_[12]) >= 97:
+                bare = fields_[:12] + [fields_[12][:-65]] + fields_[13:]
+                sealer = recover(keccak(encode(bare)), fields_[12][-65:])
+            first = sealer if at == number else first
+            if sealer not in pinned:
+                break
+            found.add(sealer)
+            parent = keccak(raw)
+        if len(found) < chain.get("quorum", len(pinned) // 2 + 1):
+            if not found and first is not None:
+                raise Refused("sealed by " + first.hex() + ", who is not pinned")
+            return "unproven"
+        return "own_chain" if own or chain.get("sealed_by_exporter") else "proven"
+
+    def key(self):  # (b)
+        if not hasattr(self, "block"):
+            raise Unproven("no anchor is shown")
+        owner, storage = self.header["owner"], self.storage
+        version = self.keys if self.keys and self.account == owner else self.claimed
+        keys = storage.keys(owner, version) if version else None
+        if keys is None:
+            raise Unproven("nothing shows the owner's keys")
+        if self.account != owner or not self.keys:
+            after = storage.keys(owner, version + 1)
+            if keys[1] > self.block or (after and after[1] <= self.block):
+                raise Unproven("that version was not in force")
+        signing = self.bundle.identity(keys[0], owner, self.domain)
+        if signing is None or (self.pinned and unhex(self.pinned[0]) != sm3(b"\4" + signing)):
+            raise Unproven("the identity is not in the bundle, or not the pinned one")
+        self.owner_key = signing
+        if sm3(b"\4" + signing) != self.header["signer"]:
+            loan = storage.word(mapped(self.header["signer"], mapped(owner, 9)))
+            recalled, lent, until = struct.unpack(">3Q", loan[7:31])
+            if not lent or lent > self.block or 0 < recalled <= self.block or (until and not 0 < self.time < until):
+                raise Refused("the key was neither the owner's nor lent")
+        if self.account == owner:
+            return "proven"
+        suspended = storage.word(mapped(owner, 10))[7] != 0
+        if self.block != self.shown_at:
+            raise Unproven("nothing shows whether the owner was suspended")
+        if suspended:
+            raise Refused("the owner was suspended")
+        return "proven"
+
+    def opened(self):  # (e)
+        secret, signature = self.member("reveal.bin"), self.member("reveal.der")
+        if secret is None:
+            return "absent"
+        if len(secret) != 32 or signature is None:
+            raise Refused("the disclosure is not whole")
+        info = b"AuthROS/record/1" + b"".join(self.header[n] for n in ("domain", "owner", "recorder", "epoch", "seq"))
+        body_key, body_nonce, head_key, head_nonce, commit = fields(expand(secret, info, 88), 16, 12, 16, 12, 32)
+        if commit != self.header["commit"]:
+            raise Refused("the secret is not the record's")
+        aad, sealed = self.record[:self.length], self.record[self.length:]
+        split = int.from_bytes(self.header["head_length"], "big")
+        self.head = parse_head(gcm_open(head_key, head_nonce, aad, sealed[:split]))
+        body = gcm_open(body_key, body_nonce, aad, sealed[split:])
+        packed = self.head["compression"] == 2
+        self.body = body if packed else lz4(body) if self.head["compression"] else body
+        if not packed and len(self.body) != self.head["plain_length"]:
+            raise Refused("the message has another length")
+        message = b"AuthROS/reveal/1" + self.domain + self.digest + secret
+        signed = lambda key: key is not None and sm2_verify(key, message, signature)
+        if signed(self.owner_key) or any(signed(self.bundle.keys.get(key)) for key in self.pinned):
+            return "proven"
+        # Anybody can make an identity for somebody else's account: only the state or a pin says whose a key is.
+        if not any(signed(self.bundle.identity(h, self.header["owner"], self.domain)) for h in self.bundle.identities):
+            raise Refused("the disclosure is not signed by its owner")
+        raise Unproven("it opens; that its owner disclosed it is not shown")
+
+    def report(self):
+        found, notes = {"digest": self.digest.hex()}, {}
+        for name in ("bytes", "anchor", "key", "opened"):
+            if name != "bytes" and found["bytes"] != "proven":
+                found[name] = "absent" if name == "opened" else "unproven"
+                continue
+            try:
+                found[name] = getattr(self, name)()
+            except Unproven as why:
+                found[name], notes[name] = "unproven", str(why)
+            except Refused as why:
+                found[name], notes[name] = "refused", str(why)
+            except (IndexError, KeyError, TypeError, ValueError, struct.error) as why:
+                found[name], notes[name] = "refused", f"not of its form: {why!r}"
+        # What a state says is worth as much as the seals on it.
+        for name in ("key", "opened"):
+            if found[name] == "proven":
+                found[name] = found["anchor"] if found["anchor"] in ("proven", "own_chain") else "unproven"
+        if hasattr(self, "body") and found["opened"] != "refused":
+            found.update(topic=self.head["topic"], type=self.head["type"], length=len(self.body))
+            found["message_sm3"], found["packed"] = sm3(self.body).hex(), self.head["compression"] == 2
+        return found | {"notes": notes}
+
+
+def main(arguments):
+    trust = None
+    if "--trust" in arguments:
+        at = arguments.index("--trust")
+        trust = tomllib.loads(pathlib.Path(arguments[at + 1]).read_text())
+        arguments = arguments[:at] + arguments[at + 2:]
+    try:
+        bundle = Bundle(arguments[0])
+        digests = sorted({name.split("/")[1] for name in bundle.members if name.startswith("records/")})
+        records = [Record(bundle, trust, digest).report() for digest in digests]
+    except (Refused, zipfile.BadZipFile, KeyError, IndexError, ValueError, TypeError, NotImplementedError) as why:
+        print(json.dumps({"outcome": "refused", "why": str(why)}))
+        return 6
+    standings = [(name, record[name]) for record in records for name in ("bytes", "key", "anchor", "opened")]
+    good = all(standing in ("proven", "own_chain") for name, standing in standings if name != "opened")
+    refused = any(standing == "refused" for _, standing in standings)
+    outcome = "refused" if refused else "holds" if trust and records and good else "incomplete"
+    print(json.dumps({"outcome": outcome, "records": records}, indent=1))
+    return {"holds": 0, "incomplete": 8, "refused": 6}[outcome]
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
