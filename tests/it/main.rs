@@ -27,6 +27,7 @@ mod identity;
 mod key_changes;
 mod keys;
 mod messages;
+mod metrics;
 mod node_forging;
 mod places;
 mod real_chain;

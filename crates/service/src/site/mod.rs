@@ -17,6 +17,7 @@ mod disk;
 mod enrolling;
 mod epochs;
 mod exposure;
+mod figures;
 mod foreseeing;
 mod gateway;
 mod handle;
