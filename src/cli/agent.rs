@@ -131,8 +131,10 @@ async fn capture(global: Global, arguments: RunArguments, output: &Output) -> Re
             return Err(failure);
         }
     };
+    let ready = super::systemd::ready();
     let progress = |figures: &AgentFigures| output.result(figures, || text(figures));
     let end = agent.run(super::serve::asked_to_end(), progress).await;
+    drop(ready);
     agent.stop().await;
     notes.abort();
     let (end, figures, topics) = (end?, agent.figures()?, agent.topics()?);

@@ -61,6 +61,7 @@ async fn serve(context: Context, listen: SocketAddr, open: bool, output: &Output
             view.address, view.gateway, view.fingerprint, view.account
         )
     });
+    let _ready = super::systemd::ready();
     let ended = tokio::select! {
         () = site::follow(events, output, end) => Ok(0),
         failure = super::chain::lost(&connection.client) => Err(failure),

@@ -7,6 +7,7 @@ mod adopt;
 mod agent;
 pub mod args;
 mod audit;
+mod backups;
 mod capture;
 mod chain;
 mod check;
@@ -29,6 +30,7 @@ mod recordings;
 mod serve;
 mod show;
 mod status;
+mod systemd;
 mod twins;
 mod verbs;
 mod viewing;
@@ -97,7 +99,10 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
             Ok(0)
         }
         Verb::Config(verb) => Ok(verbs::config(&Context::new(global, output)?, &verb, output)),
-        Verb::Restore { file } => check::run_restore(&Context::new(global, output)?, &file, output),
+        Verb::Restore { file, check: true } => {
+            runtime.block_on(backups::check(Context::new(global, output)?, &file, output))
+        }
+        Verb::Restore { file, check: false } => check::run_restore(&Context::new(global, output)?, &file, output),
         Verb::Bench(bench) => runtime.block_on(run_bench(&global, bench, output)),
         Verb::Verify { dir, genesis } => runtime.block_on(check::run_verify(&global, &dir, genesis.as_deref(), output)),
         Verb::Agent(verb) => runtime.block_on(agent::run(global, verb, output)),
@@ -106,8 +111,9 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
         Verb::Demo(demo) => runtime.block_on(demo::run(Context::new(global, output)?, demo, output)),
         Verb::Gateway(verb) => runtime.block_on(gateway::run(Context::new(global, output)?, verb, output)),
         Verb::Doctor => runtime.block_on(check::run_doctor(Context::new(global, output)?, output)),
-        Verb::Backup { file } => runtime.block_on(check::run_backup(Context::new(global, output)?, &file, output)),
-        Verb::Status => runtime.block_on(status::run(Context::new(global, output)?, output)),
+        Verb::Backup(backup) => runtime.block_on(back_up(Context::new(global, output)?, backup, output)),
+        Verb::Status { watch: true } => runtime.block_on(status::watch(Context::new(global, output)?, output)),
+        Verb::Status { watch: false } => runtime.block_on(status::run(Context::new(global, output)?, output)),
         Verb::Capture(capture) => runtime.block_on(capture::run(Context::new(global, output)?, capture, output)),
         Verb::Bag(recordings::BagVerb::Import(import)) => {
             runtime.block_on(recordings::import(Context::new(global, output)?, import, output))
@@ -135,6 +141,15 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
             asked(runtime, global, output, |_| Ok(Plan::new(CHAIN, ProfileNeed::Unlocked, adopt::question(&verb)?)))
         }
         Verb::Audit(arguments) => asked(runtime, global, output, |context| plans::audit(context, &arguments)),
+    }
+}
+
+/// `backup …`
+async fn back_up(context: Context, backup: args::BackupArguments, output: &Output) -> Result<u8, Failure> {
+    match (backup.file, backup.to) {
+        (Some(file), _) => check::run_backup(context, &file, output).await,
+        (None, Some(folder)) => backups::run(context, &folder, backup.keep, output).await,
+        (None, None) => Err(Failure::new(ErrorKind::Usage, "name a file, or a folder by --to")),
     }
 }
 

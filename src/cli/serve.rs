@@ -103,7 +103,9 @@ pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
     output.result(&ready, || {
         format!("serving {} for profile '{}'; end it with Ctrl-C", context.home.root().display(), context.profile)
     });
+    let ready = super::systemd::ready();
     follow(events, output, end).await;
+    drop(ready);
     connection.end().await;
     Ok(0)
 }

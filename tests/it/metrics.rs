@@ -184,3 +184,17 @@ fn the_rules_are_ones_that_prometheus_takes_and_every_figure_they_name_is_there(
     }
     promtool(&["check", "rules", rules.to_str().expect("UTF-8")], "");
 }
+
+#[test]
+fn status_is_watched_until_it_is_ended_and_only_changes_are_printed() {
+    let home = Home::new();
+    let authros = home.authros().with(&["--robots", "1"]);
+    authros.fails(3, &["status", "--watch"]);
+    let site = authros.serve(&home);
+    let mut watching = authros.spawn(&["status", "--watch"]);
+    watching.wait_for_text("captured 0 = verified 0", 30);
+    authros.capture(&[TOPIC], 2);
+    watching.wait_for_text("captured 2 = verified 2", 60);
+    watching.stop("INT", 20).expect_code(0);
+    site.stop("INT", 20).expect_code(0);
+}
