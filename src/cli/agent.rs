@@ -122,6 +122,7 @@ async fn capture(global: Global, arguments: RunArguments, output: &Output) -> Re
     let lock = context.lock()?;
     let lock = lock.ok_or_else(|| Failure::new(ErrorKind::Home, format!("{root} is in use by another process")))?;
     let site = Site::start(context.home, context.config, lock, Needs { ros: true, chain: false })?;
+    site.oversee();
     let notes = tokio::spawn(follow(site.events(), *output));
     let mut agent = match Agent::start(&site, sealed, wishes).await {
         Ok(agent) => agent,
@@ -130,8 +131,10 @@ async fn capture(global: Global, arguments: RunArguments, output: &Output) -> Re
             return Err(failure);
         }
     };
+    let ready = super::systemd::ready();
     let progress = |figures: &AgentFigures| output.result(figures, || text(figures));
     let end = agent.run(super::serve::asked_to_end(), progress).await;
+    drop(ready);
     agent.stop().await;
     notes.abort();
     let (end, figures, topics) = (end?, agent.figures()?, agent.topics()?);

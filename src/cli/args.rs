@@ -104,20 +104,24 @@ pub enum Verb {
         genesis: Option<String>,
     },
     /// Write profiles, ledger, embedded vault and chain, settings and pins into one encrypted file
-    Backup {
-        /// The file; its passphrase is given by --passphrase-file or --passphrase-fd
-        file: PathBuf,
-    },
+    Backup(BackupArguments),
     /// Make a home out of a back-up, where none is
     Restore {
         /// The file; its passphrase is given by --passphrase-file or --passphrase-fd
         file: PathBuf,
+        /// Only try it: make a home of it in a folder of its own, audit all of it, and remove that folder
+        #[arg(long)]
+        check: bool,
     },
     /// Settings and where they come from
     #[command(subcommand)]
     Config(ConfigVerb),
     /// Health of the site's parts, and where this profile's records stand
-    Status,
+    Status {
+        /// Look at a running site again and again, and print what has changed; Ctrl-C ends it
+        #[arg(long)]
+        watch: bool,
+    },
     /// Run the site without a console
     Serve,
     /// Serve robots and operators that run no chain client
@@ -137,6 +141,20 @@ pub enum Verb {
     },
     /// Print the manual page, for `man -l -`
     Man,
+}
+
+/// `backup …`
+#[derive(Debug, Args)]
+pub struct BackupArguments {
+    /// The file; its passphrase is given by --passphrase-file or --passphrase-fd
+    #[arg(required_unless_present = "to")]
+    pub file: Option<PathBuf>,
+    /// Instead: a folder that gets one more file, named by the time
+    #[arg(long, value_name = "DIR", conflicts_with = "file")]
+    pub to: Option<PathBuf>,
+    /// How many files of --to stay, the newest; older ones that have such a name are removed
+    #[arg(long, value_name = "N", requires = "to", value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..=10_000))]
+    pub keep: Option<usize>,
 }
 
 /// Which epochs a grant opens.

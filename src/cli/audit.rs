@@ -24,6 +24,11 @@ pub struct AuditArguments {
 }
 
 impl AuditArguments {
+    /// The audit of all records; `deep` = of their bytes and signatures too.
+    pub fn of_records(deep: bool) -> Self {
+        Self { verb: None, deep, since: None }
+    }
+
     /// From when on.
     ///
     /// # Errors

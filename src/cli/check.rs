@@ -149,7 +149,10 @@ fn verify_text(check: &FolderCheck) -> String {
 }
 
 /// The passphrase of a back-up: given, never the home's own.
-fn backup_passphrase(global: &Global) -> Result<SecretText, Failure> {
+///
+/// # Errors
+/// That none was given, or what its file says.
+pub fn backup_passphrase(global: &Global) -> Result<SecretText, Failure> {
     passphrase::of_file(global, Path::new(""))?.ok_or_else(|| {
         Failure::new(
             ErrorKind::Usage,
@@ -182,6 +185,10 @@ pub fn run_restore(context: &Context, file: &Path, output: &Output) -> Result<u8
     Ok(0)
 }
 
-fn absolute(path: &Path) -> Result<PathBuf, Failure> {
+/// The whole path of a file.
+///
+/// # Errors
+/// Where there is none.
+pub fn absolute(path: &Path) -> Result<PathBuf, Failure> {
     std::path::absolute(path).map_err(|error| Failure::new(ErrorKind::Input, format!("{}: {error}", path.display())))
 }

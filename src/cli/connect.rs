@@ -199,6 +199,13 @@ impl Context {
 }
 
 impl Connection {
+    /// Begins what watches over a site that is to stay, where this process is it.
+    pub fn oversee(&self) {
+        if let Some(site) = &self.site {
+            site.oversee();
+        }
+    }
+
     /// Ends the site where this process is it, once no joined process waits for an answer of it.
     pub async fn close(self) {
         if let Some(site) = self.site {

@@ -51,6 +51,7 @@ async fn serve(context: Context, site: Arc<OnceLock<Arc<Site>>>, waiting: Calls,
     match context.connect(Needs { ros: true, chain: true }).await {
         Ok(Connection { client, site: own }) => {
             if let Some(own) = own {
+                own.oversee();
                 // Set once: this is the only place.
                 drop(site.set(own));
             }

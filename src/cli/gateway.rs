@@ -37,6 +37,7 @@ pub async fn run(context: Context, verb: GatewayVerb, output: &Output) -> Result
 /// Where the profile cannot be opened or registered, or the address is not free.
 async fn serve(context: Context, listen: SocketAddr, open: bool, output: &Output) -> Result<u8, Failure> {
     let connection = context.connect(Needs { ros: false, chain: true }).await?;
+    connection.oversee();
     let (joined, events) = (connection.site.is_none(), connection.client.events());
     let end = site::asked_to_end();
     tokio::pin!(end);
@@ -60,6 +61,7 @@ async fn serve(context: Context, listen: SocketAddr, open: bool, output: &Output
             view.address, view.gateway, view.fingerprint, view.account
         )
     });
+    let _ready = super::systemd::ready();
     let ended = tokio::select! {
         () = site::follow(events, output, end) => Ok(0),
         failure = super::chain::lost(&connection.client) => Err(failure),

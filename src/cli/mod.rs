@@ -7,6 +7,7 @@ mod adopt;
 mod agent;
 pub mod args;
 mod audit;
+mod backups;
 mod capture;
 mod chain;
 mod check;
@@ -30,6 +31,7 @@ mod recordings;
 mod serve;
 mod show;
 mod status;
+mod systemd;
 mod twins;
 mod verbs;
 mod viewing;
@@ -98,7 +100,10 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
             Ok(0)
         }
         Verb::Config(verb) => Ok(verbs::config(&Context::new(global, output)?, &verb, output)),
-        Verb::Restore { file } => check::run_restore(&Context::new(global, output)?, &file, output),
+        Verb::Restore { file, check: true } => {
+            runtime.block_on(backups::check(Context::new(global, output)?, &file, output))
+        }
+        Verb::Restore { file, check: false } => check::run_restore(&Context::new(global, output)?, &file, output),
         Verb::Bench(bench) => runtime.block_on(run_bench(&global, bench, output)),
         Verb::Evidence(verb) => runtime.block_on(evidence::run(Context::new(global, output)?, verb, output)),
         Verb::Verify { path, trust, genesis: None } if evidence::is_bundle(&path) => {
@@ -113,8 +118,9 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
         Verb::Demo(demo) => runtime.block_on(demo::run(Context::new(global, output)?, demo, output)),
         Verb::Gateway(verb) => runtime.block_on(gateway::run(Context::new(global, output)?, verb, output)),
         Verb::Doctor => runtime.block_on(check::run_doctor(Context::new(global, output)?, output)),
-        Verb::Backup { file } => runtime.block_on(check::run_backup(Context::new(global, output)?, &file, output)),
-        Verb::Status => runtime.block_on(status::run(Context::new(global, output)?, output)),
+        Verb::Backup(backup) => runtime.block_on(back_up(Context::new(global, output)?, backup, output)),
+        Verb::Status { watch: true } => runtime.block_on(status::watch(Context::new(global, output)?, output)),
+        Verb::Status { watch: false } => runtime.block_on(status::run(Context::new(global, output)?, output)),
         Verb::Capture(capture) => runtime.block_on(capture::run(Context::new(global, output)?, capture, output)),
         Verb::Bag(recordings::BagVerb::Import(import)) => {
             runtime.block_on(recordings::import(Context::new(global, output)?, import, output))
@@ -142,6 +148,15 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
             asked(runtime, global, output, |_| Ok(Plan::new(CHAIN, ProfileNeed::Unlocked, adopt::question(&verb)?)))
         }
         Verb::Audit(arguments) => asked(runtime, global, output, |context| plans::audit(context, &arguments)),
+    }
+}
+
+/// `backup …`
+async fn back_up(context: Context, backup: args::BackupArguments, output: &Output) -> Result<u8, Failure> {
+    match (backup.file, backup.to) {
+        (Some(file), _) => check::run_backup(context, &file, output).await,
+        (None, Some(folder)) => backups::run(context, &folder, backup.keep, output).await,
+        (None, None) => Err(Failure::new(ErrorKind::Usage, "name a file, or a folder by --to")),
     }
 }
 

@@ -70,6 +70,7 @@ pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
             format!("a site of {root} runs already; commands join it by themselves"),
         ));
     }
+    connection.oversee();
     // What goes wrong while it begins is shown too.
     let events = connection.client.events();
     // One that worked here before needs no chain to begin.
@@ -102,7 +103,9 @@ pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
     output.result(&ready, || {
         format!("serving {} for profile '{}'; end it with Ctrl-C", context.home.root().display(), context.profile)
     });
+    let ready = super::systemd::ready();
     follow(events, output, end).await;
+    drop(ready);
     connection.end().await;
     Ok(0)
 }

@@ -1,9 +1,11 @@
 //! `authros status`: health of the site's parts and where the profile's records stand. Without a running site the peers
 //! are asked here. The exit code is of what is wrong: 6 where records are gone or altered, 4 where a part is not well.
 
+use std::time::Duration;
+
 use super::connect::Context;
 use super::verbs::NEITHER;
-use crate::model::ErrorKind;
+use crate::model::{ErrorKind, Timestamp};
 use crate::service::command::SiteStatus;
 use crate::service::failure::input;
 use crate::service::reply::{HealthLevel, LifeLine, PartHealth, SiteView};
@@ -30,6 +32,40 @@ pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
     }
     output.result(&view, || text(&view));
     Ok(code(&view))
+}
+
+/// Between two looks of `--watch`.
+const LOOK: Duration = Duration::from_secs(2);
+
+/// `status --watch`: what a running site says, whenever it says something else, until a signal.
+///
+/// # Errors
+/// Where no site runs, or it ends.
+pub async fn watch(context: Context, output: &Output) -> Result<u8, Failure> {
+    known(&context)?;
+    let connection = context.connect(NEITHER).await?;
+    if connection.site.is_some() {
+        connection.close().await;
+        let root = context.home.root().display();
+        return Err(input(format!("no site of {root} runs; start one by `authros serve` or the console")));
+    }
+    let end = super::serve::asked_to_end();
+    tokio::pin!(end);
+    let mut shown = None;
+    loop {
+        let view = tokio::select! {
+            view = connection.client.ask(SiteStatus) => view?,
+            _ = &mut end => return Ok(0),
+        };
+        if shown.as_ref() != Some(&view) {
+            output.result(&view, || format!("{}\n{}\n", Timestamp::now(), text(&view)));
+            shown = Some(view);
+        }
+        tokio::select! {
+            () = tokio::time::sleep(LOOK) => {}
+            _ = &mut end => return Ok(0),
+        }
+    }
 }
 
 /// A profile that was named, or the usual one beside others, must exist.

@@ -28,6 +28,7 @@ mod identity;
 mod key_changes;
 mod keys;
 mod messages;
+mod metrics;
 mod node_forging;
 mod packages;
 mod places;

@@ -4,12 +4,13 @@
 use crate::support;
 
 use std::fs;
+use std::os::unix::net::UnixDatagram;
 use std::path::Path;
 use std::process::Command;
 
-use support::{Home, Running, skipped, system_program};
+use support::{Home, Running, skipped, system_program, wait_until};
 
-const UNITS: [&str; 2] = ["authros-agent.service", "authros-serve.service"];
+const UNITS: [&str; 3] = ["authros-agent.service", "authros-serve.service", "authros-backup.service"];
 
 fn unit(name: &str) -> String {
     fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("systemd").join(name)).expect("a unit")
@@ -19,7 +20,7 @@ fn unit(name: &str) -> String {
 fn systemd_accepts_the_units() {
     let Some(program) = system_program("systemd-analyze") else { skipped!("no systemd-analyze") };
     let home = Home::new();
-    for name in UNITS {
+    for name in UNITS.into_iter().chain(["authros-backup.timer"]) {
         let text = unit(name).replace("/usr/bin/authros", env!("CARGO_BIN_EXE_authros"));
         let path = home.file(name, text, 0o644);
         let mut command = Command::new(&program);
@@ -42,6 +43,30 @@ fn their_commands_are_known_and_no_secret_is_in_them() {
         let outcome = authros(&home).run(&arguments).expect_code(3);
         assert!(outcome.stderr.contains("passphrase cannot be read"), "{outcome}");
     }
+}
+
+#[test]
+fn systemd_is_told_that_a_site_is_ready_alive_and_at_its_end() {
+    let home = Home::new();
+    let place = home.root().join("notify");
+    let listening = UnixDatagram::bind(&place).expect("a socket");
+    listening.set_nonblocking(true).expect("set");
+    let heard = |wanted: &str| {
+        wait_until(60, wanted, || {
+            let mut bytes = [0; 64];
+            let count = listening.recv(&mut bytes).ok()?;
+            (bytes.get(..count) == Some(wanted.as_bytes())).then_some(())
+        });
+    };
+    let authros =
+        home.authros().with(&["--robots", "0"]).with_variable("NOTIFY_SOCKET", place.to_str().expect("UTF-8"));
+    let site = authros.with_variable("WATCHDOG_USEC", "200000").spawn(&["serve"]);
+    heard("READY=1");
+    heard("WATCHDOG=1");
+    heard("WATCHDOG=1");
+    site.signal("INT");
+    heard("STOPPING=1");
+    site.wait(30).expect_code(0);
 }
 
 fn authros(home: &Home) -> support::Authros {

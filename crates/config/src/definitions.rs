@@ -170,6 +170,25 @@ pub const DEFINITIONS: &[Definition] = &[
         text: "per cent of the stored records that a running site re-hashes an hour; 0 = none, above 100 = several times",
     },
     Definition {
+        name: "metrics.listen",
+        variable: "AUTHROS_METRICS_LISTEN",
+        default: "",
+        text: "where Prometheus reads figures of a running site: HOST:PORT of this machine, or the path of a socket; \
+               empty = nowhere",
+    },
+    Definition {
+        name: "metrics.open",
+        variable: "AUTHROS_METRICS_OPEN",
+        default: "no",
+        text: "yes = metrics.listen may be an address that other machines reach; whoever reaches it reads the figures",
+    },
+    Definition {
+        name: "metrics.topics",
+        variable: "AUTHROS_METRICS_TOPICS",
+        default: "no",
+        text: "yes = figures of each topic by its name too, of 200 topics at most",
+    },
+    Definition {
         name: "confirmations",
         variable: "AUTHROS_CONFIRMATIONS",
         default: "1",

@@ -6,6 +6,7 @@ use authros_model as model;
 mod console;
 mod definitions;
 mod error;
+mod metrics;
 pub mod paths;
 mod read;
 mod source;
@@ -20,6 +21,7 @@ use std::time::Duration;
 pub use self::console::{ConsoleSettings, Pictures};
 pub use self::definitions::{DEFINITIONS, Definition};
 pub use self::error::ConfigError;
+pub use self::metrics::{FiguresPlace, MetricsSettings};
 pub use self::read::without_password;
 use self::read::{Values, bytes, find, number, parsed, read_file, span, switch, url, value, wrong};
 pub use self::source::{SettingView, Source};
@@ -94,6 +96,8 @@ pub struct Config {
     pub audit_every: Duration,
     /// Per cent of the stored records that a running site re-hashes an hour.
     pub scrub_percent: u64,
+    /// Where figures are read, and which.
+    pub metrics: MetricsSettings,
     /// Blocks until confirmed.
     pub confirmations: u64,
     /// Whom the gateway of this home takes.
@@ -188,6 +192,7 @@ impl Config {
             anchor_mode: parsed(&values, "anchor.mode")?.unwrap_or_default(),
             audit_every: Duration::from_secs(number(&values, "audit.anchor_every", 1, 86_400)?),
             scrub_percent: number(&values, "audit.scrub", 0, 1_000_000)?,
+            metrics: MetricsSettings::read(&values)?,
             confirmations: number(&values, "confirmations", 1, 1000)?,
             gateway: GatewayRules {
                 open: switch(&values, "gateway.admission", ("open", "closed"))?,

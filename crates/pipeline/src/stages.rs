@@ -126,6 +126,21 @@ impl Stages {
         self.reached[milestone as usize].buckets.iter().map(|bucket| bucket.load(Ordering::Relaxed)).sum()
     }
 
+    /// How many messages reached a milestone within each of these powers of two, microseconds; how many did in all; and
+    /// the seconds that all together took, at most 1/16 too high.
+    pub fn within_powers(&self, milestone: Milestone, powers: &[u32]) -> (Vec<u64>, u64, f64) {
+        let (mut within, mut all, mut seconds) = (vec![0; powers.len()], 0, 0.0);
+        for (index, bucket) in self.reached[milestone as usize].buckets.iter().enumerate() {
+            let (count, end) = (bucket.load(Ordering::Relaxed), end_of(index));
+            all += count;
+            seconds += Duration::from_micros(end).as_secs_f64() * to_float(count);
+            for (held, _) in within.iter_mut().zip(powers).filter(|(_, power)| end < 1 << **power) {
+                *held += count;
+            }
+        }
+        (within, all, seconds)
+    }
+
     /// The time within which `percent` of a hundred messages reached a milestone; `None` where none did.
     pub fn within(&self, milestone: Milestone, percent: u64) -> Option<Duration> {
         let all = self.count_of(milestone);
@@ -138,6 +153,11 @@ impl Stages {
         });
         found.filter(|_| all > 0).map(|index| Duration::from_micros(end_of(index)))
     }
+}
+
+#[expect(clippy::cast_precision_loss, reason = "counts of messages stay below 2^53")]
+fn to_float(count: u64) -> f64 {
+    count as f64
 }
 
 /// Where a time is counted: exact below 16 us, then sixteen buckets for each doubling.
@@ -186,6 +206,17 @@ mod tests {
         let median = stages.within(Milestone::Durable, 50).expect("a median").as_millis();
         assert!((5_000..5_900).contains(&median), "{median}");
         assert_eq!(stages.count_of(Milestone::Verified), 0);
+    }
+
+    #[test]
+    fn a_time_just_below_a_power_of_two_is_within_it_and_one_of_it_is_not() {
+        let stages = Stages::default();
+        for microseconds in [1_023, 1_024, 4_095, 70_000] {
+            stages.reached[0].buckets[bucket(microseconds)].fetch_add(1, Ordering::Relaxed);
+        }
+        let (within, all, seconds) = stages.within_powers(Milestone::Durable, &[10, 12, 14]);
+        assert_eq!((within, all), (vec![1, 3, 3], 4));
+        assert!((0.076_142..0.081).contains(&seconds), "{seconds}");
     }
 
     #[test]

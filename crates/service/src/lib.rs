@@ -19,6 +19,7 @@ pub mod command;
 pub mod doctor;
 pub mod event;
 pub mod failure;
+mod figures;
 pub mod hub;
 pub mod reply;
 pub mod restoring;

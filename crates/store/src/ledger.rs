@@ -4,6 +4,7 @@
 //! their own. What is acknowledged is in here; workers are functions of these tables, so a restart is
 //! just running them again. Ciphertext for good lies in the vault, not here.
 
+mod ages;
 mod append;
 mod batches;
 mod counts;
@@ -45,6 +46,7 @@ use super::StoreError;
 use super::database::{self, Schema};
 use crate::model::RecorderId;
 
+pub use ages::LastSeen;
 pub use batches::{Anchors, BatchPlace, NewBatch, RootSighting, WaitingBatch};
 pub use counts::{StateCounts, TopicCounts};
 pub use directory::{KeptEnvelope, KeptRight, RightEvent, RightKind, StandingRights};

@@ -98,3 +98,40 @@ fn altered(bytes: &[u8]) -> Vec<u8> {
     bytes[middle] ^= 1;
     bytes
 }
+
+#[test]
+fn backups_on_a_schedule_are_kept_so_many_and_one_can_be_tried_without_a_home() {
+    let (home, other) = (Home::new(), Home::new());
+    let authros = home.authros().with(&["--robots", "1"]);
+    authros.capture(&["/robot1/odom"], 3);
+    let (folder, secret) = (path(&home, "backups"), home.file("secret", "a passphrase of its own\n", 0o600));
+    let backup = ["backup", "--to", &folder, "--keep", "1", "--passphrase-file", &secret];
+    authros.fails(INPUT, &backup);
+    fs::create_dir(&folder).expect("a folder");
+    let stays = format!("{folder}/notes.backup");
+    fs::write(&stays, b"mine").expect("written");
+    let old = format!("{folder}/authros-20010909T014640Z.backup");
+    fs::write(&old, b"an old one").expect("written");
+    let told = authros.json(&backup);
+    assert!(told["notes"].to_string().contains("authros-20010909T014640Z.backup was removed"), "{told}");
+    let names: BTreeSet<String> = fs::read_dir(&folder)
+        .expect("there")
+        .flatten()
+        .map(|entry| entry.file_name().to_string_lossy().into_owned())
+        .collect();
+    assert_eq!(names.len(), 2, "{names:?}");
+    let file = told["file"].as_str().expect("a file").to_owned();
+    let drill = ["restore", "--check", &file, "--passphrase-file", &secret];
+    let elsewhere = other.authros();
+    let found = elsewhere.json(&drill);
+    assert_eq!((&found["ok"], count(&found, "missing")), (&true.into(), 0), "{found}");
+    assert!(count(&found, "records") >= 3, "{found}");
+    assert!(!other.path().exists(), "no home was made");
+    let left: Vec<_> = fs::read_dir(other.root()).expect("there").flatten().map(|entry| entry.file_name()).collect();
+    assert!(!left.iter().any(|name| name.to_string_lossy().contains("drill")), "{left:?}");
+    let mut bytes = fs::read(&file).expect("read");
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    let damaged = home.file("damaged.backup", &bytes, 0o600);
+    elsewhere.fails(TAMPERED, &["restore", "--check", &damaged, "--passphrase-file", &secret]);
+}

@@ -12,6 +12,7 @@ mod clock;
 mod contacts;
 mod devices;
 mod evidence;
+mod figures;
 mod gateway;
 mod handle;
 mod identity;

@@ -6,12 +6,13 @@ use tokio::task::block_in_place;
 
 use super::{NetworkState, RosState, Site};
 use crate::config::without_password;
-use crate::model::{ProfileName, RecordState, clean};
+use crate::model::{Address, ProfileName, RecordState, clean};
 use crate::pipeline::sender::LaneState;
 use crate::pipeline::storer::Condition;
 use crate::pipeline::watcher::foreign;
 use crate::service::hub::lacking;
 use crate::service::reply::{ChainView, Failure, GasView, HealthLevel, LifeLine, PartHealth, QueueView, SiteView};
+use crate::store::StateCounts;
 
 /// The most transactions that the gas per record is taken over.
 const GAS_OVER: u64 = 100;
@@ -24,14 +25,20 @@ impl Site {
             _ => 0,
         };
         let profiles = self.parts.owners.all().iter().map(|owner| owner.profile.clone()).collect();
-        let mut health = vec![self.ros_health(), self.chain_health(), self.vault_health(), self.gateway_health()];
-        health.extend(self.clock.health());
-        health.extend(block_in_place(|| self.account_health())?);
+        let health = block_in_place(|| self.parts_health())?;
         let life = block_in_place(|| self.life_line(profile))?;
         Ok(SiteView { health, life, robots, profiles, queue: self.queue_view(), tasks: self.parts.supervisor.views() })
     }
 
-    fn queue_view(&self) -> QueueView {
+    /// What is not well now, and what is: the one place that status, figures and alerts ask.
+    pub(super) fn parts_health(&self) -> Result<Vec<PartHealth>, Failure> {
+        let mut health = vec![self.ros_health(), self.chain_health(), self.vault_health(), self.gateway_health()];
+        health.extend(self.clock.health());
+        health.extend(self.account_health()?);
+        Ok(health)
+    }
+
+    pub(super) fn queue_view(&self) -> QueueView {
         let (messages, bytes) = self.rings.depth();
         let count = |number: usize| u64::try_from(number).unwrap_or(u64::MAX);
         QueueView { messages: count(messages), bytes: count(bytes), capacity: count(self.rings.capacity()) }
@@ -118,8 +125,12 @@ impl Site {
         let Ok(owner) = self.parts.owners.address_of(profile) else {
             return Ok(LifeLine { conserved: true, ..LifeLine::default() });
         };
+        self.life_line_of(owner, &self.losses.counts(&self.plant, owner)?)
+    }
+
+    /// The life line of an account, out of its counts.
+    pub(super) fn life_line_of(&self, owner: Address, counts: &StateCounts) -> Result<LifeLine, Failure> {
         let (waiting, _) = self.rings.depth();
-        let counts = self.losses.counts(&self.plant, owner)?;
         let at_least = |least: RecordState| -> u64 {
             let states =
                 RecordState::ALL.into_iter().filter(|state| *state >= least && *state <= RecordState::Verified);

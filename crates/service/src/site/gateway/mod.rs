@@ -146,6 +146,12 @@ impl Gateway {
         self.serving.lock().unwrap_or_else(PoisonError::into_inner).as_ref().map(|serving| serving.view.clone())
     }
 
+    /// Connections to the gateway that is served here, if one is.
+    pub fn connections(&self) -> Option<u64> {
+        let serving = self.serving.lock().unwrap_or_else(PoisonError::into_inner);
+        serving.as_ref().map(|serving| u64::try_from(serving.watch.connections()).unwrap_or(u64::MAX))
+    }
+
     /// Serves the gateway's protocol until `ended`, or the site's end.
     pub(super) async fn serve(
         self: &Arc<Self>,

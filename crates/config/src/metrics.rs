@@ -1,0 +1,52 @@
+//! Where the figures of a running site are read, as far as settings say.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+use super::error::ConfigError;
+use super::read::{Values, switch, value, wrong};
+
+/// Where figures are read.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum FiguresPlace {
+    /// An address; of this machine alone, unless `open` says that others may reach it.
+    Address {
+        /// The address.
+        address: SocketAddr,
+        /// Whether other machines may reach it.
+        open: bool,
+    },
+    /// A socket in the file system, which its folder's rights protect.
+    Socket(PathBuf),
+}
+
+/// What the settings say about figures.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct MetricsSettings {
+    /// Where they are read; `None` = nowhere.
+    pub listen: Option<FiguresPlace>,
+    /// Whether topics have figures by their names.
+    pub topics: bool,
+}
+
+impl MetricsSettings {
+    pub(super) fn read(values: &Values) -> Result<Self, ConfigError> {
+        let open = switch(values, "metrics.open", ("yes", "no"))?;
+        let topics = switch(values, "metrics.topics", ("yes", "no"))?;
+        let listen = value(values, "metrics.listen").map(|text| place(values, text, open)).transpose()?;
+        Ok(Self { listen, topics })
+    }
+}
+
+fn place(values: &Values, text: &str, open: bool) -> Result<FiguresPlace, ConfigError> {
+    if text.starts_with('/') {
+        return Ok(FiguresPlace::Socket(text.into()));
+    }
+    let wrong = |what| wrong(values, "metrics.listen", what);
+    let address: SocketAddr =
+        text.parse().map_err(|_| wrong("write 127.0.0.1:PORT, or a path that begins with /, for a socket"))?;
+    if !open && !address.ip().is_loopback() {
+        return Err(wrong("other machines reach this address; use 127.0.0.1, or set metrics.open = 'yes' as well"));
+    }
+    Ok(FiguresPlace::Address { address, open })
+}

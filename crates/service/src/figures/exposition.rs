@@ -1,0 +1,284 @@
+//! Figures as the text that Prometheus reads: names, units and types as its documentation asks, labels of a bounded set.
+
+use super::{BOUNDS, Figures, Latency, LifeLine, OwnerFigures};
+use crate::model::Timestamp;
+
+/// What the text is to whoever reads it.
+pub const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
+
+type Labels<'a> = &'a [(&'a str, &'a str)];
+
+/// Text of figures as it grows.
+#[derive(Default)]
+struct Text(String);
+
+impl Text {
+    fn begin(&mut self, name: &str, kind: &str, help: &str) {
+        self.0.push_str(&format!("# HELP {name} {help}\n# TYPE {name} {kind}\n"));
+    }
+
+    fn value(&mut self, name: &str, labels: Labels<'_>, value: impl std::fmt::Display) {
+        self.0.push_str(name);
+        for (index, (label, text)) in labels.iter().enumerate() {
+            let before = if index == 0 { '{' } else { ',' };
+            self.0.push_str(&format!("{before}{label}=\"{}\"", escaped(text)));
+        }
+        let behind = if labels.is_empty() { "" } else { "}" };
+        self.0.push_str(&format!("{behind} {value}\n"));
+    }
+
+    fn single(&mut self, name: &str, kind: &str, help: &str, value: impl std::fmt::Display) {
+        self.begin(name, kind, help);
+        self.value(name, &[], value);
+    }
+
+    /// A family with one value for each of `rows`; nothing where there are none.
+    fn family<Row>(
+        &mut self,
+        (name, kind, help): (&str, &str, &str),
+        rows: &[Row],
+        mut each: impl FnMut(&mut Self, &str, &Row),
+    ) {
+        if rows.is_empty() {
+            return;
+        }
+        self.begin(name, kind, help);
+        rows.iter().for_each(|row| each(self, name, row));
+    }
+}
+
+/// A label's value between its quotes.
+fn escaped(text: &str) -> String {
+    text.replace('\\', "\\\\").replace('"', "\\\"").replace('\n', "\\n")
+}
+
+/// The whole text.
+pub fn text(figures: &Figures) -> String {
+    let mut text = Text::default();
+    text.begin("authros_build_info", "gauge", "The program's version; always 1.");
+    text.value("authros_build_info", &[("version", env!("CARGO_PKG_VERSION"))], 1);
+    records(&mut text, figures);
+    topics(&mut text, figures);
+    ages(&mut text, figures);
+    line(&mut text, figures);
+    chain(&mut text, figures);
+    health(&mut text, figures);
+    figures.latencies.first().inspect(|_| {
+        text.begin(
+            "authros_latency_seconds",
+            "histogram",
+            "Time from capture to a milestone; the sum is at most 1/16 too high.",
+        );
+    });
+    figures.latencies.iter().for_each(|latency| histogram(&mut text, latency));
+    text.0
+}
+
+/// The terms of the law: captured = the sum of the states of `authros_records`.
+fn terms(life: &LifeLine) -> [(&'static str, u64); 6] {
+    [
+        ("verified", life.verified),
+        ("pending", life.pending),
+        ("right_ended", life.right_ended),
+        ("quarantined", life.quarantined),
+        ("dropped", life.dropped),
+        ("tampered", life.tampered),
+    ]
+}
+
+fn records(text: &mut Text, figures: &Figures) {
+    let owners = &figures.owners;
+    let of = |text: &mut Text, name: &str, row: &OwnerFigures, value: u64| {
+        text.value(name, &[("owner", &row.owner)], value);
+    };
+    let help = "Messages taken in, those included that were then dropped.";
+    text.family(("authros_records_captured_total", "counter", help), owners, |text, name, row| {
+        of(text, name, row, row.life.captured);
+    });
+    let help = "Data records by where they stand; together they are authros_records_captured_total.";
+    text.family(("authros_records", "gauge", help), owners, |text, name, row| {
+        for (state, count) in terms(&row.life) {
+            text.value(name, &[("owner", &row.owner), ("state", state)], count);
+        }
+    });
+    let help = "1 where captured equals the sum of all states, in all and for each topic; else 0.";
+    text.family(("authros_records_conserved", "gauge", help), owners, |text, name, row| {
+        of(text, name, row, u64::from(row.life.conserved));
+    });
+    let help = "Messages that became no record: transport (never arrived), recorder (no room, or no key).";
+    text.family(("authros_losses_total", "counter", help), owners, |text, name, row| {
+        for (place, count) in [("transport", row.life.lost_in_transport), ("recorder", row.life.lost_in_recorder)] {
+            text.value(name, &[("owner", &row.owner), ("place", place)], count);
+        }
+    });
+    let help = "Records that the operator discarded out of quarantine.";
+    text.family(("authros_records_discarded_total", "counter", help), owners, |text, name, row| {
+        of(text, name, row, row.life.discarded);
+    });
+}
+
+fn topics(text: &mut Text, figures: &Figures) {
+    let rows: Vec<_> =
+        figures.owners.iter().flat_map(|owner| owner.topics.iter().map(move |topic| (&owner.owner, topic))).collect();
+    let help = "Messages of a topic that were taken in.";
+    text.family(("authros_topic_captured_total", "counter", help), &rows, |text, name, (owner, row)| {
+        text.value(name, &[("owner", owner), ("topic", &row.topic)], row.captured);
+    });
+    let help = "Records of a topic that are verified.";
+    text.family(("authros_topic_verified_records", "gauge", help), &rows, |text, name, (owner, row)| {
+        text.value(name, &[("owner", owner), ("topic", &row.topic)], row.verified);
+    });
+    let help = "Messages of a topic that never arrived.";
+    text.family(("authros_topic_missed_total", "counter", help), &rows, |text, name, (owner, row)| {
+        text.value(name, &[("owner", owner), ("topic", &row.topic)], row.missed);
+    });
+}
+
+fn ages(text: &mut Text, figures: &Figures) {
+    let age = |moment: Option<Timestamp>| moment.map_or(0.0, |moment| figures.age(moment));
+    let help = "Age of the oldest record that is in no block; 0 where all are.";
+    text.family(("authros_oldest_unanchored_age_seconds", "gauge", help), &figures.owners, |text, name, row| {
+        text.value(name, &[("owner", &row.owner)], age(row.oldest_unanchored));
+    });
+    let help = "Time since a robot's newest record was captured, by the robot's clock.";
+    text.family(("authros_robot_last_seen_age_seconds", "gauge", help), &figures.robots, |text, name, row| {
+        text.value(name, &[("robot", &row.robot)], figures.age(row.last_seen));
+    });
+    let help = "Age of the oldest line of the audit log that no anchored head covers; 0 where all are covered.";
+    text.single("authros_audit_unanchored_age_seconds", "gauge", help, age(figures.audit_unanchored));
+    text.single("authros_audit_lines_total", "counter", "Lines of the audit log.", figures.audit_lines);
+}
+
+fn line(text: &mut Text, figures: &Figures) {
+    let (queue, (records, bytes)) = (&figures.queue, figures.backlog);
+    text.single("authros_queue_messages", "gauge", "Messages in memory that wait to be sealed.", queue.messages);
+    text.single("authros_queue_bytes", "gauge", "Bytes of the messages that wait to be sealed.", queue.bytes);
+    text.single("authros_queue_capacity_bytes", "gauge", "The most bytes that may wait.", queue.capacity);
+    text.single("authros_vault_backlog_records", "gauge", "Sealed records that wait for the vault.", records);
+    text.single("authros_vault_backlog_bytes", "gauge", "Bytes of sealed records that wait for the vault.", bytes);
+    text.single("authros_gaps_untold", "gauge", "Losses that no gap record tells of yet.", figures.untold_gaps);
+    if let Some((free, reserve)) = figures.disk {
+        text.single("authros_disk_free_bytes", "gauge", "Free space on the disk of the home.", free);
+        text.single("authros_disk_reserve_bytes", "gauge", "Space below which no record is acknowledged.", reserve);
+    }
+    let help = "Time that a stage of the line was at work.";
+    text.family(
+        ("authros_stage_busy_seconds_total", "counter", help),
+        &figures.busy,
+        |text, name, (stage, seconds)| {
+            text.value(name, &[("stage", stage)], seconds);
+        },
+    );
+}
+
+fn chain(text: &mut Text, figures: &Figures) {
+    if let Some((number, time)) = figures.block {
+        text.single("authros_chain_block_height", "gauge", "Height of the newest block.", number);
+        let help = "Time since the newest block, by that block's own time.";
+        text.single("authros_last_block_age_seconds", "gauge", help, figures.age(time));
+    }
+    let help = "Transactions of a lane that are in no block.";
+    text.family(("authros_lane_open_transactions", "gauge", help), &figures.lanes, |text, name, row| {
+        text.value(name, &[("account", &row.account)], row.open);
+    });
+    let help = "Age of a lane's oldest open transaction; 0 where none is open.";
+    text.family(("authros_lane_oldest_age_seconds", "gauge", help), &figures.lanes, |text, name, row| {
+        text.value(name, &[("account", &row.account)], row.oldest.map_or(0.0, |oldest| figures.age(oldest)));
+    });
+    let help = "1 where a lane stands still until somebody helps; else 0.";
+    text.family(("authros_lane_paused", "gauge", help), &figures.lanes, |text, name, row| {
+        text.value(name, &[("account", &row.account)], u8::from(row.paused));
+    });
+}
+
+fn health(text: &mut Text, figures: &Figures) {
+    let help = "1 where a part of the site works; 0 where it is starting, tried again, or has failed.";
+    text.family(("authros_part_up", "gauge", help), &figures.parts, |text, name, row| {
+        text.value(name, &[("part", &row.part)], u8::from(row.well));
+    });
+    let help = "Seconds that the machine's clock is ahead of the time that rights go by; negative where it is behind.";
+    text.single("authros_clock_ahead_seconds", "gauge", help, figures.clock_ahead);
+    text.begin("authros_tasks", "gauge", "Background tasks by how they are.");
+    let resting = figures.resting();
+    text.value("authros_tasks", &[("state", "running")], figures.tasks.len() - resting);
+    text.value("authros_tasks", &[("state", "resting")], resting);
+    if let Some(connections) = figures.connections {
+        text.single("authros_gateway_connections", "gauge", "Open connections of the gateway.", connections);
+    }
+}
+
+fn histogram(text: &mut Text, latency: &Latency) {
+    let milestone = ("milestone", latency.milestone);
+    for (power, within) in BOUNDS.iter().zip(&latency.within) {
+        let bound = std::time::Duration::from_micros(1 << power).as_secs_f64().to_string();
+        text.value("authros_latency_seconds_bucket", &[milestone, ("le", &bound)], within);
+    }
+    text.value("authros_latency_seconds_bucket", &[milestone, ("le", "+Inf")], latency.count);
+    text.value("authros_latency_seconds_sum", &[milestone], latency.seconds);
+    text.value("authros_latency_seconds_count", &[milestone], latency.count);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::service::figures::{RobotFigures, TopicFigures};
+
+    fn figures() -> Figures {
+        let life = LifeLine {
+            captured: 21,
+            verified: 6,
+            pending: 5,
+            right_ended: 4,
+            quarantined: 3,
+            dropped: 2,
+            ..LifeLine::default()
+        };
+        let life = LifeLine { tampered: 1, conserved: true, ..life };
+        let owner = OwnerFigures { owner: "0a0b0c0d".to_owned(), life, ..OwnerFigures::default() };
+        let oldest_unanchored = Some(Timestamp::from_seconds(90));
+        Figures {
+            now: Timestamp::from_seconds(100),
+            owners: vec![OwnerFigures { oldest_unanchored, ..owner }],
+            robots: vec![RobotFigures { robot: "12345678".to_owned(), last_seen: Timestamp::from_seconds(140) }],
+            latencies: vec![Latency { milestone: "durable", within: vec![1; 12], count: 2, seconds: 0.5 }],
+            ..Figures::default()
+        }
+    }
+
+    #[test]
+    fn the_terms_of_the_law_stand_beside_what_was_captured() {
+        let text = text(&figures());
+        for line in [
+            "authros_records_captured_total{owner=\"0a0b0c0d\"} 21",
+            "authros_records{owner=\"0a0b0c0d\",state=\"verified\"} 6",
+            "authros_records{owner=\"0a0b0c0d\",state=\"tampered\"} 1",
+            "authros_records_conserved{owner=\"0a0b0c0d\"} 1",
+            "authros_oldest_unanchored_age_seconds{owner=\"0a0b0c0d\"} 10",
+            "authros_robot_last_seen_age_seconds{robot=\"12345678\"} 0",
+            "authros_latency_seconds_bucket{milestone=\"durable\",le=\"0.001024\"} 1",
+            "authros_latency_seconds_bucket{milestone=\"durable\",le=\"+Inf\"} 2",
+        ] {
+            assert!(text.lines().any(|other| other == line), "{line} is not in\n{text}");
+        }
+        assert!(!text.contains("authros_topic"), "no topic unless asked for");
+    }
+
+    #[test]
+    fn a_topic_with_quotes_cannot_leave_its_label() {
+        let mut figures = figures();
+        let topic = "/a\"} 1\nauthros_records{state=\"\\".to_owned();
+        figures.owners[0].topics.push(TopicFigures { topic, captured: 9, ..TopicFigures::default() });
+        let text = text(&figures);
+        let line =
+            "authros_topic_captured_total{owner=\"0a0b0c0d\",topic=\"/a\\\"} 1\\nauthros_records{state=\\\"\\\\\"} 9";
+        assert!(text.lines().any(|other| other == line), "{text}");
+    }
+
+    #[test]
+    fn a_family_is_begun_once_and_before_its_values() {
+        let text = text(&figures());
+        let names: Vec<_> = text.lines().filter_map(|line| line.strip_prefix("# TYPE ")).collect();
+        let distinct: std::collections::BTreeSet<_> = names.iter().collect();
+        assert_eq!(names.len(), distinct.len(), "{names:?}");
+    }
+}

@@ -1,0 +1,141 @@
+//! The figures of a running site at one moment: what Prometheus reads and what alerts are judged by. Words alone, no I/O
+//! but in `http`; the site fills them in.
+
+pub mod exposition;
+pub mod http;
+
+use crate::model::Timestamp;
+use crate::service::reply::{LifeLine, QueueView, TaskState, TaskView};
+
+/// The figures of a site.
+#[derive(Debug, Clone, Default)]
+pub struct Figures {
+    /// When they were read.
+    pub now: Timestamp,
+    /// Accounts whose records are here.
+    pub owners: Vec<OwnerFigures>,
+    /// Robots that were heard of, without this home's own keys.
+    pub robots: Vec<RobotFigures>,
+    /// The parts of this run and whether they are well.
+    pub parts: Vec<PartFigures>,
+    /// Background tasks.
+    pub tasks: Vec<TaskView>,
+    /// The ring before the sealer.
+    pub queue: QueueView,
+    /// Lanes of transactions.
+    pub lanes: Vec<LaneFigures>,
+    /// The newest block: its height and its own time.
+    pub block: Option<(u64, Timestamp)>,
+    /// Bytes free on the disk of the home, and how many of them records leave.
+    pub disk: Option<(u64, u64)>,
+    /// Records that wait here for the vault, and their bytes.
+    pub backlog: (u64, u64),
+    /// Losses that no gap record tells of yet.
+    pub untold_gaps: u64,
+    /// Lines of the audit log.
+    pub audit_lines: u64,
+    /// When its oldest line was written that no anchored head covers.
+    pub audit_unanchored: Option<Timestamp>,
+    /// Seconds that the machine's clock is ahead of the one that rights go by; negative = behind.
+    pub clock_ahead: i64,
+    /// Connections of the gateway that is served here.
+    pub connections: Option<u64>,
+    /// Times of the line, by milestone.
+    pub latencies: Vec<Latency>,
+    /// Seconds that each stage was busy.
+    pub busy: Vec<(&'static str, f64)>,
+}
+
+/// The records of one account.
+#[derive(Debug, Clone, Default)]
+pub struct OwnerFigures {
+    /// The beginning of the account.
+    pub owner: String,
+    /// Its life line.
+    pub life: LifeLine,
+    /// When the oldest record was captured that is in no block.
+    pub oldest_unanchored: Option<Timestamp>,
+    /// Topics by name, only where the settings ask for them.
+    pub topics: Vec<TopicFigures>,
+}
+
+/// The records of one topic.
+#[derive(Debug, Clone, Default)]
+pub struct TopicFigures {
+    /// Its name.
+    pub topic: String,
+    /// Messages taken in.
+    pub captured: u64,
+    /// Of these verified.
+    pub verified: u64,
+    /// Not captured: lost in transport.
+    pub missed: u64,
+}
+
+/// A robot.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct RobotFigures {
+    /// The beginning of its fingerprint.
+    pub robot: String,
+    /// When its newest record was captured, by its own clock.
+    pub last_seen: Timestamp,
+}
+
+/// A part of the site.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct PartFigures {
+    /// `ros`, `chain`, `vault`, `gateway`, `clock`, `account`.
+    pub part: String,
+    /// Whether it works.
+    pub well: bool,
+    /// Whether it has failed and is not merely starting.
+    pub failed: bool,
+    /// In words, cleaned; never shown in figures.
+    pub text: String,
+}
+
+/// A lane of transactions.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct LaneFigures {
+    /// The beginning of the account.
+    pub account: String,
+    /// Transactions in no block.
+    pub open: u64,
+    /// When the oldest was first signed.
+    pub oldest: Option<Timestamp>,
+    /// Whether it stands still.
+    pub paused: bool,
+}
+
+/// Times from capture to a milestone.
+#[derive(Debug, Clone)]
+pub struct Latency {
+    /// `durable`, `confirmed`, `verified`.
+    pub milestone: &'static str,
+    /// How many were within each bound of [`BOUNDS`].
+    pub within: Vec<u64>,
+    /// How many in all.
+    pub count: u64,
+    /// Seconds of all together.
+    pub seconds: f64,
+}
+
+/// The bounds of latencies: powers of two, microseconds, from a millisecond to an hour.
+pub const BOUNDS: [u32; 12] = [10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30, 32];
+
+/// The beginning of an account or a fingerprint: enough to tell robots apart, and no key.
+pub fn short(text: &str) -> String {
+    text.trim_start_matches("0x").chars().filter(char::is_ascii_hexdigit).take(8).collect()
+}
+
+impl Figures {
+    /// Seconds since a moment; none before it.
+    pub fn age(&self, moment: Timestamp) -> f64 {
+        std::time::Duration::from_nanos(self.now.0.saturating_sub(moment.0)).as_secs_f64()
+    }
+
+    /// Tasks that failed and rest.
+    pub fn resting(&self) -> usize {
+        self.tasks.iter().filter(|task| task.state == TaskState::Resting).count()
+    }
+}

@@ -1,0 +1,229 @@
+//! Fills in the figures of this site and lets them be read. Everything is counted anyway; a scrape only looks, and at
+//! most one look a second goes to the ledger, whoever asks how often.
+
+use std::os::unix::fs::{FileTypeExt as _, PermissionsExt as _};
+use std::path::Path;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use tokio::io::{AsyncRead, AsyncWrite};
+use tokio::net::{TcpListener, UnixListener};
+use tokio::sync::{Mutex, Semaphore};
+
+use super::{Site, blocking};
+use crate::config::FiguresPlace;
+use crate::crypto::signer_id;
+use crate::model::steady_clock::look;
+use crate::model::{Address, Timestamp};
+use crate::pipeline::audit_head;
+use crate::pipeline::stages::{Milestone, Stage};
+use crate::service::event::NoticeLevel;
+use crate::service::figures::{
+    BOUNDS, Figures, LaneFigures, Latency, OwnerFigures, PartFigures, RobotFigures, TopicFigures, exposition, http,
+    short,
+};
+use crate::service::reply::{Failure, HealthLevel, PartHealth};
+use crate::store::StateCounts;
+use crate::store::files::free_bytes;
+
+/// How long figures that were read are given out again.
+const FRESH: Duration = Duration::from_secs(1);
+/// Between two attempts to listen.
+const AGAIN: Duration = Duration::from_secs(5);
+/// Accounts, robots and topics that have figures of their own, at most.
+const MOST_OWNERS: usize = 64;
+const MOST_ROBOTS: usize = 256;
+const MOST_TOPICS: usize = 200;
+
+/// The text that was read last, and when.
+type Kept = Mutex<Option<(Instant, Arc<str>)>>;
+
+impl Site {
+    /// Begins what watches over a site that is to stay: its figures.
+    pub fn oversee(self: &Arc<Self>) {
+        if self.config().metrics.listen.is_some() {
+            drop(self.parts.supervisor.keep("metrics", self, Self::serve_figures));
+        }
+    }
+
+    async fn serve_figures(self: Arc<Self>) {
+        let Some(place) = self.config().metrics.listen.clone() else { return };
+        while !self.parts.life.is_stopping() {
+            let failed = match &place {
+                FiguresPlace::Address { address, open } => match TcpListener::bind(address).await {
+                    Ok(listener) => self.answer_readers(*open, || async { Ok(listener.accept().await?.0) }).await,
+                    Err(error) => format!("{address}: {error}"),
+                },
+                FiguresPlace::Socket(path) => match listen_at(path) {
+                    Ok(listener) => self.answer_readers(true, || async { Ok(listener.accept().await?.0) }).await,
+                    Err(error) => format!("{}: {error}", path.display()),
+                },
+            };
+            if self.parts.life.is_stopping() {
+                return;
+            }
+            let text = format!("figures cannot be read at {failed}; choose another metrics.listen, or free it");
+            self.parts.hub.notice(NoticeLevel::Error, &text);
+            tokio::select! {
+                () = tokio::time::sleep(AGAIN) => {}
+                () = self.stopped() => return,
+            }
+        }
+    }
+
+    /// Answers until accepting fails, and why, or until the site ends.
+    async fn answer_readers<S, Accepted>(self: &Arc<Self>, any_host: bool, accept: impl Fn() -> Accepted) -> String
+    where
+        S: AsyncRead + AsyncWrite + Unpin + Send + 'static,
+        Accepted: Future<Output = std::io::Result<S>>,
+    {
+        let (places, kept) = (Arc::new(Semaphore::new(http::MOST)), Arc::new(Kept::default()));
+        loop {
+            // Whoever finds no place waits before he is accepted.
+            let Ok(place) = Arc::clone(&places).acquire_owned().await else { return String::new() };
+            let stream = tokio::select! {
+                stream = accept() => stream,
+                () = self.stopped() => return String::new(),
+            };
+            let stream = match stream {
+                Ok(stream) => stream,
+                Err(error) => return error.to_string(),
+            };
+            let (site, kept) = (Arc::clone(self), Arc::clone(&kept));
+            tokio::spawn(async move {
+                http::answer(stream, any_host, || site.figures_text(kept)).await;
+                drop(place);
+            });
+        }
+    }
+
+    async fn figures_text(self: Arc<Self>, kept: Arc<Kept>) -> Option<Arc<str>> {
+        // Held while they are read: many who ask at once wait for one look.
+        let mut kept = kept.lock().await;
+        if let Some((_, text)) = kept.as_ref().filter(|(at, _)| at.elapsed() < FRESH) {
+            return Some(Arc::clone(text));
+        }
+        let text: Arc<str> = blocking(&self, |site| Ok(exposition::text(&site.figures()?))).await.ok()?.into();
+        *kept = Some((Instant::now(), Arc::clone(&text)));
+        Some(text)
+    }
+
+    /// The figures of this moment.
+    ///
+    /// # Errors
+    /// Of the ledger.
+    pub(super) fn figures(&self) -> Result<Figures, Failure> {
+        let (audit_lines, audit_unanchored) = self.audit_figures()?;
+        let ledger = &self.plant.ledger;
+        Ok(Figures {
+            now: Timestamp::now(),
+            owners: self.owner_figures()?,
+            robots: self.robot_figures()?,
+            parts: self.part_figures()?,
+            tasks: self.parts.supervisor.views(),
+            queue: self.queue_view(),
+            lanes: self.lane_figures()?,
+            block: self.block_figures(),
+            disk: free_bytes(self.home().root()).ok().map(|free| (free, self.config().disk_reserve)),
+            backlog: (ledger.sealed()?, ledger.backlog()?),
+            untold_gaps: ledger.untold_gaps()?,
+            audit_lines,
+            audit_unanchored,
+            clock_ahead: look().ahead(),
+            connections: self.gateway.connections(),
+            latencies: Milestone::ALL.map(|milestone| self.latency(milestone)).into(),
+            busy: Stage::ALL.map(|stage| (stage.word(), self.parts.hub.stages.busy(stage).as_secs_f64())).into(),
+        })
+    }
+
+    fn owner_figures(&self) -> Result<Vec<OwnerFigures>, Failure> {
+        let mut owners: Vec<Address> = self.parts.owners.all().iter().map(|owner| owner.address).collect();
+        owners.extend(self.plant.ledger.owners(MOST_OWNERS)?);
+        let mut known = std::collections::HashSet::new();
+        owners.retain(|owner| known.insert(*owner));
+        owners.truncate(MOST_OWNERS);
+        owners.into_iter().map(|owner| self.figures_of(owner)).collect()
+    }
+
+    fn figures_of(&self, owner: Address) -> Result<OwnerFigures, Failure> {
+        let counts = self.losses.counts(&self.plant, owner)?;
+        Ok(OwnerFigures {
+            owner: short(&owner.to_string()),
+            life: self.life_line_of(owner, &counts)?,
+            oldest_unanchored: self.plant.ledger.oldest_unanchored(owner)?,
+            topics: if self.config().metrics.topics { topics(&counts) } else { Vec::new() },
+        })
+    }
+
+    fn robot_figures(&self) -> Result<Vec<RobotFigures>, Failure> {
+        let own: Vec<_> = self.parts.owners.all().iter().map(|owner| signer_id(&owner.signing().public)).collect();
+        let seen = self.plant.ledger.last_seen(MOST_ROBOTS)?.into_iter().filter(|row| !own.contains(&row.signer));
+        Ok(seen.map(|row| RobotFigures { robot: short(&row.signer.to_string()), last_seen: row.at }).collect())
+    }
+
+    fn part_figures(&self) -> Result<Vec<PartFigures>, Failure> {
+        let there = |part: &PartHealth| part.level != HealthLevel::Absent;
+        let figures = |part: PartHealth| PartFigures {
+            well: part.level == HealthLevel::Ok,
+            failed: part.level == HealthLevel::Failed,
+            part: part.part,
+            text: part.text,
+        };
+        Ok(self.parts_health()?.into_iter().filter(there).map(figures).collect())
+    }
+
+    fn lane_figures(&self) -> Result<Vec<LaneFigures>, Failure> {
+        let Some(network) = self.parts.link.network_now() else { return Ok(Vec::new()) };
+        let mut lanes = Vec::new();
+        for owner in self.parts.owners.all() {
+            lanes.extend(self.lanes.lane_states(&owner, &network)?.into_iter().map(|lane| LaneFigures {
+                account: short(&lane.account.to_string()),
+                open: lane.open,
+                oldest: lane.oldest,
+                paused: lane.paused.is_some(),
+            }));
+        }
+        Ok(lanes)
+    }
+
+    fn block_figures(&self) -> Option<(u64, Timestamp)> {
+        self.parts.link.newest_head().map(|head| (head.number, Timestamp::from_seconds(head.timestamp)))
+    }
+
+    /// How many lines the audit log has, and when the oldest was written that no head of any open owner covers.
+    fn audit_figures(&self) -> Result<(u64, Option<Timestamp>), Failure> {
+        let (lines, _) = self.parts.log.lines().head()?;
+        let mut oldest: Option<Timestamp> = None;
+        for owner in self.parts.owners.all() {
+            let anchored = audit_head::noted(&self.plant.ledger, owner.address)?.map_or(0, |(line, _)| line);
+            oldest = oldest.into_iter().chain(self.parts.log.lines().written_after(anchored)?).min();
+        }
+        Ok((lines, oldest))
+    }
+
+    fn latency(&self, milestone: Milestone) -> Latency {
+        let (within, count, seconds) = self.parts.hub.stages.within_powers(milestone, &BOUNDS);
+        Latency { milestone: milestone.word(), within, count, seconds }
+    }
+}
+
+fn topics(counts: &StateCounts) -> Vec<TopicFigures> {
+    let figures = |row: &crate::store::TopicCounts| TopicFigures {
+        topic: crate::model::clean(&row.topic, 256),
+        captured: row.captured,
+        verified: row.verified,
+        missed: row.missed,
+    };
+    counts.topics.iter().take(MOST_TOPICS).map(figures).collect()
+}
+
+/// A socket for this user alone, in place of one that a process before left behind.
+fn listen_at(path: &Path) -> std::io::Result<UnixListener> {
+    let is_socket = std::fs::symlink_metadata(path).is_ok_and(|about| about.file_type().is_socket());
+    if is_socket && std::os::unix::net::UnixStream::connect(path).is_err() {
+        std::fs::remove_file(path)?;
+    }
+    let listener = UnixListener::bind(path)?;
+    std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o600))?;
+    Ok(listener)
+}

@@ -1,0 +1,96 @@
+//! How old what waits is, and when each signer was last heard of: a few looks into the index of states for each stream,
+//! whatever the number of records.
+
+use rusqlite::params;
+
+use super::Ledger;
+use crate::model::{Address, RecordKind, RecordState, SignerId, Timestamp};
+use crate::store::StoreError;
+
+/// Whose records were last captured when.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct LastSeen {
+    /// The key that signed them.
+    pub signer: SignerId,
+    /// When the newest was captured, as its recorder's clock said.
+    pub at: Timestamp,
+}
+
+/// The states of a record that is here and in no block.
+const UNANCHORED: [RecordState; 4] =
+    [RecordState::Sealed, RecordState::Stored, RecordState::Batched, RecordState::Submitted];
+
+impl Ledger {
+    /// Whose records are here, at most `limit` accounts.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn owners(&self, limit: usize) -> Result<Vec<Address>, StoreError> {
+        let limit = i64::try_from(limit).unwrap_or(i64::MAX);
+        self.read(|connection| {
+            let mut statement = connection.prepare_cached("SELECT DISTINCT owner FROM topics LIMIT ?1")?;
+            let rows = statement.query_map([limit], |row| Ok(Address(row.get(0)?)))?;
+            Ok(rows.collect::<Result<_, _>>()?)
+        })
+    }
+
+    /// When the oldest of an owner's data records was captured that is in no block yet.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn oldest_unanchored(&self, owner: Address) -> Result<Option<Timestamp>, StoreError> {
+        self.read(|connection| {
+            let mut statement = connection.prepare_cached(
+                "SELECT min((SELECT min(captured_at) FROM records WHERE state = ?3 AND stream = s.key))
+                 FROM streams s JOIN topics t ON t.key = s.topic WHERE t.owner = ?1 AND s.kind = ?2",
+            )?;
+            let mut oldest: Option<i64> = None;
+            for state in UNANCHORED {
+                let values = params![owner.0, RecordKind::Data.code(), i64::from(state.code())];
+                let found: Option<i64> = statement.query_row(values, |row| row.get(0))?;
+                oldest = oldest.into_iter().chain(found).min();
+            }
+            Ok(oldest.and_then(|at| u64::try_from(at).ok()).map(Timestamp))
+        })
+    }
+
+    /// When each signer's newest data record was captured; the `limit` heard of last.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn last_seen(&self, limit: usize) -> Result<Vec<LastSeen>, StoreError> {
+        let newest: Vec<String> = RecordState::ALL
+            .iter()
+            .map(|state| {
+                format!(
+                    "coalesce((SELECT max(captured_at) FROM records WHERE state = {} AND stream = s.key), 0)",
+                    state.code()
+                )
+            })
+            .collect();
+        let sql = format!(
+            "SELECT signer, max(max({})) AS at FROM streams s WHERE kind = ?1 GROUP BY signer ORDER BY at DESC LIMIT ?2",
+            newest.join(", ")
+        );
+        let limit = i64::try_from(limit).unwrap_or(i64::MAX);
+        self.read(|connection| {
+            let mut statement = connection.prepare_cached(&sql)?;
+            let rows = statement.query_map(params![RecordKind::Data.code(), limit], |row| {
+                let at: i64 = row.get(1)?;
+                Ok(LastSeen { signer: SignerId(row.get(0)?), at: Timestamp(at.cast_unsigned()) })
+            })?;
+            Ok(rows.collect::<Result<_, _>>()?)
+        })
+    }
+
+    /// Losses that no gap record tells of yet: places and reasons, not messages.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn untold_gaps(&self) -> Result<u64, StoreError> {
+        self.read(|connection| {
+            let sql = "SELECT count(*) FROM gaps WHERE report IS NULL";
+            Ok(connection.prepare_cached(sql)?.query_row([], |row| super::rows::unsigned(row, 0))?)
+        })
+    }
+}
