@@ -300,8 +300,8 @@ fn topic(hostile: &mut Hostile) -> TopicRow {
 fn opened(hostile: &mut Hostile) -> OpenedView {
     let fields: Vec<(String, String)> = (0..30).map(|_| (hostile.text(), hostile.text())).collect();
     serde_json::from_value(serde_json::json!({
-        "id": "00000000000003e8", "seq": 1, "topic": hostile.text(), "type": hostile.text(), "kind": hostile.text(),
-        "state": hostile.text(), "digest": "00".repeat(32), "bytes": 7, "captured_at": "2026-01-01T00:00:00Z", "epoch": 1,
+        "id": "00000000000003e8", "seq": 1, "topic": hostile.text(), "type": hostile.text(), "kind": "data",
+        "state": "stored", "digest": "00".repeat(32), "bytes": 7, "captured_at": "2026-01-01T00:00:00Z", "epoch": 1,
         "simulated": false, "transaction": null, "block": null, "verdict": "unanchored", "caller_id": hostile.text(),
         "tags": [[hostile.text(), hostile.text()]], "fields": fields, "message": null,
     }))
@@ -327,7 +327,7 @@ fn of_a_million_hostile_strings_no_control_byte_reaches_the_terminal() {
         assert!(frame.len() > 2_000, "the names are drawn: {}", frame.len());
         assert_eq!(foreign(frame.as_bytes()), None);
         let view = opened(&mut hostile);
-        strings += 30 * 2 + 7;
+        strings += 30 * 2 + 5;
         let mut opening = Opening::new(&hostile.text());
         opening.lookup.answer = Some(Ok(Box::new(view)));
         scene.state.popups.push(Popup::Record(opening));

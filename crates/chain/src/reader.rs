@@ -176,6 +176,13 @@ impl Chain {
         Ok((state.epoch != 0).then_some(state))
     }
 
+    /// Ends a chain that lies in this process and waits until its file is closed; any other goes on.
+    pub async fn end(&self) {
+        if let Some(chain) = self.transport().embedded() {
+            chain.end().await;
+        }
+    }
+
     /// Writes the embedded chain, as it is between two blocks, to a new file; `false` on other chains.
     ///
     /// # Errors

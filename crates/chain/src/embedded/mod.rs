@@ -87,6 +87,8 @@ pub struct Embedded {
 struct Line {
     inlet: Inlet,
     facts: Facts,
+    /// Its sender goes with the chain's thread, after the file was closed.
+    closing: watch::Receiver<()>,
 }
 
 /// The way in. The chain ends with it.
@@ -117,6 +119,7 @@ impl Embedded {
         let (requests, inbox) = channel();
         let (opened, answer) = oneshot::channel();
         let inlet = Inlet(requests.clone());
+        let (running, closing) = watch::channel(());
         let found = Arc::new(move |nonce| drop(requests.send(Request::Worked(nonce))));
         let run = move || match Node::open(&directory, asked, Arc::clone(&found) as _) {
             Ok(node) => {
@@ -124,6 +127,7 @@ impl Embedded {
                 let facts = Facts { head, consensus: node.consensus, sealers: node.sealing.addresses() };
                 if opened.send(Ok(facts)).is_ok() {
                     keep_serving(node, &inbox, &announce, || Node::open(&directory, asked, Arc::clone(&found) as _));
+                    drop(running);
                 }
             }
             Err(error) => drop(opened.send(Err(error))),
@@ -131,7 +135,15 @@ impl Embedded {
         let started = thread::Builder::new().name("authros-chain".into()).spawn(run);
         started.map_err(|error| ChainError::Internal(format!("the chain's thread cannot start: {error}")))?;
         let facts = answer.await.unwrap_or_else(|_| Err(gone()))?;
-        Ok(Self { line: Arc::new(Line { inlet, facts }) })
+        Ok(Self { line: Arc::new(Line { inlet, facts, closing }) })
+    }
+
+    /// Ends the chain for all its handles and waits until its file is closed: a process that ends before leaves a log
+    /// beside the file, which the next one has to work in.
+    pub async fn end(&self) {
+        drop(self.line.inlet.0.send(Request::End));
+        // Nothing is ever announced here: what comes is the end of the thread.
+        drop(self.line.closing.clone().changed().await);
     }
 
     /// Answers a JSON-RPC request.

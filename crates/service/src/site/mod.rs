@@ -86,6 +86,8 @@ use crate::store::{RESERVE_BYTES, Reserve, SiteLock};
 
 /// How long the nodes may take to leave the ROS graph.
 const LEAVING: Duration = Duration::from_secs(2);
+/// How long the embedded chain may take to close its file.
+const CLOSING: Duration = Duration::from_secs(2);
 /// How long captured messages may take to be stored at the end, counted from its beginning.
 const FLUSHING: Duration = Duration::from_secs(4);
 
@@ -359,9 +361,13 @@ impl Site {
         if !self.sealer.finish(FLUSHING.saturating_sub(begun.elapsed())).await {
             self.tell_unstored();
         }
+        let chain = self.parts.link.open_chain();
         self.parts.life.stop();
         self.parts.link.set(NetworkState::Off);
         self.parts.log.write_counted(None).await;
+        if let Some(chain) = chain {
+            drop(tokio::time::timeout(CLOSING, chain.end()).await);
+        }
         let ledger = self.plant.ledger.clone();
         drop(tokio::task::spawn_blocking(move || ledger.close()).await);
     }

@@ -18,7 +18,7 @@ use std::sync::Arc;
 
 use tokio::runtime::Handle;
 
-use super::{NetworkState, blocking};
+use super::blocking;
 use crate::chain::Chain;
 use crate::crypto::Passphrase;
 use crate::crypto::sealed_stream::SealedWriter;
@@ -84,14 +84,6 @@ impl Backup {
         written
     }
 
-    fn open_chain(&self) -> Option<Chain> {
-        match &*self.link.state() {
-            NetworkState::Bare(chain) => Some(chain.clone()),
-            NetworkState::Up(network) => Some(network.chain.clone()),
-            _ => None,
-        }
-    }
-
     /// The three databases as of one moment.
     fn moment(&self, runtime: &Handle) -> Result<Moment, Failure> {
         let folder = tempfile::Builder::new()
@@ -101,7 +93,7 @@ impl Backup {
             .map_err(|error| unwritten(self.home.root(), &error))?;
         let vault = self.home.vault().join("vault.db");
         let vault = (self.config.vault_url.is_none() && vault.exists()).then_some(vault);
-        let (chain, runtime, copy) = (self.open_chain(), runtime.clone(), folder.path().join("chain.db"));
+        let (chain, runtime, copy) = (self.link.open_chain(), runtime.clone(), folder.path().join("chain.db"));
         let closed = self.home.chain().join("chain.db");
         let also = move || {
             let vault = vault.map(|vault| Snapshot::begin(&vault)).transpose()?;

@@ -136,6 +136,15 @@ impl Link {
         }
     }
 
+    /// The chain, where one is connected right now.
+    pub fn open_chain(&self) -> Option<Chain> {
+        match &*self.state.borrow() {
+            NetworkState::Bare(chain) => Some(chain.clone()),
+            NetworkState::Up(network) => Some(network.chain.clone()),
+            _ => None,
+        }
+    }
+
     /// Notes the head that the chain just told.
     pub fn saw_head(&self, head: BlockRef) {
         *self.head.lock().unwrap_or_else(PoisonError::into_inner) = Some((Instant::now(), head));
