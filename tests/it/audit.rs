@@ -262,7 +262,11 @@ const EDITS: [Edit; 19] = [
     edit("bytes, less than sealed", "UPDATE records SET bytes = 9 WHERE n = {n}", "bytes"),
     Edit { sealed: true, ..edit("simulated", "UPDATE records SET simulated = 0 WHERE n = {n}", "simulated") },
     edit("topic", "UPDATE records SET topic = (SELECT max(key) FROM topics), seq = 90 WHERE n = {n}", ""),
-    edit("stream", "UPDATE records SET stream = (SELECT max(key) FROM streams) WHERE n = {n}", "topic"),
+    edit(
+        "stream",
+        "UPDATE records SET stream = (SELECT max(key) FROM streams WHERE topic != {topic}) WHERE n = {n}",
+        "topic",
+    ),
     edit("block", "UPDATE records SET block = block + 1 WHERE n = {n}", "block"),
     edit("tx", "UPDATE records SET tx = zeroblob(32) WHERE n = {n}", "transaction"),
     edit("block_hash", "UPDATE records SET block_hash = zeroblob(32) WHERE n = {n}", ""),
