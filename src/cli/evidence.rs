@@ -78,7 +78,7 @@ pub fn exported(view: &EvidenceView) -> String {
 
 /// Whether `verify` is given a bundle, and not a folder of `uploads export`.
 pub fn is_bundle(path: &Path) -> bool {
-    !path.is_dir() || path.join("manifest.json").exists()
+    path.is_file() || path.join("manifest.json").exists()
 }
 
 /// `verify` of a bundle: no home, no network.
@@ -90,7 +90,7 @@ pub fn run_verify(path: &Path, trust: Option<&Path>, output: &Output) -> Result<
     let trust = trust.map(read_trust).transpose()?;
     let failed = |error: authros_evidence::BundleError| {
         let text = format!("{}: {error}; nothing of it is shown, ask its exporter for another copy", path.display());
-        Failure::new(ErrorKind::Tampered, text)
+        Failure::new(if path.exists() { ErrorKind::Tampered } else { ErrorKind::Input }, text)
     };
     let bundle = Bundle::read(path, provider).map_err(failed)?;
     let report = authros_evidence::verify(&bundle, trust.as_ref(), provider);

@@ -106,7 +106,7 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
         Verb::Restore { file, check: false } => check::run_restore(&Context::new(global, output)?, &file, output),
         Verb::Bench(bench) => runtime.block_on(run_bench(&global, bench, output)),
         Verb::Evidence(verb) => runtime.block_on(evidence::run(Context::new(global, output)?, verb, output)),
-        Verb::Verify { path, trust, genesis: None } if evidence::is_bundle(&path) => {
+        Verb::Verify { path, trust, genesis: None } if trust.is_some() || evidence::is_bundle(&path) => {
             evidence::run_verify(&path, trust.as_deref(), output)
         }
         Verb::Verify { path, trust: _, genesis } => {

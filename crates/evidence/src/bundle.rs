@@ -238,7 +238,7 @@ impl Bundle {
             [SUGGESTED] => self.suggested = Some(text(name, bytes)?),
             ["records", digest, part] => {
                 let digest = digest.parse().map_err(|_| wrong("is filed under what is no digest"))?;
-                drafts.entry(digest).or_insert_with(Draft::default).take(name, part, bytes)?;
+                drafts.entry(digest).or_default().take(name, part, bytes)?;
             }
             ["keys", file] => {
                 let pem = std::str::from_utf8(bytes).ok().and_then(|text| keyfile::sm2_public_from_pem(text).ok());

@@ -9,9 +9,14 @@ use crate::report::{RecordReport, Standing, Stretch};
 /// The most gaps that are named.
 const MOST_GAPS: usize = 100;
 
+/// One topic of one recorder.
+type Topic = (Address, RecorderId, TopicId);
+/// Numbers that are there, and those that two records have.
+type Numbers = (BTreeSet<u64>, BTreeSet<u64>);
+
 /// The stretches of all records whose bytes hold.
 pub(crate) fn stretches(records: &[RecordReport]) -> Vec<Stretch> {
-    let mut topics: BTreeMap<(Address, RecorderId, TopicId), (BTreeSet<u64>, BTreeSet<u64>)> = BTreeMap::new();
+    let mut topics: BTreeMap<Topic, Numbers> = BTreeMap::new();
     for record in records.iter().filter(|record| record.bytes.standing == Standing::Proven) {
         let (Some(owner), Some(recorder), Some(topic), Some(seq)) =
             (record.owner, record.recorder, record.topic_id, record.seq)
@@ -26,11 +31,7 @@ pub(crate) fn stretches(records: &[RecordReport]) -> Vec<Stretch> {
     topics.into_iter().filter_map(|(of, (numbers, twice))| stretch(of, &numbers, twice)).collect()
 }
 
-fn stretch(
-    (owner, recorder, topic_id): (Address, RecorderId, TopicId),
-    numbers: &BTreeSet<u64>,
-    twice: BTreeSet<u64>,
-) -> Option<Stretch> {
+fn stretch((owner, recorder, topic_id): Topic, numbers: &BTreeSet<u64>, twice: BTreeSet<u64>) -> Option<Stretch> {
     let (first, last) = (*numbers.first()?, *numbers.last()?);
     let between = numbers.iter().zip(numbers.iter().skip(1)).filter(|(one, next)| **next - **one > 1);
     let gaps: Vec<(u64, u64)> = between.map(|(one, next)| (one + 1, next - 1)).collect();

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use authros_crypto::merkle::{Leaf, Tree};
 use authros_crypto::record::{RecordSecret, SealRequest, SealedRecord, seal};
 use authros_crypto::{
-    EoaSecret, Provider, ProviderName, SmKeyPair, TopicKey, domain, keccak256, prove, provider, sign_hash, signer_id,
+    EoaSecret, Provider, ProviderName, SmKeyPair, TopicKey, domain, keccak256, prove, provider, sign_hash,
 };
 use authros_model::head::Compression;
 use authros_model::{
@@ -15,8 +15,8 @@ use rlp::RlpStream;
 
 use crate::archive::Members;
 use crate::{
-    AnchorClaim, Anchoring, Bundle, BundledRecord, ClaimedChain, Disclosure, Nodes, Outcome, Packing, PinnedChain,
-    Report, Slot, Standing, Trust, disclose, pack, verify,
+    AnchorClaim, Anchoring, Bundle, BundledRecord, ClaimedChain, Disclosure, Nodes, Packing, PinnedChain, Report, Slot,
+    Standing, Trust, disclose, pack, verify,
 };
 
 /// The anchoring block.
@@ -138,7 +138,6 @@ pub struct World {
     pub keys: SmKeyPair,
     pub signer: SmKeyPair,
     pub identity: Identity,
-    pub anchorer: Address,
     pub slots: BTreeMap<[u8; 32], [u8; 32]>,
     pub record: SealedRecord,
     pub topic_key: TopicKey,
@@ -172,7 +171,6 @@ impl World {
             keys,
             signer,
             identity,
-            anchorer,
             slots: BTreeMap::new(),
             record,
             topic_key,
