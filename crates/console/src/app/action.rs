@@ -146,6 +146,8 @@ pub enum Tag {
     ExportKey(KeyKind),
     /// A new epoch.
     Rotate,
+    /// Holding of the capture before leaving, or letting it go on.
+    HoldCapture,
     /// Wiping of the keys from memory.
     Lock,
     /// A copy of the keyring.
@@ -201,6 +203,7 @@ impl Tag {
             Self::LoadKey(kind) => format!("loading the {} key", kind_word(*kind)),
             Self::ExportKey(kind) => format!("exporting the {} key", kind_word(*kind)),
             Self::Rotate => "rotating the keys".to_owned(),
+            Self::HoldCapture => "stopping the capture".to_owned(),
             Self::Lock => "locking the keyring".to_owned(),
             Self::BackUp => "backing up the keyring".to_owned(),
             Self::Administer(act) => format!("administrator: {act}"),

@@ -34,6 +34,10 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
         Tag::Path(id) => opening::path_found(state, id, ask::ViewPath::heard(result)),
         Tag::Show(id) => looked_up(state, id, ask::ShowUpload::heard(result)),
         Tag::Publishers(topic) => publishers(state, topic, ask::ListPins::heard(result)),
+        Tag::HoldCapture => done(state, tag, ask::HoldCapture::heard(result), |state, ()| {
+            // What the site knew before says nothing about what is still on its way now.
+            state.feeds.renew(Feed::Site);
+        }),
         Tag::Lock => locked(state, ask::Lock::heard(result)),
         Tag::Export(id) => {
             return written(state, tag, ask::ExportUpload::heard(result), |_, files| exported(id, files));
@@ -92,7 +96,11 @@ fn fed(state: &mut State, feed: Feed, generation: u64, result: Answer) -> Vec<Ef
     if let Err(failure) = take(state, feed, result) {
         state.feeds.slot_mut(feed).failure = Some(failure);
     }
-    if feed == Feed::Identity { identity_path::advance(state) } else { Vec::new() }
+    if feed == Feed::Identity {
+        identity_path::greet(state);
+        return identity_path::advance(state);
+    }
+    Vec::new()
 }
 
 fn take(state: &mut State, feed: Feed, result: Answer) -> Result<(), Failure> {
@@ -207,7 +215,7 @@ fn secret(name: String, secret: &SecretBytes) -> Effect {
 /// What an own command makes out of date, before the site's note of it arrives.
 fn touched_by(tag: &Tag) -> &'static [Feed] {
     match tag {
-        Tag::Watch(_) | Tag::Unwatch(_) => &[Feed::Topics],
+        Tag::Watch(_) | Tag::Unwatch(_) | Tag::HoldCapture => &[Feed::Topics],
         Tag::Grant(_) | Tag::Revoke(_) => &[Feed::Grants, Feed::Identity, Feed::Keys],
         Tag::LoadKey(_) | Tag::Rotate => &[Feed::Keys, Feed::Identity],
         Tag::Pin(_) | Tag::Unpin(_) | Tag::Release(_) | Tag::Discard(_) => &[Feed::Topics],

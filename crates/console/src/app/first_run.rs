@@ -24,7 +24,7 @@ pub fn first_steps(state: &State) -> Vec<FirstStep> {
         step(set_up, "identity", "n", "make keys and register them on the chain"),
         step(identity.exists, "keys", "L", "come with the identity; L loads your own"),
         step(state.watches(), "topics", "w", "watch one: its messages are sealed and anchored"),
-        step(state.grants.any_given(), "grant", "g", "let another account open them"),
+        step(state.grants.any_given() || state.is_locked(), "grant", "g", "let another account open them"),
     ];
     if steps.iter().all(|step| step.done) { Vec::new() } else { steps }
 }

@@ -11,6 +11,7 @@ use super::cursor;
 use super::feed::Feed;
 use super::forms;
 use super::identity_path::{self, Need};
+use super::leaving::{self, Leaving};
 use super::lock;
 use super::mouse;
 use super::popup::{Confirm, Lookup, Palette, Popup, Purpose};
@@ -78,7 +79,7 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Discard => ask_about(state, |row, topic| confirm::decide(row, topic, true)),
         Verb::Unpin => unpin(state),
         Verb::Administer(act) => administration::begin(state, act),
-        Verb::Freeze => state.paused = !state.paused,
+        Verb::Freeze => state.frozen = if state.is_frozen() { None } else { Some(state.now) },
         Verb::Palette => state.popups.push(Popup::Palette(Palette::default())),
         Verb::Help => state.popups.push(Popup::Help { scroll: 0 }),
         Verb::Dismiss => dismiss(state),
@@ -246,10 +247,10 @@ fn revoke(state: &mut State) {
 }
 
 fn quit(state: &mut State) -> Vec<Effect> {
-    if !state.has_pending_work() {
+    if !leaving::asks(state) {
         return vec![Effect::Quit];
     }
-    state.popups.push(Popup::Quit { waiting: false });
+    state.popups.push(Popup::Quit(Leaving::Asked));
     Vec::new()
 }
 

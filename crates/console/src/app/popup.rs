@@ -9,6 +9,7 @@ use super::field::Field;
 use super::form::Form;
 use super::fuzzy;
 use super::key::Key;
+use super::leaving::Leaving;
 use super::opening::Opening;
 use super::state::State;
 use super::themes::ThemeChoice;
@@ -47,11 +48,8 @@ pub enum Popup {
     Tasks,
     /// Choosing among what others share.
     Browse(Browse),
-    /// Leaving while work is pending.
-    Quit {
-        /// Leave by itself once the work is done.
-        waiting: bool,
-    },
+    /// Leaving while something would stop, or is not done.
+    Quit(Leaving),
 }
 
 /// What a form is for.

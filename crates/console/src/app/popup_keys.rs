@@ -9,6 +9,7 @@ use super::forms;
 use super::identity_path::{self, Need};
 use super::key::{Key, chord_label};
 use super::keymap::Meaning;
+use super::leaving;
 use super::opening;
 use super::perform::perform;
 use super::popup::{Confirm, Lookup, Palette, Popup, Purpose};
@@ -18,7 +19,7 @@ use super::verb::Verb;
 use crate::service::reply::PinsView;
 
 /// A popup's keys, for the bottom bar: key and what it does.
-pub fn hints(popup: &Popup) -> Vec<(&'static str, &'static str)> {
+pub fn hints(state: &State, popup: &Popup) -> Vec<(&'static str, &'static str)> {
     match popup {
         Popup::Palette(_) => vec![("enter", "do"), ("up down", "choose"), ("esc", "close")],
         Popup::Browse(_) => vec![("enter", "show these"), ("up down", "choose"), ("q", "close")],
@@ -31,21 +32,20 @@ pub fn hints(popup: &Popup) -> Vec<(&'static str, &'static str)> {
         Popup::Confirm(confirm) => vec![("y", confirm.yes), ("any other key", "no")],
         Popup::Form(..) => vec![("enter", "next, then go on"), ("tab", "next field"), ("esc", "close")],
         Popup::Record(opening) => opening.hints(),
-        Popup::Quit { waiting: false } => vec![("y", "quit now"), ("w", "when all is done"), ("any other key", "stay")],
-        Popup::Quit { waiting: true } => vec![("y", "quit now"), ("any other key", "stay")],
+        Popup::Quit(leaving) => leaving.hints(state),
     }
 }
 
 /// Gives a key to the topmost popup.
 pub fn popup_key(state: &mut State, key: Key) -> Vec<Effect> {
     let Some(popup) = state.popups.pop() else { return Vec::new() };
-    let quitting = matches!(popup, Popup::Quit { .. });
+    let quitting = matches!(popup, Popup::Quit(_));
     let key = if key == Key::Control('c') && !quitting { Key::Escape } else { key };
     match popup {
         Popup::Palette(palette) => palette_key(state, palette, key),
         Popup::Form(purpose, form) => form_key(state, purpose, form, key),
         Popup::Confirm(confirm) => confirm_key(state, confirm, key),
-        Popup::Quit { .. } => quit_key(state, key),
+        Popup::Quit(leaving) => leaving::key(state, leaving, key),
         Popup::Chord(begun) => chord_key(state, begun, key),
         Popup::Themes(choice) => themes::key(state, choice, key),
         Popup::Record(opening) => opening::key(state, opening, key),
@@ -175,6 +175,7 @@ fn confirm_key(state: &mut State, mut confirm: Confirm, key: Key) -> Vec<Effect>
 fn need_of(confirm: &Confirm) -> Option<Need> {
     match confirm.errand.tag {
         Tag::Feed(..) | Tag::OpenConsole | Tag::CreateIdentity | Tag::Unlock | Tag::Lock | Tag::BackUp => None,
+        Tag::HoldCapture => None,
         Tag::Publishers(_) | Tag::Show(_) | Tag::Pin(_) | Tag::Unpin(_) => None,
         Tag::LoadKey(_) | Tag::Release(_) | Tag::Discard(_) | Tag::Deploy | Tag::Adopt => Some(Need::Unlocked),
         Tag::Open(_) | Tag::Path(_) | Tag::Check(_) | Tag::Export(_) | Tag::ExportKey(_) => Some(Need::Unlocked),
@@ -182,17 +183,6 @@ fn need_of(confirm: &Confirm) -> Option<Need> {
             Some(Need::Registered)
         }
         Tag::Administer(_) => Some(Need::Registered),
-    }
-}
-
-fn quit_key(state: &mut State, key: Key) -> Vec<Effect> {
-    match key {
-        Key::Char('y') | Key::Control('c') => vec![Effect::Quit],
-        Key::Char('w') => {
-            state.popups.push(Popup::Quit { waiting: true });
-            Vec::new()
-        }
-        _ => Vec::new(),
     }
 }
 

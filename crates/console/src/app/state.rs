@@ -44,6 +44,10 @@ pub struct Settings {
     pub lock_after: Option<u64>,
     /// The operator's time zone.
     pub zone: Zone,
+    /// The process that the console runs in.
+    pub process: u32,
+    /// Ask for the passphrase of a locked keyring at the start.
+    pub asks_passphrase: bool,
 }
 
 /// All the console knows and shows.
@@ -57,8 +61,10 @@ pub struct State {
     pub size: (u16, u16),
     /// The screen in view.
     pub screen: Screen,
-    /// Whether the view stands still.
-    pub paused: bool,
+    /// The moment at which the view stands still, if it does.
+    pub frozen: Option<Timestamp>,
+    /// Whether any key was pressed, or the passphrase was asked for, since the start.
+    pub greeted: bool,
     /// Name of the theme in use.
     pub theme: String,
     /// Whether the mouse is the console's.
@@ -111,7 +117,8 @@ impl State {
             now: Timestamp::default(),
             size: (80, 24),
             screen: Screen::Overview,
-            paused: false,
+            frozen: None,
+            greeted: false,
             theme: String::new(),
             mouse: false,
             feeds: Feeds::default(),
@@ -136,6 +143,16 @@ impl State {
         }
     }
 
+    /// Whether the view stands still.
+    pub fn is_frozen(&self) -> bool {
+        self.frozen.is_some()
+    }
+
+    /// Whether there is a keyring, and it is locked.
+    pub fn is_locked(&self) -> bool {
+        self.identity.as_ref().is_some_and(|identity| identity.exists && !identity.unlocked)
+    }
+
     /// How many table rows fit on the screen.
     pub fn page_rows(&self) -> usize {
         usize::from(self.size.1.saturating_sub(FRAME_ROWS)).max(1)
@@ -143,7 +160,7 @@ impl State {
 
     /// When time alone changes something; `None` = never.
     pub fn deadline(&self) -> Option<Timestamp> {
-        let ages = Some(()).filter(|()| self.screen == Screen::Topics && !self.paused);
+        let ages = Some(()).filter(|()| self.screen == Screen::Topics && !self.is_frozen());
         let moments = [
             self.toasts.next_expiry(),
             self.feeds.next_retry(),
@@ -182,9 +199,9 @@ impl State {
     /// Whether a feed stands still with the view. The identity never does, for commands wait
     /// for it; nor do the counts while the console waits for them to be able to leave.
     pub fn holds(&self, feed: Feed) -> bool {
-        let leaving = matches!(self.popups.last(), Some(Popup::Quit { .. }));
+        let leaving = matches!(self.popups.last(), Some(Popup::Quit(_)));
         let needed = feed == Feed::Identity || feed == Feed::Site && leaving;
-        self.paused && self.feeds.slot(feed).loaded && !needed
+        self.is_frozen() && self.feeds.slot(feed).loaded && !needed
     }
 
     /// Tells the operator something for 3 s.

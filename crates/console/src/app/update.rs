@@ -6,6 +6,7 @@ use super::cursor;
 use super::feed::Feed;
 use super::key::Key;
 use super::keymap::Meaning;
+use super::leaving;
 use super::lock;
 use super::mouse;
 use super::perform::{perform, wants_grants};
@@ -34,8 +35,7 @@ pub fn update(state: &mut State, action: Action) -> Vec<Effect> {
     }
     let mut effects = act(state, action);
     state.topics.refresh(false);
-    let leaves = matches!(state.popups.last(), Some(Popup::Quit { waiting: true })) && !state.has_pending_work();
-    if leaves {
+    if leaving::is_over(state) {
         effects.push(Effect::Quit);
     }
     effects.extend(pull(state));
@@ -67,6 +67,7 @@ fn act(state: &mut State, action: Action) -> Vec<Effect> {
 }
 
 fn pressed(state: &mut State, key: Key) -> Vec<Effect> {
+    state.greeted = true;
     // These two go before whatever lies over the screen.
     for verb in [Verb::Suspend, Verb::Redraw] {
         if state.settings.keymap.is(key, verb, state.screen) {
@@ -119,7 +120,7 @@ fn refresh_provenance(state: &mut State) -> Vec<Effect> {
     let Some(Popup::Provenance(lookup)) = state.popups.last() else { return Vec::new() };
     let settled = lookup.found().is_some_and(|found| is_settled(found.record.state));
     let (id, tag) = (lookup.id.clone(), Tag::Show(lookup.id.clone()));
-    if settled || state.paused || state.work.contains(&tag) {
+    if settled || state.is_frozen() || state.work.contains(&tag) {
         return Vec::new();
     }
     vec![state.send(Errand { command: Command::ShowUpload { id }, tag })]

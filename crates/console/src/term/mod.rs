@@ -60,6 +60,8 @@ pub struct ConsoleOptions {
     pub kept: Option<PathBuf>,
     /// Nanoseconds without a key after which the keyring locks; `None` = never.
     pub lock_after: Option<u64>,
+    /// Ask for the passphrase of a locked keyring at the start; not where it is given in another way.
+    pub asks_passphrase: bool,
 }
 
 /// Why the console ended.
@@ -130,6 +132,8 @@ fn first_state(client: &Client, options: &ConsoleOptions, directory: &Path) -> S
         keymap: options.keymap.clone(),
         themes: options.themes.names(),
         lock_after: options.lock_after,
+        process: std::process::id(),
+        asks_passphrase: options.asks_passphrase,
         zone: Zone::new(jiff::tz::TimeZone::system()),
     });
     (state.now, state.mouse) = (Timestamp::now(), options.mouse);

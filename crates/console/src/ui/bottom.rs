@@ -69,7 +69,7 @@ fn draw_message(canvas: &mut Canvas, area: Rect, state: &State) {
 fn draw_bar(canvas: &mut Canvas, area: Rect, state: &State) {
     canvas.wipe(area);
     if let Some(popup) = state.popups.last() {
-        return draw_hints(canvas, area, &hints(popup));
+        return draw_hints(canvas, area, &hints(state, popup));
     }
     if state.table().is_some_and(|table| table.filtering) {
         return draw_hints(canvas, area, &[("enter", "keep the filter"), ("esc", "take it away"), ("up down", "move")]);

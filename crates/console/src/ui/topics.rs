@@ -9,6 +9,7 @@ use super::words;
 use crate::app::State;
 use crate::app::feed::Feed;
 use crate::app::screens::topics::SORTS;
+use crate::app::standing::Capture;
 use crate::service::reply::TopicRow;
 
 const COLUMNS: &[Column] = &[
@@ -16,14 +17,15 @@ const COLUMNS: &[Column] = &[
     Column::text("Type", 27).from(100),
     Column::text("Publishers", 24).from(ALL_FROM),
     Column::text("Pinned", 10).from(90),
-    Column::text("Watched", 7),
+    Column::text("Capture", 13),
     Column::number("Hz", 7),
     Column::number("kB/s", 8),
     Column::text("Lately", 8).from(110),
     Column::number("Captured", 9).from(130),
     Column::number("Lost t/r", 8).from(70),
     Column::number("Age", 6).from(80),
-    Column::text("", 9),
+    Column::text("", 3).below(100),
+    Column::text("", 9).from(100),
 ];
 
 /// From so many columns on everything about a topic has its column.
@@ -97,6 +99,7 @@ fn cells(state: &State, row: &TopicRow) -> Vec<(String, Role)> {
         (words::count(row.messages), Role::Body),
         (lost, if any_lost { Role::Warning } else { Role::Dim }),
         (row.last_message.map(|last| words::age(last, state.now)).unwrap_or_default(), Role::Dim),
+        (if row.simulated { "SIM".to_owned() } else { String::new() }, Role::Warning),
         simulated(row.simulated),
     ]
 }
@@ -114,8 +117,16 @@ pub fn pinned(row: &TopicRow) -> (String, Role) {
 pub fn watched(row: &TopicRow) -> (String, Role) {
     match row {
         TopicRow { alarm: true, .. } => ("ALARM".to_owned(), Role::Bad),
-        TopicRow { watched: true, .. } => ("watched".to_owned(), Role::Good),
-        _ => ("-".to_owned(), Role::Dim),
+        row => (Capture::of(row).word().to_owned(), capture_role(Capture::of(row))),
+    }
+}
+
+fn capture_role(capture: Capture) -> Role {
+    match capture {
+        Capture::Watched => Role::Good,
+        Capture::WaitsForKey => Role::Warning,
+        Capture::Paused => Role::Accent,
+        Capture::Unwatched | Capture::NoPublisher => Role::Dim,
     }
 }
 

@@ -16,6 +16,12 @@ pub struct TopicRow {
     pub publishers: Vec<String>,
     /// Whether this profile watches it.
     pub watched: bool,
+    /// Whether it is watched but not captured, since the profile's keys have not been opened in this site.
+    #[serde(default)]
+    pub waits_for_key: bool,
+    /// Whether it is watched but not captured now: a console holds capture back, or the disk is full.
+    #[serde(default)]
+    pub paused: bool,
     /// Whether a simulated robot of this site publishes it.
     pub simulated: bool,
     /// Messages a second over the last 5 s; `None` = not measured.

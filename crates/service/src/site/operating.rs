@@ -40,6 +40,10 @@ impl Site {
     ) -> Result<Reply, Failure> {
         match operation {
             Operation::Lock => self.lock_profile(profile).await.map(ask::Lock::told),
+            Operation::HoldCapture { hold } => {
+                self.hold_capture(profile, hold);
+                Ok(ask::HoldCapture::told(()))
+            }
             Operation::BackUpKeys => self.back_up_keys(profile).await.map(ask::BackUpKeys::told),
             Operation::GatewayStatus => self.gateway_status().map(ask::GatewayStatus::told),
             Operation::Admit { owner } => self.admit(profile, &owner).await.map(ask::Admit::told),

@@ -29,7 +29,8 @@ impl Site {
         health.extend(self.clock_health());
         health.extend(block_in_place(|| self.account_health())?);
         let life = block_in_place(|| self.life_line(profile))?;
-        Ok(SiteView { health, life, robots, profiles, queue: self.queue_view(), tasks: self.task_views() })
+        let process = std::process::id();
+        Ok(SiteView { health, life, robots, profiles, process, queue: self.queue_view(), tasks: self.task_views() })
     }
 
     fn queue_view(&self) -> QueueView {

@@ -43,6 +43,8 @@ impl Site {
         let captured = self.captured_by_topic(profile)?;
         let alarms = self.alarmed_topics(profile)?;
         let pins = self.pinned_names(profile)?;
+        let owner = self.owner(profile).filter(|owner| owner.sealing().is_some());
+        let full = self.plant.ledger.takes_records().is_err();
         let watched: HashSet<&str> = watches.iter().map(|(topic, _)| topic.as_str()).collect();
         for row in &mut rows {
             if let Some(pinned) = pins.get(&row.topic) {
@@ -55,6 +57,8 @@ impl Site {
             }
             row.alarm = alarms.contains(&row.topic);
             row.watched = watched.contains(row.topic.as_str());
+            row.waits_for_key = row.watched && owner.is_none();
+            row.paused = row.watched && owner.as_ref().is_some_and(|owner| full || !self.records(&row.topic, owner));
         }
         rows.sort_by(|one, other| one.topic.cmp(&other.topic));
         Ok(rows)
@@ -74,6 +78,8 @@ impl Site {
             type_name: type_name.map(|name| clean(name, 255)),
             publishers,
             watched: false,
+            waits_for_key: false,
+            paused: false,
             simulated,
             hz: rate.map(|rate| rate.hz),
             bytes_per_second: rate.map(|rate| rate.bytes_per_second),
@@ -167,6 +173,22 @@ impl Site {
             self.wishes_changed();
         }
         Ok(())
+    }
+
+    fn records(&self, topic: &str, owner: &Owner) -> bool {
+        self.recorder.is_watched(topic, owner.address)
+    }
+
+    /// Holds the capture of everything that the profile watches, or lets it go on; what is watched stays so.
+    pub(super) fn hold_capture(&self, profile: &ProfileName, hold: bool) {
+        let Some(owner) = self.owner(profile) else { return };
+        if !hold {
+            return self.restore_watches(&owner);
+        }
+        for (topic, _) in block_in_place(|| self.watches(profile)).unwrap_or_default() {
+            self.recorder.unwatch(topic.as_str(), &owner.author);
+        }
+        self.wishes_changed();
     }
 
     /// The recorder takes up what the owner watched before.

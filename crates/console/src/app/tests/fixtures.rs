@@ -100,6 +100,7 @@ pub fn site() -> SiteView {
         },
         robots: 4,
         profiles: vec![ProfileName::default()],
+        process: 0,
         tasks: Vec::new(),
         queue: QueueView { messages: 3, bytes: 2_184, capacity: 201_326_592 },
     }
@@ -113,6 +114,8 @@ pub fn topic(name: &str, hz: f64) -> TopicRow {
         type_name: Some(if camera { "sensor_msgs/CompressedImage" } else { "nav_msgs/Odometry" }.to_owned()),
         publishers: vec!["/driver".to_owned()],
         watched: false,
+        waits_for_key: false,
+        paused: false,
         simulated: true,
         hz: Some(hz),
         bytes_per_second: Some(if camera { 116_000.0 } else { 14_400.0 }),

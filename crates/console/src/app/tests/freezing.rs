@@ -9,7 +9,7 @@ use crate::service::{Command, Part, Reply};
 fn a_frozen_view_asks_for_nothing_and_catches_up_when_thawed() {
     let mut robot = Robot::at_work(true);
     robot.types("f");
-    assert!(robot.state.paused);
+    assert_eq!(robot.state.frozen, Some(fixtures::NOW), "and says since when");
     robot.hears_of(Part::Topics);
     assert!(robot.sent.is_empty());
     robot.types("f");

@@ -12,6 +12,7 @@ mod palette;
 mod placeholders;
 mod pulling;
 mod records;
+mod standing;
 mod watching;
 
 use zeroize::Zeroizing;

@@ -15,8 +15,9 @@ use ratatui::layout::Rect;
 use super::canvas::{Canvas, columns, row};
 use super::theme::Role;
 use super::words::wrap;
+use crate::app::leaving::Leaving;
 use crate::app::popup::{Confirm, Popup};
-use crate::app::{State, Tag};
+use crate::app::State;
 use crate::model::clean;
 
 /// Draws a popup into the middle of `area`.
@@ -34,7 +35,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, popup: &Popup) {
         Popup::Readers(topics) => situation::draw_readers(canvas, area, state, topics),
         Popup::Tasks => situation::draw_tasks(canvas, area, state),
         Popup::Browse(browse) => browse::draw(canvas, area, state, browse),
-        Popup::Quit { waiting } => draw_quit(canvas, area, state, *waiting),
+        Popup::Quit(leaving) => draw_quit(canvas, area, state, *leaving),
     }
 }
 
@@ -74,26 +75,11 @@ fn draw_confirm(canvas: &mut Canvas, area: Rect, confirm: &Confirm) {
     draw_text(canvas, area, &confirm.title, &confirm.lines, &answer);
 }
 
-fn draw_quit(canvas: &mut Canvas, area: Rect, state: &State, waiting: bool) {
-    let pending = state.pending_records();
-    let mut lines: Vec<String> = state.work.iter().filter(|tag| tag.is_work()).map(Tag::words).collect();
-    if pending > 0 {
-        lines.push(format!("{pending} records are not verified yet."));
-        lines.push("Nothing is lost: they are sealed on disk and go on at the next start.".to_owned());
-    }
-    if pending > 0 && state.watches() {
-        lines.push("Watched topics bring new ones all the time; unwatch them to come to an end.".to_owned());
-    }
-    if lines.is_empty() {
-        lines.push("Nothing is pending any more.".to_owned());
-    }
-    if waiting {
-        lines.push("Leaving by itself when all is done…".to_owned());
-    }
-    let mut answer = vec![("y", Role::Key), (" quit now    ", Role::Body)];
-    if !waiting {
-        answer.extend([("w", Role::Key), (" quit when done    ", Role::Body)]);
-    }
-    answer.push(("any other key: stay", Role::Dim));
-    draw_text(canvas, area, "Quit?", &lines, &answer);
+fn draw_quit(canvas: &mut Canvas, area: Rect, state: &State, leaving: Leaving) {
+    let hints = leaving.hints(state);
+    let answer: Vec<(&str, Role)> = hints
+        .iter()
+        .flat_map(|(key, word)| [(*key, Role::Key), (" ", Role::Body), (*word, Role::Body), ("    ", Role::Body)])
+        .collect();
+    draw_text(canvas, area, "Quit?", &leaving.lines(state), &answer);
 }
