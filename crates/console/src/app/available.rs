@@ -28,7 +28,7 @@ pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
         Verb::Filter | Verb::Up | Verb::Down | Verb::PageUp | Verb::PageDown | Verb::First | Verb::Last => {
             given(state.screen.has_table(), "no table here")
         }
-        Verb::Sort => given(state.screen.sorts(), "nothing to sort here"),
+        Verb::Sort | Verb::Reverse => given(state.screen.sorts(), "nothing to sort here"),
         Verb::Mark | Verb::MarkAll | Verb::Watch | Verb::Details | Verb::Open | Verb::Check | Verb::Export => {
             given(entry.works_on(state.screen), "other screen")?;
             given(state.has_rows(), "no row")

@@ -71,6 +71,10 @@ pub struct Slot {
     pub stale: bool,
     /// Data arrived at least once.
     pub loaded: bool,
+    /// The data on hand is from an earlier look at its screen.
+    pub left: bool,
+    /// The question that the data on hand answers.
+    pub told: u64,
     /// Why the last question failed.
     pub failure: Option<Failure>,
     /// When a failed question is asked again.
@@ -112,12 +116,23 @@ impl Feeds {
         }
     }
 
+    /// The screen of a feed comes into view: what is not up to date is from the last time.
+    pub fn look(&mut self, feed: Feed) {
+        let slot = self.slot_mut(feed);
+        slot.left |= slot.stale && slot.loaded;
+    }
+
     /// The question itself changed (page, filter): ask anew and drop an answer under way.
     pub fn renew(&mut self, feed: Feed) {
         let slot = self.slot_mut(feed);
         slot.generation += 1;
         slot.outstanding = false;
         slot.stale = true;
+    }
+
+    /// All are asked anew, once, though the view stands still from now on.
+    pub fn gather(&mut self) {
+        Feed::ALL.into_iter().for_each(|feed| self.renew(feed));
     }
 
     /// Takes note of an answer; false where it answers an older question.
@@ -127,7 +142,9 @@ impl Feeds {
             return false;
         }
         slot.outstanding = false;
-        slot.loaded |= failure.is_none();
+        if failure.is_none() {
+            (slot.loaded, slot.left, slot.told) = (true, false, generation);
+        }
         slot.retry_at = failure.as_ref().map(|_| Timestamp(now.0.saturating_add(RETRY_AFTER)));
         slot.failure = failure;
         true

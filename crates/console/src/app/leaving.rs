@@ -73,7 +73,8 @@ impl Leaving {
         let behind = Behind::of(state);
         let mut lines = if self == Self::Held { Vec::new() } else { behind.capture(state) };
         lines.extend(behind.records());
-        lines.extend(state.work.iter().filter(|tag| tag.is_work()).map(|tag| format!("Still running: {}", tag.words())));
+        lines
+            .extend(state.work.iter().filter(|tag| tag.is_work()).map(|tag| format!("Still running: {}", tag.words())));
         if lines.is_empty() {
             lines.push("Nothing is pending any more.".to_owned());
         }

@@ -69,6 +69,7 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::MarkAll => cursor::mark_all(state),
         Verb::Filter => drop(state.table_mut().map(|table| table.filtering = true)),
         Verb::Sort => cursor::sort(state),
+        Verb::Reverse => cursor::reverse(state),
         Verb::Level => state.log.next_level(),
         Verb::Tasks => state.popups.push(Popup::Tasks),
         Verb::Readers => readers(state),
@@ -79,7 +80,7 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Discard => ask_about(state, |row, topic| confirm::decide(row, topic, true)),
         Verb::Unpin => unpin(state),
         Verb::Administer(act) => administration::begin(state, act),
-        Verb::Freeze => state.frozen = if state.is_frozen() { None } else { Some(state.now) },
+        Verb::Freeze => freeze(state),
         Verb::Palette => state.popups.push(Popup::Palette(Palette::default())),
         Verb::Help => state.popups.push(Popup::Help { scroll: 0 }),
         Verb::Dismiss => dismiss(state),
@@ -93,7 +94,16 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
 }
 
 fn go(state: &mut State, screen: Screen) {
+    if state.screen != screen {
+        screen.feeds().iter().for_each(|feed| state.feeds.look(*feed));
+    }
     state.screen = screen;
+}
+
+/// All screens stand still at this moment, or live on.
+fn freeze(state: &mut State) {
+    state.frozen = if state.is_frozen() { None } else { Some(state.now) };
+    state.feeds.gather();
 }
 
 fn page(state: &State) -> isize {
@@ -145,7 +155,6 @@ fn watch(state: &mut State) -> Vec<Effect> {
             Err(error) => state.complain(error.to_string()),
         }
     }
-    state.topics.table.marks.clear();
     if watches {
         return identity_path::run(state, Need::Registered, errands);
     }
@@ -178,9 +187,6 @@ fn send_for_rows(state: &mut State, tag: fn(String) -> Tag, command: fn(String) 
     let ids = if marked.is_empty() { state.row_key().into_iter().collect() } else { marked };
     let errands = ids.into_iter().map(|id| Errand { command: command(id.clone()), tag: tag(id) });
     let fresh: Vec<Errand> = errands.filter(|errand| !state.work.contains(&errand.tag)).collect();
-    if let Some(table) = state.table_mut() {
-        table.marks.clear();
-    }
     fresh.into_iter().map(|errand| state.send(errand)).collect()
 }
 

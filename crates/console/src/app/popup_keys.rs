@@ -25,7 +25,8 @@ pub fn hints(state: &State, popup: &Popup) -> Vec<(&'static str, &'static str)> 
         Popup::Browse(_) => vec![("enter", "show these"), ("up down", "choose"), ("q", "close")],
         Popup::Publishers(_) => vec![("up down", "scroll"), ("p", "pin"), ("P", "unpin"), ("q", "close")],
         Popup::Tasks | Popup::Readers(_) => vec![("q", "close")],
-        Popup::Help { .. } | Popup::Provenance(_) => vec![("up down", "scroll"), ("q", "close")],
+        Popup::Provenance(_) => vec![("n p", "next, previous"), ("up down", "scroll"), ("q", "close")],
+        Popup::Help { .. } => vec![("up down", "scroll"), ("q", "close")],
         Popup::Chord(_) => vec![("esc", "close")],
         Popup::Themes(_) => vec![("up down", "see it"), ("enter", "keep it"), ("esc", "as before")],
         Popup::Confirm(confirm) if confirm.typed.is_some() => vec![("enter", confirm.yes), ("esc", "no")],
@@ -57,6 +58,8 @@ pub fn popup_key(state: &mut State, key: Key) -> Vec<Effect> {
             }
             Vec::new()
         }
+        Popup::Provenance(_) if key == Key::Char('n') => opening::neighbour(state, popup, 1),
+        Popup::Provenance(_) if key == Key::Char('p') => opening::neighbour(state, popup, -1),
         Popup::Provenance(mut lookup) => {
             if let Some(scroll) = scrolled(lookup.scroll, key, state.page_rows()) {
                 let lines = lookup.found().map_or(0, |found| found.steps.len() * 3 + 8);

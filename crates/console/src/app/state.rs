@@ -148,6 +148,11 @@ impl State {
         self.frozen.is_some()
     }
 
+    /// The moment that the screen shows.
+    pub fn shown_at(&self) -> Timestamp {
+        self.frozen.unwrap_or(self.now)
+    }
+
     /// Whether there is a keyring, and it is locked.
     pub fn is_locked(&self) -> bool {
         self.identity.as_ref().is_some_and(|identity| identity.exists && !identity.unlocked)
@@ -201,7 +206,10 @@ impl State {
     pub fn holds(&self, feed: Feed) -> bool {
         let leaving = matches!(self.popups.last(), Some(Popup::Quit(_)));
         let needed = feed == Feed::Identity || feed == Feed::Site && leaving;
-        self.is_frozen() && self.feeds.slot(feed).loaded && !needed
+        let slot = self.feeds.slot(feed);
+        // Pages of the past may be turned; the question itself keeps out what came later.
+        let answered = slot.loaded && slot.told == slot.generation;
+        self.is_frozen() && answered && !needed
     }
 
     /// Tells the operator something for 3 s.

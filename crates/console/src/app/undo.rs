@@ -41,7 +41,13 @@ pub fn note(state: &mut State, tag: &Tag) {
         Tag::Administer(_) | Tag::Deploy | Tag::Adopt => {
             Some(Undo::Never("it is a transaction; the opposite act is another one (7, then :)"))
         }
-        Tag::Feed(..) | Tag::OpenConsole | Tag::CreateIdentity | Tag::Unlock | Tag::Register | Tag::Lock | Tag::HoldCapture => None,
+        Tag::Feed(..)
+        | Tag::OpenConsole
+        | Tag::CreateIdentity
+        | Tag::Unlock
+        | Tag::Register
+        | Tag::Lock
+        | Tag::HoldCapture => None,
         Tag::ExportKey(_) | Tag::BackUp | Tag::Export(_) | Tag::Pin(_) | Tag::Unpin(_) => None,
         Tag::Publishers(_) | Tag::Show(_) | Tag::Open(_) | Tag::Path(_) | Tag::Check(_) => None,
     };

@@ -160,7 +160,11 @@ fn pull(state: &mut State) -> Vec<Effect> {
     let always = [Feed::Site, Feed::Identity];
     let wanted =
         always.iter().chain(state.screen.feeds()).copied().chain(wants_grants(state)).chain(wants_chain(state));
-    let wanted: Vec<Feed> = wanted.collect();
+    let mut wanted: Vec<Feed> = wanted.collect();
+    if state.is_frozen() {
+        // All screens stand at one moment; what holds already is not asked again.
+        wanted.extend(Feed::ALL);
+    }
     wanted.into_iter().filter_map(|feed| ask(state, feed)).collect()
 }
 
@@ -189,8 +193,12 @@ fn question(state: &State, feed: Feed) -> Option<Command> {
         Feed::Audit => Some(Command::ListAudit(AuditQuery { limit: MOST_AUDIT, ..AuditQuery::default() })),
         Feed::Keys => exists.then_some(Command::ListKeys),
         Feed::Grants => exists.then_some(Command::ListGrants),
-        Feed::Uploads => exists.then(|| Command::ListUploads(state.uploads.query(&state.topics.rows, rows, state.now))),
-        Feed::Shared => exists.then(|| Command::ListShared(state.shared.query(&state.topics.rows, rows, state.now))),
+        Feed::Uploads => {
+            exists.then(|| Command::ListUploads(state.uploads.query(&state.topics.rows, rows, state.now, state.frozen)))
+        }
+        Feed::Shared => {
+            exists.then(|| Command::ListShared(state.shared.query(&state.topics.rows, rows, state.now, state.frozen)))
+        }
         Feed::Gateway => Some(Command::Operate(Operation::GatewayStatus)),
     }
 }

@@ -34,6 +34,8 @@ pub enum Verb {
     Filter,
     /// Sort by the next column.
     Sort,
+    /// Turn the order round.
+    Reverse,
     /// Watch or unwatch the marked topics, or the selected one.
     Watch,
     /// Provenance of the record.
@@ -301,6 +303,7 @@ pub static VERBS: &[Entry] = &[
         .on(&[Screen::Log]),
     entry(Verb::Filter, "filter", "filter", &[Key::Char('/')], "Show only rows that match").on(TABLES),
     entry(Verb::Sort, "sort", "sort", &[Key::Char('s')], "Sort by the next column").on(SORTED),
+    entry(Verb::Reverse, "reverse", "", &[Key::Char('S')], "Reverse the order").on(SORTED),
     entry(Verb::Copy, "copy", "copy", &[Key::Char('y')], "Send name, digest or address to the terminal's clipboard")
         .on(COPIED),
     entry(Verb::WriteFile, "write-file", "", &[Key::Char('W')], "Write what `copy` would copy into a file here")

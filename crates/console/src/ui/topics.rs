@@ -3,7 +3,7 @@
 use ratatui::layout::Rect;
 
 use super::canvas::{Canvas, row};
-use super::table::{Column, Sheet, draw as draw_table};
+use super::table::{Column, Sheet, draw as draw_table, order};
 use super::theme::Role;
 use super::words;
 use crate::app::State;
@@ -17,7 +17,7 @@ const COLUMNS: &[Column] = &[
     Column::text("Type", 27).from(100),
     Column::text("Publishers", 24).from(ALL_FROM),
     Column::text("Pinned", 10).from(90),
-    Column::text("Capture", 13),
+    Column::text("Watched", 13),
     Column::number("Hz", 7),
     Column::number("kB/s", 8),
     Column::text("Lately", 8).from(110),
@@ -36,14 +36,22 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
     let topics = &state.topics;
     let rows = topics.visible();
     let keys: Vec<String> = rows.iter().map(|row| row.topic.clone()).collect();
-    let mut note = format!("{} of {}, by {}", rows.len(), topics.rows.len(), SORTS[topics.table.sort % SORTS.len()]);
+    let mut note = format!("{} of {}, by {}", rows.len(), topics.rows.len(), order(&SORTS, &topics.table));
     if !topics.table.marks.is_empty() {
         note.push_str(&format!(", {} marked", topics.table.marks.len()));
     }
     let cells = |index: usize| rows.get(index).map_or_else(Vec::new, |row| cells(state, row));
     let empty = empty(state, Feed::Topics, "No topic is published yet; they appear here by themselves.");
-    let sheet =
-        Sheet { title: "Topics", note, columns: COLUMNS, keys: &keys, cells: &cells, table: &topics.table, empty };
+    let sheet = Sheet {
+        title: "Topics",
+        note,
+        columns: COLUMNS,
+        keys: &keys,
+        cells: &cells,
+        table: &topics.table,
+        empty,
+        old: false,
+    };
     let narrow = area.width < ALL_FROM;
     draw_table(canvas, Rect { height: area.height - u16::from(narrow), ..area }, &sheet);
     if let Some(selected) = topics.selected().filter(|_| narrow) {
@@ -98,7 +106,7 @@ fn cells(state: &State, row: &TopicRow) -> Vec<(String, Role)> {
         (words::sparkline(&state.topics.samples(&row.topic)), Role::Accent),
         (words::count(row.messages), Role::Body),
         (lost, if any_lost { Role::Warning } else { Role::Dim }),
-        (row.last_message.map(|last| words::age(last, state.now)).unwrap_or_default(), Role::Dim),
+        (row.last_message.map(|last| words::age(last, state.shown_at())).unwrap_or_default(), Role::Dim),
         (if row.simulated { "SIM".to_owned() } else { String::new() }, Role::Warning),
         simulated(row.simulated),
     ]

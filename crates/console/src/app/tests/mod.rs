@@ -2,6 +2,7 @@
 
 pub mod fixtures;
 
+mod aiming;
 mod first_use;
 mod freezing;
 mod granting;

@@ -15,9 +15,9 @@ use ratatui::layout::Rect;
 use super::canvas::{Canvas, columns, row};
 use super::theme::Role;
 use super::words::wrap;
+use crate::app::State;
 use crate::app::leaving::Leaving;
 use crate::app::popup::{Confirm, Popup};
-use crate::app::State;
 use crate::model::clean;
 
 /// Draws a popup into the middle of `area`.
