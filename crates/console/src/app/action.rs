@@ -138,6 +138,8 @@ pub enum Tag {
     Unwatch(String),
     /// A grant.
     Grant(Party),
+    /// A later end of a grant.
+    Extend(Address),
     /// A revoke.
     Revoke(Address),
     /// Loading of a key.
@@ -199,6 +201,7 @@ impl Tag {
             Self::Watch(topic) => format!("watching {topic}"),
             Self::Unwatch(topic) => format!("unwatching {topic}"),
             Self::Grant(grantee) => format!("granting to {}", grantee.short()),
+            Self::Extend(grantee) => format!("extending the grant to {}", grantee.short()),
             Self::Revoke(grantee) => format!("revoking {}", grantee.short()),
             Self::LoadKey(kind) => format!("loading the {} key", kind_word(*kind)),
             Self::ExportKey(kind) => format!("exporting the {} key", kind_word(*kind)),

@@ -59,6 +59,7 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
             state.inform(format!("no longer watching {topic}"));
         }),
         Tag::Grant(_) => done(state, tag, ask::Grant::heard(result), |state, done| state.inform(done.text)),
+        Tag::Extend(_) => done(state, tag, ask::ExtendGrant::heard(result), |state, done| state.inform(done.text)),
         Tag::Revoke(_) => done(state, tag, ask::Revoke::heard(result), |state, done| state.inform(done.text)),
         Tag::Rotate => done(state, tag, ask::RotateKeys::heard(result), |state, done| state.inform(done.text)),
         Tag::Adopt => done(state, tag, ask::AdoptChain::heard(result), |state, done| state.inform(done.text)),
@@ -119,6 +120,7 @@ fn take(state: &mut State, feed: Feed, result: Answer) -> Result<(), Failure> {
         Feed::Grants => state.grants.set(ask::ListGrants::heard(result)?),
         Feed::Chain => state.chain = Some(*ask::ChainStatus::heard(result)?),
         Feed::Audit => state.log.set_audit(ask::ListAudit::heard(result)?),
+        Feed::Contacts => state.contacts = ask::ListContacts::heard(result)?,
         Feed::Gateway => state.gateway.set(ask::GatewayStatus::heard(result)?),
     }
     Ok(())
@@ -173,12 +175,26 @@ fn done<T>(state: &mut State, tag: &Tag, result: Result<T, Failure>, take: impl 
     match result {
         Ok(answer) => {
             take(state, answer);
+            drop(state.filled.take_if(|(kept, ..)| kept == tag));
             undo::note(state, tag);
             for feed in touched_by(tag) {
                 state.feeds.slot_mut(*feed).stale = true;
             }
         }
-        Err(failure) => state.complain_of(tag, &failure),
+        Err(failure) => failed(state, tag, &failure),
+    }
+}
+
+/// A failed act leads back to its form, filled as it was; the log keeps what was said.
+fn failed(state: &mut State, tag: &Tag, failure: &Failure) {
+    match state.filled.take_if(|(kept, ..)| kept == tag) {
+        Some((_, purpose, mut form)) => {
+            let text = format!("{}: {}", tag.words(), failure.message);
+            state.log.notice(state.now, NoticeLevel::Error, &text);
+            form.error = Some(failure.message.clone());
+            state.popups.insert(0, Popup::Form(purpose, form));
+        }
+        None => state.complain_of(tag, failure),
     }
 }
 
@@ -216,7 +232,7 @@ fn secret(name: String, secret: &SecretBytes) -> Effect {
 fn touched_by(tag: &Tag) -> &'static [Feed] {
     match tag {
         Tag::Watch(_) | Tag::Unwatch(_) | Tag::HoldCapture => &[Feed::Topics],
-        Tag::Grant(_) | Tag::Revoke(_) => &[Feed::Grants, Feed::Identity, Feed::Keys],
+        Tag::Grant(_) | Tag::Extend(_) | Tag::Revoke(_) => &[Feed::Grants, Feed::Identity, Feed::Keys],
         Tag::LoadKey(_) | Tag::Rotate => &[Feed::Keys, Feed::Identity],
         Tag::Pin(_) | Tag::Unpin(_) | Tag::Release(_) | Tag::Discard(_) => &[Feed::Topics],
         Tag::Administer(_) | Tag::Deploy | Tag::Adopt => &[Feed::Chain],

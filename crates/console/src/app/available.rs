@@ -25,6 +25,7 @@ pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
         Verb::Register => register(state),
         Verb::LoadKey | Verb::ExportKey | Verb::Rotate => identity(state),
         Verb::Revoke => revoke(state),
+        Verb::Extend => extend(state),
         Verb::Filter | Verb::Up | Verb::Down | Verb::PageUp | Verb::PageDown | Verb::First | Verb::Last => {
             given(state.screen.has_table(), "no table here")
         }
@@ -120,6 +121,11 @@ fn administer(state: &State, act: Act) -> Result<(), &'static str> {
             given(own.is_some() && chain.administration.administrator == own, "you are not the administrator")
         }
     }
+}
+
+fn extend(state: &State) -> Result<(), &'static str> {
+    revoke(state)?;
+    given(state.grants.selected().is_some_and(|row| row.expires.is_some()), "has no end")
 }
 
 fn revoke(state: &State) -> Result<(), &'static str> {

@@ -30,11 +30,13 @@ pub enum Feed {
     Audit,
     /// `Operation::GatewayStatus`.
     Gateway,
+    /// `ListContacts`.
+    Contacts,
 }
 
 impl Feed {
     /// All feeds.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 11] = [
         Self::Site,
         Self::Identity,
         Self::Keys,
@@ -45,6 +47,7 @@ impl Feed {
         Self::Chain,
         Self::Audit,
         Self::Gateway,
+        Self::Contacts,
     ];
 
     /// What a change of `part` makes out of date.

@@ -57,16 +57,31 @@ pub fn read_unlock(form: &Form) -> Result<Errand, (usize, String)> {
     Ok(Errand { command: Command::Unlock { passphrase: secret(form, 0) }, tag: Tag::Unlock })
 }
 
-/// Asks whom to grant what.
-pub fn grant(topics: &[String]) -> Form {
+/// The word for every topic, which must be written.
+pub const ALL_TOPICS: &str = "all";
+
+/// Asks whom to grant what; what is known is filled in, and the first line that is empty has the keys.
+pub fn grant(grantee: &str, topics: &[String], ends: &str) -> Form {
     let lines = vec![
-        Line::text("Address", "0x and 40 hex, or a name of the address book", Field::default()),
-        Line::text("Topics", "empty = all topics; else names", Field::with(&topics.join(" "))),
-        Line::text("Ends", "empty = no end; 30d, 12h, 2036-12-31", Field::default()),
+        Line::text("Address", "0x and 40 hex, or a contact's name", Field::offering(grantee)),
+        Line::text("Topics", "topic names; all", Field::offering(&topics.join(" "))),
+        Line::text("Ends", "empty = never; 45m, 12h, 30d, 2036-12-31", Field::offering(ends)),
         Line::choice("Records", EPOCH_WORDS),
     ];
-    let notes = vec!["Lets another account open your records.".to_owned()];
-    Form::new("Grant", notes, lines)
+    let notes = vec!["Lets another account read your records. Tab completes names.".to_owned()];
+    let mut form = Form::new("Grant", notes, lines);
+    form.focus = usize::from(!grantee.is_empty() && topics.is_empty());
+    form
+}
+
+/// Asks until when a grant is to last.
+pub fn extend(grantee: &str, ends: &str) -> Form {
+    let lines = vec![Line::text("Ends", "empty = never; 45m, 12h, 30d, 2036-12-31", Field::default())];
+    let notes = vec![
+        format!("{grantee} can read until: {ends}"),
+        "Keys and epoch stay as they are. Sends a transaction.".to_owned(),
+    ];
+    Form::new("Extend the grant", notes, lines)
 }
 
 /// The terms of a grant, as typed.
@@ -100,11 +115,18 @@ pub fn read_grant(form: &Form, own: Option<Address>, now: Timestamp) -> Result<G
     if grantee.address().is_some_and(|address| Some(address) == own) {
         return Err((0, "that is your own address; write the reader's".to_owned()));
     }
-    let names = form.text(1).split([' ', ',']).filter(|name| !name.is_empty());
+    let written: Vec<&str> = form.text(1).split([' ', ',']).filter(|name| !name.is_empty()).collect();
+    if written.is_empty() {
+        return Err((1, format!("name the topics, or write '{ALL_TOPICS}' for every topic")));
+    }
+    let names = written.into_iter().filter(|name| *name != ALL_TOPICS);
     let topics: Vec<TopicName> =
         names.map(str::parse).collect::<Result<_, _>>().map_err(|error| (1, format!("{error}")))?;
     if topics.len() > MOST_TOPICS {
         return Err((1, format!("a grant covers at most {MOST_TOPICS} topics, or all")));
+    }
+    if !topics.is_empty() && form.text(1).split([' ', ',']).any(|name| name == ALL_TOPICS) {
+        return Err((1, format!("'{ALL_TOPICS}' stands alone; leave it out or the names")));
     }
     let expires = when::expiry(form.text(2), now).map_err(|error| (2, error))?;
     let epochs = if form.chosen(3) == 0 { Epochs::Current } else { Epochs::All };

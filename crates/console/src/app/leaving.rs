@@ -95,7 +95,7 @@ impl Leaving {
         } else if self == Self::Asked && state.has_pending_work() {
             hints.push(("w", "quit when verified"));
         }
-        hints.push(("any other key", "stay"));
+        hints.push(("any other key", "stays"));
         hints
     }
 }

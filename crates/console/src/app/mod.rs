@@ -19,6 +19,7 @@ pub mod first_run;
 pub mod form;
 pub mod forms;
 pub mod fuzzy;
+pub mod granting;
 pub mod identity_path;
 pub mod key;
 pub mod keymap;

@@ -10,6 +10,7 @@ use super::confirm;
 use super::cursor;
 use super::feed::Feed;
 use super::forms;
+use super::granting;
 use super::identity_path::{self, Need};
 use super::leaving::{self, Leaving};
 use super::lock;
@@ -84,7 +85,8 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Palette => state.popups.push(Popup::Palette(Palette::default())),
         Verb::Help => state.popups.push(Popup::Help { scroll: 0 }),
         Verb::Dismiss => dismiss(state),
-        Verb::Grant => grant(state),
+        Verb::Grant => granting::begin(state),
+        Verb::Extend => granting::begin_extension(state),
         Verb::Revoke => revoke(state),
         Verb::LoadKey => state.popups.push(Popup::Form(Purpose::LoadKey, forms::load_key())),
         Verb::ExportKey => state.popups.push(Popup::Form(Purpose::ExportKey, forms::export_key())),
@@ -239,12 +241,6 @@ fn readers(state: &mut State) {
         | Screen::Log => state.grants.selected().map(|row| row.topics.clone()).unwrap_or_default(),
     };
     state.popups.push(Popup::Readers(topics));
-}
-
-fn grant(state: &mut State) {
-    let marks = (state.screen == Screen::Topics).then(|| state.topics.table.marks.iter().cloned().collect());
-    let topics: Vec<String> = marks.unwrap_or_default();
-    state.popups.push(Popup::Form(Purpose::Grant, forms::grant(&topics)));
 }
 
 fn revoke(state: &mut State) {

@@ -61,6 +61,8 @@ pub enum Purpose {
     Unlock,
     /// Terms of a grant.
     Grant,
+    /// A later end of a grant.
+    Extend,
     /// A key file.
     LoadKey,
     /// Which key to hand out.

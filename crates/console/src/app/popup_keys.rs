@@ -2,10 +2,12 @@
 
 use super::action::{Effect, Tag};
 use super::administration;
+use super::available::available;
 use super::browse;
 use super::confirm;
 use super::form::{Form, FormStep};
 use super::forms;
+use super::granting;
 use super::identity_path::{self, Need};
 use super::key::{Key, chord_label};
 use super::keymap::Meaning;
@@ -30,7 +32,10 @@ pub fn hints(state: &State, popup: &Popup) -> Vec<(&'static str, &'static str)> 
         Popup::Chord(_) => vec![("esc", "close")],
         Popup::Themes(_) => vec![("up down", "see it"), ("enter", "keep it"), ("esc", "as before")],
         Popup::Confirm(confirm) if confirm.typed.is_some() => vec![("enter", confirm.yes), ("esc", "no")],
-        Popup::Confirm(confirm) => vec![("y", confirm.yes), ("any other key", "no")],
+        Popup::Confirm(confirm) => {
+            let twin = granting::twin(state, &confirm.errand.command).map(|_| ("Y", "copy as command"));
+            [("y", confirm.yes)].into_iter().chain(twin).chain([("any other key", "cancels")]).collect()
+        }
         Popup::Form(..) => vec![("enter", "next, then go on"), ("tab", "next field"), ("esc", "close")],
         Popup::Record(opening) => opening.hints(),
         Popup::Quit(leaving) => leaving.hints(state),
@@ -106,6 +111,10 @@ fn palette_key(state: &mut State, mut palette: Palette, key: Key) -> Vec<Effect>
     match key {
         Key::Escape => return Vec::new(),
         Key::Enter => {
+            let words: Vec<&str> = palette.field.text().split_whitespace().collect();
+            if let (Some(("grant", terms)), Ok(())) = (with_terms(&words), available(state, Verb::Grant)) {
+                return granting::spoken(state, terms);
+            }
             let Some(entry) = matches.get(palette.selected.min(last)) else { return Vec::new() };
             return perform(state, entry.verb);
         }
@@ -118,6 +127,11 @@ fn palette_key(state: &mut State, mut palette: Palette, key: Key) -> Vec<Effect>
     }
     state.popups.push(Popup::Palette(palette));
     Vec::new()
+}
+
+/// A command's name and the terms behind it, where there are any.
+fn with_terms<'a>(words: &'a [&'a str]) -> Option<(&'a str, &'a [&'a str])> {
+    words.split_first().filter(|(_, terms)| !terms.is_empty()).map(|(name, terms)| (*name, terms))
 }
 
 /// The next key of a chord.
@@ -157,6 +171,11 @@ fn confirm_key(state: &mut State, mut confirm: Confirm, key: Key) -> Vec<Effect>
             typed.field.key(key);
             false
         }
+        None if key == Key::Char('Y') => {
+            let effects = granting::copy_twin(state, &confirm.errand.command);
+            state.popups.push(Popup::Confirm(confirm));
+            return effects;
+        }
         None if key != Key::Char('y') => return Vec::new(),
         None => true,
     };
@@ -166,7 +185,10 @@ fn confirm_key(state: &mut State, mut confirm: Confirm, key: Key) -> Vec<Effect>
     }
     // The form that led here has done its work.
     let led_here = |purpose: &Purpose| matches!(purpose, Purpose::Grant | Purpose::LoadKey | Purpose::Administer(_));
-    state.popups.retain(|popup| !matches!(popup, Popup::Form(purpose, _) if led_here(purpose)));
+    let form = state.popups.iter().position(|popup| matches!(popup, Popup::Form(purpose, _) if led_here(purpose)));
+    if let Some(Popup::Form(purpose, form)) = form.map(|place| state.popups.remove(place)) {
+        state.filled = Some((confirm.errand.tag.clone(), purpose, form));
+    }
     match need_of(&confirm) {
         Some(need) => identity_path::run(state, need, vec![confirm.errand]),
         None => vec![state.send(confirm.errand)],
@@ -182,6 +204,7 @@ fn need_of(confirm: &Confirm) -> Option<Need> {
         Tag::Publishers(_) | Tag::Show(_) | Tag::Pin(_) | Tag::Unpin(_) => None,
         Tag::LoadKey(_) | Tag::Release(_) | Tag::Discard(_) | Tag::Deploy | Tag::Adopt => Some(Need::Unlocked),
         Tag::Open(_) | Tag::Path(_) | Tag::Check(_) | Tag::Export(_) | Tag::ExportKey(_) => Some(Need::Unlocked),
+        Tag::Extend(_) => Some(Need::Registered),
         Tag::Register | Tag::Watch(_) | Tag::Unwatch(_) | Tag::Grant(_) | Tag::Revoke(_) | Tag::Rotate => {
             Some(Need::Registered)
         }
@@ -190,6 +213,10 @@ fn need_of(confirm: &Confirm) -> Option<Need> {
 }
 
 fn form_key(state: &mut State, purpose: Purpose, mut form: Form, key: Key) -> Vec<Effect> {
+    if purpose == Purpose::Grant && key == Key::Tab && granting::complete(state, &mut form) {
+        state.popups.push(Popup::Form(purpose, form));
+        return Vec::new();
+    }
     match form.key(key) {
         FormStep::Stay => state.popups.push(Popup::Form(purpose, form)),
         FormStep::Cancel if matches!(purpose, Purpose::CreateIdentity | Purpose::Unlock) => {
@@ -222,8 +249,13 @@ fn submit(state: &mut State, purpose: Purpose, form: &Form) -> Result<Vec<Effect
         }
         Purpose::Grant => {
             let wish = forms::read_grant(form, state.address(), state.now)?;
+            granting::check(state, &wish)?;
             state.popups.push(Popup::Confirm(confirm::grant(state, wish)));
             return Ok(Vec::new());
+        }
+        Purpose::Extend => {
+            let errand = granting::read_extension(state, form)?;
+            return Ok(identity_path::run(state, Need::Registered, vec![errand]));
         }
         Purpose::Unpin => forms::read_unpin(form)?,
         Purpose::Administer(act) => {

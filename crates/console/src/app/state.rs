@@ -4,10 +4,11 @@ use std::path::PathBuf;
 
 use super::action::{Effect, Errand, Tag};
 use super::feed::{Feed, Feeds};
+use super::form::Form;
 use super::identity_path::IdentityPath;
 use super::keymap::Keymap;
 use super::opening::Opening;
-use super::popup::Popup;
+use super::popup::{Popup, Purpose};
 use super::rates::Rates;
 use super::screen::Screen;
 use super::screens::gateway::Gateway;
@@ -19,7 +20,7 @@ use super::toast::Toasts;
 use super::undo::Undo;
 use super::zone::Zone;
 use crate::model::{Address, ProfileName, Timestamp};
-use crate::service::reply::{ChainView, IdentityView, KeysView, SiteView};
+use crate::service::reply::{ChainView, ContactRow, IdentityView, KeysView, SiteView};
 use crate::service::{Failure, NoticeLevel};
 
 /// Rows of the screen that are no table rows: header, tabs, title, columns, message, bar.
@@ -101,6 +102,10 @@ pub struct State {
     pub identity_path: Option<IdentityPath>,
     /// The gateway.
     pub gateway: Gateway,
+    /// The address book.
+    pub contacts: Vec<ContactRow>,
+    /// The form behind the act that is under way, to come back to where it fails.
+    pub filled: Option<(Tag, Purpose, Form)>,
     /// What undoing would do.
     pub undo: Option<Undo>,
     /// When a key was last pressed.
@@ -137,6 +142,8 @@ impl State {
             work: Vec::new(),
             identity_path: None,
             gateway: Gateway::default(),
+            contacts: Vec::new(),
+            filled: None,
             undo: None,
             touched: Timestamp::default(),
             local_time: false,

@@ -33,6 +33,7 @@ pub fn note(state: &mut State, tag: &Tag) {
             Undo::By(Errand { command, tag: Tag::Watch(name.clone()) })
         }),
         Tag::Grant(grantee) => Some(Undo::Granted(grantee.to_string())),
+        Tag::Extend(_) => Some(Undo::Never("a grant only gets longer; revoke it to end it sooner (5, then x)")),
         Tag::Revoke(_) => Some(Undo::Never("a revoke is a transaction: to share again, make a new grant (5, then g)")),
         Tag::Rotate => Some(Undo::Never("an epoch that has begun stays; the one before is over")),
         Tag::LoadKey(_) => Some(Undo::Never("the key that was replaced is gone from the keyring; load its file again")),

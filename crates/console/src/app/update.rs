@@ -10,7 +10,7 @@ use super::leaving;
 use super::lock;
 use super::mouse;
 use super::perform::{perform, wants_grants};
-use super::popup::Popup;
+use super::popup::{Popup, Purpose};
 use super::popup_keys::{popup_key, popup_paste};
 use super::screens::log::MOST_AUDIT;
 use super::state::State;
@@ -155,11 +155,22 @@ fn wants_chain(state: &State) -> Option<Feed> {
     matches!(state.popups.last(), Some(Popup::Tasks)).then_some(Feed::Chain)
 }
 
+/// A grant is checked against the address book, and completed from it.
+fn wants_contacts(state: &State) -> impl Iterator<Item = Feed> + use<> {
+    let asked = state.popups.iter().any(|popup| matches!(popup, Popup::Form(Purpose::Grant, _)));
+    [Feed::Contacts, Feed::Topics].into_iter().filter(move |_| asked)
+}
+
 /// Asks for what is on screen and out of date, one question per feed at a time.
 fn pull(state: &mut State) -> Vec<Effect> {
     let always = [Feed::Site, Feed::Identity];
-    let wanted =
-        always.iter().chain(state.screen.feeds()).copied().chain(wants_grants(state)).chain(wants_chain(state));
+    let wanted = always
+        .iter()
+        .chain(state.screen.feeds())
+        .copied()
+        .chain(wants_grants(state))
+        .chain(wants_contacts(state))
+        .chain(wants_chain(state));
     let mut wanted: Vec<Feed> = wanted.collect();
     if state.is_frozen() {
         // All screens stand at one moment; what holds already is not asked again.
@@ -199,6 +210,7 @@ fn question(state: &State, feed: Feed) -> Option<Command> {
         Feed::Shared => {
             exists.then(|| Command::ListShared(state.shared.query(&state.topics.rows, rows, state.now, state.frozen)))
         }
+        Feed::Contacts => exists.then_some(Command::ListContacts),
         Feed::Gateway => Some(Command::Operate(Operation::GatewayStatus)),
     }
 }

@@ -60,6 +60,8 @@ pub enum Verb {
     Rotate,
     /// Share.
     Grant,
+    /// Let a grant end later.
+    Extend,
     /// Stop sharing.
     Revoke,
     /// Publishers of the topic, pinned and doubted.
@@ -244,6 +246,9 @@ pub static VERBS: &[Entry] = &[
     .changing(),
     entry(Verb::Grant, "grant", "grant", &[Key::Char('g')], "Let another account open your records")
         .on(&[Screen::Overview, Screen::Topics, Screen::Grants])
+        .changing(),
+    entry(Verb::Extend, "extend", "extend", &[Key::Char('e')], "Let the grant end later")
+        .on(&[Screen::Grants])
         .changing(),
     entry(
         Verb::Revoke,

@@ -15,9 +15,9 @@ use ratatui::layout::Rect;
 use super::canvas::{Canvas, columns, row};
 use super::theme::Role;
 use super::words::wrap;
-use crate::app::State;
 use crate::app::leaving::Leaving;
 use crate::app::popup::{Confirm, Popup};
+use crate::app::{State, granting};
 use crate::model::clean;
 
 /// Draws a popup into the middle of `area`.
@@ -25,7 +25,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, popup: &Popup) {
     match popup {
         Popup::Palette(palette) => palette::draw(canvas, area, state, palette),
         Popup::Help { scroll } => help::draw(canvas, area, state, *scroll),
-        Popup::Confirm(confirm) => draw_confirm(canvas, area, confirm),
+        Popup::Confirm(confirm) => draw_confirm(canvas, area, state, confirm),
         Popup::Form(_, form) => form::draw(canvas, area, form),
         Popup::Provenance(lookup) => lookup::draw_provenance(canvas, area, lookup),
         Popup::Record(opening) => record::draw(canvas, area, opening),
@@ -49,7 +49,7 @@ fn framed(canvas: &mut Canvas, area: Rect, title: &str, width: u16, height: u16)
 }
 
 /// A framed text with lines broken where needed; the last line is the answer's.
-fn draw_text(canvas: &mut Canvas, area: Rect, title: &str, lines: &[String], answer: &[(&str, Role)]) {
+fn draw_text(canvas: &mut Canvas, area: Rect, title: &str, lines: &[String], answer: &[(&str, Role)]) -> Rect {
     let widest = lines.iter().map(|line| columns(line)).max().unwrap_or(0);
     let width = widest.max(40).min(area.width.saturating_sub(6));
     let lines: Vec<String> = lines.iter().flat_map(|line| wrap(&clean(line, 2_000), width)).collect();
@@ -60,19 +60,33 @@ fn draw_text(canvas: &mut Canvas, area: Rect, title: &str, lines: &[String], ans
         canvas.put(row(inner, place), line, Role::Body);
     }
     canvas.puts(row(inner, last), answer);
+    inner
 }
 
-fn draw_confirm(canvas: &mut Canvas, area: Rect, confirm: &Confirm) {
+fn draw_confirm(canvas: &mut Canvas, area: Rect, state: &State, confirm: &Confirm) {
+    let caution = granting::caution(state, &confirm.errand.command).unwrap_or_default();
     if let Some(typed) = &confirm.typed {
         let wanted = clean(&typed.wanted, 255);
         let mut lines = confirm.lines.clone();
         lines.push(format!("Type {wanted} and enter to {}; esc for no.", confirm.yes));
         let shown = typed.field.shown();
-        return draw_text(canvas, area, &confirm.title, &lines, &[("› ", Role::Key), (&shown, Role::Warning)]);
+        draw_text(canvas, area, &confirm.title, &lines, &[("› ", Role::Key), (&shown, Role::Warning)]);
+        return;
     }
+    // What is to be looked at twice stands above the terms.
+    let room = caution_lines(&caution);
+    let lines: Vec<String> = room.iter().map(|_| String::new()).chain(confirm.lines.iter().cloned()).collect();
     let answer =
-        [("y", Role::Key), (" ", Role::Body), (confirm.yes, Role::Warning), ("    any other key: no", Role::Dim)];
-    draw_text(canvas, area, &confirm.title, &confirm.lines, &answer);
+        [("y", Role::Key), (" ", Role::Body), (confirm.yes, Role::Warning), ("    any other key cancels", Role::Dim)];
+    let inner = draw_text(canvas, area, &confirm.title, &lines, &answer);
+    for (place, line) in (0u16..).zip(&room) {
+        canvas.put(row(inner, place), line, Role::Warning);
+    }
+}
+
+/// The caution, marked so that it is read without colour too, in lines of a popup.
+fn caution_lines(caution: &str) -> Vec<String> {
+    if caution.is_empty() { Vec::new() } else { wrap(&format!("◐ {}", clean(caution, 500)), 60) }
 }
 
 fn draw_quit(canvas: &mut Canvas, area: Rect, state: &State, leaving: Leaving) {
