@@ -56,7 +56,7 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
             state.inform(format!("now watching {topic}"));
         }),
         Tag::Unwatch(topic) => done(state, tag, ask::UnwatchTopic::heard(result), |state, ()| {
-            state.inform(format!("no longer watching {topic}"));
+            state.inform(format!("no longer watching {topic} (U: undo)"));
         }),
         Tag::Grant(_) => done(state, tag, ask::Grant::heard(result), |state, done| state.inform(done.text)),
         Tag::Extend(_) => done(state, tag, ask::ExtendGrant::heard(result), |state, done| state.inform(done.text)),
@@ -67,10 +67,10 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
         Tag::Deploy => done(state, tag, ask::DeployContract::heard(result), |state, deployed| {
             state.inform(format!("contract {} deployed", deployed.pin.contract));
         }),
-        Tag::LoadKey(_) => done(state, tag, ask::LoadKey::heard(result), |state, keys| {
+        Tag::LoadKey(kind) => done(state, tag, ask::LoadKey::heard(result), |state, keys| {
             state.keys = Some(keys);
             state.feeds.renew(Feed::Identity);
-            state.inform(format!("{}: done", tag.words()));
+            state.inform(loaded(kind));
         }),
         Tag::Pin(_) => done(state, tag, ask::PinTopic::heard(result), |state, _| say_done(state, tag)),
         Tag::Unpin(_) => done(state, tag, ask::UnpinTopic::heard(result), |state, _| say_done(state, tag)),
@@ -164,7 +164,7 @@ fn locked(state: &mut State, result: Result<IdentityView, Failure>) {
     match result {
         Ok(identity) => {
             state.identity = Some(identity);
-            state.inform("locked: what decrypts, grants and revokes is wiped; capture and anchoring go on");
+            state.inform("Locked. Keys for reading, granting and revoking are wiped; capture continues.");
         }
         Err(failure) => state.complain_of(&Tag::Lock, &failure),
     }
@@ -195,6 +195,14 @@ fn failed(state: &mut State, tag: &Tag, failure: &Failure) {
             state.popups.insert(0, Popup::Form(purpose, form));
         }
         None => state.complain_of(tag, failure),
+    }
+}
+
+fn loaded(kind: &KeyKind) -> &'static str {
+    match kind {
+        KeyKind::Sm4 => "SM4 key loaded; a new epoch begins",
+        KeyKind::Sm2 => "SM2 key loaded; new records are signed with it",
+        KeyKind::Eoa => "EOA key loaded; your address on the chain is the new one",
     }
 }
 

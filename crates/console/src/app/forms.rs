@@ -21,7 +21,7 @@ const EPOCH_WORDS: &[&str] = &["from now on", "all, also what was recorded befor
 pub fn create_identity(profile: &str, notes: Vec<String>) -> Form {
     let lines = vec![
         Line::text("Passphrase", "at least 8 characters", Field::masked()),
-        Line::text("Once more", "", Field::masked()),
+        Line::text("Repeat", "", Field::masked()),
     ];
     Form::new(format!("New identity for profile {profile}"), notes, lines)
 }
@@ -35,7 +35,7 @@ pub fn read_create(form: &Form) -> Result<Errand, (usize, String)> {
         return Err((0, format!("use at least {SHORTEST_PASSPHRASE} characters")));
     }
     if form.text(0) != form.text(1) {
-        return Err((1, "the two differ; type the passphrase once more".to_owned()));
+        return Err((1, "the passphrases do not match; type it again".to_owned()));
     }
     Ok(Errand { command: Command::CreateIdentity { passphrase: secret(form, 0) }, tag: Tag::CreateIdentity })
 }
@@ -160,10 +160,10 @@ pub fn read_unpin(form: &Form) -> Result<Errand, (usize, String)> {
 pub fn load_key() -> Form {
     let lines = vec![
         Line::choice("Key", KIND_WORDS),
-        Line::text("File", "path; readable by you alone (mode 0600)", Field::default()),
-        Line::text("Passphrase", "only of a V3 keystore", Field::masked()),
+        Line::text("File", "path to the key file (must be mode 0600)", Field::default()),
+        Line::text("Passphrase", "only for a V3 keystore", Field::masked()),
     ];
-    Form::new("Load a key file", vec!["Puts a key of your own in place of the present one.".to_owned()], lines)
+    Form::new("Load a key file", vec!["Replaces the current key with one of yours.".to_owned()], lines)
 }
 
 /// The key file to load, as typed.
@@ -199,7 +199,7 @@ pub fn export_key() -> Form {
     let lines = vec![
         Line::choice("Key", KIND_WORDS),
         Line::text("Passphrase", "EOA: protects the V3 keystore", Field::masked()),
-        Line::text("Once more", "", Field::masked()),
+        Line::text("Repeat", "", Field::masked()),
     ];
     let notes = vec!["Writes a secret key into a file here. Whoever has it can act or read as you.".to_owned()];
     Form::new("Export a key", notes, lines)
@@ -215,7 +215,7 @@ pub fn read_export(form: &Form) -> Result<Errand, (usize, String)> {
         return Err((1, format!("an EOA leaves only as a keystore; use at least {SHORTEST_PASSPHRASE} characters")));
     }
     if form.text(1) != form.text(2) {
-        return Err((2, "the two differ; type the passphrase once more".to_owned()));
+        return Err((2, "the passphrases do not match; type it again".to_owned()));
     }
     let passphrase = (kind == KeyKind::Eoa).then(|| secret(form, 1));
     Ok(Errand { command: Command::ExportKey { kind, passphrase }, tag: Tag::ExportKey(kind) })

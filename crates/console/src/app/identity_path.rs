@@ -145,7 +145,7 @@ fn open_form(state: &mut State, purpose: Purpose, error: Option<String>) {
         notes.push("Until then nothing is captured, opened, granted or revoked. Esc: look around.".to_owned());
     }
     let mut form = if purpose == Purpose::CreateIdentity {
-        notes.insert(0, "It protects your keys on this machine. Nobody can bring it back.".to_owned());
+        notes.insert(0, "This passphrase protects your keys on this machine. It cannot be recovered.".to_owned());
         forms::create_identity(profile, notes)
     } else {
         forms::unlock(profile, notes)

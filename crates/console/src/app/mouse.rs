@@ -16,9 +16,9 @@ const ABOVE: u16 = 4;
 pub fn toggle(state: &mut State) -> Vec<Effect> {
     state.mouse = !state.mouse;
     let text = if state.mouse {
-        "mouse: wheel and clicks are for the console; with shift held down most terminals still select text"
+        "mouse on; hold shift to select text in most terminals"
     } else {
-        "mouse: left to the terminal, which selects text again"
+        "mouse off; the terminal selects text again"
     };
     state.inform(text);
     vec![Effect::Mouse(state.mouse)]

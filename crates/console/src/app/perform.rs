@@ -83,7 +83,7 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Administer(act) => administration::begin(state, act),
         Verb::Freeze => freeze(state),
         Verb::Palette => state.popups.push(Popup::Palette(Palette::default())),
-        Verb::Help => state.popups.push(Popup::Help { scroll: 0 }),
+        Verb::Help => state.popups.push(Popup::Help(super::popup::Help::default())),
         Verb::Dismiss => dismiss(state),
         Verb::Grant => granting::begin(state),
         Verb::Extend => granting::begin_extension(state),
@@ -143,7 +143,7 @@ fn dismiss(state: &mut State) {
 fn watch(state: &mut State) -> Vec<Effect> {
     if state.screen == Screen::Overview {
         go(state, Screen::Topics);
-        state.inform("choose with the arrows or mark with space, then w watches");
+        state.inform("select a topic (arrows, or space to mark several), then press w");
         return Vec::new();
     }
     let targets: Vec<(String, bool)> =

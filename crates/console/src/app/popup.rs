@@ -24,10 +24,7 @@ pub enum Popup {
     /// Every command by name.
     Palette(Palette),
     /// What each key does here.
-    Help {
-        /// First line shown.
-        scroll: usize,
-    },
+    Help(Help),
     /// Yes or no, default no.
     Confirm(Confirm),
     /// A form.
@@ -109,6 +106,19 @@ impl<T> Lookup<T> {
     pub fn found(&self) -> Option<&T> {
         self.answer.as_ref()?.as_ref().ok().map(Box::as_ref)
     }
+}
+
+/// What each key does, narrowed by what is typed.
+#[derive(Debug, Default)]
+pub struct Help {
+    /// First line shown.
+    pub scroll: usize,
+    /// What is typed behind `/`.
+    pub filter: Field,
+    /// Whether it is being typed.
+    pub filtering: bool,
+    /// The keys of the window below; `None` = those of the screen.
+    pub window: Option<Vec<(&'static str, &'static str)>>,
 }
 
 /// Every command by name, narrowed by what is typed.

@@ -14,7 +14,7 @@ use super::keymap::Meaning;
 use super::leaving;
 use super::opening;
 use super::perform::perform;
-use super::popup::{Confirm, Lookup, Palette, Popup, Purpose};
+use super::popup::{Confirm, Help, Lookup, Palette, Popup, Purpose};
 use super::state::State;
 use super::themes;
 use super::verb::Verb;
@@ -28,7 +28,8 @@ pub fn hints(state: &State, popup: &Popup) -> Vec<(&'static str, &'static str)> 
         Popup::Publishers(_) => vec![("up down", "scroll"), ("p", "pin"), ("P", "unpin"), ("q", "close")],
         Popup::Tasks | Popup::Readers(_) => vec![("q", "close")],
         Popup::Provenance(_) => vec![("n p", "next, previous"), ("up down", "scroll"), ("q", "close")],
-        Popup::Help { .. } => vec![("up down", "scroll"), ("q", "close")],
+        Popup::Help(Help { filtering: true, .. }) => vec![("enter", "apply"), ("esc", "clear")],
+        Popup::Help(_) => vec![("up down", "scroll"), ("/", "filter"), ("q", "close")],
         Popup::Chord(_) => vec![("esc", "close")],
         Popup::Themes(_) => vec![("up down", "see it"), ("enter", "keep it"), ("esc", "as before")],
         Popup::Confirm(confirm) if confirm.typed.is_some() => vec![("enter", confirm.yes), ("esc", "no")],
@@ -36,7 +37,7 @@ pub fn hints(state: &State, popup: &Popup) -> Vec<(&'static str, &'static str)> 
             let twin = granting::twin(state, &confirm.errand.command).map(|_| ("Y", "copy as command"));
             [("y", confirm.yes)].into_iter().chain(twin).chain([("any other key", "cancels")]).collect()
         }
-        Popup::Form(..) => vec![("enter", "next, then go on"), ("tab", "next field"), ("esc", "close")],
+        Popup::Form(..) => vec![("enter", "next field / submit"), ("tab", "next field"), ("esc", "close")],
         Popup::Record(opening) => opening.hints(),
         Popup::Quit(leaving) => leaving.hints(state),
     }
@@ -44,6 +45,11 @@ pub fn hints(state: &State, popup: &Popup) -> Vec<(&'static str, &'static str)> 
 
 /// Gives a key to the topmost popup.
 pub fn popup_key(state: &mut State, key: Key) -> Vec<Effect> {
+    if key == Key::Char('?') && !takes_text(state) {
+        let window = state.popups.last().map(|popup| hints(state, popup));
+        state.popups.push(Popup::Help(Help { window, ..Help::default() }));
+        return Vec::new();
+    }
     let Some(popup) = state.popups.pop() else { return Vec::new() };
     let quitting = matches!(popup, Popup::Quit(_));
     let key = if key == Key::Control('c') && !quitting { Key::Escape } else { key };
@@ -73,13 +79,40 @@ pub fn popup_key(state: &mut State, key: Key) -> Vec<Effect> {
             }
             Vec::new()
         }
-        Popup::Help { scroll } => {
-            if let Some(scroll) = scrolled(scroll, key, state.page_rows()) {
-                state.popups.push(Popup::Help { scroll: scroll.min(super::verb::VERBS.len()) });
-            }
-            Vec::new()
-        }
+        Popup::Help(help) => help_key(state, help, key),
     }
+}
+
+/// Whether a `?` is a part of what is typed into the topmost popup, or its own to answer.
+fn takes_text(state: &State) -> bool {
+    match state.popups.last() {
+        Some(Popup::Form(_, form)) => {
+            form.field(form.focus).is_some_and(|field| field.is_masked() || !field.text().is_empty())
+        }
+        Some(Popup::Palette(palette)) => !palette.field.text().is_empty(),
+        Some(Popup::Confirm(confirm)) => confirm.typed.is_some(),
+        Some(Popup::Help(_) | Popup::Chord(_)) => true,
+        _ => false,
+    }
+}
+
+fn help_key(state: &mut State, mut help: Help, key: Key) -> Vec<Effect> {
+    match key {
+        Key::Escape if help.filtering || !help.filter.text().is_empty() => {
+            (help.filtering, help.filter) = Default::default()
+        }
+        Key::Enter if help.filtering => help.filtering = false,
+        Key::Up | Key::Down | Key::PageUp | Key::PageDown | Key::Home if help.filtering => {}
+        _ if help.filtering => drop(help.filter.key(key)),
+        Key::Char('/') => help.filtering = true,
+        Key::Char('?') => return Vec::new(),
+        _ => match scrolled(help.scroll, key, state.page_rows()) {
+            Some(scroll) => help.scroll = scroll.min(super::verb::VERBS.len() * 2),
+            None => return Vec::new(),
+        },
+    }
+    state.popups.push(Popup::Help(help));
+    Vec::new()
 }
 
 /// Gives pasted text to the topmost popup.
@@ -95,7 +128,7 @@ pub fn popup_paste(state: &mut State, text: &str) {
 /// Where a key scrolls to; `None` = it closes.
 pub(super) fn scrolled(scroll: usize, key: Key, page: usize) -> Option<usize> {
     Some(match key {
-        Key::Escape | Key::Char('q' | '?') => return None,
+        Key::Escape | Key::Char('q') => return None,
         Key::Up | Key::Char('k') => scroll.saturating_sub(1),
         Key::Down | Key::Char('j') => scroll + 1,
         Key::PageUp => scroll.saturating_sub(page),

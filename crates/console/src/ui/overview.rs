@@ -108,7 +108,7 @@ fn draw_law(canvas: &mut Canvas, area: Rect, life: &LifeLine) {
     ];
     let sum: u64 = parts.iter().map(|(count, ..)| count).sum();
     let (verdict, role) = if sum == life.captured && life.conserved {
-        ("● holds: ", Role::Good)
+        ("● balanced: ", Role::Good)
     } else {
         ("✖ does not add up: ", Role::Bad)
     };
@@ -121,7 +121,7 @@ fn draw_law(canvas: &mut Canvas, area: Rect, life: &LifeLine) {
         rest = canvas.puts(rest, &[(plus, Role::Dim), (&words::count(count), role), (" ", role), (name, Role::Dim)]);
     }
     if life.right_ended + life.quarantined + life.dropped + life.tampered == 0 {
-        canvas.put(rest, ", none held, dropped, tampered", Role::Dim);
+        canvas.put(rest, "; none held, dropped or tampered", Role::Dim);
     }
 }
 

@@ -6,6 +6,7 @@ mod aiming;
 mod first_use;
 mod freezing;
 mod granting;
+mod helping;
 mod keys;
 mod leaving;
 mod operating;

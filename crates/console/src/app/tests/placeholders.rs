@@ -19,9 +19,8 @@ const DESCRIBED: &[(&str, &[&str])] = &[
     ("or a contact's name", &["harbour-office"]),
     ("topic names", &["/robot1/odom", "/robot1/odom /robot2/camera", "/robot1/odom,/robot2/camera"]),
     ("caller id", &["/driver"]),
-    ("path", &["keys/mine.pem", "/keys/mine.pem", "~/mine.pem"]),
-    ("readable by you alone (mode 0600)", &[]),
-    ("only of a V3 keystore", &["", "a passphrase"]),
+    ("path to the key file (must be mode 0600)", &["keys/mine.pem", "/keys/mine.pem", "~/mine.pem"]),
+    ("only for a V3 keystore", &["", "a passphrase"]),
     ("EOA: protects the V3 keystore", &["eight ch"]),
     ("at least 8 characters", &["eight ch"]),
 ];

@@ -24,7 +24,7 @@ use crate::model::clean;
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, popup: &Popup) {
     match popup {
         Popup::Palette(palette) => palette::draw(canvas, area, state, palette),
-        Popup::Help { scroll } => help::draw(canvas, area, state, *scroll),
+        Popup::Help(help) => help::draw(canvas, area, state, help),
         Popup::Confirm(confirm) => draw_confirm(canvas, area, state, confirm),
         Popup::Form(_, form) => form::draw(canvas, area, form),
         Popup::Provenance(lookup) => lookup::draw_provenance(canvas, area, lookup),
