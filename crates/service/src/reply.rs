@@ -35,7 +35,7 @@ pub use self::recordings::{
 pub use self::records::{Caveat, CheckView, ExportedFile, OpenedView, Provenance, RecordPage, RecordView, ShownState};
 pub use self::site::{HealthLevel, LifeLine, PartHealth, QueueView, SiteView};
 pub use self::tasks::{TaskState, TaskView};
-pub use self::topics::{CaptureSummary, TopicRow, TopicSummary};
+pub use self::topics::{CaptureSummary, HeldUp, TopicRow, TopicSummary};
 pub use self::viewing::PathView;
 use super::command::SecretBytes;
 use crate::model::ErrorKind;

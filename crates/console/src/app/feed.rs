@@ -64,6 +64,7 @@ impl Feed {
 }
 
 /// How one feed stands.
+#[expect(clippy::struct_excessive_bools, reason = "each is a fact of its own")]
 #[derive(Debug, Clone, Default)]
 pub struct Slot {
     /// Raised when the question itself changes, so that older answers are dropped.

@@ -1,7 +1,7 @@
 //! Where the site runs, and whether what is watched is captured: what must never be off without being seen.
 
 use super::state::State;
-use crate::service::reply::TopicRow;
+use crate::service::reply::{HeldUp, TopicRow};
 
 /// Where the site runs, seen from this console.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -49,8 +49,8 @@ impl Capture {
     pub fn of(row: &TopicRow) -> Self {
         match row {
             TopicRow { watched: false, .. } => Self::Unwatched,
-            TopicRow { waits_for_key: true, .. } => Self::WaitsForKey,
-            TopicRow { paused: true, .. } => Self::Paused,
+            TopicRow { held_up: Some(HeldUp::WaitsForKey), .. } => Self::WaitsForKey,
+            TopicRow { held_up: Some(HeldUp::Paused), .. } => Self::Paused,
             TopicRow { publishers, .. } if publishers.is_empty() => Self::NoPublisher,
             _ => Self::Watched,
         }

@@ -11,6 +11,7 @@ use crate::model::TopicName;
 use crate::service::Command;
 
 /// What was done last, as far as undoing goes.
+#[expect(clippy::large_enum_variant, reason = "there is one at a time")]
 #[derive(Debug, Clone)]
 pub enum Undo {
     /// This takes it back, wholly.

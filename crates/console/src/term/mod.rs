@@ -36,6 +36,7 @@ use crate::service::{Client, Failure};
 use crate::ui::{ThemeError, Themes};
 
 /// How the console is to look and what it may do.
+#[expect(clippy::struct_excessive_bools, reason = "each is a setting of its own")]
 #[derive(Debug, Clone)]
 pub struct ConsoleOptions {
     /// A theme's name; `None` = chosen by the terminal's colours.

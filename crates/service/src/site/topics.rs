@@ -8,7 +8,7 @@ use tokio::task::block_in_place;
 use super::{RosState, Site};
 use crate::model::{ProfileName, Timestamp, TopicName, TypeName, clean};
 use crate::pipeline::Owner;
-use crate::service::reply::{Failure, TopicRow};
+use crate::service::reply::{Failure, HeldUp, TopicRow};
 use crate::store::TopicCounts;
 
 type Watches = Vec<(TopicName, Option<TypeName>)>;
@@ -57,8 +57,11 @@ impl Site {
             }
             row.alarm = alarms.contains(&row.topic);
             row.watched = watched.contains(row.topic.as_str());
-            row.waits_for_key = row.watched && owner.is_none();
-            row.paused = row.watched && owner.as_ref().is_some_and(|owner| full || !self.records(&row.topic, owner));
+            row.held_up = match &owner {
+                _ if !row.watched => None,
+                None => Some(HeldUp::WaitsForKey),
+                Some(owner) => (full || !self.records(&row.topic, owner)).then_some(HeldUp::Paused),
+            };
         }
         rows.sort_by(|one, other| one.topic.cmp(&other.topic));
         Ok(rows)
@@ -78,8 +81,7 @@ impl Site {
             type_name: type_name.map(|name| clean(name, 255)),
             publishers,
             watched: false,
-            waits_for_key: false,
-            paused: false,
+            held_up: None,
             simulated,
             hz: rate.map(|rate| rate.hz),
             bytes_per_second: rate.map(|rate| rate.bytes_per_second),

@@ -5,7 +5,7 @@ use crate::app::feed::Feed;
 use crate::app::leaving::Leaving;
 use crate::app::popup::Popup;
 use crate::app::{Action, Effect, Key, Tag};
-use crate::service::reply::{LifeLine, QueueView, SiteView, TopicRow};
+use crate::service::reply::{HeldUp, LifeLine, QueueView, SiteView, TopicRow};
 use crate::service::{Command, Operation, Part, Reply};
 
 fn with_pending(pending: u64) -> SiteView {
@@ -81,7 +81,7 @@ fn the_host_says_that_capture_stops_and_a_joined_console_that_it_continues() {
 #[test]
 fn what_waits_for_the_key_is_not_said_to_stop() {
     let mut robot = busy(0, 3);
-    let waiting = |row: TopicRow| TopicRow { waits_for_key: row.watched, ..row };
+    let waiting = |row: TopicRow| TopicRow { held_up: row.watched.then_some(HeldUp::WaitsForKey), ..row };
     robot.state.topics.rows = robot.state.topics.rows.drain(..).map(waiting).collect();
     robot.types("q");
     let text = question(&robot);

@@ -6,7 +6,7 @@ use crate::app::feed::Feed;
 use crate::app::popup::{Popup, Purpose};
 use crate::app::standing::Capture;
 use crate::app::{Key, Settings, Tag};
-use crate::service::reply::TopicRow;
+use crate::service::reply::{HeldUp, TopicRow};
 use crate::service::{Command, Part, Reply};
 
 /// A console that has just been opened on a profile, locked or not.
@@ -57,8 +57,8 @@ fn a_question_for_a_passphrase_goes_when_the_keyring_was_opened_elsewhere() {
 #[test]
 fn each_topic_says_how_its_capture_stands_and_the_worst_is_said_first() {
     let row = TopicRow { watched: true, ..fixtures::topic("/robot1/odom", 20.0) };
-    let waits = TopicRow { waits_for_key: true, publishers: Vec::new(), ..row.clone() };
-    let paused = TopicRow { paused: true, ..row.clone() };
+    let waits = TopicRow { held_up: Some(HeldUp::WaitsForKey), publishers: Vec::new(), ..row.clone() };
+    let paused = TopicRow { held_up: Some(HeldUp::Paused), ..row.clone() };
     let silent = TopicRow { publishers: Vec::new(), ..row.clone() };
     let words = [&row, &waits, &paused, &silent].map(|row| Capture::of(row).word());
     assert_eq!(words, ["watched", "waits for key", "paused", "no publisher"]);
