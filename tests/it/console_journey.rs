@@ -239,7 +239,7 @@ fn a_moving_record_is_aimed_at_opened_searched_for_and_left_while_others_come() 
         operator.presses("\r").sees("Provenance").presses("n").presses("p").presses("q").no_longer_sees("Provenance");
         operator.presses("\u{1b}[H").no_longer_sees("as of");
         operator.presses("/camera\r").no_longer_sees(ODOMETRY).sees(CAMERA).presses("/\u{15}\r").sees(ODOMETRY);
-        operator.presses("f").sees("PAUSED").presses("\u{1b}[6~").sees("page 2").presses("f").no_longer_sees("PAUSED");
+        operator.presses("f").sees("PAUSED").presses("\u{1b}[6~").sees("as of").presses("f").no_longer_sees("PAUSED");
         operator.leaves();
     }
 }
