@@ -4,6 +4,7 @@ use std::path::Path;
 
 use super::args::ConsoleArguments;
 use super::connect::Context;
+use super::passphrase;
 use crate::app::Keymap;
 use crate::model::ErrorKind;
 use crate::paths::Home;
@@ -33,6 +34,7 @@ pub fn options(context: &Context, arguments: ConsoleArguments) -> Result<Console
         kept: Some(context.home.console(&context.profile)),
         pictures: settings.pictures,
         lock_after: settings.lock_after,
+        asks_passphrase: !passphrase::is_given(&context.global, &context.home, &context.profile),
     };
     if let Some(name) = &options.theme {
         options.themes.named(name).map_err(|error| Failure::new(ErrorKind::Input, error.to_string()))?;

@@ -90,6 +90,7 @@ pub fn query(arguments: &ListArguments) -> Result<UploadQuery, Failure> {
         owner: arguments.owner.as_deref().map(value).transpose()?,
         topic: arguments.topic.as_deref().map(value).transpose()?,
         type_name: arguments.type_name.as_deref().map(value).transpose()?,
+        words: Vec::new(),
         tags: arguments.tags.iter().map(|text| tag(text)).collect::<Result<_, _>>()?,
         kind: arguments.kind.as_deref().map(|text| word(text, "kind of record", &kinds)).transpose()?,
         state: arguments.state.as_deref().map(|text| word(text, "state", &states)).transpose()?,

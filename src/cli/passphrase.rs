@@ -59,6 +59,11 @@ pub fn given(global: &Global, home: &Home, profile: &ProfileName) -> Result<Opti
     if own.exists() { from_file(&own).map(Some) } else { Ok(None) }
 }
 
+/// Whether a passphrase is given, or lies beside the keyring, without reading it.
+pub fn is_given(global: &Global, home: &Home, profile: &ProfileName) -> bool {
+    global.passphrase_file.is_some() || global.passphrase_fd.is_some() || home.passphrase(profile).exists()
+}
+
 /// The plan of `keys passphrase`: the present passphrase as given, beside the keyring or asked; the new one from its
 /// file or descriptor, or asked twice.
 ///

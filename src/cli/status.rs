@@ -146,6 +146,7 @@ mod tests {
         SiteView {
             health: vec![part],
             life: LifeLine { tampered, conserved: true, ..LifeLine::default() },
+            process: 0,
             robots: 0,
             profiles: Vec::new(),
             tasks: Vec::new(),

@@ -63,14 +63,14 @@ fn from_nothing_to_verified_records_of_two_topics() {
     let mut operator = Operator::opens(&one_robot(home.authros()));
     operator.sees("First steps").sees(ODOMETRY);
 
-    operator.presses("n").sees("Once more").presses(PASSPHRASE).presses("\r").presses(PASSPHRASE).presses("\r");
+    operator.presses("n").sees("Repeat").presses(PASSPHRASE).presses("\r").presses(PASSPHRASE).presses("\r");
     assert!(!operator.0.shown().contains(PASSPHRASE), "a passphrase is never shown");
     operator.sees("done 1 identity");
 
     operator.presses("6").sees("registered").presses("L").sees("Load a key file");
     operator.presses("\r").presses(&key).presses("\r\r").sees("Replace the SM4 key?");
     operator.presses("L").no_longer_sees("Replace the SM4 key?").presses("\r").sees("Replace the SM4 key?");
-    operator.presses("y").sees("loading the SM4 key: done");
+    operator.presses("y").sees("SM4 key loaded");
 
     operator.presses("2").sees(CAMERA).presses("/robot1/\r").presses("a").sees("marked").presses("w");
     operator.sees_so_often("watched", 2);
@@ -78,7 +78,7 @@ fn from_nothing_to_verified_records_of_two_topics() {
     operator.presses("f").sees("PAUSED").presses("/verified\r").presses("\u{1b}[H");
     operator.presses("f").no_longer_sees("PAUSED").sees("verified").presses("\r");
     operator.sees("SM3 ").presses("\u{1b}[6~").sees("hashes to the root").presses("q");
-    operator.presses("1").sees(" = ").sees("holds");
+    operator.presses("1").sees(" = ").sees("balanced");
     operator.leaves();
 }
 
@@ -98,13 +98,13 @@ fn a_grant_reaches_a_second_console_that_opens_a_record_and_a_revoke_ends_it() {
     let (alice, bob, address) = alice_and_bob(&home);
     let mut alice = Operator::opens(&alice);
     alice.sees(ODOMETRY).presses("5").sees("Nothing granted");
-    alice.presses("g").sees("Lets another account").presses(&address).presses("\r\r\r\r");
+    alice.presses("g").sees("Lets another account").presses(&address).presses("\rall\r\r\r");
     alice.sees("Who can read this now:").presses("g").no_longer_sees("Who can read this now:");
     alice.presses("\r").sees("Who can read this now:").presses("y").sees("1 can read new records now");
-    alice.presses("i").sees("Whoever read something before").presses("q");
+    alice.presses("i").sees("Revoking does not undo reads").presses("q");
 
     let mut bob = Operator::opens(&bob);
-    bob.presses("4").sees(ODOMETRY).presses("b").sees("everything").presses("\u{1b}[B\r").sees("of 0x");
+    bob.presses("4").sees(ODOMETRY).presses("b").sees("All records").presses("\u{1b}[B\r").sees("of 0x");
     bob.presses("/").presses(" tag:mission=elsewhere\r").no_longer_sees(ODOMETRY);
     bob.presses("\u{1b}").sees(ODOMETRY).presses("/tag:mission=harbour type:nav_msgs/Odometry\r").sees("tag mission");
     bob.presses("\r").sees("equal to the chain's digest").sees("nav_msgs/Odometry").presses("q");
@@ -139,7 +139,7 @@ fn a_locked_console_captures_on_and_opens_nothing_until_it_is_unlocked() {
     let passphrase = home.file("passphrase", PASSPHRASE, 0o600);
     authros.with(&["--passphrase-file", &passphrase]).enrol();
     let mut operator = Operator::opens(&authros);
-    operator.sees(ODOMETRY).presses("u").sees("Unlock").presses(PASSPHRASE).presses("\r").sees("keyring unlocked");
+    operator.sees("Unlock the keyring").presses(PASSPHRASE).presses("\r").sees("keyring unlocked");
     authros.run(&["topics", "watch", ODOMETRY]).expect_code(0);
     operator.presses("3").sees("verified");
 
@@ -169,4 +169,87 @@ fn a_locked_console_captures_on_and_opens_nothing_until_it_is_unlocked() {
     let audit = authros.json(&["audit", "list"])["audit"].to_string();
     assert!(audit.contains("\"lock\"") && audit.contains("\"unlock\"") && audit.contains("refused"), "{audit}");
     operator.leaves();
+}
+
+/// A profile with a keyring that only its operator can open.
+fn locked_profile(home: &Home) -> Authros {
+    let authros = one_robot(home.authros());
+    let passphrase = home.file("passphrase", PASSPHRASE, 0o600);
+    authros.with(&["--passphrase-file", &passphrase]).enrol();
+    authros
+}
+
+#[test]
+fn after_a_restart_nothing_is_silently_off_and_leaving_says_what_stops() {
+    let _alone = heavy();
+    let home = Home::new();
+    let authros = locked_profile(&home);
+    let mut operator = Operator::opens(&authros);
+    operator.sees("Unlock the keyring").sees("LOCKED").presses(PASSPHRASE).presses("\r").no_longer_sees("LOCKED");
+    operator.presses("2").sees(CAMERA).presses("/odom\r").no_longer_sees(CAMERA).presses("w").sees("watched");
+    operator.sees("HOST").presses("q").sees("Quitting stops the capture of /robot1/odom.");
+    operator.presses("d").sees("Capture is stopped.");
+    wait_until(PATIENCE, "all to be verified and the console to end", || Some(()).filter(|()| operator.0.has_ended()));
+
+    let mut operator = Operator::opens(&authros);
+    operator.sees("Unlock the keyring").presses("\u{1b}").no_longer_sees("Unlock the keyring");
+    operator.sees("LOCKED").sees("waits for key").presses("1").sees("capture of 1 topic waits for the key");
+    operator.presses("u").sees("Unlock the keyring").presses(PASSPHRASE).presses("\r").no_longer_sees("LOCKED");
+    operator.presses("2").sees("watched");
+    operator.leaves();
+}
+
+#[test]
+fn a_console_that_joined_a_site_says_that_capture_continues_there() {
+    let _alone = heavy();
+    let home = Home::new();
+    let authros = one_robot(home.authros());
+    authros.enrol();
+    authros.run(&["topics", "watch", ODOMETRY]).expect_code(0);
+    let mut site = authros.serve(&home);
+    wait_until(PATIENCE, "the site to listen", || home.socket());
+    let mut operator = Operator::opens(&authros);
+    operator.sees(&format!("JOINED {}", site.id())).presses("2").sees("watched");
+    operator.presses("q");
+    let asked = |operator: &mut Operator| operator.0.has_ended() || operator.0.shown().contains("Quit?");
+    wait_until(PATIENCE, "the console to leave or to ask", || Some(()).filter(|()| asked(&mut operator)));
+    if !operator.0.has_ended() {
+        operator.sees("The capture of /robot1/odom continues in the site").presses("y");
+    }
+    wait_until(PATIENCE, "the console to end", || Some(()).filter(|()| operator.0.has_ended()));
+    assert!(site.is_running(), "the site goes on");
+}
+
+#[test]
+fn a_moving_record_is_aimed_at_opened_searched_for_and_left_while_others_come() {
+    let _alone = heavy();
+    let home = Home::new();
+    let authros = one_robot(home.authros());
+    authros.enrol();
+    authros.run(&["topics", "watch", ODOMETRY]).expect_code(0);
+    authros.run(&["topics", "watch", CAMERA]).expect_code(0);
+    for (columns, rows) in [(80, 24), (200, 50)] {
+        let mut operator = Operator(Console::open_in(&Terminal::of(columns, rows), &authros, &[]));
+        operator.presses("3").sees("verified").presses("\u{1b}[B\u{1b}[B").sees("as of");
+        let aimed = selected(&operator.0.shown());
+        let newest = || authros.records(&["uploads", "list", "--newest"]);
+        let before = text(&newest()[0], "id");
+        wait_until(PATIENCE, "others to come", || Some(()).filter(|()| text(&newest()[0], "id") != before));
+        assert_eq!(selected(&operator.0.shown()), aimed, "the record stays under the cursor");
+        operator.presses("\r").sees("Provenance").presses("n").presses("p").presses("q").no_longer_sees("Provenance");
+        operator.presses("\u{1b}[H").no_longer_sees("as of");
+        operator.presses("/camera\r").no_longer_sees(ODOMETRY).sees(CAMERA).presses("/\u{15}\r").sees(ODOMETRY);
+        operator.presses("f").sees("PAUSED").presses("\u{1b}[6~").sees("as of").presses("f").no_longer_sees("PAUSED");
+        operator.leaves();
+    }
+}
+
+/// Topic, sequence number and size of the row with the cursor: what of it does not change.
+fn selected(shown: &str) -> Vec<String> {
+    let row = shown.lines().find(|line| line.starts_with('▌')).expect("a row with the cursor");
+    row.split_whitespace()
+        .skip(1)
+        .filter(|word| word.starts_with('/') || word.contains(':'))
+        .map(str::to_owned)
+        .collect()
 }

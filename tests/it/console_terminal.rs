@@ -167,7 +167,7 @@ fn the_smallest_terminal_shows_every_screen_and_a_smaller_one_says_so() {
         console.wait_for(screen.title(), 30);
     }
     console.resize(17, 60);
-    let shown = console.wait_for("needs 60x18", 30);
+    let shown = console.wait_for("need 60x18", 30);
     assert_eq!(shown.lines().filter(|line| !line.trim().is_empty()).count(), 1, "{shown}");
     console.resize(18, 60);
     console.wait_for("Log", 30);
@@ -274,7 +274,7 @@ fn a_passphrase_typed_in_lines_is_not_echoed() {
     console.press("create-identity\r");
     console.wait_for("Passphrase (at least", 30);
     console.press("correct horse\r");
-    console.wait_for("Once more", 30);
+    console.wait_for("Repeat", 30);
     console.press("esc\r");
     console.press("status\r");
     console.wait_for("Profile default", 30);

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 
-use crate::model::{Doubt, LossReason, Timestamp, TopicRule, TopicRules, TypeName, clean};
+use crate::model::{Address, Doubt, LossReason, Timestamp, TopicRule, TopicRules, TypeName, clean};
 use crate::ros::{CaptureNotice, Message, MessageSink, Origin};
 
 use super::losses::{Losses, Lost};
@@ -151,6 +151,13 @@ impl Recorder {
     /// The author no longer wants the topic; running sessions go on.
     pub fn unwatch(&self, topic: &str, author: &Arc<Author>) {
         self.change(topic, author, |interest| interest.watched = false);
+    }
+
+    /// Whether the author wants every message of the topic now.
+    pub fn is_watched(&self, topic: &str, address: Address) -> bool {
+        let interests = self.interests.read().unwrap_or_else(PoisonError::into_inner);
+        let own = |interest: &Interest| interest.watched && interest.author.address == address;
+        interests.get(topic).is_some_and(|list| list.iter().any(own))
     }
 
     /// A session takes messages of the topic.

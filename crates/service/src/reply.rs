@@ -37,7 +37,7 @@ pub use self::records::{
 };
 pub use self::site::{HealthLevel, LifeLine, PartHealth, QueueView, SiteView};
 pub use self::tasks::{TaskState, TaskView};
-pub use self::topics::{CaptureSummary, TopicRow, TopicSummary};
+pub use self::topics::{CaptureSummary, HeldUp, TopicRow, TopicSummary};
 pub use self::viewing::PathView;
 use super::command::SecretBytes;
 use crate::model::ErrorKind;

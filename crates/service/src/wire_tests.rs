@@ -73,6 +73,7 @@ const REQUESTS: &[&str] = &[
     r#"{"command":"of_store","of_store":"list_uploads","owner":null,"topic":null,"kind":null,"type_name":null,"tags":[],"state":null,"since":null,"until":null,"after":null,"limit":10,"newest_first":true}"#,
     r#"{"command":"of_store","of_store":"back_up","file":"/b","passphrase":"p"}"#,
     r#"{"command":"operate","operation":"lock"}"#,
+    r#"{"command":"operate","operation":"hold_capture","hold":true}"#,
     r#"{"command":"operate","operation":"back_up_keys"}"#,
     r#"{"command":"operate","operation":"gateway_status"}"#,
     r#"{"command":"operate","operation":"admit","owner":"bob"}"#,

@@ -138,6 +138,8 @@ pub enum Tag {
     Unwatch(String),
     /// A grant.
     Grant(Party),
+    /// A later end of a grant.
+    Extend(Address),
     /// A revoke.
     Revoke(Address),
     /// Loading of a key.
@@ -146,6 +148,8 @@ pub enum Tag {
     ExportKey(KeyKind),
     /// A new epoch.
     Rotate,
+    /// Holding of the capture before leaving, or letting it go on.
+    HoldCapture,
     /// Wiping of the keys from memory.
     Lock,
     /// A copy of the keyring.
@@ -197,10 +201,12 @@ impl Tag {
             Self::Watch(topic) => format!("watching {topic}"),
             Self::Unwatch(topic) => format!("unwatching {topic}"),
             Self::Grant(grantee) => format!("granting to {}", grantee.short()),
+            Self::Extend(grantee) => format!("extending the grant to {}", grantee.short()),
             Self::Revoke(grantee) => format!("revoking {}", grantee.short()),
             Self::LoadKey(kind) => format!("loading the {} key", kind_word(*kind)),
             Self::ExportKey(kind) => format!("exporting the {} key", kind_word(*kind)),
             Self::Rotate => "rotating the keys".to_owned(),
+            Self::HoldCapture => "stopping the capture".to_owned(),
             Self::Lock => "locking the keyring".to_owned(),
             Self::BackUp => "backing up the keyring".to_owned(),
             Self::Administer(act) => format!("administrator: {act}"),

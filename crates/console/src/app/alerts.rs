@@ -1,6 +1,7 @@
 //! What an operator should look at, from the data on hand.
 
 use super::screens::grants::{is_active, is_given};
+use super::standing::not_captured;
 use super::state::State;
 use crate::model::Timestamp;
 use crate::service::NoticeLevel;
@@ -18,7 +19,10 @@ pub fn alerts(state: &State) -> Vec<(NoticeLevel, String)> {
     }
     if let Some(identity) = state.identity.as_ref().filter(|identity| identity.exists) {
         if !identity.unlocked {
-            found.push((NoticeLevel::Warning, "the keyring is locked: u unlocks it".to_owned()));
+            let off = not_captured(state).map_or_else(String::new, |what| format!(": {what}"));
+            found.push((NoticeLevel::Warning, format!("locked{off}; u unlocks")));
+        } else if let Some(what) = not_captured(state) {
+            found.push((NoticeLevel::Warning, what));
         } else if !identity.registered {
             found.push((NoticeLevel::Warning, "not registered on this chain: 6, then R registers".to_owned()));
         }

@@ -34,6 +34,10 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
         Tag::Path(id) => opening::path_found(state, id, ask::ViewPath::heard(result)),
         Tag::Show(id) => looked_up(state, id, ask::ShowUpload::heard(result)),
         Tag::Publishers(topic) => publishers(state, topic, ask::ListPins::heard(result)),
+        Tag::HoldCapture => done(state, tag, ask::HoldCapture::heard(result), |state, ()| {
+            // What the site knew before says nothing about what is still on its way now.
+            state.feeds.renew(Feed::Site);
+        }),
         Tag::Lock => locked(state, ask::Lock::heard(result)),
         Tag::Export(id) => {
             return written(state, tag, ask::ExportUpload::heard(result), |_, files| exported(id, files));
@@ -52,9 +56,10 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
             state.inform(format!("now watching {topic}"));
         }),
         Tag::Unwatch(topic) => done(state, tag, ask::UnwatchTopic::heard(result), |state, ()| {
-            state.inform(format!("no longer watching {topic}"));
+            state.inform(format!("no longer watching {topic} (U: undo)"));
         }),
         Tag::Grant(_) => done(state, tag, ask::Grant::heard(result), |state, done| state.inform(done.text)),
+        Tag::Extend(_) => done(state, tag, ask::ExtendGrant::heard(result), |state, done| state.inform(done.text)),
         Tag::Revoke(_) => done(state, tag, ask::Revoke::heard(result), |state, done| state.inform(done.text)),
         Tag::Rotate => done(state, tag, ask::RotateKeys::heard(result), |state, done| state.inform(done.text)),
         Tag::Adopt => done(state, tag, ask::AdoptChain::heard(result), |state, done| state.inform(done.text)),
@@ -62,10 +67,10 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
         Tag::Deploy => done(state, tag, ask::DeployContract::heard(result), |state, deployed| {
             state.inform(format!("contract {} deployed", deployed.pin.contract));
         }),
-        Tag::LoadKey(_) => done(state, tag, ask::LoadKey::heard(result), |state, keys| {
+        Tag::LoadKey(kind) => done(state, tag, ask::LoadKey::heard(result), |state, keys| {
             state.keys = Some(keys);
             state.feeds.renew(Feed::Identity);
-            state.inform(format!("{}: done", tag.words()));
+            state.inform(loaded(kind));
         }),
         Tag::Pin(_) => done(state, tag, ask::PinTopic::heard(result), |state, _| say_done(state, tag)),
         Tag::Unpin(_) => done(state, tag, ask::UnpinTopic::heard(result), |state, _| say_done(state, tag)),
@@ -92,7 +97,11 @@ fn fed(state: &mut State, feed: Feed, generation: u64, result: Answer) -> Vec<Ef
     if let Err(failure) = take(state, feed, result) {
         state.feeds.slot_mut(feed).failure = Some(failure);
     }
-    if feed == Feed::Identity { identity_path::advance(state) } else { Vec::new() }
+    if feed == Feed::Identity {
+        identity_path::greet(state);
+        return identity_path::advance(state);
+    }
+    Vec::new()
 }
 
 fn take(state: &mut State, feed: Feed, result: Answer) -> Result<(), Failure> {
@@ -111,6 +120,7 @@ fn take(state: &mut State, feed: Feed, result: Answer) -> Result<(), Failure> {
         Feed::Grants => state.grants.set(ask::ListGrants::heard(result)?),
         Feed::Chain => state.chain = Some(*ask::ChainStatus::heard(result)?),
         Feed::Audit => state.log.set_audit(ask::ListAudit::heard(result)?),
+        Feed::Contacts => state.contacts = ask::ListContacts::heard(result)?,
         Feed::Gateway => state.gateway.set(ask::GatewayStatus::heard(result)?),
     }
     Ok(())
@@ -154,7 +164,7 @@ fn locked(state: &mut State, result: Result<IdentityView, Failure>) {
     match result {
         Ok(identity) => {
             state.identity = Some(identity);
-            state.inform("locked: what decrypts, grants and revokes is wiped; capture and anchoring go on");
+            state.inform("Locked. Keys for reading, granting and revoking are wiped; capture continues.");
         }
         Err(failure) => state.complain_of(&Tag::Lock, &failure),
     }
@@ -165,12 +175,34 @@ fn done<T>(state: &mut State, tag: &Tag, result: Result<T, Failure>, take: impl 
     match result {
         Ok(answer) => {
             take(state, answer);
+            drop(state.filled.take_if(|(kept, ..)| kept == tag));
             undo::note(state, tag);
             for feed in touched_by(tag) {
                 state.feeds.slot_mut(*feed).stale = true;
             }
         }
-        Err(failure) => state.complain_of(tag, &failure),
+        Err(failure) => failed(state, tag, &failure),
+    }
+}
+
+/// A failed act leads back to its form, filled as it was; the log keeps what was said.
+fn failed(state: &mut State, tag: &Tag, failure: &Failure) {
+    match state.filled.take_if(|(kept, ..)| kept == tag) {
+        Some((_, purpose, mut form)) => {
+            let text = format!("{}: {}", tag.words(), failure.message);
+            state.log.notice(state.now, NoticeLevel::Error, &text);
+            form.error = Some(failure.message.clone());
+            state.popups.insert(0, Popup::Form(purpose, form));
+        }
+        None => state.complain_of(tag, failure),
+    }
+}
+
+fn loaded(kind: &KeyKind) -> &'static str {
+    match kind {
+        KeyKind::Sm4 => "SM4 key loaded; a new epoch begins",
+        KeyKind::Sm2 => "SM2 key loaded; new records are signed with it",
+        KeyKind::Eoa => "EOA key loaded; your address on the chain is the new one",
     }
 }
 
@@ -207,8 +239,8 @@ fn secret(name: String, secret: &SecretBytes) -> Effect {
 /// What an own command makes out of date, before the site's note of it arrives.
 fn touched_by(tag: &Tag) -> &'static [Feed] {
     match tag {
-        Tag::Watch(_) | Tag::Unwatch(_) => &[Feed::Topics],
-        Tag::Grant(_) | Tag::Revoke(_) => &[Feed::Grants, Feed::Identity, Feed::Keys],
+        Tag::Watch(_) | Tag::Unwatch(_) | Tag::HoldCapture => &[Feed::Topics],
+        Tag::Grant(_) | Tag::Extend(_) | Tag::Revoke(_) => &[Feed::Grants, Feed::Identity, Feed::Keys],
         Tag::LoadKey(_) | Tag::Rotate => &[Feed::Keys, Feed::Identity],
         Tag::Pin(_) | Tag::Unpin(_) | Tag::Release(_) | Tag::Discard(_) => &[Feed::Topics],
         Tag::Administer(_) | Tag::Deploy | Tag::Adopt => &[Feed::Chain],

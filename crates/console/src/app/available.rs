@@ -25,10 +25,11 @@ pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
         Verb::Register => register(state),
         Verb::LoadKey | Verb::ExportKey | Verb::Rotate => identity(state),
         Verb::Revoke => revoke(state),
+        Verb::Extend => extend(state),
         Verb::Filter | Verb::Up | Verb::Down | Verb::PageUp | Verb::PageDown | Verb::First | Verb::Last => {
             given(state.screen.has_table(), "no table here")
         }
-        Verb::Sort => given(state.screen.sorts(), "nothing to sort here"),
+        Verb::Sort | Verb::Reverse => given(state.screen.sorts(), "nothing to sort here"),
         Verb::Mark | Verb::MarkAll | Verb::Watch | Verb::Details | Verb::Open | Verb::Check | Verb::Export => {
             given(entry.works_on(state.screen), "other screen")?;
             given(state.has_rows(), "no row")
@@ -66,7 +67,7 @@ fn copyable(state: &State) -> bool {
 
 fn create(state: &State) -> Result<(), &'static str> {
     let identity = state.identity.as_ref().ok_or("site is starting")?;
-    given(!identity.exists, "exists already")?;
+    given(!identity.exists, "already exists")?;
     given(!state.work.contains(&Tag::CreateIdentity), "under way")
 }
 
@@ -77,13 +78,13 @@ fn identity(state: &State) -> Result<(), &'static str> {
 
 fn unlock(state: &State) -> Result<(), &'static str> {
     identity(state)?;
-    given(!state.identity.as_ref().is_some_and(|identity| identity.unlocked), "is unlocked")?;
+    given(!state.identity.as_ref().is_some_and(|identity| identity.unlocked), "already unlocked")?;
     given(!state.work.contains(&Tag::Unlock), "under way")
 }
 
 fn register(state: &State) -> Result<(), &'static str> {
     identity(state)?;
-    given(!state.identity.as_ref().is_some_and(|identity| identity.registered), "is registered")?;
+    given(!state.identity.as_ref().is_some_and(|identity| identity.registered), "already registered")?;
     given(!state.work.contains(&Tag::Register), "under way")
 }
 
@@ -103,7 +104,7 @@ fn administer(state: &State, act: Act) -> Result<(), &'static str> {
     let chain = state.chain.as_ref().ok_or("look at the chain first (7)")?;
     let own = state.address();
     match act {
-        Act::Deploy => given(chain.contract.is_none(), "is deployed"),
+        Act::Deploy => given(chain.contract.is_none(), "already deployed"),
         Act::Adopt => Ok(()),
         Act::Accept => given(own.is_some() && chain.administration.nominee == own, "you were not named"),
         Act::Admit
@@ -120,6 +121,11 @@ fn administer(state: &State, act: Act) -> Result<(), &'static str> {
             given(own.is_some() && chain.administration.administrator == own, "you are not the administrator")
         }
     }
+}
+
+fn extend(state: &State) -> Result<(), &'static str> {
+    revoke(state)?;
+    given(state.grants.selected().is_some_and(|row| row.expires.is_some()), "has no end")
 }
 
 fn revoke(state: &State) -> Result<(), &'static str> {

@@ -28,7 +28,7 @@ pub struct Browse {
 /// All that can be chosen now: everything, each owner who shares, topics, types.
 pub fn choices(state: &State) -> Vec<Choice> {
     let choice = |text: &str, note: String, filter: String| Choice { text: text.to_owned(), note, filter };
-    let mut all = vec![choice("everything", "no filter".to_owned(), String::new())];
+    let mut all = vec![choice("All records", String::new(), String::new())];
     let received = state.grants.rows.iter().filter(|row| !is_given(row) && is_active(row));
     for row in received {
         let word = row.name.clone().unwrap_or_else(|| row.owner.to_string());

@@ -107,11 +107,12 @@ pub fn load_key(wish: KeyWish) -> Confirm {
     let KeyWish { kind, path, passphrase } = wish;
     let what = match kind {
         KeyKind::Sm4 => "A new epoch begins under it; old records stay readable with their own keys.",
-        KeyKind::Sm2 => "The chain must be told of it: records are then signed by the new key.",
+        KeyKind::Sm2 => "The new key is registered on the chain; new records are signed with it.",
         KeyKind::Eoa => "Your address on the chain changes: grants and records of the old one stay its own.",
     };
     let file = format!("File  {}", path.display());
-    let lines = vec![file, what.to_owned(), "The present key is replaced; export it first if you need it.".to_owned()];
+    let lines =
+        vec![file, what.to_owned(), "The current key is replaced; export it first if you still need it.".to_owned()];
     let errand = Errand { command: Command::LoadKey { kind, path, passphrase }, tag: Tag::LoadKey(kind) };
     Confirm { title: format!("Replace the {} key?", kind_word(kind)), lines, yes: "replace", typed: None, errand }
 }
@@ -119,8 +120,8 @@ pub fn load_key(wish: KeyWish) -> Confirm {
 /// Before a new epoch.
 pub fn rotate() -> Confirm {
     let lines = vec![
-        "The next record is sealed under a new key. Whoever may read still may:".to_owned(),
-        "their keys are wrapped anew. It is a transaction.".to_owned(),
+        "The next record is encrypted under a new key.".to_owned(),
+        "Current readers keep access (their keys are re-wrapped). Sends a transaction.".to_owned(),
     ];
     let errand = Errand { command: Command::RotateKeys, tag: Tag::Rotate };
     Confirm { title: "Begin a new epoch?".to_owned(), lines, yes: "rotate", typed: None, errand }

@@ -82,8 +82,34 @@ impl State {
 pub fn step(state: &mut State, by: isize) {
     let keys = state.row_keys();
     let moved = state.table_mut().is_some_and(|table| table.step(&keys, by));
-    if !moved {
-        turn_page(state, by);
+    if moved { stand(state) } else { turn_page(state, by) }
+}
+
+/// A list of records whose cursor is on one of them keeps that record in its place.
+pub fn stand(state: &mut State) {
+    let Some(feed) = state.records_feed() else { return };
+    let records = records(state, feed);
+    if records.table.is_bound() && !records.stands() {
+        records.stand();
+    }
+}
+
+/// Puts the cursor on the row of that number.
+pub fn select(state: &mut State, position: usize) {
+    let keys = state.row_keys();
+    if let Some(table) = state.table_mut() {
+        table.select(&keys, position);
+    }
+    stand(state);
+}
+
+/// The order of the table on screen turned round; of records that is the other of their two orders.
+pub fn reverse(state: &mut State) {
+    if state.records_feed().is_some() {
+        return sort(state);
+    }
+    if let Some(table) = state.table_mut() {
+        table.reversed = !table.reversed;
     }
 }
 
@@ -93,10 +119,7 @@ pub fn jump(state: &mut State, last: bool) {
         records(state, feed).restart();
         state.feeds.renew(feed);
     }
-    let keys = state.row_keys();
-    if let Some(table) = state.table_mut() {
-        table.select(&keys, if last { usize::MAX } else { 0 });
-    }
+    select(state, if last { usize::MAX } else { 0 });
 }
 
 fn turn_page(state: &mut State, by: isize) {

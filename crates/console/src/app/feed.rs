@@ -30,11 +30,13 @@ pub enum Feed {
     Audit,
     /// `Operation::GatewayStatus`.
     Gateway,
+    /// `ListContacts`.
+    Contacts,
 }
 
 impl Feed {
     /// All feeds.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 11] = [
         Self::Site,
         Self::Identity,
         Self::Keys,
@@ -45,6 +47,7 @@ impl Feed {
         Self::Chain,
         Self::Audit,
         Self::Gateway,
+        Self::Contacts,
     ];
 
     /// What a change of `part` makes out of date.
@@ -61,6 +64,7 @@ impl Feed {
 }
 
 /// How one feed stands.
+#[expect(clippy::struct_excessive_bools, reason = "each is a fact of its own")]
 #[derive(Debug, Clone, Default)]
 pub struct Slot {
     /// Raised when the question itself changes, so that older answers are dropped.
@@ -71,6 +75,10 @@ pub struct Slot {
     pub stale: bool,
     /// Data arrived at least once.
     pub loaded: bool,
+    /// The data on hand is from an earlier look at its screen.
+    pub left: bool,
+    /// The question that the data on hand answers.
+    pub told: u64,
     /// Why the last question failed.
     pub failure: Option<Failure>,
     /// When a failed question is asked again.
@@ -112,12 +120,23 @@ impl Feeds {
         }
     }
 
+    /// The screen of a feed comes into view: what is not up to date is from the last time.
+    pub fn look(&mut self, feed: Feed) {
+        let slot = self.slot_mut(feed);
+        slot.left |= slot.stale && slot.loaded;
+    }
+
     /// The question itself changed (page, filter): ask anew and drop an answer under way.
     pub fn renew(&mut self, feed: Feed) {
         let slot = self.slot_mut(feed);
         slot.generation += 1;
         slot.outstanding = false;
         slot.stale = true;
+    }
+
+    /// All are asked anew, once, though the view stands still from now on.
+    pub fn gather(&mut self) {
+        Feed::ALL.into_iter().for_each(|feed| self.renew(feed));
     }
 
     /// Takes note of an answer; false where it answers an older question.
@@ -127,7 +146,9 @@ impl Feeds {
             return false;
         }
         slot.outstanding = false;
-        slot.loaded |= failure.is_none();
+        if failure.is_none() {
+            (slot.loaded, slot.left, slot.told) = (true, false, generation);
+        }
         slot.retry_at = failure.as_ref().map(|_| Timestamp(now.0.saturating_add(RETRY_AFTER)));
         slot.failure = failure;
         true

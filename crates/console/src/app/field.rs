@@ -14,11 +14,12 @@ pub struct Field {
     text: Zeroizing<String>,
     cursor: usize,
     masked: bool,
+    offered: bool,
 }
 
 impl Default for Field {
     fn default() -> Self {
-        Self { text: Zeroizing::new(String::with_capacity(CAPACITY)), cursor: 0, masked: false }
+        Self { text: Zeroizing::new(String::with_capacity(CAPACITY)), cursor: 0, masked: false, offered: false }
     }
 }
 
@@ -33,6 +34,11 @@ impl Field {
         let mut field = Self::default();
         field.insert(text);
         field
+    }
+
+    /// A field with a text that the first character typed takes the place of.
+    pub fn offering(text: &str) -> Self {
+        Self { offered: !text.is_empty(), ..Self::with(text) }
     }
 
     /// The text.
@@ -57,6 +63,9 @@ impl Field {
 
     /// Puts text in at the cursor; control characters and what is too long are left out.
     pub fn insert(&mut self, text: &str) {
+        if std::mem::take(&mut self.offered) {
+            self.clear();
+        }
         let room = LONGEST.saturating_sub(self.text.chars().count());
         for character in text.chars().filter(|character| !character.is_control()).take(room) {
             let at = self.offset(self.cursor);
@@ -67,6 +76,7 @@ impl Field {
 
     /// Takes a key; false where it means nothing here.
     pub fn key(&mut self, key: Key) -> bool {
+        self.offered &= matches!(key, Key::Char(_));
         match key {
             Key::Char(character) => self.insert(character.encode_utf8(&mut [0; 4])),
             Key::Backspace if self.cursor > 0 => {

@@ -22,9 +22,9 @@ pub fn first_steps(state: &State) -> Vec<FirstStep> {
     let step = |done, name, key, text| FirstStep { done, name, key, text };
     let steps = vec![
         step(set_up, "identity", "n", "make keys and register them on the chain"),
-        step(identity.exists, "keys", "L", "come with the identity; L loads your own"),
-        step(state.watches(), "topics", "w", "watch one: its messages are sealed and anchored"),
-        step(state.grants.any_given(), "grant", "g", "let another account open them"),
+        step(identity.exists, "keys", "L", "created with the identity; press L to load your own"),
+        step(state.watches(), "topics", "w", "watch a topic: its messages are encrypted and anchored"),
+        step(state.grants.any_given() || state.is_locked(), "grant", "g", "let another account read them"),
     ];
     if steps.iter().all(|step| step.done) { Vec::new() } else { steps }
 }

@@ -85,6 +85,13 @@ impl Form {
         }
     }
 
+    /// Puts another text into a line of text.
+    pub fn set(&mut self, line: usize, field: Field) {
+        if let Some(Line { input: Input::Text(text), .. }) = self.lines.get_mut(line) {
+            *text = field;
+        }
+    }
+
     /// The number of the word chosen; 0 for a text.
     pub fn chosen(&self, line: usize) -> usize {
         match self.lines.get(line).map(|line| &line.input) {

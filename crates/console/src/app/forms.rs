@@ -21,7 +21,7 @@ const EPOCH_WORDS: &[&str] = &["from now on", "all, also what was recorded befor
 pub fn create_identity(profile: &str, notes: Vec<String>) -> Form {
     let lines = vec![
         Line::text("Passphrase", "at least 8 characters", Field::masked()),
-        Line::text("Once more", "", Field::masked()),
+        Line::text("Repeat", "", Field::masked()),
     ];
     Form::new(format!("New identity for profile {profile}"), notes, lines)
 }
@@ -35,7 +35,7 @@ pub fn read_create(form: &Form) -> Result<Errand, (usize, String)> {
         return Err((0, format!("use at least {SHORTEST_PASSPHRASE} characters")));
     }
     if form.text(0) != form.text(1) {
-        return Err((1, "the two differ; type the passphrase once more".to_owned()));
+        return Err((1, "the passphrases do not match; type it again".to_owned()));
     }
     Ok(Errand { command: Command::CreateIdentity { passphrase: secret(form, 0) }, tag: Tag::CreateIdentity })
 }
@@ -57,16 +57,31 @@ pub fn read_unlock(form: &Form) -> Result<Errand, (usize, String)> {
     Ok(Errand { command: Command::Unlock { passphrase: secret(form, 0) }, tag: Tag::Unlock })
 }
 
-/// Asks whom to grant what.
-pub fn grant(topics: &[String]) -> Form {
+/// The word for every topic, which must be written.
+pub const ALL_TOPICS: &str = "all";
+
+/// Asks whom to grant what; what is known is filled in, and the first line that is empty has the keys.
+pub fn grant(grantee: &str, topics: &[String], ends: &str) -> Form {
     let lines = vec![
-        Line::text("Address", "0x and 40 hex, or a name of the address book", Field::default()),
-        Line::text("Topics", "empty = all topics; else names", Field::with(&topics.join(" "))),
-        Line::text("Ends", "empty = no end; 30d, 12h, 2036-12-31", Field::default()),
+        Line::text("Address", "0x and 40 hex, or a contact's name", Field::offering(grantee)),
+        Line::text("Topics", "topic names; all", Field::offering(&topics.join(" "))),
+        Line::text("Ends", "empty = never; 45m, 12h, 30d, 2036-12-31", Field::offering(ends)),
         Line::choice("Records", EPOCH_WORDS),
     ];
-    let notes = vec!["Lets another account open your records.".to_owned()];
-    Form::new("Grant", notes, lines)
+    let notes = vec!["Lets another account read your records. Tab completes names.".to_owned()];
+    let mut form = Form::new("Grant", notes, lines);
+    form.focus = usize::from(!grantee.is_empty() && topics.is_empty());
+    form
+}
+
+/// Asks until when a grant is to last.
+pub fn extend(grantee: &str, ends: &str) -> Form {
+    let lines = vec![Line::text("Ends", "empty = never; 45m, 12h, 30d, 2036-12-31", Field::default())];
+    let notes = vec![
+        format!("{grantee} can read until: {ends}"),
+        "Keys and epoch stay as they are. Sends a transaction.".to_owned(),
+    ];
+    Form::new("Extend the grant", notes, lines)
 }
 
 /// The terms of a grant, as typed.
@@ -100,11 +115,18 @@ pub fn read_grant(form: &Form, own: Option<Address>, now: Timestamp) -> Result<G
     if grantee.address().is_some_and(|address| Some(address) == own) {
         return Err((0, "that is your own address; write the reader's".to_owned()));
     }
-    let names = form.text(1).split([' ', ',']).filter(|name| !name.is_empty());
+    let written: Vec<&str> = form.text(1).split([' ', ',']).filter(|name| !name.is_empty()).collect();
+    if written.is_empty() {
+        return Err((1, format!("name the topics, or write '{ALL_TOPICS}' for every topic")));
+    }
+    let names = written.into_iter().filter(|name| *name != ALL_TOPICS);
     let topics: Vec<TopicName> =
         names.map(str::parse).collect::<Result<_, _>>().map_err(|error| (1, format!("{error}")))?;
     if topics.len() > MOST_TOPICS {
         return Err((1, format!("a grant covers at most {MOST_TOPICS} topics, or all")));
+    }
+    if !topics.is_empty() && form.text(1).split([' ', ',']).any(|name| name == ALL_TOPICS) {
+        return Err((1, format!("'{ALL_TOPICS}' stands alone; leave it out or the names")));
     }
     let expires = when::expiry(form.text(2), now).map_err(|error| (2, error))?;
     let epochs = if form.chosen(3) == 0 { Epochs::Current } else { Epochs::All };
@@ -138,10 +160,10 @@ pub fn read_unpin(form: &Form) -> Result<Errand, (usize, String)> {
 pub fn load_key() -> Form {
     let lines = vec![
         Line::choice("Key", KIND_WORDS),
-        Line::text("File", "path; readable by you alone (mode 0600)", Field::default()),
-        Line::text("Passphrase", "only of a V3 keystore", Field::masked()),
+        Line::text("File", "path to the key file (must be mode 0600)", Field::default()),
+        Line::text("Passphrase", "only for a V3 keystore", Field::masked()),
     ];
-    Form::new("Load a key file", vec!["Puts a key of your own in place of the present one.".to_owned()], lines)
+    Form::new("Load a key file", vec!["Replaces the current key with one of yours.".to_owned()], lines)
 }
 
 /// The key file to load, as typed.
@@ -177,7 +199,7 @@ pub fn export_key() -> Form {
     let lines = vec![
         Line::choice("Key", KIND_WORDS),
         Line::text("Passphrase", "EOA: protects the V3 keystore", Field::masked()),
-        Line::text("Once more", "", Field::masked()),
+        Line::text("Repeat", "", Field::masked()),
     ];
     let notes = vec!["Writes a secret key into a file here. Whoever has it can act or read as you.".to_owned()];
     Form::new("Export a key", notes, lines)
@@ -193,7 +215,7 @@ pub fn read_export(form: &Form) -> Result<Errand, (usize, String)> {
         return Err((1, format!("an EOA leaves only as a keystore; use at least {SHORTEST_PASSPHRASE} characters")));
     }
     if form.text(1) != form.text(2) {
-        return Err((2, "the two differ; type the passphrase once more".to_owned()));
+        return Err((2, "the passphrases do not match; type it again".to_owned()));
     }
     let passphrase = (kind == KeyKind::Eoa).then(|| secret(form, 1));
     Ok(Errand { command: Command::ExportKey { kind, passphrase }, tag: Tag::ExportKey(kind) })

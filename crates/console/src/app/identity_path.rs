@@ -60,6 +60,18 @@ pub fn advance(state: &mut State) -> Vec<Effect> {
     Vec::new()
 }
 
+/// Asks once, at the start, for the passphrase of a locked keyring, unless a key was pressed before: until then
+/// nothing that is watched is captured. Where the keyring was opened in another way, nothing is asked any more.
+pub fn greet(state: &mut State) {
+    if state.identity.as_ref().is_some_and(|identity| identity.unlocked) {
+        return state.popups.retain(|popup| !matches!(popup, Popup::Form(Purpose::Unlock, _)));
+    }
+    let wanted = state.settings.asks_passphrase && state.is_locked() && state.popups.is_empty();
+    if wanted && !std::mem::replace(&mut state.greeted, true) {
+        open_form(state, Purpose::Unlock, None);
+    }
+}
+
 /// The operator gave up; what waited is dropped and named.
 pub fn abandon(state: &mut State) {
     if let Some(path) = state.identity_path.take() {
@@ -129,8 +141,11 @@ fn open_form(state: &mut State, purpose: Purpose, error: Option<String>) {
     let profile = state.settings.profile.as_str();
     let waiting = state.identity_path.iter().flat_map(|path| &path.errands);
     let mut notes: Vec<String> = waiting.take(3).map(|errand| format!("then: {}", errand.tag.words())).collect();
+    if state.identity_path.is_none() {
+        notes.push("Until then nothing is captured, opened, granted or revoked. Esc: look around.".to_owned());
+    }
     let mut form = if purpose == Purpose::CreateIdentity {
-        notes.insert(0, "It protects your keys on this machine. Nobody can bring it back.".to_owned());
+        notes.insert(0, "This passphrase protects your keys on this machine. It cannot be recovered.".to_owned());
         forms::create_identity(profile, notes)
     } else {
         forms::unlock(profile, notes)

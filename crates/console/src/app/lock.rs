@@ -14,7 +14,7 @@ pub fn lock(state: &mut State) -> Vec<Effect> {
         Popup::Form(purpose, _) => *purpose == Purpose::Unlock,
         _ => true,
     });
-    state.identity_path = None;
+    (state.identity_path, state.filled) = (None, None);
     if state.work.contains(&Tag::Lock) {
         return Vec::new();
     }

@@ -19,9 +19,11 @@ pub mod first_run;
 pub mod form;
 pub mod forms;
 pub mod fuzzy;
+pub mod granting;
 pub mod identity_path;
 pub mod key;
 pub mod keymap;
+pub mod leaving;
 pub mod lock;
 pub mod mouse;
 pub mod opening;
@@ -32,6 +34,7 @@ pub mod rates;
 pub mod resume;
 pub mod screen;
 pub mod screens;
+pub mod standing;
 pub mod state;
 pub mod table;
 pub mod themes;
@@ -40,6 +43,7 @@ pub mod undo;
 pub mod update;
 pub mod verb;
 pub mod when;
+pub mod words;
 pub mod zone;
 
 #[cfg(test)]

@@ -16,9 +16,9 @@ const ABOVE: u16 = 4;
 pub fn toggle(state: &mut State) -> Vec<Effect> {
     state.mouse = !state.mouse;
     let text = if state.mouse {
-        "mouse: wheel and clicks are for the console; with shift held down most terminals still select text"
+        "mouse on; hold shift to select text in most terminals"
     } else {
-        "mouse: left to the terminal, which selects text again"
+        "mouse off; the terminal selects text again"
     };
     state.inform(text);
     vec![Effect::Mouse(state.mouse)]
@@ -46,11 +46,11 @@ pub fn click(state: &mut State, column: u16, row: u16) {
     let Some(line) = row.checked_sub(ABOVE).map(usize::from).filter(|line| *line < state.page_rows()) else { return };
     let keys = state.row_keys();
     let page = state.page_rows();
-    if let Some(table) = state.table_mut() {
+    if let Some(table) = state.table() {
         let here = table.position(&keys);
         let wanted = here - here % page + line;
         if wanted < keys.len() {
-            table.select(&keys, wanted);
+            super::cursor::select(state, wanted);
         }
     }
 }

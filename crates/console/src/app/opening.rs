@@ -4,10 +4,11 @@ use zeroize::Zeroizing;
 
 use super::action::{Contents, Effect, Errand, Tag};
 use super::key::Key;
-use super::perform::copy;
+use super::perform::{copy, perform};
 use super::popup::{Lookup, Popup};
 use super::popup_keys::scrolled;
 use super::state::State;
+use super::verb::Verb;
 use crate::service::Failure;
 use crate::service::command::ViewPath;
 use crate::service::reply::{OpenedView, PathView};
@@ -86,7 +87,7 @@ impl Opening {
     /// Its keys, for the bottom bar.
     pub fn hints(&self) -> Vec<(&'static str, &'static str)> {
         let Some(view) = self.lookup.found() else { return vec![("q", "close")] };
-        let mut hints = vec![("tab", "other view"), ("up down", "scroll")];
+        let mut hints = vec![("tab", "next view"), ("n p", "next, previous"), ("up down", "scroll")];
         if writable(view).is_some() {
             hints.extend([("W", "write to file"), ("y", "copy digest")]);
         }
@@ -134,6 +135,8 @@ pub fn key(state: &mut State, mut opening: Opening, key: Key) -> Vec<Effect> {
             let count = opening.lookup.found().map_or(1, |view| Face::of(view).len());
             opening.turn(count - 1);
         }
+        Key::Char('n') => return neighbour(state, Popup::Record(opening), 1),
+        Key::Char('p') => return neighbour(state, Popup::Record(opening), -1),
         Key::Char('W') => match opening.lookup.found().map(writable) {
             Some(Some(file)) => effects.push(Effect::WriteFiles { directory: None, files: vec![file] }),
             Some(None) => {
@@ -154,6 +157,20 @@ pub fn key(state: &mut State, mut opening: Opening, key: Key) -> Vec<Effect> {
     state.popups.push(Popup::Record(opening));
     effects.extend(path.map(|errand| state.send(errand)));
     effects
+}
+
+/// The record above or below in the list takes the place of the one in view.
+pub fn neighbour(state: &mut State, popup: Popup, by: isize) -> Vec<Effect> {
+    let before = state.row_key();
+    let keys = state.row_keys();
+    let moved = state.table_mut().is_some_and(|table| table.step(&keys, by));
+    if !moved || state.row_key() == before {
+        state.popups.push(popup);
+        state.inform(if by > 0 { "this is the last record of the page" } else { "this is the first record" });
+        return Vec::new();
+    }
+    super::cursor::stand(state);
+    perform(state, if matches!(popup, Popup::Record(_)) { Verb::Open } else { Verb::Details })
 }
 
 /// Takes the answer about a record.

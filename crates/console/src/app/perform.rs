@@ -10,7 +10,9 @@ use super::confirm;
 use super::cursor;
 use super::feed::Feed;
 use super::forms;
+use super::granting;
 use super::identity_path::{self, Need};
+use super::leaving::{self, Leaving};
 use super::lock;
 use super::mouse;
 use super::popup::{Confirm, Lookup, Palette, Popup, Purpose};
@@ -68,6 +70,7 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::MarkAll => cursor::mark_all(state),
         Verb::Filter => drop(state.table_mut().map(|table| table.filtering = true)),
         Verb::Sort => cursor::sort(state),
+        Verb::Reverse => cursor::reverse(state),
         Verb::Level => state.log.next_level(),
         Verb::Tasks => state.popups.push(Popup::Tasks),
         Verb::Readers => readers(state),
@@ -78,11 +81,12 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Discard => ask_about(state, |row, topic| confirm::decide(row, topic, true)),
         Verb::Unpin => unpin(state),
         Verb::Administer(act) => administration::begin(state, act),
-        Verb::Freeze => state.paused = !state.paused,
+        Verb::Freeze => freeze(state),
         Verb::Palette => state.popups.push(Popup::Palette(Palette::default())),
-        Verb::Help => state.popups.push(Popup::Help { scroll: 0 }),
+        Verb::Help => state.popups.push(Popup::Help(super::popup::Help::default())),
         Verb::Dismiss => dismiss(state),
-        Verb::Grant => grant(state),
+        Verb::Grant => granting::begin(state),
+        Verb::Extend => granting::begin_extension(state),
         Verb::Revoke => revoke(state),
         Verb::LoadKey => state.popups.push(Popup::Form(Purpose::LoadKey, forms::load_key())),
         Verb::ExportKey => state.popups.push(Popup::Form(Purpose::ExportKey, forms::export_key())),
@@ -92,7 +96,16 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
 }
 
 fn go(state: &mut State, screen: Screen) {
+    if state.screen != screen {
+        screen.feeds().iter().for_each(|feed| state.feeds.look(*feed));
+    }
     state.screen = screen;
+}
+
+/// All screens stand still at this moment, or live on.
+fn freeze(state: &mut State) {
+    state.frozen = if state.is_frozen() { None } else { Some(state.now) };
+    state.feeds.gather();
 }
 
 fn page(state: &State) -> isize {
@@ -130,7 +143,7 @@ fn dismiss(state: &mut State) {
 fn watch(state: &mut State) -> Vec<Effect> {
     if state.screen == Screen::Overview {
         go(state, Screen::Topics);
-        state.inform("choose with the arrows or mark with space, then w watches");
+        state.inform("select a topic (arrows, or space to mark several), then press w");
         return Vec::new();
     }
     let targets: Vec<(String, bool)> =
@@ -144,7 +157,6 @@ fn watch(state: &mut State) -> Vec<Effect> {
             Err(error) => state.complain(error.to_string()),
         }
     }
-    state.topics.table.marks.clear();
     if watches {
         return identity_path::run(state, Need::Registered, errands);
     }
@@ -177,9 +189,6 @@ fn send_for_rows(state: &mut State, tag: fn(String) -> Tag, command: fn(String) 
     let ids = if marked.is_empty() { state.row_key().into_iter().collect() } else { marked };
     let errands = ids.into_iter().map(|id| Errand { command: command(id.clone()), tag: tag(id) });
     let fresh: Vec<Errand> = errands.filter(|errand| !state.work.contains(&errand.tag)).collect();
-    if let Some(table) = state.table_mut() {
-        table.marks.clear();
-    }
     fresh.into_iter().map(|errand| state.send(errand)).collect()
 }
 
@@ -234,22 +243,16 @@ fn readers(state: &mut State) {
     state.popups.push(Popup::Readers(topics));
 }
 
-fn grant(state: &mut State) {
-    let marks = (state.screen == Screen::Topics).then(|| state.topics.table.marks.iter().cloned().collect());
-    let topics: Vec<String> = marks.unwrap_or_default();
-    state.popups.push(Popup::Form(Purpose::Grant, forms::grant(&topics)));
-}
-
 fn revoke(state: &mut State) {
     let confirm = state.grants.selected().map(|row| confirm::revoke(state, row));
     state.popups.extend(confirm.map(Popup::Confirm));
 }
 
 fn quit(state: &mut State) -> Vec<Effect> {
-    if !state.has_pending_work() {
+    if !leaving::asks(state) {
         return vec![Effect::Quit];
     }
-    state.popups.push(Popup::Quit { waiting: false });
+    state.popups.push(Popup::Quit(Leaving::Asked));
     Vec::new()
 }
 

@@ -9,6 +9,7 @@ use super::field::Field;
 use super::form::Form;
 use super::fuzzy;
 use super::key::Key;
+use super::leaving::Leaving;
 use super::opening::Opening;
 use super::state::State;
 use super::themes::ThemeChoice;
@@ -23,10 +24,7 @@ pub enum Popup {
     /// Every command by name.
     Palette(Palette),
     /// What each key does here.
-    Help {
-        /// First line shown.
-        scroll: usize,
-    },
+    Help(Help),
     /// Yes or no, default no.
     Confirm(Confirm),
     /// A form.
@@ -47,11 +45,8 @@ pub enum Popup {
     Tasks,
     /// Choosing among what others share.
     Browse(Browse),
-    /// Leaving while work is pending.
-    Quit {
-        /// Leave by itself once the work is done.
-        waiting: bool,
-    },
+    /// Leaving while something would stop, or is not done.
+    Quit(Leaving),
 }
 
 /// What a form is for.
@@ -63,6 +58,8 @@ pub enum Purpose {
     Unlock,
     /// Terms of a grant.
     Grant,
+    /// A later end of a grant.
+    Extend,
     /// A key file.
     LoadKey,
     /// Which key to hand out.
@@ -109,6 +106,19 @@ impl<T> Lookup<T> {
     pub fn found(&self) -> Option<&T> {
         self.answer.as_ref()?.as_ref().ok().map(Box::as_ref)
     }
+}
+
+/// What each key does, narrowed by what is typed.
+#[derive(Debug, Default)]
+pub struct Help {
+    /// First line shown.
+    pub scroll: usize,
+    /// What is typed behind `/`.
+    pub filter: Field,
+    /// Whether it is being typed.
+    pub filtering: bool,
+    /// The keys of the window below; `None` = those of the screen.
+    pub window: Option<Vec<(&'static str, &'static str)>>,
 }
 
 /// Every command by name, narrowed by what is typed.

@@ -2,50 +2,62 @@
 
 use super::action::{Effect, Tag};
 use super::administration;
+use super::available::available;
 use super::browse;
 use super::confirm;
 use super::form::{Form, FormStep};
 use super::forms;
+use super::granting;
 use super::identity_path::{self, Need};
 use super::key::{Key, chord_label};
 use super::keymap::Meaning;
+use super::leaving;
 use super::opening;
 use super::perform::perform;
-use super::popup::{Confirm, Lookup, Palette, Popup, Purpose};
+use super::popup::{Confirm, Help, Lookup, Palette, Popup, Purpose};
 use super::state::State;
 use super::themes;
 use super::verb::Verb;
 use crate::service::reply::PinsView;
 
 /// A popup's keys, for the bottom bar: key and what it does.
-pub fn hints(popup: &Popup) -> Vec<(&'static str, &'static str)> {
+pub fn hints(state: &State, popup: &Popup) -> Vec<(&'static str, &'static str)> {
     match popup {
         Popup::Palette(_) => vec![("enter", "do"), ("up down", "choose"), ("esc", "close")],
         Popup::Browse(_) => vec![("enter", "show these"), ("up down", "choose"), ("q", "close")],
         Popup::Publishers(_) => vec![("up down", "scroll"), ("p", "pin"), ("P", "unpin"), ("q", "close")],
         Popup::Tasks | Popup::Readers(_) => vec![("q", "close")],
-        Popup::Help { .. } | Popup::Provenance(_) => vec![("up down", "scroll"), ("q", "close")],
+        Popup::Provenance(_) => vec![("n p", "next, previous"), ("up down", "scroll"), ("q", "close")],
+        Popup::Help(Help { filtering: true, .. }) => vec![("enter", "apply"), ("esc", "clear")],
+        Popup::Help(_) => vec![("up down", "scroll"), ("/", "filter"), ("q", "close")],
         Popup::Chord(_) => vec![("esc", "close")],
         Popup::Themes(_) => vec![("up down", "see it"), ("enter", "keep it"), ("esc", "as before")],
         Popup::Confirm(confirm) if confirm.typed.is_some() => vec![("enter", confirm.yes), ("esc", "no")],
-        Popup::Confirm(confirm) => vec![("y", confirm.yes), ("any other key", "no")],
-        Popup::Form(..) => vec![("enter", "next, then go on"), ("tab", "next field"), ("esc", "close")],
+        Popup::Confirm(confirm) => {
+            let twin = granting::twin(state, &confirm.errand.command).map(|_| ("Y", "copy as command"));
+            [("y", confirm.yes)].into_iter().chain(twin).chain([("any other key", "cancels")]).collect()
+        }
+        Popup::Form(..) => vec![("enter", "next field / submit"), ("tab", "next field"), ("esc", "close")],
         Popup::Record(opening) => opening.hints(),
-        Popup::Quit { waiting: false } => vec![("y", "quit now"), ("w", "when all is done"), ("any other key", "stay")],
-        Popup::Quit { waiting: true } => vec![("y", "quit now"), ("any other key", "stay")],
+        Popup::Quit(leaving) => leaving.hints(state),
     }
 }
 
 /// Gives a key to the topmost popup.
 pub fn popup_key(state: &mut State, key: Key) -> Vec<Effect> {
+    if key == Key::Char('?') && !takes_text(state) {
+        let window = state.popups.last().map(|popup| hints(state, popup));
+        state.popups.push(Popup::Help(Help { window, ..Help::default() }));
+        return Vec::new();
+    }
     let Some(popup) = state.popups.pop() else { return Vec::new() };
-    let quitting = matches!(popup, Popup::Quit { .. });
+    let quitting = matches!(popup, Popup::Quit(_));
     let key = if key == Key::Control('c') && !quitting { Key::Escape } else { key };
     match popup {
         Popup::Palette(palette) => palette_key(state, palette, key),
         Popup::Form(purpose, form) => form_key(state, purpose, form, key),
         Popup::Confirm(confirm) => confirm_key(state, confirm, key),
-        Popup::Quit { .. } => quit_key(state, key),
+        Popup::Quit(leaving) => leaving::key(state, leaving, key),
         Popup::Chord(begun) => chord_key(state, begun, key),
         Popup::Themes(choice) => themes::key(state, choice, key),
         Popup::Record(opening) => opening::key(state, opening, key),
@@ -57,6 +69,8 @@ pub fn popup_key(state: &mut State, key: Key) -> Vec<Effect> {
             }
             Vec::new()
         }
+        Popup::Provenance(_) if key == Key::Char('n') => opening::neighbour(state, popup, 1),
+        Popup::Provenance(_) if key == Key::Char('p') => opening::neighbour(state, popup, -1),
         Popup::Provenance(mut lookup) => {
             if let Some(scroll) = scrolled(lookup.scroll, key, state.page_rows()) {
                 let lines = lookup.found().map_or(0, |found| found.steps.len() * 3 + 8);
@@ -65,13 +79,40 @@ pub fn popup_key(state: &mut State, key: Key) -> Vec<Effect> {
             }
             Vec::new()
         }
-        Popup::Help { scroll } => {
-            if let Some(scroll) = scrolled(scroll, key, state.page_rows()) {
-                state.popups.push(Popup::Help { scroll: scroll.min(super::verb::VERBS.len()) });
-            }
-            Vec::new()
-        }
+        Popup::Help(help) => help_key(state, help, key),
     }
+}
+
+/// Whether a `?` is a part of what is typed into the topmost popup, or its own to answer.
+fn takes_text(state: &State) -> bool {
+    match state.popups.last() {
+        Some(Popup::Form(_, form)) => {
+            form.field(form.focus).is_some_and(|field| field.is_masked() || !field.text().is_empty())
+        }
+        Some(Popup::Palette(palette)) => !palette.field.text().is_empty(),
+        Some(Popup::Confirm(confirm)) => confirm.typed.is_some(),
+        Some(Popup::Help(_) | Popup::Chord(_)) => true,
+        _ => false,
+    }
+}
+
+fn help_key(state: &mut State, mut help: Help, key: Key) -> Vec<Effect> {
+    match key {
+        Key::Escape if help.filtering || !help.filter.text().is_empty() => {
+            (help.filtering, help.filter) = Default::default()
+        }
+        Key::Enter if help.filtering => help.filtering = false,
+        Key::Up | Key::Down | Key::PageUp | Key::PageDown | Key::Home if help.filtering => {}
+        _ if help.filtering => drop(help.filter.key(key)),
+        Key::Char('/') => help.filtering = true,
+        Key::Char('?') => return Vec::new(),
+        _ => match scrolled(help.scroll, key, state.page_rows()) {
+            Some(scroll) => help.scroll = scroll.min(super::verb::VERBS.len() * 2),
+            None => return Vec::new(),
+        },
+    }
+    state.popups.push(Popup::Help(help));
+    Vec::new()
 }
 
 /// Gives pasted text to the topmost popup.
@@ -87,7 +128,7 @@ pub fn popup_paste(state: &mut State, text: &str) {
 /// Where a key scrolls to; `None` = it closes.
 pub(super) fn scrolled(scroll: usize, key: Key, page: usize) -> Option<usize> {
     Some(match key {
-        Key::Escape | Key::Char('q' | '?') => return None,
+        Key::Escape | Key::Char('q') => return None,
         Key::Up | Key::Char('k') => scroll.saturating_sub(1),
         Key::Down | Key::Char('j') => scroll + 1,
         Key::PageUp => scroll.saturating_sub(page),
@@ -103,6 +144,10 @@ fn palette_key(state: &mut State, mut palette: Palette, key: Key) -> Vec<Effect>
     match key {
         Key::Escape => return Vec::new(),
         Key::Enter => {
+            let words: Vec<&str> = palette.field.text().split_whitespace().collect();
+            if let (Some(("grant", terms)), Ok(())) = (with_terms(&words), available(state, Verb::Grant)) {
+                return granting::spoken(state, terms);
+            }
             let Some(entry) = matches.get(palette.selected.min(last)) else { return Vec::new() };
             return perform(state, entry.verb);
         }
@@ -115,6 +160,11 @@ fn palette_key(state: &mut State, mut palette: Palette, key: Key) -> Vec<Effect>
     }
     state.popups.push(Popup::Palette(palette));
     Vec::new()
+}
+
+/// A command's name and the terms behind it, where there are any.
+fn with_terms<'a>(words: &'a [&'a str]) -> Option<(&'a str, &'a [&'a str])> {
+    words.split_first().filter(|(_, terms)| !terms.is_empty()).map(|(name, terms)| (*name, terms))
 }
 
 /// The next key of a chord.
@@ -154,6 +204,11 @@ fn confirm_key(state: &mut State, mut confirm: Confirm, key: Key) -> Vec<Effect>
             typed.field.key(key);
             false
         }
+        None if key == Key::Char('Y') => {
+            let effects = granting::copy_twin(state, &confirm.errand.command);
+            state.popups.push(Popup::Confirm(confirm));
+            return effects;
+        }
         None if key != Key::Char('y') => return Vec::new(),
         None => true,
     };
@@ -163,7 +218,10 @@ fn confirm_key(state: &mut State, mut confirm: Confirm, key: Key) -> Vec<Effect>
     }
     // The form that led here has done its work.
     let led_here = |purpose: &Purpose| matches!(purpose, Purpose::Grant | Purpose::LoadKey | Purpose::Administer(_));
-    state.popups.retain(|popup| !matches!(popup, Popup::Form(purpose, _) if led_here(purpose)));
+    let form = state.popups.iter().position(|popup| matches!(popup, Popup::Form(purpose, _) if led_here(purpose)));
+    if let Some(Popup::Form(purpose, form)) = form.map(|place| state.popups.remove(place)) {
+        state.filled = Some((confirm.errand.tag.clone(), purpose, form));
+    }
     match need_of(&confirm) {
         Some(need) => identity_path::run(state, need, vec![confirm.errand]),
         None => vec![state.send(confirm.errand)],
@@ -175,9 +233,11 @@ fn confirm_key(state: &mut State, mut confirm: Confirm, key: Key) -> Vec<Effect>
 fn need_of(confirm: &Confirm) -> Option<Need> {
     match confirm.errand.tag {
         Tag::Feed(..) | Tag::OpenConsole | Tag::CreateIdentity | Tag::Unlock | Tag::Lock | Tag::BackUp => None,
+        Tag::HoldCapture => None,
         Tag::Publishers(_) | Tag::Show(_) | Tag::Pin(_) | Tag::Unpin(_) => None,
         Tag::LoadKey(_) | Tag::Release(_) | Tag::Discard(_) | Tag::Deploy | Tag::Adopt => Some(Need::Unlocked),
         Tag::Open(_) | Tag::Path(_) | Tag::Check(_) | Tag::Export(_) | Tag::ExportKey(_) => Some(Need::Unlocked),
+        Tag::Extend(_) => Some(Need::Registered),
         Tag::Register | Tag::Watch(_) | Tag::Unwatch(_) | Tag::Grant(_) | Tag::Revoke(_) | Tag::Rotate => {
             Some(Need::Registered)
         }
@@ -185,18 +245,11 @@ fn need_of(confirm: &Confirm) -> Option<Need> {
     }
 }
 
-fn quit_key(state: &mut State, key: Key) -> Vec<Effect> {
-    match key {
-        Key::Char('y') | Key::Control('c') => vec![Effect::Quit],
-        Key::Char('w') => {
-            state.popups.push(Popup::Quit { waiting: true });
-            Vec::new()
-        }
-        _ => Vec::new(),
-    }
-}
-
 fn form_key(state: &mut State, purpose: Purpose, mut form: Form, key: Key) -> Vec<Effect> {
+    if purpose == Purpose::Grant && key == Key::Tab && granting::complete(state, &mut form) {
+        state.popups.push(Popup::Form(purpose, form));
+        return Vec::new();
+    }
     match form.key(key) {
         FormStep::Stay => state.popups.push(Popup::Form(purpose, form)),
         FormStep::Cancel if matches!(purpose, Purpose::CreateIdentity | Purpose::Unlock) => {
@@ -229,8 +282,13 @@ fn submit(state: &mut State, purpose: Purpose, form: &Form) -> Result<Vec<Effect
         }
         Purpose::Grant => {
             let wish = forms::read_grant(form, state.address(), state.now)?;
+            granting::check(state, &wish)?;
             state.popups.push(Popup::Confirm(confirm::grant(state, wish)));
             return Ok(Vec::new());
+        }
+        Purpose::Extend => {
+            let errand = granting::read_extension(state, form)?;
+            return Ok(identity_path::run(state, Need::Registered, vec![errand]));
         }
         Purpose::Unpin => forms::read_unpin(form)?,
         Purpose::Administer(act) => {

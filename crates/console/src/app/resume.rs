@@ -16,6 +16,9 @@ pub struct KeptTable {
     pub filter: String,
     /// Which column sorts.
     pub sort: usize,
+    /// Whether the order is turned round.
+    #[serde(default)]
+    pub reversed: bool,
 }
 
 /// What is remembered.
@@ -33,7 +36,7 @@ pub struct Kept {
 }
 
 fn keep(table: &Table) -> KeptTable {
-    KeptTable { filter: table.filter.text().to_owned(), sort: table.sort }
+    KeptTable { filter: table.filter.text().to_owned(), sort: table.sort, reversed: table.reversed }
 }
 
 /// What the next run should know.
@@ -73,6 +76,7 @@ pub fn recall(state: &mut State, kept: &Kept) {
     ];
     for ((table, orders), kept) in tables.into_iter().zip(&kept.tables) {
         table.filter = Field::with(&kept.filter);
+        table.reversed = kept.reversed;
         table.sort = if kept.sort < orders { kept.sort } else { 0 };
     }
     state.log.least = match kept.level {

@@ -4,10 +4,11 @@ use std::path::PathBuf;
 
 use super::action::{Effect, Errand, Tag};
 use super::feed::{Feed, Feeds};
+use super::form::Form;
 use super::identity_path::IdentityPath;
 use super::keymap::Keymap;
 use super::opening::Opening;
-use super::popup::Popup;
+use super::popup::{Popup, Purpose};
 use super::rates::Rates;
 use super::screen::Screen;
 use super::screens::gateway::Gateway;
@@ -19,7 +20,7 @@ use super::toast::Toasts;
 use super::undo::Undo;
 use super::zone::Zone;
 use crate::model::{Address, ProfileName, Timestamp};
-use crate::service::reply::{ChainView, IdentityView, KeysView, SiteView};
+use crate::service::reply::{ChainView, ContactRow, IdentityView, KeysView, SiteView};
 use crate::service::{Failure, NoticeLevel};
 
 /// Rows of the screen that are no table rows: header, tabs, title, columns, message, bar.
@@ -44,6 +45,10 @@ pub struct Settings {
     pub lock_after: Option<u64>,
     /// The operator's time zone.
     pub zone: Zone,
+    /// The process that the console runs in.
+    pub process: u32,
+    /// Ask for the passphrase of a locked keyring at the start.
+    pub asks_passphrase: bool,
 }
 
 /// All the console knows and shows.
@@ -57,8 +62,10 @@ pub struct State {
     pub size: (u16, u16),
     /// The screen in view.
     pub screen: Screen,
-    /// Whether the view stands still.
-    pub paused: bool,
+    /// The moment at which the view stands still, if it does.
+    pub frozen: Option<Timestamp>,
+    /// Whether any key was pressed, or the passphrase was asked for, since the start.
+    pub greeted: bool,
     /// Name of the theme in use.
     pub theme: String,
     /// Whether the mouse is the console's.
@@ -95,6 +102,10 @@ pub struct State {
     pub identity_path: Option<IdentityPath>,
     /// The gateway.
     pub gateway: Gateway,
+    /// The address book.
+    pub contacts: Vec<ContactRow>,
+    /// The form behind the act that is under way, to come back to where it fails.
+    pub filled: Option<(Tag, Purpose, Form)>,
     /// What undoing would do.
     pub undo: Option<Undo>,
     /// When a key was last pressed.
@@ -111,7 +122,8 @@ impl State {
             now: Timestamp::default(),
             size: (80, 24),
             screen: Screen::Overview,
-            paused: false,
+            frozen: None,
+            greeted: false,
             theme: String::new(),
             mouse: false,
             feeds: Feeds::default(),
@@ -130,10 +142,27 @@ impl State {
             work: Vec::new(),
             identity_path: None,
             gateway: Gateway::default(),
+            contacts: Vec::new(),
+            filled: None,
             undo: None,
             touched: Timestamp::default(),
             local_time: false,
         }
+    }
+
+    /// Whether the view stands still.
+    pub fn is_frozen(&self) -> bool {
+        self.frozen.is_some()
+    }
+
+    /// The moment that the screen shows.
+    pub fn shown_at(&self) -> Timestamp {
+        self.frozen.unwrap_or(self.now)
+    }
+
+    /// Whether there is a keyring, and it is locked.
+    pub fn is_locked(&self) -> bool {
+        self.identity.as_ref().is_some_and(|identity| identity.exists && !identity.unlocked)
     }
 
     /// How many table rows fit on the screen.
@@ -143,7 +172,7 @@ impl State {
 
     /// When time alone changes something; `None` = never.
     pub fn deadline(&self) -> Option<Timestamp> {
-        let ages = Some(()).filter(|()| self.screen == Screen::Topics && !self.paused);
+        let ages = Some(()).filter(|()| self.screen == Screen::Topics && !self.is_frozen());
         let moments = [
             self.toasts.next_expiry(),
             self.feeds.next_retry(),
@@ -182,9 +211,12 @@ impl State {
     /// Whether a feed stands still with the view. The identity never does, for commands wait
     /// for it; nor do the counts while the console waits for them to be able to leave.
     pub fn holds(&self, feed: Feed) -> bool {
-        let leaving = matches!(self.popups.last(), Some(Popup::Quit { .. }));
+        let leaving = matches!(self.popups.last(), Some(Popup::Quit(_)));
         let needed = feed == Feed::Identity || feed == Feed::Site && leaving;
-        self.paused && self.feeds.slot(feed).loaded && !needed
+        let slot = self.feeds.slot(feed);
+        // Pages of the past may be turned; the question itself keeps out what came later.
+        let answered = slot.loaded && slot.told == slot.generation;
+        self.is_frozen() && answered && !needed
     }
 
     /// Tells the operator something for 3 s.

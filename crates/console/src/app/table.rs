@@ -18,6 +18,8 @@ pub struct Table {
     pub filtering: bool,
     /// Which column sorts.
     pub sort: usize,
+    /// Whether the order is turned round.
+    pub reversed: bool,
     /// Keys of the marked rows.
     pub marks: BTreeSet<String>,
 }
@@ -39,6 +41,11 @@ impl Table {
         self.index = position.min(keys.len().saturating_sub(1));
         let bound = self.index > 0 || !self.follows_top;
         self.selected = keys.get(self.index).filter(|_| bound).map(|key| key.as_ref().to_owned());
+    }
+
+    /// Whether the cursor is bound to a row, and not to the place of the first one.
+    pub fn is_bound(&self) -> bool {
+        self.selected.is_some()
     }
 
     /// Binds the cursor to the row it is on, so that rows coming in above do not move it.

@@ -11,6 +11,7 @@ use crate::model::TopicName;
 use crate::service::Command;
 
 /// What was done last, as far as undoing goes.
+#[expect(clippy::large_enum_variant, reason = "there is one at a time")]
 #[derive(Debug, Clone)]
 pub enum Undo {
     /// This takes it back, wholly.
@@ -33,6 +34,7 @@ pub fn note(state: &mut State, tag: &Tag) {
             Undo::By(Errand { command, tag: Tag::Watch(name.clone()) })
         }),
         Tag::Grant(grantee) => Some(Undo::Granted(grantee.to_string())),
+        Tag::Extend(_) => Some(Undo::Never("a grant only gets longer; revoke it to end it sooner (5, then x)")),
         Tag::Revoke(_) => Some(Undo::Never("a revoke is a transaction: to share again, make a new grant (5, then g)")),
         Tag::Rotate => Some(Undo::Never("an epoch that has begun stays; the one before is over")),
         Tag::LoadKey(_) => Some(Undo::Never("the key that was replaced is gone from the keyring; load its file again")),
@@ -41,7 +43,13 @@ pub fn note(state: &mut State, tag: &Tag) {
         Tag::Administer(_) | Tag::Deploy | Tag::Adopt => {
             Some(Undo::Never("it is a transaction; the opposite act is another one (7, then :)"))
         }
-        Tag::Feed(..) | Tag::OpenConsole | Tag::CreateIdentity | Tag::Unlock | Tag::Register | Tag::Lock => None,
+        Tag::Feed(..)
+        | Tag::OpenConsole
+        | Tag::CreateIdentity
+        | Tag::Unlock
+        | Tag::Register
+        | Tag::Lock
+        | Tag::HoldCapture => None,
         Tag::ExportKey(_) | Tag::BackUp | Tag::Export(_) | Tag::Pin(_) | Tag::Unpin(_) => None,
         Tag::Publishers(_) | Tag::Show(_) | Tag::Open(_) | Tag::Path(_) | Tag::Check(_) => None,
     };

@@ -6,10 +6,11 @@ use super::cursor;
 use super::feed::Feed;
 use super::key::Key;
 use super::keymap::Meaning;
+use super::leaving;
 use super::lock;
 use super::mouse;
 use super::perform::{perform, wants_grants};
-use super::popup::Popup;
+use super::popup::{Popup, Purpose};
 use super::popup_keys::{popup_key, popup_paste};
 use super::screens::log::MOST_AUDIT;
 use super::state::State;
@@ -34,8 +35,7 @@ pub fn update(state: &mut State, action: Action) -> Vec<Effect> {
     }
     let mut effects = act(state, action);
     state.topics.refresh(false);
-    let leaves = matches!(state.popups.last(), Some(Popup::Quit { waiting: true })) && !state.has_pending_work();
-    if leaves {
+    if leaving::is_over(state) {
         effects.push(Effect::Quit);
     }
     effects.extend(pull(state));
@@ -67,6 +67,7 @@ fn act(state: &mut State, action: Action) -> Vec<Effect> {
 }
 
 fn pressed(state: &mut State, key: Key) -> Vec<Effect> {
+    state.greeted = true;
     // These two go before whatever lies over the screen.
     for verb in [Verb::Suspend, Verb::Redraw] {
         if state.settings.keymap.is(key, verb, state.screen) {
@@ -119,7 +120,7 @@ fn refresh_provenance(state: &mut State) -> Vec<Effect> {
     let Some(Popup::Provenance(lookup)) = state.popups.last() else { return Vec::new() };
     let settled = lookup.found().is_some_and(|found| is_settled(found.record.state));
     let (id, tag) = (lookup.id.clone(), Tag::Show(lookup.id.clone()));
-    if settled || state.paused || state.work.contains(&tag) {
+    if settled || state.is_frozen() || state.work.contains(&tag) {
         return Vec::new();
     }
     vec![state.send(Errand { command: Command::ShowUpload { id }, tag })]
@@ -154,12 +155,27 @@ fn wants_chain(state: &State) -> Option<Feed> {
     matches!(state.popups.last(), Some(Popup::Tasks)).then_some(Feed::Chain)
 }
 
+/// A grant is checked against the address book, and completed from it.
+fn wants_contacts(state: &State) -> impl Iterator<Item = Feed> + use<> {
+    let asked = state.popups.iter().any(|popup| matches!(popup, Popup::Form(Purpose::Grant, _)));
+    [Feed::Contacts, Feed::Topics].into_iter().filter(move |_| asked)
+}
+
 /// Asks for what is on screen and out of date, one question per feed at a time.
 fn pull(state: &mut State) -> Vec<Effect> {
     let always = [Feed::Site, Feed::Identity];
-    let wanted =
-        always.iter().chain(state.screen.feeds()).copied().chain(wants_grants(state)).chain(wants_chain(state));
-    let wanted: Vec<Feed> = wanted.collect();
+    let wanted = always
+        .iter()
+        .chain(state.screen.feeds())
+        .copied()
+        .chain(wants_grants(state))
+        .chain(wants_contacts(state))
+        .chain(wants_chain(state));
+    let mut wanted: Vec<Feed> = wanted.collect();
+    if state.is_frozen() {
+        // All screens stand at one moment; what holds already is not asked again.
+        wanted.extend(Feed::ALL);
+    }
     wanted.into_iter().filter_map(|feed| ask(state, feed)).collect()
 }
 
@@ -188,8 +204,13 @@ fn question(state: &State, feed: Feed) -> Option<Command> {
         Feed::Audit => Some(Command::ListAudit(AuditQuery { limit: MOST_AUDIT, ..AuditQuery::default() })),
         Feed::Keys => exists.then_some(Command::ListKeys),
         Feed::Grants => exists.then_some(Command::ListGrants),
-        Feed::Uploads => exists.then(|| Command::ListUploads(state.uploads.query(&state.topics.rows, rows, state.now))),
-        Feed::Shared => exists.then(|| Command::ListShared(state.shared.query(&state.topics.rows, rows, state.now))),
+        Feed::Uploads => {
+            exists.then(|| Command::ListUploads(state.uploads.query(&state.topics.rows, rows, state.now, state.frozen)))
+        }
+        Feed::Shared => {
+            exists.then(|| Command::ListShared(state.shared.query(&state.topics.rows, rows, state.now, state.frozen)))
+        }
+        Feed::Contacts => exists.then_some(Command::ListContacts),
         Feed::Gateway => Some(Command::Operate(Operation::GatewayStatus)),
     }
 }

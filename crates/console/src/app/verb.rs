@@ -34,6 +34,8 @@ pub enum Verb {
     Filter,
     /// Sort by the next column.
     Sort,
+    /// Turn the order round.
+    Reverse,
     /// Watch or unwatch the marked topics, or the selected one.
     Watch,
     /// Provenance of the record.
@@ -58,6 +60,8 @@ pub enum Verb {
     Rotate,
     /// Share.
     Grant,
+    /// Let a grant end later.
+    Extend,
     /// Stop sharing.
     Revoke,
     /// Publishers of the topic, pinned and doubted.
@@ -92,7 +96,7 @@ pub enum Verb {
     WriteFile,
     /// Show only more urgent lines of the log.
     Level,
-    /// Stand still while capture goes on.
+    /// Freeze the view (capture continues).
     Freeze,
     /// Every command by name.
     Palette,
@@ -102,7 +106,7 @@ pub enum Verb {
     Dismiss,
     /// Choose a theme.
     ChooseTheme,
-    /// ASCII characters only, or not.
+    /// ASCII characters only, or all.
     Ascii,
     /// The mouse for the console, or for the terminal's own selection.
     Mouse,
@@ -191,7 +195,7 @@ impl Entry {
 pub static VERBS: &[Entry] = &[
     entry(Verb::Mark, "mark", "mark", &[Key::Char(' ')], "Mark the row; commands then act on the marked rows")
         .on(MARKED),
-    entry(Verb::MarkAll, "mark-all", "mark all", &[Key::Char('a')], "Mark every row shown, or take all marks away")
+    entry(Verb::MarkAll, "mark-all", "mark all", &[Key::Char('a')], "Mark every row shown, or clear all marks")
         .on(MARKED),
     entry(Verb::Watch, "watch", "watch", &[Key::Char('w')], "Watch or unwatch the marked topics, or the selected one")
         .on(&[Screen::Overview, Screen::Topics])
@@ -220,7 +224,7 @@ pub static VERBS: &[Entry] = &[
         Screen::Uploads,
         Screen::Grants,
     ]),
-    entry(Verb::Publishers, "publishers", "publishers", &[Key::Enter], "Who publishes it: pinned, doubted, held back")
+    entry(Verb::Publishers, "publishers", "publishers", &[Key::Enter], "Publishers: pinned, suspect, quarantined")
         .on(&[Screen::Topics]),
     entry(Verb::Pin, "pin", "pin", &[Key::Char('p')], "Accept the publishers that are read now")
         .on(&[Screen::Topics])
@@ -228,7 +232,7 @@ pub static VERBS: &[Entry] = &[
     entry(Verb::Unpin, "unpin", "", &[Key::Char('P')], "No longer accept a publisher of the topic")
         .on(&[Screen::Topics])
         .changing(),
-    entry(Verb::Release, "release", "", &[Key::Char('r')], "Let the held messages of the topic go on")
+    entry(Verb::Release, "release", "", &[Key::Char('r')], "Release quarantined messages of the topic")
         .on(&[Screen::Topics])
         .changing(),
     entry(
@@ -236,19 +240,22 @@ pub static VERBS: &[Entry] = &[
         "discard",
         "",
         &[Key::Char('D')],
-        "Delete the held messages of the topic; counted on the chain",
+        "Delete quarantined messages of the topic; counted on the chain",
     )
     .on(&[Screen::Topics])
     .changing(),
-    entry(Verb::Grant, "grant", "grant", &[Key::Char('g')], "Let another account open your records")
+    entry(Verb::Grant, "grant", "grant", &[Key::Char('g')], "Let another account read your records")
         .on(&[Screen::Overview, Screen::Topics, Screen::Grants])
+        .changing(),
+    entry(Verb::Extend, "extend", "extend", &[Key::Char('e')], "Let the grant end later")
+        .on(&[Screen::Grants])
         .changing(),
     entry(
         Verb::Revoke,
         "revoke",
         "revoke",
         &[Key::Char('x')],
-        "Stop sharing: the next record is sealed under a new key",
+        "Stop sharing: the next record is encrypted under a new key",
     )
     .on(&[Screen::Grants])
     .changing(),
@@ -301,21 +308,21 @@ pub static VERBS: &[Entry] = &[
         .on(&[Screen::Log]),
     entry(Verb::Filter, "filter", "filter", &[Key::Char('/')], "Show only rows that match").on(TABLES),
     entry(Verb::Sort, "sort", "sort", &[Key::Char('s')], "Sort by the next column").on(SORTED),
+    entry(Verb::Reverse, "reverse", "", &[Key::Char('S')], "Reverse the order").on(SORTED),
     entry(Verb::Copy, "copy", "copy", &[Key::Char('y')], "Send name, digest or address to the terminal's clipboard")
         .on(COPIED),
-    entry(Verb::WriteFile, "write-file", "", &[Key::Char('W')], "Write what `copy` would copy into a file here")
-        .on(COPIED),
-    entry(Verb::Tasks, "tasks", "", &[Key::Char('t')], "What is under way, what waits, and for how long"),
-    entry(Verb::Undo, "undo", "", &[Key::Char('U')], "Take the last act back, where that is true")
+    entry(Verb::WriteFile, "write-file", "", &[Key::Char('W')], "Save to a file what y would copy").on(COPIED),
+    entry(Verb::Tasks, "tasks", "", &[Key::Char('t')], "Running tasks and queues"),
+    entry(Verb::Undo, "undo", "", &[Key::Char('U')], "Undo the last action, where possible")
         .chord(&[Key::Char('z'), Key::Char('u')]),
-    entry(Verb::Lock, "lock", "", &[], "Wipe the keys that decrypt, grant and revoke; capture goes on")
+    entry(Verb::Lock, "lock", "", &[], "Wipe the keys for reading, granting and revoking; capture continues")
         .chord(&[Key::Char('z'), Key::Char('x')]),
     entry(Verb::LocalTime, "local-time", "", &[], "Local times beside UTC, or UTC alone")
         .chord(&[Key::Char('z'), Key::Char('l')]),
-    entry(Verb::Freeze, "freeze", "freeze", &[Key::Char('f')], "Stand still while capture goes on"),
+    entry(Verb::Freeze, "freeze", "freeze", &[Key::Char('f')], "Freeze the view (capture continues)"),
     entry(Verb::Palette, "palette", "commands", &[Key::Char(':')], "Every command by name").unlisted(),
     entry(Verb::Help, "help", "help", &[Key::Char('?')], "What the keys do here"),
-    entry(Verb::Quit, "quit", "quit", &[Key::Char('q'), Key::Control('c')], "Leave; asks when work is pending"),
+    entry(Verb::Quit, "quit", "quit", &[Key::Char('q'), Key::Control('c')], "Quit; says what stops, and asks"),
     entry(Verb::Up, "up", "", &[Key::Up, Key::Char('k')], "Cursor up").on(TABLES).unlisted(),
     entry(Verb::Down, "down", "", &[Key::Down, Key::Char('j')], "Cursor down").on(TABLES).unlisted(),
     entry(Verb::PageUp, "page-up", "", &[Key::PageUp, Key::Control('u')], "Page up").on(TABLES).unlisted(),
@@ -339,13 +346,13 @@ pub static VERBS: &[Entry] = &[
     entry(Verb::Go(Screen::Chain), "go-chain", "", &[Key::Char('7')], "The chain"),
     entry(Verb::Go(Screen::Gateway), "go-gateway", "", &[Key::Char('8')], "The gateway"),
     entry(Verb::Go(Screen::Log), "go-log", "", &[Key::Char('9')], "Notices and audit lines"),
-    entry(Verb::Dismiss, "dismiss", "", &[Key::Escape], "The message was seen; take the filter and marks away"),
+    entry(Verb::Dismiss, "dismiss", "", &[Key::Escape], "Dismiss the message; clear filter and marks"),
     entry(Verb::ChooseTheme, "theme", "", &[Key::Char('T')], "Choose a theme, seen at once")
         .chord(&[Key::Char('z'), Key::Char('t')]),
-    entry(Verb::Ascii, "ascii", "", &[], "ASCII characters only, or not").chord(&[Key::Char('z'), Key::Char('a')]),
-    entry(Verb::Mouse, "mouse", "", &[], "Mouse for the console, or for the terminal's own selection")
+    entry(Verb::Ascii, "ascii", "", &[], "ASCII characters only, or all").chord(&[Key::Char('z'), Key::Char('a')]),
+    entry(Verb::Mouse, "mouse", "", &[], "Mouse on, or off for the terminal's own selection")
         .chord(&[Key::Char('z'), Key::Char('m')]),
-    entry(Verb::Redraw, "redraw", "", &[Key::Control('l')], "Draw the screen anew"),
+    entry(Verb::Redraw, "redraw", "", &[Key::Control('l')], "Redraw the screen"),
     entry(Verb::Suspend, "shell", "", &[Key::Control('z')], "Back to the shell; `fg` returns"),
 ];
 

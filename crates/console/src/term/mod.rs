@@ -36,6 +36,7 @@ use crate::service::{Client, Failure};
 use crate::ui::{ThemeError, Themes};
 
 /// How the console is to look and what it may do.
+#[expect(clippy::struct_excessive_bools, reason = "each is a setting of its own")]
 #[derive(Debug, Clone)]
 pub struct ConsoleOptions {
     /// A theme's name; `None` = chosen by the terminal's colours.
@@ -60,6 +61,8 @@ pub struct ConsoleOptions {
     pub kept: Option<PathBuf>,
     /// Nanoseconds without a key after which the keyring locks; `None` = never.
     pub lock_after: Option<u64>,
+    /// Ask for the passphrase of a locked keyring at the start; not where it is given in another way.
+    pub asks_passphrase: bool,
 }
 
 /// Why the console ended.
@@ -130,6 +133,8 @@ fn first_state(client: &Client, options: &ConsoleOptions, directory: &Path) -> S
         keymap: options.keymap.clone(),
         themes: options.themes.names(),
         lock_after: options.lock_after,
+        process: std::process::id(),
+        asks_passphrase: options.asks_passphrase,
         zone: Zone::new(jiff::tz::TimeZone::system()),
     });
     (state.now, state.mouse) = (Timestamp::now(), options.mouse);

@@ -69,16 +69,19 @@ fn draw_message(canvas: &mut Canvas, area: Rect, state: &State) {
 fn draw_bar(canvas: &mut Canvas, area: Rect, state: &State) {
     canvas.wipe(area);
     if let Some(popup) = state.popups.last() {
-        return draw_hints(canvas, area, &hints(popup));
+        return draw_hints(canvas, area, &hints(state, popup));
     }
     if state.table().is_some_and(|table| table.filtering) {
-        return draw_hints(canvas, area, &[("enter", "keep the filter"), ("esc", "take it away"), ("up down", "move")]);
+        return draw_hints(canvas, area, &[("enter", "apply"), ("esc", "clear"), ("up down", "move")]);
     }
     // Help and quit keep their place at the right, whatever is cut.
     let tail = Rect { x: area.x + area.width.saturating_sub(TAIL), width: TAIL.min(area.width), ..area };
     draw_tail(canvas, tail, state);
     let mut rest = Rect { width: area.width - tail.width, ..area };
-    for entry in entries(state) {
+    let mut shown: Vec<&Entry> = entries(state).collect();
+    // What is used most has its place where there is little room, and what cannot be done now comes last.
+    shown.sort_by_key(|entry| (available(state, entry.verb).is_err(), use_of(entry.verb)));
+    for entry in shown {
         rest = draw_entry(canvas, rest, state, entry);
     }
 }
@@ -98,6 +101,28 @@ fn draw_hints(canvas: &mut Canvas, area: Rect, hints: &[(&str, &str)]) {
     hints.iter().fold(area, |rest, (key, label)| {
         canvas.puts(rest, &[(key, Role::Key), (" ", Role::Body), (label, Role::Body), ("  ", Role::Body)])
     });
+}
+
+/// The verbs of the bar, the most used first.
+const BY_USE: [Verb; 14] = [
+    Verb::Watch,
+    Verb::Details,
+    Verb::Open,
+    Verb::Grant,
+    Verb::Revoke,
+    Verb::Filter,
+    Verb::Browse,
+    Verb::Readers,
+    Verb::Extend,
+    Verb::Export,
+    Verb::Publishers,
+    Verb::Check,
+    Verb::Sort,
+    Verb::Mark,
+];
+
+fn use_of(verb: Verb) -> usize {
+    BY_USE.iter().position(|other| *other == verb).unwrap_or(BY_USE.len())
 }
 
 /// What the bar shows of a screen: its own verbs first.

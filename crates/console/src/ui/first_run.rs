@@ -20,7 +20,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, roomy: bool) -> Rect
         }
         return below(area, 1);
     }
-    canvas.puts(row(area, 0), &[("First steps", Role::Title), ("  press the key", Role::Dim)]);
+    canvas.puts(row(area, 0), &[("First steps", Role::Title), ("  press the highlighted key", Role::Dim)]);
     for (line, (place, step)) in (1u16..).zip(steps.iter().enumerate()) {
         draw_step(canvas, row(area, line), step, place, next == Some(place));
     }

@@ -122,8 +122,16 @@ fn draw_senders(canvas: &mut Canvas, area: Rect, state: &State) {
     let note = format!("{} of {all}, {connected} connected, by {order}", rows.len());
     let cells = |index: usize| rows.get(index).map_or_else(Vec::new, |row| cells(row));
     let empty = "No name has a transport key yet: `authros agent enrol` gives one.";
-    let sheet =
-        Sheet { title: "Senders", note, columns: COLUMNS, keys: &keys, cells: &cells, table: &gateway.table, empty };
+    let sheet = Sheet {
+        title: "Senders",
+        note,
+        columns: COLUMNS,
+        keys: &keys,
+        cells: &cells,
+        table: &gateway.table,
+        empty,
+        old: false,
+    };
     draw_table(canvas, area, &sheet);
 }
 

@@ -3,7 +3,7 @@
 use ratatui::layout::Rect;
 
 use super::canvas::Canvas;
-use super::table::{Column, Sheet, draw as draw_table};
+use super::table::{Column, Sheet, draw as draw_table, order};
 use super::theme::Role;
 use super::topics::empty;
 use crate::app::State;
@@ -29,12 +29,20 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
     let rows = grants.visible();
     let keys: Vec<String> = rows.iter().map(|row| key(row)).collect();
     let readers = grants.rows.iter().filter(|row| is_given(row) && is_active(row)).count();
-    let order = SORTS[grants.table.sort % SORTS.len()];
+    let order = order(&SORTS, &grants.table);
     let note = format!("{} of {}, by {order}; {readers} can read new records now", rows.len(), grants.rows.len());
     let cells = |index: usize| rows.get(index).map_or_else(Vec::new, |row| cells(row));
     let empty = empty(state, Feed::Grants, "Nothing granted or received yet: g grants.");
-    let sheet =
-        Sheet { title: "Grants", note, columns: COLUMNS, keys: &keys, cells: &cells, table: &grants.table, empty };
+    let sheet = Sheet {
+        title: "Grants",
+        note,
+        columns: COLUMNS,
+        keys: &keys,
+        cells: &cells,
+        table: &grants.table,
+        empty,
+        old: false,
+    };
     draw_table(canvas, area, &sheet);
 }
 

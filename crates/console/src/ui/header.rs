@@ -5,6 +5,7 @@ use ratatui::layout::Rect;
 use super::canvas::{Canvas, columns, right_of, row};
 use super::theme::Role;
 use crate::app::feed::Feed;
+use crate::app::standing::Standing;
 use crate::app::{Screen, State};
 use crate::service::reply::{HealthLevel, PartHealth};
 
@@ -21,8 +22,8 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
 
 fn draw_first(canvas: &mut Canvas, area: Rect, state: &State) {
     let mut rest = area;
-    for badge in badges(state) {
-        let taken = canvas.put_right(rest, badge, Role::Badge);
+    for (badge, role) in badges(state) {
+        let taken = canvas.put_right(rest, &badge, role);
         rest.width = rest.width.saturating_sub(taken + 1);
     }
     if area.width >= NAMED_FROM {
@@ -39,16 +40,28 @@ fn draw_first(canvas: &mut Canvas, area: Rect, state: &State) {
     }
 }
 
-fn badges(state: &State) -> impl Iterator<Item = &'static str> {
-    let badges = [(state.paused, " PAUSED "), (state.settings.read_only, " READ-ONLY ")];
-    badges.into_iter().filter(|(shown, _)| *shown).map(|(_, badge)| badge)
+/// What is not as it usually is, from the right; and where the site runs, as far as there is room.
+fn badges(state: &State) -> Vec<(String, Role)> {
+    let frozen = state.frozen.map(|at| format!(" PAUSED {} ", at.clock()));
+    let locked = state.is_locked().then(|| " LOCKED ".to_owned());
+    let read_only = state.settings.read_only.then(|| " READ-ONLY ".to_owned());
+    let mut badges: Vec<(String, Role)> =
+        [frozen, locked, read_only].into_iter().flatten().map(|badge| (badge, Role::Badge)).collect();
+    if state.size.0 >= NAMED_FROM {
+        badges.extend(Standing::of(state).map(|standing| (standing.badge(), Role::Dim)));
+    }
+    badges
 }
 
+/// Parts that are well are told by their dot alone where there is no room for more.
 fn draw_health(canvas: &mut Canvas, area: Rect, health: &[PartHealth]) {
+    let whole: u16 = health.iter().map(|part| columns(&part.part) + columns(level(part).2) + 5).sum();
+    let brief = whole > area.width + 2;
     let mut rest = area;
     for part in health {
         let (dot, role, word) = level(part);
         let dot = format!(" {dot} ");
+        let word = if brief && matches!(part.level, HealthLevel::Ok | HealthLevel::Absent) { "" } else { word };
         rest = canvas.puts(rest, &[(&part.part, Role::Body), (&dot, role), (word, role), ("  ", Role::Body)]);
     }
 }

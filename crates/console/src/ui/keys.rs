@@ -4,15 +4,16 @@ use ratatui::layout::Rect;
 
 use super::canvas::{Canvas, below, right_of, row};
 use super::theme::Role;
-use crate::app::State;
 use crate::app::feed::Feed;
+use crate::app::{State, standing};
 use crate::service::reply::{EpochView, IdentityView, KeysView};
 
 /// Columns of the labels.
 const LABEL: u16 = 12;
 
 /// What a locked keyring can and cannot do, for what is watched goes on all the same.
-const LOCKED: &str = "locked (u unlocks it); capture and anchoring go on";
+const LOCKED: &str = "locked (u unlocks it)";
+const LOCKED_AT_WORK: &str = "locked (u unlocks it); capture and anchoring go on";
 
 /// Draws a label and its value.
 pub fn line(canvas: &mut Canvas, area: Rect, label: &str, value: &str, role: Role) {
@@ -36,7 +37,8 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
 
 fn draw_identity(canvas: &mut Canvas, area: Rect, state: &State, identity: &IdentityView) {
     let address = identity.address.map(|address| address.to_string()).unwrap_or_default();
-    let (keyring, keyring_role) = if identity.unlocked { ("unlocked", Role::Good) } else { (LOCKED, Role::Warning) };
+    let (keyring, keyring_role) =
+        if identity.unlocked { ("unlocked", Role::Good) } else { (locked(state), Role::Warning) };
     let (chain, chain_role) = if identity.registered {
         ("registered", Role::Good)
     } else {
@@ -46,7 +48,11 @@ fn draw_identity(canvas: &mut Canvas, area: Rect, state: &State, identity: &Iden
     line(canvas, row(area, 1), "Keyring", keyring, keyring_role);
     line(canvas, row(area, 2), "On chain", chain, chain_role);
     line(canvas, row(area, 3), "Address", &address, Role::Accent);
-    canvas.put(right_of(row(area, 4), LABEL), "y copies it: for whoever shall share with you; b backs up", Role::Dim);
+    canvas.put(
+        right_of(row(area, 4), LABEL),
+        "y copies it for anyone who wants to share with you; b backs up",
+        Role::Dim,
+    );
     let rest = below(area, 6);
     if let Some(keys) = &state.keys {
         draw_keys(canvas, rest, keys);
@@ -62,16 +68,24 @@ fn draw_identity(canvas: &mut Canvas, area: Rect, state: &State, identity: &Iden
 }
 
 fn draw_keys(canvas: &mut Canvas, area: Rect, keys: &KeysView) {
-    line(canvas, row(area, 0), "SM2 signs", &keys.signing_fingerprint, Role::Body);
-    line(canvas, row(area, 1), "SM2 opens", &keys.envelope_fingerprint, Role::Body);
+    line(canvas, row(area, 0), "SM2 signing", &keys.signing_fingerprint, Role::Body);
+    line(canvas, row(area, 1), "SM2 opening", &keys.envelope_fingerprint, Role::Body);
     let area = below(area, 3);
-    canvas.puts(area, &[("SM4 epochs", Role::Title), ("  newest first; token = public commitment", Role::Dim)]);
+    canvas.puts(
+        area,
+        &[("SM4 epochs", Role::Title), ("  newest first; token = public commitment of each key", Role::Dim)],
+    );
     let mut epochs: Vec<&EpochView> = keys.epochs.iter().collect();
     epochs.sort_by_key(|epoch| std::cmp::Reverse(epoch.epoch));
     for (place, epoch) in (1u16..area.height).zip(epochs) {
-        let now = if epoch.current { "seals now" } else { "" };
+        let now = if epoch.current { "in use" } else { "" };
         let number = format!("{:>6}  ", epoch.epoch);
         let token = format!("{}…  ", epoch.token.to_hex().chars().take(16).collect::<String>());
         canvas.puts(row(area, place), &[(&number, Role::Body), (&token, Role::Dim), (now, Role::Good)]);
     }
+}
+
+/// What goes on is said only where it is known to.
+fn locked(state: &State) -> &'static str {
+    if standing::captured(state).is_some() { LOCKED_AT_WORK } else { LOCKED }
 }

@@ -33,6 +33,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
         cells: &cells,
         table: &log.table,
         empty: "Nothing yet.",
+        old: false,
     };
     draw_table(canvas, area, &sheet);
 }

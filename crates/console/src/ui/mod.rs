@@ -55,7 +55,7 @@ pub fn draw(frame: &mut Frame, state: &State, theme: &Theme) -> Option<Placement
     let area = frame.area();
     let mut canvas = Canvas::new(frame.buffer_mut(), theme);
     if area.width < LEAST_COLUMNS || area.height < LEAST_ROWS {
-        let size = format!("AuthROS needs {LEAST_COLUMNS}x{LEAST_ROWS}, here are {}x{}", area.width, area.height);
+        let size = format!("Terminal too small: {}x{}, need {LEAST_COLUMNS}x{LEAST_ROWS}", area.width, area.height);
         canvas.put(area, &size, Role::Warning);
     } else {
         draw_whole(&mut canvas, area, state);

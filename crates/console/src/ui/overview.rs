@@ -22,8 +22,9 @@ const COLUMNS: &[Column] = &[
     Column::text("Type", 27).from(100),
     Column::number("Hz", 7),
     Column::number("kB/s", 8),
-    Column::text("", 7),
-    Column::text("", 9),
+    Column::text("", 13),
+    Column::text("", 3).below(100),
+    Column::text("", 9).from(100),
 ];
 
 /// Draws the screen.
@@ -107,7 +108,7 @@ fn draw_law(canvas: &mut Canvas, area: Rect, life: &LifeLine) {
     ];
     let sum: u64 = parts.iter().map(|(count, ..)| count).sum();
     let (verdict, role) = if sum == life.captured && life.conserved {
-        ("● holds: ", Role::Good)
+        ("● balanced: ", Role::Good)
     } else {
         ("✖ does not add up: ", Role::Bad)
     };
@@ -120,7 +121,7 @@ fn draw_law(canvas: &mut Canvas, area: Rect, life: &LifeLine) {
         rest = canvas.puts(rest, &[(plus, Role::Dim), (&words::count(count), role), (" ", role), (name, Role::Dim)]);
     }
     if life.right_ended + life.quarantined + life.dropped + life.tampered == 0 {
-        canvas.put(rest, ", none held, dropped, tampered", Role::Dim);
+        canvas.put(rest, "; none held, dropped or tampered", Role::Dim);
     }
 }
 
@@ -156,6 +157,7 @@ fn draw_busiest(canvas: &mut Canvas, area: Rect, state: &State) {
             (words::rate(row.hz), Role::Accent),
             (words::kilobytes(row.bytes_per_second), Role::Body),
             topics::watched(row),
+            (if row.simulated { "SIM".to_owned() } else { String::new() }, Role::Warning),
             topics::simulated(row.simulated),
         ]
     });

@@ -46,31 +46,52 @@ const SHARED: &[Column] = &[
 /// Draws the Uploads screen.
 pub fn draw_uploads(canvas: &mut Canvas, area: Rect, state: &State) {
     let nothing = "No record yet: watch a topic (2, then w).";
-    draw(canvas, area, state, &state.uploads, ("Uploads", UPLOADS, empty(state, Feed::Uploads, nothing)));
+    draw(
+        canvas,
+        area,
+        state,
+        (&state.uploads, Feed::Uploads),
+        ("Uploads", UPLOADS, empty(state, Feed::Uploads, nothing)),
+    );
 }
 
 /// Draws the Shared screen.
 pub fn draw_shared(canvas: &mut Canvas, area: Rect, state: &State) {
     let nothing = "Nobody shares with you yet: give others your address (6, then y).";
-    draw(canvas, area, state, &state.shared, ("Shared with me", SHARED, empty(state, Feed::Shared, nothing)));
+    draw(
+        canvas,
+        area,
+        state,
+        (&state.shared, Feed::Shared),
+        ("Shared with me", SHARED, empty(state, Feed::Shared, nothing)),
+    );
 }
 
-fn draw(canvas: &mut Canvas, area: Rect, state: &State, records: &Records, look: (&str, &[Column], &str)) {
+fn draw(canvas: &mut Canvas, area: Rect, state: &State, list: (&Records, Feed), look: (&str, &[Column], &str)) {
+    let (records, feed) = list;
+    let slot = state.feeds.slot(feed);
     let (title, columns, empty) = look;
     let rows = records.visible(&state.topics.rows, state.now);
     let keys: Vec<String> = rows.iter().map(|row| row.id.clone()).collect();
     let with_owner = columns.iter().any(|column| column.title == "Owner");
     let cells = |index: usize| rows.get(index).map_or_else(Vec::new, |row| cells(state, row, with_owner));
     let empty = if records.table.filter.text().is_empty() { empty } else { "No record matches the filter." };
-    let note = note(records, &Wanted::read(records.table.filter.text(), &state.topics.rows, state.now));
+    let mut note = note(records, &Wanted::read(records.table.filter.text(), &state.topics.rows, state.now));
+    if slot.left || slot.told != slot.generation {
+        note.push_str(", reading…");
+    }
     let columns = &with_local_time(columns, state);
-    let sheet = Sheet { title, note, columns, keys: &keys, cells: &cells, table: &records.table, empty };
+    let sheet =
+        Sheet { title, note, columns, keys: &keys, cells: &cells, table: &records.table, empty, old: slot.left };
     draw_table(canvas, area, &sheet);
 }
 
 fn note(records: &Records, wanted: &Wanted) -> String {
     let order = if records.table.sort == 0 { "newest first" } else { "oldest first" };
     let mut note = format!("{order}, page {}", records.path.len() + 1);
+    if let Some(at) = records.anchor {
+        note.push_str(&format!(" as of {} (home: newest)", at.clock()));
+    }
     if records.next.is_some() {
         note.push_str(", more below");
     }
@@ -81,8 +102,9 @@ fn note(records: &Records, wanted: &Wanted) -> String {
         wanted.since.map(|since| format!("since {} UTC", day(since))),
         wanted.until.map(|until| format!("until {} UTC", day(until))),
     ];
+    let searched = wanted.words.iter().map(|word| format!("with '{word}'"));
     let tags = wanted.tags.iter().map(|(name, value)| format!("tag {name}={value}"));
-    for word in words.into_iter().flatten().chain(tags) {
+    for word in words.into_iter().flatten().chain(searched).chain(tags) {
         note.push_str(", ");
         note.push_str(&word);
     }
@@ -90,7 +112,7 @@ fn note(records: &Records, wanted: &Wanted) -> String {
         note.push_str(&format!(", {} marked", records.table.marks.len()));
     }
     if !wanted.rest.is_empty() {
-        note.push_str(", within this page");
+        note.push_str(", ids on this page only");
     }
     note
 }

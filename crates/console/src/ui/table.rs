@@ -70,6 +70,12 @@ pub fn with_local_time(columns: &[Column], state: &State) -> Vec<Column> {
     columns.iter().map(wide).collect()
 }
 
+/// What a table is sorted by, with an arrow where its order is turned round.
+pub fn order(sorts: &[&str], table: &Table) -> String {
+    let name = sorts.get(table.sort).or(sorts.first()).copied().unwrap_or_default();
+    if table.reversed { format!("{name} ↑") } else { format!("{name} ↓") }
+}
+
 /// What to draw.
 pub struct Sheet<'a> {
     /// Left part of the title line.
@@ -86,6 +92,8 @@ pub struct Sheet<'a> {
     pub table: &'a Table,
     /// Said when there is no row.
     pub empty: &'a str,
+    /// Whether the rows are older than the heading says.
+    pub old: bool,
 }
 
 /// Draws a table.
@@ -139,6 +147,7 @@ fn draw_row(canvas: &mut Canvas, area: Rect, sheet: &Sheet, widths: &[u16], inde
     let mut cells = (sheet.cells)(index).into_iter();
     draw_cells(canvas, area, sheet.columns, widths, |column| {
         let (text, role) = cells.next().unwrap_or_default();
+        let role = if sheet.old { Role::Dim } else { role };
         (text, if here && column.width == 0 { Role::Selection } else { role })
     });
 }

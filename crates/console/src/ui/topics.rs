@@ -3,12 +3,13 @@
 use ratatui::layout::Rect;
 
 use super::canvas::{Canvas, row};
-use super::table::{Column, Sheet, draw as draw_table};
+use super::table::{Column, Sheet, draw as draw_table, order};
 use super::theme::Role;
 use super::words;
 use crate::app::State;
 use crate::app::feed::Feed;
 use crate::app::screens::topics::SORTS;
+use crate::app::standing::Capture;
 use crate::service::reply::TopicRow;
 
 const COLUMNS: &[Column] = &[
@@ -16,14 +17,15 @@ const COLUMNS: &[Column] = &[
     Column::text("Type", 27).from(100),
     Column::text("Publishers", 24).from(ALL_FROM),
     Column::text("Pinned", 10).from(90),
-    Column::text("Watched", 7),
+    Column::text("Watched", 13),
     Column::number("Hz", 7),
     Column::number("kB/s", 8),
     Column::text("Lately", 8).from(110),
     Column::number("Captured", 9).from(130),
     Column::number("Lost t/r", 8).from(70),
     Column::number("Age", 6).from(80),
-    Column::text("", 9),
+    Column::text("", 3).below(100),
+    Column::text("", 9).from(100),
 ];
 
 /// From so many columns on everything about a topic has its column.
@@ -34,14 +36,22 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
     let topics = &state.topics;
     let rows = topics.visible();
     let keys: Vec<String> = rows.iter().map(|row| row.topic.clone()).collect();
-    let mut note = format!("{} of {}, by {}", rows.len(), topics.rows.len(), SORTS[topics.table.sort % SORTS.len()]);
+    let mut note = format!("{} of {}, by {}", rows.len(), topics.rows.len(), order(&SORTS, &topics.table));
     if !topics.table.marks.is_empty() {
         note.push_str(&format!(", {} marked", topics.table.marks.len()));
     }
     let cells = |index: usize| rows.get(index).map_or_else(Vec::new, |row| cells(state, row));
     let empty = empty(state, Feed::Topics, "No topic is published yet; they appear here by themselves.");
-    let sheet =
-        Sheet { title: "Topics", note, columns: COLUMNS, keys: &keys, cells: &cells, table: &topics.table, empty };
+    let sheet = Sheet {
+        title: "Topics",
+        note,
+        columns: COLUMNS,
+        keys: &keys,
+        cells: &cells,
+        table: &topics.table,
+        empty,
+        old: false,
+    };
     let narrow = area.width < ALL_FROM;
     draw_table(canvas, Rect { height: area.height - u16::from(narrow), ..area }, &sheet);
     if let Some(selected) = topics.selected().filter(|_| narrow) {
@@ -96,7 +106,8 @@ fn cells(state: &State, row: &TopicRow) -> Vec<(String, Role)> {
         (words::sparkline(&state.topics.samples(&row.topic)), Role::Accent),
         (words::count(row.messages), Role::Body),
         (lost, if any_lost { Role::Warning } else { Role::Dim }),
-        (row.last_message.map(|last| words::age(last, state.now)).unwrap_or_default(), Role::Dim),
+        (row.last_message.map(|last| words::age(last, state.shown_at())).unwrap_or_default(), Role::Dim),
+        (if row.simulated { "SIM".to_owned() } else { String::new() }, Role::Warning),
         simulated(row.simulated),
     ]
 }
@@ -114,8 +125,16 @@ pub fn pinned(row: &TopicRow) -> (String, Role) {
 pub fn watched(row: &TopicRow) -> (String, Role) {
     match row {
         TopicRow { alarm: true, .. } => ("ALARM".to_owned(), Role::Bad),
-        TopicRow { watched: true, .. } => ("watched".to_owned(), Role::Good),
-        _ => ("-".to_owned(), Role::Dim),
+        row => (Capture::of(row).word().to_owned(), capture_role(Capture::of(row))),
+    }
+}
+
+fn capture_role(capture: Capture) -> Role {
+    match capture {
+        Capture::Watched => Role::Good,
+        Capture::WaitsForKey => Role::Warning,
+        Capture::Paused => Role::Accent,
+        Capture::Unwatched | Capture::NoPublisher => Role::Dim,
     }
 }
 

@@ -39,6 +39,9 @@ pub struct UploadQuery {
     /// Only of this message type.
     #[serde(default)]
     pub type_name: Option<TypeName>,
+    /// Only where each of these stands in the topic's name or in the type's.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub words: Vec<String>,
     /// Only with all of these tags (name, value) in the sealed head.
     #[serde(default)]
     pub tags: Vec<(String, String)>,

@@ -13,6 +13,11 @@ requests! {
     /// Wipe the keys that decrypt, grant and revoke from memory, while capture and anchoring go on. `Unlock` brings
     /// them back.
     Lock => IdentityView;
+    /// Hold the capture of all watched topics, or let it go on; what is watched stays watched.
+    HoldCapture {
+        /// Whether it is held.
+        hold: bool,
+    } => ();
     /// The profile's keyring as it lies on disk, under its passphrase.
     BackUpKeys => SecretBytes;
     /// Who is connected to the gateway of this site, its system keys, and what it refused.

@@ -92,6 +92,9 @@ pub struct SiteView {
     pub robots: u16,
     /// Profiles open in this site.
     pub profiles: Vec<ProfileName>,
+    /// The process that the site runs in; 0 = one that does not tell.
+    #[serde(default)]
+    pub process: u32,
     /// Background tasks and how they are.
     #[serde(default)]
     pub tasks: Vec<super::TaskView>,

@@ -4,6 +4,16 @@ use serde::{Deserialize, Serialize};
 
 use crate::model::Timestamp;
 
+/// Why a watched topic is not captured.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum HeldUp {
+    /// The profile's keys have not been opened in this site.
+    WaitsForKey,
+    /// A console holds capture back, or the disk is full.
+    Paused,
+}
+
 /// One topic of the graph.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TopicRow {
@@ -16,6 +26,9 @@ pub struct TopicRow {
     pub publishers: Vec<String>,
     /// Whether this profile watches it.
     pub watched: bool,
+    /// Why it is not captured though it is watched; `None` = it is, or it is not watched.
+    #[serde(default)]
+    pub held_up: Option<HeldUp>,
     /// Whether a simulated robot of this site publishes it.
     pub simulated: bool,
     /// Messages a second over the last 5 s; `None` = not measured.

@@ -180,6 +180,10 @@ impl Site {
     async fn operate(self: &Arc<Self>, profile: &ProfileName, operation: Operation) -> Result<Reply, Failure> {
         match operation {
             Operation::Lock => self.profiles.lock(profile).await.map(ask::Lock::told),
+            Operation::HoldCapture { hold } => {
+                self.capture.hold(profile, hold);
+                Ok(ask::HoldCapture::told(()))
+            }
             Operation::BackUpKeys => self.profiles.back_up_keys(profile).await.map(ask::BackUpKeys::told),
             Operation::GatewayStatus => self.gateway.status().map(ask::GatewayStatus::told),
             Operation::Admit { owner } => self.admissions.admit(profile, &owner).await.map(ask::Admit::told),

@@ -27,7 +27,8 @@ impl Site {
         let profiles = self.parts.owners.all().iter().map(|owner| owner.profile.clone()).collect();
         let health = block_in_place(|| self.parts_health())?;
         let life = block_in_place(|| self.life_line(profile))?;
-        Ok(SiteView { health, life, robots, profiles, queue: self.queue_view(), tasks: self.parts.supervisor.views() })
+        let (process, tasks) = (std::process::id(), self.parts.supervisor.views());
+        Ok(SiteView { health, life, robots, profiles, process, queue: self.queue_view(), tasks })
     }
 
     /// What is not well now, and what is: the one place that status, figures and alerts ask.

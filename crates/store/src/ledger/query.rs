@@ -34,6 +34,8 @@ pub struct RecordQuery {
     pub filters: Vec<FilterChoice>,
     /// Of this message type.
     pub type_name: Option<String>,
+    /// Each of these stands in the topic's name or in the type's, whatever its case.
+    pub words: Vec<String>,
     /// Of this kind.
     pub kind: Option<RecordKind>,
     /// In this state.
@@ -59,6 +61,7 @@ impl Default for RecordQuery {
             topic_ids: None,
             filters: Vec::new(),
             type_name: None,
+            words: Vec::new(),
             kind: None,
             state: None,
             since: None,
@@ -78,7 +81,12 @@ impl RecordQuery {
             && self.topic_ids.as_ref().is_none_or(|ids| ids.contains(&stream.topic_id))
             && self.type_name.as_ref().is_none_or(|name| *name == stream.type_name)
             && self.kind.is_none_or(|kind| kind == stream.kind)
+            && self.words.iter().all(|word| says(stream, &word.to_lowercase()))
     }
+}
+
+fn says(stream: &Stream, word: &str) -> bool {
+    [&stream.topic, &stream.type_name].into_iter().any(|name| name.to_lowercase().contains(word))
 }
 
 /// One page of records, in the order of capture.

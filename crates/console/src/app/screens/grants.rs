@@ -60,6 +60,9 @@ impl Grants {
             2 => rows.sort_by_key(|row| (row.state.word(), std::cmp::Reverse(row.block))),
             _ => rows.sort_by_key(|row| std::cmp::Reverse(row.block)),
         }
+        if self.table.reversed {
+            rows.reverse();
+        }
         rows
     }
 

@@ -18,11 +18,13 @@ pub struct Records {
     pub path: Vec<String>,
     /// Cursor in the table, filter; sort 0 = newest first, 1 = oldest first.
     pub table: Table,
+    /// Nothing captured after it is shown, so that the row of the cursor stays where it is; `None` = the newest.
+    pub anchor: Option<Timestamp>,
 }
 
 impl Default for Records {
     fn default() -> Self {
-        Self { rows: Vec::new(), next: None, path: Vec::new(), table: Table::following() }
+        Self { rows: Vec::new(), next: None, path: Vec::new(), table: Table::following(), anchor: None }
     }
 }
 
@@ -43,7 +45,9 @@ pub struct Wanted {
     pub since: Option<Timestamp>,
     /// Captured before.
     pub until: Option<Timestamp>,
-    /// Words that only narrow the page on screen.
+    /// Words of topics and types.
+    pub words: Vec<String>,
+    /// Parts of ids, which only narrow the page on screen.
     pub rest: String,
 }
 
@@ -62,6 +66,8 @@ impl Wanted {
                 wanted.owner = Some(owner.into());
             } else if let Some(topic) = topic_named(word, topics) {
                 wanted.topic = Some(topic);
+            } else if !is_of_an_id(word) {
+                wanted.words.push(word.to_owned());
             } else {
                 wanted.rest.push_str(if wanted.rest.is_empty() { "" } else { " " });
                 wanted.rest.push_str(word);
@@ -102,6 +108,12 @@ impl Wanted {
     }
 }
 
+/// Whether it can only be a part of an id.
+fn is_of_an_id(word: &str) -> bool {
+    let hex = word.len() >= 6 && word.bytes().all(|byte| byte.is_ascii_hexdigit());
+    hex && word.bytes().any(|byte| byte.is_ascii_digit())
+}
+
 fn topic_named(word: &str, topics: &[TopicRow]) -> Option<TopicName> {
     if let Some(whole) = topics.iter().find(|row| row.topic == word) {
         return whole.topic.parse().ok();
@@ -112,12 +124,16 @@ fn topic_named(word: &str, topics: &[TopicRow]) -> Option<TopicName> {
 }
 
 impl Records {
-    /// The question for the page in view.
-    pub fn query(&self, topics: &[TopicRow], limit: usize, now: Timestamp) -> UploadQuery {
-        let Wanted { topic, state, owner, type_name, tags, since, until, .. } =
-            Wanted::read(self.table.filter.text(), topics, now);
+    /// The question for the page in view, as of the moment at which the view stands still, if it does.
+    pub fn query(&self, topics: &[TopicRow], limit: usize, now: Timestamp, frozen: Option<Timestamp>) -> UploadQuery {
+        let Wanted { topic, state, owner, type_name, words, tags, since, until, .. } =
+            Wanted::read(self.table.filter.text(), topics, frozen.unwrap_or(now));
+        // What is asked for is captured before; the record of that moment itself is still shown.
+        let stands = [self.anchor, frozen].into_iter().flatten().map(|at| Timestamp(at.0.saturating_add(1)));
+        let until = until.into_iter().chain(stands).min();
         UploadQuery {
             owner,
+            words,
             topic,
             type_name,
             tags,
@@ -150,12 +166,26 @@ impl Records {
     /// Back to the first page, as after a new filter or order.
     pub fn restart(&mut self) {
         self.path.clear();
+        self.anchor = None;
         self.table.select::<&str>(&[], 0);
+    }
+
+    /// Whether newer records are left out.
+    pub fn stands(&self) -> bool {
+        self.anchor.is_some()
+    }
+
+    /// Where the cursor has left the newest record, nothing newer comes in above it.
+    pub fn stand(&mut self) {
+        if self.table.sort == 0 {
+            self.anchor = self.anchor.or_else(|| self.rows.iter().map(|row| row.captured_at).max());
+        }
     }
 
     /// To the page behind; false where there is none.
     pub fn forward(&mut self) -> bool {
         let Some(next) = self.next.take() else { return false };
+        self.stand();
         self.path.push(next);
         self.table.select::<&str>(&[], 0);
         true
@@ -164,7 +194,7 @@ impl Records {
     /// To the page before; false on the first.
     pub fn back(&mut self) -> bool {
         self.table.select::<&str>(&[], 0);
-        self.path.pop().is_some()
+        self.path.pop().is_some() || self.anchor.take().is_some()
     }
 }
 

@@ -34,6 +34,7 @@ pub struct Topics {
 struct Shown {
     filter: String,
     sort: usize,
+    reversed: bool,
     places: Vec<usize>,
 }
 
@@ -86,7 +87,9 @@ impl Topics {
     }
 
     fn is_fresh(&self) -> bool {
-        self.shown.filter == self.table.filter.text() && self.shown.sort == self.table.sort
+        self.shown.filter == self.table.filter.text()
+            && self.shown.sort == self.table.sort
+            && self.shown.reversed == self.table.reversed
     }
 
     fn found(&self) -> Vec<(usize, &TopicRow)> {
@@ -94,6 +97,9 @@ impl Topics {
         let mut rows = fuzzy::narrow(self.table.filter.text(), all, |(_, row)| haystack(row));
         // A stable order: what is equal stays in the order of names.
         rows.sort_by(|(_, one), (_, other)| order(self.table.sort, one, other));
+        if self.table.reversed {
+            rows.reverse();
+        }
         rows
     }
 
@@ -101,7 +107,12 @@ impl Topics {
     pub fn refresh(&mut self, rows_changed: bool) {
         if rows_changed || !self.is_fresh() {
             let places = self.found().into_iter().map(|(place, _)| place).collect();
-            self.shown = Shown { filter: self.table.filter.text().to_owned(), sort: self.table.sort, places };
+            self.shown = Shown {
+                filter: self.table.filter.text().to_owned(),
+                sort: self.table.sort,
+                reversed: self.table.reversed,
+                places,
+            };
         }
     }
 

@@ -66,7 +66,7 @@ fn a_short_or_mistyped_passphrase_is_refused_in_the_form() {
     robot.types("er one");
     robot.presses(Key::Tab);
     robot.presses(Key::Enter);
-    assert!(robot.form_error().is_some_and(|error| error.contains("differ")));
+    assert!(robot.form_error().is_some_and(|error| error.contains("do not match")));
     assert!(robot.work().is_empty());
 }
 

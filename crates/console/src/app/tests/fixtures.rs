@@ -6,10 +6,10 @@ use crate::model::{
 };
 use crate::pipeline::sender::{LaneState, PauseReason};
 use crate::service::reply::{
-    AdministrationView, AlarmView, AuditView, ChainView, Direction, EpochView, GasView, GatewayStatusView, GatewayView,
-    GrantRow, GrantState, HealthLevel, IdentityView, KeysView, LifeLine, OpenedView, PartHealth, PinView, PinsView,
-    Provenance, QueueView, RecordPage, RecordView, RefusedView, SenderView, ShownState, SiteView, SystemKeyView,
-    TopicRow,
+    AdministrationView, AlarmView, AuditView, ChainView, ContactRow, Direction, EpochView, GasView, GatewayStatusView,
+    GatewayView, GrantRow, GrantState, HealthLevel, IdentityView, KeysView, LifeLine, OpenedView, PartHealth, PinView,
+    PinsView, Provenance, QueueView, RecordPage, RecordView, RefusedView, SenderView, ShownState, SiteView,
+    SystemKeyView, TopicRow,
 };
 use crate::service::{Command, Failure, Operation, Reply, UploadQuery};
 use authros_chain::Sealing;
@@ -33,6 +33,7 @@ pub fn reply(command: &Command, exists: bool) -> Reply {
         Command::ListShared(query) => Reply::Records(page(query, Some(OTHER))),
         Command::ListGrants => Reply::Grants(grants()),
         Command::ChainStatus => Reply::Chain(Box::new(chain())),
+        Command::ListContacts => Reply::Contacts(vec![contact("harbour-office"), contact("harbour-master")]),
         Command::ListAudit(_) => Reply::Audit(audit()),
         Command::Operate(Operation::GatewayStatus) => Reply::GatewayStatus(gateway()),
         Command::Operate(Operation::Lock) => Reply::Identity(identity(exists, false, exists)),
@@ -100,6 +101,7 @@ pub fn site() -> SiteView {
         },
         robots: 4,
         profiles: vec![ProfileName::default()],
+        process: 0,
         tasks: Vec::new(),
         queue: QueueView { messages: 3, bytes: 2_184, capacity: 201_326_592 },
     }
@@ -113,6 +115,7 @@ pub fn topic(name: &str, hz: f64) -> TopicRow {
         type_name: Some(if camera { "sensor_msgs/CompressedImage" } else { "nav_msgs/Odometry" }.to_owned()),
         publishers: vec!["/driver".to_owned()],
         watched: false,
+        held_up: None,
         simulated: true,
         hz: Some(hz),
         bytes_per_second: Some(if camera { 116_000.0 } else { 14_400.0 }),
@@ -174,6 +177,18 @@ pub fn page(query: &UploadQuery, owner: Option<Address>) -> RecordPage {
     RecordPage {
         records: records.collect(),
         next: from.checked_sub(limit).filter(|left| *left > 0).map(|left| left.to_string()),
+    }
+}
+
+/// A contact, which reads nothing yet.
+fn contact(name: &str) -> ContactRow {
+    ContactRow {
+        name: name.parse().expect("a name"),
+        address: Address([0x42; 20]),
+        fingerprint: None,
+        given: false,
+        registered: None,
+        state: "not noted".to_owned(),
     }
 }
 

@@ -23,7 +23,13 @@ fn question(robot: &Robot) -> &Confirm {
 }
 
 fn fills_in(robot: &mut Robot, fields: [&str; 3]) {
+    robot.site_answers(true);
+    // The cursor stands on the first line that is not filled in yet.
+    while matches!(robot.state.popups.last(), Some(Popup::Form(_, form)) if form.focus > 0) {
+        robot.presses(Key::Up);
+    }
     for field in fields {
+        robot.presses(Key::Control('u'));
         robot.pastes(field);
         robot.presses(Key::Enter);
     }
@@ -51,7 +57,7 @@ fn anything_but_y_is_no_and_leads_back_to_the_form() {
     for key in [Key::Enter, Key::Char('n'), Key::Char('g'), Key::Escape, Key::Control('c')] {
         let mut robot = at_grants();
         robot.types("g");
-        fills_in(&mut robot, [READER, "", ""]);
+        fills_in(&mut robot, [READER, "all", ""]);
         robot.presses(key);
         assert!(robot.work().is_empty(), "{key:?}");
         assert!(matches!(robot.state.popups[..], [Popup::Form(..)]), "{key:?}");
@@ -62,13 +68,17 @@ fn anything_but_y_is_no_and_leads_back_to_the_form() {
 
 #[test]
 fn a_wrong_field_is_named_and_gets_the_focus() {
-    let own = fixtures::OWN.to_string();
+    let (own, other) = (fixtures::OWN.to_string(), fixtures::OTHER.to_string());
     let cases = [
         (["0x12", "", ""], "40 hex"),
         (["0x5aAeb6053F3E94C9b9A09f33669435E7Ef1Beaed", "", ""], "checksum"),
         ([own.as_str(), "", ""], "your own address"),
         ([READER, "robot1", ""], "not a topic name"),
-        ([READER, "", "soon"], "30d"),
+        ([READER, "", ""], "'all' for every topic"),
+        ([READER, "all /robot1/odom", ""], "stands alone"),
+        (["nobody", "all", ""], "no contact is named"),
+        ([other.as_str(), "all", ""], "active grant"),
+        ([READER, "all", "soon"], "30d"),
     ];
     for (fields, wanted) in cases {
         let mut robot = at_grants();
@@ -116,4 +126,104 @@ fn only_an_active_grant_of_ones_own_can_be_revoked() {
     robot.presses(Key::Enter);
     robot.types("x");
     assert_eq!(robot.message(), "revoke: not given by you");
+}
+
+#[test]
+fn the_form_is_filled_from_the_row_under_the_cursor_and_typing_takes_its_place() {
+    let mut robot = Robot::at_work(true);
+    robot.types("2/robot2");
+    robot.presses(Key::Enter);
+    robot.site_answers(true);
+    robot.types("g");
+    robot.site_answers(true);
+    let Some(Popup::Form(_, form)) = robot.state.popups.last() else { panic!("a form") };
+    assert_eq!((form.text(0), form.text(1), form.focus), ("", "/robot2/odom", 0));
+    let mut robot = at_grants();
+    robot.types("g");
+    let Some(Popup::Form(_, form)) = robot.state.popups.last() else { panic!("a form") };
+    assert_eq!((form.text(0), form.text(1)), (fixtures::OTHER.to_string().as_str(), "/robot1/odom"));
+    robot.presses(Key::Enter);
+    robot.types("all");
+    let Some(Popup::Form(_, form)) = robot.state.popups.last() else { panic!("a form") };
+    assert_eq!(form.text(1), "all", "what is typed takes the place of what was offered");
+}
+
+#[test]
+fn tab_completes_contacts_and_topics_as_far_as_they_agree() {
+    let mut robot = Robot::at_work(true);
+    robot.types("g");
+    robot.site_answers(true);
+    robot.types("har");
+    robot.presses(Key::Tab);
+    robot.types("o");
+    robot.presses(Key::Tab);
+    robot.presses(Key::Enter);
+    robot.types("/robot2");
+    robot.presses(Key::Tab);
+    robot.types(" /robot1/c");
+    robot.presses(Key::Tab);
+    let Some(Popup::Form(_, form)) = robot.state.popups.last() else { panic!("a form") };
+    assert_eq!((form.text(0), form.text(1)), ("harbour-office", "/robot2/odom /robot1/camera/compressed"));
+}
+
+#[test]
+fn all_topics_and_topics_that_nobody_knows_are_cautioned_about() {
+    for (topics, wanted) in [("all", Some("ALL topics")), ("/robot1/odo", Some("/robot1/odo")), ("/robot1/odom", None)]
+    {
+        let mut robot = at_grants();
+        robot.types("g");
+        fills_in(&mut robot, [READER, topics, ""]);
+        let caution = crate::app::granting::caution(&robot.state, &question(&robot).errand.command);
+        assert_eq!(caution.is_some(), wanted.is_some(), "{topics}: {caution:?}");
+        assert!(wanted.is_none_or(|wanted| caution.is_some_and(|caution| caution.contains(wanted))));
+    }
+}
+
+#[test]
+fn a_grant_that_fails_comes_back_as_it_was_filled() {
+    let mut robot = at_grants();
+    robot.types("g");
+    fills_in(&mut robot, [READER, "/robot1/odom", "30d"]);
+    robot.types("y");
+    let tag = robot.work().pop().expect("sent");
+    robot.is_answered(&tag, Err(fixtures::failure(crate::model::ErrorKind::Refused, "that account is not registered")));
+    assert_eq!(robot.form_error(), Some("that account is not registered"));
+    let Some(Popup::Form(_, form)) = robot.state.popups.last() else { panic!("a form") };
+    assert_eq!((form.text(0), form.text(1), form.text(2)), (READER, "/robot1/odom", "30d"));
+}
+
+#[test]
+fn the_palette_takes_the_terms_and_a_capital_y_copies_the_command_line() {
+    let mut robot = at_grants();
+    robot.types(":grant harbour-office /robot1/odom 30d");
+    robot.presses(Key::Enter);
+    let Some(Popup::Form(_, form)) = robot.state.popups.last() else { panic!("a form") };
+    assert_eq!((form.text(0), form.text(1), form.text(2)), ("harbour-office", "/robot1/odom", "30d"));
+    robot.presses(Key::Enter);
+    robot.types("Y");
+    let wanted = "authros grant harbour-office --topic /robot1/odom --expires 2023-12-14T22:13:20Z";
+    assert!(
+        matches!(robot.effects.last(), Some(crate::app::Effect::CopyText(text)) if text == wanted),
+        "{:?}",
+        robot.effects
+    );
+    question(&robot);
+}
+
+#[test]
+fn e_extends_an_active_grant_and_only_lengthens_it() {
+    let mut robot = at_grants();
+    robot.types("e");
+    assert_eq!(robot.message(), "extend: has no end");
+    let end = Timestamp(fixtures::NOW.0 + 86_400 * 1_000_000_000);
+    robot.state.grants.rows.iter_mut().for_each(|row| row.expires = Some(end));
+    robot.types("e12h");
+    robot.presses(Key::Enter);
+    assert!(robot.form_error().is_some_and(|error| error.contains("longer already")), "{:?}", robot.form_error());
+    robot.presses(Key::Control('u'));
+    robot.types("30d");
+    robot.presses(Key::Enter);
+    let later = Timestamp(fixtures::NOW.0 + 30 * 86_400 * 1_000_000_000);
+    let Some((Command::ExtendGrant { expires, .. }, tag)) = robot.sent.last() else { panic!("{:?}", robot.sent) };
+    assert_eq!((*expires, tag), (Some(later), &Tag::Extend(fixtures::OTHER)));
 }

@@ -29,7 +29,7 @@ fn a_key_file_is_loaded_after_a_yes_with_an_absolute_path() {
         matches!(command, Command::LoadKey { kind: KeyKind::Sm2, path, passphrase: None } if path.as_os_str() == "/home/operator/keys/sm2.pem")
     );
     robot.is_answered(&Tag::LoadKey(KeyKind::Sm2), Err(fixtures::failure(ErrorKind::Input, "it holds 15 bytes")));
-    assert!(robot.message().contains("15 bytes"));
+    assert!(robot.form_error().is_some_and(|error| error.contains("15 bytes")));
 }
 
 #[test]

@@ -2,9 +2,11 @@
 
 pub mod fixtures;
 
+mod aiming;
 mod first_use;
 mod freezing;
 mod granting;
+mod helping;
 mod keys;
 mod leaving;
 mod operating;
@@ -12,6 +14,7 @@ mod palette;
 mod placeholders;
 mod pulling;
 mod records;
+mod standing;
 mod watching;
 
 use zeroize::Zeroizing;

@@ -118,7 +118,7 @@ fn commands_act_on_the_marked_records() {
     robot.types("  c");
     assert_eq!(robot.work().len(), 2, "two were marked");
     assert!(robot.work().iter().all(|tag| matches!(tag, Tag::Check(_))));
-    assert!(robot.state.uploads.table.marks.is_empty());
+    assert_eq!(robot.state.uploads.table.marks.len(), 2, "and stay so");
 }
 
 fn asked(robot: &Robot) -> UploadQuery {

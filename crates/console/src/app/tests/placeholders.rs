@@ -16,11 +16,11 @@ use authros_chain::Call;
 const DESCRIBED: &[(&str, &[&str])] = &[
     ("0x and 40 hex", &["0x5aAeb6053F3E94C9b9A09f33669435E7Ef1BeAed"]),
     ("or a name of the address book", &["harbour-office"]),
-    ("else names", &["/robot1/odom", "/robot1/odom /robot2/camera", "/robot1/odom,/robot2/camera"]),
+    ("or a contact's name", &["harbour-office"]),
+    ("topic names", &["/robot1/odom", "/robot1/odom /robot2/camera", "/robot1/odom,/robot2/camera"]),
     ("caller id", &["/driver"]),
-    ("path", &["keys/mine.pem", "/keys/mine.pem", "~/mine.pem"]),
-    ("readable by you alone (mode 0600)", &[]),
-    ("only of a V3 keystore", &["", "a passphrase"]),
+    ("path to the key file (must be mode 0600)", &["keys/mine.pem", "/keys/mine.pem", "~/mine.pem"]),
+    ("only for a V3 keystore", &["", "a passphrase"]),
     ("EOA: protects the V3 keystore", &["eight ch"]),
     ("at least 8 characters", &["eight ch"]),
 ];
@@ -49,7 +49,8 @@ fn purposes() -> Vec<Purpose> {
     let follows = |purpose: P| match purpose {
         P::CreateIdentity => Some(P::Unlock),
         P::Unlock => Some(P::Grant),
-        P::Grant => Some(P::LoadKey),
+        P::Grant => Some(P::Extend),
+        P::Extend => Some(P::LoadKey),
         P::LoadKey => Some(P::ExportKey),
         P::ExportKey => Some(P::Unpin),
         P::Unpin => Some(P::Administer(Act::Admit)),
@@ -87,6 +88,7 @@ fn asked(purpose: Purpose) -> Robot {
             opens(Verb::Unlock, "6")
         }
         Purpose::Grant => opens(Verb::Grant, "5"),
+        Purpose::Extend => opens(Verb::Extend, "5"),
         Purpose::LoadKey => opens(Verb::LoadKey, "6"),
         Purpose::ExportKey => opens(Verb::ExportKey, "6"),
         Purpose::Unpin => opens(Verb::Unpin, "2"),
@@ -95,7 +97,12 @@ fn asked(purpose: Purpose) -> Robot {
     };
     robot.types(&screen);
     robot.site_answers(exists);
-    robot.presses(Key::Down);
+    if purpose == Purpose::Extend {
+        let end = Timestamp(fixtures::NOW.0 + 60_000_000_000);
+        robot.state.grants.rows.iter_mut().for_each(|row| row.expires = Some(end));
+    } else {
+        robot.presses(Key::Down);
+    }
     if let (Purpose::Administer(_), Some(chain)) = (purpose, &mut robot.state.chain) {
         chain.administration.administrator = Some(fixtures::OWN);
         // Where successions wait, the same verb proposes.
@@ -118,6 +125,9 @@ fn form(robot: &Robot) -> &Form {
 /// Fills the form in and goes on; `odd` is the line that takes another of its suggestions than the first, and
 /// `chosen` the word chosen in every choice.
 fn fills_in(robot: &mut Robot, odd: (usize, usize), chosen: usize) {
+    while form(robot).focus > 0 {
+        robot.presses(Key::Up);
+    }
     for line in 0..form(robot).lines.len() {
         if let Input::Choice { .. } = form(robot).lines[line].input {
             (0..chosen).for_each(|_| robot.presses(Key::Right));
@@ -189,8 +199,12 @@ fn no_form_and_no_site_refuses_what_a_placeholder_suggests() {
 fn relative_ends_leave_the_console_as_whole_seconds() {
     for text in ["30d", "12h"] {
         let mut robot = asked(Purpose::Grant);
-        robot.pastes(&fixtures::OTHER.to_string());
+        while form(&robot).focus > 0 {
+            robot.presses(Key::Up);
+        }
+        robot.pastes("harbour-office");
         robot.presses(Key::Enter);
+        robot.pastes("all");
         robot.presses(Key::Enter);
         robot.pastes(text);
         robot.presses(Key::Enter);

@@ -63,6 +63,8 @@ pub fn run(client: Client, handle: &Handle, options: &ConsoleOptions) -> Result<
     let (mouth, ears) = channel();
     let directory = super::directory(options)?;
     let mut state = super::first_state(&client, options, &directory);
+    // A form would take the first command for the passphrase; the status says that it is locked.
+    state.settings.asks_passphrase = false;
     state.size = (text::COLUMNS, text::ROWS);
     let signals = Listener::start(sender(&mouth, Heard::Signal))?;
     read_lines(sender(&mouth, |line| line))?;
@@ -293,7 +295,7 @@ impl Plain {
             }
             Some(popup) => {
                 let mut lines = text::popup(&self.state, &self.theme, popup);
-                lines.push(format!("Words: {}.", words::words(popup)));
+                lines.push(format!("Words: {}.", words::words(&self.state, popup)));
                 lines
             }
         };
@@ -323,7 +325,7 @@ impl Plain {
             Popup::Record(opening) => {
                 format!("{depth} record {} {}", opening.lookup.id, opening.lookup.answer.is_some())
             }
-            Popup::Quit { waiting } => format!("{depth} quit {waiting}"),
+            Popup::Quit(leaving) => format!("{depth} quit {leaving:?}"),
             Popup::Tasks | Popup::Confirm(_) => format!("{depth} {:?}", std::mem::discriminant(popup)),
             other => format!("{depth} {}", text::popup(&self.state, &self.theme, other).join(" ")),
         }

@@ -50,7 +50,8 @@ pub fn status(state: &State) -> String {
         };
         site.health.iter().map(part).collect::<Vec<_>>().join(", ")
     });
-    let badges = [(state.paused, ", paused"), (state.settings.read_only, ", read-only")];
+    let badges =
+        [(state.is_frozen(), ", paused"), (state.is_locked(), ", locked"), (state.settings.read_only, ", read-only")];
     let badges: String = badges.into_iter().filter(|(on, _)| *on).map(|(_, word)| word).collect();
     format!(
         "Profile {}{badges}: {}.",

@@ -87,7 +87,7 @@ fn typed(line: &str) -> Vec<Action> {
 
 /// A word for something over the screen: a key of its bar, or what that key does.
 fn over(state: &State, popup: &Popup, line: &str) -> Meaning {
-    let hints = hints(popup);
+    let hints = hints(state, popup);
     let said = line.to_lowercase();
     let hinted = hints.iter().find(|(key, label)| *key == line || (!said.is_empty() && label.to_lowercase() == said));
     let key = match (hinted, said.as_str()) {
@@ -100,7 +100,7 @@ fn over(state: &State, popup: &Popup, line: &str) -> Meaning {
     };
     match key {
         Some(key) => Meaning::Actions(keys(&[key])),
-        None if matches!(popup, Popup::Confirm(_) | Popup::Quit { .. }) => Meaning::Unknown(words(popup)),
+        None if matches!(popup, Popup::Confirm(_) | Popup::Quit(_)) => Meaning::Unknown(words(state, popup)),
         // What is only read gives way to the next command.
         None => match command(state, line) {
             Meaning::Actions(mut actions) => {
@@ -113,8 +113,8 @@ fn over(state: &State, popup: &Popup, line: &str) -> Meaning {
 }
 
 /// The words for what lies over the screen.
-pub fn words(popup: &Popup) -> String {
-    let known: Vec<String> = hints(popup)
+pub fn words(state: &State, popup: &Popup) -> String {
+    let known: Vec<String> = hints(state, popup)
         .iter()
         .filter(|(key, _)| *key != "up down")
         .map(

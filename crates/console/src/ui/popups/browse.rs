@@ -15,7 +15,7 @@ const TEXT: u16 = 34;
 /// Draws the list.
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, browse: &Browse) {
     let choices = choices(state);
-    let inner = framed(canvas, area, "Show what others share", 76, u16::try_from(choices.len()).unwrap_or(u16::MAX));
+    let inner = framed(canvas, area, "Browse", 76, u16::try_from(choices.len()).unwrap_or(u16::MAX));
     let selected = browse.selected.min(choices.len().saturating_sub(1));
     let height = usize::from(inner.height.max(1));
     let first = selected - selected % height;

@@ -15,16 +15,17 @@ use ratatui::layout::Rect;
 use super::canvas::{Canvas, columns, row};
 use super::theme::Role;
 use super::words::wrap;
+use crate::app::leaving::Leaving;
 use crate::app::popup::{Confirm, Popup};
-use crate::app::{State, Tag};
+use crate::app::{State, granting};
 use crate::model::clean;
 
 /// Draws a popup into the middle of `area`.
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, popup: &Popup) {
     match popup {
         Popup::Palette(palette) => palette::draw(canvas, area, state, palette),
-        Popup::Help { scroll } => help::draw(canvas, area, state, *scroll),
-        Popup::Confirm(confirm) => draw_confirm(canvas, area, confirm),
+        Popup::Help(help) => help::draw(canvas, area, state, help),
+        Popup::Confirm(confirm) => draw_confirm(canvas, area, state, confirm),
         Popup::Form(_, form) => form::draw(canvas, area, form),
         Popup::Provenance(lookup) => lookup::draw_provenance(canvas, area, lookup),
         Popup::Record(opening) => record::draw(canvas, area, opening),
@@ -34,7 +35,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, popup: &Popup) {
         Popup::Readers(topics) => situation::draw_readers(canvas, area, state, topics),
         Popup::Tasks => situation::draw_tasks(canvas, area, state),
         Popup::Browse(browse) => browse::draw(canvas, area, state, browse),
-        Popup::Quit { waiting } => draw_quit(canvas, area, state, *waiting),
+        Popup::Quit(leaving) => draw_quit(canvas, area, state, *leaving),
     }
 }
 
@@ -48,7 +49,7 @@ fn framed(canvas: &mut Canvas, area: Rect, title: &str, width: u16, height: u16)
 }
 
 /// A framed text with lines broken where needed; the last line is the answer's.
-fn draw_text(canvas: &mut Canvas, area: Rect, title: &str, lines: &[String], answer: &[(&str, Role)]) {
+fn draw_text(canvas: &mut Canvas, area: Rect, title: &str, lines: &[String], answer: &[(&str, Role)]) -> Rect {
     let widest = lines.iter().map(|line| columns(line)).max().unwrap_or(0);
     let width = widest.max(40).min(area.width.saturating_sub(6));
     let lines: Vec<String> = lines.iter().flat_map(|line| wrap(&clean(line, 2_000), width)).collect();
@@ -59,41 +60,40 @@ fn draw_text(canvas: &mut Canvas, area: Rect, title: &str, lines: &[String], ans
         canvas.put(row(inner, place), line, Role::Body);
     }
     canvas.puts(row(inner, last), answer);
+    inner
 }
 
-fn draw_confirm(canvas: &mut Canvas, area: Rect, confirm: &Confirm) {
+fn draw_confirm(canvas: &mut Canvas, area: Rect, state: &State, confirm: &Confirm) {
+    let caution = granting::caution(state, &confirm.errand.command).unwrap_or_default();
     if let Some(typed) = &confirm.typed {
         let wanted = clean(&typed.wanted, 255);
         let mut lines = confirm.lines.clone();
         lines.push(format!("Type {wanted} and enter to {}; esc for no.", confirm.yes));
         let shown = typed.field.shown();
-        return draw_text(canvas, area, &confirm.title, &lines, &[("› ", Role::Key), (&shown, Role::Warning)]);
+        draw_text(canvas, area, &confirm.title, &lines, &[("› ", Role::Key), (&shown, Role::Warning)]);
+        return;
     }
+    // What is to be looked at twice stands above the terms.
+    let room = caution_lines(&caution);
+    let lines: Vec<String> = room.iter().map(|_| String::new()).chain(confirm.lines.iter().cloned()).collect();
     let answer =
-        [("y", Role::Key), (" ", Role::Body), (confirm.yes, Role::Warning), ("    any other key: no", Role::Dim)];
-    draw_text(canvas, area, &confirm.title, &confirm.lines, &answer);
+        [("y", Role::Key), (" ", Role::Body), (confirm.yes, Role::Warning), ("    any other key cancels", Role::Dim)];
+    let inner = draw_text(canvas, area, &confirm.title, &lines, &answer);
+    for (place, line) in (0u16..).zip(&room) {
+        canvas.put(row(inner, place), line, Role::Warning);
+    }
 }
 
-fn draw_quit(canvas: &mut Canvas, area: Rect, state: &State, waiting: bool) {
-    let pending = state.pending_records();
-    let mut lines: Vec<String> = state.work.iter().filter(|tag| tag.is_work()).map(Tag::words).collect();
-    if pending > 0 {
-        lines.push(format!("{pending} records are not verified yet."));
-        lines.push("Nothing is lost: they are sealed on disk and go on at the next start.".to_owned());
-    }
-    if pending > 0 && state.watches() {
-        lines.push("Watched topics bring new ones all the time; unwatch them to come to an end.".to_owned());
-    }
-    if lines.is_empty() {
-        lines.push("Nothing is pending any more.".to_owned());
-    }
-    if waiting {
-        lines.push("Leaving by itself when all is done…".to_owned());
-    }
-    let mut answer = vec![("y", Role::Key), (" quit now    ", Role::Body)];
-    if !waiting {
-        answer.extend([("w", Role::Key), (" quit when done    ", Role::Body)]);
-    }
-    answer.push(("any other key: stay", Role::Dim));
-    draw_text(canvas, area, "Quit?", &lines, &answer);
+/// The caution, marked so that it is read without colour too, in lines of a popup.
+fn caution_lines(caution: &str) -> Vec<String> {
+    if caution.is_empty() { Vec::new() } else { wrap(&format!("◐ {}", clean(caution, 500)), 60) }
+}
+
+fn draw_quit(canvas: &mut Canvas, area: Rect, state: &State, leaving: Leaving) {
+    let hints = leaving.hints(state);
+    let answer: Vec<(&str, Role)> = hints
+        .iter()
+        .flat_map(|(key, word)| [(*key, Role::Key), (" ", Role::Body), (*word, Role::Body), ("    ", Role::Body)])
+        .collect();
+    draw_text(canvas, area, "Quit?", &leaving.lines(state), &answer);
 }

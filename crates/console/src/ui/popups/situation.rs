@@ -59,7 +59,7 @@ pub fn draw_readers(canvas: &mut Canvas, area: Rect, state: &State, topics: &[St
 
 fn with_words(mut lines: Vec<Line>) -> Vec<Line> {
     lines.push((String::new(), Role::Body));
-    let text = "Whoever read something before may have kept it: a revoke cannot recall that.";
+    let text = "Revoking does not undo reads: anyone who read a record may have kept it.";
     lines.push((text.to_owned(), Role::Dim));
     lines
 }
@@ -129,12 +129,12 @@ fn reason(word: &str) -> &str {
 pub fn draw_tasks(canvas: &mut Canvas, area: Rect, state: &State) {
     let mut lines: Vec<Line> = state.work.iter().map(Tag::words).map(|words| (words, Role::Accent)).collect();
     if lines.is_empty() {
-        lines.push(("nothing was asked that is not done".to_owned(), Role::Dim));
+        lines.push(("no commands running".to_owned(), Role::Dim));
     }
     lines.extend(records_on_their_way(state));
     lines.extend(workers(state));
     if let Some(chain) = &state.chain {
-        let pending = format!("{:<15} {} of your account not in a block", "transactions", chain.pending);
+        let pending = format!("{:<15} {} pending", "transactions", chain.pending);
         lines.push((pending, if chain.pending > 0 { Role::Warning } else { Role::Body }));
         lines.extend(chain.lanes.iter().filter_map(paused));
     }
@@ -154,7 +154,7 @@ fn workers(state: &State) -> Vec<Line> {
     let running = tasks.iter().filter(|task| task.state == TaskState::Running).count();
     let mut lines = Vec::new();
     if !tasks.is_empty() {
-        lines.push((format!("{:<15} {running} of {} at work", "site's tasks", tasks.len()), Role::Body));
+        lines.push((format!("{:<15} {running} of {} running", "workers", tasks.len()), Role::Body));
     }
     for task in tasks.iter().filter(|task| task.state != TaskState::Running || task.restarts > 0) {
         let next = task.next_try.map_or_else(String::new, |seconds| format!(", retry in {seconds} s"));
@@ -173,7 +173,7 @@ fn records_on_their_way(state: &State) -> Vec<Line> {
     let mut lines = vec![(
         format!(
             "{:<15} {} messages, {} ({full} % of the ring)",
-            "to be sealed",
+            "to be encrypted",
             words::count(queue.messages),
             words::size(queue.bytes)
         ),
@@ -203,7 +203,7 @@ fn left(pending: u64, captured: f64, verified: f64) -> String {
     let net = verified - captured;
     if captured > 0.1 && net <= 0.1 {
         let behind = records / verified;
-        return format!("{count} records pending, about {behind:.0} s behind; new ones come as fast as old ones go");
+        return format!("{count} records pending, about {behind:.0} s behind; keeping up");
     }
     format!("{count} records pending, done in about {:.0} s", records / net.max(0.1))
 }

@@ -200,6 +200,7 @@ fn query_text(query: &UploadQuery) -> String {
     words.extend(query.owner.as_ref().map(|owner| format!("of {owner}")));
     words.extend(query.topic.as_ref().map(|topic| format!("topic {topic}")));
     words.extend(query.type_name.as_ref().map(|name| format!("type {name}")));
+    words.extend(query.words.iter().map(|word| format!("with {}", clean(word, 40))));
     words.extend(query.tags.iter().map(|(name, value)| format!("tag {}={}", clean(name, 40), clean(value, 40))));
     words.extend(query.kind.map(|kind| format!("kind {}", kind.word())));
     words.extend(query.state.map(|state| format!("state {}", state.word())));

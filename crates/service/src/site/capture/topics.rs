@@ -7,7 +7,8 @@ use std::sync::Arc;
 use tokio::task::block_in_place;
 
 use crate::model::{ProfileName, Timestamp, TopicName, TypeName, clean};
-use crate::service::reply::{Failure, TopicRow};
+use crate::pipeline::Owner;
+use crate::service::reply::{Failure, HeldUp, TopicRow};
 use crate::store::TopicCounts;
 
 impl Capture {
@@ -40,6 +41,8 @@ impl Capture {
         let captured = self.captured_by_topic(profile)?;
         let alarms = self.pins.alarmed_topics(profile)?;
         let pins = self.pins.pinned_names(profile)?;
+        let owner = self.owners.get(profile).filter(|owner| owner.sealing().is_some());
+        let full = self.plant.ledger.takes_records().is_err();
         let watched: HashSet<&str> = watches.iter().map(|(topic, _)| topic.as_str()).collect();
         for row in &mut rows {
             if let Some(pinned) = pins.get(&row.topic) {
@@ -52,6 +55,11 @@ impl Capture {
             }
             row.alarm = alarms.contains(&row.topic);
             row.watched = watched.contains(row.topic.as_str());
+            row.held_up = match &owner {
+                _ if !row.watched => None,
+                None => Some(HeldUp::WaitsForKey),
+                Some(owner) => (full || !self.records(&row.topic, owner)).then_some(HeldUp::Paused),
+            };
         }
         rows.sort_by(|one, other| one.topic.cmp(&other.topic));
         Ok(rows)
@@ -71,6 +79,7 @@ impl Capture {
             type_name: type_name.map(|name| clean(name, 255)),
             publishers,
             watched: false,
+            held_up: None,
             simulated,
             hz: rate.map(|rate| rate.hz),
             bytes_per_second: rate.map(|rate| rate.bytes_per_second),
@@ -128,5 +137,15 @@ impl Capture {
             self.ros.wishes_changed();
         }
         Ok(())
+    }
+
+    fn records(&self, topic: &str, owner: &Owner) -> bool {
+        self.recorder.is_watched(topic, owner.address)
+    }
+
+    /// Holds the capture of everything that the profile watches, or lets it go on; what is watched stays so.
+    pub(in crate::site) fn hold(&self, profile: &ProfileName, hold: bool) {
+        let Some(owner) = self.owners.get(profile) else { return };
+        if hold { self.watches.hold(&owner) } else { self.watches.restore(&owner) }
     }
 }

@@ -49,6 +49,14 @@ impl Watches {
         })
     }
 
+    /// The recorder lets go of what the owner watches, until it is restored.
+    pub fn hold(&self, owner: &Arc<Owner>) {
+        for (topic, _) in block_in_place(|| self.of(&owner.profile)).unwrap_or_default() {
+            self.recorder.unwatch(topic.as_str(), &owner.author);
+        }
+        self.ros.wishes_changed();
+    }
+
     /// The recorder takes up what the owner watched before.
     pub fn restore(&self, owner: &Arc<Owner>) {
         let watches = block_in_place(|| self.of(&owner.profile)).unwrap_or_default();

@@ -91,6 +91,7 @@ pub(in crate::site) fn record_query(query: UploadQuery) -> RecordQuery {
     RecordQuery {
         topic: query.topic.map(|topic| topic.to_string()),
         type_name: query.type_name.map(|name| name.to_string()),
+        words: query.words,
         kind: Some(query.kind.unwrap_or(RecordKind::Data)),
         state: query.state,
         since: query.since,

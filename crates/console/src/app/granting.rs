@@ -1,0 +1,179 @@
+//! Sharing without detours: the form filled from the row under the cursor, names completed, everything that can be
+//! checked checked before the question, the terms of a grant changed.
+
+use super::action::{Effect, Errand, Tag};
+use super::field::Field;
+use super::form::Form;
+use super::forms::{self, GrantWish};
+use super::perform;
+use super::popup::{Popup, Purpose};
+use super::screen::Screen;
+use super::screens::grants::{day, is_active, is_given, other_side};
+use super::state::State;
+use super::when;
+use crate::model::{Address, Party, TopicName};
+use crate::service::Command;
+use crate::service::reply::GrantRow;
+
+/// Lines of the form of a grant: whom, and what.
+const GRANTEE: usize = 0;
+const TOPICS: usize = 1;
+
+/// Opens the form, filled with what the cursor is on; marked topics go before the selected one.
+pub fn begin(state: &mut State) {
+    let (grantee, topics) = match state.screen {
+        Screen::Topics => (String::new(), state.topics.targets().into_iter().map(|row| row.topic.clone()).collect()),
+        Screen::Grants => state.grants.selected().map_or_else(Default::default, terms),
+        _ => (String::new(), Vec::new()),
+    };
+    open(state, &grantee, &topics, "");
+}
+
+fn terms(row: &GrantRow) -> (String, Vec<String>) {
+    let grantee = row.name.clone().unwrap_or_else(|| other_side(row).to_string());
+    let all = || vec![forms::ALL_TOPICS.to_owned()];
+    let topics = match (is_given(row), row.topics.is_empty()) {
+        (false, _) => Vec::new(),
+        (true, true) => all(),
+        (true, false) => row.topics.clone(),
+    };
+    (grantee, topics)
+}
+
+fn open(state: &mut State, grantee: &str, topics: &[String], ends: &str) {
+    state.feeds.slot_mut(super::feed::Feed::Contacts).stale = true;
+    state.popups.push(Popup::Form(Purpose::Grant, forms::grant(grantee, topics, ends)));
+}
+
+/// `grant bob /robot1/odom 30d` of the palette: the form with these terms, sent on to its question where they do.
+pub fn spoken(state: &mut State, words: &[&str]) -> Vec<Effect> {
+    let Some((grantee, rest)) = words.split_first() else { return Vec::new() };
+    let is_topic = |word: &&str| word.starts_with('/') || *word == forms::ALL_TOPICS;
+    let (topics, ends): (Vec<&str>, Vec<&str>) = rest.iter().copied().partition(is_topic);
+    let topics: Vec<String> = topics.into_iter().map(str::to_owned).collect();
+    open(state, grantee, &topics, &ends.join(" "));
+    if let Some(Popup::Form(Purpose::Grant, form)) = state.popups.last_mut().filter(|_| !topics.is_empty()) {
+        // All that is left is which records, and its usual answer is chosen: enter goes on to the question.
+        form.focus = form.lines.len().saturating_sub(1);
+    }
+    Vec::new()
+}
+
+/// What is wrong with terms that are written well, as far as it is known here: the line, and why.
+///
+/// # Errors
+/// A name that nobody has, or an account that has an active grant already.
+pub fn check(state: &State, wish: &GrantWish) -> Result<(), (usize, String)> {
+    let known = state.feeds.slot(super::feed::Feed::Contacts).loaded;
+    let name = wish.grantee.to_string();
+    let contact = state.contacts.iter().find(|row| row.name.to_string() == name);
+    if known && wish.grantee.address().is_none() && contact.is_none() {
+        return Err((GRANTEE, format!("no contact is named '{name}'; tab completes those that there are")));
+    }
+    let address = wish.grantee.address().or(contact.map(|row| row.address));
+    match active(state, address, &name) {
+        Some(row) => Err((
+            GRANTEE,
+            match row.expires {
+                Some(ends) => format!("has an active grant until {} UTC; x revokes it, e extends it (5)", day(ends)),
+                None => "has an active grant without an end; revoke it first (5, then x), then grant again".to_owned(),
+            },
+        )),
+        None => Ok(()),
+    }
+}
+
+fn active<'a>(state: &'a State, address: Option<Address>, name: &str) -> Option<&'a GrantRow> {
+    let is_it = |row: &&GrantRow| Some(row.grantee) == address || row.name.as_deref() == Some(name);
+    state.grants.rows.iter().filter(|row| is_given(row) && is_active(row)).find(is_it)
+}
+
+/// What should be looked at twice before the grant: everything is shared, or a topic that nobody knows.
+pub fn caution(state: &State, command: &Command) -> Option<String> {
+    let Command::Grant { topics, .. } = command else { return None };
+    if topics.is_empty() {
+        return Some("ALL topics: whatever you publish now and later.".to_owned());
+    }
+    let known = |topic: &TopicName| state.topics.rows.iter().any(|row| row.topic == topic.as_str());
+    let unknown: Vec<&str> = topics.iter().filter(|topic| !known(topic)).map(TopicName::as_str).collect();
+    let loaded = state.feeds.slot(super::feed::Feed::Topics).loaded;
+    (loaded && !unknown.is_empty()).then(|| format!("No topic of this name is known here: {}", unknown.join(" ")))
+}
+
+/// Completes the name at the end of a line of the form; false where there is nothing to complete.
+pub fn complete(state: &State, form: &mut Form) -> bool {
+    let names: Vec<String> = match form.focus {
+        GRANTEE => state.contacts.iter().map(|row| row.name.to_string()).collect(),
+        TOPICS => state.topics.rows.iter().map(|row| row.topic.clone()).chain([forms::ALL_TOPICS.to_owned()]).collect(),
+        _ => return false,
+    };
+    let text = form.text(form.focus).to_owned();
+    let (before, begun) = text.rsplit_once([' ', ',']).map_or(("", text.as_str()), |(before, begun)| (before, begun));
+    let Some(whole) = common_beginning(begun, &names).filter(|whole| !begun.is_empty() && whole != begun) else {
+        return false;
+    };
+    let line = if before.is_empty() { whole } else { format!("{before} {whole}") };
+    form.set(form.focus, Field::with(&line));
+    true
+}
+
+/// What all names that begin so have in common.
+fn common_beginning(begun: &str, names: &[String]) -> Option<String> {
+    let mut fitting = names.iter().filter(|name| name.starts_with(begun));
+    let first = fitting.next()?.clone();
+    Some(fitting.fold(first, |common, name| {
+        let same = common.chars().zip(name.chars()).take_while(|(one, other)| one == other);
+        same.map(|(character, _)| character).collect()
+    }))
+}
+
+/// Asks until when the selected grant is to last.
+pub fn begin_extension(state: &mut State) {
+    let Some(row) = state.grants.selected() else { return };
+    let who = row.name.clone().unwrap_or_else(|| row.grantee.short());
+    let ends = row.expires.map_or_else(|| "never".to_owned(), day);
+    state.popups.push(Popup::Form(Purpose::Extend, forms::extend(&who, &ends)));
+}
+
+/// The command of a filled form of [`begin_extension`].
+///
+/// # Errors
+/// The line that is wrong, and why.
+pub fn read_extension(state: &State, form: &Form) -> Result<Errand, (usize, String)> {
+    let row = state.grants.selected().filter(|row| is_given(row) && is_active(row));
+    let row = row.ok_or((0, "this grant is not active any more".to_owned()))?;
+    let expires = when::expiry(form.text(0), state.now).map_err(|error| (0, error))?;
+    if expires.zip(row.expires).is_some_and(|(wanted, now)| wanted <= now) {
+        return Err((0, "it lasts longer already; to end it sooner, revoke it (x) and grant again (g)".to_owned()));
+    }
+    let command = Command::ExtendGrant { grantee: Party::from(row.grantee), expires };
+    Ok(Errand { command, tag: Tag::Extend(row.grantee) })
+}
+
+/// The same act as a command line, for a script.
+pub fn twin(state: &State, command: &Command) -> Option<String> {
+    let mut words = vec!["authros".to_owned()];
+    if state.settings.profile.as_str() != "default" {
+        words.push(format!("--profile {}", state.settings.profile));
+    }
+    match command {
+        Command::Grant { grantee, topics, epochs, expires } => {
+            words.push(format!("grant {grantee}"));
+            words.extend(topics.iter().map(|topic| format!("--topic {topic}")));
+            words.extend((*epochs == crate::service::Epochs::All).then(|| "--epochs all".to_owned()));
+            words.extend(expires.map(|end| format!("--expires {end}")));
+        }
+        Command::ExtendGrant { grantee, expires } => {
+            words.push(format!("grants extend {grantee}"));
+            words.push(expires.map_or_else(|| "--endless".to_owned(), |end| format!("--expires {end}")));
+        }
+        Command::Revoke { grantee } => words.push(format!("revoke {grantee}")),
+        _ => return None,
+    }
+    Some(words.join(" "))
+}
+
+/// Copies that command line.
+pub fn copy_twin(state: &mut State, command: &Command) -> Vec<Effect> {
+    twin(state, command).map_or_else(Vec::new, |line| vec![perform::copy(state, line)])
+}

@@ -1,0 +1,152 @@
+//! Leaving: what stops with this console and what goes on without it; at once, when all is verified, or after
+//! the capture was held so that it can be.
+
+use super::action::{Effect, Errand, Tag};
+use super::feed::Feed;
+use super::key::Key;
+use super::popup::Popup;
+use super::standing::{Standing, captured, not_captured};
+use super::state::State;
+use crate::service::{Command, Operation};
+
+/// How far leaving has come.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Leaving {
+    /// It is asked about.
+    Asked,
+    /// When everything is verified.
+    WhenVerified,
+    /// The capture is held; when everything is verified.
+    Held,
+}
+
+/// What a console leaves behind.
+struct Behind {
+    /// What is captured, in words.
+    captured: Option<String>,
+    /// Whether the site ends with this console.
+    ends: bool,
+    pending: u64,
+}
+
+impl Behind {
+    fn of(state: &State) -> Self {
+        let ends = !matches!(Standing::of(state), Some(Standing::Joined(_)));
+        Self { captured: captured(state), ends, pending: state.pending_records() }
+    }
+
+    /// What becomes of the capture.
+    fn capture(&self, state: &State) -> Vec<String> {
+        let site = match Standing::of(state) {
+            Some(Standing::Joined(0)) | None => "in the site".to_owned(),
+            Some(Standing::Joined(process)) => format!("in the site (process {process})"),
+            Some(Standing::Host) => String::new(),
+        };
+        let mut lines: Vec<String> = match &self.captured {
+            Some(what) if self.ends => vec![
+                format!("Quitting stops {what}."),
+                "To keep it running without a console, use: authros serve".to_owned(),
+            ],
+            Some(what) => vec![format!("{} continues {site}.", super::words::sentence(what))],
+            None => Vec::new(),
+        };
+        lines.extend(not_captured(state).map(|what| format!("{} already.", super::words::sentence(&what))));
+        lines
+    }
+
+    fn records(&self) -> Vec<String> {
+        let records = match self.pending {
+            0 => return Vec::new(),
+            1 => "1 record is not verified yet".to_owned(),
+            more => format!("{more} records are not verified yet"),
+        };
+        if !self.ends {
+            return vec![format!("{records}; the site goes on with them.")];
+        }
+        vec![format!("{records}."), "They are safe on disk and continue at the next start.".to_owned()]
+    }
+}
+
+impl Leaving {
+    /// What stops, what goes on, and what is waited for.
+    pub fn lines(self, state: &State) -> Vec<String> {
+        let behind = Behind::of(state);
+        let mut lines = if self == Self::Held { Vec::new() } else { behind.capture(state) };
+        lines.extend(behind.records());
+        lines
+            .extend(state.work.iter().filter(|tag| tag.is_work()).map(|tag| format!("Still running: {}", tag.words())));
+        if lines.is_empty() {
+            lines.push("Nothing is pending any more.".to_owned());
+        }
+        match self {
+            Self::Asked => {}
+            Self::WhenVerified => lines.push("Quitting when everything is verified…".to_owned()),
+            Self::Held => lines.push("Capture is stopped. Quitting when everything is verified…".to_owned()),
+        }
+        lines
+    }
+
+    /// The keys, with a word each.
+    pub fn hints(self, state: &State) -> Vec<(&'static str, &'static str)> {
+        let behind = Behind::of(state);
+        let mut hints = vec![("y", "quit now")];
+        if self == Self::Asked && behind.can_drain() {
+            hints.push(("d", "stop capture, finish, quit"));
+        } else if self == Self::Asked && state.has_pending_work() {
+            hints.push(("w", "quit when verified"));
+        }
+        hints.push(("any other key", "stays"));
+        hints
+    }
+}
+
+impl Behind {
+    /// Whether the records end only once the capture is held.
+    fn can_drain(&self) -> bool {
+        self.ends && self.captured.is_some()
+    }
+}
+
+/// Whether leaving now would stop something, or leave something undone.
+pub fn asks(state: &State) -> bool {
+    state.has_pending_work() || Behind::of(state).can_drain()
+}
+
+/// A key while it is asked about.
+pub fn key(state: &mut State, leaving: Leaving, key: Key) -> Vec<Effect> {
+    match key {
+        Key::Char('y') | Key::Control('c') => return vec![Effect::Quit],
+        Key::Char('d') if leaving == Leaving::Asked && Behind::of(state).can_drain() => {
+            state.popups.push(Popup::Quit(Leaving::Held));
+            return vec![hold(state, true)];
+        }
+        Key::Char('w') if leaving == Leaving::Asked && !Behind::of(state).can_drain() => {
+            state.popups.push(Popup::Quit(Leaving::WhenVerified));
+        }
+        Key::Char('?') => state.popups.push(Popup::Quit(leaving)),
+        _ if leaving == Leaving::Held => return vec![hold(state, false)],
+        _ => {}
+    }
+    Vec::new()
+}
+
+fn hold(state: &mut State, hold: bool) -> Effect {
+    let command = Command::Operate(Operation::HoldCapture { hold });
+    state.send(Errand { command, tag: Tag::HoldCapture })
+}
+
+/// Whether what was waited for is done.
+pub fn is_over(state: &State) -> bool {
+    let site = state.feeds.slot(Feed::Site);
+    let known = !site.stale && !site.outstanding;
+    match state.popups.last() {
+        Some(Popup::Quit(Leaving::WhenVerified)) => !state.has_pending_work(),
+        Some(Popup::Quit(Leaving::Held)) => known && !state.has_pending_work() && waiting(state) == 0,
+        _ => false,
+    }
+}
+
+/// Messages in memory that are no records yet; those of other profiles do not keep this one.
+fn waiting(state: &State) -> u64 {
+    state.site.as_ref().filter(|site| site.profiles.len() <= 1).map_or(0, |site| site.queue.messages)
+}

@@ -1,0 +1,73 @@
+//! Nothing is off without being seen: the passphrase is asked for at the start, and each topic says how it stands.
+
+use super::{Robot, fixtures};
+use crate::app::alerts::alerts;
+use crate::app::feed::Feed;
+use crate::app::popup::{Popup, Purpose};
+use crate::app::standing::Capture;
+use crate::app::{Key, Settings, Tag};
+use crate::service::reply::{HeldUp, TopicRow};
+use crate::service::{Command, Part, Reply};
+
+/// A console that has just been opened on a profile, locked or not.
+fn opened(unlocked: bool, asks_passphrase: bool) -> Robot {
+    let mut robot = Robot::opens(Settings { asks_passphrase, ..Settings::default() });
+    robot.is_answered(&Tag::Feed(Feed::Identity, 0), Ok(Reply::Identity(fixtures::identity(true, unlocked, true))));
+    robot
+}
+
+fn is_asked(robot: &Robot) -> bool {
+    matches!(robot.state.popups.last(), Some(Popup::Form(Purpose::Unlock, _)))
+}
+
+#[test]
+fn a_locked_profile_asks_for_its_passphrase_at_once_and_esc_looks_around() {
+    let mut robot = opened(false, true);
+    assert!(is_asked(&robot));
+    robot.types("correct horse");
+    robot.presses(Key::Enter);
+    assert!(matches!(robot.sent.last(), Some((Command::Unlock { .. }, Tag::Unlock))));
+
+    let mut robot = opened(false, true);
+    robot.presses(Key::Escape);
+    assert!(robot.state.popups.is_empty() && robot.state.is_locked());
+    robot.hears_of(Part::Identity);
+    robot.is_answered(&Tag::Feed(Feed::Identity, 0), Ok(Reply::Identity(fixtures::identity(true, false, true))));
+    assert!(robot.state.popups.is_empty(), "it asks once");
+}
+
+#[test]
+fn it_does_not_ask_where_the_keyring_is_open_or_opens_in_another_way_or_somebody_is_typing() {
+    assert!(!is_asked(&opened(true, true)));
+    assert!(!is_asked(&opened(false, false)));
+    let mut typing = Robot::opens(Settings { asks_passphrase: true, ..Settings::default() });
+    typing.types("2");
+    typing.is_answered(&Tag::Feed(Feed::Identity, 0), Ok(Reply::Identity(fixtures::identity(true, false, true))));
+    assert!(!is_asked(&typing), "no key that was meant for a screen goes into a passphrase");
+}
+
+#[test]
+fn a_question_for_a_passphrase_goes_when_the_keyring_was_opened_elsewhere() {
+    let mut robot = opened(false, true);
+    robot.hears_of(Part::Identity);
+    robot.is_answered(&Tag::Feed(Feed::Identity, 0), Ok(Reply::Identity(fixtures::identity(true, true, true))));
+    assert!(robot.state.popups.is_empty());
+}
+
+#[test]
+fn each_topic_says_how_its_capture_stands_and_the_worst_is_said_first() {
+    let row = TopicRow { watched: true, ..fixtures::topic("/robot1/odom", 20.0) };
+    let waits = TopicRow { held_up: Some(HeldUp::WaitsForKey), publishers: Vec::new(), ..row.clone() };
+    let paused = TopicRow { held_up: Some(HeldUp::Paused), ..row.clone() };
+    let silent = TopicRow { publishers: Vec::new(), ..row.clone() };
+    let words = [&row, &waits, &paused, &silent].map(|row| Capture::of(row).word());
+    assert_eq!(words, ["watched", "waits for key", "paused", "no publisher"]);
+    assert_eq!(Capture::of(&TopicRow { watched: false, ..row }).word(), "-");
+
+    let mut robot = opened(false, false);
+    robot.site_answers(true);
+    robot.state.identity = Some(fixtures::identity(true, false, true));
+    robot.state.topics.rows = vec![waits, paused];
+    let alert = alerts(&robot.state).into_iter().map(|(_, text)| text).find(|text| text.starts_with("locked"));
+    assert_eq!(alert.as_deref(), Some("locked: capture of 1 topic waits for the key; u unlocks"));
+}
