@@ -142,7 +142,7 @@ fn sections<'a>(type_name: &'a str, text: &'a str) -> Result<Texts<'a>, String> 
 }
 
 /// The layout of a type and how many levels it has.
-fn layout<'a>(nesting: &mut Nesting<'a, Layout>, name: &str, lines: &[&str]) -> Result<(Layout, usize), String> {
+fn layout(nesting: &mut Nesting<'_, Layout>, name: &str, lines: &[&str]) -> Result<(Layout, usize), String> {
     let mut layout =
         Layout { name: name.to_owned(), fields: Vec::new(), constants: Vec::new(), minimum: 0, fixed: true };
     let mut height = 1;

@@ -101,11 +101,7 @@ pub(super) fn full_name(name: &str, package: Option<&str>) -> Option<String> {
 }
 
 /// The interface of a type and how many levels it has.
-fn interface<'a>(
-    nesting: &mut Nesting<'a, Interface>,
-    name: &str,
-    lines: &[&str],
-) -> Result<(Interface, usize), String> {
+fn interface(nesting: &mut Nesting<'_, Interface>, name: &str, lines: &[&str]) -> Result<(Interface, usize), String> {
     let mut members = Vec::new();
     let mut height = 1;
     for line in lines {

@@ -81,7 +81,8 @@ impl Evidence {
             rows.push(self.reading.own_record(&owner.profile, id).await?);
         }
         let narrowed = wishes.topic.is_some() || wishes.since.is_some() || wishes.until.is_some();
-        if !narrowed && !(wishes.records.is_empty() && wishes.reveal.is_empty()) {
+        let named = !wishes.records.is_empty() || !wishes.reveal.is_empty();
+        if named && !narrowed {
             return Ok(rows);
         }
         let mut after = None;

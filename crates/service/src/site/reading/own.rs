@@ -84,7 +84,11 @@ impl Reading {
         .await
     }
 
-    pub(in crate::site) async fn own_record(self: &Arc<Self>, profile: &ProfileName, id: &str) -> Result<RecordRow, Failure> {
+    pub(in crate::site) async fn own_record(
+        self: &Arc<Self>,
+        profile: &ProfileName,
+        id: &str,
+    ) -> Result<RecordRow, Failure> {
         let row = self.find_record(id).await?;
         if row.owner == self.owners.address_of(profile)? {
             Ok(row)
