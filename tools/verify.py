@@ -654,10 +654,18 @@ class Record:
 
 def main(arguments):
     trust = None
-    if "--trust" in arguments:
-        at = arguments.index("--trust")
-        trust = tomllib.loads(pathlib.Path(arguments[at + 1]).read_text())
-        arguments = arguments[:at] + arguments[at + 2:]
+    try:
+        if "--trust" in arguments:
+            at = arguments.index("--trust")
+            trust = tomllib.loads(pathlib.Path(arguments[at + 1]).read_text())
+            arguments = arguments[:at] + arguments[at + 2:]
+        pathlib.Path(arguments[0]).stat()
+    except IndexError:
+        print("usage: verify.py NAME.authros [--trust trust.toml]", file=sys.stderr)
+        return 2
+    except (OSError, ValueError) as why:
+        print(f"verify.py: {why}", file=sys.stderr)
+        return 3
     try:
         bundle = Bundle(arguments[0])
         digests = sorted({name.split("/")[1] for name in bundle.members if name.startswith("records/")})

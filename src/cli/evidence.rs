@@ -78,7 +78,7 @@ pub fn exported(view: &EvidenceView) -> String {
 
 /// Whether `verify` is given a bundle, and not a folder of `uploads export`.
 pub fn is_bundle(path: &Path) -> bool {
-    path.is_file() || path.join("manifest.json").exists()
+    !path.is_dir() || path.join("manifest.json").exists()
 }
 
 /// `verify` of a bundle: no home, no network.
@@ -86,11 +86,15 @@ pub fn is_bundle(path: &Path) -> bool {
 /// # Errors
 /// Where it is no bundle, or the trust file is none.
 pub fn run_verify(path: &Path, trust: Option<&Path>, output: &Output) -> Result<u8, Failure> {
+    if !path.exists() {
+        let text = format!("{} is not there; name a bundle (NAME.authros) or a folder of `uploads export`", path.display());
+        return Err(Failure::new(ErrorKind::Input, text));
+    }
     let provider = provider(ProviderName::default());
     let trust = trust.map(read_trust).transpose()?;
     let failed = |error: authros_evidence::BundleError| {
         let text = format!("{}: {error}; nothing of it is shown, ask its exporter for another copy", path.display());
-        Failure::new(if path.exists() { ErrorKind::Tampered } else { ErrorKind::Input }, text)
+        Failure::new(ErrorKind::Tampered, text)
     };
     let bundle = Bundle::read(path, provider).map_err(failed)?;
     let report = authros_evidence::verify(&bundle, trust.as_ref(), provider);
