@@ -87,7 +87,8 @@ pub fn is_bundle(path: &Path) -> bool {
 /// Where it is no bundle, or the trust file is none.
 pub fn run_verify(path: &Path, trust: Option<&Path>, output: &Output) -> Result<u8, Failure> {
     if !path.exists() {
-        let text = format!("{} is not there; name a bundle (NAME.authros) or a folder of `uploads export`", path.display());
+        let text =
+            format!("{} is not there; name a bundle (NAME.authros) or a folder of `uploads export`", path.display());
         return Err(Failure::new(ErrorKind::Input, text));
     }
     let provider = provider(ProviderName::default());

@@ -29,6 +29,7 @@ pub const TWINS: &[(&str, Twin)] = &[
     ("release", Runs("quarantine release --topic TOPIC")),
     ("discard", Runs("quarantine discard --topic TOPIC")),
     ("grant", Runs("grant ADDRESS")),
+    ("extend", Runs("grants extend ADDRESS --expires 30d")),
     ("revoke", Runs("revoke ADDRESS")),
     ("create-identity", Runs("identity create")),
     ("unlock", Runs("keys list --passphrase-file FILE")),

@@ -42,9 +42,11 @@ fn a_topic_watched_with_a_key_is_seen_verified() {
     let passphrase = home.file("passphrase", PASSPHRASE, 0o600);
     authros.with(&["--passphrase-file", &passphrase]).enrol();
     let mut console = Console::open(&authros);
-    console.wait_for(TOPIC, 10);
+    console.wait_for("Unlock the keyring", 30);
+    console.press("\u{1b}");
+    console.wait_for(TOPIC, 30);
     console.press("2");
-    console.wait_for("nav_msgs/Odometry", 10);
+    console.wait_for("nav_msgs/Odometry", 30);
     watch_odometry(&mut console, &authros);
     console.press("3");
     let screen = console.wait_for("verified", 30);

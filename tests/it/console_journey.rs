@@ -75,8 +75,8 @@ fn from_nothing_to_verified_records_of_two_topics() {
     operator.presses("2").sees(CAMERA).presses("/robot1/\r").presses("a").sees("marked").presses("w");
     operator.sees_so_often("watched", 2);
     operator.presses("3").sees("verified").sees("/robot1/");
-    operator.presses("f").sees("PAUSED").presses("/verified\r").presses("\u{1b}[H");
-    operator.presses("f").no_longer_sees("PAUSED").sees("verified").presses("\r");
+    operator.presses("f").sees("FROZEN").presses("/verified\r").presses("\u{1b}[H");
+    operator.presses("f").no_longer_sees("FROZEN").sees("verified").presses("\r");
     operator.sees("SM3 ").presses("\u{1b}[6~").sees("hashes to the root").presses("q");
     operator.presses("1").sees(" = ").sees("balanced");
     operator.leaves();
@@ -99,8 +99,8 @@ fn a_grant_reaches_a_second_console_that_opens_a_record_and_a_revoke_ends_it() {
     let mut alice = Operator::opens(&alice);
     alice.sees(ODOMETRY).presses("5").sees("Nothing granted");
     alice.presses("g").sees("Lets another account").presses(&address).presses("\rall\r\r\r");
-    alice.sees("Who can read this now:").presses("g").no_longer_sees("Who can read this now:");
-    alice.presses("\r").sees("Who can read this now:").presses("y").sees("1 can read new records now");
+    alice.sees("Current readers:").presses("g").no_longer_sees("Current readers:");
+    alice.presses("\r").sees("Current readers:").presses("y").sees("1 can read new records now");
     alice.presses("i").sees("Revoking does not undo reads").presses("q");
 
     let mut bob = Operator::opens(&bob);
@@ -122,7 +122,7 @@ fn filter_order_and_screen_are_there_again_at_the_next_start() {
     let authros = one_robot(home.authros());
     let mut operator = Operator::opens(&authros);
     operator.presses("2").sees(CAMERA).presses("s").sees("by Hz").presses("/odom\r").no_longer_sees(CAMERA);
-    operator.presses("t").sees("Tasks").presses("q").presses("f").sees("PAUSED").presses("f").no_longer_sees("PAUSED");
+    operator.presses("t").sees("Tasks").presses("q").presses("f").sees("FROZEN").presses("f").no_longer_sees("FROZEN");
     operator.leaves();
     let mut again = Operator::opens(&authros);
     again.sees("by Hz").sees("filter: odom").sees(ODOMETRY);
@@ -145,7 +145,7 @@ fn a_locked_console_captures_on_and_opens_nothing_until_it_is_unlocked() {
 
     // What is said about it may be overtaken by other news at once; the keys' screen says it as long as it is so.
     operator.presses(":lock\r");
-    operator.presses("6").sees("capture and anchoring go on");
+    operator.presses("6").sees("locked (u unlocks it)");
     let verified = || {
         let records = authros.records(&["uploads", "list", "--state", "verified"]);
         records.len()
@@ -239,7 +239,7 @@ fn a_moving_record_is_aimed_at_opened_searched_for_and_left_while_others_come() 
         operator.presses("\r").sees("Provenance").presses("n").presses("p").presses("q").no_longer_sees("Provenance");
         operator.presses("\u{1b}[H").no_longer_sees("as of");
         operator.presses("/camera\r").no_longer_sees(ODOMETRY).sees(CAMERA).presses("/\u{15}\r").sees(ODOMETRY);
-        operator.presses("f").sees("PAUSED").presses("\u{1b}[6~").sees("as of").presses("f").no_longer_sees("PAUSED");
+        operator.presses("f").sees("FROZEN").presses("\u{1b}[6~").sees("as of").presses("f").no_longer_sees("FROZEN");
         operator.leaves();
     }
 }

@@ -50,13 +50,13 @@ impl Act {
         match self {
             Self::Admit => "Admit an account",
             Self::Suspend => "Suspend an account",
-            Self::Restore => "Free a suspended account",
+            Self::Restore => "Restore a suspended account",
             Self::Open => "Open registration?",
             Self::Close => "Close registration?",
-            Self::Pause => "Stop all changes?",
-            Self::Continue => "Let changes go on?",
-            Self::Succeed => "Name who continues for a lost account",
-            Self::Propose => "Propose who is to continue for a lost account",
+            Self::Pause => "Pause all changes?",
+            Self::Continue => "Resume changes?",
+            Self::Succeed => "Name the successor of a lost account",
+            Self::Propose => "Propose the successor of a lost account",
             Self::Dismiss => "Withdraw an admission",
             Self::HandOver => "Name the next administrator",
             Self::Accept => "Take over as administrator?",
@@ -207,7 +207,7 @@ pub fn read(act: Act, form: &Form) -> Result<Confirm, (usize, String)> {
 
 fn question(act: Act, mut lines: Vec<String>, errand: Errand) -> Confirm {
     lines.extend(act.meaning().iter().map(|line| (*line).to_owned()));
-    lines.push("It is a transaction of your account.".to_owned());
+    lines.push("This sends a transaction from your account.".to_owned());
     let title = if act.names() { format!("{}?", act.title()) } else { act.title().to_owned() };
     let typed = act.is_grave().then(|| confirm::Typed::new(act.word()));
     Confirm { title, lines, yes: act.word(), typed, errand }

@@ -62,18 +62,14 @@ fn health(part: &PartHealth) -> Option<(NoticeLevel, String)> {
 fn life(life: &LifeLine) -> Vec<(NoticeLevel, String)> {
     let counted = [
         (life.tampered, NoticeLevel::Error, "tampered: not the bytes that were anchored (3, then / tampered)"),
-        (
-            life.right_ended,
-            NoticeLevel::Warning,
-            "waiting: whoever signed them may not sign now; they go on when the account is restored or the loan renewed",
-        ),
+        (life.right_ended, NoticeLevel::Warning, "right ended: restore the account or renew the loan and they resume"),
         (life.quarantined, NoticeLevel::Warning, "quarantined: sent by a node that is not the pinned publisher"),
         (
             life.dropped.saturating_sub(life.discarded),
             NoticeLevel::Warning,
-            "dropped by the recorder before they were sealed; gap records tell of them",
+            "dropped by the recorder before they were sealed; gap records count them",
         ),
-        (life.lost_in_transport, NoticeLevel::Warning, "lost in transport, before they arrived here"),
+        (life.lost_in_transport, NoticeLevel::Warning, "lost in transport, before they were captured"),
     ];
     let seen = counted.into_iter().filter(|(count, ..)| *count > 0);
     seen.map(|(count, level, what)| (level, format!("{count} {what}"))).collect()

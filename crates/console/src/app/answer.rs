@@ -164,7 +164,7 @@ fn locked(state: &mut State, result: Result<IdentityView, Failure>) {
     match result {
         Ok(identity) => {
             state.identity = Some(identity);
-            state.inform("Locked. Keys for reading, granting and revoking are wiped; capture continues.");
+            state.inform("Locked. Keys for reading, granting and revoking are wiped; a running capture continues.");
         }
         Err(failure) => state.complain_of(&Tag::Lock, &failure),
     }

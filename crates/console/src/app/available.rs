@@ -32,11 +32,11 @@ pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
         Verb::Sort | Verb::Reverse => given(state.screen.sorts(), "nothing to sort here"),
         Verb::Mark | Verb::MarkAll | Verb::Watch | Verb::Details | Verb::Open | Verb::Check | Verb::Export => {
             given(entry.works_on(state.screen), "other screen")?;
-            given(state.has_rows(), "no row")
+            given(state.has_rows(), "nothing selected")
         }
         Verb::Publishers | Verb::Pin | Verb::Unpin | Verb::Readers | Verb::Browse => {
             given(entry.works_on(state.screen), "other screen")?;
-            given(matches!(verb, Verb::Browse) || state.has_rows(), "no row")
+            given(matches!(verb, Verb::Browse) || state.has_rows(), "nothing selected")
         }
         Verb::Release | Verb::Discard => held(state),
         Verb::BackUp => identity(state),
@@ -90,13 +90,13 @@ fn register(state: &State) -> Result<(), &'static str> {
 
 fn held(state: &State) -> Result<(), &'static str> {
     given(state.screen == Screen::Topics, "other screen")?;
-    let row = state.topics.selected().ok_or("no row")?;
-    given(row.quarantined > 0, "nothing is held of it")
+    let row = state.topics.selected().ok_or("nothing selected")?;
+    given(row.quarantined > 0, "nothing quarantined")
 }
 
 fn lock(state: &State) -> Result<(), &'static str> {
     identity(state)?;
-    given(state.identity.as_ref().is_some_and(|identity| identity.unlocked), "is locked")?;
+    given(state.identity.as_ref().is_some_and(|identity| identity.unlocked), "already locked")?;
     given(!state.work.contains(&Tag::Lock), "under way")
 }
 

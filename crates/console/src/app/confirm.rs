@@ -80,7 +80,7 @@ pub fn grant(state: &State, wish: GrantWish) -> Confirm {
         format!("Ends     {ends}"),
         String::new(),
     ];
-    lines.extend(readers(state, "Who can read this now:", None));
+    lines.extend(readers(state, "Current readers:", None));
     lines.push("A later revoke stops new records; what was read cannot be recalled.".to_owned());
     Confirm { title: "Grant this?".to_owned(), lines, yes: "grant", typed: None, errand: wish.errand() }
 }

@@ -21,7 +21,10 @@ pub fn first_steps(state: &State) -> Vec<FirstStep> {
     let set_up = identity.exists && identity.registered;
     let step = |done, name, key, text| FirstStep { done, name, key, text };
     let steps = vec![
-        step(set_up, "identity", "n", "make keys and register them on the chain"),
+        match identity.exists {
+            true => step(set_up, "identity", "R", "register the identity on the chain"),
+            false => step(set_up, "identity", "n", "make keys and register them on the chain"),
+        },
         step(identity.exists, "keys", "L", "created with the identity; press L to load your own"),
         step(state.watches(), "topics", "w", "watch a topic: its messages are encrypted and anchored"),
         step(state.grants.any_given() || state.is_locked(), "grant", "g", "let another account read them"),

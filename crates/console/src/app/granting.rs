@@ -75,8 +75,13 @@ pub fn check(state: &State, wish: &GrantWish) -> Result<(), (usize, String)> {
         Some(row) => Err((
             GRANTEE,
             match row.expires {
-                Some(ends) => format!("has an active grant until {} UTC; x revokes it, e extends it (5)", day(ends)),
-                None => "has an active grant without an end; revoke it first (5, then x), then grant again".to_owned(),
+                Some(ends) => format!(
+                    "already has an active grant until {} UTC; on Grants (5): e extends it, x revokes it",
+                    day(ends)
+                ),
+                None => {
+                    "already has an active grant with no end; revoke it first (5, then x), then grant again".to_owned()
+                }
             },
         )),
         None => Ok(()),

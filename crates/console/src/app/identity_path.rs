@@ -142,7 +142,7 @@ fn open_form(state: &mut State, purpose: Purpose, error: Option<String>) {
     let waiting = state.identity_path.iter().flat_map(|path| &path.errands);
     let mut notes: Vec<String> = waiting.take(3).map(|errand| format!("then: {}", errand.tag.words())).collect();
     if state.identity_path.is_none() {
-        notes.push("Until then nothing is captured, opened, granted or revoked. Esc: look around.".to_owned());
+        notes.push("While locked, nothing can be opened, granted or revoked, and a restarted site captures nothing. Esc: look around.".to_owned());
     }
     let mut form = if purpose == Purpose::CreateIdentity {
         notes.insert(0, "This passphrase protects your keys on this machine. It cannot be recovered.".to_owned());

@@ -50,7 +50,7 @@ impl Behind {
             Some(what) => vec![format!("{} continues {site}.", super::words::sentence(what))],
             None => Vec::new(),
         };
-        lines.extend(not_captured(state).map(|what| format!("{} already.", super::words::sentence(&what))));
+        lines.extend(not_captured(state).map(|what| format!("{} anyway.", super::words::sentence(&what))));
         lines
     }
 
@@ -95,7 +95,7 @@ impl Leaving {
         } else if self == Self::Asked && state.has_pending_work() {
             hints.push(("w", "quit when verified"));
         }
-        hints.push(("any other key", "stays"));
+        hints.push(("esc", "stay"));
         hints
     }
 }

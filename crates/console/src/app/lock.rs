@@ -35,6 +35,6 @@ pub fn tick(state: &mut State) -> Vec<Effect> {
         return Vec::new();
     }
     let minutes = state.settings.lock_after.unwrap_or(0) / 60_000_000_000;
-    state.warn(format!("locked after {minutes} minutes without a key; capture goes on, u unlocks"));
+    state.warn(format!("locked after {minutes} minutes without a key press; a running capture continues, u unlocks"));
     lock(state)
 }

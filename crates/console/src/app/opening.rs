@@ -87,9 +87,9 @@ impl Opening {
     /// Its keys, for the bottom bar.
     pub fn hints(&self) -> Vec<(&'static str, &'static str)> {
         let Some(view) = self.lookup.found() else { return vec![("q", "close")] };
-        let mut hints = vec![("tab", "next view"), ("n p", "next, previous"), ("up down", "scroll")];
+        let mut hints = vec![("tab", "next view"), ("n p", "next/prev"), ("up down", "scroll")];
         if writable(view).is_some() {
-            hints.extend([("W", "write to file"), ("y", "copy digest")]);
+            hints.extend([("W", "save"), ("y", "copy digest")]);
         }
         hints.push(("q", "close"));
         hints
@@ -139,9 +139,8 @@ pub fn key(state: &mut State, mut opening: Opening, key: Key) -> Vec<Effect> {
         Key::Char('p') => return neighbour(state, Popup::Record(opening), -1),
         Key::Char('W') => match opening.lookup.found().map(writable) {
             Some(Some(file)) => effects.push(Effect::WriteFiles { directory: None, files: vec![file] }),
-            Some(None) => {
-                state.inform(format!("too long for here: authros shared open {} --out FILE", opening.lookup.id))
-            }
+            Some(None) => state
+                .inform(format!("too large to save here; use: authros shared open {} --out FILE", opening.lookup.id)),
             None => {}
         },
         Key::Char('y') => {
@@ -166,7 +165,11 @@ pub fn neighbour(state: &mut State, popup: Popup, by: isize) -> Vec<Effect> {
     let moved = state.table_mut().is_some_and(|table| table.step(&keys, by));
     if !moved || state.row_key() == before {
         state.popups.push(popup);
-        state.inform(if by > 0 { "this is the last record of the page" } else { "this is the first record" });
+        state.inform(if by > 0 {
+            "this is the last record of the page"
+        } else {
+            "this is the first record of the page"
+        });
         return Vec::new();
     }
     super::cursor::stand(state);

@@ -23,21 +23,21 @@ use crate::service::reply::PinsView;
 /// A popup's keys, for the bottom bar: key and what it does.
 pub fn hints(state: &State, popup: &Popup) -> Vec<(&'static str, &'static str)> {
     match popup {
-        Popup::Palette(_) => vec![("enter", "do"), ("up down", "choose"), ("esc", "close")],
+        Popup::Palette(_) => vec![("enter", "run"), ("up down", "choose"), ("esc", "close")],
         Popup::Browse(_) => vec![("enter", "show these"), ("up down", "choose"), ("q", "close")],
         Popup::Publishers(_) => vec![("up down", "scroll"), ("p", "pin"), ("P", "unpin"), ("q", "close")],
         Popup::Tasks | Popup::Readers(_) => vec![("q", "close")],
-        Popup::Provenance(_) => vec![("n p", "next, previous"), ("up down", "scroll"), ("q", "close")],
+        Popup::Provenance(_) => vec![("n p", "next/prev"), ("up down", "scroll"), ("q", "close")],
         Popup::Help(Help { filtering: true, .. }) => vec![("enter", "apply"), ("esc", "clear")],
         Popup::Help(_) => vec![("up down", "scroll"), ("/", "filter"), ("q", "close")],
         Popup::Chord(_) => vec![("esc", "close")],
-        Popup::Themes(_) => vec![("up down", "see it"), ("enter", "keep it"), ("esc", "as before")],
-        Popup::Confirm(confirm) if confirm.typed.is_some() => vec![("enter", confirm.yes), ("esc", "no")],
+        Popup::Themes(_) => vec![("up down", "preview"), ("enter", "keep"), ("esc", "cancel")],
+        Popup::Confirm(confirm) if confirm.typed.is_some() => vec![("enter", confirm.yes), ("esc", "cancel")],
         Popup::Confirm(confirm) => {
             let twin = granting::twin(state, &confirm.errand.command).map(|_| ("Y", "copy as command"));
             [("y", confirm.yes)].into_iter().chain(twin).chain([("any other key", "cancels")]).collect()
         }
-        Popup::Form(..) => vec![("enter", "next field / submit"), ("tab", "next field"), ("esc", "close")],
+        Popup::Form(..) => vec![("enter", "next field / submit"), ("up down", "move"), ("esc", "cancel")],
         Popup::Record(opening) => opening.hints(),
         Popup::Quit(leaving) => leaving.hints(state),
     }

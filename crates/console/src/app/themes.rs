@@ -29,7 +29,7 @@ pub fn key(state: &mut State, mut choice: ThemeChoice, key: Key) -> Vec<Effect> 
         Key::Escape | Key::Char('q') => return vec![Effect::ShowTheme(choice.before)],
         Key::Enter => {
             let kept = state.settings.themes.get(choice.selected).cloned().unwrap_or(choice.before);
-            state.inform(format!("theme: {kept}; console.theme in config.toml keeps it for good"));
+            state.inform(format!("theme: {kept}; to make it permanent, set console.theme in config.toml"));
             return Vec::new();
         }
         Key::Up | Key::BackTab | Key::Char('k') => choice.selected = choice.selected.saturating_sub(1),

@@ -34,14 +34,16 @@ pub fn note(state: &mut State, tag: &Tag) {
             Undo::By(Errand { command, tag: Tag::Watch(name.clone()) })
         }),
         Tag::Grant(grantee) => Some(Undo::Granted(grantee.to_string())),
-        Tag::Extend(_) => Some(Undo::Never("a grant only gets longer; revoke it to end it sooner (5, then x)")),
+        Tag::Extend(_) => Some(Undo::Never("a grant can only be extended; to end it sooner, revoke it (5, then x)")),
         Tag::Revoke(_) => Some(Undo::Never("a revoke is a transaction: to share again, make a new grant (5, then g)")),
-        Tag::Rotate => Some(Undo::Never("an epoch that has begun stays; the one before is over")),
+        Tag::Rotate => Some(Undo::Never("a new epoch cannot be taken back")),
         Tag::LoadKey(_) => Some(Undo::Never("the key that was replaced is gone from the keyring; load its file again")),
-        Tag::Release(_) => Some(Undo::Never("released messages go on to be anchored; they keep their tag")),
+        Tag::Release(_) => {
+            Some(Undo::Never("released messages are already on their way to the chain; they keep their tag"))
+        }
         Tag::Discard(_) => Some(Undo::Never("discarded messages are deleted; their count stands on the chain")),
         Tag::Administer(_) | Tag::Deploy | Tag::Adopt => {
-            Some(Undo::Never("it is a transaction; the opposite act is another one (7, then :)"))
+            Some(Undo::Never("it was a transaction; send the opposite one instead (7, then :)"))
         }
         Tag::Feed(..)
         | Tag::OpenConsole

@@ -60,7 +60,7 @@ fn act(state: &mut State, action: Action) -> Vec<Effect> {
         Action::Click { column, row } => mouse::click(state, column, row),
         Action::Resumed => {
             state.feeds.touch_all();
-            state.inform("resumed; a site inside this console stood still meanwhile");
+            state.inform("resumed; a site hosted by this console stood still while suspended");
         }
     }
     Vec::new()

@@ -204,7 +204,7 @@ pub static VERBS: &[Entry] = &[
         .on(&[Screen::Uploads]),
     entry(Verb::Open, "open", "open", &[Key::Enter, Key::Char('o')], "Check, decrypt and show the record")
         .on(&[Screen::Shared]),
-    entry(Verb::Open, "open-own", "open", &[Key::Char('o')], "Check, decrypt and show an own record")
+    entry(Verb::Open, "open-own", "open", &[Key::Char('o')], "Check, decrypt and show one of your records")
         .on(&[Screen::Uploads])
         .unlisted(),
     entry(
@@ -226,10 +226,10 @@ pub static VERBS: &[Entry] = &[
     ]),
     entry(Verb::Publishers, "publishers", "publishers", &[Key::Enter], "Publishers: pinned, suspect, quarantined")
         .on(&[Screen::Topics]),
-    entry(Verb::Pin, "pin", "pin", &[Key::Char('p')], "Accept the publishers that are read now")
+    entry(Verb::Pin, "pin", "pin", &[Key::Char('p')], "Accept the publishers present now")
         .on(&[Screen::Topics])
         .changing(),
-    entry(Verb::Unpin, "unpin", "", &[Key::Char('P')], "No longer accept a publisher of the topic")
+    entry(Verb::Unpin, "unpin", "", &[Key::Char('P')], "Unpin one of the topic's publishers")
         .on(&[Screen::Topics])
         .changing(),
     entry(Verb::Release, "release", "", &[Key::Char('r')], "Release quarantined messages of the topic")
@@ -247,7 +247,7 @@ pub static VERBS: &[Entry] = &[
     entry(Verb::Grant, "grant", "grant", &[Key::Char('g')], "Let another account read your records")
         .on(&[Screen::Overview, Screen::Topics, Screen::Grants])
         .changing(),
-    entry(Verb::Extend, "extend", "extend", &[Key::Char('e')], "Let the grant end later")
+    entry(Verb::Extend, "extend", "extend", &[Key::Char('e')], "Extend the grant's end date")
         .on(&[Screen::Grants])
         .changing(),
     entry(
@@ -259,22 +259,16 @@ pub static VERBS: &[Entry] = &[
     )
     .on(&[Screen::Grants])
     .changing(),
-    entry(Verb::CreateIdentity, "create-identity", "new identity", &[Key::Char('n')], "Make keys and register them")
+    entry(Verb::CreateIdentity, "create-identity", "new identity", &[Key::Char('n')], "Create keys and register them")
         .on(&[Screen::Overview, Screen::Keys])
         .changing(),
     entry(Verb::Unlock, "unlock", "unlock", &[Key::Char('u')], "Open the keyring with its passphrase"),
-    entry(Verb::Register, "register", "register", &[Key::Char('R')], "Put the identity on the chain")
-        .on(&[Screen::Keys])
+    entry(Verb::Register, "register", "register", &[Key::Char('R')], "Register the identity on the chain")
+        .on(&[Screen::Overview, Screen::Keys])
         .changing(),
-    entry(
-        Verb::LoadKey,
-        "load-key",
-        "load key",
-        &[Key::Char('L')],
-        "Put a key from a file in place of the present one",
-    )
-    .on(&[Screen::Overview, Screen::Keys])
-    .changing(),
+    entry(Verb::LoadKey, "load-key", "load key", &[Key::Char('L')], "Replace the current key with one from a file")
+        .on(&[Screen::Overview, Screen::Keys])
+        .changing(),
     entry(Verb::Rotate, "rotate-keys", "rotate", &[Key::Char('r')], "Begin a new epoch under a new key")
         .on(&[Screen::Keys])
         .changing(),
@@ -289,7 +283,7 @@ pub static VERBS: &[Entry] = &[
         "Write the keyring, under its passphrase, to a file",
     )
     .on(&[Screen::Keys]),
-    entry(Verb::Administer(Act::Deploy), "deploy", "deploy", &[Key::Char('d')], "Put the contract on the chain")
+    entry(Verb::Administer(Act::Deploy), "deploy", "deploy", &[Key::Char('d')], "Deploy the contract")
         .on(ON_CHAIN)
         .changing(),
     administers(Act::Admit, "admit", "Administrator: let an account register"),
@@ -303,21 +297,20 @@ pub static VERBS: &[Entry] = &[
     administers(Act::Succeed, "succeed", "Administrator: name who continues for a lost account"),
     administers(Act::HandOver, "hand-over", "Administrator: name the next administrator"),
     administers(Act::Accept, "accept-administration", "Take over as the administrator that was named"),
-    administers(Act::Adopt, "adopt-chain", "Go on with the chain that is there now instead of the pinned one"),
+    administers(Act::Adopt, "adopt-chain", "Adopt the present chain, give up the pinned"),
     entry(Verb::Level, "log-level", "level", &[Key::Char('l')], "All lines, warnings and errors, or errors only")
         .on(&[Screen::Log]),
-    entry(Verb::Filter, "filter", "filter", &[Key::Char('/')], "Show only rows that match").on(TABLES),
+    entry(Verb::Filter, "filter", "filter", &[Key::Char('/')], "Filter rows; Uploads, Shared: whole ledger").on(TABLES),
     entry(Verb::Sort, "sort", "sort", &[Key::Char('s')], "Sort by the next column").on(SORTED),
     entry(Verb::Reverse, "reverse", "", &[Key::Char('S')], "Reverse the order").on(SORTED),
-    entry(Verb::Copy, "copy", "copy", &[Key::Char('y')], "Send name, digest or address to the terminal's clipboard")
-        .on(COPIED),
+    entry(Verb::Copy, "copy", "copy", &[Key::Char('y')], "Copy name, digest or address to clipboard").on(COPIED),
     entry(Verb::WriteFile, "write-file", "", &[Key::Char('W')], "Save to a file what y would copy").on(COPIED),
     entry(Verb::Tasks, "tasks", "", &[Key::Char('t')], "Running tasks and queues"),
     entry(Verb::Undo, "undo", "", &[Key::Char('U')], "Undo the last action, where possible")
         .chord(&[Key::Char('z'), Key::Char('u')]),
-    entry(Verb::Lock, "lock", "", &[], "Wipe the keys for reading, granting and revoking; capture continues")
+    entry(Verb::Lock, "lock", "", &[], "Wipe the keys to read, grant and revoke")
         .chord(&[Key::Char('z'), Key::Char('x')]),
-    entry(Verb::LocalTime, "local-time", "", &[], "Local times beside UTC, or UTC alone")
+    entry(Verb::LocalTime, "local-time", "", &[], "Show local time beside UTC, or UTC only")
         .chord(&[Key::Char('z'), Key::Char('l')]),
     entry(Verb::Freeze, "freeze", "freeze", &[Key::Char('f')], "Freeze the view (capture continues)"),
     entry(Verb::Palette, "palette", "commands", &[Key::Char(':')], "Every command by name").unlisted(),
@@ -329,8 +322,8 @@ pub static VERBS: &[Entry] = &[
     entry(Verb::PageDown, "page-down", "", &[Key::PageDown, Key::Control('d')], "Page down").on(TABLES).unlisted(),
     entry(Verb::First, "first", "", &[Key::Home], "To the first row").on(TABLES).unlisted(),
     entry(Verb::Last, "last", "", &[Key::End, Key::Char('G')], "To the last row").on(TABLES).unlisted(),
-    entry(Verb::NextScreen, "next-screen", "", &[Key::Tab], "To the next screen"),
-    entry(Verb::PreviousScreen, "previous-screen", "", &[Key::BackTab], "To the screen before"),
+    entry(Verb::NextScreen, "next-screen", "", &[Key::Tab], "Next screen"),
+    entry(Verb::PreviousScreen, "previous-screen", "", &[Key::BackTab], "Previous screen"),
     entry(
         Verb::Go(Screen::Overview),
         "go-overview",

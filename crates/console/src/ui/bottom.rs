@@ -48,8 +48,8 @@ fn draw_message(canvas: &mut Canvas, area: Rect, state: &State) {
     };
     let hint = match state.toasts.unseen() {
         0 => String::new(),
-        1 => " esc: seen".to_owned(),
-        more => format!(" esc: seen, {} more", more - 1),
+        1 => " esc: hide".to_owned(),
+        more => format!(" esc: hide, {} more", more - 1),
     };
     let (mark, role) = level(toast.level);
     let width = area.width.saturating_sub(columns(&hint) + 3);

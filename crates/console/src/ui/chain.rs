@@ -39,9 +39,9 @@ fn draw_chain(canvas: &mut Canvas, area: Rect, state: &State, chain: &ChainView)
         ("Address", state.address().map_or_else(|| "no identity yet".to_owned(), |address| address.to_string())),
         ("Balance", ether(&chain.balance)),
         ("Next nonce", chain.nonce.to_string()),
-        ("Pending", format!("{} own transactions not in a block", chain.pending)),
+        ("Pending", format!("{} of your transactions not in a block yet", chain.pending)),
         ("Gas", gas(&chain.gas)),
-        ("Contract by", administrator(state, &chain.administration)),
+        ("Admin", administrator(state, &chain.administration)),
     ];
     for (place, (label, value)) in (0u16..).zip(&lines) {
         line(canvas, row(area, place), label, value, Role::Body);
@@ -79,7 +79,7 @@ fn draw_administration(canvas: &mut Canvas, area: Rect, decided: &Administration
 fn draw_lanes(canvas: &mut Canvas, area: Rect, lanes: &[LaneState]) -> u16 {
     let mut place = 0;
     for (number, lane) in (1..).zip(lanes) {
-        let what = format!("{}  {} open", lane.account, lane.open);
+        let what = format!("{}  {} pending", lane.account, lane.open);
         line(canvas, row(area, place), &format!("Lane {number}"), &what, Role::Body);
         place += 1;
         if let Some(paused) = &lane.paused {
@@ -102,7 +102,7 @@ fn gas(view: &GasView) -> String {
 
 fn administrator(state: &State, decided: &AdministrationView) -> String {
     let Some(administrator) = decided.administrator else { return "not known yet".to_owned() };
-    let whose = if Some(administrator) == state.address() { "you; the palette has your acts" } else { "not you" };
+    let whose = if Some(administrator) == state.address() { "you; press : for your commands" } else { "not you" };
     let registration = if decided.open { "anyone may register" } else { "only admitted accounts register" };
     format!("{} ({whose}), {registration}", administrator.short())
 }

@@ -48,7 +48,7 @@ fn draw_about(canvas: &mut Canvas, area: Rect, view: &GatewayStatusView) -> u16 
     canvas.put(area, "Gateway", Role::Title);
     let Some(served) = &view.served else {
         let (first, second) = match &view.through {
-            Some(through) => (format!("This site joins another one: {through}"), "Its gateway is looked after there."),
+            Some(through) => (format!("This site joins another one: {through}"), "Its gateway is managed there."),
             None => (
                 "Absent: this site has no gateway.".to_owned(),
                 "Records go straight to this site's vault and chain; `authros gateway serve` adds one.",
@@ -73,7 +73,7 @@ fn draw_about(canvas: &mut Canvas, area: Rect, view: &GatewayStatusView) -> u16 
         place += 1;
     }
     if let Some(expires) = view.list_expires {
-        let text = format!("version {}, of no use after {} UTC", view.list_version, day(expires));
+        let text = format!("version {}, not valid after {} UTC", view.list_version, day(expires));
         line(canvas, row(area, place), "Key list", &text, Role::Dim);
         place += 1;
     }
@@ -88,7 +88,7 @@ fn system_key(key: &SystemKeyView) -> String {
 
 fn draw_refused(canvas: &mut Canvas, area: Rect, view: &GatewayStatusView) -> u16 {
     if view.refused.is_empty() {
-        line(canvas, area, "Refused", "nothing since it was started", Role::Dim);
+        line(canvas, area, "Refused", "nothing since start", Role::Dim);
         return 1;
     }
     let mut place = 0;
@@ -121,7 +121,7 @@ fn draw_senders(canvas: &mut Canvas, area: Rect, state: &State) {
     let order = SORTS[gateway.table.sort % SORTS.len()];
     let note = format!("{} of {all}, {connected} connected, by {order}", rows.len());
     let cells = |index: usize| rows.get(index).map_or_else(Vec::new, |row| cells(row));
-    let empty = "No name has a transport key yet: `authros agent enrol` gives one.";
+    let empty = "Nobody is enrolled yet; `authros agent enrol` adds a robot or operator.";
     let sheet = Sheet {
         title: "Senders",
         note,

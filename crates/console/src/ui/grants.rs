@@ -32,7 +32,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
     let order = order(&SORTS, &grants.table);
     let note = format!("{} of {}, by {order}; {readers} can read new records now", rows.len(), grants.rows.len());
     let cells = |index: usize| rows.get(index).map_or_else(Vec::new, |row| cells(row));
-    let empty = empty(state, Feed::Grants, "Nothing granted or received yet: g grants.");
+    let empty = empty(state, Feed::Grants, "Nothing granted or received yet; press g to grant.");
     let sheet = Sheet {
         title: "Grants",
         note,

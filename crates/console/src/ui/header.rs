@@ -42,7 +42,7 @@ fn draw_first(canvas: &mut Canvas, area: Rect, state: &State) {
 
 /// What is not as it usually is, from the right; and where the site runs, as far as there is room.
 fn badges(state: &State) -> Vec<(String, Role)> {
-    let frozen = state.frozen.map(|at| format!(" PAUSED {} ", at.clock()));
+    let frozen = state.frozen.map(|at| format!(" FROZEN {} ", at.clock()));
     let locked = state.is_locked().then(|| " LOCKED ".to_owned());
     let read_only = state.settings.read_only.then(|| " READ-ONLY ".to_owned());
     let mut badges: Vec<(String, Role)> =

@@ -69,7 +69,7 @@ fn draw_identity(canvas: &mut Canvas, area: Rect, state: &State, identity: &Iden
 
 fn draw_keys(canvas: &mut Canvas, area: Rect, keys: &KeysView) {
     line(canvas, row(area, 0), "SM2 signing", &keys.signing_fingerprint, Role::Body);
-    line(canvas, row(area, 1), "SM2 opening", &keys.envelope_fingerprint, Role::Body);
+    line(canvas, row(area, 1), "SM2 decrypt", &keys.envelope_fingerprint, Role::Body);
     let area = below(area, 3);
     canvas.puts(
         area,

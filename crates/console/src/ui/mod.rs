@@ -1,7 +1,7 @@
 //! Pure `draw(frame, state, theme)`: screens, popups, widgets. Nothing here changes state.
 //!
 //! ```text
-//! AuthROS default   ros ● ok  chain ● ok  vault ● ok  gateway ○ absent   PAUSED   header
+//! AuthROS default   ros ● ok  chain ● ok  vault ● ok  gateway ○ absent   FROZEN   header
 //! 1 Overview  2 Topics  3 Uploads  4 Shared  5 Grants  6 Keys  7 Chain ...        header
 //! Topics  12 of 40, by name, filter: odom                                         table
 //!   Topic                 Watched     Hz     kB/s  Lost  Last                     table
@@ -9,7 +9,7 @@
 //!            ┌ Grant ────────────────────────────┐
 //!            │ Address  0x…                      │                                popups
 //!            └───────────────────────────────────┘
-//! ✖ chain: connection refused                              esc: seen, 2 more      bottom
+//! ✖ chain: connection refused                              esc: hide, 2 more      bottom
 //! space mark  w watch  / filter  s sort  ? help  q quit                           bottom
 //! ```
 

@@ -145,7 +145,7 @@ fn draw_busiest(canvas: &mut Canvas, area: Rect, state: &State) {
         let text = match failure {
             Some(failure) => failure.message.as_str(),
             None if state.awaits(Feed::Topics) => "Asking for the topics…",
-            None => "No topic is published yet; they appear here by themselves.",
+            None => "No topics published yet; they appear here automatically.",
         };
         canvas.put(area, text, Role::Dim);
         return;

@@ -30,7 +30,7 @@ pub enum Role {
     Selection,
     /// Lines around popups.
     Border,
-    /// PAUSED, SIMULATED, the screen in view.
+    /// FROZEN, SIMULATED, the screen in view.
     Badge,
     /// A key to press.
     Key,

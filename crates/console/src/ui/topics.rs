@@ -14,7 +14,7 @@ use crate::service::reply::TopicRow;
 
 const COLUMNS: &[Column] = &[
     Column::name("Topic"),
-    Column::text("Type", 27).from(100),
+    Column::text("Type", 27).from(150),
     Column::text("Publishers", 24).from(ALL_FROM),
     Column::text("Pinned", 10).from(90),
     Column::text("Watched", 13),
@@ -41,7 +41,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
         note.push_str(&format!(", {} marked", topics.table.marks.len()));
     }
     let cells = |index: usize| rows.get(index).map_or_else(Vec::new, |row| cells(state, row));
-    let empty = empty(state, Feed::Topics, "No topic is published yet; they appear here by themselves.");
+    let empty = empty(state, Feed::Topics, "No topics published yet; they appear here automatically.");
     let sheet = Sheet {
         title: "Topics",
         note,

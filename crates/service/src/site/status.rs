@@ -118,7 +118,7 @@ impl Site {
                 HealthLevel::Ok,
                 &format!("{}, fingerprint {}, anchors as {}", view.address, view.fingerprint, view.account),
             ),
-            None => part("gateway", HealthLevel::Absent, "none here; authros gateway serve"),
+            None => part("gateway", HealthLevel::Absent, "not running; start one: authros gateway serve"),
         }
     }
 

@@ -85,7 +85,7 @@ fn what_waits_for_the_key_is_not_said_to_stop() {
     robot.state.topics.rows = robot.state.topics.rows.drain(..).map(waiting).collect();
     robot.types("q");
     let text = question(&robot);
-    assert!(text.contains("Capture of 1 topic waits for the key already.") && !text.contains("stops"), "{text}");
+    assert!(text.contains("Capture of 1 topic waits for the key anyway.") && !text.contains("stops"), "{text}");
 }
 
 #[test]

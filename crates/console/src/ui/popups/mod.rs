@@ -68,7 +68,7 @@ fn draw_confirm(canvas: &mut Canvas, area: Rect, state: &State, confirm: &Confir
     if let Some(typed) = &confirm.typed {
         let wanted = clean(&typed.wanted, 255);
         let mut lines = confirm.lines.clone();
-        lines.push(format!("Type {wanted} and enter to {}; esc for no.", confirm.yes));
+        lines.push(format!("Type {wanted} and press enter to {}; esc cancels.", confirm.yes));
         let shown = typed.field.shown();
         draw_text(canvas, area, &confirm.title, &lines, &[("› ", Role::Key), (&shown, Role::Warning)]);
         return;

@@ -83,7 +83,7 @@ fn publishers(state: &State, topic: &str, view: &PinsView) -> Vec<Line> {
     let mut lines = Vec::new();
     let row = state.topics.rows.iter().find(|row| row.topic == topic);
     let now = row.map_or_else(String::new, |row| row.publishers.join(" "));
-    lines.push((format!("now   {}", if now.is_empty() { "nobody" } else { &now }), Role::Body));
+    lines.push((format!("now     {}", if now.is_empty() { "nobody" } else { &now }), Role::Body));
     if view.pins.is_empty() {
         lines.push(("no publisher is pinned: the first that is captured will be".to_owned(), Role::Dim));
     }
@@ -97,7 +97,8 @@ fn publishers(state: &State, topic: &str, view: &PinsView) -> Vec<Line> {
 
 fn pinned(pin: &PinView, now: &str) -> [Line; 2] {
     let publisher = &pin.publisher;
-    let there = if now.split(' ').any(|name| name == publisher.caller_id) { "publishes now" } else { "not there now" };
+    let there =
+        if now.split(' ').any(|name| name == publisher.caller_id) { "publishing now" } else { "not publishing" };
     let since = pin.at.map_or_else(String::new, |at| format!(" since {at}"));
     [
         (format!("pinned  {} at {}, {there}", publisher.caller_id, publisher.host), Role::Good),
@@ -172,8 +173,8 @@ fn records_on_their_way(state: &State) -> Vec<Line> {
     let full = queue.bytes.saturating_mul(100).checked_div(queue.capacity).unwrap_or(0);
     let mut lines = vec![(
         format!(
-            "{:<15} {} messages, {} ({full} % of the ring)",
-            "to be encrypted",
+            "{:<15} {} messages, {} (buffer {full} % full)",
+            "to be sealed",
             words::count(queue.messages),
             words::size(queue.bytes)
         ),
@@ -193,19 +194,19 @@ fn records_on_their_way(state: &State) -> Vec<Line> {
 /// How long what is pending takes at the present rates.
 fn left(pending: u64, captured: f64, verified: f64) -> String {
     if pending == 0 {
-        return "all that was captured is verified, held back or counted".to_owned();
+        return "all captured records are verified, held back or accounted for".to_owned();
     }
     let count = words::count(pending);
     if verified < 0.1 {
-        return format!("{count} records pending; nothing is being verified at this moment");
+        return format!("{count} pending; nothing is being verified right now");
     }
     let records = f64::from(u32::try_from(pending).unwrap_or(u32::MAX));
     let net = verified - captured;
     if captured > 0.1 && net <= 0.1 {
         let behind = records / verified;
-        return format!("{count} records pending, about {behind:.0} s behind; keeping up");
+        return format!("{count} pending, about {behind:.0} s behind; keeping up");
     }
-    format!("{count} records pending, done in about {:.0} s", records / net.max(0.1))
+    format!("{count} pending, done in about {:.0} s", records / net.max(0.1))
 }
 
 fn paused(lane: &LaneState) -> Option<Line> {

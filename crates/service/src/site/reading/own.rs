@@ -114,7 +114,7 @@ impl Reading {
             step("signature", format!("SM2 by signer {}", row.signer)),
         ];
         if row.state >= RecordState::Stored {
-            steps.push(step("vault", format!("its ciphertext lies there ({})", self.plant.vault.name())));
+            steps.push(step("vault", format!("ciphertext stored ({})", self.plant.vault.name())));
         }
         let digest = row.digest;
         let place = blocking(self, move |reading| Ok(reading.plant.ledger.batch_place(digest)?)).await?;
