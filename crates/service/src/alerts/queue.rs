@@ -229,7 +229,7 @@ mod tests {
         assert_eq!(known.last().expect("some").standing.keys().collect::<Vec<_>>(), ["vault"]);
         for cut in 0..=bytes.len() {
             std::fs::write(&path, &bytes[..cut]).expect("cut");
-            let whole = bytes[..cut].iter().filter(|byte| **byte == b'\n').count();
+            let whole = bytes[..cut].split(|byte| *byte == b'\n').count() - 1;
             let mut queue = Queue::open(&path);
             assert_eq!(queue.kept, known[whole], "cut at {cut}");
             queue.add(Change::Begun(alert("clock")));

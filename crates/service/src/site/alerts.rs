@@ -166,7 +166,11 @@ impl Site {
         // Made anew each time: a secret may have been replaced.
         Carrier::of(self.alerts.place()?)?.carry(&delivery, dropped).await?;
         let number = delivery.number;
-        blocking(self, move |site| Ok(site.alerts.with(|known| known.queue.done(number, dropped)))).await
+        let done = move |site: &Self| {
+            site.alerts.with(|known| known.queue.done(number, dropped));
+            Ok(())
+        };
+        blocking(self, done).await
     }
 
     /// The alerts that stand.

@@ -143,6 +143,15 @@ pub struct Site {
     _lock: SiteLock,
 }
 
+/// What takes messages up, and what judges their publishers for it.
+fn recorder(parts: &Parts, rings: &Arc<Rings<CapturedMessage>>, losses: &Arc<Losses>) -> (Arc<Recorder>, Arc<Pins>) {
+    let Parts { config, plant, hub, .. } = parts;
+    let rules = PinRules { mode: config.pin_mode, listed: config.publishers.clone() };
+    let judges = Arc::new(Pins::new(plant.ledger.clone(), hub.clone(), rules));
+    let recorder = Recorder::new(Arc::clone(rings), Arc::clone(losses), hub.clone());
+    (Arc::new(recorder.with_pins(Arc::clone(&judges)).with_rules(config.topic_rules.clone())), judges)
+}
+
 /// A request of a joined process.
 pub(super) struct Guest(Arc<Site>);
 
@@ -180,11 +189,7 @@ impl Site {
         let (config, plant) = (Arc::clone(&parts.config), parts.plant.clone());
         let rings = Arc::new(Rings::new(usize::try_from(config.capture_memory).unwrap_or(usize::MAX)));
         let losses = Arc::new(Losses::default());
-        let rules = PinRules { mode: config.pin_mode, listed: config.publishers.clone() };
-        let judges = Arc::new(Pins::new(plant.ledger.clone(), parts.hub.clone(), rules));
-        let recorder = Recorder::new(Arc::clone(&rings), Arc::clone(&losses), parts.hub.clone());
-        let recorder = recorder.with_pins(Arc::clone(&judges)).with_rules(config.topic_rules.clone());
-        let recorder = Arc::new(recorder);
+        let (recorder, judges) = recorder(&parts, &rings, &losses);
         let remote = config.site.as_ref().map(|site| Remote::new(site, &parts.home, plant.provider)).transpose()?;
         let remote = remote.map(Arc::new);
         let of = &parts;

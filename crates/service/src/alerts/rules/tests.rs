@@ -69,6 +69,9 @@ fn told(trouble: &dyn Fn(&mut Figures)) -> (Vec<String>, Vec<String>) {
     (begun, ended)
 }
 
+/// Makes figures bad.
+type Trouble = Box<dyn Fn(&mut Figures)>;
+
 #[test]
 fn every_rule_begins_once_and_ends_once() {
     let failed = |name: &'static str| {
@@ -78,7 +81,7 @@ fn every_rule_begins_once_and_ends_once() {
             }
         }
     };
-    let rules: [(&str, Box<dyn Fn(&mut Figures)>); 11] = [
+    let rules: [(&str, Trouble); 11] = [
         ("robot_silent/12345678", Box::new(|it| it.robots[0].last_seen = before(it, 601))),
         ("unanchored/0a0b0c0d", Box::new(|it| it.owners[0].oldest_unanchored = Some(before(it, 601)))),
         ("disk", Box::new(|it| it.disk = Some((999 << 20, 64 << 20)))),
