@@ -1,6 +1,7 @@
 //! Bundles over a chain made here, so that every lie can be told in turn.
 
 mod hostile;
+mod second;
 mod world;
 
 use authros_crypto::record::RecordSecret;

@@ -16,7 +16,7 @@ fn checked(packing: Packing, world: &World, by: &SmKeyPair) -> Report {
     verify(&Bundle::of_members(&members, ours()).expect("reads"), Some(&World::trust()), ours())
 }
 
-fn unanchored(one: authros_crypto::record::SealedRecord) -> BundledRecord {
+pub fn unanchored(one: authros_crypto::record::SealedRecord) -> BundledRecord {
     BundledRecord { record: one.blob, signature: one.signature, anchor: None, disclosure: None }
 }
 
