@@ -13,7 +13,7 @@ use crate::ros::{Definition, Limits};
 use crate::service::Failure;
 use crate::service::command::{EvidenceWishes, ExportEvidence};
 use crate::service::reply::EvidenceView;
-use authros_evidence::{Bundle, Outcome, Report, Trust};
+use authros_evidence::{Bundle, Outcome, RecordReport, Report, Trust};
 use authros_output::{Output, table};
 
 /// The most characters of a disclosed message that are shown.
@@ -99,7 +99,7 @@ pub fn run_verify(path: &Path, trust: Option<&Path>, output: &Output) -> Result<
     };
     let bundle = Bundle::read(path, provider).map_err(failed)?;
     let report = authros_evidence::verify(&bundle, trust.as_ref(), provider);
-    output.result(&shown(&bundle, &report), || text(&bundle, &report));
+    output.result(&Shown { bundle: &bundle, report: &report }, || text(&bundle, &report));
     Ok(match report.outcome {
         Outcome::Holds => 0,
         Outcome::Incomplete => ErrorKind::Incomplete.exit_code(),
@@ -113,12 +113,25 @@ fn read_trust(path: &Path) -> Result<Trust, Failure> {
     Trust::parse(&bytes).map_err(|error| failed(error.to_string()))
 }
 
+/// What is made into JSON only where JSON is asked for.
+struct Shown<'a> {
+    bundle: &'a Bundle,
+    report: &'a Report,
+}
+
+impl serde::Serialize for Shown<'_> {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        shown(self.bundle, self.report).serialize(serializer)
+    }
+}
+
 /// The report as JSON, with the fields of disclosed messages.
 fn shown(bundle: &Bundle, report: &Report) -> serde_json::Value {
-    let mut value = serde_json::to_value(report).unwrap_or_default();
+    let (mut value, mut limits) = (serde_json::to_value(report).unwrap_or_default(), Limits::default());
     let records = value.get_mut("records").and_then(serde_json::Value::as_array_mut);
     for (shown, record) in records.into_iter().flatten().zip(&report.records) {
-        let (Some(disclosed), Some(fields)) = (shown.get_mut("disclosed"), message(bundle, report, record.digest))
+        let (Some(disclosed), Some(fields)) =
+            (shown.get_mut("disclosed"), message(bundle, report, record.digest, &mut limits))
         else {
             continue;
         };
@@ -129,24 +142,39 @@ fn shown(bundle: &Bundle, report: &Report) -> serde_json::Value {
     value
 }
 
-/// A disclosed message's fields, where the definition that its head names is in the bundle.
-fn message(bundle: &Bundle, report: &Report, digest: Digest) -> Option<serde_json::Value> {
+/// A disclosed message's fields, where the definition that its head names is in the bundle, and as far as the limits of the
+/// whole file go.
+fn message(bundle: &Bundle, report: &Report, digest: Digest, limits: &mut Limits) -> Option<serde_json::Value> {
     let revealed = report.messages.get(&digest)?;
     let text = bundle.definitions.get(&revealed.head.definition)?;
     let definition = Definition::parse(&revealed.head.type_name, text).ok()?;
-    let value = definition.decode(&revealed.body, Limits::default()).ok()?;
+    let value = definition.decode_from(&revealed.body, limits).ok()?;
     Some(value.to_json())
 }
 
+/// Whose a record is. A name counts where the key is shown to be its owner's; anybody can write another's account into a
+/// header.
+fn whose(record: &RecordReport) -> String {
+    match (&record.person, record.owner) {
+        (Some(person), Some(owner)) if record.is_believed() => format!("of {person} ({owner})"),
+        (None, Some(owner)) if record.is_believed() => format!("of {owner}"),
+        (_, Some(owner)) => format!("says it is of {owner}"),
+        (_, None) => "of nobody that can be read".to_owned(),
+    }
+}
+
+/// The first of a message's fields, as text.
+fn bounded(fields: &serde_json::Value) -> String {
+    let text = serde_json::to_string_pretty(fields).unwrap_or_default();
+    let first: String = text.chars().take(MOST_SHOWN).collect();
+    let more = if first.len() < text.len() { "\nand more of it; --json has all" } else { "" };
+    clean_lines(&first, MOST_SHOWN) + more
+}
+
 fn text(bundle: &Bundle, report: &Report) -> String {
-    let mut lines = Vec::new();
+    let (mut lines, mut limits) = (Vec::new(), Limits::default());
     for record in &report.records {
-        let who = match (&record.person, record.owner) {
-            (Some(person), Some(owner)) => format!("{person} ({owner})"),
-            (None, Some(owner)) => owner.to_string(),
-            (_, None) => "unknown".to_owned(),
-        };
-        lines.push(format!("record {} of {who}", record.digest));
+        lines.push(format!("record {} {}", record.digest, whose(record)));
         if let (Some(seq), Some(captured)) = (record.seq, record.captured_at) {
             let gap =
                 record.seconds_to_anchor.map_or(String::new(), |seconds| format!(", {seconds} s before its anchor"));
@@ -161,28 +189,22 @@ fn text(bundle: &Bundle, report: &Report) -> String {
         lines.push(table(&["level", "", ""], &rows));
         if let Some(disclosed) = &record.disclosed {
             lines.push(format!(
-                "{} {}, {} bytes, from {}",
+                "'{}' {}, {} bytes, from {}",
                 disclosed.topic, disclosed.type_name, disclosed.length, disclosed.publisher
             ));
-            let fields =
-                message(bundle, report, record.digest).and_then(|value| serde_json::to_string_pretty(&value).ok());
-            let unread = || "its fields are not shown: the message's definition is not in the bundle".to_owned();
-            lines.push(clean_lines(&fields.unwrap_or_else(unread), MOST_SHOWN));
+            let fields = message(bundle, report, record.digest, &mut limits);
+            let unread =
+                "its fields are not shown: the message's definition is not in the bundle, or there is too much of it";
+            lines.push(fields.map_or_else(|| unread.to_owned(), |fields| bounded(&fields)));
         }
         lines.push(String::new());
     }
     for stretch in &report.complete {
-        lines.push(format!("(f) topic {} of recorder {}: {}", stretch.topic_id, stretch.recorder, stretch.text));
+        let (topic, recorder, word) = (stretch.topic_id, stretch.recorder, stretch.standing.word());
+        lines.push(format!("(f) {word}: topic {topic} of recorder {recorder}: {}", stretch.text));
     }
     lines.push(report.exporter.text.clone());
     lines.extend(report.warnings.iter().map(|warning| format!("note: {warning}")));
-    lines.push(
-        match report.outcome {
-            Outcome::Holds => "levels (a) to (c) hold for every record, by what you pinned; read the notes",
-            Outcome::Incomplete => "NOT ALL IS PROVEN: the levels say what is not",
-            Outcome::Refused => "REFUSED: something is contradicted; the levels say what",
-        }
-        .to_owned(),
-    );
+    lines.push(report.last_line().to_owned());
     lines.join("\n")
 }

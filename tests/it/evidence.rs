@@ -85,6 +85,7 @@ fn expect_agreement(bundle: &Path, trust: Option<&Path>) {
     let (ours, theirs) = (verified(bundle, trust), by_the_second(bundle, trust));
     assert_eq!(ours.code, theirs.code, "{ours}\n{theirs}");
     let (ours, theirs) = (ours.document(), theirs.document());
+    assert_eq!(ours["outcome"], theirs["outcome"]);
     let standings = |record: &Value| {
         ["bytes", "key", "anchor", "opened"].map(|level| {
             let told = &record[level];
@@ -101,8 +102,10 @@ fn a_bundle_is_verified_on_another_machine_and_every_lie_is_refused() {
         skipped!("no python3");
     }
     let Exported { home, bundle, trust, revealed, records } = export();
-    let report = verified(&bundle, Some(&trust)).expect_code(0).document();
-    assert_eq!((text(&report, "outcome").as_str(), &report["pinned"]), ("holds", &true.into()), "{report}");
+    // The home seals its chain itself: that is no proof against it, and no success.
+    let report = verified(&bundle, Some(&trust)).expect_code(8).document();
+    assert_eq!((text(&report, "outcome").as_str(), &report["pinned"]), ("incomplete", &true.into()), "{report}");
+    assert_eq!(text(&report["exporter"], "standing"), "own_chain", "{report}");
     let found = list(&report, "records");
     assert_eq!(found.len(), records.len() + 1, "the messages and the record of their definition");
     for record in &found {
@@ -120,11 +123,39 @@ fn a_bundle_is_verified_on_another_machine_and_every_lie_is_refused() {
             assert!(record["disclosed"].is_null(), "nothing else is readable: {record}");
         }
     }
-    assert!(list(&report, "complete").iter().all(|stretch| stretch["missing"] == 0), "{report}");
+    let is_whole = |stretch: &Value| stretch["missing"] == 0 && text(stretch, "standing") == "own_chain";
+    assert!(list(&report, "complete").iter().all(is_whole), "{report}");
+    told(&home, &bundle, &trust);
     verified(&bundle, None).expect_code(8);
     expect_agreement(&bundle, Some(&trust));
     expect_agreement(&bundle, None);
     refused(&home, &bundle, &trust);
+}
+
+/// What people read.
+fn told(home: &Home, bundle: &Path, trust: &Path) {
+    let shown = |trust: &Path| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_authros"));
+        command.env_clear().env("HOME", home.root()).arg("verify").arg(bundle).arg("--trust").arg(trust);
+        Running::start(command).wait(60).expect_code(8).stdout
+    };
+    let own = shown(trust);
+    let last = own.trim_end().lines().last();
+    assert_eq!(last, Some("holds by the exporter's own chain alone, which proves nothing against him"), "{own}");
+    assert!(own.contains("'/robot1/odom' nav_msgs/Odometry") && own.contains("(f) own chain: topic"), "{own}");
+    let denied = home.root().join("denied.toml");
+    let pins = fs::read_to_string(trust).expect("text");
+    let denying = pins.replace("sealed_by_exporter = true", "sealed_by_exporter = false");
+    assert_ne!(pins, denying);
+    fs::write(&denied, denying).expect("written");
+    let told = shown(&denied);
+    assert!(told.contains("your trust file says that others seal this chain; its headers say that one program does"));
+    expect_agreement(bundle, Some(&denied));
+    let unsaid = home.root().join("unsaid.toml");
+    fs::write(&unsaid, pins.replace("sealed_by_exporter = true", "")).expect("written");
+    for outcome in [verified(bundle, Some(&unsaid)), by_the_second(bundle, Some(&unsaid))] {
+        assert_eq!(outcome.code, Some(3), "{outcome}");
+    }
 }
 
 fn refused(home: &Home, bundle: &Path, trust: &Path) {

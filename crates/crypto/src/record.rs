@@ -21,7 +21,7 @@ mod steps;
 
 pub use many::{Checked, Unchecked, check_alone, check_many};
 pub use opening::{Anchor, Expected, OpenedRecord, check, check_deleted, open, open_front, open_in_steps};
-pub use reveal::{RecordSecret, Revealed, open_revealed, reveal_bytes};
+pub use reveal::{RecordSecret, Revealed, open_revealed, open_revealed_within, reveal_bytes};
 pub use steps::Step;
 
 /// All that is sealed into one record.

@@ -4,7 +4,7 @@ use authros_crypto::merkle::Leaf;
 use authros_model::{Address, Digest, Header, Timestamp};
 
 use crate::bundle::{AnchorClaim, Anchoring, BundledRecord};
-use crate::header::{BlockHeader, seals};
+use crate::header::BlockHeader;
 use crate::report::{Level, Standing};
 use crate::state::{Storage, Unproven};
 use crate::verify::Check;
@@ -66,7 +66,7 @@ fn find<'a>(check: &Check<'a>, digest: Digest, header: &Header, claim: &'a Ancho
     let Some(shown_at) = check.bundle.headers.get(&claim.shown_at) else {
         return unproven(format!("the header of block {} is not in the bundle", claim.shown_at));
     };
-    let storage = match Storage::of(&check.bundle.nodes, shown_at.state_root, check.contract) {
+    let storage = match check.known.storage(check, shown_at) {
         Ok(storage) => storage,
         Err(Unproven::Missing(_)) => {
             return unproven(format!("the state after block {} is not in the bundle", claim.shown_at));
@@ -156,7 +156,7 @@ fn sealed(check: &Check<'_>, anchored: &Anchored<'_>, shown_at: &BlockHeader) ->
         let text = format!("{what}{at}, sealed by {who}: you pinned no signers, so this proves nothing yet");
         return Level::new(Standing::Unproven, text);
     };
-    let found = seals(&check.bundle.headers, shown_at.number, &trust.chain.signers);
+    let found = check.known.seals(check, shown_at, &trust.chain.signers);
     let (have, all, quorum) = (found.pinned.len(), trust.chain.signers.len(), trust.quorum());
     if have < quorum {
         return match (found.unsigned, found.stranger) {

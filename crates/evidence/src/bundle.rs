@@ -237,7 +237,9 @@ impl Bundle {
             [MIMETYPE | MANIFEST | SIGNATURE | READ_ME] => {}
             [SUGGESTED] => self.suggested = Some(text(name, bytes)?),
             ["records", digest, part] => {
-                let digest = digest.parse().map_err(|_| wrong("is filed under what is no digest"))?;
+                // One spelling: 0x and capital letters would file a second part under the same record.
+                let filed = digest.parse().ok().filter(|filed: &Digest| filed.to_hex() == **digest);
+                let digest = filed.ok_or_else(|| wrong("is filed under what is no digest"))?;
                 drafts.entry(digest).or_default().take(name, part, bytes)?;
             }
             ["keys", file] => {
@@ -294,6 +296,17 @@ struct Draft {
 impl Draft {
     fn take(&mut self, name: &str, part: &str, bytes: &[u8]) -> Result<(), BundleError> {
         let signature = || signature_from_der(bytes).map_err(|error| BundleError::of(name, &error.to_string()));
+        let is_there = match part {
+            "record.bin" => self.record.is_some(),
+            "signature.der" => self.signature.is_some(),
+            "anchor.json" => self.anchor.is_some(),
+            "reveal.bin" => self.secret.is_some(),
+            "reveal.der" => self.disclosed.is_some(),
+            _ => false,
+        };
+        if is_there {
+            return Err(BundleError::of(name, "is there twice"));
+        }
         match part {
             "record.bin" if bytes.len() as u64 > LARGEST_BODY + u64::from(LARGEST_HEAD) + 1024 => {
                 return Err(BundleError::of(name, "is longer than any record"));

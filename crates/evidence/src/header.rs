@@ -12,6 +12,8 @@ pub const LONGEST_HEADER: usize = 4096;
 const VANITY: usize = 32;
 /// Length of a seal: r, s, parity.
 const SEAL: usize = 65;
+/// Length of a signer's address.
+const ADDRESS: usize = 20;
 /// The vanity of a block of AuthROS's own chain.
 const OURS: &[u8] = b"AuthROS chain file version ";
 
@@ -29,6 +31,7 @@ pub struct BlockHeader {
     /// Its time, seconds, by its sealer's clock.
     pub timestamp: u64,
     extra: Vec<u8>,
+    /// What a Clique signer signs of it; `None` where it is of another consensus.
     seal_hash: Option<[u8; 32]>,
 }
 
@@ -68,9 +71,14 @@ impl BlockHeader {
     }
 }
 
-/// What a Clique signer signs: all of it but the seal.
+/// What a Clique signer signs: all of it but the seal. Its mix hash is zero, and between vanity and seal there are whole
+/// addresses or nothing; QBFT and IBFT write other things there.
 fn seal_hash(list: &Rlp<'_>, fields: usize, extra: &[u8]) -> Option<[u8; 32]> {
-    let unsealed = extra.get(..extra.len().checked_sub(SEAL)?).filter(|rest| rest.len() >= VANITY)?;
+    let between = extra.len().checked_sub(VANITY + SEAL)?;
+    if between % ADDRESS != 0 || list.at(13).ok()?.data().ok()? != [0; 32] {
+        return None;
+    }
+    let unsealed = extra.get(..VANITY + between)?;
     let mut out = RlpStream::new_list(fields);
     for at in 0..fields {
         match at {
@@ -92,11 +100,13 @@ pub struct Seals {
     pub unsigned: bool,
 }
 
-/// The seals on a block and on those that follow it in the bundle, each naming the one before as its parent.
+/// The seals on a block and on those that follow it in the bundle, each naming the one before as its parent; until all who
+/// were pinned are met, over four headers for each of them and sixteen more at the most.
 pub fn seals(headers: &BTreeMap<u64, BlockHeader>, first: u64, pinned: &[Address]) -> Seals {
     let mut found = Seals::default();
     let mut parent = None;
-    for (number, header) in headers.range(first..) {
+    let most = pinned.len().saturating_mul(4).saturating_add(16);
+    for (number, header) in headers.range(first..).take(most) {
         let follows = match parent {
             None => *number == first,
             Some((number_before, hash)) => header.parent == hash && Some(*number) == u64::checked_add(number_before, 1),
@@ -116,6 +126,9 @@ pub fn seals(headers: &BTreeMap<u64, BlockHeader>, first: u64, pinned: &[Address
                 found.unsigned = parent.is_none();
                 break;
             }
+        }
+        if found.pinned.len() >= pinned.len() {
+            break;
         }
         parent = Some((*number, header.hash));
     }

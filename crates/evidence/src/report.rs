@@ -58,8 +58,10 @@ pub struct RecordReport {
     pub digest: Digest,
     /// Its owner, as its header says.
     pub owner: Option<Address>,
-    /// Who that is, as it was pinned.
+    /// Who that is, as it was pinned, where the key is shown to be his.
     pub person: Option<String>,
+    /// SM3 of the key that signed it.
+    pub signer: Option<SignerId>,
     /// SM3 of the key that its owner had registered, where a state that is believed shows it.
     pub owner_key: Option<SignerId>,
     /// The ledger that numbered it.
@@ -91,6 +93,11 @@ pub struct RecordReport {
 }
 
 impl RecordReport {
+    /// Whether the key that signed it is shown to be its owner's, by pinned signers or by the exporter's own chain.
+    pub fn is_believed(&self) -> bool {
+        matches!(self.key.standing, Standing::Proven | Standing::OwnChain)
+    }
+
     /// Its levels by their letters.
     pub fn levels(&self) -> [(char, &Level); 5] {
         [('a', &self.bytes), ('b', &self.key), ('c', &self.anchor), ('d', &self.time), ('e', &self.opened)]
@@ -124,14 +131,18 @@ pub struct Stretch {
     pub recorder: RecorderId,
     /// The topic.
     pub topic_id: TopicId,
-    /// The first number in the bundle.
-    pub first: u64,
+    /// How far it goes: no further than the signers of its records are shown.
+    pub standing: Standing,
+    /// The first number in the bundle; `None` where no record's signer is proven.
+    pub first: Option<u64>,
     /// The last.
-    pub last: u64,
+    pub last: Option<u64>,
     /// Numbers between them that are not there, from and to.
     pub gaps: Vec<(u64, u64)>,
     /// How many numbers are missing.
     pub missing: u64,
+    /// Records that are not counted, because nothing proves whose key signed them.
+    pub uncounted: u64,
     /// Numbers that two different records have: their signer told two histories.
     pub twice: Vec<u64>,
     /// In words.
@@ -142,9 +153,9 @@ pub struct Stretch {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Outcome {
-    /// Levels (a) to (c) hold for every record, by what was pinned.
+    /// Levels (a) to (c) are proven for every record, by what was pinned.
     Holds,
-    /// Something is not proven.
+    /// Something is not proven, or holds by the exporter's own chain alone.
     Incomplete,
     /// Something is contradicted.
     Refused,
@@ -168,4 +179,24 @@ pub struct Report {
     /// The messages that were disclosed.
     #[serde(skip)]
     pub messages: BTreeMap<Digest, Revealed>,
+}
+
+impl Report {
+    /// The standings of (a) to (c) of all records.
+    pub(crate) fn needed(&self) -> impl Iterator<Item = Standing> {
+        self.records.iter().flat_map(|record| [&record.bytes, &record.key, &record.anchor]).map(|level| level.standing)
+    }
+
+    /// The last line for people.
+    pub fn last_line(&self) -> &'static str {
+        let by_own_chain = || self.needed().all(|one| matches!(one, Standing::Proven | Standing::OwnChain));
+        match self.outcome {
+            Outcome::Holds => "levels (a) to (c) hold for every record, by what you pinned; read the notes",
+            Outcome::Incomplete if !self.records.is_empty() && by_own_chain() => {
+                "holds by the exporter's own chain alone, which proves nothing against him"
+            }
+            Outcome::Incomplete => "NOT ALL IS PROVEN: the levels say what is not",
+            Outcome::Refused => "REFUSED: something is contradicted; the levels say what",
+        }
+    }
 }

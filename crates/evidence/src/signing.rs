@@ -49,7 +49,7 @@ fn judged(header: &Header, anchored: &Anchored<'_>, registered: &PublicKey) -> R
         true => format!("the key was {owner}'s at block {block}"),
         false => match lent(header, anchored)? {
             Ok(()) => format!("the key {} is of a device that {owner} had lent at block {block}", header.signer),
-            Err(why) => return Ok(refused(why)),
+            Err(level) => return Ok(level),
         },
     };
     // The contract lets no suspended account anchor.
@@ -116,21 +116,26 @@ fn owner_key(check: &Check<'_>, header: &Header, anchored: &Anchored<'_>) -> Res
 }
 
 /// Whether the signer is a device that its owner had lent at the anchoring block.
-fn lent(header: &Header, anchored: &Anchored<'_>) -> Result<Result<(), String>, Unproven> {
+fn lent(header: &Header, anchored: &Anchored<'_>) -> Result<Result<(), Level>, Unproven> {
     let (owner, block) = (header.owner, anchored.block);
+    let unproven = |text: String| Ok(Err(Level::new(Standing::Unproven, text)));
+    let refused = |text: String| Ok(Err(refused(text)));
     let Some(loan) = anchored.storage.loan(owner, &header.signer.0)? else {
-        return Ok(Err(format!("{owner} had neither registered nor lent the key at block {block}")));
+        return refused(format!("{owner} had neither registered nor lent the key at block {block}"));
     };
+    if loan.lent > block && anchored.shown_at > block {
+        return unproven(format!("the device was lent anew since; what held at block {block} is not shown"));
+    }
     if loan.lent > block {
-        return Ok(Err(format!("{owner} lent the device only in block {}, after block {block}", loan.lent)));
+        return refused(format!("{owner} lent the device only in block {}, after block {block}", loan.lent));
     }
     if loan.recalled != 0 && loan.recalled <= block {
-        return Ok(Err(format!("{owner} had recalled the device in block {}", loan.recalled)));
+        return refused(format!("{owner} had recalled the device in block {}", loan.recalled));
     }
     match anchored.time {
         _ if loan.until == 0 => Ok(Ok(())),
         Some(time) if time < loan.until => Ok(Ok(())),
-        Some(_) => Ok(Err(format!("the loan of the device was over at {}", Timestamp::from_seconds(loan.until)))),
-        None => Ok(Err("the loan of the device had an end, and the block's time is not shown".to_owned())),
+        Some(_) => refused(format!("the loan of the device was over at {}", Timestamp::from_seconds(loan.until))),
+        None => unproven("the loan of the device had an end, and the block's time is not shown".to_owned()),
     }
 }

@@ -10,6 +10,8 @@ use crate::trie::{EMPTY_ROOT, Step, follow, nibbles};
 
 /// The most nodes in a bundle.
 pub const MOST_NODES: usize = 1_000_000;
+/// The longest node, bytes: one with all sixteen ways and a value has less than 700.
+pub const LONGEST_NODE: usize = 1024;
 
 /// Why the state does not show what was asked.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
@@ -64,7 +66,8 @@ impl Nodes {
         if !list.is_list() || list.item_count().ok()? > MOST_NODES {
             return None;
         }
-        let nodes = list.iter().map(|node| node.data().ok().map(<[u8]>::to_vec)).collect::<Option<Self>>()?;
+        let node = |node: Rlp<'_>| node.data().ok().filter(|node| node.len() <= LONGEST_NODE).map(<[u8]>::to_vec);
+        let nodes = list.iter().map(node).collect::<Option<Self>>()?;
         (nodes.encode() == bytes).then_some(nodes)
     }
 

@@ -1,10 +1,12 @@
 //! Bundles over a chain made here, so that every lie can be told in turn.
 
+mod hostile;
+mod second;
 mod world;
 
 use authros_crypto::record::RecordSecret;
 use authros_crypto::{keccak256, prove, signer_id};
-use authros_model::{Hash, Token};
+use authros_model::{Address, Hash, Token};
 
 use self::world::{BLOCK, GATEWAY, TIME, World, account, bound, genesis, header, ours, pair, sealed, word};
 use crate::{AnchorClaim, Anchoring, Bundle, BundledRecord, Nodes, Outcome, Slot, Standing, Trust, pack, verify};
@@ -20,7 +22,8 @@ fn a_true_bundle_holds_level_by_level() {
     let report = world.report();
     assert_eq!((report.outcome, report.exporter.standing), (Outcome::Holds, Proven));
     assert_eq!(report.records[0].seconds_to_anchor, Some(7));
-    assert_eq!((report.complete[0].first, report.complete[0].last), (3, 3));
+    assert_eq!((report.complete[0].first, report.complete[0].last), (Some(3), Some(3)));
+    assert_eq!((report.complete[0].standing, report.complete[0].uncounted), (Proven, 0));
     // Two headers on top of a later state show it too, and the anchoring account was the owner.
     world.shown_at = BLOCK + 9;
     assert_eq!(world.judged('c').0, [Proven, Proven, Proven, Absent]);
@@ -88,12 +91,19 @@ fn seals_that_are_not_enough_are_counted() {
 fn the_exporters_own_chain_proves_nothing_against_him() {
     let mut vanity = [0; 32];
     vanity[..28].copy_from_slice(b"AuthROS chain file version 3");
-    World { vanity, ..World::new() }.expect('c', OwnChain, "proves nothing against him");
+    let ours = World { vanity, ..World::new() };
+    ours.expect('c', OwnChain, "proves nothing against him");
+    let told = "your trust file says that others seal this chain; its headers say that one program does";
+    assert!(ours.report().warnings.iter().any(|warning| warning == told));
     let mut trust = World::trust();
     trust.chain.sealed_by_exporter = true;
     let report = World::new().report_by(&trust);
     assert_eq!(report.records[0].anchor.standing, OwnChain);
     assert!(report.warnings.iter().any(|warning| warning.contains("against him it proves nothing")));
+    assert!(!report.warnings.iter().any(|warning| warning.contains("others seal this chain")));
+    assert_eq!((report.outcome, report.exporter.standing), (Outcome::Incomplete, OwnChain));
+    assert_eq!(report.complete[0].standing, OwnChain);
+    assert_eq!(report.last_line(), "holds by the exporter's own chain alone, which proves nothing against him");
 }
 
 fn anchored_by_the_gateway() -> World {
@@ -148,6 +158,11 @@ fn a_device_signs_while_it_is_lent() {
     with([TIME, 12, 0]).expect('b', Refused, "the loan of the device was over");
     with([0, 12, BLOCK]).expect('b', Refused, "recalled the device in block 40");
     with([0, 41, 0]).expect('b', Refused, "lent the device only in block 41");
+    let later = World { shown_at: BLOCK + 9, ..with([0, 41, 0]) };
+    later.expect('b', Unproven, "lent anew since; what held at block 40 is not shown");
+    let mut timeless = World { shown_at: BLOCK + 9, ..with([TIME + 1, 12, 0]) };
+    timeless.put(Slot::anchor(owner, root(&timeless.claim)), word(&[BLOCK, 5, 0, 1]));
+    timeless.expect('b', Unproven, "the block's time is not shown");
     with([0, 0, 0]).expect('b', Refused, "neither registered nor lent");
 }
 
@@ -210,7 +225,9 @@ fn two_records_with_one_number_are_two_histories() {
     let members = packing.sign(genesis(), world.owner, &world.keys, ours()).expect("packs");
     let report = verify(&Bundle::of_members(&members, ours()).expect("reads"), Some(&World::trust()), ours());
     let stretch = &report.complete[0];
-    assert_eq!((stretch.twice.as_slice(), stretch.gaps.as_slice(), stretch.missing), (&[3][..], &[(4, 6)][..], 3));
+    // Its key is shown to be the owner's for one of the two; number 7, which is on no chain, closes no gap.
+    assert_eq!((stretch.twice.as_slice(), stretch.standing, stretch.uncounted), (&[3][..], Refused, 2));
+    assert_eq!((stretch.first, stretch.last, stretch.gaps.as_slice()), (Some(3), Some(3), &[][..]));
     assert_eq!(report.outcome, Outcome::Refused);
 }
 
@@ -289,6 +306,12 @@ fn pins_that_cannot_be_meant_are_refused() {
     for line in ["quorum = 0", "quorum = 4", "more = 1"] {
         assert!(with(line).is_err(), "{line}");
     }
+    let person = format!("\n[[person]]\naccount = \"{}\"\nname = \"harbour\"\n", Address([0x0e; 20]));
+    assert!(Trust::parse(format!("{text}{person}").as_bytes()).is_ok());
+    assert!(Trust::parse(format!("{text}{person}{person}").as_bytes()).is_err(), "two persons of one account");
+    let unsaid: String =
+        text.lines().filter(|line| !line.starts_with("sealed_by")).map(|line| format!("{line}\n")).collect();
+    assert!(Trust::parse(unsaid.as_bytes()).expect_err("refused").to_string().contains("sealed_by_exporter"));
     assert_eq!(with("quorum = 3").expect("parses").quorum(), 3);
     assert!(Trust::parse(b"").is_err() && Trust::parse(&[0xff]).is_err());
 }

@@ -1,5 +1,7 @@
 //! What the reader of a bundle knows by another way than from the bundle: pinned in `trust.toml`.
 
+use std::collections::BTreeSet;
+
 use authros_crypto::domain;
 use authros_model::{Address, Domain, Hash, SignerId, clean};
 use serde::{Deserialize, Serialize};
@@ -40,8 +42,7 @@ pub struct PinnedChain {
     /// How many of them have to have sealed a block or built on it; more than half unless it is set.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub quorum: Option<usize>,
-    /// Whether whoever exports seals this chain himself: its word then proves nothing against him.
-    #[serde(default)]
+    /// Whether whoever exports seals this chain himself: its word then proves nothing against him. It has to be said.
     pub sealed_by_exporter: bool,
 }
 
@@ -70,6 +71,10 @@ impl Trust {
         let signers = &trust.chain.signers;
         if signers.iter().enumerate().any(|(at, signer)| signers.iter().skip(at + 1).any(|other| other == signer)) {
             return Err(TrustError("a signer is named twice".into()));
+        }
+        let accounts: BTreeSet<Address> = trust.persons.iter().map(|person| person.account).collect();
+        if accounts.len() != trust.persons.len() {
+            return Err(TrustError("an account is two persons'".into()));
         }
         if trust.chain.quorum.is_some_and(|quorum| quorum == 0 || quorum > signers.len()) {
             return Err(TrustError("its quorum is none of its signers, or more than there are".into()));

@@ -2,13 +2,15 @@
 
 use std::collections::BTreeMap;
 
-use authros_crypto::record::{open_revealed, reveal_bytes, signed_bytes};
-use authros_crypto::{Provider, check_identity, domain, signer_id};
-use authros_model::{Address, Digest, Domain, Hash, Header, PublicKey, Timestamp, clean};
+use authros_crypto::record::{Revealed, signed_bytes};
+use authros_crypto::{Provider, domain, signer_id};
+use authros_model::{Address, Digest, Domain, Hash, Header, Identity, Timestamp, clean};
 
 use crate::anchoring::{Anchored, anchored};
 use crate::bundle::{Bundle, BundledRecord};
 use crate::completeness::stretches;
+use crate::disclosure::opened;
+use crate::known::Known;
 use crate::report::{Disclosed, Level, Outcome, RecordReport, Report, Standing};
 use crate::signing::signing_right;
 use crate::trust::Trust;
@@ -21,6 +23,8 @@ pub(crate) struct Check<'a> {
     /// What records are bound to: by the pins, else by the bundle's own word.
     pub domain: Domain,
     pub contract: Address,
+    /// What is found out on the way.
+    pub known: Known<'a>,
 }
 
 /// Checks a bundle. Without a trust file nothing about the chain is proven, and the report says so.
@@ -30,7 +34,7 @@ pub fn verify(bundle: &Bundle, trust: Option<&Trust>, provider: &dyn Provider) -
         Some(trust) => (trust.domain(), trust.chain.contract),
         None => (domain(claimed.id, &claimed.genesis, &claimed.contract), claimed.contract),
     };
-    let check = Check { bundle, trust, provider, domain: bound, contract };
+    let check = Check { bundle, trust, provider, domain: bound, contract, known: Known::default() };
     let mut messages = BTreeMap::new();
     let records: Vec<RecordReport> =
         bundle.records.iter().map(|(digest, record)| check.record(*digest, record, &mut messages)).collect();
@@ -41,29 +45,28 @@ pub fn verify(bundle: &Bundle, trust: Option<&Trust>, provider: &dyn Provider) -
     let refused = exporter.standing == Standing::Refused
         || standings().any(|(_, standing)| standing == Standing::Refused)
         || complete.iter().any(|stretch| !stretch.twice.is_empty());
-    let needed = |(letter, standing): (char, Standing)| {
-        !('a'..='c').contains(&letter) || matches!(standing, Standing::Proven | Standing::OwnChain)
-    };
-    let outcome = match refused {
-        true => Outcome::Refused,
-        false if trust.is_some() && !records.is_empty() && standings().all(needed) => Outcome::Holds,
-        false => Outcome::Incomplete,
-    };
-    let warnings = check.warnings(&records);
-    Report { outcome, pinned: trust.is_some(), exporter, warnings, records, complete, messages }
+    let (pinned, warnings) = (trust.is_some(), check.warnings(&records));
+    let mut report = Report { outcome: Outcome::Incomplete, pinned, exporter, warnings, records, complete, messages };
+    if refused {
+        report.outcome = Outcome::Refused;
+    } else if pinned && !report.records.is_empty() && report.needed().all(|standing| standing == Standing::Proven) {
+        report.outcome = Outcome::Holds;
+    }
+    report
 }
 
-impl Check<'_> {
+impl<'a> Check<'a> {
     fn record(
         &self,
         digest: Digest,
-        record: &BundledRecord,
-        messages: &mut BTreeMap<Digest, authros_crypto::record::Revealed>,
+        record: &'a BundledRecord,
+        messages: &mut BTreeMap<Digest, Revealed>,
     ) -> RecordReport {
         let mut report = RecordReport {
             digest,
             owner: None,
             person: None,
+            signer: None,
             owner_key: None,
             recorder: None,
             topic_id: None,
@@ -87,7 +90,7 @@ impl Check<'_> {
             }
         };
         report.owner = Some(header.owner);
-        report.person = self.trust.and_then(|trust| trust.person(header.owner)).map(|person| clean(&person.name, 80));
+        report.signer = Some(header.signer);
         (report.recorder, report.topic_id, report.seq) =
             (Some(header.recorder), Some(header.topic_id), Some(header.seq));
         report.captured_at = Some(header.captured_at);
@@ -101,20 +104,18 @@ impl Check<'_> {
             Some(signed) => capped(signed.level, &report.anchor),
             None => Level::new(Standing::Unproven, "no anchor is shown, and the key's right is judged at its block"),
         };
+        let person = self.trust.and_then(|trust| trust.person(header.owner)).filter(|_| report.is_believed());
+        report.person = person.map(|person| clean(&person.name, 80));
         if let Some(Anchored { block, time, .. }) = &anchored {
             report.block = Some(*block);
             report.anchored_at = time.map(Timestamp::from_seconds);
             report.seconds_to_anchor = time.and_then(|time| seconds_between(header.captured_at.seconds(), time));
         }
-        if record.disclosure.is_some() {
-            match self.opened(digest, record, &header, owner_key) {
-                Ok((revealed, level)) => {
-                    report.opened = capped(level, &report.anchor);
-                    report.disclosed = Some(self.disclosed(&revealed));
-                    messages.insert(digest, revealed);
-                }
-                Err(why) => report.opened = Level::new(Standing::Refused, why),
-            }
+        let (level, revealed) = opened(self, digest, record, &header, owner_key);
+        report.opened = capped(level, &report.anchor);
+        if let Some(revealed) = revealed {
+            report.disclosed = Some(self.disclosed(&revealed));
+            messages.insert(digest, revealed);
         }
         report
     }
@@ -143,39 +144,7 @@ impl Check<'_> {
         Ok(header)
     }
 
-    /// (e): the secret is the record's, and its owner signed the disclosure. An identity proves that its key made it, and
-    /// not whose account it is: only the state or a pin ties the key to the owner.
-    fn opened(
-        &self,
-        digest: Digest,
-        record: &BundledRecord,
-        header: &Header,
-        owner_key: Option<PublicKey>,
-    ) -> Result<(authros_crypto::record::Revealed, Level), String> {
-        let Some(disclosure) = &record.disclosure else { return Err("it has no disclosure".to_owned()) };
-        let revealed = open_revealed(self.provider, &record.record, &disclosure.secret)
-            .map_err(|error| format!("the disclosed secret does not open it: {error}"))?;
-        let message = reveal_bytes(&header.domain, &digest, &disclosure.secret);
-        let is_owners = |key: &PublicKey| self.provider.verify(key, &message, &disclosure.signature).is_ok();
-        let pinned = self.trust.and_then(|trust| trust.person(header.owner)).and_then(|person| person.key);
-        let pinned = pinned.and_then(|key| self.bundle.keys.get(&key)).copied();
-        if [owner_key, pinned].iter().flatten().any(is_owners) {
-            return Ok((revealed, Level::new(Standing::Proven, "opened by its owner's disclosure")));
-        }
-        let mut claimed = self.bundle.identities.values().filter(|identity| self.is_of(identity, header.owner));
-        if claimed.any(|identity| is_owners(&identity.signing)) {
-            let text = "it opens, and this is the message; that its owner disclosed it is not shown";
-            return Ok((revealed, Level::new(Standing::Unproven, text)));
-        }
-        Err("the disclosure is not signed by its owner".to_owned())
-    }
-
-    /// Whether an identity proves that it is this account's.
-    pub fn is_of(&self, identity: &authros_model::Identity, account: Address) -> bool {
-        check_identity(self.provider, &self.domain, &account, identity).is_ok()
-    }
-
-    fn disclosed(&self, revealed: &authros_crypto::record::Revealed) -> Disclosed {
+    fn disclosed(&self, revealed: &Revealed) -> Disclosed {
         let head = &revealed.head;
         Disclosed {
             topic: clean(&head.topic, 256),
@@ -195,15 +164,24 @@ impl Check<'_> {
         }
         let person = self.trust.and_then(|trust| trust.person(exporter.account));
         let name = person.map_or(String::new(), |person| format!(" ({})", clean(&person.name, 80)));
-        let own =
-            |record: &RecordReport| (record.owner, record.owner_key) == (Some(exporter.account), Some(exporter.key));
         let pinned = person.and_then(|person| person.key);
-        if pinned != Some(exporter.key) && (pinned.is_some() || !records.iter().any(own)) {
+        if pinned == Some(exporter.key) {
+            let text = format!("put together by the key that you pinned for {}{name}", exporter.account);
+            return Level::new(Standing::Proven, text);
+        }
+        let is_tied =
+            |record: &RecordReport| (record.owner, record.owner_key) == (Some(exporter.account), Some(exporter.key));
+        let tied = |standing: Standing| {
+            let mut tied = records.iter().filter(|record| record.anchor.standing == standing && is_tied(record));
+            let block = tied.next().filter(|_| pinned.is_none())?.block?;
+            let text = format!("put together by a key that was {}'s at block {block}", exporter.account);
+            Some(Level::new(standing, text))
+        };
+        tied(Standing::Proven).or_else(|| tied(Standing::OwnChain)).unwrap_or_else(|| {
             let text =
                 format!("put together by the key {}, which nothing here ties to {}", exporter.key, exporter.account);
-            return Level::new(Standing::Unproven, text);
-        }
-        Level::new(Standing::Proven, format!("put together by {}{name}", exporter.account))
+            Level::new(Standing::Unproven, text)
+        })
     }
 
     fn warnings(&self, records: &[RecordReport]) -> Vec<String> {
@@ -222,6 +200,12 @@ impl Check<'_> {
                     .to_owned(),
             );
         }
+        let denied = self.trust.is_some_and(|trust| !trust.chain.sealed_by_exporter);
+        if denied && records.iter().any(|record| record.anchor.standing == Standing::OwnChain) {
+            warnings.push(
+                "your trust file says that others seal this chain; its headers say that one program does".to_owned(),
+            );
+        }
         if records.iter().any(|record| record.seconds_to_anchor.is_some_and(|seconds| seconds < 0)) {
             warnings
                 .push("a record claims to be captured after the block that anchors it: a clock was wrong".to_owned());
@@ -238,8 +222,8 @@ impl Check<'_> {
     }
 
     /// The identity with this hash, where it is in the bundle and proves to be this account's.
-    pub fn identity(&self, hash: Hash, account: Address) -> Option<&authros_model::Identity> {
-        self.bundle.identities.get(&hash).filter(|identity| self.is_of(identity, account))
+    pub fn identity(&self, hash: Hash, account: Address) -> Option<&Identity> {
+        self.bundle.identities.get(&hash).filter(|identity| self.known.is_of(self, (hash, identity), account))
     }
 }
 

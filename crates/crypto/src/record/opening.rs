@@ -214,20 +214,24 @@ fn unseal(
     Ok((head, std::mem::take(&mut *body)))
 }
 
-/// Head and message of a stored record by its own keys, which have to be those that its header commits to.
+/// Head and message of a stored record by its own keys, which have to be those that its header commits to. The message's
+/// length is taken off `budget` before it is made; `None` where that has less.
 pub(super) fn open_by_keys(
     provider: &dyn Provider,
     blob: &[u8],
     keys_of: impl FnOnce(&Header) -> RecordKeys,
-) -> Result<(Header, Head, Vec<u8>), CryptoError> {
+    budget: &mut u64,
+) -> Result<Option<(Header, Head, Vec<u8>)>, CryptoError> {
     let parts = parse(blob).map_err(CryptoError::DamagedRecord)?;
     let keys = keys_of(&parts.header);
     if !bool::from(keys.commit.ct_eq(&parts.header.commit.0)) {
         return Err(CryptoError::WrongKey);
     }
     let (head, body) = unseal(provider, &keys, &parts, &mut |_| ())?;
+    let Some(left) = budget.checked_sub(head.plain_length) else { return Ok(None) };
+    *budget = left;
     let body = restore(&head, body)?;
-    Ok((parts.header, head, body))
+    Ok(Some((parts.header, head, body)))
 }
 
 /// Public header and sealed head of a record, from its first bytes. The seal of the head covers the header: both are as

@@ -58,8 +58,23 @@ pub struct Revealed {
 /// # Errors
 /// [`CryptoError::WrongKey`] where the record is not committed to this secret, else as of an opening.
 pub fn open_revealed(provider: &dyn Provider, blob: &[u8], secret: &RecordSecret) -> Result<Revealed, CryptoError> {
-    let (header, head, body) = open_by_keys(provider, blob, |header| secret.keys(header))?;
-    Ok(Revealed { header, head, body })
+    let mut budget = u64::MAX;
+    open_revealed_within(provider, blob, secret, &mut budget)?.ok_or(CryptoError::Tampered("plain length"))
+}
+
+/// As [`open_revealed`], for many records of a stranger: the length of each message is taken off `budget`, in bytes, before
+/// the message is made; `None` where that has less.
+///
+/// # Errors
+/// As [`open_revealed`].
+pub fn open_revealed_within(
+    provider: &dyn Provider,
+    blob: &[u8],
+    secret: &RecordSecret,
+    budget: &mut u64,
+) -> Result<Option<Revealed>, CryptoError> {
+    let opened = open_by_keys(provider, blob, |header| secret.keys(header), budget)?;
+    Ok(opened.map(|(header, head, body)| Revealed { header, head, body }))
 }
 
 /// What the owner signs who discloses a record: label, domain, digest, secret.

@@ -233,6 +233,10 @@ fn one_record_opens_by_its_own_secret_and_no_other_does() {
     assert_eq!(*secret.expose(), crate::crypto::hmac_sm3(&record.header.salt.0, &[sample.key.expose()]));
     let revealed = open_revealed(sample.provider, &record.blob, &secret).expect("opens");
     assert_eq!((revealed.body.as_slice(), revealed.head), (&b"the message"[..], sample.head.clone()));
+    let mut budget = 20;
+    let mut within = || open_revealed_within(sample.provider, &record.blob, &secret, &mut budget).expect("opens");
+    assert!(within().is_some() && within().is_none(), "eleven bytes of twenty, and not eleven more");
+    assert_eq!(budget, 9);
     let other = open_revealed(sample.provider, &another.blob, &secret);
     assert!(matches!(other, Err(CryptoError::WrongKey)), "another record of the same topic stays closed");
     let mut altered = record.blob.clone();

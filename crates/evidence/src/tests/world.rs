@@ -269,6 +269,17 @@ pub fn pair() -> SmKeyPair {
 }
 
 pub fn sealed(owner: Address, signer: &SmKeyPair, topic_key: &TopicKey, seq: u64, body: &[u8]) -> SealedRecord {
+    sealed_as(owner, signer, topic_key, seq, (body, body.len() as u64, Compression::None))
+}
+
+/// A record whose body is sealed as it is given, with what its head says of it.
+pub fn sealed_as(
+    owner: Address,
+    signer: &SmKeyPair,
+    topic_key: &TopicKey,
+    seq: u64,
+    (body, plain_length, compression): (&[u8], u64, Compression),
+) -> SealedRecord {
     let head = Head {
         topic: "/robot1/odom".into(),
         type_name: "std_msgs/String".into(),
@@ -276,8 +287,8 @@ pub fn sealed(owner: Address, signer: &SmKeyPair, topic_key: &TopicKey, seq: u64
         definition: Digest([4; 32]),
         caller_id: "/robot1".into(),
         boot_id: [5; 16],
-        compression: Compression::None,
-        plain_length: body.len() as u64,
+        compression,
+        plain_length,
         tags: BTreeMap::new(),
     };
     let request = SealRequest {

@@ -42,12 +42,21 @@ impl Definition {
     /// # Errors
     /// [`RosError::Body`] where the body ends early, has bytes left over, or costs more than `limits`.
     pub fn decode(&self, body: &[u8], limits: Limits) -> Result<Value, RosError> {
+        let mut limits = limits;
+        self.decode_from(body, &mut limits)
+    }
+
+    /// As [`Definition::decode`]; the steps that it took are taken off `limits`, so that many bodies share them.
+    ///
+    /// # Errors
+    /// As [`Definition::decode`].
+    pub fn decode_from(&self, body: &[u8], limits: &mut Limits) -> Result<Value, RosError> {
         let failed = |failure: Failure| RosError::body(self.type_name(), failure.to_string());
-        let mut walk = self.walk(body, limits).map_err(failed)?;
+        let mut walk = self.walk(body, *limits).map_err(failed)?;
         let root = self.root().ok_or_else(|| RosError::body("", "the definition is empty"))?;
-        let value = walk.message(root).map_err(failed)?;
-        walk.end().map_err(failed)?;
-        Ok(value)
+        let value = walk.message(root).and_then(|value| walk.end().map(|()| value));
+        limits.steps = walk.steps;
+        value.map_err(failed)
     }
 
     /// A walk over `body`, which knows how it is laid out.

@@ -1,0 +1,275 @@
+//! The second verifier, in Python, over the same truths and lies.
+
+use std::process::{Command, Output};
+
+use authros_crypto::record::RecordSecret;
+use authros_crypto::{compression, prove, signer_id};
+use authros_model::Token;
+use authros_model::head::Compression;
+
+use super::hostile::unanchored;
+use super::world::{BLOCK, TIME, World, bound, genesis, ours, pair, sealed, sealed_as};
+use crate::archive::{self, Members};
+use crate::{Bundle, BundledRecord, Outcome, Packing, Slot, Trust, disclose, pack, verify};
+
+fn python(arguments: &[&str]) -> Option<Output> {
+    match Command::new("python3").arg("-B").args(arguments).output() {
+        Ok(output) => Some(output),
+        Err(error) => {
+            eprintln!("SKIPPED: no python3: {error}");
+            None
+        }
+    }
+}
+
+/// A script that has the second verifier as `verify`, and what it is given by its name.
+fn script(text: &str, given: &str) -> Option<Output> {
+    let tools = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tools");
+    let whole = format!("import sys\nsys.path.insert(0, {tools:?})\nimport verify\ngiven = sys.argv[1]\n{text}");
+    python(&["-c", &whole, given])
+}
+
+fn expect_success(output: &Output) {
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+}
+
+/// Both say the same of each record and of the whole.
+fn agree(members: &Members, trust: &Trust, outcome: Outcome) {
+    let folder = tempfile::tempdir().expect("directory");
+    let (file, pins) = (folder.path().join("case.authros"), folder.path().join("trust.toml"));
+    std::fs::write(&file, pack(members).expect("packs")).expect("written");
+    std::fs::write(&pins, trust.to_text().expect("text")).expect("written");
+    let report = verify(&Bundle::read(&file, ours()).expect("reads"), Some(trust), ours());
+    let levels: Vec<String> = report.records.iter().map(|record| format!("{:?}", record.levels())).collect();
+    assert_eq!(report.outcome, outcome, "{levels:?}");
+    let tool = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tools/verify.py");
+    let arguments = [tool, file.to_str().expect("UTF-8"), "--trust", pins.to_str().expect("UTF-8")];
+    let Some(output) = python(&arguments) else { return };
+    let told = String::from_utf8_lossy(&output.stdout) + String::from_utf8_lossy(&output.stderr);
+    let code = match outcome {
+        Outcome::Holds => 0,
+        Outcome::Incomplete => 8,
+        Outcome::Refused => 6,
+    };
+    assert_eq!(output.status.code(), Some(code), "{told}\n{levels:?}");
+    let theirs: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    let found = theirs["records"].as_array().expect("records");
+    assert_eq!(found.len(), report.records.len());
+    for (record, found) in report.records.iter().zip(found) {
+        let own = serde_json::to_value(record).expect("JSON");
+        for level in ["bytes", "key", "anchor", "opened"] {
+            assert_eq!(own[level]["standing"], found[level], "{level}: {told}\n{levels:?}");
+        }
+    }
+    let twice: Vec<u64> = report.complete.iter().flat_map(|stretch| stretch.twice.clone()).collect();
+    assert_eq!(serde_json::to_value(twice).expect("JSON"), theirs["twice"]);
+}
+
+fn signed(packing: Packing, world: &World) -> Members {
+    packing.sign(genesis(), world.owner, &world.keys, ours()).expect("packs")
+}
+
+#[test]
+fn both_say_the_same_of_the_chain() {
+    let mut own = World::trust();
+    own.chain.sealed_by_exporter = true;
+    agree(&World::new().members(), &World::trust(), Outcome::Holds);
+    agree(&World::new().members(), &own, Outcome::Incomplete);
+    for (sealers, outcome) in [
+        (&[1][..], Outcome::Incomplete),
+        (&[0], Outcome::Incomplete),
+        (&[9, 9], Outcome::Refused),
+        (&[3, 1, 2], Outcome::Holds),
+    ] {
+        agree(&World { sealers: sealers.to_vec(), ..World::new() }.members(), &World::trust(), outcome);
+    }
+    let mut vanity = [0; 32];
+    vanity[..28].copy_from_slice(b"AuthROS chain file version 3");
+    agree(&World { vanity, ..World::new() }.members(), &World::trust(), Outcome::Incomplete);
+}
+
+#[test]
+fn both_say_the_same_of_loans() {
+    let World { owner, keys, identity, .. } = World::new();
+    for (until, lent, later, outcome) in [
+        (0, 12, 0, Outcome::Holds),
+        (TIME, 12, 0, Outcome::Refused),
+        (0, 41, 0, Outcome::Refused),
+        (0, 41, 9, Outcome::Incomplete),
+    ] {
+        let mut world = World::of(owner, keys.clone(), pair(), identity.clone(), owner);
+        let mut packed = [0; 32];
+        packed[31] = 1;
+        for (at, field) in [until, lent, 0u64].iter().enumerate() {
+            packed[23 - 8 * at..31 - 8 * at].copy_from_slice(&field.to_be_bytes());
+        }
+        world.put(Slot::loan(owner, &signer_id(&world.signer.public).0), packed);
+        world.shown_at = BLOCK + later;
+        let mut packing = world.packing();
+        packing.key(&world.keys.public).expect("a point");
+        agree(&signed(packing, &world), &World::trust(), outcome);
+    }
+}
+
+#[test]
+fn both_say_the_same_of_records_in_anothers_name() {
+    let world = World::new();
+    let (thief, mut lies) = (pair(), world.packing());
+    lies.key(&thief.public).expect("a point");
+    for seq in [3, 4] {
+        let one = sealed(world.owner, &thief, &world.topic_key, seq, b"a lie");
+        lies.record(one.digest, unanchored(one)).expect("added");
+    }
+    agree(&signed(lies, &world), &World::trust(), Outcome::Incomplete);
+    let mut histories = world.packing();
+    let other = sealed(world.owner, &world.keys, &world.topic_key, 3, b"another");
+    histories.record(other.digest, unanchored(other)).expect("added");
+    agree(&signed(histories, &world), &World::trust(), Outcome::Refused);
+}
+
+#[test]
+fn both_say_the_same_of_disclosures() {
+    let mut world = World::new();
+    let secret = RecordSecret::of(&world.topic_key, &world.record.header);
+    world.disclose(&world.keys.clone(), secret.clone());
+    agree(&world.members(), &World::trust(), Outcome::Holds);
+    let thief = pair();
+    world.disclose(&thief, secret);
+    agree(&world.members(), &World::trust(), Outcome::Refused);
+    let forged = prove(ours(), &bound(), &world.owner, &thief, &pair().public, Token([5; 32])).expect("proves");
+    let mut packing = world.packing();
+    packing.identity(&forged);
+    agree(&signed(packing, &world), &World::trust(), Outcome::Holds);
+    // Packed, as it should be and with a length that it has not.
+    let body: Vec<u8> = (0..40u8).chain([7; 300]).collect();
+    let packed = compression::pack(&body, None).expect("packs").bytes;
+    for (length, outcome) in
+        [(body.len(), Outcome::Incomplete), (body.len() - 1, Outcome::Refused), (packed.len(), Outcome::Refused)]
+    {
+        let world = World::new();
+        let length = length as u64;
+        if packed.len() as u64 >= length {
+            continue;
+        }
+        let one = sealed_as(world.owner, &world.keys, &world.topic_key, 9, (&packed, length, Compression::Lz4));
+        let secret = RecordSecret::of(&world.topic_key, &one.header);
+        let disclosure = Some(disclose(secret, (&bound(), &one.digest), &world.keys, ours()).expect("signs"));
+        let mut packing = world.packing();
+        packing.record(one.digest, BundledRecord { disclosure, ..unanchored(one) }).expect("added");
+        agree(&signed(packing, &world), &World::trust(), outcome);
+    }
+}
+
+/// Literal runs about each length whose spelling changes, as packed here and as written by hand out of the format.
+#[test]
+fn the_second_verifier_unpacks_lz4() {
+    let mut cases = Vec::new();
+    for run in (1..=34usize).chain(262..=290) {
+        let mut number = 1u32;
+        let noise: Vec<u8> = (0..run)
+            .map(|_| {
+                number = number.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                number.to_be_bytes()[0]
+            })
+            .collect();
+        for zeros in [200, 215, 470] {
+            let body: Vec<u8> = noise.iter().copied().chain(std::iter::repeat_n(0, zeros)).collect();
+            let packed = compression::pack(&body, None).map(|packed| packed.bytes);
+            cases.extend(packed.map(|packed| (packed, body)));
+        }
+    }
+    assert!(cases.len() > 100, "{}", cases.len());
+    let given = serde_json::to_string(&cases).expect("JSON");
+    let text = r"
+import json
+for packed, body in json.loads(given):
+    assert verify.lz4(bytes(packed), len(body)) == bytes(body), len(body)
+def run(length):
+    return bytes([length]) if length < 15 else bytes([15]) + bytes([255]) * ((length - 15) // 255) + bytes([(length - 15) % 255])
+for length in (15, 29, 30, 31, 270, 285):
+    literals = bytes(at * 7 % 251 for at in range(length))
+    spelt = run(length)
+    # Literals, a match of 300 from one back, and five last literals.
+    block = bytes([spelt[0] << 4 | 15]) + spelt[1:] + literals + b'\1\0' + run(296)[1:] + b'\x50abcde'
+    plain = literals + literals[-1:] * 300 + b'abcde'
+    assert verify.lz4(block, len(plain)) == plain, length
+    for wrong, size in [(block, len(plain) + 1), (block, len(plain) - 1), (block[:-1], len(plain)), (block[:length], len(plain)),
+                        (block.replace(b'\1\0' + run(296)[1:], b'\0\0' + run(296)[1:]), len(plain)),
+                        (block.replace(b'\1\0' + run(296)[1:], b'\xff\xff' + run(296)[1:]), len(plain)),
+                        (block, 2 ** 26 + 1), (block, len(block)), (b'', 5)]:
+        try:
+            verify.lz4(wrong, size)
+        except verify.Refused:
+            continue
+        raise SystemExit(f'{length}: {wrong.hex()} for {size}')
+";
+    if let Some(output) = script(text, &given) {
+        expect_success(&output);
+    }
+}
+
+#[test]
+fn the_second_verifier_sees_every_flipped_byte_of_an_archive() {
+    let members: Members = [("mimetype", &b"x"[..]), ("a/b", b"one"), ("a/c", &[0; 40]), ("zz", b"")]
+        .map(|(name, bytes)| (name.to_owned(), bytes.to_vec()))
+        .into();
+    let archive = archive::write(&members).expect("written");
+    let given = serde_json::to_string(&archive).expect("JSON");
+    let text = r"
+import json
+whole = bytes(json.loads(given))
+assert list(verify.unpacked(whole).values()) == [b'x', b'one', bytes(40), b'']
+wrong = [whole[:at] + bytes([whole[at] ^ bit]) + whole[at + 1:] for at in range(len(whole)) for bit in (1, 32, 128)]
+wrong += [whole[:at] for at in range(len(whole))] + [whole + b'more', b'more' + whole]
+for one in wrong:
+    try:
+        verify.unpacked(one)
+    except Exception:
+        continue
+    raise SystemExit(f'taken: {one.hex()}')
+";
+    if let Some(output) = script(text, &given) {
+        expect_success(&output);
+    }
+}
+
+/// What is no bundle, or breaks the reader, is refused in words.
+#[test]
+fn the_second_verifier_never_ends_in_a_traceback() {
+    let folder = tempfile::tempdir().expect("directory");
+    let (file, pins) = (folder.path().join("case.authros"), folder.path().join("trust.toml"));
+    let tool = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tools/verify.py");
+    let run = || {
+        let arguments = [tool, file.to_str().expect("UTF-8"), "--trust", pins.to_str().expect("UTF-8")];
+        python(&arguments)
+    };
+    let good = World::trust().to_text().expect("text");
+    std::fs::write(&pins, &good).expect("written");
+    let mut deep = World::new().members();
+    deep.insert("chain/nodes.rlp".into(), vec![0xff; 90]);
+    for bytes in [b"".to_vec(), b"PK\x03\x04".to_vec(), vec![0xff; 3000], pack(&deep).expect("packs")] {
+        std::fs::write(&file, bytes).expect("written");
+        let Some(output) = run() else { return };
+        let told = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!((output.status.code(), told.as_str()), (Some(6), ""));
+        assert!(String::from_utf8_lossy(&output.stdout).contains("\"refused\""));
+    }
+    for wrong in [
+        good.replace("[chain]", "[chain]\nquorum = 0"),
+        good.replace("[chain]", "[chain]\nquorum = 4"),
+        good.replace("sealed_by_exporter = false", ""),
+        good.replace("sealed_by_exporter = false", "sealed_by_exporter = 0"),
+        format!(
+            "{good}\n[[person]]\naccount = \"0x{0}\"\nname = \"one\"\n[[person]]\naccount = \"0x{0}\"\nname = \"two\"\n",
+            "0e".repeat(20)
+        ),
+        "chain = 1".to_owned(),
+    ] {
+        assert!(Trust::parse(wrong.as_bytes()).is_err(), "{wrong}");
+        std::fs::write(&pins, &wrong).expect("written");
+        let Some(output) = run() else { return };
+        let told = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(3), "{wrong}: {told}");
+        assert!(!told.contains("Traceback"), "{told}");
+    }
+}
