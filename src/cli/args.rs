@@ -86,6 +86,9 @@ pub enum Verb {
     Contacts(super::parties::ContactsVerb),
     /// All records against proofs and chain; who did what: list, verify, export
     Audit(super::audit::AuditArguments),
+    /// Alerts: list those that stand, try whether they arrive
+    #[command(subcommand)]
+    Alerts(super::alerts::AlertsVerb),
     /// Whether everything a home depends on is as it should be, and what to do
     Doctor,
     /// Bundles of evidence for somebody who trusts nobody: export

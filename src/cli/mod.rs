@@ -5,6 +5,7 @@
 
 mod adopt;
 mod agent;
+mod alerts;
 pub mod args;
 mod audit;
 mod backups;
@@ -147,6 +148,7 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
         Verb::Devices(verb) => {
             asked(runtime, global, output, |_| Ok(Plan::new(CHAIN, ProfileNeed::Unlocked, adopt::question(&verb)?)))
         }
+        Verb::Alerts(verb) => asked(runtime, global, output, |_| Ok(alerts::plan(&verb))),
         Verb::Audit(arguments) => asked(runtime, global, output, |context| plans::audit(context, &arguments)),
     }
 }

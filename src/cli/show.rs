@@ -2,15 +2,15 @@
 
 use std::path::Path;
 
-use super::{adopt, audit, check, gateway, lists, parties, policy, quarantine, viewing};
+use super::{adopt, alerts, audit, check, gateway, lists, parties, policy, quarantine, viewing};
 use crate::crypto::private_file;
 use crate::model::ErrorKind;
 use crate::service::command::{Ask, Command, SecretBytes};
 use crate::service::reply::{
-    AdministrationView, AdmittedView, Answer, AuditCheck, AuditView, BackupView, ChainView, CheckView, CompareView,
-    ContactRow, DecidedView, DeployedView, DeviceRow, DeviceTopicsView, ExportedFile, GatewayStatusView, GrantRow,
-    IdentityView, KeyChangeView, KeysView, OpenedView, PathView, PinsView, PolicyView, Provenance, QuarantineView,
-    RecordAudit, RecordPage, Reply, TopicRow, TransactionView,
+    AdministrationView, AdmittedView, AlertTestView, AlertsView, Answer, AuditCheck, AuditView, BackupView, ChainView,
+    CheckView, CompareView, ContactRow, DecidedView, DeployedView, DeviceRow, DeviceTopicsView, ExportedFile,
+    GatewayStatusView, GrantRow, IdentityView, KeyChangeView, KeysView, OpenedView, PathView, PinsView, PolicyView,
+    Provenance, QuarantineView, RecordAudit, RecordPage, Reply, TopicRow, TransactionView,
 };
 use crate::service::{Client, Failure};
 use authros_output::Output;
@@ -107,6 +107,8 @@ documents! {
     DeployedView => lists::deployed;
     BackupView => check::backed_up;
     GatewayStatusView => gateway::status;
+    AlertsView => alerts::standing;
+    AlertTestView => alerts::tested;
     PinsView => quarantine::pins;
     QuarantineView => quarantine::held;
     DecidedView => decided;

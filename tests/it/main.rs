@@ -8,6 +8,7 @@ mod support;
 mod admission;
 mod adoption;
 mod agent;
+mod alerts;
 mod at_rest;
 mod audit;
 mod bags;

@@ -189,6 +189,67 @@ pub const DEFINITIONS: &[Definition] = &[
         text: "yes = figures of each topic by its name too, of 200 topics at most",
     },
     Definition {
+        name: "alerts.webhook",
+        variable: "AUTHROS_ALERTS_WEBHOOK",
+        default: "",
+        text: "who is told of alerts: http://HOST:PORT/PATH; empty and no alerts.command = nobody, and nothing is \
+               judged",
+    },
+    Definition {
+        name: "alerts.form",
+        variable: "AUTHROS_ALERTS_FORM",
+        default: "authros",
+        text: "how the webhook is spoken to: authros (signed JSON), or alertmanager (its API, version 2)",
+    },
+    Definition {
+        name: "alerts.secret",
+        variable: "AUTHROS_ALERTS_SECRET",
+        default: "",
+        text: "file, 0600, whose bytes sign what the webhook is sent (HMAC-SHA256); empty = unsigned",
+    },
+    Definition {
+        name: "alerts.command",
+        variable: "AUTHROS_ALERTS_COMMAND",
+        default: "",
+        text: "who is told instead of a webhook: [\"PROGRAM\", \"ARGUMENT\"], run without a shell, JSON on its stdin",
+    },
+    Definition {
+        name: "alerts.every",
+        variable: "AUTHROS_ALERTS_EVERY",
+        default: "10",
+        text: "seconds between two looks, 1 to 3600",
+    },
+    Definition {
+        name: "alerts.robot_silent",
+        variable: "AUTHROS_ALERTS_ROBOT_SILENT",
+        default: "10m",
+        text: "a robot that sent nothing for so long is an alert, for a day at most; never = no such alert",
+    },
+    Definition {
+        name: "alerts.unanchored",
+        variable: "AUTHROS_ALERTS_UNANCHORED",
+        default: "10m",
+        text: "a record that is in no block for so long is an alert, or never",
+    },
+    Definition {
+        name: "alerts.disk",
+        variable: "AUTHROS_ALERTS_DISK",
+        default: "1GiB",
+        text: "less free space on the disk of the home is an alert; 0 = no such alert",
+    },
+    Definition {
+        name: "alerts.clock",
+        variable: "AUTHROS_ALERTS_CLOCK",
+        default: "5s",
+        text: "a clock that differs by more from the time that rights go by is an alert, or never",
+    },
+    Definition {
+        name: "alerts.audit",
+        variable: "AUTHROS_ALERTS_AUDIT",
+        default: "15m",
+        text: "a line of the audit log that no anchored head covers for so long is an alert, or never",
+    },
+    Definition {
         name: "confirmations",
         variable: "AUTHROS_CONFIRMATIONS",
         default: "1",

@@ -3,6 +3,7 @@
 use authros_crypto as crypto;
 use authros_model as model;
 
+mod alerts;
 mod console;
 mod definitions;
 mod error;
@@ -18,6 +19,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::Duration;
 
+pub use self::alerts::{AlertForm, AlertLimits, AlertPlace, AlertSettings};
 pub use self::console::{ConsoleSettings, Pictures};
 pub use self::definitions::{DEFINITIONS, Definition};
 pub use self::error::ConfigError;
@@ -98,6 +100,8 @@ pub struct Config {
     pub scrub_percent: u64,
     /// Where figures are read, and which.
     pub metrics: MetricsSettings,
+    /// Who is told of trouble, and what is trouble.
+    pub alerts: AlertSettings,
     /// Blocks until confirmed.
     pub confirmations: u64,
     /// Whom the gateway of this home takes.
@@ -150,6 +154,7 @@ impl Config {
         for definition in DEFINITIONS {
             values.insert(definition.name, find(definition, flags, environment, &from_file));
         }
+        file.map(|(path, _)| alerts::check_hands(&values, path)).transpose()?;
         Ok(Self { topic_rules, ..Self::typed(values)? })
     }
 
@@ -193,6 +198,7 @@ impl Config {
             audit_every: Duration::from_secs(number(&values, "audit.anchor_every", 1, 86_400)?),
             scrub_percent: number(&values, "audit.scrub", 0, 1_000_000)?,
             metrics: MetricsSettings::read(&values)?,
+            alerts: AlertSettings::read(&values)?,
             confirmations: number(&values, "confirmations", 1, 1000)?,
             gateway: GatewayRules {
                 open: switch(&values, "gateway.admission", ("open", "closed"))?,

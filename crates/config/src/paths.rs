@@ -180,6 +180,11 @@ impl Home {
         self.root.join("reserve.states")
     }
 
+    /// Alerts that stand, and what of them is not delivered yet.
+    pub fn alerts(&self) -> PathBuf {
+        self.root.join("alerts.queue")
+    }
+
     /// Ciphertext of the embedded vault.
     pub fn vault(&self) -> PathBuf {
         self.root.join("vault")

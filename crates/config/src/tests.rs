@@ -84,7 +84,7 @@ fn pictures_are_half_blocks_unless_it_is_said_otherwise() {
 
 #[test]
 fn passwords_are_hidden() {
-    let config = with_file("[vault]\nurl = \"redis://u:secret@127.0.0.1:1\"").expect("file");
+    let config = with_file("[vault]\nurl = \"redis://u:hunter2@127.0.0.1:1\"").expect("file");
     let shown = serde_json::to_string(&config.show()).expect("json");
-    assert!(!shown.contains("secret") && shown.contains("127.0.0.1:1"));
+    assert!(!shown.contains("hunter2") && shown.contains("127.0.0.1:1"));
 }

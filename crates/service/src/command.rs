@@ -18,7 +18,9 @@ pub use self::ask::Ask;
 pub use self::check::{AuditRecords, BackUp, ListAllUploads, StoreCommand};
 pub use self::choices::{Epochs, Held, KeyKind, PairKind, UploadQuery};
 pub use self::evidence::EvidenceWishes;
-pub use self::operate::{Admit, BackUpKeys, Dismiss, GatewayStatus, HoldCapture, ListAdmitted, Lock, Operation};
+pub use self::operate::{
+    Admit, BackUpKeys, Dismiss, GatewayStatus, HoldCapture, ListAdmitted, ListAlerts, Lock, Operation, TestAlert,
+};
 pub use self::recordings::{ExportWishes, ImportWishes, PolicyCommand, RecordingCommand, RecordingProgress};
 pub use self::secret::{SecretBytes, SecretText};
 pub use self::viewing::{LONGEST_PATH, ViewFile, ViewPath, Viewing};

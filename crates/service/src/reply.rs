@@ -1,5 +1,6 @@
 //! What a site answers: the very structures that `--json` prints.
 
+mod alerts;
 mod audit;
 mod chain;
 mod check;
@@ -16,6 +17,7 @@ mod viewing;
 
 use serde::{Deserialize, Serialize};
 
+pub use self::alerts::{AlertTestView, AlertView, AlertsView, Severity};
 pub use self::audit::{AuditCheck, AuditView};
 pub use self::chain::{ChainView, DeployedView, GasView, GatewayView, ServedView};
 pub use self::check::{BackupView, CheckStatus, DoctorCheck, DoctorView, FindingKind, RecordAudit, RecordFinding};
@@ -174,6 +176,10 @@ replies! {
     GatewayStatus(GatewayStatusView);
     /// To `Operation::Admit`, `Operation::Dismiss` and `Operation::ListAdmitted`.
     Admitted(Vec<AdmittedView>);
+    /// To `Operation::ListAlerts`.
+    Alerts(AlertsView);
+    /// To `Operation::TestAlert`.
+    AlertTested(AlertTestView);
     /// To `SiteStatus`.
     Site(SiteView);
     /// To `ListAudit`.

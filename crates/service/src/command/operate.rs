@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Ask, Command, SecretBytes};
 use crate::model::Party;
-use crate::service::reply::{AdmittedView, GatewayStatusView, IdentityView};
+use crate::service::reply::{AdmittedView, AlertTestView, AlertsView, GatewayStatusView, IdentityView};
 
 requests! {
     /// One of these.
@@ -20,6 +20,10 @@ requests! {
     } => ();
     /// The profile's keyring as it lies on disk, under its passphrase.
     BackUpKeys => SecretBytes;
+    /// Alerts that stand.
+    ListAlerts => AlertsView;
+    /// Send one that says that it is none, and tell what came back.
+    TestAlert => AlertTestView;
     /// Who is connected to the gateway of this site, its system keys, and what it refused.
     GatewayStatus => GatewayStatusView;
     /// Let an owner use the gateway of this home.

@@ -39,8 +39,9 @@ const MOST_TOPICS: usize = 200;
 type Kept = Mutex<Option<(Instant, Arc<str>)>>;
 
 impl Site {
-    /// Begins what watches over a site that is to stay: its figures.
+    /// Begins what watches over a site that is to stay: its alerts and its figures.
     pub fn oversee(self: &Arc<Self>) {
+        self.watch_for_alerts();
         if self.config().metrics.listen.is_some() {
             drop(self.parts.supervisor.keep("metrics", self, Self::serve_figures));
         }

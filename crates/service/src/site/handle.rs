@@ -185,6 +185,8 @@ impl Site {
                 Ok(ask::HoldCapture::told(()))
             }
             Operation::BackUpKeys => self.profiles.back_up_keys(profile).await.map(ask::BackUpKeys::told),
+            Operation::ListAlerts => self.alerts_view().await.map(ask::ListAlerts::told),
+            Operation::TestAlert => self.test_alert().await.map(ask::TestAlert::told),
             Operation::GatewayStatus => self.gateway.status().map(ask::GatewayStatus::told),
             Operation::Admit { owner } => self.admissions.admit(profile, &owner).await.map(ask::Admit::told),
             Operation::Dismiss { owner } => self.admissions.dismiss(profile, &owner).await.map(ask::Dismiss::told),

@@ -4,6 +4,7 @@
 //! process of a home is the site, further ones join it over the socket (`service::socket`).
 
 mod agent;
+mod alerts;
 mod audit;
 mod backup;
 mod capture;
@@ -47,6 +48,7 @@ pub(super) use devices::enrolled::Enrolled;
 pub use devices::enrolling::EnrolWishes;
 pub use reading::view::record_page;
 
+use alerts::Alerts;
 use audit::Audit;
 use backup::Backup;
 use capture::Capture;
@@ -134,6 +136,7 @@ pub struct Site {
     backup: Arc<Backup>,
     storage: Arc<Storage>,
     clock: Arc<Clock>,
+    alerts: Arc<Alerts>,
     consoles: Mutex<HashSet<ProfileName>>,
     guests: AtomicUsize,
     ros_task: Mutex<Option<tokio::task::JoinHandle<()>>>,
@@ -180,8 +183,7 @@ impl Site {
         let rules = PinRules { mode: config.pin_mode, listed: config.publishers.clone() };
         let judges = Arc::new(Pins::new(plant.ledger.clone(), parts.hub.clone(), rules));
         let recorder = Recorder::new(Arc::clone(&rings), Arc::clone(&losses), parts.hub.clone());
-        let recorder = recorder.with_pins(Arc::clone(&judges)).with_rules(config.topic_rules.clone());
-        let recorder = Arc::new(recorder);
+        let recorder = Arc::new(recorder.with_pins(Arc::clone(&judges)).with_rules(config.topic_rules.clone()));
         let remote = config.site.as_ref().map(|site| Remote::new(site, &parts.home, plant.provider)).transpose()?;
         let remote = remote.map(Arc::new);
         let of = &parts;
@@ -230,6 +232,7 @@ impl Site {
             evidence: Arc::new(Evidence::new(of, &reading)),
             storage: Arc::new(Storage::new(of)),
             clock: Arc::new(Clock::new(of)),
+            alerts: Arc::new(Alerts::new(of)),
             plant,
             parts,
             rings,

@@ -1,0 +1,231 @@
+//! Who is told of trouble without looking, and what counts as trouble.
+
+use std::os::unix::fs::MetadataExt as _;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use super::error::ConfigError;
+use super::read::{Values, bytes, number, span, value, wrong};
+use super::source::Source;
+use crate::crypto::private_file;
+
+/// The shortest secret that signs deliveries, bytes.
+const SHORTEST_SECRET: usize = 16;
+/// The longest file that holds it, bytes.
+const LONGEST_SECRET: usize = 4096;
+/// The most words of a command.
+const MOST_WORDS: usize = 32;
+/// Rights of group and others to write.
+const WRITTEN_BY_OTHERS: u32 = 0o022;
+
+/// How a webhook is spoken to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum AlertForm {
+    /// One JSON object of our own for each delivery.
+    Authros,
+    /// As Prometheus speaks to an Alertmanager, version 2.
+    Alertmanager,
+}
+
+/// Who is told.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum AlertPlace {
+    /// A server, over HTTP.
+    Webhook {
+        /// Its URL.
+        url: String,
+        /// How it is spoken to.
+        form: AlertForm,
+        /// The file with the secret that signs what is sent.
+        secret: Option<PathBuf>,
+    },
+    /// A program of this machine and its arguments.
+    Command(Vec<String>),
+}
+
+/// From where on something is an alert; `None` = that rule is off.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct AlertLimits {
+    /// A robot has sent nothing for so long.
+    pub robot_silent: Option<Duration>,
+    /// A record has waited for a block so long.
+    pub unanchored: Option<Duration>,
+    /// Fewer bytes are free on the disk of the home.
+    pub disk: u64,
+    /// The clock differs by so much from the time that rights go by.
+    pub clock: Option<Duration>,
+    /// A line of the audit log has waited for an anchored head so long.
+    pub audit: Option<Duration>,
+}
+
+/// What the settings say about alerts.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct AlertSettings {
+    /// Who is told; `None` = nobody, and nothing is judged.
+    pub place: Option<AlertPlace>,
+    /// Between two looks.
+    pub every: Duration,
+    /// From where on.
+    pub limits: AlertLimits,
+}
+
+impl AlertSettings {
+    pub(super) fn read(values: &Values) -> Result<Self, ConfigError> {
+        let limits = AlertLimits {
+            robot_silent: span(values, "alerts.robot_silent", "never")?,
+            unanchored: span(values, "alerts.unanchored", "never")?,
+            disk: bytes(values, "alerts.disk", 0)?,
+            clock: span(values, "alerts.clock", "never")?,
+            audit: span(values, "alerts.audit", "never")?,
+        };
+        let every = Duration::from_secs(number(values, "alerts.every", 1, 3600)?);
+        Ok(Self { place: place(values)?, every, limits })
+    }
+}
+
+fn place(values: &Values) -> Result<Option<AlertPlace>, ConfigError> {
+    let form = match value(values, "alerts.form") {
+        Some("authros") => AlertForm::Authros,
+        Some("alertmanager") => AlertForm::Alertmanager,
+        _ => return Err(wrong(values, "alerts.form", "write authros or alertmanager")),
+    };
+    let secret = secret(values)?;
+    match (webhook(values)?, command(values)?) {
+        (Some(_), Some(_)) => {
+            let what = "alerts.webhook is set as well; set one of the two, the program can call the other";
+            Err(wrong(values, "alerts.command", what))
+        }
+        (Some(url), None) => Ok(Some(AlertPlace::Webhook { url, form, secret })),
+        (None, Some(words)) => Ok(Some(AlertPlace::Command(words))),
+        (None, None) => Ok(None),
+    }
+}
+
+fn webhook(values: &Values) -> Result<Option<String>, ConfigError> {
+    let Some(text) = value(values, "alerts.webhook") else { return Ok(None) };
+    let wrong = |what| wrong(values, "alerts.webhook", what);
+    if text.starts_with("https://") {
+        return Err(wrong("no TLS is spoken here; name an http:// address, of a relay on this machine for example"));
+    }
+    let rest = text.strip_prefix("http://").filter(|rest| !rest.is_empty() && !rest.starts_with('/'));
+    if rest.is_none() || text.len() > 500 || !text.bytes().all(|byte| byte.is_ascii_graphic()) {
+        return Err(wrong("write http://HOST:PORT/PATH"));
+    }
+    Ok(Some(text.to_owned()))
+}
+
+/// The file is read when it is used; whether it can be is known from the start.
+fn secret(values: &Values) -> Result<Option<PathBuf>, ConfigError> {
+    let Some(path) = value(values, "alerts.secret").map(PathBuf::from) else { return Ok(None) };
+    let wrong = |what: &str| wrong(values, "alerts.secret", what);
+    if !path.is_absolute() {
+        return Err(wrong("write a path from / on"));
+    }
+    let bytes = private_file::read_private(&path, LONGEST_SECRET).map_err(|error| wrong(&error.to_string()))?;
+    if bytes.trim_ascii().len() < SHORTEST_SECRET {
+        return Err(wrong("the file holds fewer than 16 bytes; `openssl rand -hex 32` makes a secret"));
+    }
+    Ok(Some(path))
+}
+
+/// A list in the file, the same text in a variable.
+fn command(values: &Values) -> Result<Option<Vec<String>>, ConfigError> {
+    let Some(text) = value(values, "alerts.command") else { return Ok(None) };
+    let wrong = |what| wrong(values, "alerts.command", what);
+    let list = || wrong("write the program and its arguments as [\"/usr/local/bin/page\", \"--site\", \"yard\"]");
+    let table: toml::Table = format!("words = {text}").parse().map_err(|_| list())?;
+    let words = table.get("words").and_then(|words| words.as_array()).ok_or_else(list)?;
+    let words: Option<Vec<String>> = words.iter().map(|word| word.as_str().map(str::to_owned)).collect();
+    let words = words.filter(|words| words.len() <= MOST_WORDS).ok_or_else(list)?;
+    match words.first() {
+        Some(program) if Path::new(program).is_absolute() => Ok(Some(words)),
+        _ => Err(wrong("name the program by its whole path, from / on; no shell looks for it")),
+    }
+}
+
+/// A command runs with this user's rights, so the file that names it must be in nobody else's hands.
+pub(super) fn check_hands(values: &Values, file: &Path) -> Result<(), ConfigError> {
+    let named = values.get("alerts.command").filter(|(command, _)| !command.is_empty());
+    if !matches!(named, Some((_, Source::File(_)))) {
+        return Ok(());
+    }
+    let wrong = |what: &str| wrong(values, "alerts.command", what);
+    let about = std::fs::metadata(file).map_err(|error| wrong(&format!("its file cannot be looked at: {error}")))?;
+    let own = rustix::process::geteuid().as_raw();
+    if about.uid() != own && about.uid() != 0 {
+        return Err(wrong("config.toml belongs to another user, who could run programs as you; chown it"));
+    }
+    if about.mode() & WRITTEN_BY_OTHERS != 0 {
+        return Err(wrong("others may write config.toml and could run programs as you; chmod go-w it"));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs::{Permissions, set_permissions, write};
+    use std::os::unix::fs::PermissionsExt as _;
+
+    use super::*;
+    use crate::Config;
+
+    fn none(_: &str) -> Option<String> {
+        None
+    }
+
+    /// Settings out of a file with this mode.
+    fn alerts(text: &str, mode: u32) -> Result<AlertSettings, String> {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("config.toml");
+        write(&path, text).expect("written");
+        set_permissions(&path, Permissions::from_mode(mode)).expect("its mode");
+        let config = Config::resolve(&none, &none, Some((&path, text)));
+        config.map(|config| config.alerts).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn nobody_is_told_unless_somebody_is_named() {
+        let settings = alerts("", 0o600).expect("defaults");
+        assert_eq!(settings.place, None);
+        assert_eq!((settings.every.as_secs(), settings.limits.disk), (10, 1 << 30));
+        assert_eq!(settings.limits.robot_silent, Some(Duration::from_secs(600)));
+        let off = alerts("[alerts]\nrobot_silent = \"never\"\ndisk = \"0\"", 0o600).expect("off");
+        assert_eq!((off.limits.robot_silent, off.limits.disk), (None, 0));
+    }
+
+    #[test]
+    fn a_webhook_is_an_address_without_tls_and_its_secret_is_a_private_file() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("secret");
+        let with = |bytes: &str, mode: u32| {
+            write(&path, bytes).expect("written");
+            set_permissions(&path, Permissions::from_mode(mode)).expect("its mode");
+            let secret = path.display();
+            alerts(&format!("[alerts]\nwebhook = \"http://127.0.0.1:9/x\"\nsecret = \"{secret}\""), 0o644)
+        };
+        let (url, form) = ("http://127.0.0.1:9/x".to_owned(), AlertForm::Authros);
+        let wanted = AlertPlace::Webhook { url, form, secret: Some(path.clone()) };
+        assert_eq!(with("0123456789abcdef\n", 0o600).expect("usable").place, Some(wanted));
+        assert!(with("0123456789abcdef\n", 0o640).is_err(), "others read it");
+        assert!(with("short\n", 0o600).expect_err("short").contains("16 bytes"));
+        assert!(alerts("[alerts]\nwebhook = \"https://h/\"", 0o600).expect_err("TLS").contains("http://"));
+        assert!(alerts("[alerts]\nwebhook = \"http:///x\"", 0o600).is_err());
+        assert!(alerts("[alerts]\nsecret = \"/nowhere/at/all\"", 0o600).is_err());
+        assert!(alerts("[alerts]\nform = \"xml\"", 0o600).is_err());
+    }
+
+    #[test]
+    fn a_command_needs_a_settings_file_that_nobody_else_writes() {
+        let text = "[alerts]\ncommand = [\"/bin/page\", \"a b\", \"$HOME\"]";
+        let wanted = ["/bin/page", "a b", "$HOME"].map(str::to_owned).to_vec();
+        assert_eq!(alerts(text, 0o600).expect("own").place, Some(AlertPlace::Command(wanted)));
+        for mode in [0o620, 0o602, 0o666] {
+            assert!(alerts(text, mode).expect_err("others write it").contains("chmod go-w"), "{mode:o}");
+        }
+        for bad in ["\"/bin/page\"", "[]", "[\"page\"]", "[1]"] {
+            assert!(alerts(&format!("[alerts]\ncommand = {bad}"), 0o600).is_err(), "{bad}");
+        }
+        let both = format!("{text}\nwebhook = \"http://h:1/\"");
+        assert!(alerts(&both, 0o600).expect_err("both").contains("one of the two"));
+    }
+}

@@ -1,0 +1,145 @@
+//! Alerts: what is not well, told once when it begins and once when it ends, to a webhook or a command. What is judged
+//! is the figures; nothing here asks a site.
+
+mod command;
+mod queue;
+mod rules;
+mod state;
+mod webhook;
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use serde::{Deserialize, Serialize};
+
+pub use self::queue::Queue;
+pub use self::rules::Judge;
+pub use self::state::{Change, Standing};
+use self::webhook::Webhook;
+use crate::config::AlertPlace;
+use crate::model::{Timestamp, clean};
+use crate::service::failure::internal;
+use crate::service::reply::{AlertView, Failure};
+
+/// What a delivery tells of its alert.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum News {
+    /// It stands from now on.
+    Begun,
+    /// It is over.
+    Resolved,
+    /// Nothing: somebody tries whether deliveries arrive.
+    Test,
+}
+
+/// What is sent once it is accepted, at least once.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Delivery {
+    /// Counts up in a home: the same number is the same delivery.
+    pub number: u64,
+    /// What of it.
+    pub state: News,
+    /// The alert.
+    pub alert: AlertView,
+    /// When it was over.
+    pub ended: Option<Timestamp>,
+}
+
+/// The JSON of a delivery in our own form.
+#[derive(Serialize)]
+struct Told<'a> {
+    authros_alert: u8,
+    #[serde(flatten)]
+    delivery: &'a Delivery,
+    dropped: u64,
+}
+
+impl Delivery {
+    /// In our own form; `dropped` = deliveries before it that found no room.
+    fn body(&self, dropped: u64) -> Vec<u8> {
+        serde_json::to_vec(&Told { authros_alert: 1, delivery: self, dropped }).unwrap_or_default()
+    }
+}
+
+/// Takes deliveries to where the settings say.
+pub enum Carrier {
+    /// To a server.
+    Webhook(Webhook),
+    /// To a program and its arguments.
+    Command(Vec<String>),
+}
+
+/// Tells a thread that nobody waits for it any more.
+struct Waiting(Arc<AtomicBool>);
+
+impl Drop for Waiting {
+    fn drop(&mut self) {
+        self.0.store(false, Ordering::Release);
+    }
+}
+
+impl Carrier {
+    /// To this place.
+    ///
+    /// # Errors
+    /// An address or a secret that cannot be used.
+    pub fn of(place: &AlertPlace) -> Result<Self, Failure> {
+        Ok(match place {
+            AlertPlace::Webhook { url, form, secret } => Self::Webhook(Webhook::new(url, *form, secret.as_deref())?),
+            AlertPlace::Command(words) => Self::Command(words.clone()),
+        })
+    }
+
+    /// Takes it there, and says what came back. `dropped` = deliveries before it that found no room.
+    ///
+    /// # Errors
+    /// Why it was not taken; it may have arrived all the same.
+    pub async fn carry(&self, delivery: &Delivery, dropped: u64) -> Result<String, Failure> {
+        let words = match self {
+            Self::Webhook(webhook) => return webhook.carry(delivery, dropped).await,
+            Self::Command(words) => words.clone(),
+        };
+        let (body, wanted) = (delivery.body(dropped), Arc::new(AtomicBool::new(true)));
+        let _waiting = Waiting(Arc::clone(&wanted));
+        let run = move || command::run(&words, &body, command::PATIENCE, &wanted);
+        let ran = tokio::task::spawn_blocking(run).await;
+        ran.unwrap_or_else(|_| Err(internal("the task that runs alerts.command failed; it is tried again")))
+    }
+}
+
+/// Who is told, without passwords and paths of a URL.
+pub fn place_name(place: &AlertPlace) -> String {
+    match place {
+        AlertPlace::Webhook { url, .. } => {
+            let rest = url.strip_prefix("http://").unwrap_or(url);
+            let host = rest.split(['/', '?', '#']).next().unwrap_or_default();
+            format!("webhook {}", clean(host.rsplit('@').next().unwrap_or(host), 100))
+        }
+        AlertPlace::Command(words) => format!("command {}", clean(words.first().map_or("", String::as_str), 100)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::AlertForm;
+
+    #[test]
+    fn a_place_is_named_without_what_is_secret_in_it() {
+        let url = "http://me:word@host:8080/hook/T0K3N?key=1".to_owned();
+        let place = AlertPlace::Webhook { url, form: AlertForm::Authros, secret: None };
+        assert_eq!(place_name(&place), "webhook host:8080");
+    }
+
+    #[test]
+    fn the_form_of_a_delivery_is_the_documented_one() {
+        let told: serde_json::Value = serde_json::from_slice(&state::tests::delivery(7).body(2)).expect("JSON");
+        let wanted = serde_json::json!({
+            "authros_alert": 1, "number": 7, "state": "begun", "ended": null, "dropped": 2,
+            "alert": {"key": "disk", "severity": "critical", "text": "t", "site": "0a0b0c0d",
+                      "begun": "2023-11-14T22:13:20Z"},
+        });
+        assert_eq!(told, wanted);
+    }
+}

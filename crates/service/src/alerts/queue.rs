@@ -1,0 +1,286 @@
+//! Alerts that stand and deliveries that wait, in one file of lines that only grows until it is written anew: what was
+//! noted survives a kill, and of a line that was cut nothing is believed.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::fs::OpenOptions;
+use std::io::Write as _;
+use std::os::unix::fs::OpenOptionsExt as _;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use super::state::Change;
+use super::{Delivery, News};
+use crate::model::Timestamp;
+use crate::service::reply::AlertView;
+use crate::store::files::atomic_write;
+
+/// Deliveries that wait, at most; of more the oldest are given up and counted.
+const MOST_WAITING: usize = 200;
+/// Lines after which the file is written anew.
+const MOST_LINES: usize = 500;
+/// The longest file that is read, bytes: many times what the lines above need.
+const LONGEST: u64 = 16 << 20;
+
+/// What a line of the file says.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum Line {
+    /// The last number that was given.
+    Numbered(u64),
+    /// All that stand.
+    Stand(Vec<AlertView>),
+    /// A delivery that waits; its alert stands from then on, or no more.
+    Waits(Delivery),
+    /// This delivery is done, and it told of so many that were given up.
+    Done { number: u64, told: u64 },
+    /// This one was given up: there was no room.
+    GivenUp(u64),
+    /// So many were given up before.
+    Dropped(u64),
+}
+
+/// What the lines come to.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+struct Kept {
+    numbered: u64,
+    standing: BTreeMap<String, AlertView>,
+    waiting: VecDeque<Delivery>,
+    dropped: u64,
+}
+
+impl Kept {
+    fn apply(&mut self, line: Line) {
+        match line {
+            Line::Numbered(number) => self.numbered = self.numbered.max(number),
+            Line::Stand(alerts) => {
+                self.standing = alerts.into_iter().map(|alert| (alert.key.clone(), alert)).collect();
+            }
+            Line::Waits(delivery) => {
+                self.numbered = self.numbered.max(delivery.number);
+                match delivery.state {
+                    News::Begun => drop(self.standing.insert(delivery.alert.key.clone(), delivery.alert.clone())),
+                    News::Resolved => drop(self.standing.remove(&delivery.alert.key)),
+                    News::Test => {}
+                }
+                self.waiting.push_back(delivery);
+            }
+            Line::Done { number, told } => {
+                self.waiting.retain(|delivery| delivery.number != number);
+                self.dropped = self.dropped.saturating_sub(told);
+            }
+            Line::GivenUp(number) => {
+                self.waiting.retain(|delivery| delivery.number != number);
+                self.dropped += 1;
+            }
+            Line::Dropped(count) => self.dropped = count,
+        }
+    }
+
+    /// The fewest lines that come to the same.
+    fn lines(&self) -> Vec<Line> {
+        let mut lines = vec![Line::Numbered(self.numbered), Line::Dropped(self.dropped)];
+        lines.extend(self.waiting.iter().cloned().map(Line::Waits));
+        // Behind those that wait: what they began or ended may have changed since.
+        lines.push(Line::Stand(self.standing.values().cloned().collect()));
+        lines
+    }
+}
+
+/// The file and what it holds.
+#[derive(Debug)]
+pub struct Queue {
+    path: PathBuf,
+    kept: Kept,
+    lines: usize,
+    /// Whether the file ends within a line or could not be written: it is then written anew.
+    torn: bool,
+}
+
+impl Queue {
+    /// What the file holds; nothing where there is none. It is written with the first line that is noted.
+    pub fn open(path: &Path) -> Self {
+        let too_long = std::fs::metadata(path).is_ok_and(|about| about.len() > LONGEST);
+        let bytes = if too_long { Vec::new() } else { std::fs::read(path).unwrap_or_default() };
+        let whole = bytes.iter().rposition(|byte| *byte == b'\n').map_or(0, |end| end + 1);
+        let (mut kept, mut lines, mut torn) = (Kept::default(), 0, too_long || whole < bytes.len());
+        for line in bytes.get(..whole).unwrap_or_default().split_inclusive(|byte| *byte == b'\n') {
+            lines += 1;
+            match serde_json::from_slice(line) {
+                Ok(line) => kept.apply(line),
+                Err(_) => torn = true,
+            }
+        }
+        Self { path: path.to_owned(), kept, lines, torn }
+    }
+
+    /// Alerts that stand.
+    pub fn standing(&self) -> Vec<AlertView> {
+        self.kept.standing.values().cloned().collect()
+    }
+
+    /// How many deliveries wait, and how many were given up that no delivery told of.
+    pub fn counts(&self) -> (u64, u64) {
+        (u64::try_from(self.kept.waiting.len()).unwrap_or(u64::MAX), self.kept.dropped)
+    }
+
+    /// The delivery that is next, and how many were given up before it.
+    pub fn first(&self) -> Option<(Delivery, u64)> {
+        Some((self.kept.waiting.front()?.clone(), self.kept.dropped))
+    }
+
+    /// Adds what is to be delivered.
+    pub fn add(&mut self, change: Change) {
+        let (state, alert, ended) = match change {
+            Change::Begun(alert) => (News::Begun, alert, None),
+            Change::Resolved(alert, at) => (News::Resolved, alert, Some(at)),
+        };
+        self.wait(state, alert, ended);
+    }
+
+    /// Adds all that stands once more, for a place that forgets what it is not reminded of.
+    pub fn remind(&mut self) {
+        for alert in self.standing() {
+            self.wait(News::Begun, alert, None);
+        }
+    }
+
+    fn wait(&mut self, state: News, alert: AlertView, ended: Option<Timestamp>) {
+        // The first may be on its way.
+        if self.kept.waiting.len() >= MOST_WAITING
+            && let Some(oldest) = self.kept.waiting.get(1).map(|delivery| delivery.number)
+        {
+            self.note(Line::GivenUp(oldest));
+        }
+        let number = self.kept.numbered + 1;
+        self.note(Line::Waits(Delivery { number, state, alert, ended }));
+    }
+
+    /// A delivery was taken, and with it the word of `told` that were given up.
+    pub fn done(&mut self, number: u64, told: u64) {
+        self.note(Line::Done { number, told });
+    }
+
+    /// Whether all that was noted is in the file.
+    #[cfg(test)]
+    pub fn is_kept(&self) -> bool {
+        !self.torn
+    }
+
+    /// What cannot be written is still delivered by this process, and written as soon as that is possible.
+    fn note(&mut self, line: Line) {
+        let text = serde_json::to_string(&line).unwrap_or_default();
+        self.kept.apply(line);
+        self.torn = self.torn || self.append(&text).is_err();
+        self.lines += 1;
+        if self.torn || self.lines > MOST_LINES {
+            self.write_anew();
+        }
+    }
+
+    fn append(&self, text: &str) -> std::io::Result<()> {
+        let mut file = OpenOptions::new().append(true).create(true).mode(0o600).open(&self.path)?;
+        file.write_all(format!("{text}\n").as_bytes())?;
+        file.sync_data()
+    }
+
+    fn write_anew(&mut self) {
+        let lines = self.kept.lines();
+        let text: String = lines.iter().map(|line| serde_json::to_string(line).unwrap_or_default() + "\n").collect();
+        self.torn = atomic_write(&self.path, text.as_bytes()).is_err();
+        self.lines = lines.len();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::os::unix::fs::PermissionsExt as _;
+
+    use super::*;
+    use crate::service::alerts::state::tests::alert;
+
+    fn at(second: u64) -> Timestamp {
+        Timestamp::from_seconds(1_700_000_000 + second)
+    }
+
+    fn file() -> (tempfile::TempDir, PathBuf) {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("alerts.queue");
+        (folder, path)
+    }
+
+    #[test]
+    fn a_file_that_was_cut_anywhere_holds_all_its_whole_lines_and_goes_on() {
+        let (_folder, path) = file();
+        let mut queue = Queue::open(&path);
+        let mut known = vec![queue.kept.clone()];
+        let mut step = |work: &dyn Fn(&mut Queue)| {
+            work(&mut queue);
+            known.push(queue.kept.clone());
+        };
+        step(&|queue| queue.add(Change::Begun(alert("disk"))));
+        step(&|queue| queue.add(Change::Begun(alert("vault"))));
+        step(&|queue| queue.done(1, 0));
+        step(&|queue| queue.add(Change::Resolved(alert("disk"), at(9))));
+        step(&|queue| queue.note(Line::GivenUp(2)));
+        step(&|queue| queue.done(3, 1));
+        let bytes = std::fs::read(&path).expect("the file");
+        assert_eq!(std::fs::metadata(&path).expect("it").permissions().mode() & 0o777, 0o600);
+        assert_eq!(known.last().expect("some").standing.keys().collect::<Vec<_>>(), ["vault"]);
+        for cut in 0..=bytes.len() {
+            std::fs::write(&path, &bytes[..cut]).expect("cut");
+            let whole = bytes[..cut].split(|byte| *byte == b'\n').count() - 1;
+            let mut queue = Queue::open(&path);
+            assert_eq!(queue.kept, known[whole], "cut at {cut}");
+            queue.add(Change::Begun(alert("clock")));
+            assert!(queue.is_kept());
+            assert_eq!(Queue::open(&path).kept, queue.kept, "cut at {cut}");
+        }
+    }
+
+    #[test]
+    fn it_is_bounded_and_what_was_given_up_is_told_with_the_next_that_is_taken() {
+        let (_folder, path) = file();
+        let mut queue = Queue::open(&path);
+        for number in 0..MOST_WAITING + 3 {
+            queue.add(Change::Begun(alert(&format!("robot_silent/{number}"))));
+        }
+        assert_eq!(queue.counts(), (200, 3));
+        let (first, dropped) = queue.first().expect("one");
+        assert_eq!((first.number, dropped), (1, 3), "the first may be on its way; the oldest behind it went");
+        queue.done(first.number, dropped);
+        let again = Queue::open(&path);
+        assert_eq!((again.counts(), again.first().map(|(next, _)| next.number)), ((199, 0), Some(5)));
+        assert_eq!(again.standing().len(), MOST_WAITING + 3, "what stands is known all the same");
+    }
+
+    #[test]
+    fn it_is_written_anew_before_it_grows_large_and_then_holds_the_same() {
+        let (_folder, path) = file();
+        let mut queue = Queue::open(&path);
+        queue.add(Change::Begun(alert("disk")));
+        for round in 0..180 {
+            queue.add(Change::Resolved(alert("disk"), at(round)));
+            queue.add(Change::Begun(alert("disk")));
+            let number = queue.first().map_or(0, |(first, _)| first.number);
+            queue.done(number, 0);
+        }
+        let lines = std::fs::read_to_string(&path).expect("the file").lines().count();
+        assert!(lines <= MOST_LINES, "{lines}");
+        assert_eq!(Queue::open(&path).kept, queue.kept);
+        assert_eq!(queue.standing(), [alert("disk")]);
+    }
+
+    #[test]
+    fn what_cannot_be_written_is_delivered_all_the_same_and_written_once_it_can_be() {
+        let (folder, _) = file();
+        let place = folder.path().join("not there yet");
+        let mut queue = Queue::open(&place.join("alerts.queue"));
+        queue.add(Change::Begun(alert("disk")));
+        assert!(!queue.is_kept() && queue.first().is_some());
+        std::fs::create_dir(&place).expect("now it is");
+        queue.done(1, 0);
+        assert!(queue.is_kept());
+        assert_eq!(Queue::open(&place.join("alerts.queue")).standing(), [alert("disk")]);
+    }
+}

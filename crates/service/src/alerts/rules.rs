@@ -1,0 +1,259 @@
+//! What counts as trouble: rules over the figures of a site. Their words name no topic, nobody of the address book and
+//! no key; accounts and robots are the eight digits of the figures.
+
+use std::time::Duration;
+
+use crate::config::AlertLimits;
+use crate::model::Timestamp;
+use crate::service::figures::{Figures, OwnerFigures, RobotFigures};
+use crate::service::reply::Severity;
+
+/// How long ages are not judged after a start: what waited while the site was down is worked off first.
+const SETTLING: Duration = Duration::from_secs(120);
+/// A robot that was not heard of for so long is away, not silent.
+const AWAY: Duration = Duration::from_secs(86_400);
+/// How long losses count as going on after the last one.
+const LOSING: Duration = Duration::from_secs(300);
+
+/// How a rule finds something.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Level {
+    /// It is an alert.
+    Firing,
+    /// Too close to the limit to begin or to end one, or not known now.
+    Between,
+    /// It is well.
+    Clear,
+}
+
+/// What a rule found.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Judged {
+    /// The rule, and what it is about.
+    pub key: String,
+    /// How bad it is where it is an alert.
+    pub severity: Severity,
+    /// How it is.
+    pub level: Level,
+    /// What happened and what to do.
+    pub text: String,
+}
+
+/// Judges figures, and remembers of earlier ones what it needs.
+#[derive(Debug)]
+pub struct Judge {
+    limits: AlertLimits,
+    /// When the first figures came.
+    since: Option<Timestamp>,
+    losses: Option<Losses>,
+}
+
+/// Messages that became no record.
+#[derive(Debug, Clone, Copy)]
+struct Losses {
+    first: u64,
+    last: u64,
+    grew: Option<Timestamp>,
+}
+
+impl Judge {
+    /// With these limits.
+    pub fn new(limits: AlertLimits) -> Self {
+        Self { limits, since: None, losses: None }
+    }
+
+    /// What every rule finds.
+    pub fn judge(&mut self, figures: &Figures) -> Vec<Judged> {
+        let since = *self.since.get_or_insert(figures.now);
+        let settled = passed(figures.now, since) >= nanos(SETTLING);
+        let mut judged = self.robots(figures, settled);
+        for owner in &figures.owners {
+            judged.extend(self.unanchored(figures, owner, settled));
+            judged.extend(records(owner));
+        }
+        judged.extend(self.disk(figures));
+        judged.push(self.gap(figures));
+        judged.extend(self.clock(figures));
+        judged.extend(self.audit(figures, settled));
+        let text = "The chain cannot be reached, or a lane of transactions stands still: nothing is anchored, nothing \
+                    is lost. See `authros status`.";
+        judged.extend(part(figures, "chain", text));
+        let text = "The vault does not take records, or lacks some of them; what was captured waits on disk. See \
+                    `authros status` and `authros audit`.";
+        judged.extend(part(figures, "vault", text));
+        judged
+    }
+
+    fn robots(&self, figures: &Figures, settled: bool) -> Vec<Judged> {
+        let Some(limit) = self.limits.robot_silent else { return Vec::new() };
+        let silent = figures.robots.iter().map(|robot| (robot, passed(figures.now, robot.last_seen)));
+        let present = silent.filter(|(_, silent)| *silent < nanos(AWAY));
+        let judge = |(robot, silent): (&RobotFigures, u64)| Judged {
+            key: format!("robot_silent/{}", robot.robot),
+            severity: Severity::Warning,
+            level: aged(silent, limit, settled),
+            text: format!(
+                "Nothing has come from robot {} for {}; look at its agent, its network and its clock.",
+                robot.robot,
+                words(silent)
+            ),
+        };
+        present.map(judge).collect()
+    }
+
+    fn unanchored(&self, figures: &Figures, owner: &OwnerFigures, settled: bool) -> Option<Judged> {
+        let limit = self.limits.unanchored?;
+        let waited = owner.oldest_unanchored.map_or(0, |oldest| passed(figures.now, oldest));
+        Some(Judged {
+            key: format!("unanchored/{}", owner.owner),
+            severity: Severity::Critical,
+            level: aged(waited, limit, settled),
+            text: format!(
+                "The oldest record of account {} has waited {} for a block; nothing is lost. See `authros chain \
+                 status`.",
+                owner.owner,
+                words(waited)
+            ),
+        })
+    }
+
+    fn disk(&self, figures: &Figures) -> Option<Judged> {
+        let limit = self.limits.disk;
+        if limit == 0 {
+            return None;
+        }
+        let level = match figures.disk {
+            Some((free, _)) if free < limit => Level::Firing,
+            Some((free, _)) if free >= limit.saturating_add(limit / 10) => Level::Clear,
+            _ => Level::Between,
+        };
+        let (free, reserve) = figures.disk.unwrap_or_default();
+        let text = format!(
+            "{} MiB are free on the disk of the home; below {} MiB no record is acknowledged. Make room.",
+            free >> 20,
+            reserve >> 20
+        );
+        Some(Judged { key: "disk".to_owned(), severity: Severity::Critical, level, text })
+    }
+
+    fn gap(&mut self, figures: &Figures) -> Judged {
+        let lives = figures.owners.iter().map(|owner| &owner.life);
+        let total: u64 = lives.map(|life| life.lost_in_transport.saturating_add(life.lost_in_recorder)).sum();
+        let losses = self.losses.get_or_insert(Losses { first: total, last: total, grew: None });
+        if total > losses.last {
+            losses.grew = Some(figures.now);
+        }
+        losses.last = total;
+        let losing = losses.grew.is_some_and(|grew| passed(figures.now, grew) < nanos(LOSING));
+        let firing = losing || figures.untold_gaps > 0;
+        Judged {
+            key: "gap".to_owned(),
+            severity: Severity::Warning,
+            level: if firing { Level::Firing } else { Level::Clear },
+            text: format!(
+                "Messages are lost: {} became no record since this site was started, and {} losses are in no gap \
+                 record yet. See `authros status`.",
+                total.saturating_sub(losses.first),
+                figures.untold_gaps
+            ),
+        }
+    }
+
+    fn clock(&self, figures: &Figures) -> Option<Judged> {
+        let limit = self.limits.clock?.as_secs();
+        let seconds = figures.clock_ahead.unsigned_abs();
+        let way = if figures.clock_ahead < 0 { "behind" } else { "ahead of" };
+        Some(Judged {
+            key: "clock".to_owned(),
+            severity: Severity::Warning,
+            level: over(seconds, limit),
+            text: format!(
+                "The clock of this machine is {seconds} s {way} the time that rights go by; look at its time service."
+            ),
+        })
+    }
+
+    fn audit(&self, figures: &Figures, settled: bool) -> Option<Judged> {
+        let limit = self.limits.audit?;
+        // Without a chain there is nothing to anchor a head on.
+        figures.parts.iter().find(|part| part.part == "chain")?;
+        let waited = figures.audit_unanchored.map_or(0, |oldest| passed(figures.now, oldest));
+        Some(Judged {
+            key: "audit".to_owned(),
+            severity: Severity::Warning,
+            level: aged(waited, limit, settled),
+            text: format!(
+                "The oldest line of the audit log that no anchored head covers is {} old. See `authros chain status`.",
+                words(waited)
+            ),
+        })
+    }
+}
+
+/// What is held back, and what differs from the chain.
+fn records(owner: &OwnerFigures) -> [Judged; 2] {
+    let any = |count: u64| if count > 0 { Level::Firing } else { Level::Clear };
+    let (held, tampered) = (owner.life.quarantined, owner.life.tampered);
+    let (severity, level) = (Severity::Warning, any(held));
+    let text = format!(
+        "{held} messages for account {} are held back: their publisher is not a pinned one. Release or discard them; \
+         see `authros quarantine list`.",
+        owner.owner
+    );
+    let held = Judged { key: format!("quarantine/{}", owner.owner), severity, level, text };
+    let (severity, level) = (Severity::Critical, any(tampered));
+    let text = format!(
+        "{tampered} records of account {} differ from what the chain holds. Run `authros audit`, and restore the vault \
+         from a backup.",
+        owner.owner
+    );
+    [held, Judged { key: format!("tampered/{}", owner.owner), severity, level, text }]
+}
+
+/// A part of the site; nothing where this run does not have it.
+fn part(figures: &Figures, name: &str, text: &str) -> Option<Judged> {
+    let part = figures.parts.iter().find(|part| part.part == name)?;
+    let level = match (part.failed, part.well) {
+        (true, _) => Level::Firing,
+        (false, true) => Level::Clear,
+        (false, false) => Level::Between,
+    };
+    Some(Judged { key: name.to_owned(), severity: Severity::Critical, level, text: text.to_owned() })
+}
+
+/// Over a limit, or a tenth below it at least.
+fn over(value: u64, limit: u64) -> Level {
+    if value > limit {
+        return Level::Firing;
+    }
+    if value <= limit - limit / 10 { Level::Clear } else { Level::Between }
+}
+
+/// An age, nanoseconds.
+fn aged(age: u64, limit: Duration, settled: bool) -> Level {
+    match over(age, nanos(limit)) {
+        Level::Firing if !settled => Level::Between,
+        level => level,
+    }
+}
+
+/// Nanoseconds from one moment to a later one.
+fn passed(now: Timestamp, then: Timestamp) -> u64 {
+    now.0.saturating_sub(then.0)
+}
+
+fn nanos(length: Duration) -> u64 {
+    u64::try_from(length.as_nanos()).unwrap_or(u64::MAX)
+}
+
+/// A length of time for people.
+fn words(nanos: u64) -> String {
+    match nanos / 1_000_000_000 {
+        seconds if seconds < 120 => format!("{seconds} s"),
+        seconds if seconds < 7200 => format!("{} min", seconds / 60),
+        seconds => format!("{} h", seconds / 3600),
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,175 @@
+//! Deliveries over HTTP: JSON with a signature over time and body, or as an Alertmanager takes them.
+
+use std::path::Path;
+use std::time::Duration;
+
+use hmac::{Hmac, KeyInit as _, Mac as _};
+use serde_json::json;
+use sha2::Sha256;
+use zeroize::Zeroizing;
+
+use super::{Delivery, News};
+use crate::config::AlertForm;
+use crate::crypto::private_file;
+use crate::model::{ErrorKind, Timestamp, clean};
+use crate::service::failure::{input, refused};
+use crate::service::reply::Failure;
+
+/// How long a delivery may take from the connection to the answer.
+const PATIENCE: Duration = Duration::from_secs(10);
+/// Bytes of an answer that are read.
+const MOST_READ: usize = 512;
+/// The longest file with a secret, bytes.
+const LONGEST_SECRET: usize = 4096;
+
+/// A server that takes deliveries.
+pub struct Webhook {
+    client: reqwest::Client,
+    url: reqwest::Url,
+    form: AlertForm,
+    secret: Option<Zeroizing<Vec<u8>>>,
+}
+
+impl Webhook {
+    /// At this URL; `secret` is the file with what signs.
+    ///
+    /// # Errors
+    /// A URL or a secret that cannot be used.
+    pub fn new(url: &str, form: AlertForm, secret: Option<&Path>) -> Result<Self, Failure> {
+        let unusable = || input("alerts.webhook is no address of a server; write http://HOST:PORT/PATH");
+        let mut url = reqwest::Url::parse(url).map_err(|_| unusable())?;
+        if form == AlertForm::Alertmanager && !url.path().ends_with("/api/v2/alerts") {
+            url.path_segments_mut().map_err(|()| unusable())?.pop_if_empty().extend(["api", "v2", "alerts"]);
+        }
+        // Only the server that was named is told.
+        let client = reqwest::Client::builder().no_proxy().redirect(reqwest::redirect::Policy::none());
+        let client = client.timeout(PATIENCE).build().map_err(|_| unusable())?;
+        let read = |path| private_file::read_private(path, LONGEST_SECRET);
+        let secret = secret.map(read).transpose()?.map(|bytes| Zeroizing::new(bytes.trim_ascii().to_vec()));
+        Ok(Self { client, url, form, secret })
+    }
+
+    /// Delivers, and says what came back.
+    ///
+    /// # Errors
+    /// Of kind `Unreachable` where nothing answered, `Refused` where the answer is no success.
+    pub async fn carry(&self, delivery: &Delivery, dropped: u64) -> Result<String, Failure> {
+        let body = match self.form {
+            AlertForm::Authros => delivery.body(dropped),
+            AlertForm::Alertmanager => alertmanager(delivery, dropped),
+        };
+        let time = Timestamp::now().seconds().to_string();
+        let mut request = self.client.post(self.url.clone()).header("Content-Type", "application/json");
+        if let Some(secret) = &self.secret {
+            request = request.header("X-AuthROS-Signature", signature(secret, &time, &body));
+        }
+        let sent = request.header("X-AuthROS-Time", time).body(body).send().await;
+        let answer = sent.map_err(|error| self.unreachable(&error))?;
+        let status = answer.status();
+        let text = beginning(answer).await;
+        let told = format!("{}{}{text}", status.as_u16(), if text.is_empty() { "" } else { ": " });
+        if status.is_success() {
+            return Ok(told);
+        }
+        Err(refused(format!("the webhook at {} answered {told}; see its log and alerts.secret", self.host())))
+    }
+
+    fn host(&self) -> String {
+        let port = self.url.port_or_known_default().unwrap_or(80);
+        clean(&format!("{}:{port}", self.url.host_str().unwrap_or_default()), 100)
+    }
+
+    fn unreachable(&self, error: &reqwest::Error) -> Failure {
+        let why = if error.is_timeout() { "no answer within 10 s".to_owned() } else { innermost(error) };
+        let (host, help) = (self.host(), "see whether it runs, and alerts.webhook");
+        Failure::new(ErrorKind::Unreachable, format!("the webhook at {host} is not reached: {why}; {help}"))
+    }
+}
+
+/// The first cause; it knows no URL.
+fn innermost(error: &dyn std::error::Error) -> String {
+    let mut cause = error;
+    while let Some(deeper) = cause.source() {
+        cause = deeper;
+    }
+    clean(&cause.to_string(), 160)
+}
+
+/// The beginning of an answer, for people; a server cannot keep us with a long one.
+async fn beginning(mut answer: reqwest::Response) -> String {
+    let mut bytes = Vec::new();
+    while bytes.len() < MOST_READ {
+        let Ok(Some(chunk)) = answer.chunk().await else { break };
+        bytes.extend(chunk.iter().take(MOST_READ - bytes.len()));
+    }
+    clean(String::from_utf8_lossy(&bytes).trim(), 200)
+}
+
+/// HMAC-SHA256 over time, a dot and the body.
+fn signature(secret: &[u8], time: &str, body: &[u8]) -> String {
+    // HMAC takes keys of any length.
+    let Ok(mut mac) = Hmac::<Sha256>::new_from_slice(secret) else { return String::new() };
+    for part in [time.as_bytes(), b".", body] {
+        mac.update(part);
+    }
+    let digest = mac.finalize().into_bytes();
+    format!("sha256={}", digest.iter().map(|byte| format!("{byte:02x}")).collect::<String>())
+}
+
+/// What `POST /api/v2/alerts` takes: no end means that it goes on.
+fn alertmanager(delivery: &Delivery, dropped: u64) -> Vec<u8> {
+    let alert = &delivery.alert;
+    let (rule, subject) = alert.key.split_once('/').unwrap_or((&alert.key, ""));
+    let mut one = json!({
+        "labels": {
+            "alertname": format!("authros_{rule}"),
+            "severity": alert.severity.word(),
+            "site": alert.site,
+            "subject": subject,
+        },
+        "annotations": { "summary": alert.text, "dropped": dropped.to_string() },
+        "startsAt": alert.begun,
+    });
+    // One that was only tried ends at once.
+    let ended = delivery.ended.or((delivery.state == News::Test).then_some(alert.begun));
+    if let (Some(ended), Some(fields)) = (ended, one.as_object_mut()) {
+        fields.insert("endsAt".to_owned(), json!(ended));
+    }
+    serde_json::to_vec(&[one]).unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::service::alerts::state::tests::delivery;
+
+    #[test]
+    fn the_signature_is_that_of_another_implementation() {
+        // python3: hmac.new(b"0123456789abcdef", b'1700000000.{"authros_alert":1}', hashlib.sha256).hexdigest()
+        let known = "sha256=af11d0bb506d61e26dadb13cb37e9e3551f8fcb448ec9035a3c870180046e24d";
+        assert_eq!(signature(b"0123456789abcdef", "1700000000", br#"{"authros_alert":1}"#), known);
+    }
+
+    #[test]
+    fn an_alertmanager_is_told_by_labels_that_stay_the_same_from_begin_to_end() {
+        let told = |delivery: &Delivery| -> serde_json::Value {
+            serde_json::from_slice(&alertmanager(delivery, 0)).expect("JSON")
+        };
+        let begun = told(&delivery(1));
+        let ended = Some(Timestamp::from_seconds(1_700_000_060));
+        let over = told(&Delivery { state: News::Resolved, ended, ..delivery(2) });
+        let labels = json!({"alertname": "authros_disk", "severity": "critical", "site": "0a0b0c0d", "subject": ""});
+        assert_eq!((&begun[0]["labels"], &over[0]["labels"]), (&labels, &labels));
+        assert_eq!((&begun[0]["startsAt"], &begun[0]["endsAt"]), (&json!("2023-11-14T22:13:20Z"), &json!(null)));
+        assert_eq!(over[0]["endsAt"], "2023-11-14T22:14:20Z");
+    }
+
+    #[test]
+    fn the_address_of_an_alertmanager_is_its_own_or_that_of_its_interface() {
+        let address = |url: &str, form| Webhook::new(url, form, None).expect("usable").url.to_string();
+        for url in ["http://h:9093", "http://h:9093/", "http://h:9093/api/v2/alerts"] {
+            assert_eq!(address(url, AlertForm::Alertmanager), "http://h:9093/api/v2/alerts");
+        }
+        assert_eq!(address("http://h:1/a?b=c", AlertForm::Authros), "http://h:1/a?b=c");
+    }
+}

@@ -1,0 +1,219 @@
+//! Judges the figures of this site every few seconds and delivers what begins and ends. Both are tasks of their own: a
+//! dead webhook or a slow disk delays alerts, and nothing else.
+
+use std::collections::hash_map::RandomState;
+use std::hash::{BuildHasher as _, Hasher as _};
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use tokio::sync::Notify;
+
+use super::parts::Parts;
+use super::{Site, blocking};
+use crate::config::{AlertForm, AlertPlace, AlertSettings};
+use crate::model::Timestamp;
+use crate::service::alerts::{Carrier, Change, Delivery, Judge, News, Queue, Standing, place_name};
+use crate::service::event::NoticeLevel;
+use crate::service::failure::input;
+use crate::service::figures::{Figures, short};
+use crate::service::reply::{AlertTestView, AlertView, AlertsView, Failure, Severity};
+
+/// The first pause after a delivery that was not taken, and the longest.
+const PAUSES: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(300));
+/// How often an Alertmanager is reminded of what stands; it takes for over what it does not hear of for five minutes.
+const REMIND: Duration = Duration::from_secs(60);
+/// What notices of deliveries are about.
+const DELIVERY: &str = "alert delivery";
+
+/// The alerts of a site.
+pub(super) struct Alerts {
+    settings: AlertSettings,
+    path: PathBuf,
+    /// Opened when it is first asked for.
+    known: Mutex<Option<Known>>,
+    /// Rings when there is something to deliver.
+    added: Notify,
+}
+
+/// What is known of them: what judges, what stands, what waits.
+struct Known {
+    judge: Judge,
+    standing: Standing,
+    queue: Queue,
+    reminded: Instant,
+}
+
+impl Alerts {
+    /// From the shared parts.
+    pub fn new(parts: &Parts) -> Self {
+        let (settings, path) = (parts.config.alerts.clone(), parts.home.alerts());
+        Self { settings, path, known: Mutex::default(), added: Notify::new() }
+    }
+
+    fn with<Told>(&self, work: impl FnOnce(&mut Known) -> Told) -> Told {
+        let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        work(known.get_or_insert_with(|| {
+            let queue = Queue::open(&self.path);
+            let (judge, standing) = (Judge::new(self.settings.limits.clone()), Standing::of(queue.standing()));
+            Known { judge, standing, queue, reminded: Instant::now() }
+        }))
+    }
+
+    fn place(&self) -> Result<&AlertPlace, Failure> {
+        let nobody = "nobody is told of alerts and nothing is judged; set alerts.webhook or alerts.command";
+        self.settings.place.as_ref().ok_or_else(|| input(nobody))
+    }
+
+    /// What changes by these figures; it is on its way then.
+    fn look(&self, figures: &Figures) -> Vec<Change> {
+        let site = figures.owners.first().map_or("", |owner| owner.owner.as_str());
+        let forgets = matches!(self.settings.place, Some(AlertPlace::Webhook { form: AlertForm::Alertmanager, .. }));
+        let changes = self.with(|known| {
+            let changes = known.standing.look(figures.now, site, known.judge.judge(figures));
+            for change in &changes {
+                known.queue.add(change.clone());
+            }
+            if forgets && known.reminded.elapsed() >= REMIND && known.queue.first().is_none() {
+                known.reminded = Instant::now();
+                known.queue.remind();
+            }
+            changes
+        });
+        self.added.notify_one();
+        changes
+    }
+
+    /// All that stand.
+    fn view(&self) -> Result<AlertsView, Failure> {
+        let told = place_name(self.place()?);
+        let (alerts, (waiting, dropped)) = self.with(|known| (known.standing.all(), known.queue.counts()));
+        Ok(AlertsView { alerts, told, waiting, dropped })
+    }
+}
+
+impl Site {
+    /// Begins to judge and to deliver, where somebody is to be told.
+    pub(super) fn watch_for_alerts(self: &Arc<Self>) {
+        if self.alerts.settings.place.is_some() {
+            drop(self.parts.supervisor.keep("alerts", self, Self::judge_alerts));
+            drop(self.parts.supervisor.keep("alert delivery", self, Self::deliver_alerts));
+        }
+    }
+
+    async fn judge_alerts(self: Arc<Self>) {
+        while self.parts.life.beat(self.alerts.settings.every).await {
+            // Figures that cannot be read now are read the next time.
+            let looked = blocking(&self, |site| Ok(site.alerts.look(&site.figures()?))).await;
+            for change in looked.unwrap_or_default() {
+                self.tell_of(&change);
+            }
+        }
+    }
+
+    fn tell_of(&self, change: &Change) {
+        let (alert, level, text) = match change {
+            Change::Begun(alert) => {
+                let level = match alert.severity {
+                    Severity::Warning => NoticeLevel::Warning,
+                    Severity::Critical => NoticeLevel::Error,
+                };
+                (alert, level, format!("alert {}: {}", alert.key, alert.text))
+            }
+            Change::Resolved(alert, _) => (alert, NoticeLevel::Info, format!("alert {} is over", alert.key)),
+        };
+        self.parts.hub.notice_about(&format!("alert {}", alert.key), level, &text);
+    }
+
+    async fn deliver_alerts(self: Arc<Self>) {
+        let mut failures = 0;
+        loop {
+            let carried = tokio::select! {
+                carried = self.deliver_next() => carried,
+                () = self.stopped() => return,
+            };
+            let pause = match carried {
+                Ok(()) => {
+                    if failures > 0 {
+                        self.parts.hub.notice_about(DELIVERY, NoticeLevel::Info, "alerts are delivered again");
+                    }
+                    failures = 0;
+                    continue;
+                }
+                Err(failure) => {
+                    if failures == 0 {
+                        let text = format!("an alert is not delivered, it waits and is tried again: {failure}");
+                        self.parts.hub.notice_about(DELIVERY, NoticeLevel::Warning, &text);
+                    }
+                    failures += 1;
+                    pause(failures, RandomState::new().build_hasher().finish())
+                }
+            };
+            tokio::select! {
+                () = tokio::time::sleep(pause) => {}
+                () = self.stopped() => return,
+            }
+        }
+    }
+
+    /// Waits for a delivery and takes it to its place.
+    async fn deliver_next(self: &Arc<Self>) -> Result<(), Failure> {
+        let first = blocking(self, |site| Ok(site.alerts.with(|known| known.queue.first()))).await?;
+        let Some((delivery, dropped)) = first else {
+            self.alerts.added.notified().await;
+            return Ok(());
+        };
+        // Made anew each time: a secret may have been replaced.
+        Carrier::of(self.alerts.place()?)?.carry(&delivery, dropped).await?;
+        let number = delivery.number;
+        let note = move |site: &Self| {
+            site.alerts.with(|known| known.queue.done(number, dropped));
+            Ok(())
+        };
+        blocking(self, note).await
+    }
+
+    /// The alerts that stand.
+    pub(super) async fn alerts_view(self: &Arc<Self>) -> Result<AlertsView, Failure> {
+        blocking(self, |site| site.alerts.view()).await
+    }
+
+    /// Sends an alert that says that it is none.
+    pub(super) async fn test_alert(self: &Arc<Self>) -> Result<AlertTestView, Failure> {
+        let place = self.alerts.place()?;
+        let owner = self.parts.owners.all().first().map(|owner| short(&owner.address.to_string()));
+        let alert = AlertView {
+            key: "test".to_owned(),
+            severity: Severity::Warning,
+            text: "This is a test: somebody ran `authros alerts test`. Nothing is wrong.".to_owned(),
+            site: owner.unwrap_or_default(),
+            begun: Timestamp::now(),
+        };
+        let delivery = Delivery { number: 0, state: News::Test, alert, ended: None };
+        let text = Carrier::of(place)?.carry(&delivery, 0).await?;
+        Ok(AlertTestView { place: place_name(place), text })
+    }
+}
+
+/// How long after so many failures in a row: it doubles, and half of it is chance, so that sites do not come together.
+fn pause(failures: u32, chance: u64) -> Duration {
+    let doubled = PAUSES.0.saturating_mul(1 << failures.saturating_sub(1).min(16)).min(PAUSES.1);
+    let half = doubled / 2;
+    let nanos = u64::try_from(half.as_nanos()).unwrap_or(u64::MAX);
+    half + Duration::from_nanos(chance % nanos.max(1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pauses_double_up_to_five_minutes_and_half_of_each_is_chance() {
+        let milliseconds = |failures, chance| pause(failures, chance).as_millis();
+        assert_eq!([1, 2, 3, 4].map(|failures| milliseconds(failures, 0)), [250, 500, 1000, 2000]);
+        assert_eq!((milliseconds(30, 0), milliseconds(u32::MAX, 0)), (150_000, 150_000));
+        for chance in [1, u64::MAX, 0x1234_5678_9abc_def0] {
+            assert!((150_000..300_000).contains(&milliseconds(30, chance)), "{chance}");
+        }
+    }
+}

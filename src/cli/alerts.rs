@@ -1,0 +1,48 @@
+//! `alerts`: those that stand, and whether they arrive where the settings say.
+
+#![deny(clippy::wildcard_enum_match_arm)]
+
+use clap::Subcommand;
+
+use super::connect::ProfileNeed;
+use super::verbs::{NEITHER, Plan};
+use crate::service::command::{ListAlerts, TestAlert};
+use crate::service::reply::{AlertTestView, AlertView, AlertsView};
+use authros_output::table;
+
+/// `alerts …`
+#[derive(Debug, Subcommand)]
+pub enum AlertsVerb {
+    /// Those that stand, and what of them is not delivered yet
+    List,
+    /// Send one that says that it is none, and tell what came back
+    Test,
+}
+
+/// What is asked.
+pub fn plan(verb: &AlertsVerb) -> Plan {
+    match verb {
+        AlertsVerb::List => Plan::new(NEITHER, ProfileNeed::None, ListAlerts),
+        AlertsVerb::Test => Plan::new(NEITHER, ProfileNeed::None, TestAlert),
+    }
+}
+
+/// Alerts that stand, for people.
+pub fn standing(view: &AlertsView) -> String {
+    let row = |alert: &AlertView| {
+        vec![alert.begun.to_string(), alert.severity.word().to_owned(), alert.key.clone(), alert.text.clone()]
+    };
+    let mut lines = match view.alerts.is_empty() {
+        true => vec!["no alert stands".to_owned()],
+        false => {
+            vec![table(&["since", "severity", "alert", "what"], &view.alerts.iter().map(row).collect::<Vec<_>>())]
+        }
+    };
+    lines.push(format!("told: {}; {} deliveries wait, {} found no room", view.told, view.waiting, view.dropped));
+    lines.join("\n")
+}
+
+/// What came back, for people.
+pub fn tested(view: &AlertTestView) -> String {
+    format!("{} took it: {}", view.place, view.text)
+}

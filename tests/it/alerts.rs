@@ -1,0 +1,173 @@
+//! Alerts reach a webhook that refuses four times and hangs once: each begins once and ends once, over a kill of the
+//! site, signed, and naming nobody.
+#![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
+
+use crate::support;
+
+use std::io::{Read as _, Write as _};
+use std::net::{TcpListener, TcpStream};
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use serde_json::Value;
+use support::{Authros, Home, free_port, list, skipped, system_program, text, wait_until};
+
+const SECRET: &str = "0123456789abcdef0123456789abcdef";
+
+/// What was asked of a server: the head, and the body.
+type Asked = (String, Vec<u8>);
+
+/// A server that refuses what comes first, then says nothing once, then takes all.
+struct Webhook {
+    port: u16,
+    asked: Arc<Mutex<Vec<Asked>>>,
+}
+
+impl Webhook {
+    fn start(refusals: usize) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
+        let port = listener.local_addr().expect("its address").port();
+        let asked = Arc::new(Mutex::new(Vec::new()));
+        let kept = Arc::clone(&asked);
+        std::thread::spawn(move || {
+            let mut held = Vec::new();
+            for (number, mut stream) in listener.incoming().flatten().enumerate() {
+                let Some(request) = request(&mut stream) else { continue };
+                if number < refusals {
+                    answer(&mut stream, "503 Service Unavailable");
+                } else if number == refusals && refusals > 0 {
+                    held.push(stream);
+                } else {
+                    kept.lock().unwrap_or_else(PoisonError::into_inner).push(request);
+                    answer(&mut stream, "200 OK");
+                }
+            }
+        });
+        Self { port, asked }
+    }
+
+    fn url(&self) -> String {
+        format!("http://127.0.0.1:{}/hook", self.port)
+    }
+
+    fn taken(&self) -> Vec<Asked> {
+        self.asked.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Bodies that were taken, of this state and about this alert.
+    fn told(&self, state: &str, key: &str) -> Vec<Value> {
+        let bodies = self.taken().into_iter().map(|(_, body)| serde_json::from_slice(&body).expect("JSON"));
+        bodies.filter(|body: &Value| body["state"] == state && body["alert"]["key"] == key).collect()
+    }
+}
+
+fn request(stream: &mut TcpStream) -> Option<Asked> {
+    let mut bytes = Vec::new();
+    let head = loop {
+        let mut some = [0; 4096];
+        let length = stream.read(&mut some).ok().filter(|length| *length > 0)?;
+        bytes.extend(&some[..length]);
+        if let Some(end) = bytes.windows(4).position(|four| four == b"\r\n\r\n") {
+            break end + 4;
+        }
+    };
+    let text = String::from_utf8_lossy(&bytes[..head]).into_owned();
+    let length: usize = header(&text, "content-length").parse().expect("a length");
+    let mut body = bytes.split_off(head);
+    while body.len() < length {
+        let mut some = [0; 4096];
+        let more = stream.read(&mut some).ok().filter(|length| *length > 0)?;
+        body.extend(&some[..more]);
+    }
+    Some((text, body))
+}
+
+fn header(head: &str, name: &str) -> String {
+    let named = head.lines().filter_map(|line| line.split_once(':')).find(|(key, _)| key.eq_ignore_ascii_case(name));
+    named.map_or_else(String::new, |(_, value)| value.trim().to_owned())
+}
+
+fn answer(stream: &mut TcpStream, status: &str) {
+    let text = format!("HTTP/1.1 {status}\r\nContent-Length: 2\r\nConnection: close\r\n\r\nok");
+    // Whoever asked may have gone.
+    drop(stream.write_all(text.as_bytes()));
+}
+
+/// By an implementation that is not ours.
+fn signature(python: &Path, time: &str, body: &[u8]) -> String {
+    let script = "import sys, hmac, hashlib\n\
+                  print(hmac.new(sys.argv[1].encode(), sys.stdin.buffer.read(), hashlib.sha256).hexdigest())";
+    let mut command = Command::new(python);
+    let mut child =
+        command.args(["-c", script, SECRET]).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().expect("python3");
+    let signed = [time.as_bytes(), b".", body].concat();
+    child.stdin.take().expect("stdin").write_all(&signed).expect("given");
+    let told = child.wait_with_output().expect("it ends").stdout;
+    format!("sha256={}", String::from_utf8_lossy(&told).trim())
+}
+
+fn watched(home: &Home, url: &str, disk: &str) -> Authros {
+    home.authros()
+        .with(&["--robots", "0"])
+        .with_variable("AUTHROS_ALERTS_WEBHOOK", url)
+        .with_variable("AUTHROS_ALERTS_SECRET", &home.file("secret", SECRET, 0o600))
+        .with_variable("AUTHROS_ALERTS_EVERY", "1")
+        .with_variable("AUTHROS_ALERTS_DISK", disk)
+}
+
+#[test]
+fn an_alert_arrives_once_begun_and_once_over_at_a_webhook_that_refuses_and_hangs() {
+    let Some(python) = system_program("python3") else { skipped!("no python3") };
+    let home = Home::new();
+    let webhook = Webhook::start(4);
+    // No disk has so much room.
+    let full = watched(&home, &webhook.url(), "1000000GiB");
+    let mut site = full.serve(&home);
+    wait_until(120, "the alert, refused four times and hung once", || webhook.told("begun", "disk").pop());
+    let standing = full.json(&["alerts", "list"]);
+    assert!(list(&standing, "alerts").iter().any(|alert| alert["key"] == "disk"), "{standing}");
+    site.expect_running();
+    // It does not begin again with another process, not even behind a kill.
+    site.stop("KILL", 20);
+    let again = full.with_variable("AUTHROS_DISK_RESERVE", "65MiB");
+    let site = again.serve(&home);
+    wait_until(60, "a look of the second process, whose words differ", || {
+        let standing = again.json(&["alerts", "list"]).to_string();
+        standing.contains("below 65 MiB").then_some(())
+    });
+    let tested = full.json(&["alerts", "test"]);
+    assert_eq!(text(&tested, "text"), "200: ok", "{tested}");
+    site.stop("INT", 20).expect_code(0);
+    let roomy = watched(&home, &webhook.url(), "1KiB");
+    let site = roomy.serve(&home);
+    wait_until(120, "the end of the alert", || webhook.told("resolved", "disk").pop());
+    wait_until(30, "no alert about the disk", || {
+        list(&roomy.json(&["alerts", "list"]), "alerts").iter().all(|alert| alert["key"] != "disk").then_some(())
+    });
+    site.stop("INT", 20).expect_code(0);
+    assert_eq!((webhook.told("begun", "disk").len(), webhook.told("resolved", "disk").len()), (1, 1));
+    let account = text(&home.authros().json(&["identity", "show"]), "address").to_lowercase();
+    for (head, body) in webhook.taken() {
+        let told = String::from_utf8_lossy(&body).to_lowercase();
+        assert!(!told.contains(&account) && !told.contains("default"), "{told}");
+        let wanted = signature(&python, &header(&head, "x-authros-time"), &body);
+        assert_eq!(header(&head, "x-authros-signature"), wanted);
+    }
+}
+
+#[test]
+fn alerts_test_says_what_came_back_or_that_nobody_is_there() {
+    let home = Home::new();
+    let nobody = home.authros().with(&["--robots", "0"]);
+    assert!(nobody.fails(3, &["alerts", "list"]).contains("alerts.webhook"));
+    let gone = watched(&home, &format!("http://127.0.0.1:{}/", free_port()), "0");
+    assert!(gone.fails(4, &["alerts", "test"]).contains("is not reached"));
+    let open = home.file("open", SECRET, 0o644);
+    gone.with_variable("AUTHROS_ALERTS_SECRET", &open).fails(3, &["config", "check"]);
+    let settings = home.file("site/config.toml", "[alerts]\ncommand = [\"/bin/true\"]\n", 0o600);
+    let page = home.authros();
+    assert_eq!(text(&page.json(&["alerts", "test"]), "place"), "command /bin/true");
+    home.file("site/config.toml", "[alerts]\ncommand = [\"/bin/true\"]\n", 0o622);
+    assert!(page.fails(3, &["alerts", "test"]).contains("chmod go-w"), "{settings}");
+}
