@@ -97,7 +97,7 @@ fn both_say_the_same_of_loans() {
         (0, 41, 0, Outcome::Refused),
         (0, 41, 9, Outcome::Incomplete),
     ] {
-        let mut world = World::of(owner, keys.clone(), pair(), identity.clone(), owner);
+        let mut world = World::of(owner, keys.clone(), pair(), identity, owner);
         let mut packed = [0; 32];
         packed[31] = 1;
         for (at, field) in [until, lent, 0u64].iter().enumerate() {
