@@ -57,6 +57,7 @@ pub const TWINS: &[(&str, Twin)] = &[
     ("log-level", Runs("audit list")),
     ("filter", Runs("uploads list --topic TOPIC")),
     ("sort", Runs("uploads list --newest")),
+    ("reverse", OnlyLooks),
     ("copy", Runs("uploads list")),
     ("write-file", Runs("uploads list")),
     ("local-time", OnlyLooks),

@@ -123,7 +123,7 @@ fn inside(name: &str, outer: &[&str], home: &Home, variables: &[(&str, String)])
     console.press("2");
     console.wait_for(TOPIC, 60);
     console.resize(30, 100);
-    console.wait_for("nav_msgs/Odometry", 30);
+    console.wait_for("Pinned", 30);
     console.press("?");
     console.wait_for("Keys of the Topics screen", 30);
     console.press("\u{1b}");

@@ -9,6 +9,8 @@ use rusqlite::{Connection, OpenFlags, TransactionBehavior};
 use super::{StoreError, files};
 
 const BUSY: Duration = Duration::from_secs(10);
+/// How long the end waits for whoever reads.
+const LAST_WAIT: Duration = Duration::from_millis(500);
 const STATEMENTS_KEPT: usize = 64;
 /// Pages of the write-ahead log after which they go into the file itself, as SQLite has it.
 const SHORT_LOG: i64 = 1_000;
@@ -38,6 +40,14 @@ pub(super) fn open_writer(path: &Path, schema: &Schema) -> Result<Connection, St
     let mut connection = connect(path)?;
     migrate(&mut connection, path, schema).map_err(|error| error.in_file(path))?;
     Ok(connection)
+}
+
+/// Works the log into the file, at the end of a process: other connections of it may outlive this one, and then
+/// closing would leave the log beside the file. Where somebody reads just now, or the disk is full, the log stays, and
+/// whoever opens the file next works it in.
+pub(super) fn settle(connection: &Connection) {
+    drop(connection.busy_timeout(LAST_WAIT));
+    drop(connection.query_row("PRAGMA wal_checkpoint(TRUNCATE)", [], |_| Ok(())));
 }
 
 /// How long a file's log may get; follows the room on its disk.

@@ -104,6 +104,9 @@ pub trait Vault: Send + Sync {
         digests.iter().try_for_each(|digest| self.delete(*digest).map(|_| ()))
     }
 
+    /// The process ends: what waits beside a file goes into it, so that the next one finds it at rest.
+    fn close(&self) {}
+
     /// Whether something is stored under a digest.
     ///
     /// # Errors

@@ -382,8 +382,12 @@ impl Site {
         if let Some(chain) = chain {
             drop(tokio::time::timeout(CLOSING, chain.end()).await);
         }
-        let ledger = self.plant.ledger.clone();
-        drop(tokio::task::spawn_blocking(move || ledger.close()).await);
+        let Plant { ledger, vault, .. } = self.plant.clone();
+        let close = move || {
+            vault.close();
+            ledger.close()
+        };
+        drop(tokio::task::spawn_blocking(close).await);
     }
 
     /// Ledger or vault take nothing, and the process must end all the same.

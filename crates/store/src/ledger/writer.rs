@@ -15,7 +15,7 @@ use rusqlite::Connection;
 use super::append::Names;
 use crate::crypto::fault;
 use crate::store::StoreError;
-use crate::store::database::Checkpoints;
+use crate::store::database::{self, Checkpoints};
 
 /// The most pieces of work in one transaction.
 const GROUP: usize = 256;
@@ -300,5 +300,6 @@ fn finish(connection: Connection, mark: &Mark) -> Result<(), StoreError> {
     if !mark.closed {
         connection.execute("UPDATE about SET clean = 1", [])?;
     }
+    database::settle(&connection);
     connection.close().map_err(|(_, error)| StoreError::from(error))
 }

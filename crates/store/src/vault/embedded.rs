@@ -122,6 +122,10 @@ impl Vault for EmbeddedVault {
         })
     }
 
+    fn close(&self) {
+        database::settle(&self.writer.lock().unwrap_or_else(PoisonError::into_inner));
+    }
+
     fn contains(&self, digest: Digest) -> Result<bool, StoreError> {
         self.on(&self.reader, |connection| {
             Ok(connection.prepare_cached("SELECT 1 FROM blobs WHERE digest = ?1")?.exists([digest.0])?)
