@@ -47,6 +47,7 @@ fn a_package_is_the_same_twice_and_holds_what_the_manual_says() {
         "./lib/systemd/system/authros-serve.service",
         "./lib/systemd/system/authros-agent.service",
         "./lib/systemd/system/authros-serve.service.d/account.conf",
+        "./lib/systemd/system/authros-backup.service.d/account.conf",
         "./usr/share/bash-completion/completions/authros",
         "./usr/share/zsh/vendor-completions/_authros",
         "./usr/share/fish/vendor_completions.d/authros.fish",
