@@ -1,4 +1,5 @@
-"""A second reader of records, written from crates/gateway/src/PROTOCOL.md, section 9, with nothing but the standard library.
+"""A second reader of records, written from crates/gateway/src/PROTOCOL.md, section 9, with nothing but the standard library;
+SM3, SM4 and LZ4 are those of tools/verify.py.
 
     second_reader.py FOLDER EK_HEX IK_HEX
 
@@ -11,38 +12,10 @@ import pathlib
 import struct
 import sys
 
-M32 = 0xFFFFFFFF
+sys.dont_write_bytecode = True
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[2] / "tools"))
 
-
-def rotl(x, n):
-    n %= 32
-    return ((x << n) | (x >> (32 - n))) & M32
-
-
-def sm3(data):  # GB/T 32905
-    v = [0x7380166F, 0x4914B2B9, 0x172442D7, 0xDA8A0600, 0xA96F30BC, 0x163138AA, 0xE38DEE4D, 0xB0FB0E4E]
-    data += b"\x80" + bytes((55 - len(data)) % 64) + struct.pack(">Q", len(data) * 8)
-    p1 = lambda x: x ^ rotl(x, 15) ^ rotl(x, 23)
-    for at in range(0, len(data), 64):
-        w = list(struct.unpack(">16I", data[at:at + 64]))
-        for j in range(16, 68):
-            w.append(p1(w[j - 16] ^ w[j - 9] ^ rotl(w[j - 3], 15)) ^ rotl(w[j - 13], 7) ^ w[j - 6])
-        a, b, c, d, e, f, g, h = v
-        for j in range(64):
-            ss1 = rotl((rotl(a, 12) + e + rotl(0x79CC4519 if j < 16 else 0x7A879D8A, j)) & M32, 7)
-            ff = a ^ b ^ c if j < 16 else (a & b) | (a & c) | (b & c)
-            gg = e ^ f ^ g if j < 16 else (e & f) | (~e & g)
-            tt1 = (ff + d + (ss1 ^ rotl(a, 12)) + (w[j] ^ w[j + 4])) & M32
-            tt2 = (gg + h + ss1 + w[j]) & M32
-            a, b, c, d = tt1, a, rotl(b, 9), c
-            e, f, g, h = tt2 ^ rotl(tt2, 9) ^ rotl(tt2, 17), e, rotl(f, 19), g
-        v = [x ^ y for x, y in zip(v, (a, b, c, d, e, f, g, h))]
-    return struct.pack(">8I", *v)
-
-
-def hmac_sm3(key, data):
-    key = (sm3(key) if len(key) > 64 else key).ljust(64, b"\0")
-    return sm3(bytes(b ^ 0x5C for b in key) + sm3(bytes(b ^ 0x36 for b in key) + data))
+from verify import SBOX, fields, hmac_sm3, lz4, sm3, sm4, sm4_keys  # noqa: E402
 
 
 def hkdf(key, salt, info, length):  # RFC 5869
@@ -58,46 +31,7 @@ def text(value):
     return struct.pack(">H", len(value)) + value
 
 
-def sbox():  # GB/T 32907: affine, inversion modulo x^8 + x^7 + x^6 + x^5 + x^4 + x^2 + 1, affine
-    def times(a, b):
-        product = 0
-        while b:
-            product ^= a if b & 1 else 0
-            a, b = (a << 1) ^ (0x1F5 if a & 0x80 else 0), b >> 1
-        return product
-
-    def affine(x):
-        return sum((bin(x & row).count("1") & 1) << (7 - at) for at, row in enumerate(rows)) ^ 0xD3
-
-    rows = [(0xD3 >> at | 0xD3 << (8 - at)) & 0xFF for at in range(8)]
-    inverse = {0: 0}
-    inverse.update({a: b for a in range(1, 256) for b in range(1, 256) if times(a, b) == 1})
-    return [affine(inverse[affine(x)]) for x in range(256)]
-
-
-SBOX = sbox()
 assert (SBOX[0x00], SBOX[0x01], SBOX[0xEF], SBOX[0xFF]) == (0xD6, 0x90, 0x84, 0x48), "SM4's S-box"
-
-
-def tau(x):
-    return int.from_bytes(bytes(SBOX[b] for b in x.to_bytes(4, "big")), "big")
-
-
-def sm4_keys(key):
-    k = [a ^ b for a, b in zip(struct.unpack(">4I", key), (0xA3B1BAC6, 0x56AA3350, 0x677D9197, 0xB27022DC))]
-    for i in range(32):
-        ck = int.from_bytes(bytes((4 * i + j) * 7 % 256 for j in range(4)), "big")
-        b = tau(k[i + 1] ^ k[i + 2] ^ k[i + 3] ^ ck)
-        k.append(k[i] ^ b ^ rotl(b, 13) ^ rotl(b, 23))
-    return k[4:]
-
-
-def sm4(keys, block):
-    x = list(struct.unpack(">4I", block))
-    for rk in keys:
-        b = tau(x[1] ^ x[2] ^ x[3] ^ rk)
-        x = x[1:] + [x[0] ^ b ^ rotl(b, 2) ^ rotl(b, 10) ^ rotl(b, 18) ^ rotl(b, 24)]
-    return struct.pack(">4I", *reversed(x))
 
 
 def gcm_open(key, nonce, aad, sealed):  # NIST SP 800-38D over SM4, RFC 8998
@@ -162,38 +96,6 @@ def sm2_verify(public, message, r, s):
 def der_numbers(der):  # SEQUENCE of two INTEGERs
     length = der[3]
     return int.from_bytes(der[4:4 + length], "big"), int.from_bytes(der[6 + length:], "big")
-
-
-def lz4(packed):
-    out, at = bytearray(), 0
-
-    def more(length):
-        nonlocal at
-        while length[-1:] == [15] or (len(length) > 1 and length[-1] == 255):
-            length.append(packed[at])
-            at += 1
-        return sum(length)
-
-    while at < len(packed):
-        token = packed[at]
-        at += 1
-        literals = more([token >> 4])
-        out += packed[at:at + literals]
-        at += literals
-        if at >= len(packed):
-            break
-        back = packed[at] | packed[at + 1] << 8
-        at += 2
-        for _ in range(more([token & 15]) + 4):
-            out.append(out[-back])
-    return bytes(out)
-
-
-def fields(data, *widths):
-    at = 0
-    for width in widths:
-        yield data[at:at + width]
-        at += width
 
 
 def parse_header(record):
@@ -267,7 +169,7 @@ def main(folder, ek, ik):
     aad, sealed = record[:length], record[length:]
     head = parse_head(gcm_open(head_key, head_nonce, aad, sealed[:head_length]))
     body = gcm_open(body_key, body_nonce, aad, sealed[head_length:])
-    body = {0: lambda: body, 1: lambda: lz4(body)}[head["compression"]]()
+    body = {0: lambda: body, 1: lambda: lz4(body, head["plain_length"])}[head["compression"]]()
     assert len(body) == head["plain_length"], "plain length"
     index = unhex(ik)
     assert hkdf(index, b"", b"AuthROS/topicid/1" + text(head["topic"]), 16) == header["topic_id"], "topic id"
