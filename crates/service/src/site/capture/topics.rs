@@ -7,7 +7,6 @@ use std::sync::Arc;
 use tokio::task::block_in_place;
 
 use crate::model::{ProfileName, Timestamp, TopicName, TypeName, clean};
-use crate::pipeline::Owner;
 use crate::service::reply::{Failure, HeldUp, TopicRow};
 use crate::store::TopicCounts;
 
@@ -58,7 +57,7 @@ impl Capture {
             row.held_up = match &owner {
                 _ if !row.watched => None,
                 None => Some(HeldUp::WaitsForKey),
-                Some(owner) => (full || !self.records(&row.topic, owner)).then_some(HeldUp::Paused),
+                Some(owner) => (full || !self.recorder.is_watched(&row.topic, owner.address)).then_some(HeldUp::Paused),
             };
         }
         rows.sort_by(|one, other| one.topic.cmp(&other.topic));
@@ -137,10 +136,6 @@ impl Capture {
             self.ros.wishes_changed();
         }
         Ok(())
-    }
-
-    fn records(&self, topic: &str, owner: &Owner) -> bool {
-        self.recorder.is_watched(topic, owner.address)
     }
 
     /// Holds the capture of everything that the profile watches, or lets it go on; what is watched stays so.
