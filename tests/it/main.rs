@@ -12,6 +12,7 @@ mod alerts;
 mod at_rest;
 mod audit;
 mod bags;
+mod bags_altered;
 mod bench;
 mod chain_commands;
 mod chain_faults;
