@@ -227,6 +227,19 @@ fn nothing_falls_through_where_requests_answers_and_verbs_are_told_apart() {
 }
 
 /// Whether a line begins an arm that takes everything.
+#[test]
+fn rights_are_decided_in_one_place() {
+    let mut found = Vec::new();
+    for path in product().into_iter().filter(|path| !path.to_string_lossy().contains("/pipeline/src/")) {
+        let code = code_only(&read(&path));
+        for question in [".suspended_at(", "grant.is_active("] {
+            let times = code.matches(question).count();
+            found.extend((times > 0).then(|| format!("{} asks {question}", path.display())));
+        }
+    }
+    assert_none("who may sign and read is asked of pipeline::authority", &found);
+}
+
 fn catches_all(line: &str) -> bool {
     let Some((pattern, _)) = line.trim_start().split_once(" =>") else { return false };
     !pattern.is_empty() && pattern.chars().all(|character| character.is_ascii_lowercase() || character == '_')

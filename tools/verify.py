@@ -596,6 +596,8 @@ class Record:
             block, count = self.storage.numbers(mapped(self.digest, mapped(owner, 5)))[0], None
         if not block:
             raise Refused("the state does not have its anchor")
+        if count == how.get("count") == 1 and block < claim["block"]:
+            raise Unproven("the state keeps a root's first block alone")
         if block != claim["block"] or count != how.get("count") or number != claim["shown_at"] or block > number:
             raise Refused("the state has another anchor")
         self.time = self.time or (time if block == number else 0)
@@ -643,10 +645,9 @@ class Record:
         keys = storage.keys(owner, version) if version else None
         if keys is None:
             raise Unproven("nothing shows the owner's keys")
-        if self.account != owner or not self.keys:
-            after = storage.keys(owner, version + 1)
-            if keys[1] > self.block or (after and after[1] <= self.block):
-                raise Unproven("that version was not in force")
+        after = storage.keys(owner, version + 1)
+        if keys[1] > self.block or (after and after[1] <= self.block):
+            raise Unproven("that version was not in force")
         signing = self.bundle.identity(keys[0], owner, self.domain)
         if signing is None or (self.pinned and unhex(self.pinned[0]) != sm3(b"\4" + signing)):
             raise Unproven("the identity is not in the bundle, or not the pinned one")
@@ -660,7 +661,7 @@ class Record:
                 raise Refused("the key was neither the owner's nor lent")
             if until and not self.time:
                 raise Unproven("the loan had an end, and the block's time is not shown")
-        if self.account == owner:
+        if self.account == owner and self.block != self.shown_at:
             return "proven"
         suspended = storage.word(mapped(owner, 10))[7] != 0
         if self.block != self.shown_at:

@@ -98,7 +98,8 @@ async fn visitors_and_registered_accounts_send_what_never_ends() {
     }
 }
 
-/// Three addresses for a minute, each frame with all the gas there is, while a robot uploads.
+/// Three addresses for a minute, each frame with all the gas there is or with as much as is admitted, two of visitors
+/// and one of a registered robot, while another robot uploads.
 #[tokio::test(flavor = "multi_thread")]
 async fn three_addresses_for_a_minute_while_a_robot_uploads() {
     if !long() {
@@ -109,26 +110,46 @@ async fn three_addresses_for_a_minute_while_a_robot_uploads() {
     let alice = Member::of(&gate.home, "alice", gate.gateway.domain);
     let credentials = alice.allocate(&gate.gateway, "robot-7").await.expect("allocates");
     let mut robot = connect(&gate.gateway, &credentials).await;
+    let credentials_of_eyes = alice.allocate(&gate.gateway, "robot-8").await.expect("allocates");
     let chain = chain_id(&mut robot).await;
     let end = Instant::now() + Duration::from_secs(60);
     let to = gate.gateway.address.parse().expect("an address");
     let mut attackers = Vec::new();
     for last in 1..=3 {
         let through = Gateway { address: line_from(last, to).await.to_string(), ..gate.gateway.clone() };
+        let registered = match last {
+            3 => Some(alice.allocate(&gate.gateway, "robot-9").await.expect("allocates")),
+            _ => None,
+        };
         attackers.push(tokio::spawn(async move {
             let mut passed = 0;
             while Instant::now() < end {
-                let Ok(mut client) = visit(&through).await else {
+                let entered = match &registered {
+                    Some(credentials) => Client::connect(&through.endpoint(), &mut through.trust(), credentials).await,
+                    None => visit(&through).await,
+                };
+                let Ok(mut client) = entered else {
                     tokio::time::sleep(Duration::from_millis(100)).await;
                     continue;
                 };
-                passed += send_all(&mut client, chain, 4_294_967_295).await.0.len();
+                for gas in [4_294_967_295, 10_000_000] {
+                    passed += send_all(&mut client, chain, gas).await.0.len();
+                }
             }
             passed
         }));
     }
-    let (mut sent, mut refused) = (0, Vec::new());
+    let mut eyes = connect(&gate.gateway, &credentials_of_eyes).await;
+    let (mut sent, mut refused, held) = (0, Vec::new(), gate.held());
+    let (mut block, mut since, mut longest) = (String::new(), Instant::now(), Duration::ZERO);
     while Instant::now() < end {
+        // Anchors of what is uploaded wait all the time, so that a block is due all the time.
+        if let Ok(Relayed::Result(newest)) = eyes.relay("eth_blockNumber", &json!([])).await
+            && newest != block
+        {
+            longest = longest.max(if block.is_empty() { Duration::ZERO } else { since.elapsed() });
+            (block, since) = (newest, Instant::now());
+        }
         sent += 1;
         let upload = alice.record(&alice.keyring.signing, "/robot7/log", sent, b"a line of the log");
         if let Err(error) = robot.upload(vec![upload]).await {
@@ -142,7 +163,15 @@ async fn three_addresses_for_a_minute_while_a_robot_uploads() {
         passed += attacker.await.expect("ends");
     }
     if passed == 0 && refused.is_empty() {
-        judge(NAME, Outcome::Refused(format!("{sent} uploads in a minute, none refused, no frame passed on")));
+        let figures = format!(
+            "{:.1} s between two blocks at most; {held} MiB before, {} MiB after",
+            longest.as_secs_f64(),
+            gate.held()
+        );
+        judge(
+            NAME,
+            Outcome::Refused(format!("{sent} uploads in a minute, none refused, no frame passed on; {figures}")),
+        );
     } else {
         judge(
             NAME,

@@ -1,12 +1,12 @@
 //! Wants nobody else to enter: three addresses open connections and say nothing, until every place is taken.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
-use authros::gateway::{Client, GatewayError};
+use authros::gateway::GatewayError;
 use tokio::net::TcpStream;
 
 use super::support::gate::Gate;
-use super::support::member::Gateway;
+use super::support::member::{Gateway, Member};
 use super::support::source::{connect_from, line_from};
 use super::{Outcome, judge};
 
@@ -16,6 +16,8 @@ const EACH: usize = 190;
 #[tokio::test(flavor = "multi_thread")]
 async fn three_addresses_hold_every_place() {
     let gate = Gate::new();
+    gate.home.profile("alice").enrol();
+    let alice = Member::of(&gate.home, "alice", gate.gateway.domain);
     let to = gate.gateway.address.parse().expect("an address");
     let mut held: Vec<TcpStream> = Vec::new();
     for _ in 0..EACH {
@@ -26,10 +28,14 @@ async fn three_addresses_hold_every_place() {
     // The gateway takes them one after the other.
     tokio::time::sleep(Duration::from_millis(500)).await;
     let fourth = Gateway { address: line_from(4, to).await.to_string(), ..gate.gateway.clone() };
-    let name = "fourth".parse().expect("a name");
-    let entered = Client::visit(&fourth.endpoint(), &mut fourth.trust(), &name).await;
+    let begun = Instant::now();
+    let entered = alice.allocate(&fourth, "fourth").await;
     let outcome = match entered {
-        Ok(_) => Outcome::Refused(format!("a fourth entered beside {} silent connections", held.len())),
+        Ok(_) => Outcome::Refused(format!(
+            "a fourth was allocated a name beside {} silent connections in {} ms",
+            held.len(),
+            begun.elapsed().as_millis()
+        )),
         Err(error @ (GatewayError::Unreachable { .. } | GatewayError::Closed)) => Outcome::Succeeded(error.to_string()),
         Err(error) => {
             Outcome::Succeeded(format!("{} connections of three addresses, and a fourth: {error}", held.len()))

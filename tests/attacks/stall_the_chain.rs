@@ -50,7 +50,11 @@ fn stall_the_chain() {
     }
     // As much as is taken: a small transaction that comes after goes before most of it.
     for stranger in 20..60u8 {
-        let code = blake2f(9_800_000);
+        let code = match stranger % 3 {
+            0 => blake2f(9_800_000),
+            1 => looped(&SSTORE),
+            _ => MODEXP.to_vec(),
+        };
         if let Err(words) = chain.send(&chain.signed(stranger, 0, CAPPED_GAS, Some(&code))) {
             refusals.push(words);
         }

@@ -8,7 +8,7 @@ pub struct Gate {
     pub home: Home,
     pub gateway: Gateway,
     key: String,
-    _process: Running,
+    process: Running,
 }
 
 impl Gate {
@@ -29,7 +29,14 @@ impl Gate {
         let line = told.lines().find(|line| line.contains("\"joined\"")).expect("one line");
         let told: serde_json::Value = serde_json::from_str(line).expect("JSON");
         let key = super::text(&told["gateway"], "gateway");
-        Self { home, gateway: Gateway::of(&told), key, _process: process }
+        Self { home, gateway: Gateway::of(&told), key, process }
+    }
+
+    /// Resident memory of its process, MiB.
+    pub fn held(&self) -> u64 {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", self.process.id())).expect("it runs");
+        let line = status.lines().find(|line| line.starts_with("VmRSS:")).expect("a field");
+        line.split_whitespace().nth(1).and_then(|number| number.parse().ok()).unwrap_or(0_u64) / 1024
     }
 
     /// Options with which another home joins it.

@@ -52,8 +52,9 @@ fn judged(header: &Header, anchored: &Anchored<'_>, registered: &PublicKey) -> R
             Err(level) => return Ok(level),
         },
     };
-    // The contract lets no suspended account anchor.
-    if anchored.account == owner {
+    // The contract lets no suspended account anchor. A right is the state after the block, so the block's own state is
+    // asked where it is there: the owner may have been suspended behind the anchor.
+    if anchored.account == owner && at != block {
         return Ok(Level::new(
             Standing::Proven,
             format!("{how}, and {owner} was not suspended: it anchored this itself"),
@@ -93,14 +94,12 @@ fn owner_key(check: &Check<'_>, header: &Header, anchored: &Anchored<'_>) -> Res
     let Some(keys) = storage.keys(owner, version)? else {
         return Ok(Own::Unknown(format!("{owner} has no version {version} of its keys on this chain")));
     };
-    // The contract notes the version with the anchor; for another account's anchor the blocks have to say it.
-    if anchored.account != owner || anchored.keys.is_none() {
-        let after = version.checked_add(1).map(|next| storage.keys(owner, next)).transpose()?.flatten();
-        if keys.block > block || after.is_some_and(|after| after.block <= block) {
-            return Ok(Own::Unknown(format!(
-                "version {version} of {owner}'s keys was not the one in force at block {block}"
-            )));
-        }
+    // The contract notes the version with the owner's own anchor, but the keys may have changed behind it in that block.
+    let after = version.checked_add(1).map(|next| storage.keys(owner, next)).transpose()?.flatten();
+    if keys.block > block || after.is_some_and(|after| after.block <= block) {
+        return Ok(Own::Unknown(format!(
+            "version {version} of {owner}'s keys was not the one in force after block {block}"
+        )));
     }
     let Some(identity) = check.identity(keys.identity, owner) else {
         return Ok(Own::Unknown(format!(

@@ -23,6 +23,8 @@ const MOST_OPEN_BATCHES: usize = 2;
 const REST: Duration = Duration::from_secs(60);
 /// How long to wait where only the chain can bring news.
 const IDLE: Duration = Duration::from_secs(1);
+/// Orders of a batch's leaves that are tried for a root that no batch had.
+const MOST_ORDERS: usize = 16;
 
 /// Anchors the records of one owner; keeps nothing that the ledger does not know.
 pub struct Anchorer {
@@ -125,8 +127,9 @@ impl Anchorer {
                 return Ok(Err(due_in));
             }
             let leaves = plant.ledger.stored_leaves(owner, MOST_LEAVES)?;
-            let Some(batch) = close_batch(plant, owner, &leaves)? else { return Ok(Err(LONGEST_WAIT)) };
-            self.pace.closed(leaves.len(), Instant::now());
+            let count = leaves.len();
+            let Some(batch) = close_batch(plant, owner, leaves)? else { return Ok(Err(LONGEST_WAIT)) };
+            self.pace.closed(count, Instant::now());
             Ok(Ok(batch))
         })
     }
@@ -136,9 +139,9 @@ impl Anchorer {
 pub(super) fn close_batch(
     plant: &Plant,
     owner: Address,
-    leaves: &[Leaf],
+    mut leaves: Vec<Leaf>,
 ) -> Result<Option<WaitingBatch>, PipelineError> {
-    let Some(tree) = Tree::new(Leaf::hashes(leaves)) else { return Ok(None) };
+    let Some(tree) = tree_of_another_root(plant, &mut leaves)? else { return Ok(None) };
     let places = leaves.iter().enumerate();
     let leaves: Vec<_> = places.map(|(index, leaf)| (leaf.digest, tree.path(index))).collect();
     let batch = WaitingBatch { root: tree.root(), count: leaves.len() as u64 };
@@ -149,11 +152,24 @@ pub(super) fn close_batch(
     Ok(Some(batch))
 }
 
+/// The tree over the leaves, in an order whose root no batch had before. The contract keeps a root's first block alone,
+/// so where that was passed over the same root would show the wrong block for ever. A single leaf has one order.
+fn tree_of_another_root(plant: &Plant, leaves: &mut [Leaf]) -> Result<Option<Tree>, PipelineError> {
+    for _ in 1..leaves.len().min(MOST_ORDERS) {
+        let Some(tree) = Tree::new(Leaf::hashes(leaves)) else { return Ok(None) };
+        if !plant.ledger.unknown_roots(&[tree.root()])?.is_empty() {
+            return Ok(Some(tree));
+        }
+        leaves.rotate_left(1);
+    }
+    Ok(Tree::new(Leaf::hashes(leaves)))
+}
+
 /// Records whose own uploads were passed over: the contract takes a digest once, so they go in a batch.
 fn again(plant: &Plant, owner: Address) -> Result<Option<WaitingBatch>, PipelineError> {
     block_in_place(|| {
         let leaves = plant.ledger.passed_over_leaves(owner, MOST_LEAVES)?;
-        close_batch(plant, owner, &leaves)
+        close_batch(plant, owner, leaves)
     })
 }
 

@@ -11,5 +11,5 @@ mod tests;
 mod waiting;
 
 pub use reading::{Policy, ReadRefused, ReadingRight, may_read, shared_with, standing_grant, standing_grants};
-pub use signing::{Moment, NoRight, SigningRight, key_of, may_sign, right_of, signer_of};
+pub use signing::{Moment, NoRight, SigningRight, is_lent, is_suspended, key_of, may_sign, right_of, signer_of};
 pub use waiting::settle_waiting;

@@ -221,7 +221,7 @@ async fn both_modes_anchor_what_the_other_left() {
     // A batch that was closed and not sent is anchored as one, also one by one.
     line.append(1, 81, 10);
     let leaves = line.plant.ledger.stored_leaves(line.owner.address, 100).expect("leaves");
-    let batch = super::anchorer::close_batch(&line.plant, line.owner.address, &leaves).expect("closed");
+    let batch = super::anchorer::close_batch(&line.plant, line.owner.address, leaves).expect("closed");
     assert_eq!(batch.map(|batch| batch.count), Some(10));
     line.drain(AnchorMode::Each, 90, || false).await;
     for row in line.rows(100) {

@@ -77,6 +77,16 @@ fn when(block: &Option<u64>) -> String {
     block.map_or_else(|| "by now".to_owned(), |block| format!("at block {block}"))
 }
 
+/// Whether an account is suspended by now: then it enters no gateway, and nothing of it is passed on.
+pub fn is_suspended(directory: &Directory, account: Address) -> bool {
+    directory.account(account).is_some_and(|account| account.suspended_at(None).is_some())
+}
+
+/// Whether a loan stands now, by the chain's clock.
+pub fn is_lent(directory: &Directory, lending: &Lending) -> bool {
+    lending.recalled.is_none() && lending.until.is_none_or(|until| until > directory.now())
+}
+
 /// Whether the key with this id could sign for `owner` at a moment.
 ///
 /// # Errors

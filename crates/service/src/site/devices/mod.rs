@@ -20,7 +20,7 @@ use crate::chain::Call;
 use crate::crypto::Fingerprint;
 use crate::model::{SignerId, Timestamp, bytes::hex};
 use crate::pipeline::directory::Lending;
-use crate::pipeline::{Network, Owner};
+use crate::pipeline::{Network, Owner, authority};
 use crate::service::event::Part;
 use crate::service::failure::{input, refused};
 use crate::service::reply::{DeviceRow, Failure, TransactionView};
@@ -69,12 +69,14 @@ impl Devices {
         let network = self.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
         network.directory.identity(owner.address)?;
-        if until.is_some_and(|until| until <= Timestamp::now()) {
+        if until.is_some_and(|until| until <= network.directory.now()) {
             return Err(input("the loan would end before it begins; give a later --until"));
         }
         let until = until.map(|until| Timestamp::from_seconds(until.seconds()));
         let known = self.lendings(&network, owner);
-        if known.iter().any(|lending| lending.device == device && lending.until == until && is_active(lending)) {
+        if known.iter().any(|lending| {
+            lending.device == device && lending.until == until && authority::is_lent(&network.directory, lending)
+        }) {
             return Err(refused(format!("device {device} is lent already; `authros devices list` shows until when")));
         }
         self.log.begin(owner, "lend device", &device.to_string()).await?;
@@ -147,7 +149,7 @@ impl Devices {
         let row = |lending: &Lending| DeviceRow {
             device: lending.device,
             fingerprint: Fingerprint::of_signer(&lending.device).to_string(),
-            state: match (lending.recalled, is_active(lending)) {
+            state: match (lending.recalled, authority::is_lent(&network.directory, lending)) {
                 (Some(_), _) => "recalled",
                 (None, true) => "lent",
                 (None, false) => "expired",
@@ -174,10 +176,6 @@ impl Devices {
     fn lendings(&self, network: &Network, owner: &Owner) -> Vec<Lending> {
         network.directory.account(owner.address).map(|account| account.devices).unwrap_or_default()
     }
-}
-
-fn is_active(lending: &Lending) -> bool {
-    lending.recalled.is_none() && lending.until.is_none_or(|until| until > Timestamp::now())
 }
 
 /// The lent device whose id begins so; a fingerprint is such a beginning.

@@ -19,7 +19,7 @@ use crate::gateway::{
     Received, Refusal, Registration, RevokeNotice, Selection, Standing, Stood,
 };
 use crate::model::{Address, Digest, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token};
-use crate::pipeline::authority::SigningRight;
+use crate::pipeline::authority::{self, SigningRight};
 use crate::pipeline::directory::kept;
 use crate::pipeline::equivocation::{self, Claim};
 use crate::service::event::NoticeLevel;
@@ -104,7 +104,7 @@ impl Desk for GatewayDesk {
     async fn account(&self, account: &Address) -> Result<Account, Refusal> {
         let network = self.fresh_network()?;
         let identity = network.directory.identity(*account).map_err(Refusal::because(Code::NotRegistered))?;
-        if network.directory.account(*account).is_some_and(|account| account.suspended_at(None).is_some()) {
+        if authority::is_suspended(&network.directory, *account) {
             return Err(Refusal::new(Code::Suspended, format_args!("{account} is suspended")));
         }
         Ok(Account { signing: identity.signing, envelope: identity.envelope })

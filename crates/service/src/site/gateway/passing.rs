@@ -10,7 +10,7 @@ use crate::chain::relay::{Asker, Ground, Passed, examine};
 use crate::gateway::identity_check::check_registration;
 use crate::gateway::{Caller, Context, Refusal, Registration};
 use crate::model::{Address, Identity};
-use crate::pipeline::Network;
+use crate::pipeline::{Network, authority};
 
 fn silent(refusal: &Refusal) -> RelayError {
     RelayError::Silent(refusal.to_string())
@@ -77,7 +77,8 @@ impl GatewayDesk {
 
     /// Whether an account is registered, not suspended, and may use this gateway.
     fn may_send(&self, network: &Network, account: &Address) -> bool {
-        let known = network.directory.account(*account).is_some_and(|account| account.suspended_at(None).is_none());
+        let known =
+            network.directory.account(*account).is_some() && !authority::is_suspended(&network.directory, *account);
         known && self.standing_of(network, account).is_ok()
     }
 }

@@ -7,8 +7,8 @@ use tokio::task::block_in_place;
 
 use crate::crypto::signer_id;
 use crate::gateway::Cabinet;
-use crate::model::{Address, ProfileName, Timestamp, clean};
-use crate::pipeline::authority::{Moment, may_sign};
+use crate::model::{Address, ProfileName, clean};
+use crate::pipeline::authority::{self, Moment, may_sign};
 use crate::pipeline::directory::Granted;
 use crate::pipeline::{Network, Owner};
 use crate::service::command::PairKind;
@@ -30,8 +30,8 @@ impl Profiles {
         let identity = owner.gateway_identity().public;
         let founded = block_in_place(|| Cabinet::founded_in(&self.home.gateway()));
         let mut view = KeyChangeView {
-            readers: parties(&network.directory.grants_of(me), |grant| grant.terms.grantee),
-            sharers: parties(&network.directory.grants_to(me), |grant| grant.terms.owner),
+            readers: parties(&authority::standing_grants(&network.directory, me), |grant| grant.terms.grantee),
+            sharers: parties(&authority::shared_with(&network.directory, me), |grant| grant.terms.owner),
             robots: self.lent_robots(owner, &network)?,
             keeps_gateway: founded == Some(signer_id(&identity)),
             joined: self.config.site.as_ref().map(|profiles| clean(&profiles.address, 255)),
@@ -63,10 +63,9 @@ fn nobody() -> KeyChangeView {
     }
 }
 
-/// The other side of every active grant, each once.
+/// The other side of every grant, each once.
 fn parties(grants: &[Granted], other: impl Fn(&Granted) -> Address) -> Vec<Address> {
-    let now = Timestamp::now();
-    let mut found: Vec<Address> = grants.iter().filter(|grant| grant.is_active(now)).map(other).collect();
+    let mut found: Vec<Address> = grants.iter().map(other).collect();
     found.sort();
     found.dedup();
     found
