@@ -98,7 +98,7 @@ fn owner_key(check: &Check<'_>, header: &Header, anchored: &Anchored<'_>) -> Res
     let after = version.checked_add(1).map(|next| storage.keys(owner, next)).transpose()?.flatten();
     if keys.block > block || after.is_some_and(|after| after.block <= block) {
         return Ok(Own::Unknown(format!(
-            "version {version} of {owner}'s keys was not the one in force after block {block}"
+            "version {version} of {owner}'s keys was not the one in force at block {block}"
         )));
     }
     let Some(identity) = check.identity(keys.identity, owner) else {

@@ -127,6 +127,23 @@ fn suspension_is_judged_at_the_anchoring_block_alone() {
 }
 
 #[test]
+fn what_came_behind_an_owners_own_anchor_in_its_block_counts() {
+    let mut suspended = World::new();
+    let mut flags = word(&[1, 0, 1]);
+    flags[7] = 1;
+    suspended.put(Slot::account(suspended.owner), flags);
+    suspended.expect('b', Refused, "was suspended at block 40");
+    // A later state tells nothing of it, and the contract lets no suspended account anchor.
+    suspended.shown_at = BLOCK + 9;
+    suspended.expect('b', Proven, "it anchored this itself");
+
+    let mut changed = World::new();
+    changed.put(Slot::keys(changed.owner, 2), [3; 32]);
+    changed.put(Slot::keys(changed.owner, 2).next(1), word(&[BLOCK, TIME]));
+    changed.expect('b', Unproven, "was not the one in force at block 40");
+}
+
+#[test]
 fn keys_count_for_the_blocks_in_which_they_were_in_force() {
     let mut world = anchored_by_the_gateway();
     world.put(Slot::keys(world.owner, 2), [3; 32]);

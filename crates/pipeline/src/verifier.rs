@@ -24,6 +24,8 @@ enum ReadBack {
     Decided(bool),
     /// Its signer had no right at the anchoring block: that anchor does not count, a later one may.
     PassedOver(NoRight),
+    /// The vault has just been given it anew: the next round tells.
+    Later,
 }
 
 /// What a page of records came to.
@@ -92,6 +94,7 @@ impl<'a> Outcome<'a> {
                 Ok(ReadBack::Bytes(blob, signer)) => read.push((*row, blob, signer)),
                 Ok(ReadBack::Decided(sound)) => self.note(plant, row, Ok(sound))?,
                 Ok(ReadBack::PassedOver(why)) => self.passed.push((*row, why)),
+                Ok(ReadBack::Later) => {}
                 Err(error) => self.note(plant, row, Err(error))?,
             }
         }
@@ -149,10 +152,15 @@ fn read_back(plant: &Plant, network: &Network, row: &RecordRow) -> Result<ReadBa
         Err(NoRight::KeyUnknown { .. }) => return Ok(ReadBack::Decided(false)),
         Err(why) => return Ok(ReadBack::PassedOver(why)),
     };
-    match plant.vault.get(row.digest)? {
-        Some(blob) => Ok(ReadBack::Bytes(blob, signer)),
-        None => is_sound_without(plant, network, row, &signer).map(ReadBack::Decided),
+    if let Some(blob) = plant.vault.get(row.digest)? {
+        return Ok(ReadBack::Bytes(blob, signer));
     }
+    // The vault lost it since it was looked at; as long as there is a copy, nothing is gone.
+    if let Some(copy) = plant.ledger.local_copy(row.digest)? {
+        plant.vault.put(&[(row.digest, &copy)])?;
+        return Ok(ReadBack::Later);
+    }
+    is_sound_without(plant, network, row, &signer).map(ReadBack::Decided)
 }
 
 /// After a reorganisation a record is verified again that retention has given up meanwhile.

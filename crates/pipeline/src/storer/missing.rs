@@ -36,10 +36,14 @@ pub fn look_for_all(plant: &Plant, stopped: &dyn Fn() -> bool) -> Result<Missing
     Ok(found)
 }
 
-/// Whether nothing but the vault can have its bytes. A robot has handed what is in no block over to its gateway.
+/// Whether nothing but the vault can have its bytes, or whether they were found wrong there once. A robot has handed
+/// what is in no block over to its gateway.
 fn depends_on_vault(record: &AuditedRecord) -> bool {
-    let settled = matches!(record.row.state, RecordState::Verified | RecordState::Tampered);
-    settled && !record.has_copy && record.row.block.is_some() && record.row.deleted_at.is_none()
+    let settled = match record.row.state {
+        RecordState::Verified => !record.has_copy,
+        state => state == RecordState::Tampered,
+    };
+    settled && record.row.block.is_some() && record.row.deleted_at.is_none()
 }
 
 fn look_for(plant: &Plant, rows: &[RecordRow], found: &mut Missing) -> Result<(), PipelineError> {
@@ -48,7 +52,7 @@ fn look_for(plant: &Plant, rows: &[RecordRow], found: &mut Missing) -> Result<()
     for (row, there) in rows.iter().zip(plant.vault.contains_many(&digests)?) {
         match row.state {
             RecordState::Verified if !there && is_gone(plant, row.digest)? => lost.push(row.digest),
-            RecordState::Tampered if !there => found.gone += 1,
+            RecordState::Tampered if !there => found.gone += u64::from(plant.ledger.local_copy(row.digest)?.is_none()),
             RecordState::Tampered if is_right(plant, row.digest)? => back.push(row.digest),
             _ => {}
         }

@@ -13,10 +13,18 @@ use crate::pipeline::mirror::{Anchors, Mirror};
 use crate::pipeline::statement::{Statement, state};
 use crate::store::{StoreError, Usage, Vault};
 
-/// A vault that may forget, and counts what it is given.
-struct Forgetful {
+/// A vault that may forget, and counts what it is given. It loses a record between being asked whether it has it and
+/// being asked for it, as often as `forgets` says.
+pub(super) struct Forgetful {
     vault: Arc<dyn Vault>,
     given: AtomicUsize,
+    forgets: AtomicUsize,
+}
+
+impl Forgetful {
+    pub(super) fn over(vault: &Arc<dyn Vault>, forgets: usize) -> Arc<Self> {
+        Arc::new(Self { vault: Arc::clone(vault), given: AtomicUsize::new(0), forgets: AtomicUsize::new(forgets) })
+    }
 }
 
 impl Vault for Forgetful {
@@ -31,6 +39,10 @@ impl Vault for Forgetful {
         self.vault.put(entries)
     }
     fn get(&self, digest: Digest) -> Result<Option<Vec<u8>>, StoreError> {
+        let left = |left: usize| left.checked_sub(1);
+        if self.forgets.fetch_update(Ordering::Relaxed, Ordering::Relaxed, left).is_ok() {
+            self.vault.delete(digest)?;
+        }
         self.vault.get(digest)
     }
     fn delete(&self, digest: Digest) -> Result<bool, StoreError> {
@@ -56,7 +68,7 @@ impl Vault for Forgetful {
 /// A plant whose vault may forget, in which nothing more than one record may wait.
 fn forgetful(home: &Path) -> (Plant, Arc<Forgetful>) {
     let plant = plant(home);
-    let vault = Arc::new(Forgetful { vault: Arc::clone(&plant.vault), given: AtomicUsize::new(0) });
+    let vault = Forgetful::over(&plant.vault, 0);
     (Plant { vault: Arc::clone(&vault) as _, backlog: 0, ..plant }, vault)
 }
 
