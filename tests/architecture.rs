@@ -281,6 +281,18 @@ fn no_file_or_module_has_an_empty_name() {
     assert_none("names that say nothing", &empty);
 }
 
+/// A wheel of a hundred megabytes came into the repository once with `git add`.
+#[test]
+fn no_file_is_larger_than_a_text_has_to_be() {
+    let listed = std::process::Command::new("git").args(["ls-files", "-z"]).current_dir(root()).output();
+    let Some(listed) = listed.ok().filter(|listed| listed.status.success()) else { return };
+    let names = String::from_utf8(listed.stdout).expect("UTF-8");
+    let size = |name: &str| std::fs::metadata(root().join(name)).map_or(0, |file| file.len());
+    let large: Vec<String> =
+        names.split_terminator('\0').filter(|name| size(name) > 512 * 1024).map(str::to_owned).collect();
+    assert_none("larger than 512 KiB", &large);
+}
+
 #[test]
 fn every_module_opens_with_what_lives_in_it() {
     let mut wrong = Vec::new();
