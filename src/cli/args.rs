@@ -214,6 +214,16 @@ pub enum ConfigVerb {
     Show,
     /// Whether the settings can be used
     Check,
+    /// Print all that makes this site, without secrets, as one TOML file that a repository can hold
+    Dump,
+    /// Make this home's site the one of a file; what differs is shown first
+    Apply {
+        /// The file, as `config dump` writes it
+        file: PathBuf,
+        /// Only show what differs; exit code 8 where something does
+        #[arg(long)]
+        check: bool,
+    },
 }
 
 /// `demo …`

@@ -31,6 +31,7 @@ mod quarantine;
 mod recordings;
 mod serve;
 mod show;
+mod site_file;
 mod status;
 mod systemd;
 mod twins;
@@ -100,7 +101,7 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
             output.raw(&printed::manual()?);
             Ok(0)
         }
-        Verb::Config(verb) => Ok(verbs::config(&Context::new(global, output)?, &verb, output)),
+        Verb::Config(verb) => runtime.block_on(verbs::config(&Context::new(global, output)?, &verb, output)),
         Verb::Restore { file, check: true } => {
             runtime.block_on(backups::check(Context::new(global, output)?, &file, output))
         }

@@ -19,13 +19,13 @@ const SECRET: &str = "0123456789abcdef0123456789abcdef";
 type Asked = (String, Vec<u8>);
 
 /// A server that refuses what comes first, then says nothing once, then takes all.
-struct Webhook {
+pub(crate) struct Webhook {
     port: u16,
     asked: Arc<Mutex<Vec<Asked>>>,
 }
 
 impl Webhook {
-    fn start(refusals: usize) -> Self {
+    pub(crate) fn start(refusals: usize) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
         let port = listener.local_addr().expect("its address").port();
         let asked = Arc::new(Mutex::new(Vec::new()));
@@ -47,7 +47,7 @@ impl Webhook {
         Self { port, asked }
     }
 
-    fn url(&self) -> String {
+    pub(crate) fn url(&self) -> String {
         format!("http://127.0.0.1:{}/hook", self.port)
     }
 
@@ -56,7 +56,7 @@ impl Webhook {
     }
 
     /// Bodies that were taken, of this state and about this alert.
-    fn told(&self, state: &str, key: &str) -> Vec<Value> {
+    pub(crate) fn told(&self, state: &str, key: &str) -> Vec<Value> {
         let bodies = self.taken().into_iter().map(|(_, body)| serde_json::from_slice(&body).expect("JSON"));
         bodies.filter(|body: &Value| body["state"] == state && body["alert"]["key"] == key).collect()
     }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use super::error::ConfigError;
-use super::read::{Values, bytes, number, span, value, wrong};
+use super::read::{Values, bytes, number, source_of, span, value, wrong};
 use super::source::Source;
 use crate::crypto::private_file;
 
@@ -119,7 +119,10 @@ fn secret(values: &Values) -> Result<Option<PathBuf>, ConfigError> {
     let Some(path) = value(values, "alerts.secret").map(PathBuf::from) else { return Ok(None) };
     let wrong = |what: &str| wrong(values, "alerts.secret", what);
     if !path.is_absolute() {
-        return Err(wrong("write a path from / on"));
+        // It may be the secret itself, and is not repeated.
+        let (name, value, source_name) = ("alerts.secret", "…".to_owned(), source_of(values, "alerts.secret"));
+        let what = "write the path, from / on, of the file that holds the secret".to_owned();
+        return Err(ConfigError::Value { name, value, source_name, what });
     }
     let bytes = private_file::read_private(&path, LONGEST_SECRET).map_err(|error| wrong(&error.to_string()))?;
     if bytes.trim_ascii().len() < SHORTEST_SECRET {

@@ -19,7 +19,7 @@ pub use self::check::{AuditRecords, BackUp, ListAllUploads, StoreCommand};
 pub use self::choices::{Epochs, Held, KeyKind, PairKind, UploadQuery};
 pub use self::evidence::EvidenceWishes;
 pub use self::operate::{
-    Admit, BackUpKeys, Dismiss, GatewayStatus, HoldCapture, ListAdmitted, ListAlerts, Lock, Operation, TestAlert,
+    Admit, BackUpKeys, Dismiss, GatewayStatus, HoldCapture, ListAdmitted, ListAlerts, ListWatches, Lock, Operation, TestAlert,
 };
 pub use self::recordings::{ExportWishes, ImportWishes, PolicyCommand, RecordingCommand, RecordingProgress};
 pub use self::secret::{SecretBytes, SecretText};
