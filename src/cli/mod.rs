@@ -19,6 +19,7 @@ mod evidence;
 mod follow;
 mod gateway;
 mod lists;
+mod logging;
 mod looks;
 mod memory;
 mod parse;
@@ -63,7 +64,10 @@ pub fn main() -> ExitCode {
             return ExitCode::from(u8::try_from(code).unwrap_or(2));
         }
     };
-    let output = Output::new(arguments.global.json);
+    let output = Output::new(arguments.global.json).logging(arguments.global.log.into());
+    if output.log() == authros_output::Log::Json {
+        logging::panics_too();
+    }
     let result = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
         .build()
