@@ -184,7 +184,7 @@ pub struct GrantArguments {
     /// Which epochs
     #[arg(long, value_enum, default_value = "current")]
     pub epochs: EpochsChoice,
-    /// End of the grant, as 30d, 12h, 10m
+    /// End of the grant: 30d, 12h, 2w, or a time as 2027-01-31T12:00:00Z
     #[arg(long, value_name = "TIME")]
     pub expires: Option<String>,
 }
