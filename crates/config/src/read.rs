@@ -66,7 +66,8 @@ pub(super) fn read_document(
     text: &str,
 ) -> Result<(FileValues, TopicRules), ConfigError> {
     let rules = document.remove(topic_rules::TABLE).map(|tables| topic_rules::read(&tables, text)).transpose();
-    let rules = rules.map_err(|fault| ConfigError::Rule { file: file.to_owned(), line: fault.line, what: fault.what })?;
+    let rules =
+        rules.map_err(|fault| ConfigError::Rule { file: file.to_owned(), line: fault.line, what: fault.what })?;
     let (mut values, lines) = (FileValues::new(), Lines::of(text));
     flatten("", &toml::Value::Table(document), &mut |name, value| {
         let line = lines.line(name);

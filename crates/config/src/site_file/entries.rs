@@ -57,7 +57,9 @@ fn list<List: Default>(
     let fault = |place: &str, what: String| {
         Err(ConfigError::Entry { file: file.to_owned(), line: lines.line(place), what: clean(&what, 300) })
     };
-    let Some(values) = value.as_array() else { return fault(name, format!("'{name}' is written as [[{name}]] tables")) };
+    let Some(values) = value.as_array() else {
+        return fault(name, format!("'{name}' is written as [[{name}]] tables"));
+    };
     if values.len() > MOST {
         return fault(name, format!("there are more than {MOST} [[{name}]] tables"));
     }

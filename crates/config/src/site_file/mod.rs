@@ -3,9 +3,9 @@
 
 mod differences;
 mod entries;
-mod text;
 #[cfg(test)]
 mod tests;
+mod text;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;

@@ -20,50 +20,56 @@ fn examples() -> Vec<(&'static str, String)> {
     if !secret.exists() {
         crate::crypto::private_file::create_private(&secret, b"0123456789abcdef").expect("a secret");
     }
-    let of = |name: &str| match name {
-        "ros.master" => "http://robot:11311",
-        "ros.meter" => "watched",
-        "ros.pins" => "list",
-        "ros.publishers" => "/a=/driver@h:std_msgs/String:992ce8a1687cec8c8bd883ec73ca41d1",
-        "robots" => "2",
-        "chain.url" => "http://node:8545",
-        "chain.contract" => BOB,
-        "chain.max_fee" => "20",
-        "chain.consensus" => "pow:4",
-        "capture.memory" => "64MiB",
-        "vault.url" => "redis://h:6379",
-        "vault.backlog" => "1GiB",
-        "vault.local" => "12h",
-        "outbox.keep" => "always",
-        "retention" => "/tf=1h, **=90d+10GiB",
-        "disk.reserve" => "128MiB",
-        "record.compression" => "off",
-        "crypto.provider" => "libsm",
-        "anchor.mode" => "each",
-        "anchor.lanes" => "2",
-        "audit.anchor_every" => "30",
-        "audit.scrub" => "3",
-        "metrics.listen" => "0.0.0.0:9464",
-        "metrics.open" | "metrics.topics" | "console.ascii" | "console.mouse" | "site.trust_first" => "yes",
-        "alerts.webhook" => "http://h:1/x",
-        "alerts.form" => "alertmanager",
-        "alerts.secret" => return secret.display().to_string(),
-        "alerts.command" => "[\"/bin/page\", \"a b\"]",
-        "alerts.every" | "console.lock_after" => "7",
-        "alerts.robot_silent" | "alerts.unanchored" | "alerts.clock" | "alerts.audit" => "never",
-        "alerts.disk" => "2GiB",
-        "confirmations" => "3",
-        "gateway.admission" => "open",
-        "gateway.quota_bytes" => "1GiB",
-        "gateway.quota_names" | "gateway.quota_streams" => "5",
-        "site.address" => "gate:7420",
-        "site.gateway_key" => return "ab".repeat(32),
-        "console.theme" => "day",
-        "console.bytes_per_second" => "9000",
-        "console.pictures" => "sixel",
-        other => panic!("'{other}' is a new setting: give it a value here, so that its way through a dump is tried"),
-    }
-    .to_owned();
+    let of = |name: &str| {
+        match name {
+            "ros.master" => "http://robot:11311",
+            "ros.meter" => "watched",
+            "ros.pins" => "list",
+            "ros.publishers" => "/a=/driver@h:std_msgs/String:992ce8a1687cec8c8bd883ec73ca41d1",
+            "robots" => "2",
+            "chain.url" => "http://node:8545",
+            "chain.contract" => BOB,
+            "chain.max_fee" => "20",
+            "chain.consensus" => "pow:4",
+            "capture.memory" => "64MiB",
+            "vault.url" => "redis://h:6379",
+            "vault.backlog" => "1GiB",
+            "vault.local" => "12h",
+            "outbox.keep" => "always",
+            "retention" => "/tf=1h, **=90d+10GiB",
+            "disk.reserve" => "128MiB",
+            "record.compression" => "off",
+            "crypto.provider" => "libsm",
+            "anchor.mode" => "each",
+            "anchor.lanes" => "2",
+            "audit.anchor_every" => "30",
+            "audit.scrub" => "3",
+            "metrics.listen" => "0.0.0.0:9464",
+            "metrics.open" | "metrics.topics" | "console.ascii" | "console.mouse" | "site.trust_first" => "yes",
+            "alerts.webhook" => "http://h:1/x",
+            "alerts.form" => "alertmanager",
+            "alerts.secret" | "alerts.roots" => return secret.display().to_string(),
+            "alerts.command" => "[\"/bin/page\", \"a b\"]",
+            "alerts.every" | "console.lock_after" => "7",
+            "alerts.robot_silent" | "alerts.unanchored" | "alerts.clock" | "alerts.grant_ends" | "alerts.audit" => {
+                "never"
+            }
+            "alerts.disk" => "2GiB",
+            "confirmations" => "3",
+            "gateway.admission" => "open",
+            "gateway.quota_bytes" => "1GiB",
+            "gateway.quota_names" | "gateway.quota_streams" => "5",
+            "site.address" => "gate:7420",
+            "site.gateway_key" => return "ab".repeat(32),
+            "console.theme" => "day",
+            "console.bytes_per_second" => "9000",
+            "console.pictures" => "sixel",
+            other => {
+                panic!("'{other}' is a new setting: give it a value here, so that its way through a dump is tried")
+            }
+        }
+        .to_owned()
+    };
     let names = DEFINITIONS.iter().map(|definition| definition.name);
     names.filter(|name| !OF_THE_MACHINE.contains(name)).map(|name| (name, of(name))).collect()
 }
@@ -73,7 +79,8 @@ fn every_setting_is_in_a_dump_and_comes_back_as_it_was() {
     let examples = examples();
     // What cannot stand together is tried apart.
     for without in [["site.address", "alerts.command"], ["chain.url", "alerts.webhook"]] {
-        let set = examples.iter().filter(|(name, _)| !without.contains(name)).map(|(name, value)| (*name, value.clone()));
+        let set =
+            examples.iter().filter(|(name, _)| !without.contains(name)).map(|(name, value)| (*name, value.clone()));
         let file = SiteFile { settings: set.collect(), ..SiteFile::default() };
         let text = file.to_text(&[]);
         // A file that names a command is one that nobody else writes.
@@ -177,14 +184,17 @@ fn differences_are_what_an_application_changes_and_none_are_left_behind_it() {
     let told: Vec<String> = file.differences(&nothing, &Here::default()).iter().map(ToString::to_string).collect();
     assert_eq!(told.len(), 7, "{told:?}");
     assert_eq!(told.iter().filter(|line| line.starts_with('+')).count(), 7, "{told:?}");
-    let (home, mut here) =
-        (HomeSettings { rules: file.rules.clone(), ..nothing }, Here { decisions: file.decisions.clone(), ..Here::default() });
+    let (home, mut here) = (
+        HomeSettings { rules: file.rules.clone(), ..nothing },
+        Here { decisions: file.decisions.clone(), ..Here::default() },
+    );
     assert_eq!(file.differences(&home, &here), []);
     // A list that is not spoken of is left alone; an empty one takes all out.
     let silent = SiteFile { rules: file.rules.clone(), ..SiteFile::default() };
     assert_eq!(silent.differences(&home, &here), []);
     let empty = "watch = []\npublisher = []\ncontact = []\nadmitted = []\n";
-    let told: Vec<String> = read(empty).expect("a file").differences(&home, &here).iter().map(ToString::to_string).collect();
+    let told: Vec<String> =
+        read(empty).expect("a file").differences(&home, &here).iter().map(ToString::to_string).collect();
     assert_eq!(told.iter().filter(|line| line.starts_with('-')).count(), 7, "{told:?}");
     // What a home learned by itself, and its own accounts, are no difference.
     here.seen_first = here.decisions.publishers.take().unwrap_or_default();

@@ -25,7 +25,8 @@ fn value(text: &str) -> String {
     let plain = !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit()) && text.parse::<i64>().is_ok();
     let read: Option<toml::Table> = format!("it = {text}").parse().ok();
     let words = read.as_ref().and_then(|table| table.get("it")).and_then(toml::Value::as_array);
-    let words: Option<Vec<String>> = words.and_then(|words| words.iter().map(|word| word.as_str().map(quoted)).collect());
+    let words: Option<Vec<String>> =
+        words.and_then(|words| words.iter().map(|word| word.as_str().map(quoted)).collect());
     match words {
         Some(words) => format!("[{}]", words.join(", ")),
         None if plain && !text.starts_with('0') || text == "0" => text.to_owned(),
@@ -42,7 +43,8 @@ fn line(text: &mut String, arguments: std::fmt::Arguments<'_>) {
 /// The settings that are set: first those without a table, then table by table. `lists` stands between.
 fn settings(text: &mut String, settings: &Settings, lists: &str) {
     let set = |table: &str| {
-        let of_table = DEFINITIONS.iter().map(|definition| definition.name.rsplit_once('.').unwrap_or(("", definition.name)));
+        let of_table =
+            DEFINITIONS.iter().map(|definition| definition.name.rsplit_once('.').unwrap_or(("", definition.name)));
         let set = of_table.filter(|(of, _)| *of == table).filter_map(|(of, key)| {
             let name = if of.is_empty() { key.to_owned() } else { format!("{of}.{key}") };
             Some(format!("{key} = {}\n", value(settings.get(name.as_str())?)))
@@ -51,7 +53,8 @@ fn settings(text: &mut String, settings: &Settings, lists: &str) {
     };
     text.push_str(&set(""));
     text.push_str(lists);
-    let mut tables: Vec<&str> = DEFINITIONS.iter().filter_map(|definition| Some(definition.name.rsplit_once('.')?.0)).collect();
+    let mut tables: Vec<&str> =
+        DEFINITIONS.iter().filter_map(|definition| Some(definition.name.rsplit_once('.')?.0)).collect();
     tables.dedup();
     let mut written: Vec<&str> = Vec::new();
     for table in tables {
