@@ -85,7 +85,11 @@ pub async fn apply(context: &Context, path: &Path, check: bool, output: &Output)
         return Ok(if differences.is_empty() { 0 } else { ErrorKind::Incomplete.exit_code() });
     }
     // With --json there is one document, at the end; people see what comes in any case.
-    if context.global.json { output.note(&shown) } else { output.result(&document, || shown) }
+    if context.global.json {
+        output.note(&shown)
+    } else {
+        output.result(&document, || shown)
+    }
     if differences.iter().any(Difference::is_setting) {
         write_settings(context, &file, &home)?;
         output.note("authros: config.toml is written anew; a running site goes by it from its next start on");

@@ -43,7 +43,7 @@ fn a_site_is_dumped_and_another_home_behaves_alike() {
     settings(
         &first,
         &format!(
-            "# by hand\nrobots = 1\nretention = \"{WATCHED}=1s\"\n[ros]\nhost = \"127.0.0.1\"\n\
+            "# by hand\nrobots = 1\nretention = \"{WATCHED}=1s\"\n[crypto]\nsm4_kernel = \"portable\"\n\
              [alerts]\nwebhook = \"{}\"\nevery = 1\ndisk = \"1000000GiB\"\n\
              [[topic]]\nmatch = \"/robot*/odom\"\nevery = 2\ntags = {{ mission = \"harbour\" }}\n",
             webhook.url()
@@ -62,13 +62,13 @@ fn a_site_is_dumped_and_another_home_behaves_alike() {
     }
     let dumped = dump(&first);
     let passphrase = fs::read_to_string(first.path().join("profiles/default/passphrase")).expect("a passphrase");
-    assert!(!dumped.contains(passphrase.trim()) && !dumped.contains("host ="), "{dumped}");
-    assert!(dumped.contains("# ros.host is not here"), "{dumped}");
+    assert!(!dumped.contains(passphrase.trim()) && !dumped.contains("sm4_kernel ="), "{dumped}");
+    assert!(dumped.contains("# crypto.sm4_kernel is not here"), "{dumped}");
     let file = first.file("site.toml", &dumped, 0o600);
 
     let other = second.authros();
     other.enrol();
-    settings(&second, "[ros]\nhost = \"localhost\"\n[console]\nmouse = \"yes\"\n");
+    settings(&second, "[crypto]\nsm4_kernel = \"portable\"\n[console]\nmouse = \"yes\"\n");
     let before = dump(&second);
     let shown = other.run(&["config", "apply", &file, "--check"]).expect_code(DIFFERS).stdout;
     for line in ["~ robots: 4 -> 1", "~ console.mouse: yes -> no", "+ watch /robot1/odom, only nav_msgs/Odometry"] {
@@ -80,7 +80,7 @@ fn a_site_is_dumped_and_another_home_behaves_alike() {
     assert_eq!(dump(&second), dumped);
     let config = second.path().join("config.toml");
     let written = fs::read_to_string(&config).expect("the settings");
-    assert!(written.contains("host = \"localhost\"") && !written.contains("mouse"), "{written}");
+    assert!(written.contains("sm4_kernel = \"portable\"") && !written.contains("mouse"), "{written}");
     assert!(fs::read_to_string(config.with_extension("toml.before")).expect("kept").contains("mouse"));
     let again = other.json(&["config", "apply", &file]);
     assert!(list(&again, "differences").is_empty(), "{again}");
