@@ -155,8 +155,8 @@ async fn follow(mut events: tokio::sync::broadcast::Receiver<crate::service::Eve
     use tokio::sync::broadcast::error::RecvError;
     loop {
         match events.recv().await {
-            Ok(Event::Notice { at, level, text, .. }) if level >= NoticeLevel::Info => {
-                output.note(&format!("{at} {text}"));
+            Ok(Event::Notice { at, level, text, about }) if level >= NoticeLevel::Info => {
+                output.notice(at, level, about.as_deref(), &text);
             }
             Ok(_) | Err(RecvError::Lagged(_)) => {}
             Err(RecvError::Closed) => return,

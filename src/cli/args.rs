@@ -184,7 +184,7 @@ pub struct GrantArguments {
     /// Which epochs
     #[arg(long, value_enum, default_value = "current")]
     pub epochs: EpochsChoice,
-    /// End of the grant, as 30d, 12h, 10m
+    /// End of the grant: 30d, 12h, 2w, or a time as 2027-01-31T12:00:00Z
     #[arg(long, value_name = "TIME")]
     pub expires: Option<String>,
 }
@@ -214,6 +214,16 @@ pub enum ConfigVerb {
     Show,
     /// Whether the settings can be used
     Check,
+    /// Print all that makes this site, without secrets, as one TOML file that a repository can hold
+    Dump,
+    /// Make this home's site the one of a file; what differs is shown first
+    Apply {
+        /// The file, as `config dump` writes it
+        file: PathBuf,
+        /// Only show what differs; exit code 8 where something does
+        #[arg(long)]
+        check: bool,
+    },
 }
 
 /// `demo …`

@@ -34,7 +34,7 @@ impl AuditArguments {
     /// # Errors
     /// A time that cannot be read.
     pub fn since(&self) -> Result<Option<Timestamp>, Failure> {
-        self.since.as_deref().map(beginning).transpose()
+        self.since.as_deref().map(parse::past).transpose()
     }
 }
 
@@ -84,15 +84,7 @@ pub fn query(since: Option<&str>, limit: usize) -> Result<AuditQuery, Failure> {
     if !(1..=1000).contains(&limit) {
         return Err(Failure::new(ErrorKind::Input, format!("--limit {limit} is not between 1 and 1000")));
     }
-    Ok(AuditQuery { since: since.map(beginning).transpose()?, limit, ..AuditQuery::default() })
-}
-
-fn beginning(text: &str) -> Result<Timestamp, Failure> {
-    if let Ok(time) = parse::moment(text) {
-        return Ok(time);
-    }
-    let length = u64::try_from(parse::duration(text)?.as_nanos()).unwrap_or(u64::MAX);
-    Ok(Timestamp(Timestamp::now().0.saturating_sub(length)))
+    Ok(AuditQuery { since: since.map(parse::past).transpose()?, limit, ..AuditQuery::default() })
 }
 
 /// The lines, for people.

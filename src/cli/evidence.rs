@@ -32,10 +32,10 @@ pub enum EvidenceVerb {
         /// Only of this topic
         #[arg(long, value_name = "TOPIC")]
         topic: Option<String>,
-        /// Captured at or after, RFC 3339
+        /// Captured at or after: a time as 2026-11-21T08:30:00Z, a day, or so long ago, as 10m
         #[arg(long, value_name = "TIME")]
         since: Option<String>,
-        /// Captured before, RFC 3339
+        /// Captured before, written in the same way
         #[arg(long, value_name = "TIME")]
         until: Option<String>,
         /// Disclose this record, by its id: whoever has the file reads its topic, its type and its message, for ever, and
@@ -53,7 +53,7 @@ pub async fn run(context: Context, verb: EvidenceVerb, output: &Output) -> Resul
     let EvidenceVerb::Export { file, records, topic, since, until, reveal } = verb;
     let file = std::path::absolute(&file)
         .map_err(|error| Failure::new(ErrorKind::Input, format!("{}: {error}", file.display())))?;
-    let moment = |text: Option<String>| text.as_deref().map(parse::moment).transpose();
+    let moment = |text: Option<String>| text.as_deref().map(parse::past).transpose();
     let topic = topic.as_deref().map(parse::value).transpose()?;
     let wishes = EvidenceWishes { file, records, topic, since: moment(since)?, until: moment(until)?, reveal };
     let connection = context.connect(CHAIN).await?;

@@ -19,6 +19,7 @@ mod evidence;
 mod follow;
 mod gateway;
 mod lists;
+mod logging;
 mod looks;
 mod memory;
 mod parse;
@@ -31,6 +32,7 @@ mod quarantine;
 mod recordings;
 mod serve;
 mod show;
+mod site_file;
 mod status;
 mod systemd;
 mod twins;
@@ -62,7 +64,10 @@ pub fn main() -> ExitCode {
             return ExitCode::from(u8::try_from(code).unwrap_or(2));
         }
     };
-    let output = Output::new(arguments.global.json);
+    let output = Output::new(arguments.global.json).logging(arguments.global.log.into());
+    if output.log() == authros_output::Log::Json {
+        logging::panics_too();
+    }
     let result = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
         .build()
@@ -100,7 +105,7 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
             output.raw(&printed::manual()?);
             Ok(0)
         }
-        Verb::Config(verb) => Ok(verbs::config(&Context::new(global, output)?, &verb, output)),
+        Verb::Config(verb) => runtime.block_on(verbs::config(&Context::new(global, output)?, &verb, output)),
         Verb::Restore { file, check: true } => {
             runtime.block_on(backups::check(Context::new(global, output)?, &file, output))
         }

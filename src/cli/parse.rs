@@ -4,7 +4,9 @@ use std::fmt::Display;
 use std::str::FromStr;
 use std::time::Duration;
 
-use crate::model::{ErrorKind, RecordKind, RecordState, SignerId, Timestamp, bytes::unhex, clean, positive_span};
+use crate::model::{ErrorKind, SignerId, Timestamp, bytes::unhex, clean, positive_span};
+pub use crate::service::command::filter::{moment, tag};
+use crate::service::command::{Term, filter};
 use crate::service::{Failure, UploadQuery};
 
 use super::args::ListArguments;
@@ -45,34 +47,12 @@ pub fn fingerprint(text: &str) -> Result<SignerId, Failure> {
     })
 }
 
-/// A tag, `key=value`.
+/// A moment that has passed: a time, a day, or so long ago.
 ///
 /// # Errors
 /// A [`Failure`] of kind `Input` that says how to write it.
-pub fn tag(text: &str) -> Result<(String, String), Failure> {
-    let usable = |key: &str| {
-        !key.is_empty() && key.len() <= 64 && key.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'_' || b == b'-')
-    };
-    match text.split_once('=') {
-        Some((key, value)) if usable(key) && value.len() <= 1024 => Ok((key.to_owned(), value.to_owned())),
-        _ => Err(Failure::new(
-            ErrorKind::Input,
-            format!("'{}' is not a tag; write key=value, the key of letters, digits, - and _", clean(text, 60)),
-        )),
-    }
-}
-
-fn word<T: Copy>(text: &str, what: &str, all: &[(&str, T)]) -> Result<T, Failure> {
-    all.iter().find(|(word, _)| *word == text).map(|(_, value)| *value).ok_or_else(|| {
-        let words: Vec<&str> = all.iter().map(|(word, _)| *word).collect();
-        Failure::new(ErrorKind::Input, format!("'{}' is no {what}; it is one of {}", clean(text, 40), words.join(", ")))
-    })
-}
-
-pub fn moment(text: &str) -> Result<Timestamp, Failure> {
-    serde_json::from_value(serde_json::Value::String(text.to_owned())).map_err(|_| {
-        Failure::new(ErrorKind::Input, format!("'{}' is not a time; write it as 2026-11-21T08:30:00Z", clean(text, 40)))
-    })
+pub fn past(text: &str) -> Result<Timestamp, Failure> {
+    filter::past(text, Timestamp::now())
 }
 
 /// The query of a list command.
@@ -80,26 +60,27 @@ pub fn moment(text: &str) -> Result<Timestamp, Failure> {
 /// # Errors
 /// A [`Failure`] of kind `Input` naming the filter at fault.
 pub fn query(arguments: &ListArguments) -> Result<UploadQuery, Failure> {
-    let states: Vec<(&str, RecordState)> = RecordState::ALL.iter().map(|state| (state.word(), *state)).collect();
-    let kinds: Vec<(&str, RecordKind)> =
-        (1..=9).filter_map(RecordKind::from_code).map(|kind| (kind.word(), kind)).collect();
     if !(1..=1000).contains(&arguments.limit) {
         return Err(Failure::new(ErrorKind::Input, format!("--limit {} is not between 1 and 1000", arguments.limit)));
     }
-    Ok(UploadQuery {
-        owner: arguments.owner.as_deref().map(value).transpose()?,
-        topic: arguments.topic.as_deref().map(value).transpose()?,
-        type_name: arguments.type_name.as_deref().map(value).transpose()?,
-        words: Vec::new(),
-        tags: arguments.tags.iter().map(|text| tag(text)).collect::<Result<_, _>>()?,
-        kind: arguments.kind.as_deref().map(|text| word(text, "kind of record", &kinds)).transpose()?,
-        state: arguments.state.as_deref().map(|text| word(text, "state", &states)).transpose()?,
-        since: arguments.since.as_deref().map(moment).transpose()?,
-        until: arguments.until.as_deref().map(moment).transpose()?,
-        after: arguments.after.clone(),
-        limit: arguments.limit,
-        newest_first: arguments.newest,
-    })
+    let ListArguments { topic, type_name, tags, state, kind, owner, since, until, after, limit, newest, follow: _ } =
+        arguments;
+    let (after, limit, newest_first) = (after.clone(), *limit, *newest);
+    let mut query = UploadQuery { after, limit, newest_first, ..UploadQuery::default() };
+    let now = Timestamp::now();
+    for (term, texts) in [
+        (Term::Owner, owner.as_slice()),
+        (Term::Topic, topic.as_slice()),
+        (Term::Type, type_name.as_slice()),
+        (Term::Tag, tags.as_slice()),
+        (Term::State, state.as_slice()),
+        (Term::Kind, kind.as_slice()),
+        (Term::Since, since.as_slice()),
+        (Term::Until, until.as_slice()),
+    ] {
+        texts.iter().try_for_each(|text| query.take(term, text, now))?;
+    }
+    Ok(query)
 }
 
 #[cfg(test)]
@@ -113,6 +94,30 @@ mod tests {
         for bad in ["", "10", "s", "0s", "-1s", "1y", "99999999999999999999s"] {
             assert_eq!(duration(bad).expect_err(bad).kind, ErrorKind::Input);
         }
+    }
+
+    #[test]
+    fn flags_and_the_consoles_filter_ask_for_the_same() {
+        use crate::app::screens::records::Wanted;
+        use clap::Parser;
+        let alice = "0x5aAeb6053F3E94C9b9A09f33669435E7Ef1BeAed";
+        let text = format!(
+            "owner:{alice} topic:/robot1/odom type:nav_msgs/Odometry tag:mission=harbour tag:shift=a=b state:verified \
+             kind:gap since:2026-11-21 until:2026-11-22T08:30:00Z"
+        );
+        let flags = text.split(' ').flat_map(|word| {
+            let (name, value) = word.split_once(':').expect("a term");
+            [format!("--{name}"), value.to_owned()]
+        });
+        let words = ["authros", "uploads", "list"].map(str::to_owned).into_iter().chain(flags);
+        let parsed = super::super::args::Arguments::try_parse_from(words).expect("flags");
+        let Some(super::super::args::Verb::Uploads(super::super::args::UploadsVerb::List(list))) = parsed.verb else {
+            panic!("a list");
+        };
+        let by_flags = query(&list).expect("a query");
+        let wanted = Wanted::read(&text, &[], Timestamp::now());
+        assert_eq!(UploadQuery { limit: 0, ..by_flags }, wanted.asked);
+        assert_eq!((wanted.asked.tags.len(), wanted.rest.as_str()), (2, ""));
     }
 
     #[test]

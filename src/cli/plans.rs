@@ -8,7 +8,7 @@ use super::connect::{Context, ProfileNeed};
 use super::show::Question;
 use super::verbs::{CHAIN, NEITHER, Plan};
 use super::{parse, passphrase};
-use crate::model::{ErrorKind, Timestamp};
+use crate::model::ErrorKind;
 use crate::service::command::{
     AuditQuery, AuditRecords, BackUpKeys, ExportAudit, ExportKey, ForeseeKeyChange, Grant, ListAudit, ListKeys,
     LoadKey, PairKind, RotateEnvelope, RotateKeys, VerifyAudit,
@@ -104,10 +104,7 @@ pub fn keys(context: &Context, verb: KeysVerb) -> Result<Plan, Failure> {
 /// # Errors
 /// A party, topic or time that cannot be read.
 pub fn grant(arguments: &GrantArguments) -> Result<Grant, Failure> {
-    let expires = match &arguments.expires {
-        Some(text) => Some(Timestamp::now().end_after(parse::duration(text)?)),
-        None => None,
-    };
+    let expires = arguments.expires.as_deref().map(super::adopt::end).transpose()?;
     Ok(Grant {
         grantee: parse::value(arguments.address.as_deref().or(arguments.to.as_deref()).unwrap_or_default())?,
         topics: parse::values(&arguments.topics)?,

@@ -58,10 +58,10 @@ pub struct ExportArguments {
     /// Only topics of this pattern; may be repeated
     #[arg(long = "topic", value_name = "PATTERN")]
     pub topics: Vec<String>,
-    /// Captured at or after, RFC 3339
+    /// Captured at or after: a time as 2026-11-21T08:30:00Z, a day, or so long ago, as 10m
     #[arg(long, value_name = "TIME")]
     pub since: Option<String>,
-    /// Captured before, RFC 3339
+    /// Captured before, written in the same way
     #[arg(long, value_name = "TIME")]
     pub until: Option<String>,
     /// none, bz2 (bag), lz4, zstd (MCAP)
@@ -93,8 +93,8 @@ impl ExportArguments {
             compression: parse::value::<ChunkCompression>(&self.compression)?,
             owner: self.owner.as_deref().map(parse::value).transpose()?,
             topics: parse::values(&self.topics)?,
-            since: self.since.as_deref().map(parse::moment).transpose()?,
-            until: self.until.as_deref().map(parse::moment).transpose()?,
+            since: self.since.as_deref().map(parse::past).transpose()?,
+            until: self.until.as_deref().map(parse::past).transpose()?,
             unanchored: self.unanchored,
         })
     }

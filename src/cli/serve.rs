@@ -125,7 +125,7 @@ pub async fn follow(mut events: broadcast::Receiver<Event>, output: &Output, end
             _ = &mut end => return,
             event = events.recv() => match event {
                 Ok(Event::Notice { at, level, text, about }) if level >= NoticeLevel::Warning || about.is_some() => {
-                    output.note(&format!("{at} {text}"));
+                    output.notice(at, level, about.as_deref(), &text);
                 }
                 Ok(_) | Err(broadcast::error::RecvError::Lagged(_)) => {}
                 Err(broadcast::error::RecvError::Closed) => return,

@@ -306,7 +306,8 @@ fn a_new_epoch_reaches_the_robots() {
     assert_eq!((&opened["verdict"], &opened["topic"]), (&"verified".into(), &"/robot1/odom".into()), "{opened}");
     agent.stop("TERM", 10).expect_code(0);
     // What it was told outlives the run; the enrolment file itself is as it was.
-    let outcome = robot.run(&["--robots", "1", "--count", "2"]).wait(120).expect_code(0);
+    let outcome = robot.run(&["--robots", "1", "--count", "2", "--log", "json"]).wait(120).expect_code(0);
+    outcome.log();
     assert_eq!(count(&last(&outcome.stdout), "pending"), 0);
     let epochs: Vec<u64> = verified(&alice, 3).iter().map(|record| count(record, "epoch")).collect();
     assert_eq!(epochs.last(), Some(&2), "{epochs:?}");

@@ -11,7 +11,7 @@ use std::process::{Command, Stdio};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use serde_json::Value;
-use support::{Authros, Home, free_port, list, skipped, system_program, text, wait_until};
+use support::{Authros, Home, Running, count, free_port, list, skipped, system_program, text, wait_until};
 
 const SECRET: &str = "0123456789abcdef0123456789abcdef";
 
@@ -19,13 +19,13 @@ const SECRET: &str = "0123456789abcdef0123456789abcdef";
 type Asked = (String, Vec<u8>);
 
 /// A server that refuses what comes first, then says nothing once, then takes all.
-struct Webhook {
+pub(crate) struct Webhook {
     port: u16,
     asked: Arc<Mutex<Vec<Asked>>>,
 }
 
 impl Webhook {
-    fn start(refusals: usize) -> Self {
+    pub(crate) fn start(refusals: usize) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
         let port = listener.local_addr().expect("its address").port();
         let asked = Arc::new(Mutex::new(Vec::new()));
@@ -47,7 +47,7 @@ impl Webhook {
         Self { port, asked }
     }
 
-    fn url(&self) -> String {
+    pub(crate) fn url(&self) -> String {
         format!("http://127.0.0.1:{}/hook", self.port)
     }
 
@@ -56,7 +56,7 @@ impl Webhook {
     }
 
     /// Bodies that were taken, of this state and about this alert.
-    fn told(&self, state: &str, key: &str) -> Vec<Value> {
+    pub(crate) fn told(&self, state: &str, key: &str) -> Vec<Value> {
         let bodies = self.taken().into_iter().map(|(_, body)| serde_json::from_slice(&body).expect("JSON"));
         bodies.filter(|body: &Value| body["state"] == state && body["alert"]["key"] == key).collect()
     }
@@ -170,4 +170,141 @@ fn alerts_test_says_what_came_back_or_that_nobody_is_there() {
     assert_eq!(text(&page.json(&["alerts", "test"]), "place"), "command /bin/true");
     home.file("site/config.toml", "[alerts]\ncommand = [\"/bin/true\"]\n", 0o622);
     assert!(page.fails(3, &["alerts", "test"]).contains("chmod go-w"), "{settings}");
+}
+
+#[test]
+fn a_grant_that_ends_soon_is_an_alert_until_it_is_extended() {
+    let home = Home::new();
+    let webhook = Webhook::start(0);
+    let alice = watched(&home, &webhook.url(), "0").with_variable("AUTHROS_ALERTS_GRANT_ENDS", "3w");
+    let site = alice.serve(&home);
+    let bob = home.profile("bob").enrol();
+    alice.json(&["grant", &bob, "--expires", "2w"]);
+    let key = format!("grant_ends/{}-{}", begins(&text(&alice.json(&["identity", "show"]), "address")), begins(&bob));
+    wait_until(60, "the alert", || webhook.told("begun", &key).pop());
+    alice.json(&["grants", "extend", &bob, "--expires", "9w"]);
+    wait_until(60, "its end", || webhook.told("resolved", &key).pop());
+    site.stop("INT", 20).expect_code(0);
+    assert_eq!((webhook.told("begun", &key).len(), webhook.told("resolved", &key).len()), (1, 1));
+}
+
+/// As figures and alerts name an account.
+fn begins(account: &str) -> String {
+    account.trim_start_matches("0x").chars().take(8).collect()
+}
+
+#[test]
+fn a_command_that_never_ends_holds_nothing_up_and_ends_with_its_site() {
+    const SLEEP: &str = "98765.25";
+    let home = Home::new();
+    std::fs::create_dir(home.path()).expect("the home");
+    let command = format!("[alerts]\ncommand = [\"/bin/sleep\", \"{SLEEP}\"]\nevery = 1\ndisk = \"1000000GiB\"\n");
+    home.file("site/config.toml", command, 0o600);
+    let authros = home.authros().with(&["--robots", "1"]);
+    let site = authros.serve(&home);
+    let sleeps = || {
+        let lines = std::fs::read_dir("/proc").expect("Linux").flatten();
+        let is_it = |path: &Path| std::fs::read(path.join("cmdline")).is_ok_and(|line| line.ends_with(b"98765.25\0"));
+        lines.filter(|entry| is_it(&entry.path())).count()
+    };
+    wait_until(60, "the command", || (sleeps() > 0).then_some(()));
+    authros.capture(&["/robot1/odom"], 5);
+    let view = authros.json(&["alerts", "list"]);
+    assert!(count(&view, "waiting") >= 1 && count(&view, "dropped") == 0, "{view}");
+    site.stop("INT", 20).expect_code(0);
+    wait_until(20, "no command outlives the site", || (sleeps() == 0).then_some(()));
+}
+
+fn openssl(folder: &Path, arguments: &str) {
+    let outcome = Command::new("openssl").args(arguments.split(' ')).current_dir(folder).output().expect("openssl");
+    assert!(outcome.status.success(), "{arguments}: {}", String::from_utf8_lossy(&outcome.stderr));
+}
+
+#[test]
+fn a_webhook_over_tls_is_told_where_its_authority_is_known_and_nobody_else_is() {
+    let Some(python) = system_program("python3") else { skipped!("no python3") };
+    let home = Home::new();
+    let folder = home.root();
+    home.file("names", "subjectAltName=IP:127.0.0.1\nbasicConstraints=critical,CA:FALSE\n", 0o600);
+    for arguments in [
+        "req -x509 -newkey rsa:2048 -nodes -days 2 -subj /CN=yard -keyout ca.key -out ca.pem",
+        "req -newkey rsa:2048 -nodes -subj /CN=hook -keyout hook.key -out hook.csr",
+        "x509 -req -in hook.csr -CA ca.pem -CAkey ca.key -CAcreateserial -days 2 -extfile names -out hook.pem",
+    ] {
+        openssl(folder, arguments);
+    }
+    let script = "import http.server, ssl\n\
+                  class Hook(http.server.BaseHTTPRequestHandler):\n\
+                  \x20def do_POST(self):\n\
+                  \x20 print('TOOK', self.rfile.read(int(self.headers['Content-Length'])).decode(), flush=True)\n\
+                  \x20 self.send_response(204); self.end_headers()\n\
+                  server = http.server.HTTPServer(('127.0.0.1', 0), Hook)\n\
+                  context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)\n\
+                  context.load_cert_chain('hook.pem', 'hook.key')\n\
+                  server.socket = context.wrap_socket(server.socket, server_side=True)\n\
+                  print('PORT', server.server_port, flush=True)\n\
+                  server.serve_forever()\n";
+    let mut command = Command::new(python);
+    command.args(["-c", script]).current_dir(folder);
+    let mut server = Running::start(command);
+    let told = server.wait_for_text("PORT", 60);
+    let port = told.lines().find_map(|line| line.strip_prefix("PORT ")).expect("a port").to_owned();
+    let authros = home.authros().with(&["--robots", "0"]);
+    let named = authros.with_variable("AUTHROS_ALERTS_WEBHOOK", &format!("https://127.0.0.1:{port}/hook"));
+    let message = named.fails(4, &["alerts", "test"]);
+    assert!(message.contains("certificate"), "{message}");
+    let roots = folder.join("ca.pem").display().to_string();
+    let known = named.with_variable("AUTHROS_ALERTS_ROOTS", &roots);
+    assert_eq!(text(&known.json(&["alerts", "test"]), "text"), "204");
+    assert!(server.stdout().contains("\"state\":\"test\""), "{}", server.stdout());
+    let by_system = named.with_variable("SSL_CERT_FILE", &roots);
+    assert_eq!(text(&by_system.json(&["alerts", "test"]), "text"), "204");
+    let empty = home.file("empty.pem", "no certificate\n", 0o600);
+    let message = named.with_variable("AUTHROS_ALERTS_ROOTS", &empty).fails(3, &["alerts", "test"]);
+    assert!(message.contains("alerts.roots"), "{message}");
+    server.stop("KILL", 10);
+}
+
+/// What an Alertmanager holds of our alerts that are not over.
+fn held(port: u16) -> Option<Vec<Value>> {
+    let mut stream = TcpStream::connect(("127.0.0.1", port)).ok()?;
+    stream.write_all(b"GET /api/v2/alerts HTTP/1.0\r\n\r\n").ok()?;
+    let mut told = String::new();
+    stream.read_to_string(&mut told).ok()?;
+    let (head, body) = told.split_once("\r\n\r\n")?;
+    let alerts: Value = head.starts_with("HTTP/1.0 200").then(|| serde_json::from_str(body).ok())??;
+    Some(alerts.as_array().expect("a list").clone())
+}
+
+#[test]
+fn a_real_alertmanager_holds_an_alert_until_it_is_over() {
+    let Some(program) = system_program("prometheus-alertmanager") else { skipped!("no prometheus-alertmanager") };
+    let home = Home::new();
+    let config = home.file("alertmanager.yml", "route: {receiver: nobody}\nreceivers: [{name: nobody}]\n", 0o600);
+    let port = free_port();
+    let mut command = Command::new(program);
+    command.args([
+        format!("--config.file={config}"),
+        format!("--storage.path={}", home.root().join("alertmanager").display()),
+        format!("--web.listen-address=127.0.0.1:{port}"),
+        "--cluster.listen-address=".to_owned(),
+    ]);
+    let manager = Running::start(command);
+    wait_until(60, "the Alertmanager", || held(port));
+    let url = format!("http://127.0.0.1:{port}");
+    let full = watched(&home, &url, "1000000GiB").with_variable("AUTHROS_ALERTS_FORM", "alertmanager");
+    let site = full.serve(&home);
+    let is_disk = |alert: &Value| alert["labels"]["alertname"] == "authros_disk";
+    let alert = wait_until(60, "the alert", || {
+        held(port)?.into_iter().find(|alert| is_disk(alert) && alert["status"]["state"] == "active")
+    });
+    assert_eq!((&alert["status"]["state"], &alert["labels"]["severity"]), (&"active".into(), &"critical".into()));
+    assert!(text(&alert["annotations"], "summary").contains("free on the disk"), "{alert}");
+    assert!(text(&full.json(&["alerts", "test"]), "text").starts_with("200"));
+    site.stop("INT", 20).expect_code(0);
+    let roomy = watched(&home, &url, "1KiB").with_variable("AUTHROS_ALERTS_FORM", "alertmanager");
+    let site = roomy.serve(&home);
+    wait_until(60, "no alert any more", || (!held(port)?.iter().any(is_disk)).then_some(()));
+    site.stop("INT", 20).expect_code(0);
+    manager.stop("TERM", 20);
 }

@@ -42,6 +42,7 @@ mod restart;
 mod rights;
 mod ros2;
 mod sharing;
+mod site_file;
 mod succession;
 mod units;
 mod uploads_export;

@@ -69,6 +69,27 @@ fn systemd_is_told_that_a_site_is_ready_alive_and_at_its_end() {
     site.wait(30).expect_code(0);
 }
 
+#[test]
+fn a_site_and_a_gateway_log_in_json_where_that_is_asked_for() {
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
+    let place = taken.local_addr().expect("its address").to_string();
+    for command in [&["serve"][..], &["gateway", "serve", "--listen", "127.0.0.1:0"]] {
+        let home = Home::new();
+        let logging = home.authros().with(&["--robots", "0", "--log", "json"]);
+        let mut site = logging.with_variable("AUTHROS_METRICS_LISTEN", &place).spawn(command);
+        site.wait_for_text("end it with Ctrl-C", 120);
+        wait_until(60, "a warning", || site.stderr().contains("figures cannot be read").then_some(()));
+        let outcome = site.stop("INT", 60).expect_code(0);
+        let lines = outcome.log();
+        let warning = lines.iter().find(|line| line["message"].to_string().contains("figures cannot be read"));
+        let warning = warning.expect("the warning");
+        assert_eq!((&warning["level"], &warning["source"]), (&"error".into(), &"site".into()));
+        assert!(lines.iter().any(|line| line["source"] == "authros"), "{outcome}");
+    }
+    let failed = Home::new().authros().with(&["--log", "json"]).run(&["backup", "/not/there"]);
+    assert_eq!(failed.log().last().map(|line| line["level"].clone()), Some("error".into()), "{failed}");
+}
+
 fn authros(home: &Home) -> support::Authros {
     support::Authros::bare(home.root())
 }

@@ -31,6 +31,22 @@ impl Outcome {
         self
     }
 
+    /// Lines of a log in JSON: whatever it wrote, each line is an object, and on stderr one with these four fields.
+    pub fn log(&self) -> Vec<Value> {
+        let object = |line: &str| serde_json::from_str::<Value>(line).unwrap_or_else(|_| panic!("no JSON: {line}"));
+        assert!(self.stdout.lines().map(object).all(|line| line.is_object()), "{self}");
+        let lines: Vec<Value> = self.stderr.lines().map(object).collect();
+        for line in &lines {
+            let mut fields: Vec<&String> = line.as_object().expect("an object").keys().collect();
+            fields.sort();
+            assert_eq!(fields, ["level", "message", "source", "time"], "{line}");
+            let time = line["time"].as_str().expect("a time");
+            assert!(time.len() == 24 && time.ends_with('Z') && &time[19..20] == ".", "milliseconds: {time}");
+            assert!(["info", "warning", "error"].iter().any(|level| line["level"] == *level), "{line}");
+        }
+        lines
+    }
+
     /// The one JSON document that is all of standard output.
     pub fn document(&self) -> Value {
         serde_json::from_str(&self.stdout).unwrap_or_else(|error| panic!("not one JSON document ({error}): {self}"))

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use super::error::ConfigError;
-use super::read::{Values, bytes, number, span, value, wrong};
+use super::read::{Values, bytes, number, source_of, span, value, wrong};
 use super::source::Source;
 use crate::crypto::private_file;
 
@@ -30,7 +30,7 @@ pub enum AlertForm {
 /// Who is told.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum AlertPlace {
-    /// A server, over HTTP.
+    /// A server, over HTTP or HTTPS.
     Webhook {
         /// Its URL.
         url: String,
@@ -38,6 +38,8 @@ pub enum AlertPlace {
         form: AlertForm,
         /// The file with the secret that signs what is sent.
         secret: Option<PathBuf>,
+        /// The file with the authorities that its certificate may be of, instead of those that the machine trusts.
+        roots: Option<PathBuf>,
     },
     /// A program of this machine and its arguments.
     Command(Vec<String>),
@@ -54,6 +56,8 @@ pub struct AlertLimits {
     pub disk: u64,
     /// The clock differs by so much from the time that rights go by.
     pub clock: Option<Duration>,
+    /// A grant ends within so long.
+    pub grant_ends: Option<Duration>,
     /// A line of the audit log has waited for an anchored head so long.
     pub audit: Option<Duration>,
 }
@@ -76,6 +80,7 @@ impl AlertSettings {
             unanchored: span(values, "alerts.unanchored", "never")?,
             disk: bytes(values, "alerts.disk", 0)?,
             clock: span(values, "alerts.clock", "never")?,
+            grant_ends: span(values, "alerts.grant_ends", "never")?,
             audit: span(values, "alerts.audit", "never")?,
         };
         let every = Duration::from_secs(number(values, "alerts.every", 1, 3600)?);
@@ -89,13 +94,13 @@ fn place(values: &Values) -> Result<Option<AlertPlace>, ConfigError> {
         Some("alertmanager") => AlertForm::Alertmanager,
         _ => return Err(wrong(values, "alerts.form", "write authros or alertmanager")),
     };
-    let secret = secret(values)?;
+    let (secret, roots) = (secret(values)?, roots(values)?);
     match (webhook(values)?, command(values)?) {
         (Some(_), Some(_)) => {
             let what = "alerts.webhook is set as well; set one of the two, the program can call the other";
             Err(wrong(values, "alerts.command", what))
         }
-        (Some(url), None) => Ok(Some(AlertPlace::Webhook { url, form, secret })),
+        (Some(url), None) => Ok(Some(AlertPlace::Webhook { url, form, secret, roots })),
         (None, Some(words)) => Ok(Some(AlertPlace::Command(words))),
         (None, None) => Ok(None),
     }
@@ -104,12 +109,10 @@ fn place(values: &Values) -> Result<Option<AlertPlace>, ConfigError> {
 fn webhook(values: &Values) -> Result<Option<String>, ConfigError> {
     let Some(text) = value(values, "alerts.webhook") else { return Ok(None) };
     let wrong = |what| wrong(values, "alerts.webhook", what);
-    if text.starts_with("https://") {
-        return Err(wrong("no TLS is spoken here; name an http:// address, of a relay on this machine for example"));
-    }
-    let rest = text.strip_prefix("http://").filter(|rest| !rest.is_empty() && !rest.starts_with('/'));
+    let rest = text.strip_prefix("http://").or_else(|| text.strip_prefix("https://"));
+    let rest = rest.filter(|rest| !rest.is_empty() && !rest.starts_with('/'));
     if rest.is_none() || text.len() > 500 || !text.bytes().all(|byte| byte.is_ascii_graphic()) {
-        return Err(wrong("write http://HOST:PORT/PATH"));
+        return Err(wrong("write http://HOST:PORT/PATH, or https://"));
     }
     Ok(Some(text.to_owned()))
 }
@@ -119,11 +122,23 @@ fn secret(values: &Values) -> Result<Option<PathBuf>, ConfigError> {
     let Some(path) = value(values, "alerts.secret").map(PathBuf::from) else { return Ok(None) };
     let wrong = |what: &str| wrong(values, "alerts.secret", what);
     if !path.is_absolute() {
-        return Err(wrong("write a path from / on"));
+        // It may be the secret itself, and is not repeated.
+        let (name, value, source_name) = ("alerts.secret", "…".to_owned(), source_of(values, "alerts.secret"));
+        let what = "write the path, from / on, of the file that holds the secret".to_owned();
+        return Err(ConfigError::Value { name, value, source_name, what });
     }
     let bytes = private_file::read_private(&path, LONGEST_SECRET).map_err(|error| wrong(&error.to_string()))?;
     if bytes.trim_ascii().len() < SHORTEST_SECRET {
         return Err(wrong("the file holds fewer than 16 bytes; `openssl rand -hex 32` makes a secret"));
+    }
+    Ok(Some(path))
+}
+
+/// Whether it holds certificates is known when it is used.
+fn roots(values: &Values) -> Result<Option<PathBuf>, ConfigError> {
+    let Some(path) = value(values, "alerts.roots").map(PathBuf::from) else { return Ok(None) };
+    if !path.is_absolute() || !path.is_file() {
+        return Err(wrong(values, "alerts.roots", "write the path, from / on, of a file with certificates in PEM"));
     }
     Ok(Some(path))
 }
@@ -194,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn a_webhook_is_an_address_without_tls_and_its_secret_is_a_private_file() {
+    fn a_webhook_is_an_address_and_its_secret_is_a_private_file() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("secret");
         let with = |bytes: &str, mode: u32| {
@@ -204,11 +219,14 @@ mod tests {
             alerts(&format!("[alerts]\nwebhook = \"http://127.0.0.1:9/x\"\nsecret = \"{secret}\""), 0o644)
         };
         let (url, form) = ("http://127.0.0.1:9/x".to_owned(), AlertForm::Authros);
-        let wanted = AlertPlace::Webhook { url, form, secret: Some(path.clone()) };
+        let wanted = AlertPlace::Webhook { url, form, secret: Some(path.clone()), roots: None };
         assert_eq!(with("0123456789abcdef\n", 0o600).expect("usable").place, Some(wanted));
         assert!(with("0123456789abcdef\n", 0o640).is_err(), "others read it");
         assert!(with("short\n", 0o600).expect_err("short").contains("16 bytes"));
-        assert!(alerts("[alerts]\nwebhook = \"https://h/\"", 0o600).expect_err("TLS").contains("http://"));
+        let tls = |roots: &str| alerts(&format!("[alerts]\nwebhook = \"https://h/\"\nroots = \"{roots}\""), 0o600);
+        let place = tls(&path.display().to_string()).expect("usable").place;
+        assert!(matches!(place, Some(AlertPlace::Webhook { roots: Some(_), .. })), "{place:?}");
+        assert!(tls("/nowhere/at/all").is_err() && tls("roots.pem").is_err());
         assert!(alerts("[alerts]\nwebhook = \"http:///x\"", 0o600).is_err());
         assert!(alerts("[alerts]\nsecret = \"/nowhere/at/all\"", 0o600).is_err());
         assert!(alerts("[alerts]\nform = \"xml\"", 0o600).is_err());

@@ -192,7 +192,7 @@ pub const DEFINITIONS: &[Definition] = &[
         name: "alerts.webhook",
         variable: "AUTHROS_ALERTS_WEBHOOK",
         default: "",
-        text: "who is told of alerts: http://HOST:PORT/PATH; empty and no alerts.command = nobody, and nothing is \
+        text: "who is told of alerts: http:// or https://HOST:PORT/PATH; empty and no alerts.command = nobody, and nothing is \
                judged",
     },
     Definition {
@@ -206,6 +206,12 @@ pub const DEFINITIONS: &[Definition] = &[
         variable: "AUTHROS_ALERTS_SECRET",
         default: "",
         text: "file, 0600, whose bytes sign what the webhook is sent (HMAC-SHA256); empty = unsigned",
+    },
+    Definition {
+        name: "alerts.roots",
+        variable: "AUTHROS_ALERTS_ROOTS",
+        default: "",
+        text: "file with the authorities, PEM, that an https webhook's certificate is of; empty = those of this machine",
     },
     Definition {
         name: "alerts.command",
@@ -242,6 +248,12 @@ pub const DEFINITIONS: &[Definition] = &[
         variable: "AUTHROS_ALERTS_CLOCK",
         default: "5s",
         text: "a clock that differs by more from the time that rights go by is an alert, or never",
+    },
+    Definition {
+        name: "alerts.grant_ends",
+        variable: "AUTHROS_ALERTS_GRANT_ENDS",
+        default: "3d",
+        text: "a grant, given or received, that ends within so long is an alert, or never",
     },
     Definition {
         name: "alerts.audit",

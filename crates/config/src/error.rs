@@ -33,6 +33,28 @@ pub enum ConfigError {
         /// What is wrong.
         what: String,
     },
+    /// A secret in a file that others may read.
+    #[error("{file} line {line}: {name} holds a secret, and this file is for others to read; {instead}")]
+    Secret {
+        /// The file.
+        file: String,
+        /// Line, from 1.
+        line: usize,
+        /// The key.
+        name: String,
+        /// Where it belongs.
+        instead: &'static str,
+    },
+    /// An entry that a list of the file does not take.
+    #[error("{file} line {line}: {what}")]
+    Entry {
+        /// The file.
+        file: String,
+        /// Line, from 1.
+        line: usize,
+        /// What is wrong and how to write it.
+        what: String,
+    },
     /// A value that its setting does not take.
     #[error("{name} = '{value}' (from {source_name}) is not usable: {what}")]
     Value {

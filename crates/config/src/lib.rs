@@ -7,9 +7,11 @@ mod alerts;
 mod console;
 mod definitions;
 mod error;
+mod lines;
 mod metrics;
 pub mod paths;
 mod read;
+mod site_file;
 mod source;
 #[cfg(test)]
 mod tests;
@@ -26,6 +28,7 @@ pub use self::error::ConfigError;
 pub use self::metrics::{FiguresPlace, MetricsSettings};
 pub use self::read::without_password;
 use self::read::{Values, bytes, find, number, parsed, read_file, span, switch, url, value, wrong};
+pub use self::site_file::{Decisions, Difference, Here, HomeSettings, KnownAccount, Settings, SiteFile, Stays};
 pub use self::source::{SettingView, Source};
 use crate::crypto::{Kernel, ProviderName};
 use crate::model::{

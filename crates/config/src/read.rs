@@ -6,6 +6,7 @@ use std::path::Path;
 use std::str::FromStr;
 use std::time::Duration;
 
+use super::lines::Lines;
 use super::{ConfigError, DEFINITIONS, Definition, Source, topic_rules};
 use crate::model::{ByteSize, TopicRules, clean, time_span};
 
@@ -41,19 +42,37 @@ pub(super) fn find(
     )
 }
 
-pub(super) fn read_file(path: &Path, text: &str) -> Result<(FileValues, TopicRules), ConfigError> {
-    let file = clean(&path.display().to_string(), 200);
-    let mut document: toml::Table = text.parse().map_err(|error: toml::de::Error| ConfigError::Syntax {
-        file: file.clone(),
+/// A file as messages name it.
+pub(super) fn file_name(path: &Path) -> String {
+    clean(&path.display().to_string(), 200)
+}
+
+pub(super) fn document(file: &str, text: &str) -> Result<toml::Table, ConfigError> {
+    text.parse().map_err(|error: toml::de::Error| ConfigError::Syntax {
+        file: file.to_owned(),
         what: clean(&error.to_string().replace('\n', " "), 300),
-    })?;
+    })
+}
+
+pub(super) fn read_file(path: &Path, text: &str) -> Result<(FileValues, TopicRules), ConfigError> {
+    let file = file_name(path);
+    read_document(&file, document(&file, text)?, text)
+}
+
+/// Settings and rules of a document; `text` is what it was read from, for the lines.
+pub(super) fn read_document(
+    file: &str,
+    mut document: toml::Table,
+    text: &str,
+) -> Result<(FileValues, TopicRules), ConfigError> {
     let rules = document.remove(topic_rules::TABLE).map(|tables| topic_rules::read(&tables, text)).transpose();
-    let rules = rules.map_err(|fault| ConfigError::Rule { file: file.clone(), line: fault.line, what: fault.what })?;
-    let mut values = FileValues::new();
+    let rules =
+        rules.map_err(|fault| ConfigError::Rule { file: file.to_owned(), line: fault.line, what: fault.what })?;
+    let (mut values, lines) = (FileValues::new(), Lines::of(text));
     flatten("", &toml::Value::Table(document), &mut |name, value| {
-        let line = line_of(text, name);
+        let line = lines.line(name);
         if !DEFINITIONS.iter().any(|definition| definition.name == name) {
-            return Err(ConfigError::Unknown { file: file.clone(), line, name: clean(name, 60) });
+            return Err(ConfigError::Unknown { file: file.to_owned(), line, name: clean(name, 60) });
         }
         let value = value.as_str().map_or_else(|| value.to_string(), str::to_owned);
         values.insert(name.to_owned(), (value, line));
@@ -75,13 +94,6 @@ pub(super) fn flatten(
     Ok(())
 }
 
-pub(super) fn line_of(text: &str, name: &str) -> usize {
-    let key = name.rsplit('.').next().unwrap_or(name);
-    let found =
-        text.lines().position(|line| line.trim_start().trim_start_matches('"').starts_with(key) || line.contains(name));
-    found.map_or(1, |index| index + 1)
-}
-
 pub(super) type Values = BTreeMap<&'static str, (String, Source)>;
 
 pub(super) fn wrong(values: &Values, name: &'static str, what: &str) -> ConfigError {
@@ -92,6 +104,11 @@ pub(super) fn wrong(values: &Values, name: &'static str, what: &str) -> ConfigEr
         source_name: source.to_string(),
         what: what.to_owned(),
     }
+}
+
+/// Where a value came from, for people.
+pub(super) fn source_of(values: &Values, name: &str) -> String {
+    values.get(name).map_or(Source::Default, |(_, source)| source.clone()).to_string()
 }
 
 pub(super) fn value<'a>(values: &'a Values, name: &str) -> Option<&'a str> {

@@ -4,30 +4,60 @@ use std::io::Write as _;
 
 use serde::Serialize;
 
-use authros_model::{clean_lines, spelt_out};
-use authros_service::Failure;
+use authros_model::{Timestamp, clean, clean_lines, spelt_out};
+use authros_service::{Failure, NoticeLevel};
 
 /// Widest line of text, characters.
 const WIDEST: usize = 2000;
+
+/// How words beside the result are written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Log {
+    /// Lines for people.
+    #[default]
+    Text,
+    /// One JSON object a line, on stdout as well where that is not JSON in any case.
+    Json,
+}
 
 /// The result channel.
 #[derive(Debug, Clone, Copy)]
 pub struct Output {
     json: bool,
+    log: Log,
+}
+
+/// A line of a log.
+#[derive(Serialize)]
+struct Line<'a> {
+    time: String,
+    level: &'static str,
+    source: String,
+    message: &'a str,
 }
 
 impl Output {
     /// JSON or text.
     pub fn new(json: bool) -> Self {
-        Self { json }
+        Self { json, log: Log::Text }
+    }
+
+    /// The same with another way to write what is beside the result.
+    pub fn logging(self, log: Log) -> Self {
+        Self { log, ..self }
+    }
+
+    /// How what is beside the result is written.
+    pub fn log(self) -> Log {
+        self.log
     }
 
     /// The result: `value` as one JSON document, or `text`.
     pub fn result<T: Serialize>(self, value: &T, text: impl FnOnce() -> String) {
-        let line = if self.json {
-            spelt_out(&serde_json::to_string(value).unwrap_or_default()).into_owned()
-        } else {
-            clean_lines(&text(), WIDEST)
+        let line = match (self.json, self.log) {
+            (true, _) => spelt_out(&serde_json::to_string(value).unwrap_or_default()).into_owned(),
+            (false, Log::Text) => clean_lines(&text(), WIDEST),
+            (false, Log::Json) => log_line(Timestamp::now(), NoticeLevel::Info, PROGRAM, &text()),
         };
         let mut stdout = std::io::stdout().lock();
         // A reader that went away wants no more.
@@ -43,7 +73,15 @@ impl Output {
 
     /// A word beside the result, for people.
     pub fn note(self, text: &str) {
-        drop(writeln!(std::io::stderr().lock(), "{}", clean_lines(text, WIDEST)));
+        self.beside(NoticeLevel::Info, text);
+    }
+
+    /// What a site told at a moment: `about` is what it is of, where it says so.
+    pub fn notice(self, at: Timestamp, level: NoticeLevel, about: Option<&str>, text: &str) {
+        match self.log {
+            Log::Text => self.note(&format!("{at} {text}")),
+            Log::Json => to_stderr(&log_line(at, level, about.unwrap_or(SITE), text)),
+        }
     }
 
     /// Why it failed.
@@ -52,8 +90,43 @@ impl Output {
             let document = serde_json::json!({ "error": { "kind": failure.kind, "message": failure.message } });
             self.result(&document, String::new);
         }
-        self.note(&format!("authros: {}", failure.message));
+        self.beside(NoticeLevel::Error, &format!("authros: {}", failure.message));
     }
+
+    fn beside(self, level: NoticeLevel, text: &str) {
+        match self.log {
+            Log::Text => to_stderr(&clean_lines(text, WIDEST)),
+            Log::Json => {
+                let text = text.strip_prefix("authros: ").unwrap_or(text);
+                to_stderr(&log_line(Timestamp::now(), level, PROGRAM, text));
+            }
+        }
+    }
+}
+
+/// Who says what the process itself says, and what its site says of nothing in particular.
+const PROGRAM: &str = "authros";
+const SITE: &str = "site";
+
+fn to_stderr(line: &str) {
+    drop(writeln!(std::io::stderr().lock(), "{line}"));
+}
+
+/// One JSON object on one line, in which nothing is left that terminals act on.
+pub fn log_line(at: Timestamp, level: NoticeLevel, source: &str, text: &str) -> String {
+    let milliseconds = at.0 / 1_000_000 % 1_000;
+    let seconds = Timestamp::from_seconds(at.seconds()).to_string();
+    let line = Line {
+        time: format!("{}.{milliseconds:03}Z", seconds.trim_end_matches('Z')),
+        level: match level {
+            NoticeLevel::Info => "info",
+            NoticeLevel::Warning => "warning",
+            NoticeLevel::Error => "error",
+        },
+        source: clean(source, 200),
+        message: &clean_lines(text, WIDEST),
+    };
+    spelt_out(&serde_json::to_string(&line).unwrap_or_default()).into_owned()
 }
 
 /// Columns of text, each as wide as its widest cell.
@@ -76,6 +149,22 @@ pub fn table(head: &[&str], rows: &[Vec<String>]) -> String {
 mod tests {
     use super::*;
     use authros_model::is_shown;
+
+    #[test]
+    fn a_line_of_the_log_is_one_object_with_milliseconds_and_nothing_that_terminals_act_on() {
+        let at = Timestamp(1_700_000_000_007_900_000);
+        let line = log_line(at, NoticeLevel::Warning, "alert\u{1b} disk", "a\u{202e}\nb\u{9b}2J");
+        assert!(line.chars().all(is_shown), "{line:?}");
+        let told: serde_json::Value = serde_json::from_str(&line).expect("JSON");
+        // date -u -d @1700000000 +%FT%T
+        assert_eq!(told["time"], "2023-11-14T22:13:20.007Z");
+        assert_eq!((&told["level"], told.as_object().map(serde_json::Map::len)), (&"warning".into(), Some(4)));
+        let message = told["message"].as_str().expect("a text");
+        assert_eq!(message.lines().count(), 2, "{message:?}");
+        assert!(message.chars().all(|character| is_shown(character) || character == '\n'), "{message:?}");
+        let whole = log_line(Timestamp(1_700_000_000_000_000_000), NoticeLevel::Info, "site", "t");
+        assert!(whole.contains("22:13:20.000Z"), "{whole}");
+    }
 
     #[test]
     fn json_keeps_its_meaning_and_loses_what_terminals_act_on() {

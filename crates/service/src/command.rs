@@ -6,6 +6,7 @@ mod administration;
 mod check;
 mod choices;
 mod evidence;
+pub mod filter;
 mod operate;
 mod recordings;
 mod secret;
@@ -18,8 +19,10 @@ pub use self::ask::Ask;
 pub use self::check::{AuditRecords, BackUp, ListAllUploads, StoreCommand};
 pub use self::choices::{Epochs, Held, KeyKind, PairKind, UploadQuery};
 pub use self::evidence::EvidenceWishes;
+pub use self::filter::Term;
 pub use self::operate::{
-    Admit, BackUpKeys, Dismiss, GatewayStatus, HoldCapture, ListAdmitted, ListAlerts, Lock, Operation, TestAlert,
+    Admit, BackUpKeys, Dismiss, GatewayStatus, HoldCapture, ListAdmitted, ListAlerts, ListWatches, Lock, Operation,
+    TestAlert,
 };
 pub use self::recordings::{ExportWishes, ImportWishes, PolicyCommand, RecordingCommand, RecordingProgress};
 pub use self::secret::{SecretBytes, SecretText};

@@ -39,7 +39,7 @@ pub use self::records::{
 };
 pub use self::site::{HealthLevel, LifeLine, PartHealth, QueueView, SiteView};
 pub use self::tasks::{TaskState, TaskView};
-pub use self::topics::{CaptureSummary, HeldUp, TopicRow, TopicSummary};
+pub use self::topics::{CaptureSummary, HeldUp, TopicRow, TopicSummary, WatchView};
 pub use self::viewing::PathView;
 use super::command::SecretBytes;
 use crate::model::ErrorKind;
@@ -176,6 +176,8 @@ replies! {
     GatewayStatus(GatewayStatusView);
     /// To `Operation::Admit`, `Operation::Dismiss` and `Operation::ListAdmitted`.
     Admitted(Vec<AdmittedView>);
+    /// To `Operation::ListWatches`.
+    Watches(Vec<WatchView>);
     /// To `Operation::ListAlerts`.
     Alerts(AlertsView);
     /// To `Operation::TestAlert`.

@@ -4,6 +4,8 @@ use std::path::PathBuf;
 
 use clap::Args;
 
+use crate::cli::logging::LogForm;
+
 /// Flags of every command.
 #[derive(Debug, Clone, Args)]
 pub struct Global {
@@ -16,6 +18,9 @@ pub struct Global {
     /// Print one JSON document (streams: one per line) on stdout
     #[arg(long, global = true)]
     pub json: bool,
+    /// How lines on stderr are written, and results that are not asked for with --json
+    #[arg(long, global = true, value_enum, value_name = "FORM", default_value = "text")]
+    pub log: LogForm,
     /// File with the keyring's passphrase (first line)
     #[arg(long, global = true, value_name = "FILE", conflicts_with = "passphrase_fd")]
     pub passphrase_file: Option<PathBuf>,

@@ -82,10 +82,10 @@ pub struct ListArguments {
     /// Only of this owner (shared), or of that name
     #[arg(long, value_name = "ADDRESS_OR_NAME")]
     pub owner: Option<String>,
-    /// Captured at or after, RFC 3339
+    /// Captured at or after: a time as 2026-11-21T08:30:00Z, a day, or so long ago, as 10m
     #[arg(long, value_name = "TIME")]
     pub since: Option<String>,
-    /// Captured before, RFC 3339
+    /// Captured before, written in the same way
     #[arg(long, value_name = "TIME")]
     pub until: Option<String>,
     /// Continue behind `next` of the page before

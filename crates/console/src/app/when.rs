@@ -2,9 +2,6 @@
 
 use crate::model::{Timestamp, positive_span};
 
-/// Nanoseconds.
-const MINUTE: u64 = 60_000_000_000;
-
 /// The moment `text` means, counted from `now` and rounded up to the whole second; `None` in the answer = no end
 /// (empty text).
 ///
@@ -18,13 +15,6 @@ pub fn expiry(text: &str, now: Timestamp) -> Result<Option<Timestamp>, String> {
     let moment = positive_span(text).ok().map(|span| now.end_after(span));
     let moment = moment.or_else(|| date(text)).ok_or("write a time such as 30d, 12h, 45m or 2036-12-31, or nothing")?;
     if moment <= now { Err("that moment has passed; write a later one".to_owned()) } else { Ok(Some(moment)) }
-}
-
-/// The moment in the past that `text` means: a span before `now`, to the minute, or a date; `None` = neither.
-pub fn past(text: &str, now: Timestamp) -> Option<Timestamp> {
-    let before = |nanoseconds: u64| Timestamp(now.0.saturating_sub(nanoseconds) / MINUTE * MINUTE);
-    let span = positive_span(text).ok().map(|span| u64::try_from(span.as_nanos()).unwrap_or(u64::MAX));
-    span.map(before).or_else(|| date(text))
 }
 
 /// Midnight UTC at the beginning of the day.

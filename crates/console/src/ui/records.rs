@@ -95,15 +95,17 @@ fn note(records: &Records, wanted: &Wanted) -> String {
     if records.next.is_some() {
         note.push_str(", more below");
     }
+    let asked = &wanted.asked;
     let words = [
-        wanted.topic.as_ref().map(|topic| format!("only {topic}")),
-        wanted.type_name.as_ref().map(|name| format!("only {name}")),
-        wanted.owner.as_ref().map(|owner| format!("of {}", owner.short())),
-        wanted.since.map(|since| format!("since {} UTC", day(since))),
-        wanted.until.map(|until| format!("until {} UTC", day(until))),
+        asked.topic.as_ref().map(|topic| format!("only {topic}")),
+        asked.type_name.as_ref().map(|name| format!("only {name}")),
+        asked.owner.as_ref().map(|owner| format!("of {}", owner.short())),
+        asked.kind.map(|kind| format!("only of kind {}", kind.word())),
+        asked.since.map(|since| format!("since {} UTC", day(since))),
+        asked.until.map(|until| format!("until {} UTC", day(until))),
     ];
-    let searched = wanted.words.iter().map(|word| format!("with '{word}'"));
-    let tags = wanted.tags.iter().map(|(name, value)| format!("tag {name}={value}"));
+    let searched = asked.words.iter().map(|word| format!("with '{word}'"));
+    let tags = asked.tags.iter().map(|(name, value)| format!("tag {name}={value}"));
     for word in words.into_iter().flatten().chain(searched).chain(tags) {
         note.push_str(", ");
         note.push_str(&word);

@@ -5,6 +5,8 @@ mod command;
 mod queue;
 mod rules;
 mod state;
+#[cfg(test)]
+pub(crate) mod troubles;
 mod webhook;
 
 use std::sync::Arc;
@@ -86,7 +88,9 @@ impl Carrier {
     /// An address or a secret that cannot be used.
     pub fn of(place: &AlertPlace) -> Result<Self, Failure> {
         Ok(match place {
-            AlertPlace::Webhook { url, form, secret } => Self::Webhook(Webhook::new(url, *form, secret.as_deref())?),
+            AlertPlace::Webhook { url, form, secret, roots } => {
+                Self::Webhook(Webhook::new(url, *form, secret.as_deref(), roots.as_deref())?)
+            }
             AlertPlace::Command(words) => Self::Command(words.clone()),
         })
     }
@@ -112,7 +116,7 @@ impl Carrier {
 pub fn place_name(place: &AlertPlace) -> String {
     match place {
         AlertPlace::Webhook { url, .. } => {
-            let rest = url.strip_prefix("http://").unwrap_or(url);
+            let rest = url.split_once("://").map_or(url.as_str(), |(_, rest)| rest);
             let host = rest.split(['/', '?', '#']).next().unwrap_or_default();
             format!("webhook {}", clean(host.rsplit('@').next().unwrap_or(host), 100))
         }
@@ -128,7 +132,7 @@ mod tests {
     #[test]
     fn a_place_is_named_without_what_is_secret_in_it() {
         let url = "http://me:word@host:8080/hook/T0K3N?key=1".to_owned();
-        let place = AlertPlace::Webhook { url, form: AlertForm::Authros, secret: None };
+        let place = AlertPlace::Webhook { url, form: AlertForm::Authros, secret: None, roots: None };
         assert_eq!(place_name(&place), "webhook host:8080");
     }
 

@@ -5,8 +5,8 @@ use std::time::Duration;
 
 use crate::config::AlertLimits;
 use crate::model::Timestamp;
-use crate::service::figures::{Figures, OwnerFigures, RobotFigures};
-use crate::service::reply::Severity;
+use crate::service::figures::{Figures, GrantFigures, OwnerFigures, RobotFigures};
+use crate::service::reply::{AlertView, Severity};
 
 /// How long ages are not judged after a start: what waited while the site was down is worked off first.
 const SETTLING: Duration = Duration::from_secs(120);
@@ -14,6 +14,9 @@ const SETTLING: Duration = Duration::from_secs(120);
 const AWAY: Duration = Duration::from_secs(86_400);
 /// How long losses count as going on after the last one.
 const LOSING: Duration = Duration::from_secs(300);
+
+/// The rule for grants that end.
+const GRANT: &str = "grant_ends";
 
 /// How a rule finds something.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -46,6 +49,8 @@ pub struct Judge {
     /// When the first figures came.
     since: Option<Timestamp>,
     losses: Option<Losses>,
+    /// Grants that end, as they were known last.
+    grants: Option<Vec<GrantFigures>>,
 }
 
 /// Messages that became no record.
@@ -59,7 +64,7 @@ struct Losses {
 impl Judge {
     /// With these limits.
     pub fn new(limits: AlertLimits) -> Self {
-        Self { limits, since: None, losses: None }
+        Self { limits, since: None, losses: None, grants: None }
     }
 
     /// What every rule finds.
@@ -74,6 +79,7 @@ impl Judge {
         judged.extend(self.disk(figures));
         judged.push(self.gap(figures));
         judged.extend(self.clock(figures));
+        judged.extend(self.ending_grants(figures));
         judged.extend(self.audit(figures, settled));
         let text = "The chain cannot be reached, or a lane of transactions stands still: nothing is anchored, nothing \
                     is lost. See `authros status`.";
@@ -171,6 +177,38 @@ impl Judge {
                 "The clock of this machine is {seconds} s {way} the time that rights go by; look at its time service."
             ),
         })
+    }
+
+    fn ending_grants(&mut self, figures: &Figures) -> Vec<Judged> {
+        let Some(limit) = self.limits.grant_ends else { return Vec::new() };
+        if figures.grants.is_some() {
+            self.grants.clone_from(&figures.grants);
+        }
+        let left = |grant: &GrantFigures| passed(grant.ends, figures.now);
+        let going = self.grants.iter().flatten().filter(|grant| grant.ends > figures.now);
+        let judge = |grant: &GrantFigures| Judged {
+            key: format!("{GRANT}/{}-{}", grant.owner, grant.reader),
+            severity: Severity::Warning,
+            level: if left(grant) <= nanos(limit) { Level::Firing } else { Level::Clear },
+            text: format!(
+                "The grant of account {} to {} ends at {}; `authros grants extend` lets it go on.",
+                grant.owner, grant.reader, grant.ends
+            ),
+        };
+        going.map(judge).collect()
+    }
+
+    /// What stands of a rule that cannot be judged yet: it neither goes on nor ends.
+    pub fn not_known(&self, standing: &[AlertView]) -> Vec<Judged> {
+        let waits = self.limits.grant_ends.is_some() && self.grants.is_none();
+        let of_grants = standing.iter().filter(|alert| alert.key.split('/').next() == Some(GRANT) && waits);
+        let between = |alert: &AlertView| Judged {
+            key: alert.key.clone(),
+            severity: alert.severity,
+            level: Level::Between,
+            text: alert.text.clone(),
+        };
+        of_grants.map(between).collect()
     }
 
     fn audit(&self, figures: &Figures, settled: bool) -> Option<Judged> {

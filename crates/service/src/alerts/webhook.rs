@@ -1,9 +1,10 @@
 //! Deliveries over HTTP: JSON with a signature over time and body, or as an Alertmanager takes them.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use hmac::{Hmac, KeyInit as _, Mac as _};
+use reqwest_tls as reqwest;
 use serde_json::json;
 use sha2::Sha256;
 use zeroize::Zeroizing;
@@ -19,6 +20,9 @@ use crate::service::reply::Failure;
 const PATIENCE: Duration = Duration::from_secs(10);
 /// Bytes of an answer that are read.
 const MOST_READ: usize = 512;
+/// Where distributions keep the authorities that they trust.
+const TRUSTED: [&str; 3] =
+    ["/etc/ssl/certs/ca-certificates.crt", "/etc/pki/tls/certs/ca-bundle.crt", "/etc/ssl/cert.pem"];
 /// The longest file with a secret, bytes.
 const LONGEST_SECRET: usize = 4096;
 
@@ -35,14 +39,17 @@ impl Webhook {
     ///
     /// # Errors
     /// A URL or a secret that cannot be used.
-    pub fn new(url: &str, form: AlertForm, secret: Option<&Path>) -> Result<Self, Failure> {
-        let unusable = || input("alerts.webhook is no address of a server; write http://HOST:PORT/PATH");
+    pub fn new(url: &str, form: AlertForm, secret: Option<&Path>, roots: Option<&Path>) -> Result<Self, Failure> {
+        let unusable = || input("alerts.webhook is no address of a server; write http:// or https://HOST:PORT/PATH");
         let mut url = reqwest::Url::parse(url).map_err(|_| unusable())?;
         if form == AlertForm::Alertmanager && !url.path().ends_with("/api/v2/alerts") {
             url.path_segments_mut().map_err(|()| unusable())?.pop_if_empty().extend(["api", "v2", "alerts"]);
         }
         // Only the server that was named is told.
         let client = reqwest::Client::builder().no_proxy().redirect(reqwest::redirect::Policy::none());
+        let client = client.tls_built_in_root_certs(false);
+        let trusted = if url.scheme() == "https" { authorities(roots)? } else { Vec::new() };
+        let client = trusted.into_iter().fold(client, reqwest::ClientBuilder::add_root_certificate);
         let client = client.timeout(PATIENCE).build().map_err(|_| unusable())?;
         let read = |path| private_file::read_private(path, LONGEST_SECRET);
         let secret = secret.map(read).transpose()?.map(|bytes| Zeroizing::new(bytes.trim_ascii().to_vec()));
@@ -84,6 +91,20 @@ impl Webhook {
         let (host, help) = (self.host(), "see whether it runs, and alerts.webhook");
         Failure::new(ErrorKind::Unreachable, format!("the webhook at {host} is not reached: {why}; {help}"))
     }
+}
+
+/// Whom a certificate may be of: what a file names, or else what this machine trusts.
+fn authorities(file: Option<&Path>) -> Result<Vec<reqwest::Certificate>, Failure> {
+    let named = std::env::var_os("SSL_CERT_FILE").map(PathBuf::from);
+    let of_machine = || named.or_else(|| TRUSTED.iter().map(PathBuf::from).find(|path| path.is_file()));
+    let path = file.map(Path::to_owned).or_else(of_machine).ok_or_else(|| {
+        input("this machine names no authorities for https; install ca-certificates, or set alerts.roots")
+    })?;
+    let shown = clean(&path.display().to_string(), 200);
+    let unusable = |why: String| input(format!("{shown} cannot be used for https: {why}; see alerts.roots"));
+    let bytes = std::fs::read(&path).map_err(|error| unusable(error.to_string()))?;
+    let found = reqwest::Certificate::from_pem_bundle(&bytes).map_err(|error| unusable(innermost(&error)))?;
+    if found.is_empty() { Err(unusable("it holds no certificate in PEM".to_owned())) } else { Ok(found) }
 }
 
 /// The first cause; it knows no URL.
@@ -166,7 +187,7 @@ mod tests {
 
     #[test]
     fn the_address_of_an_alertmanager_is_its_own_or_that_of_its_interface() {
-        let address = |url: &str, form| Webhook::new(url, form, None).expect("usable").url.to_string();
+        let address = |url: &str, form| Webhook::new(url, form, None, None).expect("usable").url.to_string();
         for url in ["http://h:9093", "http://h:9093/", "http://h:9093/api/v2/alerts"] {
             assert_eq!(address(url, AlertForm::Alertmanager), "http://h:9093/api/v2/alerts");
         }

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Ask, Command, SecretBytes};
 use crate::model::Party;
-use crate::service::reply::{AdmittedView, AlertTestView, AlertsView, GatewayStatusView, IdentityView};
+use crate::service::reply::{AdmittedView, AlertTestView, AlertsView, GatewayStatusView, IdentityView, WatchView};
 
 requests! {
     /// One of these.
@@ -20,6 +20,8 @@ requests! {
     } => ();
     /// The profile's keyring as it lies on disk, under its passphrase.
     BackUpKeys => SecretBytes;
+    /// Topics that the profile watches, whether anybody publishes them or not.
+    ListWatches => Vec<WatchView>;
     /// Alerts that stand.
     ListAlerts => AlertsView;
     /// Send one that says that it is none, and tell what came back.

@@ -144,6 +144,11 @@ fn ages(text: &mut Text, figures: &Figures) {
     text.family(("authros_robot_last_seen_age_seconds", "gauge", help), &figures.robots, |text, name, row| {
         text.value(name, &[("robot", &row.robot)], figures.age(row.last_seen));
     });
+    let help = "Time until a grant ends, given or received; the 64 that end first, those without an end left out.";
+    let grants = figures.grants.as_deref().unwrap_or_default();
+    text.family(("authros_grant_ends_seconds", "gauge", help), grants, |text, name, row| {
+        text.value(name, &[("owner", &row.owner), ("reader", &row.reader)], figures.until(row.ends));
+    });
     let help = "Age of the oldest line of the audit log that no anchored head covers; 0 where all are covered.";
     text.single("authros_audit_unanchored_age_seconds", "gauge", help, age(figures.audit_unanchored));
     text.single("authros_audit_lines_total", "counter", "Lines of the audit log.", figures.audit_lines);

@@ -26,6 +26,8 @@ pub struct Figures {
     pub lanes: Vec<LaneFigures>,
     /// The newest block: its height and its own time.
     pub block: Option<(u64, Timestamp)>,
+    /// Grants with an end, given and received, that ends first first; `None` = the chain is not known now.
+    pub grants: Option<Vec<GrantFigures>>,
     /// Bytes free on the disk of the home, and how many of them records leave.
     pub disk: Option<(u64, u64)>,
     /// Records that wait here for the vault, and their bytes.
@@ -81,6 +83,17 @@ pub struct RobotFigures {
     pub last_seen: Timestamp,
 }
 
+/// A grant that will end.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct GrantFigures {
+    /// The beginning of the account that shares.
+    pub owner: String,
+    /// The beginning of the account that reads.
+    pub reader: String,
+    /// When it ends.
+    pub ends: Timestamp,
+}
+
 /// A part of the site.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct PartFigures {
@@ -132,6 +145,11 @@ impl Figures {
     /// Seconds since a moment; none before it.
     pub fn age(&self, moment: Timestamp) -> f64 {
         std::time::Duration::from_nanos(self.now.0.saturating_sub(moment.0)).as_secs_f64()
+    }
+
+    /// Seconds until a moment; none behind it.
+    pub fn until(&self, moment: Timestamp) -> f64 {
+        std::time::Duration::from_nanos(moment.0.saturating_sub(self.now.0)).as_secs_f64()
     }
 
     /// Tasks that failed and rest.

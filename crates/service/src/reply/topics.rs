@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::model::Timestamp;
+use crate::model::{Timestamp, TopicName, TypeName};
 
 /// Why a watched topic is not captured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -58,6 +58,16 @@ pub struct TopicRow {
     /// Whether an alarm about a publisher of it is open.
     #[serde(default)]
     pub alarm: bool,
+}
+
+/// A topic that is watched.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct WatchView {
+    /// Its name.
+    pub topic: TopicName,
+    /// The type that is asked of it.
+    #[serde(rename = "type")]
+    pub type_name: Option<TypeName>,
 }
 
 /// Figures of one topic in a capture's summary.

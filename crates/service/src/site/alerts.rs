@@ -70,7 +70,9 @@ impl Alerts {
         let site = figures.owners.first().map_or("", |owner| owner.owner.as_str());
         let forgets = matches!(self.settings.place, Some(AlertPlace::Webhook { form: AlertForm::Alertmanager, .. }));
         let changes = self.with(|known| {
-            let changes = known.standing.look(figures.now, site, known.judge.judge(figures));
+            let mut judged = known.judge.judge(figures);
+            judged.extend(known.judge.not_known(&known.standing.all()));
+            let changes = known.standing.look(figures.now, site, judged);
             for change in &changes {
                 known.queue.add(change.clone());
             }
@@ -202,6 +204,9 @@ fn pause(failures: u32, chance: u64) -> Duration {
     let nanos = u64::try_from(half.as_nanos()).unwrap_or(u64::MAX);
     half + Duration::from_nanos(chance % nanos.max(1))
 }
+
+#[cfg(test)]
+mod over_http;
 
 #[cfg(test)]
 mod tests {

@@ -1,6 +1,7 @@
 //! Fills in the figures of this site and lets them be read. Everything is counted anyway; a scrape only looks, and at
 //! most one look a second goes to the ledger, whoever asks how often.
 
+use std::collections::BTreeSet;
 use std::os::unix::fs::{FileTypeExt as _, PermissionsExt as _};
 use std::path::Path;
 use std::sync::Arc;
@@ -19,10 +20,10 @@ use crate::pipeline::audit_head;
 use crate::pipeline::stages::{Milestone, Stage};
 use crate::service::event::NoticeLevel;
 use crate::service::figures::{
-    BOUNDS, Figures, LaneFigures, Latency, OwnerFigures, PartFigures, RobotFigures, TopicFigures, exposition, http,
-    short,
+    BOUNDS, Figures, GrantFigures, LaneFigures, Latency, OwnerFigures, PartFigures, RobotFigures, TopicFigures,
+    exposition, http, short,
 };
-use crate::service::reply::{Failure, HealthLevel, PartHealth};
+use crate::service::reply::{Failure, GrantState, HealthLevel, PartHealth};
 use crate::store::StateCounts;
 use crate::store::files::free_bytes;
 
@@ -30,10 +31,11 @@ use crate::store::files::free_bytes;
 const FRESH: Duration = Duration::from_secs(1);
 /// Between two attempts to listen.
 const AGAIN: Duration = Duration::from_secs(5);
-/// Accounts, robots and topics that have figures of their own, at most.
+/// Accounts, robots, topics and grants that have figures of their own, at most.
 const MOST_OWNERS: usize = 64;
 const MOST_ROBOTS: usize = 256;
 const MOST_TOPICS: usize = 200;
+const MOST_GRANTS: usize = 64;
 
 /// The text that was read last, and when.
 type Kept = Mutex<Option<(Instant, Arc<str>)>>;
@@ -125,6 +127,7 @@ impl Site {
             queue: self.queue_view(),
             lanes: self.lane_figures()?,
             block: self.block_figures(),
+            grants: self.grant_figures(),
             disk: free_bytes(self.home().root()).ok().map(|free| (free, self.config().disk_reserve)),
             backlog: (ledger.sealed()?, ledger.backlog()?),
             untold_gaps: ledger.untold_gaps()?,
@@ -185,6 +188,24 @@ impl Site {
             }));
         }
         Ok(lanes)
+    }
+
+    fn grant_figures(&self) -> Option<Vec<GrantFigures>> {
+        let network = self.parts.link.network_now()?;
+        let mut ending = BTreeSet::new();
+        for owner in self.parts.owners.all() {
+            let grants = network.directory.grants_of(owner.address).into_iter();
+            for grant in grants.chain(network.directory.grants_to(owner.address)) {
+                let ends = grant.expiry().filter(|_| grant.state(network.directory.now()) == GrantState::Active);
+                ending.extend(ends.map(|ends| (ends, grant.terms.owner, grant.terms.grantee)));
+            }
+        }
+        let figures = ending.into_iter().take(MOST_GRANTS).map(|(ends, owner, reader)| GrantFigures {
+            owner: short(&owner.to_string()),
+            reader: short(&reader.to_string()),
+            ends,
+        });
+        Some(figures.collect())
     }
 
     fn block_figures(&self) -> Option<(u64, Timestamp)> {

@@ -185,6 +185,7 @@ impl Site {
                 Ok(ask::HoldCapture::told(()))
             }
             Operation::BackUpKeys => self.profiles.back_up_keys(profile).await.map(ask::BackUpKeys::told),
+            Operation::ListWatches => self.capture.watched(profile).map(ask::ListWatches::told),
             Operation::ListAlerts => self.alerts_view().await.map(ask::ListAlerts::told),
             Operation::TestAlert => self.test_alert().await.map(ask::TestAlert::told),
             Operation::GatewayStatus => self.gateway.status().map(ask::GatewayStatus::told),

@@ -80,11 +80,16 @@ fn home(folder: &Path) -> Home {
 
 /// A site without ROS on an embedded chain of its own. Its folder goes with the value.
 pub fn site_with_chain() -> (Arc<Site>, tempfile::TempDir) {
+    site_of(&[], Needs { ros: false, chain: true })
+}
+
+/// A site with these settings and these parts.
+pub fn site_of(settings: &[(&str, &str)], needs: Needs) -> (Arc<Site>, tempfile::TempDir) {
     let folder = tempfile::tempdir().expect("a folder");
     let home = home(folder.path());
     std::fs::create_dir_all(home.root()).expect("a home");
     let lock = SiteLock::acquire(&home.site_lock()).expect("a lock").expect("nobody else's");
-    let site = Site::start(home, config(&[]), lock, Needs { ros: false, chain: true }).expect("starts");
+    let site = Site::start(home, config(settings), lock, needs).expect("starts");
     (site, folder)
 }
 

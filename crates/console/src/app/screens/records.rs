@@ -2,9 +2,9 @@
 
 use crate::app::fuzzy;
 use crate::app::table::Table;
-use crate::app::when;
-use crate::model::{Address, Party, RecordState, Timestamp, TopicName, TypeName};
+use crate::model::{Address, RecordState, Timestamp, TopicName};
 use crate::service::UploadQuery;
+use crate::service::command::Term;
 use crate::service::reply::{RecordPage, RecordView, TopicRow};
 
 /// The page in view.
@@ -31,43 +31,35 @@ impl Default for Records {
 /// What a filter asks of the site, and what is left for the page.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct Wanted {
-    /// Only this topic.
-    pub topic: Option<TopicName>,
-    /// Only this state.
-    pub state: Option<RecordState>,
-    /// Only this owner.
-    pub owner: Option<Party>,
-    /// Only this message type.
-    pub type_name: Option<TypeName>,
-    /// Only with these tags.
-    pub tags: Vec<(String, String)>,
-    /// Captured at or after.
-    pub since: Option<Timestamp>,
-    /// Captured before.
-    pub until: Option<Timestamp>,
-    /// Words of topics and types.
-    pub words: Vec<String>,
+    /// What is asked for; its page is not said here.
+    pub asked: UploadQuery,
     /// Parts of ids, which only narrow the page on screen.
     pub rest: String,
 }
 
+/// Nanoseconds.
+const MINUTE: u64 = 60_000_000_000;
+
 impl Wanted {
-    /// Reads a filter: state words, whole or unmistakable topic names, addresses, and `owner:`, `topic:`, `type:`,
-    /// `tag:name=value`, `since:1h`, `until:2026-12-31` with what they say.
+    /// Reads a filter: state words, whole or unmistakable topic names, addresses, and the terms of the command line
+    /// with what they say: `owner:bob`, `tag:name=value`, `since:1h`, `until:2026-12-31`.
     pub fn read(filter: &str, topics: &[TopicRow], now: Timestamp) -> Self {
+        // To the minute, so that the same filter asks the same for a while.
+        let now = Timestamp(now.0 / MINUTE * MINUTE);
         let mut wanted = Self::default();
         for word in filter.split_whitespace() {
             if word.split_once(':').is_some_and(|(name, value)| wanted.takes(name, value, now)) {
                 continue;
             }
-            if let Some(state) = RecordState::ALL.into_iter().find(|state| state.word() == word) {
-                wanted.state = Some(state);
-            } else if let Ok(owner) = word.parse::<Address>() {
-                wanted.owner = Some(owner.into());
+            if wanted.asked.take(Term::State, word, now).is_ok() {
+                continue;
+            }
+            if let Ok(owner) = word.parse::<Address>() {
+                wanted.asked.owner = Some(owner.into());
             } else if let Some(topic) = topic_named(word, topics) {
-                wanted.topic = Some(topic);
+                wanted.asked.topic = Some(topic);
             } else if !is_of_an_id(word) {
-                wanted.words.push(word.to_owned());
+                wanted.asked.words.push(word.to_owned());
             } else {
                 wanted.rest.push_str(if wanted.rest.is_empty() { "" } else { " " });
                 wanted.rest.push_str(word);
@@ -75,36 +67,15 @@ impl Wanted {
         }
         wanted
     }
-}
 
-impl Wanted {
     /// Takes `name:value` over; false where it says nothing that can be asked for.
     fn takes(&mut self, name: &str, value: &str, now: Timestamp) -> bool {
-        match name {
-            "owner" => self.owner = value.parse().ok(),
-            "topic" => self.topic = value.parse().ok(),
-            "type" => self.type_name = value.parse().ok(),
-            "state" => self.state = RecordState::ALL.into_iter().find(|state| state.word() == value),
-            // As the state's own word begins.
-            "waits" => self.state = Some(RecordState::RightEnded),
-            "since" => self.since = when::past(value, now),
-            "until" => self.until = when::past(value, now),
-            "tag" => {
-                let tag = value.split_once('=').map(|(name, value)| (name.to_owned(), value.to_owned()));
-                let known = tag.is_some();
-                self.tags.extend(tag);
-                return known;
-            }
-            _ => return false,
+        // As the state's own word begins.
+        if name == "waits" {
+            self.asked.state = Some(RecordState::RightEnded);
+            return true;
         }
-        match name {
-            "owner" => self.owner.is_some(),
-            "topic" => self.topic.is_some(),
-            "type" => self.type_name.is_some(),
-            "state" => self.state.is_some(),
-            "since" => self.since.is_some(),
-            _ => self.until.is_some(),
-        }
+        Term::named(name).is_some_and(|term| self.asked.take(term, value, now).is_ok())
     }
 }
 
@@ -126,24 +97,15 @@ fn topic_named(word: &str, topics: &[TopicRow]) -> Option<TopicName> {
 impl Records {
     /// The question for the page in view, as of the moment at which the view stands still, if it does.
     pub fn query(&self, topics: &[TopicRow], limit: usize, now: Timestamp, frozen: Option<Timestamp>) -> UploadQuery {
-        let Wanted { topic, state, owner, type_name, words, tags, since, until, .. } =
-            Wanted::read(self.table.filter.text(), topics, frozen.unwrap_or(now));
+        let asked = Wanted::read(self.table.filter.text(), topics, frozen.unwrap_or(now)).asked;
         // What is asked for is captured before; the record of that moment itself is still shown.
         let stands = [self.anchor, frozen].into_iter().flatten().map(|at| Timestamp(at.0.saturating_add(1)));
-        let until = until.into_iter().chain(stands).min();
         UploadQuery {
-            owner,
-            words,
-            topic,
-            type_name,
-            tags,
-            state,
-            since,
-            until,
+            until: asked.until.into_iter().chain(stands).min(),
             after: self.path.last().cloned(),
             limit: limit.clamp(1, 1_000),
             newest_first: self.table.sort == 0,
-            ..UploadQuery::default()
+            ..asked
         }
     }
 

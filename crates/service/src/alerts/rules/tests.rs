@@ -3,47 +3,7 @@
 use super::*;
 use crate::service::alerts::Standing;
 use crate::service::alerts::state::Change;
-use crate::service::figures::PartFigures;
-use crate::service::reply::LifeLine;
-
-/// When the tests begin, seconds.
-const BEGUN: u64 = 1_700_000_000;
-
-fn limits() -> AlertLimits {
-    AlertLimits {
-        robot_silent: Some(Duration::from_secs(600)),
-        unanchored: Some(Duration::from_secs(600)),
-        disk: 1000 << 20,
-        clock: Some(Duration::from_secs(5)),
-        audit: Some(Duration::from_secs(900)),
-    }
-}
-
-fn part_of(name: &str) -> PartFigures {
-    PartFigures { part: name.to_owned(), well: true, failed: false, text: "redis://secret@host /topic".to_owned() }
-}
-
-/// All is well at `second` after the beginning.
-fn well(second: u64) -> Figures {
-    let now = Timestamp::from_seconds(BEGUN + second);
-    let owner = OwnerFigures { owner: "0a0b0c0d".to_owned(), ..OwnerFigures::default() };
-    Figures {
-        now,
-        owners: vec![owner],
-        robots: vec![RobotFigures { robot: "12345678".to_owned(), last_seen: now }],
-        parts: vec![part_of("chain"), part_of("vault")],
-        disk: Some((2000 << 20, 64 << 20)),
-        ..Figures::default()
-    }
-}
-
-fn before(figures: &Figures, seconds: u64) -> Timestamp {
-    Timestamp::from_seconds(figures.now.seconds() - seconds)
-}
-
-fn life(set: impl Fn(&mut LifeLine)) -> impl Fn(&mut Figures) {
-    move |figures| figures.owners.iter_mut().for_each(|owner| set(&mut owner.life))
-}
+use crate::service::alerts::troubles::{before, grant, limits, troubles, well};
 
 /// A site that is well, then in trouble for three looks, then well again: the keys of what began and what ended.
 fn told(trouble: &dyn Fn(&mut Figures)) -> (Vec<String>, Vec<String>) {
@@ -69,33 +29,10 @@ fn told(trouble: &dyn Fn(&mut Figures)) -> (Vec<String>, Vec<String>) {
     (begun, ended)
 }
 
-/// Makes figures bad.
-type Trouble = Box<dyn Fn(&mut Figures)>;
-
 #[test]
 fn every_rule_begins_once_and_ends_once() {
-    let failed = |name: &'static str| {
-        move |figures: &mut Figures| {
-            for part in figures.parts.iter_mut().filter(|part| part.part == name) {
-                (part.well, part.failed) = (false, true);
-            }
-        }
-    };
-    let rules: [(&str, Trouble); 11] = [
-        ("robot_silent/12345678", Box::new(|it| it.robots[0].last_seen = before(it, 601))),
-        ("unanchored/0a0b0c0d", Box::new(|it| it.owners[0].oldest_unanchored = Some(before(it, 601)))),
-        ("disk", Box::new(|it| it.disk = Some((999 << 20, 64 << 20)))),
-        ("gap", Box::new(life(|life| life.lost_in_transport = 3))),
-        ("gap", Box::new(|it| it.untold_gaps = 1)),
-        ("quarantine/0a0b0c0d", Box::new(life(|life| life.quarantined = 2))),
-        ("tampered/0a0b0c0d", Box::new(life(|life| life.tampered = 1))),
-        ("clock", Box::new(|it| it.clock_ahead = -6)),
-        ("vault", Box::new(failed("vault"))),
-        ("chain", Box::new(failed("chain"))),
-        ("audit", Box::new(|it| it.audit_unanchored = Some(before(it, 901)))),
-    ];
     assert_eq!(told(&|_| {}), (vec![], vec![]), "all is well");
-    for (key, trouble) in rules {
+    for (key, trouble) in troubles() {
         assert_eq!(told(&*trouble), (vec![key.to_owned()], vec![key.to_owned()]));
     }
 }
@@ -136,4 +73,26 @@ fn rules_that_are_off_find_nothing() {
     let mut judge = Judge::new(AlertLimits::default());
     let keys: Vec<String> = judge.judge(&well(0)).into_iter().map(|judged| judged.key).collect();
     assert_eq!(keys, ["quarantine/0a0b0c0d", "tampered/0a0b0c0d", "gap", "chain", "vault"]);
+}
+
+#[test]
+fn a_grant_that_ends_is_told_until_it_is_extended_or_over_and_not_forgotten_without_a_chain() {
+    let level = |judged: &[Judged]| judged.iter().find(|judged| judged.key.starts_with(GRANT)).map(|it| it.level);
+    let with = |second, grants| Figures { grants, ..well(second) };
+    let mut judge = Judge::new(limits());
+    let alert = crate::service::alerts::state::tests::alert("grant_ends/0a0b0c0d-0e0f0a0b");
+    assert_eq!(level(&judge.judge(&with(0, None))), None);
+    let waits = judge.not_known(&[alert.clone(), crate::service::alerts::state::tests::alert("disk")]);
+    assert_eq!((waits.len(), level(&waits)), (1, Some(Level::Between)), "of a process before: it waits for the chain");
+    assert_eq!(level(&judge.judge(&with(10, Some(vec![grant(3611)])))), Some(Level::Clear));
+    assert_eq!(level(&judge.judge(&with(11, Some(vec![grant(3611)])))), Some(Level::Firing));
+    assert_eq!(
+        level(&judge.judge(&with(20, None))),
+        Some(Level::Firing),
+        "the chain is away, the grant ends all the same"
+    );
+    assert_eq!(level(&judge.judge(&with(30, Some(vec![grant(90_000)])))), Some(Level::Clear), "extended");
+    assert_eq!(level(&judge.judge(&with(40, Some(Vec::new())))), None, "revoked");
+    assert_eq!(level(&judge.judge(&with(50, Some(vec![grant(50)])))), None, "over");
+    assert!(judge.not_known(&[alert]).is_empty());
 }

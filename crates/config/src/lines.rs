@@ -1,0 +1,72 @@
+//! On which lines of a TOML text its keys stand.
+
+use std::collections::BTreeMap;
+
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
+
+/// The line of each key, from 1; the second table of `[[watch]]` is `watch.1`, its topic `watch.1.topic`.
+#[derive(Debug, Default)]
+pub(super) struct Lines(BTreeMap<String, usize>);
+
+impl Lines {
+    /// Of a text; nothing is known of one that is no TOML.
+    pub fn of(text: &str) -> Self {
+        let ends: Vec<usize> = text.bytes().enumerate().filter(|(_, byte)| *byte == b'\n').map(|(at, _)| at).collect();
+        let line = |at: usize| ends.partition_point(|end| *end < at) + 1;
+        let mut lines = Self::default();
+        if let Ok(document) = DeTable::parse(text) {
+            lines.table("", document.get_ref(), &line);
+        }
+        lines
+    }
+
+    /// Where a key stands, or else what it is in; the first line where neither is known.
+    pub fn line(&self, name: &str) -> usize {
+        let mut name = name;
+        loop {
+            match (self.0.get(name), name.rsplit_once('.')) {
+                (Some(line), _) => return *line,
+                (None, Some((outer, _))) => name = outer,
+                (None, None) => return 1,
+            }
+        }
+    }
+
+    fn table(&mut self, prefix: &str, table: &DeTable<'_>, line: &impl Fn(usize) -> usize) {
+        for (key, value) in table {
+            let name =
+                if prefix.is_empty() { key.get_ref().to_string() } else { format!("{prefix}.{}", key.get_ref()) };
+            self.value(name, line(key.span().start), value, line);
+        }
+    }
+
+    fn value(&mut self, name: String, at: usize, value: &Spanned<DeValue<'_>>, line: &impl Fn(usize) -> usize) {
+        if let DeValue::Table(inner) = value.get_ref() {
+            self.table(&name, inner, line);
+        }
+        if let DeValue::Array(parts) = value.get_ref() {
+            for (index, part) in parts.iter().enumerate() {
+                self.value(format!("{name}.{index}"), line(part.span().start), part, line);
+            }
+        }
+        self.0.insert(name, at);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_of_the_same_name_are_told_apart() {
+        let text = "robots = 1\n[chain]\nurl = \"a\"\n\n[vault]\nurl = \"b\"\n[[watch]]\ntopic = \"/a\"\n\n[[watch]]\n# c\n\
+                    type = \"x\"\ndisk.reserve = \"1\"\n";
+        let lines = Lines::of(text);
+        let line = |name: &str| lines.line(name);
+        assert_eq!((line("robots"), line("chain.url"), line("vault.url"), line("watch.0.topic")), (1, 3, 6, 8));
+        assert_eq!((line("watch.1.type"), line("watch.1.disk.reserve")), (12, 13));
+        assert_eq!((line("watch.1.topic"), line("nothing")), (10, 1), "what is not there is where it would stand");
+        assert_eq!(Lines::of("a = ").line("a"), 1);
+    }
+}

@@ -1,0 +1,198 @@
+//! A site as one file that a repository can hold: its settings, the rules for its topics, and what its ledger keeps of
+//! its operator's decisions. No secret is in it, and nothing that belongs to one machine alone.
+
+mod differences;
+mod entries;
+#[cfg(test)]
+mod tests;
+mod text;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+pub use self::differences::Difference;
+use super::lines::Lines;
+use super::read::{FileValues, document, file_name, read_document};
+use super::{Config, ConfigError, DEFINITIONS, Source, alerts};
+use crate::model::{Address, ContactName, Publisher, TopicName, TopicRules, TypeName};
+
+/// Settings about the machine that a site runs on: left out of a dump, and left alone where a file does not name them.
+const OF_THE_MACHINE: [&str; 3] = ["ros.host", "ros.definitions", "crypto.sm4_kernel"];
+
+/// Settings that differ from their defaults, by name.
+pub type Settings = BTreeMap<&'static str, String>;
+
+/// An account of the address book.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct KnownAccount {
+    /// Its address.
+    pub address: Address,
+    /// The fingerprint of its key, where a person gave it.
+    pub fingerprint: Option<String>,
+}
+
+/// What the ledger keeps of a site's operator; a list that is `None` is not spoken of.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Decisions {
+    /// Watched topics, and the type that is asked of each.
+    pub watches: Option<BTreeMap<TopicName, Option<TypeName>>>,
+    /// Publishers that the operator pinned.
+    pub publishers: Option<BTreeSet<(TopicName, Publisher)>>,
+    /// The address book.
+    pub contacts: Option<BTreeMap<ContactName, KnownAccount>>,
+    /// Who may use the gateway.
+    pub admitted: Option<BTreeSet<Address>>,
+}
+
+/// What is so in a home, to be held against a file.
+#[derive(Debug, Clone, Default)]
+pub struct Here {
+    /// What its operator decided.
+    pub decisions: Decisions,
+    /// Publishers that were pinned because they were seen first: each home learns its own.
+    pub seen_first: BTreeSet<(TopicName, Publisher)>,
+    /// Accounts of its profiles, which may always use its gateway.
+    pub own: BTreeSet<Address>,
+}
+
+/// Everything that makes a site.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct SiteFile {
+    /// Its settings.
+    pub settings: Settings,
+    /// Rules for topics.
+    pub rules: TopicRules,
+    /// What its ledger keeps.
+    pub decisions: Decisions,
+}
+
+/// Why a setting of a home stays in that home.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stays {
+    /// It is about the machine.
+    OfTheMachine,
+    /// Its value holds a secret.
+    Secret,
+}
+
+impl Stays {
+    /// For people.
+    pub fn reason(self) -> &'static str {
+        match self {
+            Self::OfTheMachine => "it is about this machine",
+            Self::Secret => "its value holds a secret",
+        }
+    }
+}
+
+/// What `config.toml` of a home says.
+#[derive(Debug, Clone, Default)]
+pub struct HomeSettings {
+    /// What belongs into a site's file.
+    pub site: Settings,
+    /// What does not.
+    pub stays: BTreeMap<&'static str, (String, Stays)>,
+    /// Rules for topics.
+    pub rules: TopicRules,
+}
+
+impl HomeSettings {
+    /// Reads `config.toml`.
+    ///
+    /// # Errors
+    /// [`ConfigError`] as [`Config::resolve`].
+    pub fn read(path: &Path, text: &str) -> Result<Self, ConfigError> {
+        let file = file_name(path);
+        let (values, rules) = read_document(&file, document(&file, text)?, text)?;
+        let mut home = Self { rules, ..Self::default() };
+        for (name, value) in named(values) {
+            match stays(name, &value) {
+                Some(why) => drop(home.stays.insert(name, (value, why))),
+                None => drop(home.site.insert(name, value)),
+            }
+        }
+        Ok(home)
+    }
+
+    /// All settings as they are now.
+    fn all(&self) -> Settings {
+        let stays = self.stays.iter().map(|(name, (value, _))| (*name, value.clone()));
+        self.site.iter().map(|(name, value)| (*name, value.clone())).chain(stays).collect()
+    }
+
+    /// All settings as they are to be by a site's file.
+    pub fn wanted(&self, file: &SiteFile) -> Settings {
+        let mut wanted: Settings = self.stays.iter().map(|(name, (value, _))| (*name, value.clone())).collect();
+        wanted.extend(file.settings.iter().map(|(name, value)| (*name, value.clone())));
+        wanted
+    }
+}
+
+impl SiteFile {
+    /// Reads the file that a repository holds.
+    ///
+    /// # Errors
+    /// [`ConfigError`] with the line: no TOML, an unknown key, a secret, a value that cannot be used.
+    pub fn read(path: &Path, text: &str) -> Result<Self, ConfigError> {
+        let file = file_name(path);
+        let mut document = document(&file, text)?;
+        let lines = Lines::of(text);
+        let decisions = entries::read(&mut document, &file, &lines)?;
+        let (values, rules) = read_document(&file, document, text)?;
+        for (name, (value, line)) in &values {
+            refuse_secret(&file, *line, name, value)?;
+        }
+        // What a value is to be is said by the settings themselves, with the line of this file.
+        let given = |name: &str| values.get(name).map(|(value, _)| value.clone());
+        let usable = Config::resolve(&given, &|_| None, None).and_then(|_| {
+            let from_file = |(value, line): &(String, usize)| (value.clone(), Source::File(*line));
+            let command = values.get("alerts.command").map(from_file);
+            alerts::check_hands(&command.map(|command| ("alerts.command", command)).into_iter().collect(), path)
+        });
+        usable.map_err(|error| at_line(error, &file, &lines))?;
+        Ok(Self { settings: named(values).collect(), rules, decisions })
+    }
+}
+
+/// A fault of a value, with the line where that value stands.
+fn at_line(error: ConfigError, file: &str, lines: &Lines) -> ConfigError {
+    match error {
+        ConfigError::Value { name, value, source_name: _, what } => {
+            ConfigError::Value { name, value, source_name: format!("{file} line {}", lines.line(name)), what }
+        }
+        error @ (ConfigError::Syntax { .. }
+        | ConfigError::Unknown { .. }
+        | ConfigError::Rule { .. }
+        | ConfigError::Secret { .. }
+        | ConfigError::Entry { .. }) => error,
+    }
+}
+
+/// With the names as the definitions have them.
+fn named(values: FileValues) -> impl Iterator<Item = (&'static str, String)> {
+    let known = |name: &str| DEFINITIONS.iter().find(|definition| definition.name == name);
+    values.into_iter().filter_map(move |(name, (value, _))| Some((known(&name)?.name, value)))
+}
+
+fn stays(name: &str, value: &str) -> Option<Stays> {
+    if OF_THE_MACHINE.contains(&name) {
+        return Some(Stays::OfTheMachine);
+    }
+    holds_secret(value).then_some(Stays::Secret)
+}
+
+/// Whether a value holds what nobody else may read: who logs in at a URL, what stands behind its `?`, a key in PEM.
+pub fn holds_secret(value: &str) -> bool {
+    let in_url = |rest: &str| rest.contains(['@', '?']);
+    value.contains("-----BEGIN") || value.split_once("://").is_some_and(|(_, rest)| in_url(rest))
+}
+
+fn refuse_secret(file: &str, line: usize, name: &str, value: &str) -> Result<(), ConfigError> {
+    let instead = match name {
+        // What stands there is a path, or else perhaps the secret itself.
+        "alerts.secret" if !value.starts_with('/') => "write the path of the file that holds it",
+        _ if holds_secret(value) => "set it in config.toml of each home, or in the environment; both stay as they are",
+        _ => return Ok(()),
+    };
+    Err(ConfigError::Secret { file: file.to_owned(), line, name: name.to_owned(), instead })
+}

@@ -1,0 +1,167 @@
+//! The terms of a list of records, as flags of the command line (`--since 1h`) and words of the console's filter
+//! (`since:1h`) say them: one reading for both.
+
+use std::fmt::Display;
+use std::str::FromStr;
+
+use super::UploadQuery;
+use crate::model::{RecordKind, RecordState, Timestamp, clean, positive_span};
+use crate::service::failure::input;
+use crate::service::reply::Failure;
+
+/// What a term is about.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Term {
+    /// Whose records.
+    Owner,
+    /// Of one topic.
+    Topic,
+    /// Of one message type.
+    Type,
+    /// With a tag; several must all be there.
+    Tag,
+    /// In one state.
+    State,
+    /// Of one kind.
+    Kind,
+    /// Captured at or after.
+    Since,
+    /// Captured before.
+    Until,
+}
+
+impl Term {
+    /// All of them.
+    pub const ALL: [Self; 8] =
+        [Self::Owner, Self::Topic, Self::Type, Self::Tag, Self::State, Self::Kind, Self::Since, Self::Until];
+
+    /// Its word: behind `--`, or before `:`.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Owner => "owner",
+            Self::Topic => "topic",
+            Self::Type => "type",
+            Self::Tag => "tag",
+            Self::State => "state",
+            Self::Kind => "kind",
+            Self::Since => "since",
+            Self::Until => "until",
+        }
+    }
+
+    /// By its word.
+    pub fn named(word: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|term| term.word() == word)
+    }
+}
+
+impl UploadQuery {
+    /// Takes a term over. Lengths of time are counted back from `now`.
+    ///
+    /// # Errors
+    /// Of kind `Input`: what the text should be. The query is then as it was.
+    pub fn take(&mut self, term: Term, text: &str, now: Timestamp) -> Result<(), Failure> {
+        match term {
+            Term::Owner => self.owner = Some(parsed(text)?),
+            Term::Topic => self.topic = Some(parsed(text)?),
+            Term::Type => self.type_name = Some(parsed(text)?),
+            Term::Tag => self.tags.push(tag(text)?),
+            Term::State => self.state = Some(one_of(text, "state", RecordState::ALL, RecordState::word)?),
+            Term::Kind => {
+                let kinds = (1..=u8::MAX).filter_map(RecordKind::from_code);
+                self.kind = Some(one_of(text, "kind of record", kinds, RecordKind::word)?);
+            }
+            Term::Since => self.since = Some(past(text, now)?),
+            Term::Until => self.until = Some(past(text, now)?),
+        }
+        Ok(())
+    }
+}
+
+fn parsed<T: FromStr<Err: Display>>(text: &str) -> Result<T, Failure> {
+    text.parse().map_err(|error: T::Err| input(error.to_string()))
+}
+
+fn one_of<T: Copy>(
+    text: &str,
+    what: &str,
+    all: impl IntoIterator<Item = T>,
+    word: fn(T) -> &'static str,
+) -> Result<T, Failure> {
+    let all: Vec<T> = all.into_iter().collect();
+    all.iter().find(|one| word(**one) == text).copied().ok_or_else(|| {
+        let words: Vec<&str> = all.iter().map(|one| word(*one)).collect();
+        input(format!("'{}' is no {what}; it is one of {}", clean(text, 40), words.join(", ")))
+    })
+}
+
+/// A tag, `key=value`.
+///
+/// # Errors
+/// Of kind `Input`: how to write it.
+pub fn tag(text: &str) -> Result<(String, String), Failure> {
+    let usable = |key: &str| {
+        !key.is_empty() && key.len() <= 64 && key.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'_' || b == b'-')
+    };
+    match text.split_once('=') {
+        Some((key, value)) if usable(key) && value.len() <= 1024 => Ok((key.to_owned(), value.to_owned())),
+        _ => Err(input(format!(
+            "'{}' is not a tag; write key=value, the key of letters, digits, - and _",
+            clean(text, 60)
+        ))),
+    }
+}
+
+/// A moment as RFC 3339 has it.
+///
+/// # Errors
+/// Of kind `Input`: how to write it.
+pub fn moment(text: &str) -> Result<Timestamp, Failure> {
+    serde_json::from_value(serde_json::Value::String(text.to_owned()))
+        .map_err(|_| input(format!("'{}' is not a time; write it as 2026-11-21T08:30:00Z", clean(text, 40))))
+}
+
+/// A moment that has passed: a time, the beginning of a day (UTC), or so long before `now`.
+///
+/// # Errors
+/// Of kind `Input`: how to write it.
+pub fn past(text: &str, now: Timestamp) -> Result<Timestamp, Failure> {
+    if let Ok(moment) = moment(text).or_else(|_| moment(&format!("{text}T00:00:00Z"))) {
+        return Ok(moment);
+    }
+    let length = positive_span(text).map_err(|_| {
+        let forms = "2026-11-21T08:30:00Z, 2026-11-21, or a number and ms, s, m, h, d or w: so long ago";
+        input(format!("'{}' is not a time; write it as {forms}", clean(text, 40)))
+    })?;
+    Ok(Timestamp(now.0.saturating_sub(u64::try_from(length.as_nanos()).unwrap_or(u64::MAX))))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::ErrorKind;
+
+    #[test]
+    fn moments_are_times_days_and_lengths_of_time_ago() {
+        let now = Timestamp::from_seconds(1_700_000_000);
+        let read = |text| past(text, now).map(|moment| moment.seconds()).map_err(|failure| failure.kind);
+        // date -u -d 2023-11-14T22:13:20Z +%s, and of the day
+        assert_eq!((read("2023-11-14T22:13:20Z"), read("2023-11-14")), (Ok(1_700_000_000), Ok(1_699_920_000)));
+        assert_eq!((read("30s"), read("2w")), (Ok(1_699_999_970), Ok(1_698_790_400)));
+        for bad in ["yesterday", "", "0s", "-1d", "2023-13-01"] {
+            assert_eq!(read(bad), Err(ErrorKind::Input), "{bad}");
+        }
+    }
+
+    #[test]
+    fn a_term_that_cannot_be_read_leaves_the_query_as_it_was() {
+        let mut query = UploadQuery::default();
+        for term in Term::ALL {
+            assert_eq!(Term::named(term.word()), Some(term));
+            let failure = query.take(term, "%", Timestamp(0)).expect_err(term.word());
+            assert_eq!(failure.kind, ErrorKind::Input, "{failure}");
+        }
+        assert_eq!(query, UploadQuery::default());
+        assert!(query.take(Term::Kind, "gap", Timestamp(0)).is_ok() && query.kind == Some(RecordKind::Gap));
+    }
+}
