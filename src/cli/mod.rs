@@ -25,6 +25,7 @@ mod parse;
 mod parties;
 mod passphrase;
 mod plans;
+mod playing;
 mod policy;
 mod printed;
 mod quarantine;
