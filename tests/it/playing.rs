@@ -57,7 +57,8 @@ fn plant(robot: &Roscore) -> Plant {
 
 /// Plays the bag at the robot until all of it is verified for the `times`-th time.
 fn drive(robot: &Roscore, plant: &Plant, bag: &Path, times: usize) {
-    robot.play(bag, 2).wait(120).expect_code(0);
+    // Another name would be another publisher than the pinned one, and be held back.
+    robot.play_as("robot", bag, 2).wait(120).expect_code(0);
     let expected = list_bag(bag).len() * times;
     wait_until(120, "all is verified", || {
         let records = plant.alice.records(&["uploads", "list"]);
@@ -124,8 +125,7 @@ fn what_is_played_live_ends_with_the_grant_and_late_subscribers_get_what_was_lat
     let ear = reader.listen(messages(&bag, "/odom").len() + messages(&bag, "/words").len(), &["/odom", "/words"]);
     drive(&robot, &plant, &bag, 2);
     ear.wait(120).expect_code(0);
-    // Each drive has a publisher of its own, and the last message of each is kept.
-    assert_eq!(list(&reader.hear(2, &[LATCHED]), LATCHED).len(), 2);
+    assert_eq!(list(&reader.hear(1, &[LATCHED]), LATCHED).last(), calibration.last(), "the last one is latched");
     let revoked = plant.alice.json(&["revoke", &plant.bob_address]);
     assert!(revoked["transaction"].is_string(), "{revoked}");
     let played = player.wait(60).expect_code(REFUSED).document();

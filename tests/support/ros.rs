@@ -66,10 +66,21 @@ impl Roscore {
 
     /// Plays a bag once every topic has a subscriber, with room for all its messages.
     pub fn play(&self, bag: &Path, rate: u32) -> Running {
+        Running::start(self.player(bag, rate))
+    }
+
+    /// The same as a node of this name, which is the same robot each time.
+    pub fn play_as(&self, name: &str, bag: &Path, rate: u32) -> Running {
+        let mut command = self.player(bag, rate);
+        command.arg(format!("__name:={name}"));
+        Running::start(command)
+    }
+
+    fn player(&self, bag: &Path, rate: u32) -> Command {
         let mut command = self.command("rosbag");
         command.args(["play", "--quiet", "--queue=10000", "--wait-for-subscribers", "--delay=1"]);
         command.arg(format!("--rate={rate}")).arg(bag);
-        Running::start(command)
+        command
     }
 
     /// Plays a bag, and gives what a real subscriber of its topics heard: per topic the messages in hex.

@@ -58,6 +58,8 @@ pub(super) struct Live {
 
 #[derive(Default)]
 struct Stream {
+    /// Nothing that was captured before is played.
+    floor: Timestamp,
     /// Everything before was given out.
     low: Timestamp,
     newest: Timestamp,
@@ -139,7 +141,7 @@ impl Live {
                 if self.streams.contains_key(&(*owner, topic)) {
                     continue;
                 }
-                let mut stream = Stream { low, ..Stream::default() };
+                let mut stream = Stream { floor: low, low, ..Stream::default() };
                 if is_first {
                     latched.extend(stream.skip_verified(ledger, (*owner, topic))?);
                 }
@@ -177,7 +179,7 @@ impl Stream {
         ready: &mut Vec<RecordRow>,
     ) -> Result<(), Failure> {
         let since = if late { self.low.min(Timestamp(self.newest.0.saturating_sub(LATE))) } else { self.low };
-        let mut query = RecordQuery { since: Some(since.max(Timestamp(1))), ..of_stream(key) };
+        let mut query = RecordQuery { since: Some(since.max(self.floor)), ..of_stream(key) };
         let (mut waiting, begun) = (None, ready.len());
         'pages: loop {
             let page = ledger.list(&query)?;
