@@ -69,7 +69,7 @@ pub enum Verb {
     /// Grants given and received
     #[command(subcommand)]
     Grants(GrantsVerb),
-    /// Records shared with this profile: list, check, open, export
+    /// Records shared with this profile: list, check, open, export, play
     #[command(subcommand)]
     Shared(SharedVerb),
     /// Devices that may sign: lend, recall, topics, list

@@ -86,7 +86,7 @@ fn code(summary: &CaptureSummary, output: &Output) -> u8 {
     }
     let unseen: Vec<&str> =
         summary.topics.iter().filter(|topic| topic.captured == 0).map(|topic| topic.topic.as_str()).collect();
-    if !unseen.is_empty() || summary.lost > 0 || summary.quarantined > 0 {
+    if !unseen.is_empty() || summary.lost > 0 || summary.quarantined > 0 || summary.skipped > 0 {
         if summary.quarantined > 0 {
             output.note(&format!(
                 "authros: {} messages are quarantined, their publisher is not a pinned one; look at `authros quarantine list`",
@@ -99,7 +99,12 @@ fn code(summary: &CaptureSummary, output: &Output) -> u8 {
                 summary.lost
             ));
         }
-        if !unseen.is_empty() {
+        if summary.skipped > 0 {
+            output.note(&format!(
+                "authros: {} messages are of another type than asked for and were not captured",
+                summary.skipped
+            ));
+        } else if !unseen.is_empty() {
             output.note(&format!(
                 "authros: nothing arrived on {}; check the name with `authros topics list`",
                 unseen.join(", ")

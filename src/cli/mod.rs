@@ -26,6 +26,7 @@ mod parse;
 mod parties;
 mod passphrase;
 mod plans;
+mod playing;
 mod policy;
 mod printed;
 mod quarantine;

@@ -90,7 +90,8 @@ fn span(seconds: u64) -> String {
     match seconds {
         whole if whole % 86_400 == 0 => format!("{} d", whole / 86_400),
         whole if whole % 3_600 == 0 => format!("{} h", whole / 3_600),
-        other => format!("{} min", other / 60),
+        whole if whole % 60 == 0 => format!("{} min", whole / 60),
+        other => format!("{other} s"),
     }
 }
 
@@ -165,6 +166,12 @@ mod tests {
             bytes_per_second: Some(bytes),
             largest: Some(320),
         }
+    }
+
+    #[test]
+    fn spans_are_told_in_the_largest_unit_that_is_whole() {
+        let told = [20, 90, 120, 7_200, 172_800].map(span);
+        assert_eq!(told, ["20 s", "90 s", "2 min", "2 h", "2 d"]);
     }
 
     #[test]

@@ -99,9 +99,15 @@ pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
             return Err(not_started(failure));
         }
     }
-    let ready = serde_json::json!({ "serving": context.home.root().display().to_string(), "profile": context.profile });
+    let master = match &connection.site {
+        Some(site) if context.config.ros_master.is_none() => site.ros_uri().await.ok(),
+        _ => context.config.ros_master.clone(),
+    };
+    let root = context.home.root().display().to_string();
+    let ready = serde_json::json!({ "serving": root, "profile": context.profile, "ros_master": master });
     output.result(&ready, || {
-        format!("serving {} for profile '{}'; end it with Ctrl-C", context.home.root().display(), context.profile)
+        let ros = master.map_or_else(String::new, |uri| format!("\nROS nodes join with ROS_MASTER_URI={uri}"));
+        format!("serving {root} for profile '{}'; end it with Ctrl-C{ros}", context.profile)
     });
     let ready = super::systemd::ready();
     follow(events, output, end).await;

@@ -22,6 +22,7 @@ pub const TWINS: &[(&str, Twin)] = &[
     ("check", Runs("shared check ID")),
     ("export", Runs("uploads export ID --dir DIR")),
     ("browse", Runs("shared list --owner ADDRESS --topic TOPIC")),
+    ("play", Runs("shared play --owner ADDRESS --topic TOPIC --prefix /shared/NAME --follow")),
     ("readers", Runs("grants list")),
     ("publishers", Runs("topics pins --topic TOPIC")),
     ("pin", Runs("topics pin TOPIC")),

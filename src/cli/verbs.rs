@@ -8,7 +8,7 @@ use super::args::{ConfigVerb, GrantsVerb, IdentityVerb, SharedVerb, TopicsVerb, 
 use super::connect::{Context, ProfileNeed};
 use super::quarantine::{self, QuarantineVerb};
 use super::show::Question;
-use super::{adopt, check, follow, lists, parse, passphrase, recordings, site_file, viewing};
+use super::{adopt, check, follow, lists, parse, passphrase, playing, recordings, site_file, viewing};
 use crate::service::command::{
     CheckShared, CompareFingerprint, CreateIdentity, ExportUpload, ExtendGrant, ForeseeKeyChange, ListGrants, ListPins,
     ListShared, ListTopics, Lock, NameRecovery, ShowIdentity, ShowUpload, UnpinTopic, UnwatchTopic, ViewPath,
@@ -181,6 +181,7 @@ pub fn grants(verb: GrantsVerb) -> Result<Plan, Failure> {
 pub async fn shared(context: Context, verb: SharedVerb, output: &Output) -> Result<u8, Failure> {
     let plan = match verb {
         SharedVerb::Export(export) => return recordings::export(context, export, output).await,
+        SharedVerb::Play(play) => return playing::run(context, play, output).await,
         SharedVerb::List(list) if list.follow => {
             return follow::run(context, follow::Which::Shared, parse::query(&list)?, output).await;
         }

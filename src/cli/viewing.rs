@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use super::connect::ProfileNeed;
 use super::show::Question;
 use super::verbs::{CHAIN, Plan};
+use crate::model::RecordState;
 use crate::ros::readable::{Plot, Readable, Table, file_of};
 use crate::service::command::{OpenShared, ViewFile};
 use crate::service::reply::{OpenedView, PathView};
@@ -36,8 +37,10 @@ pub fn without_bytes(view: &mut OpenedView) {
 /// An opened record: what it is, its readable form, every field.
 pub fn opened(view: &OpenedView) -> String {
     let record = &view.record;
+    let held = if record.state.word() == RecordState::Quarantined.word() { "  QUARANTINED" } else { "" };
+    let verdict = view.verdict.word().to_uppercase();
     let mut lines = vec![
-        format!("{}  {}  seq {}  {}", record.id, record.topic, record.seq, view.verdict.word().to_uppercase()),
+        format!("{}  {}  seq {}  {verdict}{held}", record.id, record.topic, record.seq),
         format!("{} from {} captured {}", record.type_name, view.caller_id, record.captured_at),
         format!("{} bytes, sealed as {} ({})", record.bytes, view.stored, compressed(&view.compression)),
     ];

@@ -34,6 +34,7 @@ mod metrics;
 mod node_forging;
 mod packages;
 mod places;
+mod playing;
 mod real_chain;
 mod real_redis;
 mod real_ros;

@@ -109,6 +109,8 @@ fn a_second_publisher_is_quarantined_and_the_operator_decides() {
     let tags = list(&opened, "tags");
     assert!(tags.iter().any(|tag| tag[0] == "quarantined" && tag[1] == "new"), "{opened}");
     assert_eq!((opened["verdict"].as_str(), opened["message"]["data"].as_str()), (Some("unanchored"), Some(FORGED.0)));
+    let told = scene.authros.run(&["shared", "open", &forged[0].0]);
+    assert!(told.stdout.lines().next().is_some_and(|heading| heading.ends_with("QUARANTINED")), "{told}");
     let reader = scene.home.profile("reader");
     scene.authros.json(&["grant", &reader.enrol()]);
     let shared = reader.records(&["shared", "list", "--topic", TOPIC]);

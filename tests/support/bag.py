@@ -9,6 +9,10 @@ import genpy
 import rosbag
 
 
+# The topic whose publishers latch.
+LATCHED = "/calibration"
+
+
 def messages(count):
     """Messages of several types, sizes and publishers, with times of their own."""
     from nav_msgs.msg import Odometry
@@ -63,6 +67,26 @@ def simulated(count, seed):
         yield "/sim/x", Float64(data=number + seed / 1000), time, "/simulator"
 
 
+def latched():
+    """A drive with what a robot says only once: where its parts are, of two publishers that latch."""
+    from geometry_msgs.msg import TransformStamped
+    from nav_msgs.msg import Odometry
+    from std_msgs.msg import String
+
+    for number, caller in enumerate(["/arm", "/base"]):
+        transform = TransformStamped(child_frame_id="frame%d" % number)
+        transform.transform.translation.x = number + 0.5
+        yield LATCHED, transform, genpy.Time(1700000000, number), caller
+    for number in range(300):
+        time = genpy.Time(1700000001 + number // 100, (number % 100) * 10000000)
+        odometry = Odometry(child_frame_id="base_link")
+        odometry.header.seq, odometry.header.stamp = number, time
+        odometry.pose.pose.position.x = number / 3
+        yield "/odom", odometry, time, "/base"
+        if number % 10 == 0:
+            yield "/words", String(data="number %d %s" % (number, "x" * (number * 371 % 50000))), time, "/talker"
+
+
 def named():
     """Names as rosbag takes them: absolute, relative, and with characters that no graph name has."""
     from std_msgs.msg import String
@@ -79,6 +103,7 @@ def header(topic, message, caller):
         "md5sum": message._md5sum,
         "message_definition": message._full_text,
         "callerid": caller,
+        "latching": "1" if topic == LATCHED else "0",
     }
 
 
@@ -126,4 +151,4 @@ def hear(count, *topics):
 
 
 {"write": write, "robot": lambda path: record(path, "bz2", robot()), "simulated": lambda path, count, seed: record(path, "none", simulated(int(count), int(seed))),
- "named": lambda path: record(path, "lz4", named()), "list": listed, "hear": hear}[sys.argv[1]](*sys.argv[2:])
+ "latched": lambda path: record(path, "none", latched()), "named": lambda path: record(path, "lz4", named()), "list": listed, "hear": hear}[sys.argv[1]](*sys.argv[2:])

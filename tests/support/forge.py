@@ -2,6 +2,7 @@
 
 publish NAME TOPIC TEXT HZ   a node of exactly this name that publishes std_msgs/String
 uri NAME                     prints the URI that the master has for a node
+publishers TOPIC             prints the names of the nodes that publish it
 announce TOPIC URI           tells every subscriber of TOPIC that URI is its publisher, without being the master
 """
 
@@ -32,6 +33,11 @@ def publish(name, topic, text, hz):
         rate.sleep()
 
 
+def publishers(topic):
+    _, _, (publishers, _, _) = master().getSystemState("/test")
+    return " ".join(name for published, names in publishers if published == topic for name in names)
+
+
 def announce(topic, publisher):
     _, _, (_, subscribers, _) = master().getSystemState("/test")
     for name in {name for subscribed, names in subscribers if subscribed == topic for name in names}:
@@ -42,5 +48,7 @@ if __name__ == "__main__":
     command, arguments = sys.argv[1], sys.argv[2:]
     if command == "uri":
         print(uri(*arguments), end="")
+    elif command == "publishers":
+        print(publishers(*arguments), end="")
     else:
         {"publish": publish, "announce": announce}[command](*arguments)

@@ -66,20 +66,58 @@ impl Roscore {
 
     /// Plays a bag once every topic has a subscriber, with room for all its messages.
     pub fn play(&self, bag: &Path, rate: u32) -> Running {
+        Running::start(self.player(bag, rate))
+    }
+
+    /// The same as a node of this name, which is the same robot each time.
+    pub fn play_as(&self, name: &str, bag: &Path, rate: u32) -> Running {
+        let mut command = self.player(bag, rate);
+        command.arg(format!("__name:={name}"));
+        Running::start(command)
+    }
+
+    fn player(&self, bag: &Path, rate: u32) -> Command {
         let mut command = self.command("rosbag");
         command.args(["play", "--quiet", "--queue=10000", "--wait-for-subscribers", "--delay=1"]);
         command.arg(format!("--rate={rate}")).arg(bag);
-        Running::start(command)
+        command
     }
 
     /// Plays a bag, and gives what a real subscriber of its topics heard: per topic the messages in hex.
     pub fn play_to_subscriber(&self, bag: &Path, rate: u32, count: usize, topics: &[&str]) -> Value {
+        let ear = self.listen(count, topics);
+        self.play(bag, rate).wait(240).expect_code(0);
+        ear.wait(120).expect_code(0).document()
+    }
+
+    /// Records topics by ROS's own recorder into a new bag; ends with an interrupt.
+    pub fn record(&self, bag: &Path, topics: &[&str]) -> Running {
+        let mut command = self.command("rosbag");
+        command.args(["record", "--output-name"]).arg(bag).args(topics);
+        let mut recorder = Running::start(command);
+        for topic in topics {
+            recorder.wait_for_text(&format!("Subscribing to {topic}"), 60);
+        }
+        recorder
+    }
+
+    /// A subscriber that ends when it has heard so many messages of the topics, and says them in hex.
+    pub fn listen(&self, count: usize, topics: &[&str]) -> Running {
         let mut command = self.command("python3");
         command.args([BAG_SCRIPT, "hear", &count.to_string()]).args(topics);
         let mut ear = Running::start(command);
         ear.wait_for_text("listening", 60);
-        self.play(bag, rate).wait(240).expect_code(0);
-        ear.wait(120).expect_code(0).document()
+        ear
+    }
+
+    /// What a subscriber that comes now hears: the first `count` messages of the topics, in hex.
+    pub fn hear(&self, count: usize, topics: &[&str]) -> Value {
+        self.listen(count, topics).wait(120).expect_code(0).document()
+    }
+
+    /// Names of the nodes that publish a topic, with blanks between.
+    pub fn publishers(&self, topic: &str) -> String {
+        Running::start(self.forge(&["publishers", topic])).wait(60).expect_code(0).stdout.trim().to_owned()
     }
 
     /// Publishes one message again and again, `hz` times a second.

@@ -78,6 +78,7 @@ pub fn message(topic: &str, captured_at: Timestamp, body: Vec<u8>) -> Message {
             listed_at: Instant::now(),
             rival: None,
         }),
+        latching: false,
         captured_at,
         header_seq: None,
         body,

@@ -121,9 +121,6 @@ impl<'a> Importer<'a> {
                 Encoding::Cdr { idl: false } => tags.push((ENCODING.to_owned(), "cdr".to_owned())),
                 Encoding::Cdr { idl: true } => tags.push((ENCODING.to_owned(), "cdr-idl".to_owned())),
             }
-            if channel.latching {
-                tags.push((LATCHING.to_owned(), "1".to_owned()));
-            }
             tags.extend(channel.about.iter().map(|(key, value)| (format!("{CHANNEL}{key}"), value.to_string())));
             if channel.topic != *topic {
                 tags.push((RECORDED_TOPIC.to_owned(), channel.topic.to_string()));
@@ -163,6 +160,7 @@ impl<'a> Importer<'a> {
             definition: Arc::clone(&channel.definition),
             caller_id: Arc::clone(&channel.caller_id),
             origin,
+            latching: channel.latching,
             captured_at: time,
             header_seq: None,
             body,

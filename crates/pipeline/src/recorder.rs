@@ -1,7 +1,7 @@
 //! Takes messages off the capture threads: measures them, asks who wants them, and puts one
 //! item per interested author into the rings. Never seals, never waits.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 
@@ -48,9 +48,14 @@ struct Interest {
 }
 
 impl Interest {
-    fn wants(&self, type_name: &str) -> bool {
+    /// The type asked for, where one is.
+    fn wanted(&self) -> Option<&TypeName> {
         let by_rule = self.rule.as_ref().and_then(|rule| rule.type_name.as_ref());
-        self.type_name.as_ref().or(by_rule).is_none_or(|wanted| wanted.as_str() == type_name)
+        self.type_name.as_ref().or(by_rule)
+    }
+
+    fn wants(&self, type_name: &str) -> bool {
+        self.wanted().is_none_or(|wanted| wanted.as_str() == type_name)
     }
 
     /// Whether the topic's rule lets this message of an undoubted publisher through.
@@ -71,8 +76,10 @@ pub struct Recorder {
     observer: Arc<dyn Observer>,
     pins: Option<Arc<Pins>>,
     rules: TopicRules,
-    /// Messages left out by the topics' rules.
+    /// Messages left out by the topics' rules, or of another type than asked for.
     left_out: Mutex<HashMap<String, u64>>,
+    /// Publishers of another type than asked for, by their number and topic, that were told of.
+    mismatched: Mutex<HashSet<(u64, String)>>,
 }
 
 impl Recorder {
@@ -89,6 +96,7 @@ impl Recorder {
             pins: None,
             rules: TopicRules::default(),
             left_out: Mutex::default(),
+            mismatched: Mutex::default(),
         }
     }
 
@@ -194,13 +202,12 @@ impl Recorder {
 
     fn offer(&self, interest: &Interest, message: &Arc<Message>, simulated: bool) {
         if !interest.wants(&message.type_name) {
-            return;
+            return self.leave_out(interest, message);
         }
         let doubt = self.doubt(interest, &message.topic, &message.origin);
         // A doubted publisher neither uses up what the rule leaves to the others, nor is anything of it left out.
         if doubt.is_none() && !interest.takes(message.captured_at) {
-            let mut left_out = self.left_out.lock().unwrap_or_else(PoisonError::into_inner);
-            *left_out.entry(message.topic.to_string()).or_default() += 1;
+            self.count_left_out(&message.topic);
             return;
         }
         let takes = |session: &&Arc<CaptureSession>| match doubt {
@@ -226,6 +233,28 @@ impl Recorder {
             self.losses.note(&refused.author, Lost::message(message), self.losses.cause());
             refused.sessions.iter().for_each(|session| session.dropped(&message.topic, refused.doubt.is_some()));
         }
+    }
+
+    /// A message of another type than asked for: counted, and told once a publisher.
+    fn leave_out(&self, interest: &Interest, message: &Message) {
+        self.count_left_out(&message.topic);
+        interest.sessions.iter().for_each(|session| session.skip(&message.topic));
+        let (topic, found) = (&message.topic, clean(&message.type_name, 120));
+        let publisher = (message.origin.number, topic.to_string());
+        if !self.mismatched.lock().unwrap_or_else(PoisonError::into_inner).insert(publisher) {
+            return;
+        }
+        let wanted = interest.wanted().map(ToString::to_string).unwrap_or_default();
+        let caller_id = clean(&message.caller_id, 120);
+        let notice = CaptureNotice::TypeMismatch { topic: Arc::clone(topic), caller_id, wanted, found };
+        if let Some((urgent, text)) = words(&notice) {
+            self.observer.alert(urgent, text);
+        }
+    }
+
+    fn count_left_out(&self, topic: &str) {
+        let mut left_out = self.left_out.lock().unwrap_or_else(PoisonError::into_inner);
+        *left_out.entry(topic.to_owned()).or_default() += 1;
     }
 
     fn doubt(&self, interest: &Interest, topic: &str, origin: &Arc<Origin>) -> Option<Doubt> {
@@ -295,6 +324,9 @@ fn words(notice: &CaptureNotice) -> Option<(bool, String)> {
         }
         CaptureNotice::PublisherUnreachable { topic, publisher, reason } => {
             (true, format!("{publisher} publishes {topic} but cannot be read, it is tried again: {reason}"))
+        }
+        CaptureNotice::Contradiction { topic, caller_id, contradiction } => {
+            (true, format!("{caller_id} on {topic}: {contradiction}"))
         }
         CaptureNotice::TypeMismatch { topic, caller_id, wanted, found } => {
             (true, format!("{caller_id} sends {found} on {topic}, not {wanted}: not captured"))

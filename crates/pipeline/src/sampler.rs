@@ -27,7 +27,9 @@ impl Sampler {
             }
             self.due = at.0;
         }
-        self.due = self.due.max(at.0.saturating_sub(interval)) + interval;
+        // The first message begins the count: nothing is owed for the time before it.
+        let owed = if self.due == 0 { at.0 } else { at.0.saturating_sub(interval) };
+        self.due = self.due.max(owed) + interval;
         true
     }
 }
@@ -64,6 +66,17 @@ mod tests {
         // Both: every second of 20 Hz, at most 5 Hz.
         let kept = taken(&rule(Some(5_000), Some(2)), 2000, 50_000_000, 0);
         assert!((495..=502).contains(&kept), "{kept}");
+    }
+
+    #[test]
+    fn the_first_moments_bring_no_burst() {
+        // 100 Hz against 5 Hz: at 0, 200, 400 ms (half an interval early is in time), and not several at once.
+        let (rule, mut sampler) = (rule(Some(5_000), None), Sampler::default());
+        let at = |number: u64| Timestamp(1_000_000_000_000 + number * 10_000_000);
+        let taken: Vec<u64> = (0..60).filter(|number| sampler.takes(&rule, at(*number))).collect();
+        assert_eq!(taken.first(), Some(&0));
+        assert!(taken.windows(2).all(|pair| pair[1] - pair[0] >= 10), "{taken:?}");
+        assert!(taken.len() <= 5, "{taken:?}");
     }
 
     #[test]

@@ -16,6 +16,7 @@ struct TopicTally {
     tampered: AtomicU64,
     quarantined: AtomicU64,
     lost: AtomicU64,
+    skipped: AtomicU64,
     type_name: OnceLock<String>,
 }
 
@@ -36,6 +37,8 @@ pub struct TopicFigures {
     pub quarantined: u64,
     /// Lost in transport or in the recorder.
     pub lost: u64,
+    /// Of another type than asked for, and not taken.
+    pub skipped: u64,
 }
 
 /// A capture with an end.
@@ -90,6 +93,13 @@ impl CaptureSession {
         let Some(tally) = self.topics.get(topic).filter(|_| !self.closed.load(Ordering::Acquire)) else { return false };
         tally.quarantined.fetch_add(1, Ordering::AcqRel);
         true
+    }
+
+    /// A message of another type than asked for came, and was not taken.
+    pub fn skip(&self, topic: &str) {
+        if let Some(tally) = self.topics.get(topic).filter(|_| !self.closed.load(Ordering::Acquire)) {
+            tally.skipped.fetch_add(1, Ordering::AcqRel);
+        }
     }
 
     /// A message that was counted in (`held`: as a doubted one) had to be dropped.
@@ -169,6 +179,7 @@ impl CaptureSession {
             tampered: tally.tampered.load(Ordering::Acquire),
             quarantined: tally.quarantined.load(Ordering::Acquire),
             lost: tally.lost.load(Ordering::Acquire),
+            skipped: tally.skipped.load(Ordering::Acquire),
         };
         self.topics.iter().map(figures).collect()
     }

@@ -43,6 +43,8 @@ pub struct Message {
     pub caller_id: Arc<str>,
     /// Who it is, as far as can be seen.
     pub origin: Arc<Origin>,
+    /// Whether the publisher keeps its last message for those who subscribe later.
+    pub latching: bool,
     /// When the whole message had arrived.
     pub captured_at: Timestamp,
     /// `header.seq`, where the type begins with a header.
@@ -110,6 +112,15 @@ pub enum CaptureNotice {
         wanted: String,
         /// The type it has.
         found: String,
+    },
+    /// What a publisher says of its messages does not fit together; they are captured as they are sent.
+    Contradiction {
+        /// Topic name.
+        topic: Arc<str>,
+        /// The publisher's node name.
+        caller_id: String,
+        /// What does not fit.
+        contradiction: String,
     },
     /// Sequence numbers are missing: so many messages never arrived.
     LostInTransport {

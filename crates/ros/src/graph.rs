@@ -1,6 +1,7 @@
 //! Questions to a ROS master: is it there, which topics are there. Every call ends within
 //! [`PATIENCE`], whatever the master does; what it answers is untrusted and only names are kept.
 
+mod presence;
 mod reach;
 
 use std::collections::BTreeMap;
@@ -11,6 +12,7 @@ use super::address::Endpoint;
 use super::xmlrpc::{CallError, Value, call};
 use crate::model::clean;
 
+pub use presence::Presence;
 pub use reach::Unreached;
 
 /// The longest any question takes.

@@ -16,6 +16,7 @@ pub mod graph;
 pub mod master;
 pub mod mcap;
 pub mod message;
+mod publisher;
 pub mod readable;
 pub mod recording;
 pub mod robot;
@@ -28,6 +29,7 @@ pub use error::RosError;
 pub use graph::{Graph, LastLook, TopicInfo};
 pub use master::EmbeddedMaster;
 pub use message::{Definition, Limits, Value, md5sum};
+pub use publisher::{Advertised, Publisher};
 pub use robot::{Fleet, FleetOptions, MOST_ROBOTS};
 
 #[cfg(test)]

@@ -8,8 +8,6 @@ mod definitions;
 mod letters;
 mod load;
 mod messages;
-mod node;
-mod outlet;
 mod picture;
 mod track;
 
@@ -20,10 +18,9 @@ use std::time::{Duration, Instant};
 
 use super::RosError;
 use super::address::{Endpoint, own_host};
+use super::publisher::{Advertised, Outlet, PublisherNode};
 use crate::model::Timestamp;
 
-use node::RobotNode;
-use outlet::Outlet;
 use picture::Camera;
 use track::Track;
 
@@ -39,6 +36,9 @@ const FASTEST: f64 = 1000.0;
 
 /// How long starting waits for the master.
 const PATIENCE: Duration = Duration::from_secs(2);
+
+/// How long subscribers get for the rest of their queues at the end.
+const FAREWELL: Duration = Duration::from_secs(1);
 
 /// How often the robots publish.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -57,7 +57,7 @@ impl Default for FleetOptions {
 
 /// Running robots. They unregister and end when dropped; what is queued for subscribers is sent first.
 pub struct Fleet {
-    nodes: Vec<RobotNode>,
+    nodes: Vec<PublisherNode>,
     stopping: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
 }
@@ -85,13 +85,13 @@ impl Fleet {
     /// The robots' topics and how many messages were published on each, whether or not anybody
     /// subscribed: the first has `header.seq` 0, the last this count less 1.
     pub fn published(&self) -> Vec<(String, u64)> {
-        let outlets = self.nodes.iter().flat_map(RobotNode::outlets);
+        let outlets = self.nodes.iter().flat_map(PublisherNode::outlets);
         outlets.map(|outlet| (outlet.topic().to_owned(), outlet.published())).collect()
     }
 
     /// Messages that a subscriber did not get because it read too slowly, in all.
     pub fn overflowed(&self) -> u64 {
-        self.nodes.iter().flat_map(RobotNode::outlets).map(|outlet| outlet.overflowed()).sum()
+        self.nodes.iter().map(PublisherNode::overflowed).sum()
     }
 
     /// Ends publishing and returns the final counts; then as dropping.
@@ -108,12 +108,12 @@ impl Fleet {
         periods: (Duration, Duration),
     ) -> Result<(), RosError> {
         let outlets = [
-            Outlet::new(format!("/robot{number}/odom"), ODOMETRY, odometry_definition()),
-            Outlet::new(format!("/robot{number}/camera/compressed"), COMPRESSED_IMAGE, compressed_image_definition()),
+            outlet(format!("/robot{number}/odom"), ODOMETRY, odometry_definition()),
+            outlet(format!("/robot{number}/camera/compressed"), COMPRESSED_IMAGE, compressed_image_definition()),
         ];
         let [odometry, pictures] = outlets.map(Arc::new);
         let both = vec![Arc::clone(&odometry), Arc::clone(&pictures)];
-        self.nodes.push(RobotNode::start(master.clone(), host, format!("/robot{number}_sim"), both)?);
+        self.nodes.push(PublisherNode::start(master.clone(), host, format!("/robot{number}_sim"), both)?);
         let track = Track::of_robot(number);
         self.publish("robot-odometry", odometry, periods.0, move |seq, age| {
             Some(messages::odometry(seq, Timestamp::now(), &track.at(age)))
@@ -164,9 +164,15 @@ impl Drop for Fleet {
     fn drop(&mut self) {
         self.end_publishing();
         for node in &self.nodes {
-            node.close();
+            node.close(FAREWELL);
         }
     }
+}
+
+/// A topic of ours, by its definition.
+fn outlet(topic: String, type_name: &str, definition: String) -> Outlet {
+    let (type_name, md5sum) = (type_name.to_owned(), definitions::sum_of(type_name, &definition));
+    Outlet::new(Advertised { topic, type_name, md5sum, definition, latching: false })
 }
 
 fn period(hz: f64) -> Result<Duration, RosError> {

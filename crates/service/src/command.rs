@@ -8,6 +8,7 @@ mod choices;
 mod evidence;
 pub mod filter;
 mod operate;
+mod playing;
 mod recordings;
 mod secret;
 mod viewing;
@@ -24,6 +25,7 @@ pub use self::operate::{
     Admit, BackUpKeys, Dismiss, GatewayStatus, HoldCapture, ListAdmitted, ListAlerts, ListWatches, Lock, Operation,
     TestAlert,
 };
+pub use self::playing::{Pace, PlayWishes, Remap};
 pub use self::recordings::{ExportWishes, ImportWishes, PolicyCommand, RecordingCommand, RecordingProgress};
 pub use self::secret::{SecretBytes, SecretText};
 pub use self::viewing::{LONGEST_PATH, ViewFile, ViewPath, Viewing};
@@ -32,8 +34,8 @@ use crate::model::{Address, ContactName, Party, ProfileName, Publisher, SignerId
 use crate::service::reply::{
     AdministrationView, AuditCheck, AuditView, CaptureSummary, ChainView, CheckView, CompareView, ContactRow,
     DecidedView, DeployedView, DeviceRow, DeviceTopicsView, EnrolledView, EvidenceView, ExportedFile, GatewayView,
-    GrantRow, IdentityView, KeyChangeView, KeysView, OpenedView, PinsView, PolicyView, Provenance, QuarantineView,
-    RecordPage, ServedView, SiteView, TopicRow, TransactionView,
+    GrantRow, IdentityView, KeyChangeView, KeysView, OpenedView, PinsView, PlayedView, PolicyView, Provenance,
+    QuarantineView, RecordPage, ServedView, SiteView, TopicRow, TransactionView,
 };
 pub use crate::store::AuditQuery;
 
@@ -213,6 +215,10 @@ requests! {
         /// Its id.
         id: String,
     } => Box<OpenedView>;
+    /// Publish shared records in a ROS graph, each checked first; ends with the connection that asks for it at the latest.
+    Play(wishes: PlayWishes) => PlayedView;
+    /// End what this profile plays (its answers follow).
+    StopPlay => ();
     /// Let a device sign for the profile.
     LendDevice {
         /// SM3 of its public key.

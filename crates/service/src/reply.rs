@@ -8,6 +8,7 @@ mod forging;
 mod identity;
 mod operate;
 mod parties;
+mod playing;
 mod recordings;
 mod records;
 mod site;
@@ -30,6 +31,7 @@ pub use self::parties::{
     AdministrationView, CompareView, ContactRow, DeviceRow, Direction, GrantRow, GrantState, ProposalView,
     RecoveryView, SuccessionView,
 };
+pub use self::playing::{PlayEnd, PlayedView};
 pub use self::recordings::{
     ExportView, ExportedTopic, ImportView, ImportedTopic, LeftOut, PolicyRow, PolicyView, ProgressView, RecordingReply,
     Refused,
@@ -136,6 +138,8 @@ replies! {
     Files(Vec<ExportedFile>);
     /// To `ExportEvidence`.
     Evidence(EvidenceView);
+    /// To `Play`.
+    Played(PlayedView);
     /// To commands that send a transaction.
     Transaction(TransactionView);
     /// To `ListGrants`.

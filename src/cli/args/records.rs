@@ -137,6 +137,8 @@ pub enum SharedVerb {
     },
     /// Write what this profile may read as a bag or MCAP, each record checked and verified first
     Export(crate::cli::recordings::ExportArguments),
+    /// Publish in a ROS graph what others share with this profile, each record checked and verified first
+    Play(crate::cli::playing::PlayArguments),
     /// Check, decrypt, decode
     Open {
         /// Record id

@@ -180,6 +180,10 @@ pub enum Tag {
     Check(String),
     /// Export of a record.
     Export(String),
+    /// Playing of a topic into ROS, under this name.
+    Play(String),
+    /// End of what is played.
+    StopPlay,
 }
 
 impl Tag {
@@ -222,6 +226,8 @@ impl Tag {
             Self::Path(id) => format!("reading the path to {id}"),
             Self::Check(id) => format!("checking {id}"),
             Self::Export(id) => format!("exporting {id}"),
+            Self::Play(topic) => format!("playing {topic} into ROS, live (4, then p: end it)"),
+            Self::StopPlay => "ending what is played".to_owned(),
         }
     }
 }

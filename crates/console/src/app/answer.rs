@@ -8,6 +8,7 @@ use super::action::{Contents, Effect, Tag};
 use super::feed::Feed;
 use super::identity_path;
 use super::opening;
+use super::playing;
 use super::popup::Popup;
 use super::state::State;
 use super::undo;
@@ -51,6 +52,8 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
             let name = format!("{}.keyring", state.settings.profile);
             return written(state, tag, ask::BackUpKeys::heard(result), |_, keys| secret(name, &keys));
         }
+        Tag::Play(_) => done(state, tag, ask::Play::heard(result), |state, view| playing::ended(state, &view)),
+        Tag::StopPlay => done(state, tag, ask::StopPlay::heard(result), |_, ()| {}),
         Tag::Check(_) => done(state, tag, ask::CheckShared::heard(result), |state, check| checked(state, &check)),
         Tag::Watch(topic) => done(state, tag, ask::WatchTopic::heard(result), |state, ()| {
             state.inform(format!("now watching {topic}"));
@@ -245,7 +248,7 @@ fn touched_by(tag: &Tag) -> &'static [Feed] {
         Tag::Pin(_) | Tag::Unpin(_) | Tag::Release(_) | Tag::Discard(_) => &[Feed::Topics],
         Tag::Administer(_) | Tag::Deploy | Tag::Adopt => &[Feed::Chain],
         Tag::Feed(..) | Tag::OpenConsole | Tag::CreateIdentity | Tag::Unlock | Tag::Register | Tag::Lock => &[],
-        Tag::ExportKey(_) | Tag::BackUp | Tag::Export(_) => &[],
+        Tag::ExportKey(_) | Tag::BackUp | Tag::Export(_) | Tag::Play(_) | Tag::StopPlay => &[],
         Tag::Publishers(_) | Tag::Show(_) | Tag::Open(_) | Tag::Path(_) | Tag::Check(_) => &[],
     }
 }

@@ -34,7 +34,7 @@ pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
             given(entry.works_on(state.screen), "other screen")?;
             given(state.has_rows(), "nothing selected")
         }
-        Verb::Publishers | Verb::Pin | Verb::Unpin | Verb::Readers | Verb::Browse => {
+        Verb::Publishers | Verb::Pin | Verb::Unpin | Verb::Readers | Verb::Browse | Verb::Play => {
             given(entry.works_on(state.screen), "other screen")?;
             given(matches!(verb, Verb::Browse) || state.has_rows(), "nothing selected")
         }

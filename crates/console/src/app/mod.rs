@@ -28,6 +28,7 @@ pub mod lock;
 pub mod mouse;
 pub mod opening;
 pub mod perform;
+pub mod playing;
 pub mod popup;
 pub mod popup_keys;
 pub mod rates;

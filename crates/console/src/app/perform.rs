@@ -15,6 +15,7 @@ use super::identity_path::{self, Need};
 use super::leaving::{self, Leaving};
 use super::lock;
 use super::mouse;
+use super::playing;
 use super::popup::{Confirm, Lookup, Palette, Popup, Purpose};
 use super::screen::Screen;
 use super::screens::grants::other_side;
@@ -46,6 +47,7 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Copy => return copied(state).map_or_else(Vec::new, |text| vec![copy(state, text)]),
         Verb::WriteFile => return copied(state).map_or_else(Vec::new, |text| vec![write_file(state, &text)]),
         Verb::Quit => return quit(state),
+        Verb::Play => return playing::toggle(state),
         Verb::Publishers => return publishers(state),
         Verb::Lock => return lock::lock(state),
         Verb::Undo => return undo::undo(state),

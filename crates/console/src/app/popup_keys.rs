@@ -233,10 +233,11 @@ fn confirm_key(state: &mut State, mut confirm: Confirm, key: Key) -> Vec<Effect>
 fn need_of(confirm: &Confirm) -> Option<Need> {
     match confirm.errand.tag {
         Tag::Feed(..) | Tag::OpenConsole | Tag::CreateIdentity | Tag::Unlock | Tag::Lock | Tag::BackUp => None,
-        Tag::HoldCapture => None,
+        Tag::HoldCapture | Tag::StopPlay => None,
         Tag::Publishers(_) | Tag::Show(_) | Tag::Pin(_) | Tag::Unpin(_) => None,
         Tag::LoadKey(_) | Tag::Release(_) | Tag::Discard(_) | Tag::Deploy | Tag::Adopt => Some(Need::Unlocked),
         Tag::Open(_) | Tag::Path(_) | Tag::Check(_) | Tag::Export(_) | Tag::ExportKey(_) => Some(Need::Unlocked),
+        Tag::Play(_) => Some(Need::Unlocked),
         Tag::Extend(_) => Some(Need::Registered),
         Tag::Register | Tag::Watch(_) | Tag::Unwatch(_) | Tag::Grant(_) | Tag::Revoke(_) | Tag::Rotate => {
             Some(Need::Registered)

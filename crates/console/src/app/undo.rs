@@ -53,6 +53,7 @@ pub fn note(state: &mut State, tag: &Tag) {
         | Tag::Lock
         | Tag::HoldCapture => None,
         Tag::ExportKey(_) | Tag::BackUp | Tag::Export(_) | Tag::Pin(_) | Tag::Unpin(_) => None,
+        Tag::Play(_) | Tag::StopPlay => None,
         Tag::Publishers(_) | Tag::Show(_) | Tag::Open(_) | Tag::Path(_) | Tag::Check(_) => None,
     };
     if undo.is_some() {

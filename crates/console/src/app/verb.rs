@@ -78,6 +78,8 @@ pub enum Verb {
     Readers,
     /// Choose among what others share.
     Browse,
+    /// Play what is shared into ROS, or end that.
+    Play,
     /// A copy of the keyring.
     BackUp,
     /// Wipe the keys from memory.
@@ -219,6 +221,9 @@ pub static VERBS: &[Entry] = &[
         .on(&[Screen::Uploads]),
     entry(Verb::Browse, "browse", "browse", &[Key::Char('b')], "Who shares, their topics and types, by time")
         .on(&[Screen::Shared]),
+    entry(Verb::Play, "play", "", &[Key::Char('p')], "Play this topic live into your own ROS; again: end it")
+        .on(&[Screen::Shared])
+        .changing(),
     entry(Verb::Readers, "readers", "readers", &[Key::Char('i')], "Who can read this now?").on(&[
         Screen::Topics,
         Screen::Uploads,

@@ -9,7 +9,7 @@ use crate::crypto::{SealRequest, seal};
 use crate::model::head::{Compression, SIMULATED};
 use crate::model::{Head, RecordKind, RecordState};
 use crate::pipeline::recorder::CapturedMessage;
-use crate::pipeline::{PipelineError, Plant, quarantine};
+use crate::pipeline::{PipelineError, Plant, importer, quarantine};
 use crate::store::{Hold, NewRecord};
 
 use super::plan::{Content, Task};
@@ -108,6 +108,9 @@ fn tags(item: &CapturedMessage) -> BTreeMap<String, String> {
     tags.extend(item.tags.iter().cloned());
     if let Some(rule) = &item.rule {
         tags.extend(rule.all_tags());
+    }
+    if item.message.latching {
+        tags.insert(importer::LATCHING.to_owned(), "1".to_owned());
     }
     if item.simulated {
         tags.insert(SIMULATED.0.to_owned(), SIMULATED.1.to_owned());

@@ -1,6 +1,7 @@
 //! The thread that reads one publisher: asks it for the topic, connects, shakes hands, and hands
 //! every message on; after a loss it tries again for as long as the master names the publisher.
 
+use std::collections::BTreeSet;
 use std::io;
 use std::net::TcpStream;
 use std::sync::Arc;
@@ -29,6 +30,9 @@ const SILENCE: Duration = Duration::from_secs(30);
 /// First and longest wait between attempts.
 const RETRY: (Duration, Duration) = (Duration::from_millis(50), Duration::from_secs(2));
 
+/// A connection that lasted so long was a good one.
+const STEADY: Duration = Duration::from_secs(5);
+
 /// No two attempts follow each other faster.
 const FLOOR: Duration = Duration::from_millis(20);
 
@@ -44,6 +48,7 @@ pub(super) fn spawn(shared: &Arc<Shared>, topic: &Arc<Topic>, publisher: Arc<Pub
         sequence: Sequence::default(),
         failures: 0,
         told: false,
+        contradicted: BTreeSet::new(),
     };
     shared.threads.spawn("ros-reader", move || reader.run())
 }
@@ -54,6 +59,9 @@ struct Description {
     md5sum: Arc<str>,
     definition: Arc<str>,
     caller_id: Arc<str>,
+    latching: bool,
+    /// What of its words contradicts the rest.
+    contradiction: Option<String>,
     has_header: bool,
 }
 
@@ -83,18 +91,21 @@ struct Reader {
     failures: u32,
     /// Whether that was told.
     told: bool,
+    /// Contradictions that were told.
+    contradicted: BTreeSet<String>,
 }
 
 impl Reader {
     fn run(&mut self) {
         let mut patience = RETRY.0;
         loop {
+            let begun = Instant::now();
             let wait = match self.attempt() {
                 Ok(()) => {
-                    patience = RETRY.0;
+                    patience = rest(patience, begun.elapsed());
                     self.failures = 0;
                     self.told = false;
-                    RETRY.0
+                    patience
                 }
                 Err(failure) => {
                     patience = (patience * 2).min(RETRY.1);
@@ -122,6 +133,15 @@ impl Reader {
             type_name: Arc::clone(&link.from.type_name),
             origin: Arc::clone(&link.origin),
         });
+        if let Some(contradiction) =
+            link.from.contradiction.take().filter(|text| self.contradicted.insert(text.clone()))
+        {
+            self.shared.notice(CaptureNotice::Contradiction {
+                topic: Arc::clone(&self.topic.label),
+                caller_id: caller_id.clone(),
+                contradiction,
+            });
+        }
         let ended = self.read(&mut link);
         let taken = !self.topic.has_ended() && self.is_taken(&link.from.caller_id);
         self.topic.disconnected(&self.publisher, &link.from.caller_id, taken);
@@ -261,6 +281,7 @@ impl Reader {
             definition: Arc::clone(&from.definition),
             caller_id: Arc::clone(&from.caller_id),
             origin: Arc::clone(origin),
+            latching: from.latching,
             captured_at,
             header_seq,
             body,
@@ -312,6 +333,11 @@ impl Reader {
     }
 }
 
+/// How long to wait after a connection that lasted so long: one that lets go again and again is not asked without end.
+fn rest(before: Duration, lasted: Duration) -> Duration {
+    if lasted < STEADY { (before * 2).min(RETRY.1) } else { RETRY.0 }
+}
+
 /// Checks a publisher's connection header.
 fn describe(header: &ConnectionHeader, wanted: Option<&TypeName>) -> Result<Description, Failure> {
     let caller_id = header.get("callerid").unwrap_or("unnamed");
@@ -336,6 +362,49 @@ fn describe(header: &ConnectionHeader, wanted: Option<&TypeName>) -> Result<Desc
         md5sum: md5sum.into(),
         definition: definition.into(),
         caller_id: caller_id.chars().take(255).collect::<String>().into(),
+        contradiction: contradiction(found, md5sum, definition, parsed.as_ref()),
+        latching: header.get("latching") == Some("1"),
         has_header: parsed.is_some_and(|definition| definition.begins_with_header()),
     })
+}
+
+/// What of type, md5sum and definition does not fit together. Such messages are captured as they are sent.
+fn contradiction(type_name: &str, md5sum: &str, text: &str, definition: Option<&Definition>) -> Option<String> {
+    if text.is_empty() && type_name != "std_msgs/Empty" {
+        return Some(format!("it sends no definition of {}: its messages are kept, not decoded", clean(type_name, 80)));
+    }
+    let computed = definition?.md5sum();
+    (!computed.eq_ignore_ascii_case(md5sum)).then(|| {
+        let (name, told) = (clean(type_name, 80), clean(md5sum, 40));
+        format!("its definition of {name} has the md5sum {computed}, it says {told}: messages may be shown wrongly")
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_publisher_that_lets_go_again_and_again_is_asked_less_often() {
+        let waits = (0..8).scan(RETRY.0, |wait, _| {
+            *wait = rest(*wait, Duration::from_millis(30));
+            Some(*wait)
+        });
+        // 45 s of it were 549 attempts before.
+        assert!(waits.sum::<Duration>() > Duration::from_secs(5));
+        assert_eq!(rest(RETRY.1, Duration::from_secs(60)), RETRY.0);
+    }
+
+    #[test]
+    fn words_that_do_not_fit_together_are_noticed() {
+        let of = |md5sum: &str, text: &str| {
+            contradiction("std_msgs/String", md5sum, text, Definition::parse("std_msgs/String", text).ok().as_ref())
+        };
+        assert_eq!(of("992ce8a1687cec8c8bd883ec73ca41d1", "string data\n"), None);
+        assert_eq!(of("992CE8A1687CEC8C8BD883EC73CA41D1", "# words\nstring data"), None);
+        assert!(of("ffffffffffffffffffffffffffffffff", "string data").is_some_and(|text| text.contains("992ce8a1")));
+        assert!(of("992ce8a1687cec8c8bd883ec73ca41d1", "int64 data").is_some());
+        assert!(of("992ce8a1687cec8c8bd883ec73ca41d1", "").is_some_and(|text| text.contains("no definition")));
+        assert_eq!(contradiction("std_msgs/Empty", "d41d8cd98f00b204e9800998ecf8427e", "", None), None);
+    }
 }

@@ -356,7 +356,12 @@ impl<R: BufRead + Seek> McapReader<R> {
             return Ok(());
         }
         if missing && !followed {
-            self.findings.note(start, "the file ends in the middle of a chunk: what came before its end was read");
+            let text = if self.chunk.bytes.is_empty() {
+                "the file ends in the middle of a chunk, of which nothing can be unpacked: its messages are not read"
+            } else {
+                "the file ends in the middle of a chunk: what came before its end was read"
+            };
+            self.findings.note(start, text);
             self.position = self.length;
             return Ok(());
         }

@@ -288,6 +288,15 @@ impl<'a> Walk<'a> {
         Ok(String::from_utf8_lossy(self.cursor.text()?))
     }
 
+    /// A text, or its bytes where these are not UTF-8.
+    pub fn text_or_bytes(&mut self, primitive: Primitive) -> Result<Result<Cow<'a, str>, &'a [u8]>, Failure> {
+        if primitive == Primitive::Wide {
+            return self.text(primitive).map(Ok);
+        }
+        let bytes = self.cursor.text()?;
+        Ok(std::str::from_utf8(bytes).map(Cow::Borrowed).map_err(|_| bytes))
+    }
+
     pub fn spend(&mut self) -> Result<(), Failure> {
         self.steps = self.steps.checked_sub(1).ok_or(Failure::Costly)?;
         Ok(())

@@ -105,7 +105,8 @@ impl Definition {
         let first = self.root().and_then(|layout| layout.fields.first());
         first.is_some_and(|field| match field.kind {
             Kind::Message(index) => {
-                field.arity == Arity::One && self.layouts.get(index).is_some_and(|layout| layout.name == HEADER)
+                let named = |layout: &Layout| [HEADER, OLD_HEADER].contains(&layout.name.as_str());
+                field.arity == Arity::One && self.layouts.get(index).is_some_and(named)
             }
             Kind::Primitive(_) => false,
         })
@@ -117,6 +118,9 @@ impl Definition {
 }
 
 const HEADER: &str = "std_msgs/Header";
+
+/// What it was called before 2011.
+const OLD_HEADER: &str = "roslib/Header";
 
 /// Splits the text at its `MSG:` lines; a type given twice keeps its first text.
 fn sections<'a>(type_name: &'a str, text: &'a str) -> Result<Texts<'a>, String> {
@@ -167,6 +171,8 @@ fn kind(nesting: &mut Nesting<'_, Layout>, inside: &str, base: &str) -> Result<(
         return Ok((Kind::Primitive(primitive), 0));
     }
     let full = match (base, inside.split_once('/')) {
+        // Bags of before 2011 carry the header under its name of then.
+        ("Header", _) if !nesting.has(HEADER) && nesting.has(OLD_HEADER) => OLD_HEADER.to_owned(),
         ("Header", _) => HEADER.to_owned(),
         (_, Some((package, _))) if !base.contains('/') => format!("{package}/{base}"),
         _ => base.to_owned(),

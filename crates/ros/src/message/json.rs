@@ -7,12 +7,13 @@ use super::decode::{Failure, Limits, Walk};
 use super::definition::{Definition, Field, Kind, Layout};
 use super::line::Arity;
 use super::value::Value;
+use crate::model::bytes::hex;
 use crate::model::spelt_out;
 use crate::ros::RosError;
 
 impl Definition {
     /// Writes the whole message as JSON, fields in their order, numbers as they are, numbers that JSON lacks as
-    /// text (`NaN`, `inf`), times as `{secs, nsecs}`, arrays of bytes as arrays of numbers. A body of n bytes
+    /// text (`NaN`, `inf`), texts that are not UTF-8 as `{not_utf8: hex}`, times as `{secs, nsecs}`, arrays of bytes as arrays of numbers. A body of n bytes
     /// becomes at most `64 n` + 16 MiB of text, since names of fields come again with every element; no memory is used
     /// beside.
     ///
@@ -30,6 +31,9 @@ impl Definition {
         export.walk.end().map_err(failed)
     }
 }
+
+/// What stands instead of a text whose bytes are not UTF-8: an object with these bytes in hex.
+const NOT_UTF8: &str = "not_utf8";
 
 /// The most bytes of text for a byte of the body.
 const GROWTH: usize = 64;
@@ -108,7 +112,11 @@ impl<'a> Export<'a> {
         self.walk.spend()?;
         match kind {
             Kind::Primitive(primitive) if primitive.is_text() => {
-                let text = serde_json::Value::from(self.walk.text(primitive)?).to_string();
+                let text = match self.walk.text_or_bytes(primitive)? {
+                    Ok(text) => serde_json::Value::from(text).to_string(),
+                    // Replaced characters would look like the message's own.
+                    Err(bytes) => serde_json::json!({ NOT_UTF8: hex(bytes) }).to_string(),
+                };
                 self.text(&spelt_out(&text))
             }
             Kind::Primitive(primitive) => {
@@ -160,6 +168,11 @@ mod tests {
         assert!(!json.contains(['\u{1b}', '\u{202e}', '\u{e0041}']), "{json}");
         let back: serde_json::Value = serde_json::from_str(&json).expect("JSON");
         assert_eq!(back["t"], text);
+    }
+
+    #[test]
+    fn bytes_that_are_no_text_are_marked() {
+        assert_eq!(json("string t", b"\x05\0\0\0ab\xffcd").as_deref(), Some("{\"t\":{\"not_utf8\":\"6162ff6364\"}}"));
     }
 
     #[test]

@@ -33,6 +33,11 @@ impl<'a, T> Nesting<'a, T> {
         Ok(nesting.layouts)
     }
 
+    /// Whether a type has a text here.
+    pub fn has(&self, name: &str) -> bool {
+        self.texts.contains_key(name)
+    }
+
     /// Index and height of a type's layout.
     ///
     /// # Errors

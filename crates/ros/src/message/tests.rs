@@ -182,6 +182,19 @@ fn md5sums_that_ros_computes() {
 }
 
 #[test]
+fn a_header_under_its_old_name_is_a_header() {
+    let text = with("Header header\nuint8 x", &[("roslib/Header", "uint32 seq\ntime stamp\nstring frame_id")]);
+    let definition = parse(&text).expect("as bags of 2010 carry it");
+    assert!(definition.begins_with_header());
+    let body = [7, 0, 0, 0, 1, 0, 0, 0, 2, 0, 0, 0, 1, 0, 0, 0, b'f', 9];
+    let value = definition.decode(&body, Limits::default()).expect("fits").to_json();
+    assert_eq!(
+        (&value["header"]["seq"], &value["header"]["frame_id"], &value["x"]),
+        (&7.into(), &"f".into(), &9.into())
+    );
+}
+
+#[test]
 fn headers_are_seen_where_they_are_first() {
     let header = ("std_msgs/Header", "uint32 seq\ntime stamp\nstring frame_id");
     assert!(parse(&with("# c\nuint8 K=1\nHeader header", &[header])).expect("definition").begins_with_header());

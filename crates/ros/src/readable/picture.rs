@@ -30,6 +30,9 @@ pub enum PictureError {
     /// It is damaged.
     #[error("the picture is damaged: {0}; write the message as .bin")]
     Broken(String),
+    /// The message does not fit its definition.
+    #[error("{0}; write it as .bin")]
+    Message(String),
 }
 
 impl PictureError {
@@ -37,7 +40,7 @@ impl PictureError {
     pub fn kind(&self) -> ErrorKind {
         match self {
             Self::NoPicture(_) | Self::Encoding(_) => ErrorKind::Usage,
-            Self::Large(..) | Self::Broken(_) => ErrorKind::Input,
+            Self::Large(..) | Self::Broken(_) | Self::Message(_) => ErrorKind::Input,
         }
     }
 }
@@ -80,7 +83,7 @@ pub fn export(kind: Exported, definition: &Definition, body: &[u8]) -> Result<Ve
         Exported::Bin => return Ok(body.to_vec()),
         Exported::Json => {
             let mut out = Vec::new();
-            definition.write_json(body, &mut out).map_err(|error| PictureError::Broken(error.to_string()))?;
+            definition.write_json(body, &mut out).map_err(|error| PictureError::Message(error.to_string()))?;
             return Ok(out);
         }
         Exported::Png | Exported::Jpeg | Exported::Npy => {}

@@ -49,6 +49,20 @@ impl RecordingFormat {
     }
 }
 
+/// What a file is that begins so and is no recording of either format.
+fn other_than_a_recording(magic: &[u8]) -> String {
+    let version = [&b"#ROSBAG V"[..], b"#ROSRECORD V"].iter().find_map(|lead| magic.strip_prefix(*lead));
+    match version {
+        Some(version) => {
+            let version: Vec<u8> = version.iter().copied().take_while(|byte| !byte.is_ascii_whitespace()).collect();
+            let version = crate::model::clean(&String::from_utf8_lossy(&version), 8);
+            format!("a bag of version {version}, only 2.0 is read; convert it with `rosbag fix` of ROS 1")
+        }
+        None if magic.is_empty() => "an empty file".to_owned(),
+        None => "no bag and no MCAP".to_owned(),
+    }
+}
+
 /// A recording that is being read, message by message in the order of the file.
 pub enum Recording {
     /// A bag.
@@ -74,9 +88,7 @@ impl Recording {
         if magic.starts_with(bag::MAGIC) {
             return BagReader::open(file).map(Self::Bag);
         }
-        let what =
-            if magic.starts_with(b"#ROSBAG V") { "a bag of another version than 2.0" } else { "no bag and no MCAP" };
-        Err(RosError::recording(&format!("{} is {what}", path.display())))
+        Err(RosError::recording(&format!("{} is {}", path.display(), other_than_a_recording(&magic))))
     }
 
     /// Which format it has.
@@ -165,5 +177,19 @@ impl RecordingWriter {
         };
         let file = out.into_inner().map_err(|error| RosError::unwritable(error.error()))?;
         file.sync_all().map_err(|error| RosError::unwritable(&error))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn other_files_are_named_as_what_they_are() {
+        let said = other_than_a_recording(b"#ROSRECORD V1.2\n");
+        assert!(said.contains("version 1.2") && said.contains("rosbag fix"), "{said}");
+        assert!(other_than_a_recording(b"#ROSBAG V1.1\n").contains("version 1.1"));
+        assert_eq!(other_than_a_recording(b""), "an empty file");
+        assert_eq!(other_than_a_recording(b"PK\x03\x04"), "no bag and no MCAP");
     }
 }

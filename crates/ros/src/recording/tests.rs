@@ -185,6 +185,18 @@ fn cut_off_anywhere_the_beginning_is_read() {
 }
 
 #[test]
+fn a_chunk_that_is_cut_says_whether_anything_of_it_was_read() {
+    let one = [several_chunks().remove(1)];
+    for (compression, words) in [(ChunkCompression::None, "came before"), (ChunkCompression::Zstd, "not read")] {
+        let bytes = write(RecordingFormat::Mcap, compression, &one);
+        // Behind the chunk come its index and the summary: a third of the file lies within the chunk.
+        let (found, findings) = read(RecordingFormat::Mcap, &bytes[..bytes.len() / 3]).expect("read");
+        assert!(found.is_empty(), "the only message is cut");
+        assert!(findings.damages[0].text.contains(words), "{compression}: {findings:?}");
+    }
+}
+
+#[test]
 fn no_flipped_byte_is_taken_for_another_message_where_there_is_a_checksum() {
     let channel = channel("/odom", "/base");
     let messages: Vec<_> = (0..20_u8).map(|number| message(&channel, u64::from(number), &[number; 30])).collect();

@@ -7,12 +7,11 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use super::definitions::{COMPRESSED_IMAGE, compressed_image_definition};
-use super::node::RobotNode;
-use super::outlet::Outlet;
-use super::{MOST_ROBOTS, PATIENCE, messages, wait_until};
+use super::{FAREWELL, MOST_ROBOTS, PATIENCE, messages, outlet, wait_until};
 use crate::model::Timestamp;
 use crate::ros::RosError;
 use crate::ros::address::{Endpoint, own_host};
+use crate::ros::publisher::{Outlet, PublisherNode};
 
 /// Length of the fields around a message's data: header, format and lengths, with a one-digit publisher.
 const AROUND: usize = 4 + 8 + 4 + 13 + 4 + 4 + 4;
@@ -21,7 +20,7 @@ const VARIANTS: usize = 16;
 
 /// Running publishers; they end when dropped, what is queued for subscribers is sent first.
 pub struct Load {
-    nodes: Vec<RobotNode>,
+    nodes: Vec<PublisherNode>,
     outlets: Vec<Arc<Outlet>>,
     stopping: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
@@ -41,9 +40,9 @@ impl Load {
         let (mut nodes, mut outlets) = (Vec::new(), Vec::new());
         for number in 1..=publishers {
             let topic = format!("/load{number}/data");
-            let outlet = Arc::new(Outlet::new(topic, COMPRESSED_IMAGE, compressed_image_definition()));
+            let outlet = Arc::new(outlet(topic, COMPRESSED_IMAGE, compressed_image_definition()));
             outlets.push(Arc::clone(&outlet));
-            nodes.push(RobotNode::start(master.clone(), &host, format!("/load{number}"), vec![outlet])?);
+            nodes.push(PublisherNode::start(master.clone(), &host, format!("/load{number}"), vec![outlet])?);
         }
         Ok(Self { nodes, outlets, stopping: Arc::default(), threads: Vec::new() })
     }
@@ -106,7 +105,7 @@ impl Drop for Load {
     fn drop(&mut self) {
         self.end();
         for node in &self.nodes {
-            node.close();
+            node.close(FAREWELL);
         }
     }
 }

@@ -106,6 +106,14 @@ impl Site {
             Command::View(viewing) => {
                 self.reading.handle_viewing(&self.caught_up_owner(&profile).await?, viewing).await
             }
+            Command::Play(wishes) => {
+                let owner = self.caught_up_owner(&profile).await?;
+                self.bridge.play(&owner, wishes, until_released(claims)).await.map(ask::Play::told)
+            }
+            Command::StopPlay => {
+                self.bridge.stop(&profile);
+                Ok(ask::StopPlay::told(()))
+            }
             Command::Grant { grantee, topics, epochs, expires } => {
                 self.sharing.grant(&owner()?, &grantee, &topics, epochs, expires).await.map(ask::Grant::told)
             }

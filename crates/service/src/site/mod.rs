@@ -7,6 +7,7 @@ mod agent;
 mod alerts;
 mod audit;
 mod backup;
+mod bridge;
 mod capture;
 mod chain;
 mod clock;
@@ -51,6 +52,7 @@ pub use reading::view::record_page;
 use alerts::Alerts;
 use audit::Audit;
 use backup::Backup;
+use bridge::Bridge;
 use capture::Capture;
 use capture::ros::RosSide;
 use capture::sealer_thread::SealerThread;
@@ -126,6 +128,7 @@ pub struct Site {
     devices: Arc<Devices>,
     reading: Arc<Reading>,
     evidence: Arc<Evidence>,
+    bridge: Arc<Bridge>,
     capture: Arc<Capture>,
     recordings: Arc<Recordings>,
     pins: Arc<Pinning>,
@@ -236,6 +239,7 @@ impl Site {
             audit: Arc::new(Audit::new(of, &reserve)),
             backup: Arc::new(Backup::new(of, &quarantine)),
             evidence: Arc::new(Evidence::new(of, &reading)),
+            bridge: Arc::new(Bridge::new(of, &contacts, &ros)),
             storage: Arc::new(Storage::new(of)),
             clock: Arc::new(Clock::new(of)),
             alerts: Arc::new(Alerts::new(of)),

@@ -50,7 +50,7 @@ impl Site {
             RosState::Off => (HealthLevel::Absent, "not part of this run".to_owned()),
             RosState::Starting => (HealthLevel::Waiting, "starting".to_owned()),
             RosState::Up(link) if link.embedded => {
-                (HealthLevel::Ok, format!("embedded master, {} SIMULATED robots", link.robots))
+                (HealthLevel::Ok, format!("embedded master at {}, {} SIMULATED robots", link.uri, link.robots))
             }
             RosState::Up(link) => (HealthLevel::Ok, link.uri.clone()),
             RosState::Down { failure, .. } => (HealthLevel::Failed, failure.message.clone()),

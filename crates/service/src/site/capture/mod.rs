@@ -170,8 +170,9 @@ impl Capture {
 }
 
 fn summary(session: &CaptureSession) -> CaptureSummary {
-    let topics: Vec<TopicSummary> = session
-        .figures()
+    let figures = session.figures();
+    let skipped = figures.iter().map(|topic| topic.skipped).sum();
+    let topics: Vec<TopicSummary> = figures
         .into_iter()
         .map(|figures| TopicSummary {
             topic: figures.topic,
@@ -188,7 +189,7 @@ fn summary(session: &CaptureSession) -> CaptureSummary {
         verified: sum(|topic| topic.verified),
         quarantined: sum(|topic| topic.quarantined),
         lost: sum(|topic| topic.lost),
-        skipped: 0,
+        skipped,
         topics,
     }
 }

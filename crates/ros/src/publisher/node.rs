@@ -1,14 +1,16 @@
-//! A robot as a ROS node: its registration at the master, its slave API, and the TCPROS port
+//! A publishing ROS node: its registration at the master, its slave API, and the TCPROS port
 //! where subscribers shake hands before they are handed to an outlet.
 
 use std::io::{self, Write as _};
 use std::net::{TcpListener, TcpStream};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use super::PATIENCE;
 use super::outlet::Outlet;
+use super::subscriber::lock;
 use crate::model::clean;
 use crate::ros::RosError;
 use crate::ros::address::Endpoint;
@@ -17,64 +19,105 @@ use crate::ros::slave::{BusLink, Node, SlaveServer, listen};
 use crate::ros::tcpros::{ConnectionHeader, FrameReader, Poll};
 use crate::ros::xmlrpc::{CallError, Value, call};
 
-/// How long the master or a subscriber gets for an answer.
-const PATIENCE: Duration = Duration::from_secs(2);
-
 /// The longest connection header of a subscriber, bytes.
 const LONGEST_REQUEST: usize = 64 << 10;
 
-/// The most subscribers of one robot's topics.
+/// The most subscribers of one topic.
 const MOST_SUBSCRIBERS: usize = 64;
 
-/// What the slave API and the TCPROS port know of the robot.
+/// The most connections of one node.
+const MOST_CONNECTIONS: usize = 1024;
+
+/// What the slave API and the TCPROS port know of the node.
 struct Identity {
     name: String,
     host: String,
     port: u16,
     master: Endpoint,
-    outlets: Vec<Arc<Outlet>>,
+    outlets: Mutex<Vec<Arc<Outlet>>>,
+    /// Of topics that were taken back.
+    overflowed: AtomicU64,
 }
 
 /// A running node.
-pub(super) struct RobotNode {
+pub(crate) struct PublisherNode {
     identity: Arc<Identity>,
     slave: SlaveServer,
     stopping: Arc<AtomicBool>,
     accepting: Option<JoinHandle<()>>,
 }
 
-impl RobotNode {
+impl PublisherNode {
     pub fn start(master: Endpoint, host: &str, name: String, outlets: Vec<Arc<Outlet>>) -> Result<Self, RosError> {
         let listener = listen(host)?;
         let port = listener.local_addr().map_err(|error| RosError::system("listen", &error))?.port();
-        let identity = Arc::new(Identity { name, host: host.to_owned(), port, master, outlets });
+        let (outlets, overflowed) = (Mutex::new(outlets), AtomicU64::new(0));
+        let identity = Arc::new(Identity { name, host: host.to_owned(), port, master, outlets, overflowed });
         let stopping = Arc::new(AtomicBool::new(false));
         let slave = SlaveServer::start(host, Arc::clone(&identity) as _)?;
         let (seen, known) = (Arc::clone(&stopping), Arc::clone(&identity));
         let accepting = std::thread::Builder::new()
-            .name("robot-port".into())
+            .name("ros-port".into())
             .spawn(move || accept_all(&listener, &seen, &known))
             .map_err(|error| RosError::system("start a thread", &error))?;
         let node = Self { identity, slave, stopping, accepting: Some(accepting) };
-        for outlet in &node.identity.outlets {
-            node.tell_master("registerPublisher", &[outlet.topic(), outlet.type_name()])
-                .map_err(|error| master_error(&node.identity.master, "registerPublisher", error))?;
-        }
+        node.register_all()?;
         Ok(node)
     }
 
-    pub fn outlets(&self) -> impl Iterator<Item = &Arc<Outlet>> {
-        self.identity.outlets.iter()
+    pub fn outlets(&self) -> Vec<Arc<Outlet>> {
+        self.identity.outlets()
+    }
+
+    pub fn outlet_of(&self, topic: &str) -> Option<Arc<Outlet>> {
+        self.identity.outlet_of(topic)
+    }
+
+    /// Registers one more topic; how many subscribers the master knows.
+    pub fn advertise(&self, outlet: Arc<Outlet>) -> Result<usize, RosError> {
+        let known = self.outlet_of(outlet.topic());
+        let outlet = known.unwrap_or_else(|| {
+            lock(&self.identity.outlets).push(Arc::clone(&outlet));
+            outlet
+        });
+        self.register(&outlet)
+    }
+
+    /// Registers all topics (again).
+    pub fn register_all(&self) -> Result<(), RosError> {
+        self.outlets().iter().try_for_each(|outlet| self.register(outlet).map(drop))
+    }
+
+    fn register(&self, outlet: &Outlet) -> Result<usize, RosError> {
+        let answer = self.tell_master("registerPublisher", &[outlet.topic(), outlet.type_name()]);
+        let answer = answer.map_err(|error| master_error(&self.identity.master, "registerPublisher", error))?;
+        Ok(answer.as_array().map_or(0, <[Value]>::len))
+    }
+
+    /// Messages that subscribers did not get, in all.
+    pub fn overflowed(&self) -> u64 {
+        let now: u64 = self.outlets().iter().map(|outlet| outlet.overflowed()).sum();
+        now + self.identity.overflowed.load(Ordering::SeqCst)
+    }
+
+    /// Takes one topic back.
+    pub fn withdraw(&self, topic: &str, patience: Duration) {
+        let Some(outlet) = self.outlet_of(topic) else { return };
+        lock(&self.identity.outlets).retain(|other| other.topic() != topic);
+        outlet.close(patience);
+        self.identity.overflowed.fetch_add(outlet.overflowed(), Ordering::SeqCst);
+        // A master that is gone has forgotten the publisher as well.
+        let _ = self.tell_master("unregisterPublisher", &[topic]);
     }
 
     /// Unregisters, and sends what is queued.
-    pub fn close(&self) {
-        for outlet in &self.identity.outlets {
+    pub fn close(&self, patience: Duration) {
+        for outlet in self.outlets() {
             // A master that is gone has forgotten the publisher as well.
             let _ = self.tell_master("unregisterPublisher", &[outlet.topic()]);
         }
-        for outlet in &self.identity.outlets {
-            outlet.close();
+        for outlet in self.outlets() {
+            outlet.close(patience);
         }
     }
 
@@ -85,7 +128,7 @@ impl RobotNode {
     }
 }
 
-impl Drop for RobotNode {
+impl Drop for PublisherNode {
     fn drop(&mut self) {
         self.stopping.store(true, Ordering::SeqCst);
         // Accepting blocks: a connection of our own wakes it.
@@ -93,9 +136,19 @@ impl Drop for RobotNode {
         if let Some(accepting) = self.accepting.take().filter(|_| woken) {
             let _ = accepting.join();
         }
-        for outlet in &self.identity.outlets {
-            outlet.close();
+        for outlet in self.outlets() {
+            outlet.close(Duration::ZERO);
         }
+    }
+}
+
+impl Identity {
+    fn outlets(&self) -> Vec<Arc<Outlet>> {
+        lock(&self.outlets).clone()
+    }
+
+    fn outlet_of(&self, topic: &str) -> Option<Arc<Outlet>> {
+        lock(&self.outlets).iter().find(|outlet| outlet.topic() == topic).cloned()
     }
 }
 
@@ -109,17 +162,17 @@ impl Node for Identity {
     }
 
     fn publications(&self) -> Vec<(String, String)> {
-        self.outlets.iter().map(|outlet| (outlet.topic().to_owned(), outlet.type_name().to_owned())).collect()
+        self.outlets().iter().map(|outlet| (outlet.topic().to_owned(), outlet.type_name().to_owned())).collect()
     }
 
     fn links(&self) -> Vec<BusLink> {
-        self.outlets.iter().flat_map(|outlet| outlet.links()).collect()
+        self.outlets().iter().flat_map(|outlet| outlet.links()).collect()
     }
 
     fn publishers_changed(&self, _topic: &str, _publishers: &[&str]) {}
 
     fn outlet(&self, topic: &str) -> Option<(String, u16)> {
-        self.outlets.iter().any(|outlet| outlet.topic() == topic).then(|| (self.host.clone(), self.port))
+        self.outlet_of(topic).map(|_| (self.host.clone(), self.port))
     }
 
     fn shutdown_asked(&self, _by: &str, _reason: &str) {}
@@ -131,12 +184,12 @@ fn accept_all(listener: &TcpListener, stopping: &AtomicBool, identity: &Arc<Iden
             std::thread::sleep(Duration::from_millis(20));
             continue;
         };
-        if stopping.load(Ordering::SeqCst) || identity.links().len() >= MOST_SUBSCRIBERS {
+        if stopping.load(Ordering::SeqCst) || identity.links().len() >= MOST_CONNECTIONS {
             continue;
         }
         let identity = Arc::clone(identity);
         // Without a thread, or with a broken handshake, the subscriber sees its connection closed.
-        let _ = std::thread::Builder::new().name("robot-handshake".into()).spawn(move || welcome(&identity, stream));
+        let _ = std::thread::Builder::new().name("ros-handshake".into()).spawn(move || welcome(&identity, stream));
     }
 }
 
@@ -150,9 +203,12 @@ fn welcome(identity: &Identity, stream: TcpStream) -> io::Result<()> {
     let request = ConnectionHeader::parse(&request).map_err(io::Error::other)?;
     let refuse = |reason: &str| (&stream).write_all(&ConnectionHeader::new([("error", reason)]).to_bytes());
     let topic = request.get("topic").unwrap_or_default();
-    let Some(outlet) = identity.outlets.iter().find(|outlet| outlet.topic() == topic) else {
+    let Some(outlet) = identity.outlet_of(topic) else {
         return refuse("this topic is not published here");
     };
+    if outlet.subscribers() >= MOST_SUBSCRIBERS {
+        return refuse("this topic has too many subscribers");
+    }
     if let Some(objection) = outlet.objection(&request) {
         return refuse(&objection);
     }

@@ -1,0 +1,277 @@
+//! One published topic and its subscribers; what a subscriber cannot take is dropped from its queue and counted.
+
+use std::net::TcpStream;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use super::Advertised;
+use super::subscriber::{Frame, Subscriber, lock};
+use crate::ros::slave::BusLink;
+use crate::ros::tcpros::ConnectionHeader;
+
+/// The most sources whose last message a latching topic keeps.
+const MOST_LATCHED: usize = 64;
+
+/// A published topic.
+pub(crate) struct Outlet {
+    about: Advertised,
+    published: AtomicU64,
+    overflowed: AtomicU64,
+    audience: Mutex<Audience>,
+}
+
+#[derive(Default)]
+struct Audience {
+    subscribers: Vec<Arc<Subscriber>>,
+    /// The last message of each source, where the topic is latching; the newest last.
+    latched: Vec<(u64, Frame)>,
+}
+
+impl Outlet {
+    pub fn new(about: Advertised) -> Self {
+        Self { about, published: AtomicU64::new(0), overflowed: AtomicU64::new(0), audience: Mutex::default() }
+    }
+
+    pub fn topic(&self) -> &str {
+        &self.about.topic
+    }
+
+    pub fn type_name(&self) -> &str {
+        &self.about.type_name
+    }
+
+    pub fn published(&self) -> u64 {
+        self.published.load(Ordering::SeqCst)
+    }
+
+    pub fn overflowed(&self) -> u64 {
+        self.overflowed.load(Ordering::SeqCst)
+    }
+
+    pub fn subscribers(&self) -> usize {
+        lock(&self.audience).subscribers.len()
+    }
+
+    /// Whether a subscriber's queue is half full.
+    pub fn is_crowded(&self) -> bool {
+        lock(&self.audience).subscribers.iter().any(|subscriber| subscriber.is_crowded())
+    }
+
+    /// Sends `body` to all subscribers there are.
+    pub fn publish(&self, body: &[u8]) {
+        self.publish_of(0, body);
+    }
+
+    /// As [`Self::publish`], of one of several sources: a latching topic keeps the last message of each.
+    pub fn publish_of(&self, source: u64, body: &[u8]) {
+        let Ok(length) = u32::try_from(body.len()) else { return };
+        let frame = Arc::new([length.to_le_bytes().as_slice(), body].concat());
+        let mut audience = lock(&self.audience);
+        self.published.fetch_add(1, Ordering::SeqCst);
+        let Audience { subscribers, latched } = &mut *audience;
+        subscribers.retain(|subscriber| match subscriber.push(&frame) {
+            Some(dropped) => {
+                self.overflowed.fetch_add(dropped, Ordering::SeqCst);
+                true
+            }
+            None => false,
+        });
+        if self.about.latching {
+            latched.retain(|(other, _)| *other != source);
+            if latched.len() >= MOST_LATCHED {
+                latched.remove(0);
+            }
+            latched.push((source, frame));
+        }
+    }
+
+    /// Why a subscriber's connection header does not fit this topic.
+    pub fn objection(&self, header: &ConnectionHeader) -> Option<String> {
+        let Advertised { topic, type_name, md5sum, .. } = &self.about;
+        let fits = |key: &str, ours: &str| header.get(key).is_none_or(|theirs| theirs == ours || theirs == "*");
+        if !fits("md5sum", md5sum) {
+            return Some(format!("the md5sum of {topic} is {md5sum}"));
+        }
+        (!fits("type", type_name)).then(|| format!("{topic} is of type {type_name}"))
+    }
+
+    /// Our connection header.
+    pub fn header(&self, node_name: &str) -> ConnectionHeader {
+        let Advertised { topic, type_name, md5sum, definition, latching } = &self.about;
+        ConnectionHeader::new([
+            ("callerid", node_name),
+            ("topic", topic),
+            ("type", type_name),
+            ("md5sum", md5sum),
+            ("message_definition", definition),
+            ("latching", if *latching { "1" } else { "0" }),
+        ])
+    }
+
+    /// Takes in a subscriber whose handshake is done; it gets the latched messages first.
+    pub fn add(&self, name: String, stream: TcpStream) -> std::io::Result<()> {
+        let subscriber = Arc::new(Subscriber::new(name, stream));
+        let writer = Arc::clone(&subscriber);
+        std::thread::Builder::new().name("ros-writer".into()).spawn(move || writer.write_all())?;
+        let mut audience = lock(&self.audience);
+        for (_, frame) in &audience.latched {
+            self.overflowed.fetch_add(subscriber.push(frame).unwrap_or(0), Ordering::SeqCst);
+        }
+        audience.subscribers.push(subscriber);
+        Ok(())
+    }
+
+    /// Forgets what one source published, and all that is queued.
+    pub fn silence(&self, source: u64) {
+        let mut audience = lock(&self.audience);
+        audience.latched.retain(|(other, _)| *other != source);
+        audience.subscribers.iter().for_each(|subscriber| subscriber.forget());
+    }
+
+    pub fn links(&self) -> Vec<BusLink> {
+        let link = |subscriber: &Arc<Subscriber>| BusLink {
+            peer: subscriber.name.clone(),
+            outbound: true,
+            topic: self.about.topic.clone(),
+        };
+        lock(&self.audience).subscribers.iter().map(link).collect()
+    }
+
+    /// Lets the queues run empty, but not for ever, and ends the connections; without patience what is queued is
+    /// forgotten.
+    pub fn close(&self, patience: Duration) {
+        let Audience { subscribers, .. } = std::mem::take(&mut *lock(&self.audience));
+        let deadline = Instant::now() + patience;
+        for subscriber in &subscribers {
+            if patience.is_zero() {
+                subscriber.forget();
+            }
+            subscriber.close();
+        }
+        for subscriber in &subscribers {
+            self.overflowed.fetch_add(subscriber.wait(deadline), Ordering::SeqCst);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::subscriber::LONGEST_QUEUE;
+    use super::*;
+    use std::io::Read as _;
+    use std::net::TcpListener;
+
+    const PATIENCE: Duration = Duration::from_secs(1);
+
+    fn outlet(latching: bool) -> Outlet {
+        Outlet::new(Advertised {
+            topic: "/t".into(),
+            type_name: "nav_msgs/Odometry".into(),
+            md5sum: "cd5e73d190d741a2f92e81eda573aca7".into(),
+            definition: "uint32 n".into(),
+            latching,
+        })
+    }
+
+    fn connection() -> (TcpStream, TcpStream) {
+        let listener = TcpListener::bind("127.0.0.1:0").expect("bind");
+        let near = TcpStream::connect(listener.local_addr().expect("address")).expect("connect");
+        (near, listener.accept().expect("accept").0)
+    }
+
+    fn frames(numbers: impl IntoIterator<Item = u32>) -> Vec<u8> {
+        numbers.into_iter().flat_map(|n| [4u32.to_le_bytes(), n.to_le_bytes()].concat()).collect()
+    }
+
+    #[test]
+    fn only_fitting_subscribers_are_welcome() {
+        let outlet = outlet(false);
+        let objection =
+            |md5sum, type_name| outlet.objection(&ConnectionHeader::new([("md5sum", md5sum), ("type", type_name)]));
+        assert_eq!(objection("*", "*"), None);
+        assert_eq!(objection("cd5e73d190d741a2f92e81eda573aca7", "nav_msgs/Odometry"), None);
+        assert!(objection("00000000000000000000000000000000", "nav_msgs/Odometry").is_some());
+        assert!(objection("*", "sensor_msgs/Imu").is_some());
+    }
+
+    #[test]
+    fn what_is_queued_is_sent_before_the_end() {
+        let outlet = outlet(false);
+        let (mut near, far) = connection();
+        outlet.add("/s".into(), far).expect("add");
+        for number in 0..1000u32 {
+            outlet.publish(&number.to_le_bytes());
+        }
+        outlet.close(PATIENCE * 20);
+        let mut bytes = Vec::new();
+        near.read_to_end(&mut bytes).expect("read");
+        assert_eq!(bytes, frames(0..1000));
+        assert_eq!((outlet.published(), outlet.overflowed()), (1000, 0));
+    }
+
+    #[test]
+    fn a_late_subscriber_of_a_latching_topic_gets_the_last_message_of_each_source() {
+        let (latching, plain) = (outlet(true), outlet(false));
+        for outlet in [&latching, &plain] {
+            [(7, 1u32), (9, 2), (7, 3)].iter().for_each(|(source, n)| outlet.publish_of(*source, &n.to_le_bytes()));
+        }
+        for (outlet, expected) in [(&latching, frames([2, 3])), (&plain, Vec::new())] {
+            let (mut near, far) = connection();
+            outlet.add("/late".into(), far).expect("add");
+            outlet.close(PATIENCE * 20);
+            let mut bytes = Vec::new();
+            near.read_to_end(&mut bytes).expect("read");
+            assert_eq!(bytes, expected);
+        }
+        assert_eq!(latching.header("/n").get("latching"), Some("1"));
+    }
+
+    #[test]
+    fn a_source_that_is_silenced_is_not_latched_any_more() {
+        let outlet = outlet(true);
+        outlet.publish_of(7, &1u32.to_le_bytes());
+        outlet.publish_of(9, &2u32.to_le_bytes());
+        outlet.silence(7);
+        let (mut near, far) = connection();
+        outlet.add("/late".into(), far).expect("add");
+        outlet.close(PATIENCE * 20);
+        let mut bytes = Vec::new();
+        near.read_to_end(&mut bytes).expect("read");
+        assert_eq!(bytes, frames([2]));
+    }
+
+    #[test]
+    fn a_subscriber_that_does_not_read_holds_up_nobody_and_is_counted() {
+        let outlet = outlet(false);
+        let (_near, far) = connection();
+        outlet.add("/s".into(), far).expect("add");
+        let body = vec![0; 1 << 20];
+        let frames = u64::try_from(LONGEST_QUEUE >> 20).expect("small") * 3;
+        for _ in 0..frames {
+            outlet.publish(&body);
+        }
+        assert_eq!(outlet.published(), frames);
+        assert!(outlet.is_crowded());
+        let dropped = outlet.overflowed();
+        assert!(dropped > frames / 4, "{dropped}");
+        outlet.close(Duration::from_millis(50));
+        assert!(outlet.links().is_empty());
+        assert!(outlet.overflowed() > dropped, "what was never sent is counted too");
+    }
+
+    #[test]
+    fn a_message_longer_than_the_queue_is_sent_all_the_same() {
+        let outlet = outlet(false);
+        let (mut near, far) = connection();
+        outlet.add("/s".into(), far).expect("add");
+        let reading = std::thread::spawn(move || {
+            let mut bytes = Vec::new();
+            near.read_to_end(&mut bytes).map(|_| bytes.len())
+        });
+        outlet.publish(&vec![1; LONGEST_QUEUE + 8]);
+        outlet.close(PATIENCE * 60);
+        assert_eq!(reading.join().expect("read").ok(), Some(LONGEST_QUEUE + 12));
+        assert_eq!(outlet.overflowed(), 0);
+    }
+}

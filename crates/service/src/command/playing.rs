@@ -1,0 +1,110 @@
+//! What can be asked about playing shared records into a ROS graph.
+
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+
+use crate::model::{Party, Timestamp, TopicName, TopicPattern, clean};
+
+/// The slowest and the fastest playing, thousandths of the recorded pace.
+const RATES: std::ops::RangeInclusive<f64> = 0.001..=1000.0;
+
+/// When messages are played.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Pace {
+    /// What is there, one after the other, as fast as it is checked and read.
+    #[default]
+    AtOnce,
+    /// What is there, so many thousandths of the pace of its capture.
+    Rated {
+        /// Thousandths; 1000 = as captured.
+        thousandths: u64,
+    },
+    /// Whatever is verified from now on, as soon as it is.
+    Follow,
+}
+
+impl Pace {
+    /// As captured.
+    pub const AS_CAPTURED: Self = Self::Rated { thousandths: 1000 };
+
+    /// So many times the pace of the capture.
+    ///
+    /// # Errors
+    /// What to write instead.
+    pub fn times(factor: f64) -> Result<Self, String> {
+        if !RATES.contains(&factor) {
+            let (slowest, fastest) = (RATES.start(), RATES.end());
+            return Err(format!("{factor} is no rate to play at; use a number from {slowest} to {fastest}"));
+        }
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "within RATES")]
+        let thousandths = (factor * 1000.0).round() as u64;
+        Ok(Self::Rated { thousandths })
+    }
+}
+
+/// Another name for a topic, `A:=B`.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Remap {
+    /// As it was captured.
+    pub from: TopicName,
+    /// As it is played.
+    pub to: TopicName,
+}
+
+impl FromStr for Remap {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        let wrong = || format!("'{}' is no remapping; write /captured/name:=/played/name", clean(text, 120));
+        let (from, to) = text.split_once(":=").ok_or_else(wrong)?;
+        Ok(Self { from: from.parse().map_err(|_| wrong())?, to: to.parse().map_err(|_| wrong())? })
+    }
+}
+
+/// Which shared records are played, when, where, and under which names.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct PlayWishes {
+    /// Only records of this owner.
+    pub owner: Option<Party>,
+    /// Only topics of any of these patterns; empty = all.
+    pub topics: Vec<TopicPattern>,
+    /// Captured at or after.
+    pub since: Option<Timestamp>,
+    /// Captured before.
+    pub until: Option<Timestamp>,
+    /// When.
+    pub pace: Pace,
+    /// Also the captured time, as `/clock`.
+    pub clock: bool,
+    /// Put before every name.
+    pub prefix: Option<TopicName>,
+    /// Names in place of others; the prefix is not put before these.
+    pub remaps: Vec<Remap>,
+    /// The ROS master; `None` = this site's own.
+    pub master: Option<String>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rates_are_kept_in_thousandths_and_nonsense_is_refused() {
+        assert_eq!(Pace::times(1.0), Ok(Pace::AS_CAPTURED));
+        assert_eq!(Pace::times(0.25), Ok(Pace::Rated { thousandths: 250 }));
+        for wrong in [0.0, -1.0, 1001.0, f64::NAN, f64::INFINITY] {
+            assert!(Pace::times(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn remappings_are_two_graph_names() {
+        let remap: Remap = "/odom:=/theirs/odom".parse().expect("two names");
+        assert_eq!((remap.from.as_str(), remap.to.as_str()), ("/odom", "/theirs/odom"));
+        for wrong in ["/odom", "odom:=/x", "/odom:=", "/odom:=/a b", ":=/x"] {
+            assert!(wrong.parse::<Remap>().is_err(), "{wrong}");
+        }
+    }
+}

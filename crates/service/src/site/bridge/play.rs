@@ -1,0 +1,416 @@
+//! One playing: each record opened through the same checks as for the eye, and published only while its owner still
+//! shares it.
+
+use std::collections::{BTreeMap, HashMap, HashSet};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use tokio::sync::{oneshot, watch};
+use tokio::task::block_in_place;
+
+use super::Bridge;
+use super::feed::{Feed, Item};
+use super::names::Names;
+use super::pacer::{Pacer, TICK, clock_message, clock_topic};
+use super::stage::{Stage, source_of};
+use crate::crypto::OpenedRecord;
+use crate::model::{Address, Digest, ErrorKind, Scope, Timestamp, Verdict, clean};
+use crate::pipeline::reader::{Reader, is_held};
+use crate::pipeline::{Network, Owner, PipelineError, authority, importer};
+use crate::ros::Advertised;
+use crate::ros::recording::Encoding;
+use crate::service::command::{Pace, PlayWishes};
+use crate::service::event::NoticeLevel;
+use crate::service::reply::{Failure, PlayEnd, PlayedView};
+use crate::site::lifetime::Lifetime;
+
+/// Between two looks at what was verified meanwhile.
+const LOOK: Duration = Duration::from_millis(200);
+
+/// Between two looks at the rights; beside these each record is asked for just before it is published.
+const RIGHTS: Duration = Duration::from_millis(20);
+
+/// Longest sleep without a look at what may end the playing.
+const NAP: Duration = Duration::from_millis(50);
+
+/// How long a subscriber that is far behind is waited for, before it loses messages.
+const CROWD: Duration = Duration::from_secs(5);
+
+/// Between two registrations at the master.
+const REGISTERING: Duration = Duration::from_secs(5);
+
+/// The most reasons of refusals that are told, and definitions kept in memory.
+const MOST_REASONS: usize = 20;
+const MOST_DEFINITIONS: usize = 1024;
+
+/// What may end it from outside.
+pub(super) struct Ends {
+    gone: oneshot::Receiver<()>,
+    stopped: watch::Receiver<bool>,
+    life: Arc<Lifetime>,
+}
+
+impl Ends {
+    pub fn new(gone: oneshot::Receiver<()>, stopped: watch::Receiver<bool>, life: &Arc<Lifetime>) -> Self {
+        Self { gone, stopped, life: Arc::clone(life) }
+    }
+
+    fn now(&mut self) -> Option<PlayEnd> {
+        let is_gone = !matches!(self.gone.try_recv(), Err(oneshot::error::TryRecvError::Empty));
+        if *self.stopped.borrow() || is_gone {
+            return Some(PlayEnd::Asked);
+        }
+        (self.life.is_ending() || self.life.is_stopping()).then_some(PlayEnd::Site)
+    }
+}
+
+/// What became of a record.
+enum Taken {
+    /// Played, or counted, or not asked for.
+    Done,
+    /// It cannot be checked now.
+    Later,
+    /// The playing is over.
+    Ended(PlayEnd),
+}
+
+/// A record that passed every check, with what it is played as.
+struct Checked {
+    record: OpenedRecord,
+    about: Advertised,
+}
+
+/// A playing under way.
+pub(super) struct Play<'a> {
+    bridge: &'a Bridge,
+    network: Network,
+    owner: &'a Arc<Owner>,
+    givers: HashMap<Address, Scope>,
+    wishes: &'a PlayWishes,
+    names: Names,
+    stage: Stage,
+    ends: Ends,
+    pacer: Pacer,
+    clock: Option<String>,
+    definitions: HashMap<(Address, Digest), Arc<str>>,
+    rights_at: Instant,
+    registered_at: Instant,
+    published: u64,
+    refused: u64,
+    missing: u64,
+    reasons: BTreeMap<String, u64>,
+    topics: BTreeMap<String, u64>,
+}
+
+impl<'a> Play<'a> {
+    #[allow(clippy::too_many_arguments, reason = "its parts, made one by one")]
+    pub fn new(
+        bridge: &'a Bridge,
+        network: &Network,
+        owner: &'a Arc<Owner>,
+        givers: HashMap<Address, Scope>,
+        wishes: &'a PlayWishes,
+        names: Names,
+        stage: Stage,
+        ends: Ends,
+    ) -> Self {
+        let now = Instant::now();
+        Self {
+            bridge,
+            network: network.clone(),
+            owner,
+            givers,
+            wishes,
+            names,
+            stage,
+            ends,
+            pacer: Pacer::new(wishes.pace),
+            clock: None,
+            definitions: HashMap::new(),
+            rights_at: now,
+            registered_at: now,
+            published: 0,
+            refused: 0,
+            missing: 0,
+            reasons: BTreeMap::new(),
+            topics: BTreeMap::new(),
+        }
+    }
+
+    /// Plays to the end.
+    ///
+    /// # Errors
+    /// Where chain, vault, ledger or master fail; what was queued is not sent then.
+    pub async fn run(mut self) -> Result<PlayedView, Failure> {
+        let begun = Instant::now();
+        let ended = self.rounds().await;
+        let at_once = ended.as_ref().map_or(true, |end| end.is_by_right());
+        let dropped = self.stage.finish(at_once);
+        let mut reasons: Vec<(String, u64)> = self.reasons.into_iter().collect();
+        reasons.sort_by_key(|(_, count)| std::cmp::Reverse(*count));
+        Ok(PlayedView {
+            published: self.published,
+            refused: self.refused,
+            missing: self.missing,
+            dropped,
+            seconds: begun.elapsed().as_secs_f64(),
+            ended_by: ended?,
+            reasons,
+            topics: self.topics.into_iter().collect(),
+        })
+    }
+
+    async fn rounds(&mut self) -> Result<PlayEnd, Failure> {
+        self.show_clock()?;
+        let ledger = &self.bridge.plant.ledger;
+        let mut feed = block_in_place(|| Feed::begin(ledger, self.wishes, &self.givers))?;
+        loop {
+            if let Some(end) = self.end() {
+                return Ok(end);
+            }
+            let round = block_in_place(|| feed.next(ledger, &self.givers))?;
+            let is_idle = round.items.is_empty();
+            let mut items = round.items.into_iter();
+            while let Some(item) = items.next() {
+                match self.take(&item).await? {
+                    Taken::Done => {}
+                    Taken::Later => {
+                        feed.again(&item.row);
+                        items.by_ref().for_each(|item| feed.again(&item.row));
+                    }
+                    Taken::Ended(end) => return Ok(end),
+                }
+            }
+            if round.is_last {
+                return Ok(PlayEnd::Whole);
+            }
+            if is_idle || self.wishes.pace == Pace::Follow {
+                tokio::time::sleep(LOOK).await;
+            }
+        }
+    }
+
+    /// Checks one record, and plays it when it is due.
+    async fn take(&mut self, item: &Item) -> Result<Taken, Failure> {
+        let row = &item.row;
+        if is_held(row) || (row.is_named() && !self.is_wanted(&row.topic)) {
+            return Ok(Taken::Done);
+        }
+        if let Some(end) = self.connected().await {
+            return Ok(Taken::Ended(end));
+        }
+        let opened = self.reader().open(row).await;
+        let record = match opened {
+            Ok(record) => record,
+            Err(error) => return self.judge(error),
+        };
+        if !self.is_wanted(&record.head.topic) {
+            return Ok(Taken::Done);
+        }
+        let latching = record.head.tags.contains_key(importer::LATCHING);
+        if item.only_latched && !latching {
+            return Ok(Taken::Done);
+        }
+        match self.described(item, record, latching).await? {
+            Ok(checked) => self.play(item, &checked).await,
+            Err(why) => Ok(self.refuse(why)),
+        }
+    }
+
+    /// As what a record is played, or why it is not.
+    async fn described(
+        &mut self,
+        item: &Item,
+        record: OpenedRecord,
+        latching: bool,
+    ) -> Result<Result<Checked, String>, Failure> {
+        if record.verdict != Verdict::Verified {
+            return Ok(Err("not verified yet".to_owned()));
+        }
+        if importer::encoding(&record.head.tags) != Encoding::Ros1 {
+            return Ok(Err("a message of ROS 2 is not translated into ROS 1".to_owned()));
+        }
+        let Some(topic) = self.names.played(&record.head.topic) else {
+            return Ok(Err(format!("{} makes no graph name with this prefix", clean(&record.head.topic, 255))));
+        };
+        let Some(definition) = self.definition(item, &record).await? else {
+            return Ok(Err("no readable record holds the definition of its type".to_owned()));
+        };
+        let about = Advertised {
+            topic,
+            type_name: record.head.type_name.clone(),
+            md5sum: record.head.md5sum.clone(),
+            definition: definition.to_string(),
+            latching,
+        };
+        Ok(Ok(Checked { record, about }))
+    }
+
+    async fn play(&mut self, item: &Item, checked: &Checked) -> Result<Taken, Failure> {
+        let Checked { record, about } = checked;
+        let source = source_of(item.row.owner, &record.head.caller_id);
+        if let Err(why) = self.stage.show(about, item.row.owner, source)? {
+            return Ok(self.refuse(why));
+        }
+        let due = if item.only_latched { None } else { Some(record.header.captured_at) };
+        if let Some(end) = self.until_due(due).await {
+            return Ok(Taken::Ended(end));
+        }
+        // Opened a while ago, perhaps: the right is asked for once more.
+        let allowed = self.reader().authorise(&item.row);
+        if let Err(error) = allowed {
+            return self.judge(error);
+        }
+        if self.stage.publish(&about.topic, source, &record.body) {
+            self.published += 1;
+            *self.topics.entry(clean(&about.topic, 255)).or_default() += 1;
+        }
+        Ok(Taken::Done)
+    }
+
+    fn reader(&self) -> Reader<'_> {
+        Reader { plant: &self.bridge.plant, network: &self.network, reader: self.owner }
+    }
+
+    fn is_wanted(&self, topic: &str) -> bool {
+        self.wishes.topics.is_empty() || self.wishes.topics.iter().any(|pattern| pattern.matches(topic))
+    }
+
+    /// Waits until the moment of a message, and for subscribers that are far behind.
+    async fn until_due(&mut self, due: Option<Timestamp>) -> Option<PlayEnd> {
+        let begun = Instant::now();
+        loop {
+            if let Some(end) = self.end() {
+                return Some(end);
+            }
+            self.tell_time();
+            let left = due.map_or(Duration::ZERO, |due| self.pacer.wait(due, Instant::now()));
+            let crowded = self.stage.is_crowded() && begun.elapsed() < CROWD;
+            if left.is_zero() && !crowded {
+                return None;
+            }
+            let nap = if self.clock.is_some() { TICK } else { NAP };
+            tokio::time::sleep(if crowded { TICK } else { left.min(nap) }).await;
+        }
+    }
+
+    /// Waits for the chain, without which nobody knows who may read what.
+    async fn connected(&mut self) -> Option<PlayEnd> {
+        loop {
+            if let Some(end) = self.end() {
+                return Some(end);
+            }
+            if let Some(network) = self.bridge.link.network_now() {
+                self.network = network;
+                return None;
+            }
+            tokio::time::sleep(NAP).await;
+        }
+    }
+
+    /// What has ended the playing by now.
+    fn end(&mut self) -> Option<PlayEnd> {
+        if let Some(end) = self.ends.now() {
+            return Some(end);
+        }
+        if self.owner.is_locked() {
+            self.tell("the keyring was locked");
+            return Some(PlayEnd::Locked);
+        }
+        if self.registered_at.elapsed() >= REGISTERING {
+            self.stage.register_again();
+            self.registered_at = Instant::now();
+        }
+        if self.rights_at.elapsed() < RIGHTS {
+            return None;
+        }
+        self.rights_at = Instant::now();
+        let standing = authority::shared_with(&self.network.directory, self.owner.address);
+        let standing: HashSet<Address> = standing.into_iter().map(|grant| grant.terms.owner).collect();
+        let ended: Vec<Address> = self.givers.keys().filter(|giver| !standing.contains(giver)).copied().collect();
+        let mut end = None;
+        for giver in ended {
+            end = Some(self.take_back(giver));
+        }
+        end.filter(|_| self.givers.is_empty())
+    }
+
+    /// An owner shares no more: what is queued or latched of hers is not given out either.
+    fn take_back(&mut self, giver: Address) -> PlayEnd {
+        self.givers.remove(&giver);
+        self.stage.silence(giver);
+        let grant = self.network.directory.grant_between(giver, self.owner.address);
+        let is_expired = grant.is_some_and(|grant| grant.revoked.is_none());
+        let (end, why) = if is_expired { (PlayEnd::Expired, "has expired") } else { (PlayEnd::Revoked, "was revoked") };
+        let name = self.bridge.contacts.names().get(&giver).map_or_else(|| giver.to_string(), ToString::to_string);
+        self.tell(&format!("the grant of {name} {why}"));
+        end
+    }
+
+    fn tell(&self, why: &str) {
+        let text =
+            format!("playing into {} ended, {why}; {} messages were published", self.stage.uri(), self.published);
+        self.bridge.hub.notice(NoticeLevel::Warning, &text);
+    }
+
+    /// A record that does not open is counted; what is no fault of the record ends the playing, or is tried again.
+    fn judge(&mut self, error: PipelineError) -> Result<Taken, Failure> {
+        let follows = self.wishes.pace == Pace::Follow;
+        match (&error, error.kind()) {
+            (PipelineError::Missing(_) | PipelineError::Deleted(..), _) => {
+                self.missing += 1;
+                Ok(Taken::Done)
+            }
+            (_, ErrorKind::Tampered) => Ok(self.refuse("it differs from what was anchored and signed".to_owned())),
+            (_, ErrorKind::Refused) => {
+                self.rights_at = Instant::now().checked_sub(RIGHTS).unwrap_or(self.rights_at);
+                if let Some(end) = self.end() {
+                    return Ok(Taken::Ended(end));
+                }
+                Ok(self.refuse("no grant in force covers it, or no key of this profile opens it".to_owned()))
+            }
+            (_, ErrorKind::Unreachable | ErrorKind::Incomplete) if follows => Ok(Taken::Later),
+            _ => Err(error.into()),
+        }
+    }
+
+    fn refuse(&mut self, why: String) -> Taken {
+        self.refused += 1;
+        if self.reasons.len() < MOST_REASONS || self.reasons.contains_key(&why) {
+            *self.reasons.entry(why).or_default() += 1;
+        }
+        Taken::Done
+    }
+
+    async fn definition(&mut self, item: &Item, record: &OpenedRecord) -> Result<Option<Arc<str>>, Failure> {
+        let key = (item.row.owner, record.head.definition);
+        if let Some(known) = self.definitions.get(&key) {
+            return Ok(Some(Arc::clone(known)));
+        }
+        let text: Option<Arc<str>> = self.reader().definition_text(&item.row, record).await?.map(Arc::from);
+        if self.definitions.len() >= MOST_DEFINITIONS {
+            self.definitions.clear();
+        }
+        if let Some(text) = &text {
+            self.definitions.insert(key, Arc::clone(text));
+        }
+        Ok(text)
+    }
+
+    fn show_clock(&mut self) -> Result<(), Failure> {
+        if !self.wishes.clock {
+            return Ok(());
+        }
+        let topic = self.names.played("/clock").unwrap_or_else(|| "/clock".to_owned());
+        let shown = self.stage.show_plain(&clock_topic(topic.clone()))?;
+        shown.map_err(|why| Failure::new(ErrorKind::Refused, why))?;
+        self.clock = Some(topic);
+        Ok(())
+    }
+
+    fn tell_time(&self) {
+        if let (Some(topic), Some(now)) = (&self.clock, self.pacer.clock(Instant::now())) {
+            self.stage.publish(topic, 0, &clock_message(now));
+        }
+    }
+}

@@ -1,0 +1,147 @@
+//! `shared play`: shared records into a ROS graph, until all is played or something ends it.
+
+use clap::Args;
+
+use super::connect::{Context, ProfileNeed};
+use super::parse;
+use super::serve::Ending;
+use crate::model::ErrorKind;
+use crate::service::command::{Pace, PlayWishes, StopPlay};
+use crate::service::reply::{PlayEnd, PlayedView};
+use crate::service::{Client, Failure, Needs};
+use authros_output::{Output, table};
+
+/// `shared play …`
+#[derive(Debug, Default, Args)]
+pub struct PlayArguments {
+    /// Only of this owner, or of that name [default: all who share with this profile]
+    #[arg(long, value_name = "ADDRESS_OR_NAME")]
+    pub owner: Option<String>,
+    /// Only topics of this pattern; may be repeated
+    #[arg(long = "topic", value_name = "PATTERN")]
+    pub topics: Vec<String>,
+    /// Captured at or after, RFC 3339
+    #[arg(long, value_name = "TIME")]
+    pub since: Option<String>,
+    /// Captured before, RFC 3339
+    #[arg(long, value_name = "TIME")]
+    pub until: Option<String>,
+    /// Whatever is verified from now on, until Ctrl-C; latched messages of before come first
+    #[arg(long, conflicts_with_all = ["since", "until", "rate", "as_captured"])]
+    pub follow: bool,
+    /// So many times the pace of the capture [default: one after the other without a pause]
+    #[arg(long, value_name = "X", conflicts_with = "as_captured", allow_negative_numbers = true)]
+    pub rate: Option<f64>,
+    /// At the pace of the capture
+    #[arg(long)]
+    pub as_captured: bool,
+    /// Also the time of the capture as /clock; with --rate or --as-captured
+    #[arg(long, conflicts_with = "follow")]
+    pub clock: bool,
+    /// Put this name before every topic, as /shared/alice; needed in the graph that this site captures from
+    #[arg(long, value_name = "NAME")]
+    pub prefix: Option<String>,
+    /// Another name for a topic, instead of the prefix; may be repeated
+    #[arg(long = "remap", value_name = "A:=B")]
+    pub remaps: Vec<String>,
+    /// The ROS master to play into [default: ros.master, else the site's own]
+    #[arg(long, value_name = "URI")]
+    pub to: Option<String>,
+}
+
+impl PlayArguments {
+    fn wishes(&self) -> Result<PlayWishes, Failure> {
+        Ok(PlayWishes {
+            owner: self.owner.as_deref().map(parse::value).transpose()?,
+            topics: parse::values(&self.topics)?,
+            since: self.since.as_deref().map(parse::moment).transpose()?,
+            until: self.until.as_deref().map(parse::moment).transpose()?,
+            pace: self.pace()?,
+            clock: self.clock,
+            prefix: self.prefix.as_deref().map(parse::value).transpose()?,
+            remaps: parse::values(&self.remaps)?,
+            master: self.to.clone(),
+        })
+    }
+
+    fn pace(&self) -> Result<Pace, Failure> {
+        match self.rate {
+            _ if self.follow => Ok(Pace::Follow),
+            _ if self.as_captured => Ok(Pace::AS_CAPTURED),
+            Some(rate) => Pace::times(rate).map_err(|why| Failure::new(ErrorKind::Usage, why)),
+            None => Ok(Pace::AtOnce),
+        }
+    }
+}
+
+/// Plays; Ctrl-C ends it, a second one leaves at once.
+///
+/// # Errors
+/// What the site or the arguments say.
+pub async fn run(context: Context, arguments: PlayArguments, output: &Output) -> Result<u8, Failure> {
+    let wishes = arguments.wishes()?;
+    // A graph that is named needs no node of ours that captures.
+    let is_named = wishes.master.is_some() || context.config.ros_master.is_some();
+    let live = Needs { ros: !is_named, chain: true };
+    let connection = context.connect(live).await?;
+    let result = async {
+        context.prepare(&connection.client, ProfileNeed::Unlocked, output).await?;
+        until_done(&connection.client, wishes, output).await
+    };
+    let result = result.await;
+    connection.close().await;
+    let view = result?;
+    output.result(&view, || text(&view));
+    Ok(code(&view, output))
+}
+
+async fn until_done(client: &Client, wishes: PlayWishes, output: &Output) -> Result<PlayedView, Failure> {
+    let answer = client.ask(crate::service::command::Play(wishes));
+    tokio::pin!(answer);
+    let mut asked = false;
+    loop {
+        tokio::select! {
+            view = &mut answer => return view,
+            ending = crate::cli::serve::asked_to_end() => {
+                if asked || ending == Ending::Ordered {
+                    return Err(Failure::new(ErrorKind::Incomplete, "left before the subscribers had all that was played"));
+                }
+                asked = true;
+                output.note("ending; subscribers get what was played (again to leave at once)");
+                client.ask(StopPlay).await?;
+            }
+        }
+    }
+}
+
+fn text(view: &PlayedView) -> String {
+    let rows: Vec<Vec<String>> =
+        view.topics.iter().map(|(topic, messages)| vec![topic.clone(), messages.to_string()]).collect();
+    let list = table(&["topic", "messages"], &rows);
+    format!("{list}\n{} messages published in {:.1} s", view.published, view.seconds)
+}
+
+fn code(view: &PlayedView, output: &Output) -> u8 {
+    if view.missing > 0 {
+        output.note(&format!("authros: {} records are gone from the vault: not published", view.missing));
+    }
+    for (why, count) in &view.reasons {
+        output.note(&format!("authros: {count} records not published: {why}"));
+    }
+    if view.dropped > 0 {
+        output.note(&format!("authros: subscribers read too slowly and did not get {} messages", view.dropped));
+    }
+    match view.ended_by {
+        PlayEnd::Revoked => output.note("authros: ended: the grant was revoked"),
+        PlayEnd::Expired => output.note("authros: ended: the grant has expired"),
+        PlayEnd::Locked => output.note("authros: ended: the keyring was locked"),
+        PlayEnd::Site => output.note("authros: ended: the site ended"),
+        PlayEnd::Whole | PlayEnd::Asked => {}
+    }
+    if view.ended_by.is_by_right() {
+        return ErrorKind::Refused.exit_code();
+    }
+    let whole = view.refused + view.missing + view.dropped == 0 && view.ended_by != PlayEnd::Site;
+    let nothing = view.published == 0 && view.ended_by == PlayEnd::Whole;
+    if whole && !nothing { 0 } else { ErrorKind::Incomplete.exit_code() }
+}

@@ -1,0 +1,211 @@
+//! Shared records in the reader's own ROS: what a real recorder hears there, when it ends, and what is never played.
+#![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
+
+use crate::support;
+
+use std::path::Path;
+
+use serde_json::Value;
+use support::{
+    Authros, Home, Redis, Roscore, Running, count, heavy, is_verified, list, list_bag, make_bag, skipped, text,
+    two_profiles, wait_until,
+};
+
+const NO_ROS: &str = "no roscore, rosbag and rostopic in /usr/bin";
+const NO_REDIS: &str = "no redis-server and redis-cli";
+const TOPICS: [&str; 3] = ["/odom", "/words", LATCHED];
+const LATCHED: &str = "/calibration";
+const ODOM: &str = "/robot1/odom";
+const INCOMPLETE: i32 = 8;
+const REFUSED: i32 = 5;
+
+/// Per topic what a bag holds of it: type, md5sum, definition and bytes, in its order.
+fn messages(bag: &Path, topic: &str) -> Vec<Value> {
+    let all = list_bag(bag).into_iter().filter(|entry| entry[0] == topic);
+    all.map(|entry| Value::from(vec![entry[1].clone(), entry[2].clone(), entry[4].clone(), entry[6].clone()])).collect()
+}
+
+fn expect_same(recorded: &Path, original: &Path, times: usize) {
+    for topic in TOPICS {
+        let expected = messages(original, topic).repeat(times);
+        let heard = messages(recorded, topic);
+        assert_eq!(heard.len(), expected.len(), "{topic}");
+        assert!(heard == expected, "{topic}: the same bytes, md5sum, type and definition in the same order");
+    }
+}
+
+/// A site at one graph with two profiles, of which the first watches the topics.
+struct Plant {
+    home: Home,
+    _site: Running,
+    alice: Authros,
+    bob: Authros,
+    bob_address: String,
+}
+
+fn plant(robot: &Roscore) -> Plant {
+    let home = Home::new();
+    let site = home.authros().with(&["--ros-master", &robot.uri()]).serve(&home);
+    let (alice, bob) = (home.profile("alice"), home.profile("bob"));
+    alice.enrol();
+    let bob_address = bob.enrol();
+    for topic in TOPICS {
+        alice.json(&["topics", "watch", topic]);
+    }
+    Plant { home, _site: site, alice, bob, bob_address }
+}
+
+/// Plays the bag at the robot until all of it is verified for the `times`-th time.
+fn drive(robot: &Roscore, plant: &Plant, bag: &Path, times: usize) {
+    // Another name would be another publisher than the pinned one, and be held back.
+    robot.play_as("robot", bag, 2).wait(120).expect_code(0);
+    let expected = list_bag(bag).len() * times;
+    wait_until(120, "all is verified", || {
+        let records = plant.alice.records(&["uploads", "list"]);
+        (records.len() == expected && records.iter().all(is_verified)).then_some(())
+    });
+}
+
+fn is_played(graph: &Roscore, topic: &str) -> Option<()> {
+    graph.publishers(topic).contains("/authros_play_").then_some(())
+}
+
+#[test]
+fn a_real_recorder_in_the_reader_s_graph_hears_what_the_robot_said() {
+    let _alone = heavy();
+    let (Some(robot), Some(reader)) = (Roscore::start(), Roscore::start()) else { skipped!(NO_ROS) };
+    let plant = plant(&robot);
+    let path = |name: &str| plant.home.root().join(name);
+    let bag = path("drive.bag");
+    make_bag(&["latched", bag.to_str().expect("UTF-8")]);
+    drive(&robot, &plant, &bag, 1);
+
+    let refused = plant.bob.fails(REFUSED, &["shared", "play", "--to", &reader.uri()]);
+    assert!(refused.contains("shares"), "without a grant there is nothing to play: {refused}");
+    plant.alice.json(&["grant", &plant.bob_address]);
+    let refused = plant.bob.fails(REFUSED, &["shared", "play"]);
+    assert!(refused.contains("--prefix"), "a loop is refused: {refused}");
+
+    let (at_once, paced) = (path("at-once.bag"), path("paced.bag"));
+    for (recorded, how) in [(&at_once, None), (&paced, Some("--as-captured"))] {
+        let recorder = reader.record(recorded, &TOPICS);
+        let arguments = ["--json", "shared", "play", "--to", &reader.uri()].map(str::to_owned);
+        let arguments: Vec<&str> = arguments.iter().map(String::as_str).chain(how).collect();
+        let played = plant.bob.spawn(&arguments).wait(120).expect_code(0).document();
+        let figures = ["published", "refused", "missing", "dropped"].map(|figure| count(&played, figure));
+        assert_eq!(figures, [list_bag(&bag).len() as u64, 0, 0, 0], "{played}");
+        assert_eq!(played["ended_by"], "whole");
+        recorder.stop("INT", 60);
+        expect_same(recorded, &bag, 1);
+    }
+}
+
+#[test]
+fn what_is_played_live_ends_with_the_grant_and_late_subscribers_get_what_was_latched() {
+    let _alone = heavy();
+    let (Some(robot), Some(reader)) = (Roscore::start(), Roscore::start()) else { skipped!(NO_ROS) };
+    let plant = plant(&robot);
+    let path = |name: &str| plant.home.root().join(name);
+    let bag = path("drive.bag");
+    make_bag(&["latched", bag.to_str().expect("UTF-8")]);
+    drive(&robot, &plant, &bag, 1);
+    plant.alice.json(&["grant", &plant.bob_address]);
+
+    let live = path("live.bag");
+    let recorder = reader.record(&live, &["/odom", "/words"]);
+    let mut player = plant.bob.spawn(&["--json", "shared", "play", "--follow", "--to", &reader.uri()]);
+    wait_until(60, "the latched topic is there", || {
+        player.expect_running();
+        is_played(&reader, LATCHED)
+    });
+    let calibration: Vec<Value> = messages(&bag, LATCHED).into_iter().map(|message| message[3].clone()).collect();
+    let latched = list(&reader.hear(1, &[LATCHED]), LATCHED);
+    assert!(!latched.is_empty() && latched.iter().all(|message| calibration.contains(message)), "{latched:?}");
+
+    let ear = reader.listen(messages(&bag, "/odom").len() + messages(&bag, "/words").len(), &["/odom", "/words"]);
+    drive(&robot, &plant, &bag, 2);
+    ear.wait(120).expect_code(0);
+    assert_eq!(list(&reader.hear(1, &[LATCHED]), LATCHED).last(), calibration.last(), "the last one is latched");
+    let revoked = plant.alice.json(&["revoke", &plant.bob_address]);
+    assert!(revoked["transaction"].is_string(), "{revoked}");
+    let played = player.wait(60).expect_code(REFUSED).document();
+    assert_eq!((&played["ended_by"], count(&played, "refused")), (&"revoked".into(), 0), "{played}");
+    assert_eq!(reader.publishers(LATCHED), "", "nobody publishes it any more");
+    // What comes after the revoke is never heard.
+    drive(&robot, &plant, &bag, 3);
+    recorder.stop("INT", 60);
+    for topic in ["/odom", "/words"] {
+        assert!(messages(&live, topic) == messages(&bag, topic), "{topic}: what was verified live, and nothing after");
+    }
+}
+
+#[test]
+fn a_simulated_robot_is_played_live_until_the_revoke() {
+    let two = two_profiles(1);
+    two.alice.json(&["topics", "watch", ODOM]);
+    two.alice.json(&["grant", &two.bob_address]);
+    let mut player =
+        two.bob.spawn(&["--json", "shared", "play", "--follow", "--prefix", "/shared/alice", "--topic", ODOM]);
+    let played = format!("/shared/alice{ODOM}");
+    wait_until(60, "it is published", || {
+        player.expect_running();
+        let topics = list(&two.bob.json(&["topics", "list"]), "topics");
+        topics.iter().any(|topic| topic["topic"] == played.as_str()).then_some(())
+    });
+    two.alice.json(&["revoke", &two.bob_address]);
+    let ended = player.wait(60).expect_code(REFUSED).document();
+    assert_eq!(ended["ended_by"], "revoked", "{ended}");
+    assert!(count(&ended, "published") > 0, "{ended}");
+    let topics = list(&two.bob.json(&["topics", "list"]), "topics");
+    assert!(topics.iter().all(|topic| topic["topic"] != played.as_str() || topic["publishers"] == 0), "{topics:?}");
+}
+
+#[test]
+fn what_was_tampered_with_or_is_gone_is_counted_and_never_played() {
+    let Some(redis) = Redis::start(&[]) else { skipped!(NO_REDIS) };
+    let home = Home::new();
+    let _site = home.authros().with(&["--robots", "1", "--vault", &redis.url()]).serve(&home);
+    let (alice, bob) = (home.profile("alice"), home.profile("bob"));
+    alice.enrol();
+    let bob_address = bob.enrol();
+    alice.json(&["grant", &bob_address]);
+    alice.capture(&[ODOM], 6);
+    let keys: Vec<String> = alice
+        .records(&["uploads", "list"])
+        .iter()
+        .map(|record| format!("authros:{}", text(record, "digest")))
+        .collect();
+    redis.cli(&["APPEND", &keys[1], "x"]);
+    redis.cli(&["DEL", &keys[4]]);
+    let play = ["--json", "shared", "play", "--prefix", "/shared/alice"];
+    let played = bob.run(&play).expect_code(INCOMPLETE).document();
+    let figures = ["published", "refused", "missing"].map(|figure| count(&played, figure));
+    assert_eq!((figures, &played["ended_by"]), ([4, 1, 1], &"whole".into()), "{played}");
+    assert!(played["seconds"].is_f64(), "{played}");
+}
+
+#[test]
+fn the_embedded_master_is_named_so_that_nodes_can_join_it() {
+    let two = two_profiles(1);
+    let status = two.alice.json(&["status"]);
+    let told = status.to_string();
+    let uri = told.split("http://127.0.0.1:").nth(1).and_then(|rest| rest.split('/').next()).expect("a port");
+    assert!(two.site.stdout().contains(&format!("http://127.0.0.1:{uri}/")), "serve says the same: {told}");
+}
+
+#[test]
+fn wishes_that_cannot_be_are_refused_with_words() {
+    let two = two_profiles(1);
+    two.alice.json(&["grant", &two.bob_address]);
+    let says = |arguments: &[&str], words: &str| {
+        let outcome = two.bob.run(&[&["shared", "play"], arguments].concat());
+        assert!(outcome.code != Some(0) && outcome.stderr.contains(words), "{words}: {outcome}");
+    };
+    says(&[], "--prefix");
+    says(&["--prefix", "/shared/a", "--remap", "/robot1/odom:=/robot1/odom"], "/shared/a");
+    says(&["--rate", "-1"], "rate");
+    says(&["--clock", "--prefix", "/shared/a"], "--as-captured");
+    says(&["--remap", "odom"], ":=");
+    says(&["--to", "http://127.0.0.1:1", "--prefix", "/shared/a"], "http://127.0.0.1:1");
+    says(&["--owner", &two.bob_address, "--prefix", "/shared/a"], "grant");
+}
