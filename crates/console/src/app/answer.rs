@@ -110,6 +110,7 @@ fn take(state: &mut State, feed: Feed, result: Answer) -> Result<(), Failure> {
         Feed::Site => {
             let site = ask::SiteStatus::heard(result)?;
             state.rates.observe(&site.life, state.now);
+            state.history.observe(&site, state.now);
             state.site = Some(site);
         }
         Feed::Identity => state.identity = Some(ask::ShowIdentity::heard(result)?),

@@ -20,6 +20,7 @@ pub mod form;
 pub mod forms;
 pub mod fuzzy;
 pub mod granting;
+pub mod history;
 pub mod identity_path;
 pub mod key;
 pub mod keymap;

@@ -18,6 +18,7 @@ use super::mouse;
 use super::popup::{Confirm, Lookup, Palette, Popup, Purpose};
 use super::screen::Screen;
 use super::screens::grants::other_side;
+use super::screens::log::LogLine;
 use super::state::State;
 use super::themes;
 use super::undo;
@@ -72,6 +73,8 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Sort => cursor::sort(state),
         Verb::Reverse => cursor::reverse(state),
         Verb::Level => state.log.next_level(),
+        Verb::Source => state.log.next_source(),
+        Verb::Read => read_line(state),
         Verb::Tasks => state.popups.push(Popup::Tasks),
         Verb::Readers => readers(state),
         Verb::Browse => state.popups.push(Popup::Browse(Browse::default())),
@@ -82,6 +85,9 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Unpin => unpin(state),
         Verb::Administer(act) => administration::begin(state, act),
         Verb::Freeze => freeze(state),
+        Verb::Period => state.period = state.period.next(),
+        Verb::Fold => drop(state.topics.fold()),
+        Verb::FoldAll => state.topics.fold_all(),
         Verb::Palette => state.popups.push(Popup::Palette(Palette::default())),
         Verb::Help => state.popups.push(Popup::Help(super::popup::Help::default())),
         Verb::Dismiss => dismiss(state),
@@ -124,8 +130,8 @@ fn mark(state: &mut State) {
 }
 
 fn dismiss(state: &mut State) {
-    if state.toasts.dismiss() {
-        return;
+    if let Some(toast) = state.toasts.dismiss() {
+        return state.log.saw(&toast.text);
     }
     let mut changed = false;
     if let Some(table) = state.table_mut() {
@@ -223,6 +229,12 @@ fn unpin(state: &mut State) {
     state.popups.push(Popup::Form(Purpose::Unpin, forms::unpin(topic.as_str(), &publisher)));
 }
 
+/// The whole of a log line.
+fn read_line(state: &mut State) {
+    let line = state.log.selected().cloned();
+    state.popups.extend(line.map(Popup::Line));
+}
+
 /// Who can read the topics, the record's topic, or what the grant covers.
 fn readers(state: &mut State) {
     let topics = match state.screen {
@@ -283,7 +295,8 @@ pub fn copied(state: &State) -> Option<String> {
         Screen::Grants => state.grants.selected().map(|row| other_side(row).to_string()),
         Screen::Keys => state.address().map(|address| address.to_string()),
         Screen::Chain => state.chain.as_ref()?.contract.map(|contract| contract.to_string()),
-        Screen::Overview | Screen::Log => None,
+        Screen::Log => state.log.selected().map(LogLine::whole),
+        Screen::Overview => None,
     }
 }
 

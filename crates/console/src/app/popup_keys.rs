@@ -13,7 +13,7 @@ use super::key::{Key, chord_label};
 use super::keymap::Meaning;
 use super::leaving;
 use super::opening;
-use super::perform::perform;
+use super::perform::{copy, perform};
 use super::popup::{Confirm, Help, Lookup, Palette, Popup, Purpose};
 use super::state::State;
 use super::themes;
@@ -27,6 +27,7 @@ pub fn hints(state: &State, popup: &Popup) -> Vec<(&'static str, &'static str)> 
         Popup::Browse(_) => vec![("enter", "show these"), ("up down", "choose"), ("q", "close")],
         Popup::Publishers(_) => vec![("up down", "scroll"), ("p", "pin"), ("P", "unpin"), ("q", "close")],
         Popup::Tasks | Popup::Readers(_) => vec![("q", "close")],
+        Popup::Line(_) => vec![("y", "copy"), ("q", "close")],
         Popup::Provenance(_) => vec![("n p", "next/prev"), ("up down", "scroll"), ("q", "close")],
         Popup::Help(Help { filtering: true, .. }) => vec![("enter", "apply"), ("esc", "clear")],
         Popup::Help(_) => vec![("up down", "scroll"), ("/", "filter"), ("q", "close")],
@@ -69,6 +70,14 @@ pub fn popup_key(state: &mut State, key: Key) -> Vec<Effect> {
             }
             Vec::new()
         }
+        Popup::Line(line) => match key {
+            Key::Escape | Key::Enter | Key::Char('q') => Vec::new(),
+            _ => {
+                let text = (key == Key::Char('y')).then(|| line.whole());
+                state.popups.push(Popup::Line(line));
+                text.map(|text| copy(state, text)).into_iter().collect()
+            }
+        },
         Popup::Provenance(_) if key == Key::Char('n') => opening::neighbour(state, popup, 1),
         Popup::Provenance(_) if key == Key::Char('p') => opening::neighbour(state, popup, -1),
         Popup::Provenance(mut lookup) => {

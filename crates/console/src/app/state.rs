@@ -3,8 +3,10 @@
 use std::path::PathBuf;
 
 use super::action::{Effect, Errand, Tag};
+use super::alerts::AlertBook;
 use super::feed::{Feed, Feeds};
 use super::form::Form;
+use super::history::{History, Period};
 use super::identity_path::IdentityPath;
 use super::keymap::Keymap;
 use super::opening::Opening;
@@ -25,6 +27,9 @@ use crate::service::{Failure, NoticeLevel};
 
 /// Rows of the screen that are no table rows: header, tabs, title, columns, message, bar.
 pub const FRAME_ROWS: u16 = 6;
+
+/// Parts of a period that a graph shows, each a column.
+pub const GRAPH_PARTS: usize = 45;
 
 /// What does not change while the console runs.
 #[derive(Debug, Clone, Default)]
@@ -80,6 +85,12 @@ pub struct State {
     pub site: Option<SiteView>,
     /// How fast records flow.
     pub rates: Rates,
+    /// How they flowed over the last hour.
+    pub history: History,
+    /// Over how long the graphs look back.
+    pub period: Period,
+    /// What needs attention, or did lately.
+    pub alerts: AlertBook,
     /// The chain.
     pub chain: Option<ChainView>,
     /// The graph.
@@ -131,6 +142,9 @@ impl State {
             keys: None,
             site: None,
             rates: Rates::default(),
+            history: History::default(),
+            period: Period::default(),
+            alerts: AlertBook::default(),
             chain: None,
             topics: Topics::default(),
             uploads: Records::default(),
@@ -179,8 +193,16 @@ impl State {
             self.rates.still_at(),
             super::lock::due(self),
             ages.and_then(|()| self.topics.older_at(self.now)),
+            self.alerts.forgotten_at(),
+            self.graphs_move_at(),
         ];
         moments.into_iter().flatten().min()
+    }
+
+    /// When the graphs move on, where they are on screen.
+    fn graphs_move_at(&self) -> Option<Timestamp> {
+        let seen = self.screen == Screen::Overview && !self.is_frozen() && self.popups.is_empty();
+        if seen { self.history.moves_at(self.period, GRAPH_PARTS, self.now) } else { None }
     }
 
     /// Records not yet verified.

@@ -1,6 +1,7 @@
 //! One action in, the state changed, effects out. Never waits, never fails.
 
 use super::action::{Action, Effect, Errand, Tag};
+use super::alerts;
 use super::answer::answered;
 use super::cursor;
 use super::feed::Feed;
@@ -18,7 +19,7 @@ use super::verb::Verb;
 use crate::model::{RecordState, Timestamp};
 use crate::service::command::AuditQuery;
 use crate::service::reply::{Caveat, ShownState};
-use crate::service::{Command, Event, Operation, Part};
+use crate::service::{Command, Event, NoticeLevel, Operation, Part};
 
 /// The first effects of a console: claim the profile, ask for what is on screen.
 pub fn start(state: &mut State) -> Vec<Effect> {
@@ -35,6 +36,7 @@ pub fn update(state: &mut State, action: Action) -> Vec<Effect> {
     }
     let mut effects = act(state, action);
     state.topics.refresh(false);
+    alerts::refresh(state);
     if leaving::is_over(state) {
         effects.push(Effect::Quit);
     }
@@ -54,7 +56,11 @@ fn act(state: &mut State, action: Action) -> Vec<Effect> {
         Action::Tick(now) => return tick(state, now),
         Action::Missed => state.feeds.touch_all(),
         Action::FilesWritten(Ok(place)) => state.inform(format!("written: {place}")),
-        Action::FilesWritten(Err(error)) | Action::Fault(error) => state.complain(error),
+        Action::FilesWritten(Err(error)) => state.complain(error),
+        Action::Fault(error) => {
+            state.log.notice_about(state.now, NoticeLevel::Error, &error, None);
+            state.toasts.push(NoticeLevel::Error, error, state.now);
+        }
         Action::ThemeIs(name) => state.theme = name,
         Action::Wheel { up } => return mouse::wheel(state, up),
         Action::Click { column, row } => mouse::click(state, column, row),

@@ -5,9 +5,9 @@ use ratatui::layout::Rect;
 use super::canvas::{Canvas, below, right_of, row};
 use super::table::{Column, draw_plain};
 use super::theme::Role;
-use super::{bottom, first_run, header, topics, words};
+use super::{bottom, first_run, flow, header, topics, words};
 use crate::app::State;
-use crate::app::alerts::alerts;
+use crate::app::alerts::Alert;
 use crate::app::feed::Feed;
 use crate::model::clean;
 use crate::service::reply::{LifeLine, SiteView};
@@ -47,6 +47,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
     }
     rest = draw_alerts(canvas, below(rest, gap), state, if roomy { MOST_ALERTS } else { 1 });
     rest = first_run::draw(canvas, rest, state, roomy);
+    rest = flow::draw(canvas, rest, state);
     draw_busiest(canvas, rest, state);
 }
 
@@ -126,14 +127,29 @@ fn draw_law(canvas: &mut Canvas, area: Rect, life: &LifeLine) {
 }
 
 fn draw_alerts(canvas: &mut Canvas, area: Rect, state: &State, most: usize) -> Rect {
-    let found = alerts(state);
+    let found = state.alerts.shown();
     let shown = found.len().min(most);
-    for (line, (level, text)) in (0u16..).zip(found.iter().take(shown)) {
-        let (mark, role) = bottom::level(*level);
-        canvas.puts(row(area, line), &[(mark, role), (text, role)]);
+    for (line, alert) in (0u16..).zip(found.iter().take(shown)) {
+        draw_alert(canvas, row(area, line), state, alert);
     }
     let gap = u16::from(most > 1 && shown > 0);
     below(area, u16::try_from(shown).unwrap_or(0) + gap)
+}
+
+/// One alert with since when and how often, or that it is over.
+fn draw_alert(canvas: &mut Canvas, area: Rect, state: &State, alert: &Alert) {
+    let often = if alert.count > 1 { format!(", {} times", alert.count) } else { String::new() };
+    let (when, mark, role) = match alert.resolved {
+        Some(at) => (format!("resolved {}{often}", state.clock(at)), "● ", Role::Good),
+        None => {
+            let (mark, role) = bottom::level(alert.level);
+            (format!("since {}{often}", state.clock(alert.since)), mark, role)
+        }
+    };
+    let taken = canvas.put_right(area, &format!(" {when}"), Role::Dim);
+    let area = Rect { width: area.width.saturating_sub(taken), ..area };
+    let text = if alert.resolved.is_some() { Role::Dim } else { role };
+    canvas.puts(area, &[(mark, role), (&alert.text, text)]);
 }
 
 fn draw_busiest(canvas: &mut Canvas, area: Rect, state: &State) {

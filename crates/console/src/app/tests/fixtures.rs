@@ -104,6 +104,7 @@ pub fn site() -> SiteView {
         process: 0,
         tasks: Vec::new(),
         queue: QueueView { messages: 3, bytes: 2_184, capacity: 201_326_592 },
+        verified_after: Vec::new(),
     }
 }
 

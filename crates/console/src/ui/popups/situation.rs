@@ -7,10 +7,13 @@ use crate::app::confirm::readers;
 use crate::app::feed::Feed;
 use crate::app::popup::Lookup;
 use crate::app::screens::grants::{end, is_active, is_given, scope};
+use crate::app::screens::log::{LogLine, level_word};
 use crate::app::{State, Tag};
 use crate::model::clean;
 use crate::pipeline::sender::LaneState;
+use crate::service::NoticeLevel;
 use crate::service::reply::{AlarmView, GrantRow, PinView, PinsView, TaskState, TaskView};
+use crate::ui::bottom;
 use crate::ui::canvas::{Canvas, row};
 use crate::ui::theme::Role;
 use crate::ui::words;
@@ -124,6 +127,13 @@ fn reason(word: &str) -> &str {
         "unconfirmed" => "the master does not confirm it",
         other => other,
     }
+}
+
+/// Draws a line of the log, whole.
+pub fn draw_line(canvas: &mut Canvas, area: Rect, line: &LogLine) {
+    let about = format!("{}  {}  {}", line.at, level_word(line.level), line.key);
+    let role = if line.level == NoticeLevel::Info { Role::Body } else { bottom::level(line.level).1 };
+    draw_lines(canvas, area, "Log line", &[(about, Role::Dim), (line.text.clone(), role)], 0);
 }
 
 /// Draws what is under way, what waits, and for how long.
