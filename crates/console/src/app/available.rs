@@ -25,10 +25,12 @@ pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
         Verb::Unlock => unlock(state),
         Verb::Register => register(state),
         Verb::LoadKey | Verb::ExportKey | Verb::Rotate => identity(state),
-        Verb::Revoke => revoke(state),
-        Verb::Extend => extend(state),
+        Verb::Revoke | Verb::Extend => revoke(state),
         Verb::Filter | Verb::Up | Verb::Down | Verb::PageUp | Verb::PageDown | Verb::First | Verb::Last => {
             given(state.screen.has_table(), "no table here")
+        }
+        Verb::NextMatch | Verb::PreviousMatch => {
+            given(state.table().is_some_and(|table| !table.filter.text().is_empty()), "no filter: / sets one")
         }
         Verb::Sort | Verb::Reverse => given(state.screen.sorts(), "nothing to sort here"),
         Verb::Mark | Verb::MarkAll | Verb::Watch | Verb::Details | Verb::Open | Verb::Check | Verb::Export => {
@@ -143,11 +145,6 @@ fn administer(state: &State, act: Act) -> Result<(), &'static str> {
             given(own.is_some() && chain.administration.administrator == own, "you are not the administrator")
         }
     }
-}
-
-fn extend(state: &State) -> Result<(), &'static str> {
-    revoke(state)?;
-    given(state.grants.selected().is_some_and(|row| row.expires.is_some()), "has no end")
 }
 
 fn revoke(state: &State) -> Result<(), &'static str> {

@@ -87,10 +87,15 @@ pub struct Flow {
 }
 
 impl Flow {
-    /// Whether anything moved in it.
+    /// Whether there is anything to draw.
     pub fn any(&self) -> bool {
-        let some = |values: &[Option<f64>]| values.iter().flatten().any(|value| *value > 0.0);
-        some(&self.captured) || some(&self.verified) || some(&self.pending)
+        [&self.captured, &self.verified, &self.pending].into_iter().any(|values| highest(values) > 0.0)
+    }
+
+    /// Whether it looks other when time goes on and nothing comes.
+    fn moves(&self) -> bool {
+        let flows = highest(&self.captured) > 0.0 || highest(&self.verified) > 0.0;
+        flows || self.pending.windows(2).any(|pair| pair.first() != pair.last())
     }
 }
 
@@ -158,8 +163,8 @@ impl History {
     /// When the graph moves on though nothing is told; `None` = it shows nothing that could move.
     pub fn moves_at(&self, period: Period, parts: usize, now: Timestamp) -> Option<Timestamp> {
         let part = part(period, parts);
-        let moving = self.flow(period, parts, now).any();
-        moving.then_some(Timestamp((now.0 / part + 1).saturating_mul(part)))
+        let moves = self.flow(period, parts, now).moves();
+        moves.then_some(Timestamp((now.0 / part + 1).saturating_mul(part)))
     }
 
     fn after(&self, from: Timestamp, to: Timestamp) -> Option<(f64, f64)> {

@@ -58,8 +58,8 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Mouse => return mouse::toggle(state),
         Verb::Redraw => return vec![Effect::Redraw],
         Verb::Suspend => return vec![Effect::Suspend],
-        Verb::Up => cursor::step(state, -1),
-        Verb::Down => cursor::step(state, 1),
+        Verb::Up | Verb::PreviousMatch => cursor::step(state, -1),
+        Verb::Down | Verb::NextMatch => cursor::step(state, 1),
         Verb::PageUp => cursor::step(state, -page(state)),
         Verb::PageDown => cursor::step(state, page(state)),
         Verb::Go(screen) => go(state, screen),
@@ -75,7 +75,10 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Level => state.log.next_level(),
         Verb::Source => state.log.next_source(),
         Verb::Read => read_line(state),
-        Verb::Tasks => state.popups.push(Popup::Tasks),
+        Verb::Tasks => {
+            state.feeds.slot_mut(Feed::Progress).stale = true;
+            state.popups.push(Popup::Tasks);
+        }
         Verb::Readers => readers(state),
         Verb::Browse => state.popups.push(Popup::Browse(Browse::default())),
         Verb::LocalTime => state.local_time = !state.local_time,

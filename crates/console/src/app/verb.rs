@@ -32,6 +32,10 @@ pub enum Verb {
     MarkAll,
     /// Type a filter.
     Filter,
+    /// To the next row that the filter lets through.
+    NextMatch,
+    /// To the one before.
+    PreviousMatch,
     /// Sort by the next column.
     Sort,
     /// Turn the order round.
@@ -235,8 +239,8 @@ pub static VERBS: &[Entry] = &[
     .on(&[Screen::Shared, Screen::Uploads]),
     entry(Verb::Export, "export", "export", &[Key::Char('e')], "Write the record's files for others to check")
         .on(&[Screen::Uploads]),
-    entry(Verb::Browse, "browse", "browse", &[Key::Char('b')], "Who shares, their topics and types, by time")
-        .on(&[Screen::Shared]),
+    entry(Verb::Browse, "browse", "browse", &[Key::Char('b')], "By owner, topic, type or time")
+        .on(&[Screen::Shared, Screen::Uploads]),
     entry(Verb::Readers, "readers", "readers", &[Key::Char('i')], "Who can read this now?").on(&[
         Screen::Topics,
         Screen::Uploads,
@@ -265,9 +269,15 @@ pub static VERBS: &[Entry] = &[
     entry(Verb::Grant, "grant", "grant", &[Key::Char('g')], "Let another account read your records")
         .on(&[Screen::Overview, Screen::Topics, Screen::Grants])
         .changing(),
-    entry(Verb::Extend, "extend", "extend", &[Key::Char('e')], "Extend the grant's end date")
-        .on(&[Screen::Grants])
-        .changing(),
+    entry(
+        Verb::Extend,
+        "extend",
+        "extend",
+        &[Key::Char('e')],
+        "Another end for the grant; a sooner one is a revoke and a new grant",
+    )
+    .on(&[Screen::Grants])
+    .changing(),
     entry(
         Verb::Revoke,
         "revoke",
@@ -333,6 +343,8 @@ pub static VERBS: &[Entry] = &[
     )
     .on(&[Screen::Log]),
     entry(Verb::Filter, "filter", "filter", &[Key::Char('/')], "Filter rows; Uploads, Shared: whole ledger").on(TABLES),
+    entry(Verb::NextMatch, "next-match", "", &[Key::Char('n')], "To the next row of the filter").on(TABLES),
+    entry(Verb::PreviousMatch, "previous-match", "", &[Key::Char('N')], "To the row of the filter before").on(TABLES),
     entry(Verb::Sort, "sort", "sort", &[Key::Char('s')], "Sort by the next column").on(SORTED),
     entry(Verb::Reverse, "reverse", "", &[Key::Char('S')], "Reverse the order").on(SORTED),
     entry(Verb::Copy, "copy", "copy", &[Key::Char('y')], "Copy name, digest or address to clipboard").on(COPIED),

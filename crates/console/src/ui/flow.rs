@@ -88,7 +88,7 @@ fn panels(state: &State, flow: Flow) -> [Panel; 4] {
 
 /// A row each: name, bars, figures.
 fn low(canvas: &mut Canvas, area: Rect, panels: &[Panel]) -> Rect {
-    let bars = (GRAPH_PARTS as u16).min(area.width.saturating_sub(NAMES + 24));
+    let bars = u16::try_from(GRAPH_PARTS).unwrap_or(u16::MAX).min(area.width.saturating_sub(NAMES + 24));
     for (line, panel) in (0u16..).zip(panels) {
         let place = row(area, line);
         canvas.put(place, panel.name, Role::Dim);

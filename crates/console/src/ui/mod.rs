@@ -17,6 +17,7 @@ pub mod ascii;
 pub mod bottom;
 pub mod canvas;
 pub mod chain;
+pub mod detail;
 pub mod first_run;
 pub mod flow;
 pub mod gateway;
@@ -84,6 +85,7 @@ fn draw_whole(canvas: &mut Canvas, area: Rect, state: &State) {
 
 /// Draws the screen in view without header, messages and bar.
 pub fn draw_content(canvas: &mut Canvas, area: Rect, state: &State) {
+    let area = detail::draw(canvas, area, state);
     match state.screen {
         Screen::Overview => overview::draw(canvas, area, state),
         Screen::Topics => topics::draw(canvas, area, state),

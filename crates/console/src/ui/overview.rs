@@ -17,6 +17,9 @@ const ROOMY_FROM: u16 = 18;
 /// The most alerts shown on a roomy screen.
 const MOST_ALERTS: usize = 4;
 
+/// Below so many columns the clock beside an alert stands without its word.
+const SAID_FROM: u16 = 100;
+
 const COLUMNS: &[Column] = &[
     Column::name("Busiest topics"),
     Column::text("Type", 27).from(100),
@@ -64,7 +67,9 @@ fn draw_health(canvas: &mut Canvas, area: Rect, site: &SiteView) -> Rect {
             let robots = canvas.put_right(rest, &format!(" {} robots ", site.robots), Role::Body);
             rest.width -= robots;
         }
-        canvas.puts(rest, &[(dot, role), (" ", Role::Body), (&part.text, Role::Body)]);
+        // The robots are named at the right already.
+        let text = part.text.strip_suffix(&format!(", {} SIMULATED robots", site.robots)).unwrap_or(&part.text);
+        canvas.puts(rest, &[(dot, role), (" ", Role::Body), (text, Role::Body)]);
     }
     below(area, u16::try_from(site.health.len()).unwrap_or(4))
 }
@@ -82,7 +87,8 @@ fn draw_life(canvas: &mut Canvas, area: Rect, state: &State, life: &LifeLine) ->
     for (place, (name, count)) in (0u16..).zip(stations) {
         let column = Rect { width, ..right_of(area, place * width) };
         let count = words::count(count);
-        let arrow = if place == 5 { "" } else { " ›" };
+        // `confirmed ›` and a gap must fit.
+        let arrow = if place == 5 || width < 12 { "" } else { " ›" };
         canvas.puts(row(column, 0), &[(name, Role::Title), (arrow, Role::Dim)]);
         canvas.put(row(column, 1), &count, if place == 5 { Role::Good } else { Role::Accent });
         let rate = state.rates.stations.get(usize::from(place)).copied().unwrap_or(0.0);
@@ -139,11 +145,12 @@ fn draw_alerts(canvas: &mut Canvas, area: Rect, state: &State, most: usize) -> R
 /// One alert with since when and how often, or that it is over.
 fn draw_alert(canvas: &mut Canvas, area: Rect, state: &State, alert: &Alert) {
     let often = if alert.count > 1 { format!(", {} times", alert.count) } else { String::new() };
+    let since = if area.width < SAID_FROM { "" } else { "since " };
     let (when, mark, role) = match alert.resolved {
         Some(at) => (format!("resolved {}{often}", state.clock(at)), "● ", Role::Good),
         None => {
             let (mark, role) = bottom::level(alert.level);
-            (format!("since {}{often}", state.clock(alert.since)), mark, role)
+            (format!("{since}{}{often}", state.clock(alert.since)), mark, role)
         }
     };
     let taken = canvas.put_right(area, &format!(" {when}"), Role::Dim);

@@ -20,6 +20,9 @@ use crate::app::popup::{Confirm, Popup};
 use crate::app::{State, granting};
 use crate::model::clean;
 
+pub(in crate::ui) use lookup::{Piece, provenance_lines, record_lines as record_facts};
+pub(in crate::ui) use record::{inside, put_lines};
+
 /// Draws a popup into the middle of `area`.
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, popup: &Popup) {
     match popup {

@@ -139,6 +139,7 @@ pub fn draw_line(canvas: &mut Canvas, area: Rect, line: &LogLine) {
 /// Draws what is under way, what waits, and for how long.
 pub fn draw_tasks(canvas: &mut Canvas, area: Rect, state: &State) {
     let mut lines: Vec<Line> = state.work.iter().map(Tag::words).map(|words| (words, Role::Accent)).collect();
+    lines.extend(state.progress.lines(state.shown_at()).into_iter().map(|line| (line, Role::Accent)));
     if lines.is_empty() {
         lines.push(("no commands running".to_owned(), Role::Dim));
     }
