@@ -95,7 +95,8 @@ impl Flow {
     /// Whether it looks other when time goes on and nothing comes.
     fn moves(&self) -> bool {
         let flows = highest(&self.captured) > 0.0 || highest(&self.verified) > 0.0;
-        flows || self.pending.windows(2).any(|pair| pair.first() != pair.last())
+        let pending = || self.pending.iter().map(|count| count.unwrap_or(0.0));
+        flows || pending().zip(pending().skip(1)).any(|(one, next)| (one - next).abs() > 0.5)
     }
 }
 
