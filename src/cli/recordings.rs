@@ -160,7 +160,7 @@ async fn tell_progress(client: &Client, (progress, told): &mut (Progress, String
     let Ok(runs) = client.ask(RecordingProgress).await else { return };
     let now = Timestamp::now();
     progress.set(runs, now);
-    for line in progress.lines(now).into_iter().filter(|line| line != told).collect::<Vec<_>>() {
+    for line in progress.lines(now).into_iter().filter(|line| *line != *told).collect::<Vec<_>>() {
         output.note(&line);
         *told = line;
     }
