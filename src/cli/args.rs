@@ -116,6 +116,8 @@ pub enum Verb {
         #[arg(long)]
         check: bool,
     },
+    /// The profiles of this home
+    Profiles,
     /// Settings and where they come from
     #[command(subcommand)]
     Config(ConfigVerb),
@@ -236,6 +238,7 @@ pub struct DemoArguments {
 
 /// What is printed instead of done: defaults to write one's own files from.
 #[derive(Debug, Default, Args)]
+#[command(next_help_heading = "Instead of a command")]
 pub struct PrintArguments {
     /// Print every setting with its default, as a config.toml
     #[arg(long = "print-default-config", group = "printed")]
@@ -274,6 +277,18 @@ mod tests {
     #[test]
     fn the_command_line_is_consistent() {
         Arguments::command().debug_assert();
+    }
+
+    #[test]
+    fn a_commands_own_options_come_before_those_of_every_command() {
+        let mut command = Arguments::command();
+        command.build();
+        let capture = command.find_subcommand_mut("capture").expect("a verb");
+        let help = capture.render_help().to_string();
+        let (own, every) = help.split_once("Options of every command:").expect("a heading");
+        let own = own.split_once("\nOptions:").expect("its own").1;
+        assert!(own.contains("--topic") && !own.contains("--home"), "{help}");
+        assert!(every.contains("--home") && !every.contains("--topic"), "{help}");
     }
 
     #[test]

@@ -1,15 +1,16 @@
 //! Results as text for people.
 
+use super::connect::Context;
 use super::parties;
 use crate::config::SettingView;
-use crate::model::{Address, Verdict};
+use crate::model::{Address, ProfileName, Verdict};
 use crate::pipeline::columns::Compared;
 use crate::pipeline::sender::LaneState;
 use crate::service::reply::{
     Caveat, ChainView, DeployedView, Direction, GrantRow, IdentityView, KeysView, Provenance, RecordPage, RecordView,
     ShownState, TopicRow,
 };
-use authros_output::table;
+use authros_output::{Output, table};
 
 fn pairs(rows: &[(&str, String)]) -> String {
     let width = rows.iter().map(|(name, _)| name.len()).max().unwrap_or(0);
@@ -42,6 +43,20 @@ pub fn settings(settings: &[SettingView]) -> String {
         })
         .collect();
     table(&["setting", "value", "from", "meaning"], &rows)
+}
+
+/// The profiles of a home; the one that commands speak for is marked.
+pub fn profiles(context: &Context, output: &Output) -> u8 {
+    let all = context.home.profiles();
+    let is_used = |profile: &ProfileName| *profile == context.profile;
+    let json: Vec<serde_json::Value> =
+        all.iter().map(|profile| serde_json::json!({ "profile": profile, "used": is_used(profile) })).collect();
+    let line = |profile: &ProfileName| format!("{} {profile}", if is_used(profile) { "*" } else { " " });
+    output.result(&json, || match all.as_slice() {
+        [] => "no profile yet; make one: authros identity create".to_owned(),
+        all => all.iter().map(line).collect::<Vec<_>>().join("\n"),
+    });
+    0
 }
 
 /// One identity.

@@ -106,6 +106,7 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
             output.raw(&printed::manual()?);
             Ok(0)
         }
+        Verb::Profiles => Ok(lists::profiles(&Context::new(global, output)?, output)),
         Verb::Config(verb) => runtime.block_on(verbs::config(&Context::new(global, output)?, &verb, output)),
         Verb::Restore { file, check: true } => {
             runtime.block_on(backups::check(Context::new(global, output)?, &file, output))

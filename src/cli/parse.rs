@@ -42,8 +42,11 @@ pub fn duration(text: &str) -> Result<Duration, Failure> {
 pub fn fingerprint(text: &str) -> Result<SignerId, Failure> {
     let digits: String = text.chars().filter(|character| !character.is_whitespace()).collect();
     unhex(&digits).and_then(|bytes| SignerId::from_slice(&bytes)).ok_or_else(|| {
-        let advice = "a gateway's operator shows it as 64 hex characters";
-        Failure::new(ErrorKind::Input, format!("'{}' is no fingerprint; {advice}", clean(text, 80)))
+        let advice = match digits.len() {
+            32 => "that is the fingerprint; give the key of 64 hex characters that the gateway shows beside it",
+            _ => "a gateway's operator shows it as 64 hex characters",
+        };
+        Failure::new(ErrorKind::Input, format!("'{}' is no gateway's key; {advice}", clean(text, 80)))
     })
 }
 

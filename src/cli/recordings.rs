@@ -8,10 +8,11 @@ use clap::{Args, Subcommand};
 use super::connect::{Context, ProfileNeed};
 use super::parse;
 use super::serve::Ending;
-use crate::model::ErrorKind;
+use crate::app::progress::Progress;
+use crate::model::{ErrorKind, Timestamp};
 use crate::ros::recording::{ChunkCompression, RecordingFormat};
 use crate::service::command::{Ask, ExportWishes, ImportWishes, RecordingProgress, StopCapture};
-use crate::service::reply::{ExportView, ImportView, ProgressView};
+use crate::service::reply::{ExportView, ImportView};
 use crate::service::{Client, Failure, Needs};
 use authros_output::{Output, table};
 
@@ -138,7 +139,7 @@ async fn run<A: Ask>(context: Context, ask: A, need: ProfileNeed, output: &Outpu
 async fn until_done<A: Ask>(client: &Client, ask: A, output: &Output) -> Result<A::Answer, Failure> {
     let answer = client.ask(ask);
     tokio::pin!(answer);
-    let (mut asked, mut told) = (false, String::new());
+    let (mut asked, mut told) = (false, (Progress::default(), String::new()));
     loop {
         tokio::select! {
             view = &mut answer => return view,
@@ -155,20 +156,14 @@ async fn until_done<A: Ask>(client: &Client, ask: A, output: &Output) -> Result<
     }
 }
 
-async fn tell_progress(client: &Client, told: &mut String, output: &Output) {
+async fn tell_progress(client: &Client, (progress, told): &mut (Progress, String), output: &Output) {
     let Ok(runs) = client.ask(RecordingProgress).await else { return };
-    for line in runs.iter().map(progress_line).filter(|line| *line != *told).collect::<Vec<_>>() {
+    let now = Timestamp::now();
+    progress.set(runs, now);
+    for line in progress.lines(now).into_iter().filter(|line| *line != *told).collect::<Vec<_>>() {
         output.note(&line);
         *told = line;
     }
-}
-
-fn progress_line(run: &ProgressView) -> String {
-    let share = match run.of {
-        0 => String::new(),
-        of => format!(" {} %", run.done.saturating_mul(100) / of),
-    };
-    format!("{} {}:{share} {} messages", run.step, run.file, run.messages)
 }
 
 fn imported(view: &ImportView) -> String {
@@ -179,7 +174,7 @@ fn imported(view: &ImportView) -> String {
             vec![topic.topic.clone(), topic.imported.to_string(), topic.verified.to_string(), topic.already.to_string()]
         })
         .collect();
-    let mut text = table(&["topic", "imported", "verified", "there before"], &rows);
+    let mut text = table(&["topic", "captured", "verified", "there before"], &rows);
     for damage in &view.damages {
         text.push_str(&format!("\nbyte {}: {}", damage.position, damage.text));
     }

@@ -1,5 +1,6 @@
 //! Answers of the site, printed for people or as JSON; files written where a verb asked for some.
 
+use std::io::Write as _;
 use std::path::Path;
 
 use super::{adopt, alerts, audit, check, gateway, lists, parties, policy, quarantine, viewing};
@@ -175,9 +176,16 @@ impl Printed for Vec<ExportedFile> {
     fn print(self, out: Option<&Path>, output: &Output) -> Result<u8, Failure> {
         let directory = out.unwrap_or(Path::new("."));
         std::fs::create_dir_all(directory).map_err(|error| not_written(directory, &error))?;
+        // None is written where any is there already: files of two records side by side would be no proof.
+        if let Some(there) = self.iter().map(|file| directory.join(&file.name)).find(|path| path.exists()) {
+            let text = format!("{} exists and is not overwritten; name another folder with --dir", there.display());
+            return Err(Failure::new(ErrorKind::Input, text));
+        }
         for file in &self {
             let path = directory.join(&file.name);
-            std::fs::write(&path, &file.bytes).map_err(|error| not_written(&path, &error))?;
+            let made = std::fs::File::create_new(&path);
+            let written = made.and_then(|mut made| made.write_all(&file.bytes));
+            written.map_err(|error| not_written(&path, &error))?;
         }
         let names: Vec<&str> = self.iter().map(|file| file.name.as_str()).collect();
         let written = serde_json::json!({ "directory": directory.display().to_string(), "files": names });

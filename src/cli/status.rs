@@ -151,6 +151,7 @@ mod tests {
             profiles: Vec::new(),
             tasks: Vec::new(),
             queue: crate::service::reply::QueueView::default(),
+            verified_after: Vec::new(),
         }
     }
 

@@ -108,10 +108,11 @@ fn files_for_others_name_no_account_unless_asked() {
     alice.json(&["contacts", "add", "bob", &two.reader]);
     alice.capture(&[TOPIC], 1);
     let id = text(&alice.records(&["uploads", "list"])[0], "id");
-    let directory = two.home.root().join("export");
-    let export = ["uploads", "export", &id, "--dir", directory.to_str().expect("UTF-8")];
     let proof = |options: &[&str]| {
+        let directory = two.home.root().join(format!("export{}", options.concat()));
+        let export = ["uploads", "export", &id, "--dir", directory.to_str().expect("UTF-8")];
         alice.run(&[&export[..], options].concat()).expect_code(0);
+        alice.run(&[&export[..], options].concat()).expect_code(3);
         fs::read_to_string(directory.join("proof.json")).expect("written")
     };
     let redacted = proof(&[]);
@@ -121,7 +122,7 @@ fn files_for_others_name_no_account_unless_asked() {
     assert!(full.contains(&two.owner), "{full}");
     let owner = support::unhex(&two.owner);
     assert!(
-        support::holds(&fs::read(directory.join("record.bin")).expect("written"), &owner),
+        support::holds(&fs::read(two.home.root().join("export--addresses/record.bin")).expect("written"), &owner),
         "what is signed stays whole"
     );
     for written in fs::read_dir(two.home.path().join("chain")).expect("the embedded chain").flatten() {

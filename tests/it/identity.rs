@@ -52,6 +52,10 @@ fn profiles_of_one_home_are_different_accounts() {
     let alice = home.profile("alice").with(&["--robots", "0"]).enrol();
     let bob = home.profile("bob").with(&["--robots", "0"]).enrol();
     assert_ne!(alice, bob);
+    let listed = home.profile("bob").run(&["profiles"]).expect_code(0);
+    let mut lines: Vec<&str> = listed.stdout.lines().collect();
+    lines.sort_unstable();
+    assert_eq!(lines, ["  alice", "* bob"]);
 }
 
 #[test]

@@ -241,7 +241,15 @@ impl Config {
     }
 }
 
+/// Hex digits of a key's fingerprint: half of the key's.
+const FINGERPRINT_DIGITS: usize = 32;
+
 fn remote_site(values: &Values) -> Result<Option<RemoteSite>, ConfigError> {
+    let digits = |text: &str| text.chars().filter(char::is_ascii_hexdigit).count();
+    if value(values, "site.gateway_key").is_some_and(|text| digits(text) == FINGERPRINT_DIGITS) {
+        let advice = "this is the fingerprint; write the key of 64 hex that the gateway shows before it";
+        return Err(wrong(values, "site.gateway_key", advice));
+    }
     let gateway_key = parsed(values, "site.gateway_key")?;
     let trust_first = match value(values, "site.trust_first") {
         Some("yes") => true,

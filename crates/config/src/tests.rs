@@ -64,6 +64,9 @@ fn a_remote_site_is_an_address_and_whom_to_trust() {
         assert!(site(&format!("[site]\naddress = \"{bad}\"")).is_err(), "{bad}");
     }
     assert!(site("[site]\naddress = \"h:1\"\ngateway_key = \"ab\"").is_err());
+    let fingerprint = format!("[site]\naddress = \"h:1\"\ngateway_key = \"{}\"\n", ["abcd"; 8].join(" "));
+    let error = site(&fingerprint).expect_err("half a key").to_string();
+    assert!(error.contains("this is the fingerprint"), "{error}");
     assert!(site("[site]\naddress = \"h:1\"\ntrust_first = \"maybe\"").is_err());
     let error = site("[chain]\nurl = \"http://node\"\n[site]\naddress = \"h:1\"").expect_err("both");
     assert!(error.to_string().contains("chain.url"), "{error}");

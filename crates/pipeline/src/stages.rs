@@ -10,6 +10,8 @@ use crate::model::Timestamp;
 const PER_DOUBLING: u64 = 16;
 /// Microseconds up to which every value has a bucket of its own.
 const EXACT: u64 = PER_DOUBLING;
+/// Buckets of a quarter of a doubling.
+const QUARTER: usize = 4;
 /// Buckets in all, up to 2^40 microseconds (twelve days).
 const BUCKETS: usize = 16 * 37;
 
@@ -141,6 +143,17 @@ impl Stages {
         (within, all, seconds)
     }
 
+    /// How many messages reached a milestone, by the longest time of their quarter of a doubling, microseconds; only
+    /// times that were seen.
+    pub fn spread(&self, milestone: Milestone) -> Vec<(u64, u64)> {
+        let buckets = &self.reached[milestone as usize].buckets;
+        let counted = buckets.chunks(QUARTER).enumerate().map(|(place, quarter)| {
+            let count = quarter.iter().map(|bucket| bucket.load(Ordering::Relaxed)).sum();
+            (end_of(place * QUARTER + QUARTER - 1), count)
+        });
+        counted.filter(|(_, count)| *count > 0).collect()
+    }
+
     /// The time within which `percent` of a hundred messages reached a milestone; `None` where none did.
     pub fn within(&self, milestone: Milestone, percent: u64) -> Option<Duration> {
         let all = self.count_of(milestone);
@@ -214,6 +227,8 @@ mod tests {
         for microseconds in [1_023, 1_024, 4_095, 70_000] {
             stages.reached[0].buckets[bucket(microseconds)].fetch_add(1, Ordering::Relaxed);
         }
+        assert_eq!(stages.spread(Milestone::Durable), [(1_023, 1), (1_279, 1), (4_095, 1), (81_919, 1)]);
+        assert!(stages.spread(Milestone::Verified).is_empty());
         let (within, all, seconds) = stages.within_powers(Milestone::Durable, &[10, 12, 14]);
         assert_eq!((within, all), (vec![1, 3, 3], 4));
         assert!((0.076_142..0.081).contains(&seconds), "{seconds}");

@@ -114,7 +114,9 @@ pub enum StoreError {
         detail: String,
     },
     /// A record id that is none.
-    #[error("'{0}' is not a record id; write 16 to 64 hex characters, as `authros uploads list` shows")]
+    #[error(
+        "'{0}' is not a record id; write the first 4 or more of its hex characters, as `authros uploads list` shows"
+    )]
     Id(String),
     /// A record id that several records share.
     #[error("more than one record begins with {0}; write more characters of its digest")]

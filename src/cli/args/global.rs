@@ -6,8 +6,9 @@ use clap::Args;
 
 use crate::cli::logging::LogForm;
 
-/// Flags of every command.
+/// Flags of every command, listed behind a command's own.
 #[derive(Debug, Clone, Args)]
+#[command(next_help_heading = "Options of every command")]
 pub struct Global {
     /// Directory of this site, settings included [default: $XDG_DATA_HOME/authros or ~/.local/share/authros]
     #[arg(long, global = true, value_name = "DIR", env = "AUTHROS_HOME")]
@@ -54,8 +55,8 @@ pub struct Global {
     /// Join a remote site through its gateway: records and chain come from there
     #[arg(long, global = true, value_name = "HOST:PORT")]
     pub site: Option<String>,
-    /// Fingerprint of that gateway's identity key, as its operator tells it
-    #[arg(long, global = true, value_name = "FINGERPRINT", conflicts_with = "trust_first")]
+    /// That gateway's identity key, 64 hex, as its operator tells it (not the fingerprint of eight groups beside it)
+    #[arg(long, global = true, value_name = "KEY", conflicts_with = "trust_first")]
     pub gateway_key: Option<String>,
     /// Pin whatever gateway answers the first time
     #[arg(long, global = true)]

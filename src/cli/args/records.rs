@@ -109,12 +109,12 @@ pub enum UploadsVerb {
     List(ListArguments),
     /// One record with its provenance
     Show {
-        /// Record id
+        /// Record id, or the beginning of one
         id: String,
     },
     /// Files for others to check with openssl
     Export {
-        /// Record id
+        /// Record id, or the beginning of one
         id: String,
         /// Directory to write record.bin, signature.bin, signer.pem, proof.json to
         #[arg(long, value_name = "DIR")]
@@ -132,7 +132,7 @@ pub enum SharedVerb {
     List(ListArguments),
     /// Digest against the chain, signature (the paper's `Data_Check`)
     Check {
-        /// Record id
+        /// Record id, or the beginning of one
         id: String,
     },
     /// Write what this profile may read as a bag or MCAP, each record checked and verified first
@@ -141,7 +141,7 @@ pub enum SharedVerb {
     Play(crate::cli::playing::PlayArguments),
     /// Check, decrypt, decode
     Open {
-        /// Record id
+        /// Record id, or the beginning of one
         id: String,
         /// Also write it to a file: .json, .bin, pictures also .png, .jpg, .npy; of another name = a picture's own
         /// bytes where it is one, else the message's
@@ -150,7 +150,7 @@ pub enum SharedVerb {
     },
     /// Where the robot was, over the records of a topic that lead to one
     Path {
-        /// Record id
+        /// Record id, or the beginning of one
         id: String,
         /// Records at most
         #[arg(long, value_name = "N", default_value_t = 200)]

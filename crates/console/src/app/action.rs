@@ -4,6 +4,7 @@ use zeroize::Zeroizing;
 
 use super::feed::Feed;
 use super::key::Key;
+use super::screen::Screen;
 use super::verb::Verb;
 use crate::model::{Address, Party, Timestamp};
 use crate::service::reply::ExportedFile;
@@ -172,6 +173,8 @@ pub enum Tag {
     Publishers(String),
     /// Provenance of a record.
     Show(String),
+    /// What the pane beside a list tells of a record.
+    Beside(Screen, String),
     /// Opening of a record.
     Open(String),
     /// The path over a record's topic.
@@ -189,8 +192,10 @@ pub enum Tag {
 impl Tag {
     /// Whether the work behind it changes something, so that quitting should wait or ask.
     pub fn is_work(&self) -> bool {
-        let looks =
-            matches!(self, Self::Show(_) | Self::Open(_) | Self::Path(_) | Self::Check(_) | Self::Publishers(_));
+        let looks = matches!(
+            self,
+            Self::Show(_) | Self::Beside(..) | Self::Open(_) | Self::Path(_) | Self::Check(_) | Self::Publishers(_)
+        );
         !looks && !matches!(self, Self::Feed(..) | Self::OpenConsole)
     }
 
@@ -222,6 +227,7 @@ impl Tag {
             Self::Discard(topic) => format!("discarding what is held of {topic}"),
             Self::Publishers(topic) => format!("looking up publishers of {topic}"),
             Self::Show(id) => format!("looking up {id}"),
+            Self::Beside(_, id) => format!("reading {id}"),
             Self::Open(id) => format!("opening {id}"),
             Self::Path(id) => format!("reading the path to {id}"),
             Self::Check(id) => format!("checking {id}"),

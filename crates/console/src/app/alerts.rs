@@ -1,4 +1,4 @@
-//! What an operator should look at, from the data on hand.
+//! What an operator should look at, from the data on hand: since when, how often, and what was over lately.
 
 use super::screens::grants::{is_active, is_given};
 use super::standing::not_captured;
@@ -9,35 +9,150 @@ use crate::service::reply::{GrantRow, HealthLevel, LifeLine, PartHealth};
 
 /// The most notices repeated as alerts.
 const MOST_NOTICES: usize = 3;
+/// How long what is over stays in the book, nanoseconds.
+const KEPT: u64 = 15 * 60 * 1_000_000_000;
+/// What needs no operator and is over within this is not kept, nanoseconds.
+const BRIEF: u64 = 5_000_000_000;
+/// The most of what is over that is kept.
+const MOST_OVER: usize = 20;
 
-/// All alerts, the worst first.
-pub fn alerts(state: &State) -> Vec<(NoticeLevel, String)> {
+/// Something that needs attention, or did.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Alert {
+    /// What it is about; the text may change while this stays.
+    pub about: String,
+    /// How urgent.
+    pub level: NoticeLevel,
+    /// In words.
+    pub text: String,
+    /// Since when.
+    pub since: Timestamp,
+    /// How often it was so, this time included.
+    pub count: usize,
+    /// When it was over.
+    pub resolved: Option<Timestamp>,
+    /// Whether its end is worth knowing.
+    pub lasts: bool,
+}
+
+impl Alert {
+    /// What began and ended by itself within seconds, as at every start, is no news.
+    fn is_worth_knowing(&self) -> bool {
+        let lasted = self.resolved.map_or(0, |at| at.0.saturating_sub(self.since.0));
+        self.lasts && (lasted >= BRIEF || self.level == NoticeLevel::Error)
+    }
+}
+
+/// All that needs attention, and what was over lately.
+#[derive(Debug, Default)]
+pub struct AlertBook(Vec<Alert>);
+
+impl AlertBook {
+    /// Takes over what is found now: the new is noted with its moment, what is gone is over.
+    pub fn refresh(&mut self, found: Vec<Alert>, now: Timestamp) {
+        for alert in &mut self.0 {
+            if alert.resolved.is_none() && !found.iter().any(|other| other.about == alert.about) {
+                alert.resolved = Some(now);
+            }
+        }
+        self.0.retain(|alert| alert.resolved.is_none() || alert.is_worth_knowing());
+        found.into_iter().for_each(|alert| self.take(alert));
+        self.0.retain(|alert| alert.resolved.is_none_or(|at| now.0.saturating_sub(at.0) < KEPT));
+        let over = self.0.iter().filter(|alert| alert.resolved.is_some()).count();
+        let mut surplus = over.saturating_sub(MOST_OVER);
+        self.0.retain(|alert| {
+            let goes = alert.resolved.is_some() && surplus > 0;
+            surplus -= usize::from(goes);
+            !goes
+        });
+    }
+
+    fn take(&mut self, alert: Alert) {
+        let Some(known) = self.0.iter_mut().find(|known| known.about == alert.about) else {
+            return self.0.push(alert);
+        };
+        let again = known.resolved.take().is_some();
+        if again {
+            known.since = alert.since;
+        }
+        (known.level, known.text) = (alert.level, alert.text);
+        known.count = alert.count.max(known.count + usize::from(again));
+    }
+
+    /// What is so now, the worst first, then what was over lately, the newest first.
+    pub fn shown(&self) -> Vec<&Alert> {
+        let mut shown: Vec<&Alert> = self.0.iter().collect();
+        shown.sort_by_key(|alert| (alert.resolved.map(std::cmp::Reverse), std::cmp::Reverse(alert.level)));
+        shown
+    }
+
+    /// When the oldest of what is over leaves the book.
+    pub fn forgotten_at(&self) -> Option<Timestamp> {
+        let over = self.0.iter().filter_map(|alert| alert.resolved).min()?;
+        Some(Timestamp(over.0.saturating_add(KEPT)))
+    }
+}
+
+/// Brings the book up to date with the data on hand.
+pub fn refresh(state: &mut State) {
+    let found = standing(state);
+    let now = state.now;
+    state.alerts.refresh(found, now);
+}
+
+/// All that is so now.
+fn standing(state: &State) -> Vec<Alert> {
+    let alert = |about: &str, level, text| Alert {
+        about: about.to_owned(),
+        level,
+        text,
+        since: state.now,
+        count: 1,
+        resolved: None,
+        lasts: false,
+    };
     let mut found = Vec::new();
     if let Some(site) = &state.site {
-        found.extend(site.health.iter().filter_map(health));
-        found.extend(life(&site.life));
+        found.extend(site.health.iter().filter_map(|part| {
+            let (level, text) = health(part)?;
+            Some(Alert { since: part.since.unwrap_or(state.now), lasts: true, ..alert(&part.part, level, text) })
+        }));
+        found.extend(
+            life(&site.life).into_iter().map(|(count, level, what)| alert(what, level, format!("{count} {what}"))),
+        );
     }
-    if let Some(identity) = state.identity.as_ref().filter(|identity| identity.exists) {
-        if !identity.unlocked {
-            let off = not_captured(state).map_or_else(String::new, |what| format!(": {what}"));
-            found.push((NoticeLevel::Warning, format!("locked{off}; u unlocks")));
-        } else if let Some(what) = not_captured(state) {
-            found.push((NoticeLevel::Warning, what));
-        } else if !identity.registered {
-            found.push((NoticeLevel::Warning, "not registered on this chain: 6, then R registers".to_owned()));
+    if let Some((about, text)) = identity(state) {
+        found.push(alert(about, NoticeLevel::Warning, text));
+    }
+    found.extend(state.grants.rows.iter().filter_map(|row| {
+        let text = expiring(row, state.now)?;
+        Some(alert(&format!("grant {} {}", row.grantee, row.epoch), NoticeLevel::Info, text))
+    }));
+    for line in state.log.urgent(MOST_NOTICES) {
+        // The same said again is one alert, since it was first said.
+        match found.iter_mut().find(|alert| alert.about == line.text) {
+            Some(alert) => (alert.count, alert.since) = (alert.count + 1, alert.since.min(line.at)),
+            None => found.push(Alert { since: line.at, ..alert(&line.text, line.level, line.text.clone()) }),
         }
     }
-    found.extend(state.grants.rows.iter().filter_map(|row| expiring(row, state.now)));
-    found.extend(state.log.urgent(MOST_NOTICES).into_iter().map(|line| {
-        let at = line.at.clock();
-        (line.level, format!("{at} {}", line.text))
-    }));
-    found.sort_by_key(|(level, _)| std::cmp::Reverse(*level));
     found
 }
 
+/// What the profile lacks: the worst alone.
+fn identity(state: &State) -> Option<(&'static str, String)> {
+    let identity = state.identity.as_ref().filter(|identity| identity.exists)?;
+    if !identity.unlocked {
+        let off = not_captured(state).map_or_else(String::new, |what| format!(": {what}"));
+        return Some(("locked", format!("locked{off}; u unlocks")));
+    }
+    if let Some(what) = not_captured(state) {
+        return Some(("not captured", what));
+    }
+    (!identity.registered).then(|| ("not registered", "not registered on this chain: 6, then R registers".to_owned()))
+}
+
 /// A grant given that ends within three days.
-fn expiring(row: &GrantRow, now: Timestamp) -> Option<(NoticeLevel, String)> {
+fn expiring(row: &GrantRow, now: Timestamp) -> Option<String> {
     const SOON: u64 = 3 * 86_400 * 1_000_000_000;
     let ends = row.expires.filter(|_| is_given(row) && is_active(row))?;
     let left = ends.0.checked_sub(now.0).filter(|left| *left < SOON)? / 1_000_000_000;
@@ -47,7 +162,7 @@ fn expiring(row: &GrantRow, now: Timestamp) -> Option<(NoticeLevel, String)> {
         3_600..86_400 => format!("{} h", left / 3_600),
         _ => format!("{} d", left / 86_400),
     };
-    Some((NoticeLevel::Info, format!("the grant to {who} ends in {when}: a new epoch begins then (5)")))
+    Some(format!("the grant to {who} ends in {when}: a new epoch begins then (5)"))
 }
 
 fn health(part: &PartHealth) -> Option<(NoticeLevel, String)> {
@@ -59,7 +174,7 @@ fn health(part: &PartHealth) -> Option<(NoticeLevel, String)> {
     }
 }
 
-fn life(life: &LifeLine) -> Vec<(NoticeLevel, String)> {
+fn life(life: &LifeLine) -> Vec<(u64, NoticeLevel, &'static str)> {
     let counted = [
         (life.tampered, NoticeLevel::Error, "tampered: not the bytes that were anchored (3, then / tampered)"),
         (life.right_ended, NoticeLevel::Warning, "right ended: restore the account or renew the loan and they resume"),
@@ -71,6 +186,47 @@ fn life(life: &LifeLine) -> Vec<(NoticeLevel, String)> {
         ),
         (life.lost_in_transport, NoticeLevel::Warning, "lost in transport, before they were captured"),
     ];
-    let seen = counted.into_iter().filter(|(count, ..)| *count > 0);
-    seen.map(|(count, level, what)| (level, format!("{count} {what}"))).collect()
+    counted.into_iter().filter(|(count, ..)| *count > 0).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn alert(about: &str, at: u64) -> Alert {
+        let since = Timestamp::from_seconds(at);
+        let (level, text) = (NoticeLevel::Error, about.to_owned());
+        Alert { about: about.into(), level, text, since, count: 1, resolved: None, lasts: true }
+    }
+
+    #[test]
+    fn an_alert_says_since_when_how_often_and_that_it_is_over() {
+        let at = Timestamp::from_seconds;
+        let mut book = AlertBook::default();
+        book.refresh(vec![alert("vault", 10)], at(10));
+        book.refresh(vec![alert("vault", 20)], at(20));
+        assert_eq!((book.shown()[0].since, book.shown()[0].count), (at(10), 1));
+        book.refresh(vec![], at(30));
+        assert_eq!(book.shown()[0].resolved, Some(at(30)));
+        book.refresh(vec![alert("vault", 40), alert("chain", 40)], at(40));
+        let vault = book.shown().into_iter().find(|alert| alert.about == "vault").cloned().expect("it is back");
+        assert_eq!((vault.since, vault.count, vault.resolved), (at(40), 2, None));
+        book.refresh(vec![alert("chain", 50)], at(50));
+        assert_eq!(book.shown().iter().map(|alert| alert.about.as_str()).collect::<Vec<_>>(), ["chain", "vault"]);
+        assert_eq!(book.forgotten_at(), Some(at(50 + 15 * 60)));
+        book.refresh(vec![alert("chain", 50)], at(50 + 15 * 60));
+        assert_eq!(book.shown().len(), 1);
+    }
+
+    #[test]
+    fn what_passes_within_seconds_leaves_no_trace() {
+        let at = Timestamp::from_seconds;
+        let mut book = AlertBook::default();
+        book.refresh(vec![Alert { level: NoticeLevel::Warning, ..alert("chain", 10) }], at(10));
+        book.refresh(vec![], at(12));
+        assert!(book.shown().is_empty());
+        book.refresh(vec![Alert { lasts: false, ..alert("locked", 10) }], at(10));
+        book.refresh(vec![], at(60));
+        assert!(book.shown().is_empty());
+    }
 }

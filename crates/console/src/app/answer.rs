@@ -5,11 +5,13 @@
 use zeroize::Zeroizing;
 
 use super::action::{Contents, Effect, Tag};
+use super::detail;
 use super::feed::Feed;
 use super::identity_path;
 use super::opening;
 use super::playing;
 use super::popup::Popup;
+use super::screen::Screen;
 use super::state::State;
 use super::undo;
 use crate::model::{ErrorKind, Verdict};
@@ -33,6 +35,8 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
         Tag::Register => return identity_path::registered(state, ask::Register::heard(result)),
         Tag::Open(id) => return opening::opened(state, id, ask::OpenShared::heard(result)),
         Tag::Path(id) => opening::path_found(state, id, ask::ViewPath::heard(result)),
+        Tag::Beside(Screen::Uploads, id) => detail::looked_up(state, id, ask::ShowUpload::heard(result)),
+        Tag::Beside(_, id) => detail::opened(state, id, ask::OpenShared::heard(result)),
         Tag::Show(id) => looked_up(state, id, ask::ShowUpload::heard(result)),
         Tag::Publishers(topic) => publishers(state, topic, ask::ListPins::heard(result)),
         Tag::HoldCapture => done(state, tag, ask::HoldCapture::heard(result), |state, ()| {
@@ -84,7 +88,13 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
             done(state, tag, ask::DiscardHeld::heard(result), |state, decided| state.inform(decided.text))
         }
     }
-    Vec::new()
+    follow_up(state, tag)
+}
+
+/// What one question asked for besides the act that is done now; nothing where that failed.
+fn follow_up(state: &mut State, tag: &Tag) -> Vec<Effect> {
+    let Some((_, errand)) = state.follow_up.take_if(|(after, _)| after == tag) else { return Vec::new() };
+    vec![state.send(errand)]
 }
 
 fn fed(state: &mut State, feed: Feed, generation: u64, result: Answer) -> Vec<Effect> {
@@ -113,6 +123,7 @@ fn take(state: &mut State, feed: Feed, result: Answer) -> Result<(), Failure> {
         Feed::Site => {
             let site = ask::SiteStatus::heard(result)?;
             state.rates.observe(&site.life, state.now);
+            state.history.observe(&site, state.now);
             state.site = Some(site);
         }
         Feed::Identity => state.identity = Some(ask::ShowIdentity::heard(result)?),
@@ -124,6 +135,10 @@ fn take(state: &mut State, feed: Feed, result: Answer) -> Result<(), Failure> {
         Feed::Chain => state.chain = Some(*ask::ChainStatus::heard(result)?),
         Feed::Audit => state.log.set_audit(ask::ListAudit::heard(result)?),
         Feed::Contacts => state.contacts = ask::ListContacts::heard(result)?,
+        Feed::Progress => {
+            state.progress.set(ask::RecordingProgress::heard(result)?, state.now);
+            state.progress_at = state.now;
+        }
         Feed::Gateway => state.gateway.set(ask::GatewayStatus::heard(result)?),
     }
     Ok(())
@@ -177,8 +192,16 @@ fn locked(state: &mut State, result: Result<IdentityView, Failure>) {
 fn done<T>(state: &mut State, tag: &Tag, result: Result<T, Failure>, take: impl FnOnce(&mut State, T)) {
     match result {
         Ok(answer) => {
+            // What failed before at the same is no longer so.
+            state.toasts.supersede(&tag.words());
+            state.log.notice(state.now, NoticeLevel::Info, &format!("{}: done", tag.words()));
             take(state, answer);
-            drop(state.filled.take_if(|(kept, ..)| kept == tag));
+            // The form leads back to itself where what follows fails.
+            let next = state.follow_up.as_ref().filter(|(after, _)| after == tag).map(|(_, errand)| errand.tag.clone());
+            match (next, &mut state.filled) {
+                (Some(next), Some((kept, ..))) if kept == tag => *kept = next,
+                _ => drop(state.filled.take_if(|(kept, ..)| kept == tag)),
+            }
             undo::note(state, tag);
             for feed in touched_by(tag) {
                 state.feeds.slot_mut(*feed).stale = true;
@@ -190,6 +213,7 @@ fn done<T>(state: &mut State, tag: &Tag, result: Result<T, Failure>, take: impl 
 
 /// A failed act leads back to its form, filled as it was; the log keeps what was said.
 fn failed(state: &mut State, tag: &Tag, failure: &Failure) {
+    drop(state.follow_up.take_if(|(after, _)| after == tag));
     match state.filled.take_if(|(kept, ..)| kept == tag) {
         Some((_, purpose, mut form)) => {
             let text = format!("{}: {}", tag.words(), failure.message);
@@ -249,7 +273,7 @@ fn touched_by(tag: &Tag) -> &'static [Feed] {
         Tag::Administer(_) | Tag::Deploy | Tag::Adopt => &[Feed::Chain],
         Tag::Feed(..) | Tag::OpenConsole | Tag::CreateIdentity | Tag::Unlock | Tag::Register | Tag::Lock => &[],
         Tag::ExportKey(_) | Tag::BackUp | Tag::Export(_) | Tag::Play(_) | Tag::StopPlay => &[],
-        Tag::Publishers(_) | Tag::Show(_) | Tag::Open(_) | Tag::Path(_) | Tag::Check(_) => &[],
+        Tag::Publishers(_) | Tag::Show(_) | Tag::Beside(..) | Tag::Open(_) | Tag::Path(_) | Tag::Check(_) => &[],
     }
 }
 

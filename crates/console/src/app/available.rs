@@ -6,6 +6,7 @@ use super::action::Tag;
 use super::administration::Act;
 use super::screen::Screen;
 use super::screens::grants::{is_active, is_given};
+use super::screens::robots::robot_of;
 use super::state::State;
 use super::verb::{Verb, entry_of};
 
@@ -24,27 +25,43 @@ pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
         Verb::Unlock => unlock(state),
         Verb::Register => register(state),
         Verb::LoadKey | Verb::ExportKey | Verb::Rotate => identity(state),
-        Verb::Revoke => revoke(state),
-        Verb::Extend => extend(state),
+        Verb::Revoke | Verb::Extend => revoke(state),
         Verb::Filter | Verb::Up | Verb::Down | Verb::PageUp | Verb::PageDown | Verb::First | Verb::Last => {
             given(state.screen.has_table(), "no table here")
+        }
+        Verb::NextMatch | Verb::PreviousMatch => {
+            given(state.table().is_some_and(|table| !table.filter.text().is_empty()), "no filter: / sets one")
         }
         Verb::Sort | Verb::Reverse => given(state.screen.sorts(), "nothing to sort here"),
         Verb::Mark | Verb::MarkAll | Verb::Watch | Verb::Details | Verb::Open | Verb::Check | Verb::Export => {
             given(entry.works_on(state.screen), "other screen")?;
             given(state.has_rows(), "nothing selected")
         }
-        Verb::Publishers | Verb::Pin | Verb::Unpin | Verb::Readers | Verb::Browse | Verb::Play => {
+        Verb::Publishers | Verb::Pin | Verb::Unpin => {
+            given(entry.works_on(state.screen), "other screen")?;
+            one_topic(state)
+        }
+        Verb::Fold => {
+            given(entry.works_on(state.screen), "other screen")?;
+            let row = state.topics.selected().ok_or("nothing selected")?;
+            given(robot_of(&row.topic).is_some(), "no robot's topic")
+        }
+        Verb::Readers | Verb::Browse | Verb::Play => {
             given(entry.works_on(state.screen), "other screen")?;
             given(matches!(verb, Verb::Browse) || state.has_rows(), "nothing selected")
         }
+        Verb::Period | Verb::FoldAll => given(entry.works_on(state.screen), "other screen"),
         Verb::Release | Verb::Discard => held(state),
         Verb::BackUp => identity(state),
         Verb::Lock => lock(state),
         Verb::Undo => given(state.undo.is_some(), "nothing to undo"),
         Verb::Administer(act) => administer(state, act),
         Verb::Copy | Verb::WriteFile => given(copyable(state), "nothing here to copy"),
-        Verb::Level => given(state.screen == Screen::Log, "other screen"),
+        Verb::Level | Verb::Source => given(state.screen == Screen::Log, "other screen"),
+        Verb::Read => {
+            given(entry.works_on(state.screen), "other screen")?;
+            given(state.has_rows(), "nothing selected")
+        }
         Verb::Go(_) | Verb::NextScreen | Verb::PreviousScreen | Verb::Grant | Verb::Tasks | Verb::LocalTime => Ok(()),
         Verb::Freeze | Verb::Palette | Verb::Help | Verb::Dismiss | Verb::ChooseTheme | Verb::Ascii => Ok(()),
         Verb::Mouse | Verb::Redraw | Verb::Suspend | Verb::Quit => Ok(()),
@@ -59,9 +76,9 @@ fn copyable(state: &State) -> bool {
     match state.screen {
         Screen::Keys => state.address().is_some(),
         Screen::Chain => state.chain.as_ref().is_some_and(|chain| chain.contract.is_some()),
-        Screen::Log => false,
         Screen::Gateway => state.gateway.view.as_ref().is_some_and(|view| view.served.is_some()),
         Screen::Overview | Screen::Topics | Screen::Uploads | Screen::Shared | Screen::Grants => state.has_rows(),
+        Screen::Log => state.has_rows(),
     }
 }
 
@@ -88,8 +105,15 @@ fn register(state: &State) -> Result<(), &'static str> {
     given(!state.work.contains(&Tag::Register), "under way")
 }
 
+/// What is done to one topic is not done to a robot's row.
+fn one_topic(state: &State) -> Result<(), &'static str> {
+    let row = state.topics.selected().ok_or("nothing selected")?;
+    given(state.topics.robot(&row.topic).is_none(), "a robot, not a topic: h unfolds it")
+}
+
 fn held(state: &State) -> Result<(), &'static str> {
     given(state.screen == Screen::Topics, "other screen")?;
+    one_topic(state)?;
     let row = state.topics.selected().ok_or("nothing selected")?;
     given(row.quarantined > 0, "nothing quarantined")
 }
@@ -121,11 +145,6 @@ fn administer(state: &State, act: Act) -> Result<(), &'static str> {
             given(own.is_some() && chain.administration.administrator == own, "you are not the administrator")
         }
     }
-}
-
-fn extend(state: &State) -> Result<(), &'static str> {
-    revoke(state)?;
-    given(state.grants.selected().is_some_and(|row| row.expires.is_some()), "has no end")
 }
 
 fn revoke(state: &State) -> Result<(), &'static str> {

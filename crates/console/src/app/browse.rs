@@ -1,11 +1,15 @@
-//! Browsing what others share: who shares, then their topics and types; choosing writes the filter of the list.
+//! Browsing records: of others by who shares, own ones by topic and state, both by type and time; choosing writes the
+//! filter of the list.
 
 use super::action::Effect;
 use super::cursor;
+use super::field::Field;
 use super::key::Key;
 use super::popup::Popup;
+use super::screen::Screen;
 use super::screens::grants::{end, is_active, is_given, scope};
 use super::state::State;
+use crate::service::reply::RecordView;
 
 /// One thing to choose.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -25,10 +29,31 @@ pub struct Browse {
     pub selected: usize,
 }
 
-/// All that can be chosen now: everything, each owner who shares, topics, types.
+/// All that can be chosen now: everything, each owner who shares, topics, types, times.
 pub fn choices(state: &State) -> Vec<Choice> {
-    let choice = |text: &str, note: String, filter: String| Choice { text: text.to_owned(), note, filter };
     let mut all = vec![choice("All records", String::new(), String::new())];
+    if state.screen == Screen::Uploads {
+        let watched = state.topics.rows.iter().filter(|row| row.watched || row.messages > 0);
+        all.extend(watched.map(|row| choice(&row.topic, format!("{} captured", row.messages), row.topic.clone())));
+        all.extend(seen(&state.uploads.rows, &all));
+        let states = ["sealed", "verified", "quarantined", "tampered"];
+        all.extend(states.map(|word| choice(word, "by state".to_owned(), format!("state:{word}"))));
+    } else {
+        all.extend(shared(state));
+        all.extend(seen(&state.shared.rows, &all));
+    }
+    all.push(choice("the last hour", "by time of capture".to_owned(), "since:1h".to_owned()));
+    all.push(choice("the last day", "by time of capture".to_owned(), "since:1d".to_owned()));
+    all
+}
+
+fn choice(text: &str, note: String, filter: String) -> Choice {
+    Choice { text: text.to_owned(), note, filter }
+}
+
+/// Each owner who shares, and the topics.
+fn shared(state: &State) -> Vec<Choice> {
+    let mut all = Vec::new();
     let received = state.grants.rows.iter().filter(|row| !is_given(row) && is_active(row));
     for row in received {
         let word = row.name.clone().unwrap_or_else(|| row.owner.to_string());
@@ -39,17 +64,20 @@ pub fn choices(state: &State) -> Vec<Choice> {
         });
         all.extend(topics);
     }
+    all
+}
+
+/// Topics and types of the page in view that are not among the choices yet.
+fn seen(rows: &[RecordView], known: &[Choice]) -> Vec<Choice> {
     let mut seen: Vec<Choice> = Vec::new();
-    for row in &state.shared.rows {
+    for row in rows {
         seen.push(choice(&row.topic, "a topic on this page".to_owned(), row.topic.clone()));
         seen.push(choice(&row.type_name, "a type on this page".to_owned(), format!("type:{}", row.type_name)));
     }
     seen.sort_by(|one, other| one.filter.cmp(&other.filter));
     seen.dedup();
-    all.extend(seen.into_iter().filter(|choice| !choice.text.is_empty()));
-    all.push(choice("the last hour", "by time of capture".to_owned(), "since:1h".to_owned()));
-    all.push(choice("the last day", "by time of capture".to_owned(), "since:1d".to_owned()));
-    all
+    let is_new = |choice: &Choice| !choice.text.is_empty() && known.iter().all(|other| other.filter != choice.filter);
+    seen.into_iter().filter(is_new).collect()
 }
 
 /// A key while the list is open.
@@ -60,8 +88,9 @@ pub fn key(state: &mut State, mut browse: Browse, key: Key) -> Vec<Effect> {
         Key::Escape | Key::Char('q') => return Vec::new(),
         Key::Enter => {
             if let Some(choice) = choices.get(browse.selected.min(last)) {
-                state.shared.table.filter.clear();
-                state.shared.table.filter.insert(&choice.filter);
+                if let Some(table) = state.table_mut() {
+                    table.filter = Field::with(&choice.filter);
+                }
                 cursor::restart_records(state);
             }
             return Vec::new();

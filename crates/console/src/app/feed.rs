@@ -32,11 +32,13 @@ pub enum Feed {
     Gateway,
     /// `ListContacts`.
     Contacts,
+    /// `RecordingProgress`.
+    Progress,
 }
 
 impl Feed {
     /// All feeds.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 12] = [
         Self::Site,
         Self::Identity,
         Self::Keys,
@@ -48,6 +50,7 @@ impl Feed {
         Self::Audit,
         Self::Gateway,
         Self::Contacts,
+        Self::Progress,
     ];
 
     /// What a change of `part` makes out of date.

@@ -79,9 +79,9 @@ pub fn extend(grantee: &str, ends: &str) -> Form {
     let lines = vec![Line::text("Ends", "empty = never; 45m, 12h, 30d, 2036-12-31", Field::default())];
     let notes = vec![
         format!("{grantee} can read until: {ends}"),
-        "Keys and epoch stay as they are. Sends a transaction.".to_owned(),
+        "Later: keys and epoch stay as they are. Sooner: a revoke and a new grant.".to_owned(),
     ];
-    Form::new("Extend the grant", notes, lines)
+    Form::new("Another end for the grant", notes, lines)
 }
 
 /// The terms of a grant, as typed.

@@ -2,18 +2,19 @@
 //! checked checked before the question, the terms of a grant changed.
 
 use super::action::{Effect, Errand, Tag};
+use super::confirm;
 use super::field::Field;
 use super::form::Form;
 use super::forms::{self, GrantWish};
 use super::perform;
-use super::popup::{Popup, Purpose};
+use super::popup::{Confirm, Popup, Purpose};
 use super::screen::Screen;
-use super::screens::grants::{day, is_active, is_given, other_side};
+use super::screens::grants::{day, end, is_active, is_given, other_side, scope};
 use super::state::State;
 use super::when;
-use crate::model::{Address, Party, TopicName};
-use crate::service::Command;
+use crate::model::{Address, Party, Timestamp, TopicName};
 use crate::service::reply::GrantRow;
+use crate::service::{Command, Epochs};
 
 /// Lines of the form of a grant: whom, and what.
 const GRANTEE: usize = 0;
@@ -71,21 +72,40 @@ pub fn check(state: &State, wish: &GrantWish) -> Result<(), (usize, String)> {
         return Err((GRANTEE, format!("no contact is named '{name}'; tab completes those that there are")));
     }
     let address = wish.grantee.address().or(contact.map(|row| row.address));
-    match active(state, address, &name) {
-        Some(row) => Err((
-            GRANTEE,
-            match row.expires {
-                Some(ends) => format!(
-                    "already has an active grant until {} UTC; on Grants (5): e extends it, x revokes it",
-                    day(ends)
-                ),
-                None => {
-                    "already has an active grant with no end; revoke it first (5, then x), then grant again".to_owned()
-                }
-            },
-        )),
+    match active(state, address, &name).filter(|row| same_terms(row, wish)) {
+        Some(_) => Err((GRANTEE, "already has an active grant on these terms".to_owned())),
         None => Ok(()),
     }
+}
+
+fn same_terms(row: &GrantRow, wish: &GrantWish) -> bool {
+    let mut wanted: Vec<String> = wish.topics.iter().map(ToString::to_string).collect();
+    let mut given = row.topics.clone();
+    (wanted.sort(), given.sort());
+    wanted == given && wish.expires == row.expires
+}
+
+/// The question before a grant. Where the account has an active one, that is revoked first: said so, asked once.
+pub fn question(state: &mut State, wish: GrantWish) -> Confirm {
+    let name = wish.grantee.to_string();
+    let contact = state.contacts.iter().find(|row| row.name.to_string() == name).map(|row| row.address);
+    let Some(row) = active(state, wish.grantee.address().or(contact), &name).cloned() else {
+        return confirm::grant(state, wish);
+    };
+    let mut question = confirm::grant(state, wish);
+    let tag = Tag::Revoke(row.grantee);
+    let revoke = Errand { command: Command::Revoke { grantee: row.grantee.into() }, tag: tag.clone() };
+    let before = [
+        format!("Now      {}, {}", scope(&row.topics), end(row.expires)),
+        "That grant is revoked first (a new epoch begins), then the one below is made:".to_owned(),
+        "two transactions. Earlier epochs stay readable to whoever could read them.".to_owned(),
+        String::new(),
+    ];
+    question.lines.splice(0..0, before);
+    question.title = "Revoke, and grant anew?".to_owned();
+    question.yes = "revoke and grant";
+    state.follow_up = Some((tag, std::mem::replace(&mut question.errand, revoke)));
+    question
 }
 
 fn active<'a>(state: &'a State, address: Option<Address>, name: &str) -> Option<&'a GrantRow> {
@@ -95,6 +115,9 @@ fn active<'a>(state: &'a State, address: Option<Address>, name: &str) -> Option<
 
 /// What should be looked at twice before the grant: everything is shared, or a topic that nobody knows.
 pub fn caution(state: &State, command: &Command) -> Option<String> {
+    if let (Command::Revoke { .. }, Some((_, after))) = (command, &state.follow_up) {
+        return caution(state, &after.command);
+    }
     let Command::Grant { topics, .. } = command else { return None };
     if topics.is_empty() {
         return Some("ALL topics: whatever you publish now and later.".to_owned());
@@ -132,6 +155,15 @@ fn common_beginning(begun: &str, names: &[String]) -> Option<String> {
     }))
 }
 
+/// Another end for a grant.
+#[derive(Debug)]
+pub enum Extension {
+    /// Later: the contract does that.
+    Later(Errand),
+    /// Sooner: a revoke and a new grant.
+    Sooner(GrantWish),
+}
+
 /// Asks until when the selected grant is to last.
 pub fn begin_extension(state: &mut State) {
     let Some(row) = state.grants.selected() else { return };
@@ -144,15 +176,26 @@ pub fn begin_extension(state: &mut State) {
 ///
 /// # Errors
 /// The line that is wrong, and why.
-pub fn read_extension(state: &State, form: &Form) -> Result<Errand, (usize, String)> {
+pub fn read_extension(state: &State, form: &Form) -> Result<Extension, (usize, String)> {
     let row = state.grants.selected().filter(|row| is_given(row) && is_active(row));
     let row = row.ok_or((0, "this grant is not active any more".to_owned()))?;
     let expires = when::expiry(form.text(0), state.now).map_err(|error| (0, error))?;
-    if expires.zip(row.expires).is_some_and(|(wanted, now)| wanted <= now) {
-        return Err((0, "it lasts longer already; to end it sooner, revoke it (x) and grant again (g)".to_owned()));
+    match (expires, row.expires) {
+        (None, None) => return Err((0, "it has no end already; a time here ends it then".to_owned())),
+        (Some(_), None) => return Ok(Extension::Sooner(sooner(row, expires)?)),
+        (Some(wanted), Some(now)) if wanted <= now => return Ok(Extension::Sooner(sooner(row, expires)?)),
+        (_, Some(_)) => {}
     }
     let command = Command::ExtendGrant { grantee: Party::from(row.grantee), expires };
-    Ok(Errand { command, tag: Tag::Extend(row.grantee) })
+    Ok(Extension::Later(Errand { command, tag: Tag::Extend(row.grantee) }))
+}
+
+/// The same grant with an earlier end.
+fn sooner(row: &GrantRow, expires: Option<Timestamp>) -> Result<GrantWish, (usize, String)> {
+    let topics: Result<Vec<TopicName>, _> = row.topics.iter().map(|topic| topic.parse()).collect();
+    let topics =
+        topics.map_err(|_| (0, "a topic of it is not known by name here; revoke it and grant anew".to_owned()))?;
+    Ok(GrantWish { grantee: row.grantee.into(), topics, epochs: Epochs::Current, expires })
 }
 
 /// The same act as a command line, for a script.
@@ -172,7 +215,11 @@ pub fn twin(state: &State, command: &Command) -> Option<String> {
             words.push(format!("grants extend {grantee}"));
             words.push(expires.map_or_else(|| "--endless".to_owned(), |end| format!("--expires {end}")));
         }
-        Command::Revoke { grantee } => words.push(format!("revoke {grantee}")),
+        Command::Revoke { grantee } => {
+            let revoke = format!("{} revoke {grantee}", words.join(" "));
+            let after = state.follow_up.as_ref().and_then(|(_, errand)| twin(state, &errand.command));
+            return Some(after.map_or_else(|| revoke.clone(), |after| format!("{revoke} && {after}")));
+        }
         _ => return None,
     }
     Some(words.join(" "))

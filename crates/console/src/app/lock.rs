@@ -15,6 +15,7 @@ pub fn lock(state: &mut State) -> Vec<Effect> {
         _ => true,
     });
     (state.identity_path, state.filled) = (None, None);
+    state.detail.clear();
     if state.work.contains(&Tag::Lock) {
         return Vec::new();
     }

@@ -19,6 +19,7 @@ use super::playing;
 use super::popup::{Confirm, Lookup, Palette, Popup, Purpose};
 use super::screen::Screen;
 use super::screens::grants::other_side;
+use super::screens::log::LogLine;
 use super::state::State;
 use super::themes;
 use super::undo;
@@ -59,8 +60,8 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Mouse => return mouse::toggle(state),
         Verb::Redraw => return vec![Effect::Redraw],
         Verb::Suspend => return vec![Effect::Suspend],
-        Verb::Up => cursor::step(state, -1),
-        Verb::Down => cursor::step(state, 1),
+        Verb::Up | Verb::PreviousMatch => cursor::step(state, -1),
+        Verb::Down | Verb::NextMatch => cursor::step(state, 1),
         Verb::PageUp => cursor::step(state, -page(state)),
         Verb::PageDown => cursor::step(state, page(state)),
         Verb::Go(screen) => go(state, screen),
@@ -74,7 +75,12 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Sort => cursor::sort(state),
         Verb::Reverse => cursor::reverse(state),
         Verb::Level => state.log.next_level(),
-        Verb::Tasks => state.popups.push(Popup::Tasks),
+        Verb::Source => state.log.next_source(),
+        Verb::Read => read_line(state),
+        Verb::Tasks => {
+            state.feeds.slot_mut(Feed::Progress).stale = true;
+            state.popups.push(Popup::Tasks);
+        }
         Verb::Readers => readers(state),
         Verb::Browse => state.popups.push(Popup::Browse(Browse::default())),
         Verb::LocalTime => state.local_time = !state.local_time,
@@ -84,6 +90,9 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Unpin => unpin(state),
         Verb::Administer(act) => administration::begin(state, act),
         Verb::Freeze => freeze(state),
+        Verb::Period => state.period = state.period.next(),
+        Verb::Fold => drop(state.topics.fold()),
+        Verb::FoldAll => state.topics.fold_all(),
         Verb::Palette => state.popups.push(Popup::Palette(Palette::default())),
         Verb::Help => state.popups.push(Popup::Help(super::popup::Help::default())),
         Verb::Dismiss => dismiss(state),
@@ -126,8 +135,8 @@ fn mark(state: &mut State) {
 }
 
 fn dismiss(state: &mut State) {
-    if state.toasts.dismiss() {
-        return;
+    if let Some(toast) = state.toasts.dismiss() {
+        return state.log.saw(&toast.text);
     }
     let mut changed = false;
     if let Some(table) = state.table_mut() {
@@ -225,6 +234,12 @@ fn unpin(state: &mut State) {
     state.popups.push(Popup::Form(Purpose::Unpin, forms::unpin(topic.as_str(), &publisher)));
 }
 
+/// The whole of a log line.
+fn read_line(state: &mut State) {
+    let line = state.log.selected().cloned();
+    state.popups.extend(line.map(Popup::Line));
+}
+
 /// Who can read the topics, the record's topic, or what the grant covers.
 fn readers(state: &mut State) {
     let topics = match state.screen {
@@ -285,7 +300,8 @@ pub fn copied(state: &State) -> Option<String> {
         Screen::Grants => state.grants.selected().map(|row| other_side(row).to_string()),
         Screen::Keys => state.address().map(|address| address.to_string()),
         Screen::Chain => state.chain.as_ref()?.contract.map(|contract| contract.to_string()),
-        Screen::Overview | Screen::Log => None,
+        Screen::Log => state.log.selected().map(LogLine::whole),
+        Screen::Overview => None,
     }
 }
 

@@ -11,6 +11,7 @@ use super::fuzzy;
 use super::key::Key;
 use super::leaving::Leaving;
 use super::opening::Opening;
+use super::screens::log::LogLine;
 use super::state::State;
 use super::themes::ThemeChoice;
 use super::verb::{Entry, VERBS};
@@ -43,6 +44,8 @@ pub enum Popup {
     Readers(Vec<String>),
     /// What is under way and what waits.
     Tasks,
+    /// A line of the log, whole.
+    Line(LogLine),
     /// Choosing among what others share.
     Browse(Browse),
     /// Leaving while something would stop, or is not done.

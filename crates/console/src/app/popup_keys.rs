@@ -7,13 +7,13 @@ use super::browse;
 use super::confirm;
 use super::form::{Form, FormStep};
 use super::forms;
-use super::granting;
+use super::granting::{self, Extension};
 use super::identity_path::{self, Need};
 use super::key::{Key, chord_label};
 use super::keymap::Meaning;
 use super::leaving;
 use super::opening;
-use super::perform::perform;
+use super::perform::{copy, perform};
 use super::popup::{Confirm, Help, Lookup, Palette, Popup, Purpose};
 use super::state::State;
 use super::themes;
@@ -27,6 +27,7 @@ pub fn hints(state: &State, popup: &Popup) -> Vec<(&'static str, &'static str)> 
         Popup::Browse(_) => vec![("enter", "show these"), ("up down", "choose"), ("q", "close")],
         Popup::Publishers(_) => vec![("up down", "scroll"), ("p", "pin"), ("P", "unpin"), ("q", "close")],
         Popup::Tasks | Popup::Readers(_) => vec![("q", "close")],
+        Popup::Line(_) => vec![("y", "copy"), ("q", "close")],
         Popup::Provenance(_) => vec![("n p", "next/prev"), ("up down", "scroll"), ("q", "close")],
         Popup::Help(Help { filtering: true, .. }) => vec![("enter", "apply"), ("esc", "clear")],
         Popup::Help(_) => vec![("up down", "scroll"), ("/", "filter"), ("q", "close")],
@@ -69,6 +70,14 @@ pub fn popup_key(state: &mut State, key: Key) -> Vec<Effect> {
             }
             Vec::new()
         }
+        Popup::Line(line) => match key {
+            Key::Escape | Key::Enter | Key::Char('q') => Vec::new(),
+            _ => {
+                let text = (key == Key::Char('y')).then(|| line.whole());
+                state.popups.push(Popup::Line(line));
+                text.map(|text| copy(state, text)).into_iter().collect()
+            }
+        },
         Popup::Provenance(_) if key == Key::Char('n') => opening::neighbour(state, popup, 1),
         Popup::Provenance(_) if key == Key::Char('p') => opening::neighbour(state, popup, -1),
         Popup::Provenance(mut lookup) => {
@@ -198,7 +207,7 @@ fn publishers_key(state: &mut State, mut lookup: Lookup<PinsView>, key: Key) -> 
 
 fn confirm_key(state: &mut State, mut confirm: Confirm, key: Key) -> Vec<Effect> {
     let said = match &mut confirm.typed {
-        Some(_) if key == Key::Escape => return Vec::new(),
+        Some(_) if key == Key::Escape => return unasked(state),
         Some(typed) if key == Key::Enter => typed.is_done(),
         Some(typed) => {
             typed.field.key(key);
@@ -209,7 +218,7 @@ fn confirm_key(state: &mut State, mut confirm: Confirm, key: Key) -> Vec<Effect>
             state.popups.push(Popup::Confirm(confirm));
             return effects;
         }
-        None if key != Key::Char('y') => return Vec::new(),
+        None if key != Key::Char('y') => return unasked(state),
         None => true,
     };
     if !said {
@@ -217,7 +226,9 @@ fn confirm_key(state: &mut State, mut confirm: Confirm, key: Key) -> Vec<Effect>
         return Vec::new();
     }
     // The form that led here has done its work.
-    let led_here = |purpose: &Purpose| matches!(purpose, Purpose::Grant | Purpose::LoadKey | Purpose::Administer(_));
+    let led_here = |purpose: &Purpose| {
+        matches!(purpose, Purpose::Grant | Purpose::Extend | Purpose::LoadKey | Purpose::Administer(_))
+    };
     let form = state.popups.iter().position(|popup| matches!(popup, Popup::Form(purpose, _) if led_here(purpose)));
     if let Some(Popup::Form(purpose, form)) = form.map(|place| state.popups.remove(place)) {
         state.filled = Some((confirm.errand.tag.clone(), purpose, form));
@@ -228,13 +239,19 @@ fn confirm_key(state: &mut State, mut confirm: Confirm, key: Key) -> Vec<Effect>
     }
 }
 
+/// A no: neither the act nor what was to follow it.
+fn unasked(state: &mut State) -> Vec<Effect> {
+    state.follow_up = None;
+    Vec::new()
+}
+
 /// How much of an identity the act needs; pins need none that is open.
 #[deny(clippy::wildcard_enum_match_arm)]
 fn need_of(confirm: &Confirm) -> Option<Need> {
     match confirm.errand.tag {
         Tag::Feed(..) | Tag::OpenConsole | Tag::CreateIdentity | Tag::Unlock | Tag::Lock | Tag::BackUp => None,
         Tag::HoldCapture | Tag::StopPlay => None,
-        Tag::Publishers(_) | Tag::Show(_) | Tag::Pin(_) | Tag::Unpin(_) => None,
+        Tag::Publishers(_) | Tag::Show(_) | Tag::Beside(..) | Tag::Pin(_) | Tag::Unpin(_) => None,
         Tag::LoadKey(_) | Tag::Release(_) | Tag::Discard(_) | Tag::Deploy | Tag::Adopt => Some(Need::Unlocked),
         Tag::Open(_) | Tag::Path(_) | Tag::Check(_) | Tag::Export(_) | Tag::ExportKey(_) => Some(Need::Unlocked),
         Tag::Play(_) => Some(Need::Unlocked),
@@ -284,13 +301,18 @@ fn submit(state: &mut State, purpose: Purpose, form: &Form) -> Result<Vec<Effect
         Purpose::Grant => {
             let wish = forms::read_grant(form, state.address(), state.now)?;
             granting::check(state, &wish)?;
-            state.popups.push(Popup::Confirm(confirm::grant(state, wish)));
+            let question = granting::question(state, wish);
+            state.popups.push(Popup::Confirm(question));
             return Ok(Vec::new());
         }
-        Purpose::Extend => {
-            let errand = granting::read_extension(state, form)?;
-            return Ok(identity_path::run(state, Need::Registered, vec![errand]));
-        }
+        Purpose::Extend => match granting::read_extension(state, form)? {
+            Extension::Later(errand) => return Ok(identity_path::run(state, Need::Registered, vec![errand])),
+            Extension::Sooner(wish) => {
+                let question = granting::question(state, wish);
+                state.popups.push(Popup::Confirm(question));
+                return Ok(Vec::new());
+            }
+        },
         Purpose::Unpin => forms::read_unpin(form)?,
         Purpose::Administer(act) => {
             let question = administration::read(act, form)?;

@@ -3,12 +3,16 @@
 use std::path::PathBuf;
 
 use super::action::{Effect, Errand, Tag};
+use super::alerts::AlertBook;
+use super::detail::Detail;
 use super::feed::{Feed, Feeds};
 use super::form::Form;
+use super::history::{History, Period};
 use super::identity_path::IdentityPath;
 use super::keymap::Keymap;
 use super::opening::Opening;
 use super::popup::{Popup, Purpose};
+use super::progress::Progress;
 use super::rates::Rates;
 use super::screen::Screen;
 use super::screens::gateway::Gateway;
@@ -25,6 +29,11 @@ use crate::service::{Failure, NoticeLevel};
 
 /// Rows of the screen that are no table rows: header, tabs, title, columns, message, bar.
 pub const FRAME_ROWS: u16 = 6;
+
+/// Time between two questions for how far what runs is, nanoseconds.
+const PROGRESS_EVERY: u64 = 1_000_000_000;
+/// Parts of a period that a graph shows, each a column.
+pub const GRAPH_PARTS: usize = 45;
 
 /// What does not change while the console runs.
 #[derive(Debug, Clone, Default)]
@@ -80,6 +89,18 @@ pub struct State {
     pub site: Option<SiteView>,
     /// How fast records flow.
     pub rates: Rates,
+    /// How they flowed over the last hour.
+    pub history: History,
+    /// Over how long the graphs look back.
+    pub period: Period,
+    /// Imports and exports that run.
+    pub progress: Progress,
+    /// When that was heard.
+    pub progress_at: Timestamp,
+    /// The pane beside a list.
+    pub detail: Detail,
+    /// What needs attention, or did lately.
+    pub alerts: AlertBook,
     /// The chain.
     pub chain: Option<ChainView>,
     /// The graph.
@@ -106,6 +127,8 @@ pub struct State {
     pub contacts: Vec<ContactRow>,
     /// The form behind the act that is under way, to come back to where it fails.
     pub filled: Option<(Tag, Purpose, Form)>,
+    /// What is sent when the act of the tag is done, as one question asked for both.
+    pub follow_up: Option<(Tag, Errand)>,
     /// What undoing would do.
     pub undo: Option<Undo>,
     /// When a key was last pressed.
@@ -131,6 +154,12 @@ impl State {
             keys: None,
             site: None,
             rates: Rates::default(),
+            history: History::default(),
+            period: Period::default(),
+            progress: Progress::default(),
+            progress_at: Timestamp::default(),
+            detail: Detail::default(),
+            alerts: AlertBook::default(),
             chain: None,
             topics: Topics::default(),
             uploads: Records::default(),
@@ -144,6 +173,7 @@ impl State {
             gateway: Gateway::default(),
             contacts: Vec::new(),
             filled: None,
+            follow_up: None,
             undo: None,
             touched: Timestamp::default(),
             local_time: false,
@@ -179,8 +209,31 @@ impl State {
             self.rates.still_at(),
             super::lock::due(self),
             ages.and_then(|()| self.topics.older_at(self.now)),
+            self.alerts.forgotten_at(),
+            self.detail.due(),
+            self.progress_asked_at(),
+            self.graphs_move_at(),
         ];
         moments.into_iter().flatten().min()
+    }
+
+    /// When it is asked again how far what runs is: nothing tells of it.
+    fn progress_asked_at(&self) -> Option<Timestamp> {
+        let seen = matches!(self.popups.last(), Some(Popup::Tasks)) && !self.is_frozen();
+        (seen && self.progress.any()).then(|| Timestamp(self.progress_at.0.saturating_add(PROGRESS_EVERY)))
+    }
+
+    /// Asks again when it is time.
+    pub fn ask_for_progress(&mut self) {
+        if self.progress_asked_at().is_some_and(|at| at <= self.now) {
+            self.feeds.slot_mut(Feed::Progress).stale = true;
+        }
+    }
+
+    /// When the graphs move on, where they are on screen.
+    fn graphs_move_at(&self) -> Option<Timestamp> {
+        let seen = self.screen == Screen::Overview && !self.is_frozen() && self.popups.is_empty();
+        if seen { self.history.moves_at(self.period, GRAPH_PARTS, self.now) } else { None }
     }
 
     /// Records not yet verified.
@@ -246,7 +299,9 @@ impl State {
 
     /// Tells of a failed command.
     pub fn complain_of(&mut self, tag: &Tag, failure: &Failure) {
-        self.complain(format!("{}: {}", tag.words(), failure.message));
+        let text = format!("{}: {}", tag.words(), failure.message);
+        self.log.notice(self.now, NoticeLevel::Error, &text);
+        self.toasts.push_about(NoticeLevel::Error, text, self.now, Some(tag.words()));
     }
 
     /// Sends a command on its way; an opened record gets its popup at once.

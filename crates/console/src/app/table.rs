@@ -6,6 +6,9 @@ use std::collections::BTreeSet;
 use super::field::Field;
 use super::key::Key;
 
+/// The most filters remembered.
+const MOST_REMEMBERED: usize = 50;
+
 /// State of one table.
 #[derive(Debug, Default)]
 pub struct Table {
@@ -22,6 +25,10 @@ pub struct Table {
     pub reversed: bool,
     /// Keys of the marked rows.
     pub marks: BTreeSet<String>,
+    /// Filters that were applied, the newest last.
+    history: Vec<String>,
+    /// Which of them stands in the filter now, from the newest.
+    recalled: Option<usize>,
 }
 
 impl Table {
@@ -70,10 +77,52 @@ impl Table {
         }
     }
 
+    /// Puts an earlier filter in place of the one that is typed, or a later one; false where something new is typed, or
+    /// there is none.
+    pub fn recall(&mut self, earlier: bool) -> bool {
+        let untouched = match self.recalled {
+            None => self.filter.text().is_empty() && earlier,
+            Some(back) => self.past(back) == Some(self.filter.text()),
+        };
+        if !untouched {
+            return false;
+        }
+        let wanted = match (self.recalled, earlier) {
+            (None, _) => Some(0),
+            (Some(back), true) => Some((back + 1).min(self.history.len().saturating_sub(1))),
+            (Some(back), false) => back.checked_sub(1),
+        };
+        let text = wanted.and_then(|back| self.past(back)).map(str::to_owned);
+        if text.is_none() && self.recalled.is_none() {
+            return false;
+        }
+        (self.recalled, self.selected, self.index) = (wanted, None, 0);
+        self.filter = Field::with(text.as_deref().unwrap_or_default());
+        true
+    }
+
+    fn past(&self, back: usize) -> Option<&str> {
+        self.history.iter().rev().nth(back).map(String::as_str)
+    }
+
+    /// Keeps the filter for [`Self::recall`].
+    fn remember(&mut self) {
+        let text = self.filter.text().trim().to_owned();
+        self.recalled = None;
+        if !text.is_empty() {
+            self.history.retain(|other| *other != text);
+            self.history.push(text);
+            drop(self.history.drain(..self.history.len().saturating_sub(MOST_REMEMBERED)));
+        }
+    }
+
     /// A key while the filter is typed; true where the filter's text may have changed.
     pub fn filter_key(&mut self, key: Key) -> bool {
         match key {
-            Key::Enter => self.filtering = false,
+            Key::Enter => {
+                self.filtering = false;
+                self.remember();
+            }
             Key::Escape => {
                 self.filtering = false;
                 self.filter.clear();
@@ -101,6 +150,26 @@ mod tests {
         assert_eq!(table.position(&["x"]), 0);
         assert_eq!(table.position::<&str>(&[]), 0);
         assert!(!table.step::<&str>(&[], 1));
+    }
+
+    #[test]
+    fn earlier_filters_come_back_and_what_is_typed_is_never_replaced() {
+        let mut table = Table::default();
+        assert!(!table.recall(true), "there is none");
+        for filter in ["odom", "camera", "odom"] {
+            table.filter = Field::with(filter);
+            table.filter_key(Key::Enter);
+        }
+        table.filter.clear();
+        let mut seen = Vec::new();
+        for earlier in [true, true, true, false, false] {
+            assert!(table.recall(earlier));
+            seen.push(table.filter.text().to_owned());
+        }
+        assert_eq!(seen, ["odom", "camera", "camera", "odom", ""]);
+        table.filter = Field::with("new");
+        assert!(!table.recall(true));
+        assert_eq!(table.filter.text(), "new");
     }
 
     #[test]

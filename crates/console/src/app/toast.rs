@@ -48,9 +48,10 @@ impl Toasts {
         self.0.retain(|toast| toast.about.as_deref() != Some(about));
     }
 
-    /// What to show now: the oldest unseen error or warning, else the newest information.
+    /// What to show now: the newest result of what was asked, else the newest of the worst that nobody has seen.
     pub fn shown(&self) -> Option<&Toast> {
-        self.0.iter().max_by_key(|toast| toast.level)
+        let newest = self.0.back().filter(|toast| toast.until.is_some());
+        newest.or_else(|| self.0.iter().max_by_key(|toast| toast.level))
     }
 
     /// How many wait to be seen.
@@ -58,11 +59,11 @@ impl Toasts {
         self.0.iter().filter(|toast| toast.until.is_none()).count()
     }
 
-    /// The one shown was seen; true where there was one.
-    pub fn dismiss(&mut self) -> bool {
+    /// The one shown was seen.
+    pub fn dismiss(&mut self) -> Option<Toast> {
         let shown = self.shown().cloned();
         let place = self.0.iter().position(|toast| Some(toast) == shown.as_ref());
-        place.and_then(|place| self.0.remove(place)).is_some()
+        place.and_then(|place| self.0.remove(place))
     }
 
     /// Drops what has been shown long enough.
@@ -90,8 +91,8 @@ mod tests {
         toasts.expire(Timestamp(3_000_000_000));
         assert_eq!(toasts.next_expiry(), None);
         assert_eq!(toasts.shown().map(|toast| toast.text.as_str()), Some("node gone"));
-        assert!(toasts.dismiss());
-        assert!(!toasts.dismiss());
+        assert!(toasts.dismiss().is_some());
+        assert!(toasts.dismiss().is_none());
     }
 
     #[test]
@@ -107,6 +108,8 @@ mod tests {
         toasts.supersede("vault");
         toasts.push_about(NoticeLevel::Info, "back".into(), Timestamp(0), about());
         assert_eq!(toasts.unseen(), 1);
+        assert_eq!(toasts.shown().map(|toast| toast.text.as_str()), Some("back"), "the newest result is on top");
+        toasts.expire(Timestamp(3_000_000_000));
         assert_eq!(toasts.shown().map(|toast| toast.text.as_str()), Some("node gone"));
     }
 }

@@ -34,7 +34,7 @@ pub fn note(state: &mut State, tag: &Tag) {
             Undo::By(Errand { command, tag: Tag::Watch(name.clone()) })
         }),
         Tag::Grant(grantee) => Some(Undo::Granted(grantee.to_string())),
-        Tag::Extend(_) => Some(Undo::Never("a grant can only be extended; to end it sooner, revoke it (5, then x)")),
+        Tag::Extend(_) => Some(Undo::Never("it was a transaction; e gives the grant another end (5)")),
         Tag::Revoke(_) => Some(Undo::Never("a revoke is a transaction: to share again, make a new grant (5, then g)")),
         Tag::Rotate => Some(Undo::Never("a new epoch cannot be taken back")),
         Tag::LoadKey(_) => Some(Undo::Never("the key that was replaced is gone from the keyring; load its file again")),
@@ -54,7 +54,7 @@ pub fn note(state: &mut State, tag: &Tag) {
         | Tag::HoldCapture => None,
         Tag::ExportKey(_) | Tag::BackUp | Tag::Export(_) | Tag::Pin(_) | Tag::Unpin(_) => None,
         Tag::Play(_) | Tag::StopPlay => None,
-        Tag::Publishers(_) | Tag::Show(_) | Tag::Open(_) | Tag::Path(_) | Tag::Check(_) => None,
+        Tag::Publishers(_) | Tag::Show(_) | Tag::Beside(..) | Tag::Open(_) | Tag::Path(_) | Tag::Check(_) => None,
     };
     if undo.is_some() {
         state.undo = undo;

@@ -1,8 +1,10 @@
 //! One action in, the state changed, effects out. Never waits, never fails.
 
 use super::action::{Action, Effect, Errand, Tag};
+use super::alerts;
 use super::answer::answered;
 use super::cursor;
+use super::detail;
 use super::feed::Feed;
 use super::key::Key;
 use super::keymap::Meaning;
@@ -16,9 +18,9 @@ use super::screens::log::MOST_AUDIT;
 use super::state::State;
 use super::verb::Verb;
 use crate::model::{RecordState, Timestamp};
-use crate::service::command::AuditQuery;
+use crate::service::command::{AuditQuery, RecordingProgress};
 use crate::service::reply::{Caveat, ShownState};
-use crate::service::{Command, Event, Operation, Part};
+use crate::service::{Command, Event, NoticeLevel, Operation, Part};
 
 /// The first effects of a console: claim the profile, ask for what is on screen.
 pub fn start(state: &mut State) -> Vec<Effect> {
@@ -35,9 +37,11 @@ pub fn update(state: &mut State, action: Action) -> Vec<Effect> {
     }
     let mut effects = act(state, action);
     state.topics.refresh(false);
+    alerts::refresh(state);
     if leaving::is_over(state) {
         effects.push(Effect::Quit);
     }
+    effects.extend(detail::follow(state));
     effects.extend(pull(state));
     effects
 }
@@ -54,7 +58,11 @@ fn act(state: &mut State, action: Action) -> Vec<Effect> {
         Action::Tick(now) => return tick(state, now),
         Action::Missed => state.feeds.touch_all(),
         Action::FilesWritten(Ok(place)) => state.inform(format!("written: {place}")),
-        Action::FilesWritten(Err(error)) | Action::Fault(error) => state.complain(error),
+        Action::FilesWritten(Err(error)) => state.complain(error),
+        Action::Fault(error) => {
+            state.log.notice_about(state.now, NoticeLevel::Error, &error, None);
+            state.toasts.push(NoticeLevel::Error, error, state.now);
+        }
         Action::ThemeIs(name) => state.theme = name,
         Action::Wheel { up } => return mouse::wheel(state, up),
         Action::Click { column, row } => mouse::click(state, column, row),
@@ -90,6 +98,10 @@ fn pressed(state: &mut State, key: Key) -> Vec<Effect> {
 
 fn filter_or_move(state: &mut State, key: Key) -> Vec<Effect> {
     match key {
+        // In an empty filter the arrows go through earlier ones, else through the rows.
+        Key::Up | Key::Down if state.table_mut().is_some_and(|table| table.recall(key == Key::Up)) => {
+            cursor::restart_records(state);
+        }
         Key::Up => return perform(state, Verb::Up),
         Key::Down => return perform(state, Verb::Down),
         _ => cursor::filter_key(state, key),
@@ -101,6 +113,9 @@ fn told(state: &mut State, event: Event) -> Vec<Effect> {
     match event {
         Event::Changed { part } => {
             state.feeds.touch(part);
+            if part == Part::Uploads {
+                detail::touch(state);
+            }
             if part == Part::Uploads { refresh_provenance(state) } else { Vec::new() }
         }
         Event::Notice { at, level, text, about } => {
@@ -126,7 +141,8 @@ fn refresh_provenance(state: &mut State) -> Vec<Effect> {
     vec![state.send(Errand { command: Command::ShowUpload { id }, tag })]
 }
 
-fn is_settled(state: ShownState) -> bool {
+/// Whether nothing more is to come of a record.
+pub fn is_settled(state: ShownState) -> bool {
     matches!(state, ShownState::Kept(RecordState::Verified) | ShownState::Verified(Caveat::NamesUnchecked))
 }
 
@@ -147,12 +163,14 @@ fn tick(state: &mut State, now: Timestamp) -> Vec<Effect> {
     state.toasts.expire(now);
     state.feeds.retry(now);
     state.rates.settle(now);
+    state.ask_for_progress();
     lock::tick(state)
 }
 
-/// The tasks popup tells of the lanes.
-fn wants_chain(state: &State) -> Option<Feed> {
-    matches!(state.popups.last(), Some(Popup::Tasks)).then_some(Feed::Chain)
+/// The tasks popup tells of the lanes, of imports and exports.
+fn wants_tasks(state: &State) -> impl Iterator<Item = Feed> + use<> {
+    let asked = matches!(state.popups.last(), Some(Popup::Tasks));
+    [Feed::Chain, Feed::Progress].into_iter().filter(move |_| asked)
 }
 
 /// A grant is checked against the address book, and completed from it.
@@ -170,7 +188,7 @@ fn pull(state: &mut State) -> Vec<Effect> {
         .copied()
         .chain(wants_grants(state))
         .chain(wants_contacts(state))
-        .chain(wants_chain(state));
+        .chain(wants_tasks(state));
     let mut wanted: Vec<Feed> = wanted.collect();
     if state.is_frozen() {
         // All screens stand at one moment; what holds already is not asked again.
@@ -211,6 +229,7 @@ fn question(state: &State, feed: Feed) -> Option<Command> {
             exists.then(|| Command::ListShared(state.shared.query(&state.topics.rows, rows, state.now, state.frozen)))
         }
         Feed::Contacts => exists.then_some(Command::ListContacts),
+        Feed::Progress => Some(RecordingProgress.into()),
         Feed::Gateway => Some(Command::Operate(Operation::GatewayStatus)),
     }
 }

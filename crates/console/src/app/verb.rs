@@ -32,6 +32,10 @@ pub enum Verb {
     MarkAll,
     /// Type a filter.
     Filter,
+    /// To the next row that the filter lets through.
+    NextMatch,
+    /// To the one before.
+    PreviousMatch,
     /// Sort by the next column.
     Sort,
     /// Turn the order round.
@@ -98,8 +102,18 @@ pub enum Verb {
     WriteFile,
     /// Show only more urgent lines of the log.
     Level,
+    /// Show only lines of the log from one source.
+    Source,
+    /// The whole of a line of the log.
+    Read,
     /// Freeze the view (capture continues).
     Freeze,
+    /// The next period of the graphs.
+    Period,
+    /// A robot's topics in one row, or in a row each.
+    Fold,
+    /// The same for all robots.
+    FoldAll,
     /// Every command by name.
     Palette,
     /// What the keys do.
@@ -148,8 +162,16 @@ const TABLES: &[Screen] =
 const SORTED: &[Screen] = &[Screen::Topics, Screen::Uploads, Screen::Shared, Screen::Grants, Screen::Gateway];
 const MARKED: &[Screen] = &[Screen::Topics, Screen::Uploads, Screen::Shared];
 const ON_CHAIN: &[Screen] = &[Screen::Chain];
-const COPIED: &[Screen] =
-    &[Screen::Topics, Screen::Uploads, Screen::Shared, Screen::Grants, Screen::Keys, Screen::Chain];
+const COPIED: &[Screen] = &[
+    Screen::Topics,
+    Screen::Uploads,
+    Screen::Shared,
+    Screen::Grants,
+    Screen::Keys,
+    Screen::Chain,
+    Screen::Gateway,
+    Screen::Log,
+];
 
 const fn entry(verb: Verb, name: &'static str, label: &'static str, keys: &'static [Key], help: &'static str) -> Entry {
     Entry { verb, name, label, help, keys, chord: &[], on: &[], changes: false, palette: true }
@@ -219,8 +241,8 @@ pub static VERBS: &[Entry] = &[
     .on(&[Screen::Shared, Screen::Uploads]),
     entry(Verb::Export, "export", "export", &[Key::Char('e')], "Write the record's files for others to check")
         .on(&[Screen::Uploads]),
-    entry(Verb::Browse, "browse", "browse", &[Key::Char('b')], "Who shares, their topics and types, by time")
-        .on(&[Screen::Shared]),
+    entry(Verb::Browse, "browse", "browse", &[Key::Char('b')], "By owner, topic, type or time")
+        .on(&[Screen::Shared, Screen::Uploads]),
     entry(Verb::Play, "play", "", &[Key::Char('p')], "Play this topic live into your own ROS; again: end it")
         .on(&[Screen::Shared])
         .changing(),
@@ -252,9 +274,15 @@ pub static VERBS: &[Entry] = &[
     entry(Verb::Grant, "grant", "grant", &[Key::Char('g')], "Let another account read your records")
         .on(&[Screen::Overview, Screen::Topics, Screen::Grants])
         .changing(),
-    entry(Verb::Extend, "extend", "extend", &[Key::Char('e')], "Extend the grant's end date")
-        .on(&[Screen::Grants])
-        .changing(),
+    entry(
+        Verb::Extend,
+        "extend",
+        "extend",
+        &[Key::Char('e')],
+        "Another end for the grant; a sooner one is a revoke and a new grant",
+    )
+    .on(&[Screen::Grants])
+    .changing(),
     entry(
         Verb::Revoke,
         "revoke",
@@ -264,6 +292,11 @@ pub static VERBS: &[Entry] = &[
     )
     .on(&[Screen::Grants])
     .changing(),
+    entry(Verb::Period, "minutes", "minutes", &[Key::Char('m')], "Graphs over 1, 15 or 60 minutes")
+        .on(&[Screen::Overview]),
+    entry(Verb::Fold, "fold", "fold", &[Key::Char('h')], "Fold the robot's topics into one row, or unfold them")
+        .on(&[Screen::Topics]),
+    entry(Verb::FoldAll, "fold-all", "", &[Key::Char('H')], "Fold all robots, or unfold all").on(&[Screen::Topics]),
     entry(Verb::CreateIdentity, "create-identity", "new identity", &[Key::Char('n')], "Create keys and register them")
         .on(&[Screen::Overview, Screen::Keys])
         .changing(),
@@ -305,7 +338,18 @@ pub static VERBS: &[Entry] = &[
     administers(Act::Adopt, "adopt-chain", "Adopt the present chain, give up the pinned"),
     entry(Verb::Level, "log-level", "level", &[Key::Char('l')], "All lines, warnings and errors, or errors only")
         .on(&[Screen::Log]),
+    entry(Verb::Read, "read-line", "whole line", &[Key::Enter], "The whole line, wrapped").on(&[Screen::Log]),
+    entry(
+        Verb::Source,
+        "log-source",
+        "source",
+        &[Key::Char('o')],
+        "Lines of this console, the site, the audit log, or all",
+    )
+    .on(&[Screen::Log]),
     entry(Verb::Filter, "filter", "filter", &[Key::Char('/')], "Filter rows; Uploads, Shared: whole ledger").on(TABLES),
+    entry(Verb::NextMatch, "next-match", "", &[Key::Char('n')], "To the next row of the filter").on(TABLES),
+    entry(Verb::PreviousMatch, "previous-match", "", &[Key::Char('N')], "To the row of the filter before").on(TABLES),
     entry(Verb::Sort, "sort", "sort", &[Key::Char('s')], "Sort by the next column").on(SORTED),
     entry(Verb::Reverse, "reverse", "", &[Key::Char('S')], "Reverse the order").on(SORTED),
     entry(Verb::Copy, "copy", "copy", &[Key::Char('y')], "Copy name, digest or address to clipboard").on(COPIED),

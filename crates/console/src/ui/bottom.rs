@@ -72,7 +72,7 @@ fn draw_bar(canvas: &mut Canvas, area: Rect, state: &State) {
         return draw_hints(canvas, area, &hints(state, popup));
     }
     if state.table().is_some_and(|table| table.filtering) {
-        return draw_hints(canvas, area, &[("enter", "apply"), ("esc", "clear"), ("up down", "move")]);
+        return draw_hints(canvas, area, &[("enter", "apply"), ("esc", "clear"), ("up down", "earlier filters, rows")]);
     }
     // Help and quit keep their place at the right, whatever is cut.
     let tail = Rect { x: area.x + area.width.saturating_sub(TAIL), width: TAIL.min(area.width), ..area };

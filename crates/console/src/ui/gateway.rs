@@ -4,7 +4,7 @@ use ratatui::layout::Rect;
 
 use super::canvas::{Canvas, below, row};
 use super::keys::line;
-use super::table::{Column, Sheet, draw as draw_table};
+use super::table::{Column, Sheet, draw as draw_table, order};
 use super::theme::Role;
 use super::topics::empty;
 use super::words;
@@ -118,7 +118,7 @@ fn draw_senders(canvas: &mut Canvas, area: Rect, state: &State) {
     let keys: Vec<String> = rows.iter().map(|row| row.name.to_string()).collect();
     let all = gateway.view.as_ref().map_or(0, |view| view.senders.len());
     let connected = rows.iter().filter(|row| row.sessions > 0).count();
-    let order = SORTS[gateway.table.sort % SORTS.len()];
+    let order = order(&SORTS, &gateway.table);
     let note = format!("{} of {all}, {connected} connected, by {order}", rows.len());
     let cells = |index: usize| rows.get(index).map_or_else(Vec::new, |row| cells(row));
     let empty = "Nobody is enrolled yet; `authros agent enrol` adds a robot or operator.";

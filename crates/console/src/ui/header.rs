@@ -14,6 +14,9 @@ const NAMED_FROM: u16 = 80;
 /// From so many columns on the address is shown.
 const ADDRESS_FROM: u16 = 100;
 
+/// Columns that one short badge takes.
+const BADGE: u16 = 12;
+
 /// Draws both lines.
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
     draw_first(canvas, row(area, 0), state);
@@ -26,7 +29,8 @@ fn draw_first(canvas: &mut Canvas, area: Rect, state: &State) {
         let taken = canvas.put_right(rest, &badge, role);
         rest.width = rest.width.saturating_sub(taken + 1);
     }
-    if area.width >= NAMED_FROM {
+    let crowded = rest.width < area.width.saturating_sub(BADGE) && area.width < ADDRESS_FROM;
+    if area.width >= NAMED_FROM && !crowded {
         rest = canvas.puts(rest, &[("AuthROS ", Role::Title)]);
     }
     rest = canvas.puts(rest, &[(state.settings.profile.as_str(), Role::Accent), ("  ", Role::Body)]);
@@ -47,22 +51,39 @@ fn badges(state: &State) -> Vec<(String, Role)> {
     let read_only = state.settings.read_only.then(|| " READ-ONLY ".to_owned());
     let mut badges: Vec<(String, Role)> =
         [frozen, locked, read_only].into_iter().flatten().map(|badge| (badge, Role::Badge)).collect();
-    if state.size.0 >= NAMED_FROM {
+    // What is unusual goes before where the site runs, and the health of its parts before both.
+    let room = if badges.is_empty() { NAMED_FROM } else { ADDRESS_FROM };
+    if state.size.0 >= room {
         badges.extend(Standing::of(state).map(|standing| (standing.badge(), Role::Dim)));
     }
     badges
 }
 
-/// Parts that are well are told by their dot alone where there is no room for more.
+/// Parts that are well are told by their dot alone where there is no room for more, and then the others in one word.
 fn draw_health(canvas: &mut Canvas, area: Rect, health: &[PartHealth]) {
-    let whole: u16 = health.iter().map(|part| columns(&part.part) + columns(level(part).2) + 5).sum();
-    let brief = whole > area.width + 2;
+    let fits = |word: fn(&PartHealth) -> &str| {
+        let whole: u16 = health.iter().map(|part| columns(&part.part) + columns(word(part)) + 5).sum();
+        whole <= area.width + 2
+    };
+    let words: [fn(&PartHealth) -> &str; 3] = [|part| level(part).2, brief, briefest];
+    let word = words.into_iter().find(|word| fits(*word)).unwrap_or(briefest);
     let mut rest = area;
     for part in health {
-        let (dot, role, word) = level(part);
-        let dot = format!(" {dot} ");
-        let word = if brief && matches!(part.level, HealthLevel::Ok | HealthLevel::Absent) { "" } else { word };
+        let (dot, role, _) = level(part);
+        let (dot, word) = (format!(" {dot} "), word(part));
         rest = canvas.puts(rest, &[(&part.part, Role::Body), (&dot, role), (word, role), ("  ", Role::Body)]);
+    }
+}
+
+fn brief(part: &PartHealth) -> &str {
+    if matches!(part.level, HealthLevel::Ok | HealthLevel::Absent) { "" } else { level(part).2 }
+}
+
+fn briefest(part: &PartHealth) -> &str {
+    match part.level {
+        HealthLevel::Ok | HealthLevel::Absent => "",
+        HealthLevel::Waiting => "waits",
+        HealthLevel::Failed => "failed",
     }
 }
 

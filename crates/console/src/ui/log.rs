@@ -7,7 +7,7 @@ use super::canvas::Canvas;
 use super::table::{Column, Sheet, draw as draw_table, with_local_time};
 use super::theme::Role;
 use crate::app::State;
-use crate::app::screens::log::{LogLine, level_word};
+use crate::app::screens::log::{LogLine, Source, level_word};
 use crate::service::NoticeLevel;
 
 const COLUMNS: &[Column] =
@@ -17,13 +17,15 @@ const COLUMNS: &[Column] =
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
     let log = &state.log;
     let lines = log.visible();
-    let keys: Vec<String> = lines.iter().map(|line| line.source.clone()).collect();
+    let keys: Vec<String> = lines.iter().map(|line| line.key.clone()).collect();
     let least = match log.least {
         NoticeLevel::Info => "all levels",
         NoticeLevel::Warning => "warnings and errors",
         NoticeLevel::Error => "errors",
     };
-    let note = format!("{} of {} lines, {least}, newest first", lines.len(), log.count());
+    let from = log.source.map_or_else(|| "from everywhere".to_owned(), |source| format!("from {}", source.word()));
+    let follows = if log.table.is_bound() { "held (home: newest)" } else { "newest first" };
+    let note = format!("{} of {} lines, {least}, {from}, {follows}", lines.len(), log.count());
     let cells = |index: usize| lines.get(index).map_or_else(Vec::new, |line| cells(state, line));
     let sheet = Sheet {
         title: "Log",
@@ -38,12 +40,20 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
     draw_table(canvas, area, &sheet);
 }
 
+/// Audit lines are told by their number, too.
+fn from(line: &LogLine) -> String {
+    match line.source {
+        Source::Audit => line.key.clone(),
+        source => source.word().to_owned(),
+    }
+}
+
 fn cells(state: &State, line: &LogLine) -> Vec<(String, Role)> {
     let role = if line.level == NoticeLevel::Info { Role::Dim } else { level(line.level).1 };
     vec![
         (state.clock(line.at), Role::Dim),
         (level_word(line.level).to_owned(), role),
-        (line.source.clone(), Role::Dim),
+        (from(line), Role::Dim),
         (line.text.clone(), Role::Body),
     ]
 }

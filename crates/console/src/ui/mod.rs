@@ -17,9 +17,12 @@ pub mod ascii;
 pub mod bottom;
 pub mod canvas;
 pub mod chain;
+pub mod detail;
 pub mod first_run;
+pub mod flow;
 pub mod gateway;
 pub mod grants;
+pub mod graph;
 pub mod header;
 pub mod keys;
 pub mod log;
@@ -82,6 +85,7 @@ fn draw_whole(canvas: &mut Canvas, area: Rect, state: &State) {
 
 /// Draws the screen in view without header, messages and bar.
 pub fn draw_content(canvas: &mut Canvas, area: Rect, state: &State) {
+    let area = detail::draw(canvas, area, state);
     match state.screen {
         Screen::Overview => overview::draw(canvas, area, state),
         Screen::Topics => topics::draw(canvas, area, state),

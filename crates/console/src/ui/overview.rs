@@ -5,9 +5,9 @@ use ratatui::layout::Rect;
 use super::canvas::{Canvas, below, right_of, row};
 use super::table::{Column, draw_plain};
 use super::theme::Role;
-use super::{bottom, first_run, header, topics, words};
+use super::{bottom, first_run, flow, header, topics, words};
 use crate::app::State;
-use crate::app::alerts::alerts;
+use crate::app::alerts::Alert;
 use crate::app::feed::Feed;
 use crate::model::clean;
 use crate::service::reply::{LifeLine, SiteView};
@@ -16,6 +16,9 @@ use crate::service::reply::{LifeLine, SiteView};
 const ROOMY_FROM: u16 = 18;
 /// The most alerts shown on a roomy screen.
 const MOST_ALERTS: usize = 4;
+
+/// Below so many columns the clock beside an alert stands without its word.
+const SAID_FROM: u16 = 100;
 
 const COLUMNS: &[Column] = &[
     Column::name("Busiest topics"),
@@ -47,6 +50,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
     }
     rest = draw_alerts(canvas, below(rest, gap), state, if roomy { MOST_ALERTS } else { 1 });
     rest = first_run::draw(canvas, rest, state, roomy);
+    rest = flow::draw(canvas, rest, state);
     draw_busiest(canvas, rest, state);
 }
 
@@ -63,7 +67,9 @@ fn draw_health(canvas: &mut Canvas, area: Rect, site: &SiteView) -> Rect {
             let robots = canvas.put_right(rest, &format!(" {} robots ", site.robots), Role::Body);
             rest.width -= robots;
         }
-        canvas.puts(rest, &[(dot, role), (" ", Role::Body), (&part.text, Role::Body)]);
+        // The robots are named at the right already.
+        let text = part.text.strip_suffix(&format!(", {} SIMULATED robots", site.robots)).unwrap_or(&part.text);
+        canvas.puts(rest, &[(dot, role), (" ", Role::Body), (text, Role::Body)]);
     }
     below(area, u16::try_from(site.health.len()).unwrap_or(4))
 }
@@ -81,7 +87,8 @@ fn draw_life(canvas: &mut Canvas, area: Rect, state: &State, life: &LifeLine) ->
     for (place, (name, count)) in (0u16..).zip(stations) {
         let column = Rect { width, ..right_of(area, place * width) };
         let count = words::count(count);
-        let arrow = if place == 5 { "" } else { " ›" };
+        // `confirmed ›` and a gap must fit.
+        let arrow = if place == 5 || width < 12 { "" } else { " ›" };
         canvas.puts(row(column, 0), &[(name, Role::Title), (arrow, Role::Dim)]);
         canvas.put(row(column, 1), &count, if place == 5 { Role::Good } else { Role::Accent });
         let rate = state.rates.stations.get(usize::from(place)).copied().unwrap_or(0.0);
@@ -126,14 +133,30 @@ fn draw_law(canvas: &mut Canvas, area: Rect, life: &LifeLine) {
 }
 
 fn draw_alerts(canvas: &mut Canvas, area: Rect, state: &State, most: usize) -> Rect {
-    let found = alerts(state);
+    let found = state.alerts.shown();
     let shown = found.len().min(most);
-    for (line, (level, text)) in (0u16..).zip(found.iter().take(shown)) {
-        let (mark, role) = bottom::level(*level);
-        canvas.puts(row(area, line), &[(mark, role), (text, role)]);
+    for (line, alert) in (0u16..).zip(found.iter().take(shown)) {
+        draw_alert(canvas, row(area, line), state, alert);
     }
     let gap = u16::from(most > 1 && shown > 0);
     below(area, u16::try_from(shown).unwrap_or(0) + gap)
+}
+
+/// One alert with since when and how often, or that it is over.
+fn draw_alert(canvas: &mut Canvas, area: Rect, state: &State, alert: &Alert) {
+    let often = if alert.count > 1 { format!(", {} times", alert.count) } else { String::new() };
+    let since = if area.width < SAID_FROM { "" } else { "since " };
+    let (when, mark, role) = match alert.resolved {
+        Some(at) => (format!("resolved {}{often}", state.clock(at)), "● ", Role::Good),
+        None => {
+            let (mark, role) = bottom::level(alert.level);
+            (format!("{since}{}{often}", state.clock(alert.since)), mark, role)
+        }
+    };
+    let taken = canvas.put_right(area, &format!(" {when}"), Role::Dim);
+    let area = Rect { width: area.width.saturating_sub(taken), ..area };
+    let text = if alert.resolved.is_some() { Role::Dim } else { role };
+    canvas.puts(area, &[(mark, role), (&alert.text, text)]);
 }
 
 fn draw_busiest(canvas: &mut Canvas, area: Rect, state: &State) {

@@ -81,6 +81,72 @@ fn every_screen_at_every_size() {
     }
 }
 
+/// Lists with their pane, and the Overview with graphs of what flowed.
+#[test]
+fn a_wide_terminal_is_used() {
+    let size = (160, 40);
+    let mut pages = Vec::new();
+    let mut page = |robot: &Robot| {
+        pages.push(format!("{}\n{}", robot.state.screen.title(), shown(&robot.state, &night())));
+    };
+    page(&flowing(size));
+    for screen in [Screen::Topics, Screen::Grants, Screen::Log] {
+        page(&at(screen, size));
+    }
+    let mut robot = at(Screen::Uploads, size);
+    robot.presses(Key::Down);
+    robot.waits(1);
+    let tag = Tag::Beside(Screen::Uploads, fixtures::record(999, "").id);
+    robot.is_answered(&tag, Ok(Reply::Provenance(fixtures::provenance(999))));
+    page(&robot);
+    for camera in [false, true] {
+        let mut robot = at(Screen::Shared, size);
+        robot.presses(Key::Down);
+        robot.waits(1);
+        let tag = Tag::Beside(Screen::Shared, fixtures::record(999, "").id);
+        robot.is_answered(&tag, Ok(Reply::Opened(Box::new(fixtures::opened(999, camera)))));
+        page(&robot);
+    }
+    compare("wide", &pages.join("\n"));
+    compare("flow", &SIZES.map(|size| shown(&flowing(size).state, &night())).join("\n"));
+}
+
+/// Ten minutes at 44 records a second, then two in which nothing came.
+fn flowing(size: (u16, u16)) -> Robot {
+    let mut robot = at(Screen::Overview, size);
+    for second in 1..=600 {
+        robot.waits(1);
+        let (captured, late) = (12_345 + 44 * second, 30 + 20 * (second / 60 % 2));
+        let verified = captured - late;
+        let life = LifeLine {
+            captured,
+            sealed: captured,
+            stored: captured,
+            anchored: verified,
+            confirmed: verified,
+            verified,
+            pending: late,
+            ..fixtures::site().life
+        };
+        let verified_after = vec![(400_000, 40 * second), (900_000, 4 * second)];
+        robot.hears_of(Part::Health);
+        let site = SiteView { life, verified_after, ..fixtures::site() };
+        robot.is_answered(&Tag::Feed(crate::app::feed::Feed::Site, 0), Ok(Reply::Site(site)));
+    }
+    robot.waits(120);
+    robot
+}
+
+#[test]
+fn graphs_stand_still_when_nothing_is_left_in_them() {
+    let mut robot = flowing(SIZES[0]);
+    assert!(robot.state.deadline().is_some(), "the stop moves through the graph");
+    robot.waits(3_600);
+    assert_eq!(robot.state.deadline(), None);
+    let text = shown(&robot.state, &night());
+    assert!(text.contains("pending") && text.contains("none verified"), "what waits is still drawn: {text}");
+}
+
 /// One popup each, opened by keys.
 fn popups() -> Vec<(&'static str, Robot)> {
     let size = SIZES[0];

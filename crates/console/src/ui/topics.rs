@@ -5,10 +5,10 @@ use ratatui::layout::Rect;
 use super::canvas::{Canvas, row};
 use super::table::{Column, Sheet, draw as draw_table, order};
 use super::theme::Role;
-use super::words;
+use super::{graph, words};
 use crate::app::State;
 use crate::app::feed::Feed;
-use crate::app::screens::topics::SORTS;
+use crate::app::screens::topics::{SAMPLES, SORTS};
 use crate::app::standing::Capture;
 use crate::service::reply::TopicRow;
 
@@ -20,7 +20,7 @@ const COLUMNS: &[Column] = &[
     Column::text("Watched", 13),
     Column::number("Hz", 7),
     Column::number("kB/s", 8),
-    Column::text("Lately", 8).from(110),
+    Column::text("Last 8 s", 8).from(BARS_FROM),
     Column::number("Captured", 9).from(130),
     Column::number("Lost t/r", 8).from(70),
     Column::number("Age", 6).from(80),
@@ -31,6 +31,9 @@ const COLUMNS: &[Column] = &[
 /// From so many columns on everything about a topic has its column.
 const ALL_FROM: u16 = 170;
 
+/// From so many columns on rates of the last seconds are drawn.
+const BARS_FROM: u16 = 110;
+
 /// Draws the screen.
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
     let topics = &state.topics;
@@ -40,7 +43,11 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
     if !topics.table.marks.is_empty() {
         note.push_str(&format!(", {} marked", topics.table.marks.len()));
     }
-    let cells = |index: usize| rows.get(index).map_or_else(Vec::new, |row| cells(state, row));
+    let scale = if area.width >= BARS_FROM { topics.scale(state.shown_at()) } else { 0.0 };
+    if scale > 0.0 {
+        note.push_str(&format!(", bars to {} kB/s", words::kilobytes(Some(scale))));
+    }
+    let cells = |index: usize| rows.get(index).map_or_else(Vec::new, |row| cells(state, row, scale));
     let empty = empty(state, Feed::Topics, "No topics published yet; they appear here automatically.");
     let sheet = Sheet {
         title: "Topics",
@@ -92,7 +99,7 @@ pub fn empty<'a>(state: &'a State, feed: Feed, nothing: &'a str) -> &'a str {
     }
 }
 
-fn cells(state: &State, row: &TopicRow) -> Vec<(String, Role)> {
+fn cells(state: &State, row: &TopicRow, scale: f64) -> Vec<(String, Role)> {
     let lost = format!("{}/{}", row.lost_in_transport, row.lost_in_recorder);
     let any_lost = row.lost_in_transport + row.lost_in_recorder > 0;
     vec![
@@ -100,10 +107,10 @@ fn cells(state: &State, row: &TopicRow) -> Vec<(String, Role)> {
         (row.type_name.clone().unwrap_or_default(), Role::Dim),
         (row.publishers.join(" "), Role::Dim),
         pinned(row),
-        watched(row),
+        watched_of(state, row),
         (words::rate(row.hz), Role::Accent),
         (words::kilobytes(row.bytes_per_second), Role::Body),
-        (words::sparkline(&state.topics.samples(&row.topic)), Role::Accent),
+        (graph::sparkline(&state.topics.samples(&row.topic, SAMPLES, state.shown_at()), scale), Role::Accent),
         (words::count(row.messages), Role::Body),
         (lost, if any_lost { Role::Warning } else { Role::Dim }),
         (row.last_message.map(|last| words::age(last, state.shown_at())).unwrap_or_default(), Role::Dim),
@@ -119,6 +126,14 @@ pub fn pinned(row: &TopicRow) -> (String, Role) {
         TopicRow { unpinned, .. } if unpinned.is_empty() => ("pinned".to_owned(), Role::Good),
         _ => ("NOT PINNED".to_owned(), Role::Warning),
     }
+}
+
+/// The same of a folded robot: how many of its topics.
+fn watched_of(state: &State, row: &TopicRow) -> (String, Role) {
+    let Some(robot) = state.topics.robot(&row.topic) else { return watched(row) };
+    let (count, all) = state.topics.watched_of(robot);
+    let (word, role) = watched(row);
+    if row.watched && !row.alarm && row.held_up.is_none() { (format!("{count} of {all}"), role) } else { (word, role) }
 }
 
 /// The cell that says whether a topic is watched, or that one of its publishers is doubted.

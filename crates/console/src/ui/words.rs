@@ -48,15 +48,13 @@ pub fn age(then: Timestamp, now: Timestamp) -> String {
     }
 }
 
-/// A row of bars as high as the samples are, against their highest.
-pub fn sparkline(samples: &[f64]) -> String {
-    const BARS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
-    let highest = samples.iter().copied().fold(0.0, f64::max);
-    let bar = |sample: &f64| {
-        let place = (1u8..8).take_while(|step| *sample > highest * f64::from(*step) / 8.0).count();
-        BARS[place.min(7)]
-    };
-    samples.iter().map(bar).collect()
+/// Seconds in a column: `0.42 s`, `12 s`, `3.1 min`.
+pub fn seconds(seconds: f64) -> String {
+    match seconds {
+        under if under < 10.0 => format!("{under:.2} s"),
+        under if under < 120.0 => format!("{under:.0} s"),
+        long => format!("{:.1} min", long / 60.0),
+    }
 }
 
 /// Lines of at most `width` columns, broken at spaces where there are some.
@@ -103,8 +101,7 @@ mod tests {
         assert_eq!(rate(None), "-");
         let at = Timestamp::from_seconds;
         assert_eq!([age(at(96), at(100)), age(at(0), at(7_200)), age(at(9), at(1))], ["4 s", "2 h", "0 s"]);
-        assert_eq!(sparkline(&[0.0, 4.0, 8.0]), "▁▄█");
-        assert_eq!(sparkline(&[0.0, 0.0]), "▁▁");
+        assert_eq!([seconds(0.416), seconds(12.3), seconds(186.0)], ["0.42 s", "12 s", "3.1 min"]);
     }
 
     #[test]

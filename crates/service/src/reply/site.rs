@@ -101,6 +101,10 @@ pub struct SiteView {
     /// What waits to be sealed.
     #[serde(default)]
     pub queue: QueueView,
+    /// How long records of this site took from capture to verified: times of at most so many microseconds, and how many
+    /// records took one of these.
+    #[serde(default)]
+    pub verified_after: Vec<(u64, u64)>,
 }
 
 /// The ring between capture and sealer.

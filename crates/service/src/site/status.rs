@@ -8,6 +8,7 @@ use super::{NetworkState, RosState, Site};
 use crate::config::without_password;
 use crate::model::{Address, ProfileName, RecordState, clean};
 use crate::pipeline::sender::LaneState;
+use crate::pipeline::stages::Milestone;
 use crate::pipeline::storer::Condition;
 use crate::pipeline::watcher::foreign;
 use crate::service::hub::lacking;
@@ -28,7 +29,8 @@ impl Site {
         let health = block_in_place(|| self.parts_health())?;
         let life = block_in_place(|| self.life_line(profile))?;
         let (process, tasks) = (std::process::id(), self.parts.supervisor.views());
-        Ok(SiteView { health, life, robots, profiles, process, queue: self.queue_view(), tasks })
+        let verified_after = self.parts.hub.stages.spread(Milestone::Verified);
+        Ok(SiteView { health, life, robots, profiles, process, queue: self.queue_view(), tasks, verified_after })
     }
 
     /// What is not well now, and what is: the one place that status, figures and alerts ask.

@@ -11,7 +11,7 @@ use rusqlite::{CachedStatement, Connection, OptionalExtension as _, Row, params}
 use serde::{Deserialize, Serialize};
 
 use super::filter_choice::FilterChoice;
-use super::rows::{self, ID_LENGTH, RecordRow, Stream, Which};
+use super::rows::{self, RecordRow, Stream, Which};
 use super::{Ledger, database::whole, recent};
 use crate::model::{Address, Digest, FilterId, RecordKind, RecordState, Timestamp, TopicId, clean};
 use crate::store::StoreError;
@@ -162,7 +162,7 @@ impl Ledger {
         })
     }
 
-    /// The record whose digest begins with `id` (16 to 64 hex characters).
+    /// The record whose digest begins with `id` (4 to 64 hex characters).
     ///
     /// # Errors
     /// [`StoreError::Id`] where `id` is none, [`StoreError::Ambiguous`] where several records match.
@@ -184,10 +184,13 @@ impl Ledger {
     }
 }
 
+/// The fewest characters by which a record may be named.
+const SHORTEST_ID: usize = 4;
+
 /// The lowest and highest digest that begin with `id`.
 fn bounds(id: &str) -> Option<(Digest, Digest)> {
     let whole = Digest::LENGTH * 2;
-    let valid = (ID_LENGTH..=whole).contains(&id.len()) && id.bytes().all(|b| b.is_ascii_hexdigit());
+    let valid = (SHORTEST_ID..=whole).contains(&id.len()) && id.bytes().all(|b| b.is_ascii_hexdigit());
     let fill = |digit: &str| format!("{id}{}", digit.repeat(whole - id.len())).parse().ok();
     if valid { fill("0").zip(fill("f")) } else { None }
 }

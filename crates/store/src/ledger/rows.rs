@@ -16,7 +16,7 @@ use crate::model::{
 use crate::store::StoreError;
 
 /// Characters of a record id: the first 16 hex characters of its digest.
-pub(super) const ID_LENGTH: usize = 16;
+const ID_LENGTH: usize = 16;
 
 /// Where a record comes from that was not captured here.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]

@@ -346,6 +346,7 @@ fn ids_are_prefixes_of_digests() {
     ledger.append(twins.to_vec()).expect("acknowledged");
     let id = twins[0].digest.to_hex();
     assert!(matches!(ledger.record_by_id(&id[..16]), Err(StoreError::Ambiguous(_))));
+    assert!(matches!(ledger.record_by_id(&id[..4]), Err(StoreError::Ambiguous(_))));
     assert_eq!(ledger.record_by_id(&id).expect("read").expect("there").seq, 1);
     assert_eq!(ledger.record_by_id(&"0".repeat(17)), Ok(None));
     for bad in ["", "12", "0x34567890123456", &"g".repeat(16), &"0".repeat(65)] {

@@ -37,6 +37,9 @@ impl Gateway {
             2 => rows.sort_by_key(|row| std::cmp::Reverse(row.frames)),
             _ => rows.sort_by_key(|row| row.sessions == 0),
         }
+        if self.table.reversed {
+            rows.reverse();
+        }
         rows
     }
 

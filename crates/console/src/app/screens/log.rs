@@ -22,12 +22,48 @@ pub struct LogLine {
     pub at: Timestamp,
     /// How urgent.
     pub level: NoticeLevel,
-    /// Where from: `notice`, or the number of the audit line.
-    pub source: String,
+    /// What it is known by.
+    pub key: String,
+    /// Where from.
+    pub source: Source,
     /// What.
     pub text: String,
     /// What it is about, where a later notice about the same takes its place.
     pub about: Option<String>,
+    /// Whether the operator has seen it.
+    pub seen: bool,
+}
+
+impl LogLine {
+    /// All of it in one line.
+    pub fn whole(&self) -> String {
+        format!("{} {} {}: {}", self.at, level_word(self.level), self.key, self.text)
+    }
+}
+
+/// Where a line comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Source {
+    /// This console: what the operator asked for and how it ended.
+    Console,
+    /// The site, by itself.
+    Site,
+    /// The audit log.
+    Audit,
+}
+
+impl Source {
+    /// All, in the order in which the filter offers them.
+    pub const ALL: [Self; 3] = [Self::Console, Self::Site, Self::Audit];
+
+    /// In a word.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Console => "console",
+            Self::Site => "site",
+            Self::Audit => "audit",
+        }
+    }
 }
 
 /// Notices and audit lines.
@@ -39,28 +75,40 @@ pub struct Log {
     pub table: Table,
     /// The least urgent level shown.
     pub least: NoticeLevel,
+    /// Lines from there alone; `None` = from everywhere.
+    pub source: Option<Source>,
     told: u64,
 }
 
 impl Default for Log {
     fn default() -> Self {
         let table = Table::following();
-        Self { notices: VecDeque::new(), audit: Vec::new(), table, least: NoticeLevel::Info, told: 0 }
+        Self { notices: VecDeque::new(), audit: Vec::new(), table, least: NoticeLevel::Info, source: None, told: 0 }
     }
 }
 
 impl Log {
-    /// Keeps a notice.
+    /// Keeps what this console did or refused.
     pub fn notice(&mut self, at: Timestamp, level: NoticeLevel, text: &str) {
-        self.notice_about(at, level, text, None);
+        self.keep(at, level, text, Source::Console, None);
     }
 
-    /// Keeps a notice about something that lasts.
+    /// Keeps what the site tells, and what it is about where that lasts.
     pub fn notice_about(&mut self, at: Timestamp, level: NoticeLevel, text: &str, about: Option<String>) {
+        self.keep(at, level, text, Source::Site, about);
+    }
+
+    fn keep(&mut self, at: Timestamp, level: NoticeLevel, text: &str, source: Source, about: Option<String>) {
         self.told += 1;
-        let source = format!("notice {}", self.told);
-        self.notices.push_front(LogLine { at, level, source, text: clean(text, WIDEST), about });
+        let (key, text) = (format!("notice {}", self.told), clean(text, WIDEST));
+        self.notices.push_front(LogLine { at, level, key, source, text, about, seen: false });
         self.notices.truncate(MOST_NOTICES);
+    }
+
+    /// The operator has seen what was said so.
+    pub fn saw(&mut self, text: &str) {
+        let text = clean(text, WIDEST);
+        self.notices.iter_mut().filter(|line| line.text == text).for_each(|line| line.seen = true);
     }
 
     /// Takes audit lines over.
@@ -70,8 +118,9 @@ impl Log {
 
     /// The lines to show, newest first.
     pub fn visible(&self) -> Vec<&LogLine> {
-        let urgent = self.notices.iter().chain(&self.audit).filter(|line| line.level >= self.least).collect();
-        let mut lines = fuzzy::narrow(self.table.filter.text(), urgent, |line: &&LogLine| line.text.clone());
+        let wanted = |line: &&LogLine| line.level >= self.least && self.source.is_none_or(|from| line.source == from);
+        let wanted = self.notices.iter().chain(&self.audit).filter(wanted).collect();
+        let mut lines = fuzzy::narrow(self.table.filter.text(), wanted, |line: &&LogLine| line.text.clone());
         lines.sort_by_key(|line| std::cmp::Reverse(line.at));
         lines
     }
@@ -83,14 +132,28 @@ impl Log {
 
     /// The keys of the lines shown.
     pub fn keys(&self) -> Vec<String> {
-        self.visible().into_iter().map(|line| line.source.clone()).collect()
+        self.visible().into_iter().map(|line| line.key.clone()).collect()
     }
 
-    /// The newest warnings and errors of this session.
+    /// The line under the cursor.
+    pub fn selected(&self) -> Option<&LogLine> {
+        let lines = self.visible();
+        let keys: Vec<&str> = lines.iter().map(|line| line.key.as_str()).collect();
+        lines.get(self.table.position(&keys)).copied()
+    }
+
+    /// The newest warnings and errors that the site told of by itself and nobody has seen.
     pub fn urgent(&self, limit: usize) -> Vec<&LogLine> {
-        // What lasts is told by the health of its part, as it is now.
-        let is_alert = |line: &&LogLine| line.level > NoticeLevel::Info && line.about.is_none();
+        // What lasts is told by the health of its part, as it is now; an operator's own mistake is no alert.
+        let is_news = |line: &LogLine| line.source == Source::Site && line.about.is_none() && !line.seen;
+        let is_alert = |line: &&LogLine| line.level > NoticeLevel::Info && is_news(line);
         self.notices.iter().filter(is_alert).take(limit).collect()
+    }
+
+    /// Shows lines of one source only, of the next, then all again.
+    pub fn next_source(&mut self) {
+        let place = self.source.map_or(0, |source| source as usize + 1);
+        self.source = Source::ALL.get(place).copied();
     }
 
     /// Shows only more urgent lines, then all again.
@@ -116,5 +179,6 @@ fn audit_line(view: AuditView) -> LogLine {
     let good = ["ok", "done", "begun"].contains(&view.outcome.as_str());
     let level = if good { NoticeLevel::Info } else { NoticeLevel::Warning };
     let text = format!("{} {} {}: {}", view.profile, view.action, view.subject, view.outcome);
-    LogLine { at: view.at, level, source: format!("audit {}", view.line), text: clean(&text, WIDEST), about: None }
+    let (key, text) = (format!("audit {}", view.line), clean(&text, WIDEST));
+    LogLine { at: view.at, level, key, source: Source::Audit, text, about: None, seen: true }
 }

@@ -4,4 +4,5 @@ pub mod gateway;
 pub mod grants;
 pub mod log;
 pub mod records;
+pub mod robots;
 pub mod topics;

@@ -1,8 +1,9 @@
 //! The Topics screen: rows of the graph, their order and what was transferred lately.
 
 use std::cmp::Ordering;
-use std::collections::{HashMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 
+use super::robots;
 use crate::app::fuzzy;
 use crate::app::table::Table;
 use crate::model::Timestamp;
@@ -10,8 +11,10 @@ use crate::service::reply::TopicRow;
 
 /// The most topics kept.
 const MOST_TOPICS: usize = 5_000;
-/// Samples of a topic's transfer rate kept for its sparkline.
+/// Samples of a topic's transfer rate that its sparkline shows.
 pub const SAMPLES: usize = 8;
+/// Samples kept, for a view of the topic alone.
+pub const KEPT_SAMPLES: usize = 60;
 /// Time between two samples, nanoseconds.
 const SAMPLE_EVERY: u64 = 1_000_000_000;
 /// What sorts the table, in the order of `s`.
@@ -26,6 +29,10 @@ pub struct Topics {
     pub table: Table,
     history: HashMap<String, VecDeque<f64>>,
     sampled_at: Timestamp,
+    /// Robots whose topics are one row.
+    folded: BTreeSet<String>,
+    /// The rows of folded robots.
+    robots: BTreeMap<String, TopicRow>,
     shown: Shown,
 }
 
@@ -35,7 +42,16 @@ struct Shown {
     filter: String,
     sort: usize,
     reversed: bool,
-    places: Vec<usize>,
+    places: Vec<Place>,
+}
+
+/// What a row of the table stands for.
+#[derive(Debug, Clone)]
+enum Place {
+    /// The topic at that place among all rows.
+    Topic(usize),
+    /// All topics of a robot that the filter lets through.
+    Robot(String),
 }
 
 impl Topics {
@@ -44,20 +60,25 @@ impl Topics {
         rows.truncate(MOST_TOPICS);
         rows.sort_by(|one, other| one.topic.cmp(&other.topic));
         self.rows = rows;
-        let rows = &self.rows;
+        let (rows, folded) = (&self.rows, &self.folded);
         // Sorted by name above.
-        let is_there = |name: &String| rows.binary_search_by(|row| row.topic.cmp(name)).is_ok();
+        let is_there = |name: &String| {
+            let robot = robots::folded(name).is_some_and(|robot| folded.contains(robot));
+            robot || rows.binary_search_by(|row| row.topic.cmp(name)).is_ok()
+        };
         self.table.marks.retain(is_there);
         self.refresh(true);
         let keys = self.keys();
         self.table.settle(&keys);
-        if now.0.saturating_sub(self.sampled_at.0) >= SAMPLE_EVERY {
+        let missed = usize::try_from(now.0.saturating_sub(self.sampled_at.0) / SAMPLE_EVERY).unwrap_or(KEPT_SAMPLES);
+        if missed > 0 {
             self.sampled_at = now;
-            self.sample();
+            self.sample(missed - 1);
         }
     }
 
-    fn sample(&mut self) {
+    /// Takes a sample of every topic; in the seconds without news its rate was the one before.
+    fn sample(&mut self, missed: usize) {
         let rows = &self.rows;
         self.history.retain(|topic, _| rows.binary_search_by(|row| row.topic.cmp(topic)).is_ok());
         for row in &self.rows {
@@ -66,24 +87,103 @@ impl Topics {
                 Some(samples) => samples,
                 None => self.history.entry(row.topic.clone()).or_default(),
             };
+            if let Some(before) = samples.back().copied() {
+                samples.extend(std::iter::repeat_n(before, missed.min(KEPT_SAMPLES)));
+            }
             samples.push_back(row.bytes_per_second.unwrap_or(0.0));
-            if samples.len() > SAMPLES {
-                samples.pop_front();
+            drop(samples.drain(..samples.len().saturating_sub(KEPT_SAMPLES)));
+        }
+    }
+
+    /// Bytes a second of a topic, or of a folded robot, over at most the last `most` seconds, oldest first. What was
+    /// last heard holds until something else is.
+    pub fn samples(&self, topic: &str, most: usize, now: Timestamp) -> Vec<f64> {
+        let mut samples: Vec<f64> = match self.robot(topic) {
+            None => self.history.get(topic).map(|samples| samples.iter().copied().collect()).unwrap_or_default(),
+            Some(robot) => self.samples_of(robot),
+        };
+        let since = usize::try_from(now.0.saturating_sub(self.sampled_at.0) / SAMPLE_EVERY).unwrap_or(most);
+        if let Some(last) = samples.last().copied() {
+            samples.extend(std::iter::repeat_n(last, since.min(most)));
+        }
+        samples.split_off(samples.len().saturating_sub(most))
+    }
+
+    fn samples_of(&self, robot: &str) -> Vec<f64> {
+        let mut sums = vec![0.0; KEPT_SAMPLES];
+        let topics = self.rows.iter().filter(|row| robots::robot_of(&row.topic) == Some(robot));
+        for samples in topics.filter_map(|row| self.history.get(&row.topic)) {
+            for (sum, sample) in sums.iter_mut().rev().zip(samples.iter().rev()) {
+                *sum += sample;
             }
         }
+        sums
     }
 
-    /// Bytes a second of a topic, oldest first.
-    pub fn samples(&self, topic: &str) -> Vec<f64> {
-        self.history.get(topic).map(|samples| samples.iter().copied().collect()).unwrap_or_default()
+    /// The highest sample of the rows shown: the one scale of all sparklines.
+    pub fn scale(&self, now: Timestamp) -> f64 {
+        let highest = |row: &TopicRow| self.samples(&row.topic, SAMPLES, now).into_iter().fold(0.0, f64::max);
+        self.visible().into_iter().map(highest).fold(0.0, f64::max)
     }
 
-    /// The rows to show, filtered and in order.
+    /// The rows to show, filtered and in order, folded robots in one row each.
     pub fn visible(&self) -> Vec<&TopicRow> {
-        if self.is_fresh() {
-            return self.shown.places.iter().filter_map(|place| self.rows.get(*place)).collect();
+        self.shown.places.iter().filter_map(|place| self.at(place)).collect()
+    }
+
+    fn at(&self, place: &Place) -> Option<&TopicRow> {
+        match place {
+            Place::Topic(place) => self.rows.get(*place),
+            Place::Robot(robot) => self.robots.get(robot),
         }
-        self.found().into_iter().map(|(_, row)| row).collect()
+    }
+
+    /// The robot that a row of this name stands for; `None` = it is a topic, whatever its name.
+    pub fn robot<'a>(&self, name: &'a str) -> Option<&'a str> {
+        robots::folded(name).filter(|robot| self.folded.contains(*robot))
+    }
+
+    /// How many of a folded robot's topics are watched, and of how many.
+    pub fn watched_of(&self, robot: &str) -> (usize, usize) {
+        let rows = || self.rows.iter().filter(|row| robots::robot_of(&row.topic) == Some(robot));
+        (rows().filter(|row| row.watched).count(), rows().count())
+    }
+
+    /// Folds the robot of the row under the cursor into one row, or unfolds it; false where the topic is of none.
+    pub fn fold(&mut self) -> bool {
+        let Some(name) = self.selected().map(|row| row.topic.clone()) else { return false };
+        let Some(robot) = robots::robot_of(&name).map(str::to_owned) else { return false };
+        let unfolds = self.folded.remove(&robot);
+        if !unfolds {
+            self.folded.insert(robot.clone());
+        }
+        self.unmark_robots();
+        self.refresh(true);
+        // The cursor stays with the robot.
+        let keys = self.keys();
+        let is_of = |key: &String| robots::robot_of(key) == Some(robot.as_str());
+        if let Some(position) = keys.iter().position(is_of) {
+            self.table.select(&keys, position);
+        }
+        true
+    }
+
+    /// A mark on a robot that is unfolded now would be one on nothing.
+    fn unmark_robots(&mut self) {
+        let folded = &self.folded;
+        let stays = |name: &String| robots::folded(name).is_none_or(|robot| folded.contains(robot));
+        self.table.marks.retain(stays);
+    }
+
+    /// Folds all robots, or unfolds all where none is left to fold.
+    pub fn fold_all(&mut self) {
+        let all: BTreeSet<String> =
+            self.rows.iter().filter_map(|row| robots::robot_of(&row.topic).map(str::to_owned)).collect();
+        self.folded = if all.is_subset(&self.folded) { BTreeSet::new() } else { all };
+        self.unmark_robots();
+        self.refresh(true);
+        let keys = self.keys();
+        self.table.select(&keys, 0);
     }
 
     fn is_fresh(&self) -> bool {
@@ -106,7 +206,8 @@ impl Topics {
     /// Finds the rows to show anew where filter or order changed, or `rows_changed`.
     pub fn refresh(&mut self, rows_changed: bool) {
         if rows_changed || !self.is_fresh() {
-            let places = self.found().into_iter().map(|(place, _)| place).collect();
+            let (places, robots) = self.places();
+            self.robots = robots;
             self.shown = Shown {
                 filter: self.table.filter.text().to_owned(),
                 sort: self.table.sort,
@@ -116,9 +217,28 @@ impl Topics {
         }
     }
 
+    /// What passes the filter, in order; what of it belongs to a folded robot is one row, at the place of its first.
+    fn places(&self) -> (Vec<Place>, BTreeMap<String, TopicRow>) {
+        let (mut places, mut taken) = (Vec::new(), BTreeMap::<String, Vec<&TopicRow>>::new());
+        for (place, row) in self.found() {
+            match robots::robot_of(&row.topic).filter(|robot| self.folded.contains(*robot)) {
+                None => places.push(Place::Topic(place)),
+                Some(robot) => {
+                    let rows = taken.entry(robot.to_owned()).or_default();
+                    if rows.is_empty() {
+                        places.push(Place::Robot(robot.to_owned()));
+                    }
+                    rows.push(row);
+                }
+            }
+        }
+        let robots = taken.into_iter().map(|(robot, rows)| (robot.clone(), robots::together(&robot, &rows))).collect();
+        (places, robots)
+    }
+
     /// Whether any row passes the filter.
     pub fn any_visible(&self) -> bool {
-        if self.is_fresh() { !self.shown.places.is_empty() } else { !self.visible().is_empty() }
+        !self.shown.places.is_empty()
     }
 
     /// The names of the rows shown.
@@ -153,12 +273,19 @@ impl Topics {
         rows.get(self.table.position(&keys)).copied()
     }
 
-    /// The marked rows, else the one of the cursor.
+    /// The marked topics, else the one of the cursor; a robot's row stands for all its topics.
     pub fn targets(&self) -> Vec<&TopicRow> {
-        if self.table.marks.is_empty() {
-            return self.selected().into_iter().collect();
-        }
-        self.rows.iter().filter(|row| self.table.marks.contains(&row.topic)).collect()
+        let chosen: Vec<&str> = match self.table.marks.is_empty() {
+            true => self.selected().map(|row| row.topic.as_str()).into_iter().collect(),
+            false => self.table.marks.iter().map(String::as_str).collect(),
+        };
+        let topics: BTreeSet<&str> = chosen.iter().copied().collect();
+        let robots: BTreeSet<&str> = chosen.iter().filter_map(|name| self.robot(name)).collect();
+        let is_meant = |row: &&TopicRow| {
+            let robot = robots::robot_of(&row.topic);
+            topics.contains(row.topic.as_str()) || robot.is_some_and(|robot| robots.contains(robot))
+        };
+        self.rows.iter().filter(is_meant).collect()
     }
 }
 

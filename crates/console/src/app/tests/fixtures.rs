@@ -5,11 +5,12 @@ use crate::model::{
     SignerId, Timestamp, Token, Verdict,
 };
 use crate::pipeline::sender::{LaneState, PauseReason};
+use crate::service::command::RecordingCommand;
 use crate::service::reply::{
     AdministrationView, AlarmView, AuditView, ChainView, ContactRow, Direction, EpochView, GasView, GatewayStatusView,
     GatewayView, GrantRow, GrantState, HealthLevel, IdentityView, KeysView, LifeLine, OpenedView, PartHealth, PinView,
-    PinsView, Provenance, QueueView, RecordPage, RecordView, RefusedView, SenderView, ShownState, SiteView,
-    SystemKeyView, TopicRow,
+    PinsView, Provenance, QueueView, RecordPage, RecordView, RecordingReply, RefusedView, SenderView, ShownState,
+    SiteView, SystemKeyView, TopicRow, TransactionView,
 };
 use crate::service::{Command, Failure, Operation, Reply, UploadQuery};
 use authros_chain::Sealing;
@@ -35,6 +36,9 @@ pub fn reply(command: &Command, exists: bool) -> Reply {
         Command::ChainStatus => Reply::Chain(Box::new(chain())),
         Command::ListContacts => Reply::Contacts(vec![contact("harbour-office"), contact("harbour-master")]),
         Command::ListAudit(_) => Reply::Audit(audit()),
+        Command::Recording { with: RecordingCommand::Progress } => {
+            Reply::Recording(RecordingReply::Progress(Vec::new()))
+        }
         Command::Operate(Operation::GatewayStatus) => Reply::GatewayStatus(gateway()),
         Command::Operate(Operation::Lock) => Reply::Identity(identity(exists, false, exists)),
         _ => Reply::Done,
@@ -104,6 +108,7 @@ pub fn site() -> SiteView {
         process: 0,
         tasks: Vec::new(),
         queue: QueueView { messages: 3, bytes: 2_184, capacity: 201_326_592 },
+        verified_after: Vec::new(),
     }
 }
 
@@ -208,6 +213,12 @@ pub fn grant(direction: &str, account: Address, state: &str, block: u64) -> Gran
         name: None,
         fingerprint: None,
     }
+}
+
+/// A transaction that was mined.
+pub fn transaction(text: &str) -> Reply {
+    let view = TransactionView { transaction: Some(Hash([4; 32])), block: Some(120), epoch: 3, text: text.to_owned() };
+    Reply::Transaction(view)
 }
 
 fn grants() -> Vec<GrantRow> {

@@ -77,7 +77,7 @@ fn a_wrong_field_is_named_and_gets_the_focus() {
         ([READER, "", ""], "'all' for every topic"),
         ([READER, "all /robot1/odom", ""], "stands alone"),
         (["nobody", "all", ""], "no contact is named"),
-        ([other.as_str(), "all", ""], "active grant"),
+        ([other.as_str(), "/robot1/odom", ""], "active grant on these terms"),
         ([READER, "all", "soon"], "30d"),
     ];
     for (fields, wanted) in cases {
@@ -210,20 +210,55 @@ fn the_palette_takes_the_terms_and_a_capital_y_copies_the_command_line() {
     question(&robot);
 }
 
-#[test]
-fn e_extends_an_active_grant_and_only_lengthens_it() {
+/// A day from now.
+const END: Timestamp = Timestamp(fixtures::NOW.0 + 86_400 * 1_000_000_000);
+
+fn at_a_grant_that_ends() -> Robot {
     let mut robot = at_grants();
-    robot.types("e");
-    assert_eq!(robot.message(), "extend: has no end");
-    let end = Timestamp(fixtures::NOW.0 + 86_400 * 1_000_000_000);
-    robot.state.grants.rows.iter_mut().for_each(|row| row.expires = Some(end));
-    robot.types("e12h");
-    robot.presses(Key::Enter);
-    assert!(robot.form_error().is_some_and(|error| error.contains("longer already")), "{:?}", robot.form_error());
-    robot.presses(Key::Control('u'));
-    robot.types("30d");
+    robot.state.grants.rows.iter_mut().for_each(|row| row.expires = Some(END));
+    robot
+}
+
+#[test]
+fn e_extends_an_active_grant() {
+    let mut robot = at_a_grant_that_ends();
+    robot.types("e30d");
     robot.presses(Key::Enter);
     let later = Timestamp(fixtures::NOW.0 + 30 * 86_400 * 1_000_000_000);
     let Some((Command::ExtendGrant { expires, .. }, tag)) = robot.sent.last() else { panic!("{:?}", robot.sent) };
     assert_eq!((*expires, tag), (Some(later), &Tag::Extend(fixtures::OTHER)));
+}
+
+#[test]
+fn a_sooner_end_is_a_revoke_and_a_new_grant_asked_about_once() {
+    let mut robot = at_a_grant_that_ends();
+    robot.types("e12h");
+    robot.presses(Key::Enter);
+    assert_eq!(question(&robot).title, "Revoke, and grant anew?");
+    assert!(question(&robot).lines.concat().contains("revoked first"));
+    robot.types("n");
+    assert!(robot.work().is_empty() && robot.state.follow_up.is_none(), "a no is one for both");
+
+    robot.presses(Key::Enter);
+    robot.types("y");
+    assert_eq!(robot.work(), [Tag::Revoke(fixtures::OTHER)]);
+    robot.is_answered(&Tag::Revoke(fixtures::OTHER), Ok(fixtures::transaction("revoked")));
+    let sooner = Timestamp(fixtures::NOW.0 + 43_200 * 1_000_000_000);
+    let granted = robot.sent.iter().find_map(|(command, _)| match command {
+        Command::Grant { topics, expires, .. } => Some((topics.len(), *expires)),
+        _ => None,
+    });
+    assert_eq!(granted, Some((1, Some(sooner))), "the topics stay");
+}
+
+#[test]
+fn where_the_revoke_fails_nothing_is_granted_and_the_form_comes_back() {
+    let mut robot = at_a_grant_that_ends();
+    robot.types("e12h");
+    robot.presses(Key::Enter);
+    robot.types("y");
+    let failure = fixtures::failure(crate::model::ErrorKind::Unreachable, "the node does not answer");
+    robot.is_answered(&Tag::Revoke(fixtures::OTHER), Err(failure));
+    assert!(robot.work().is_empty(), "{:?}", robot.work());
+    assert_eq!(robot.form_error(), Some("the node does not answer"));
 }

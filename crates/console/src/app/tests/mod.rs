@@ -4,11 +4,13 @@ pub mod fixtures;
 
 mod aiming;
 mod first_use;
+mod fleet;
 mod freezing;
 mod granting;
 mod helping;
 mod keys;
 mod leaving;
+mod logging;
 mod operating;
 mod palette;
 mod placeholders;
@@ -16,6 +18,7 @@ mod pulling;
 mod records;
 mod standing;
 mod watching;
+mod wide;
 
 use zeroize::Zeroizing;
 

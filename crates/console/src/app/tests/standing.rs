@@ -1,7 +1,6 @@
 //! Nothing is off without being seen: the passphrase is asked for at the start, and each topic says how it stands.
 
 use super::{Robot, fixtures};
-use crate::app::alerts::alerts;
 use crate::app::feed::Feed;
 use crate::app::popup::{Popup, Purpose};
 use crate::app::standing::Capture;
@@ -68,6 +67,8 @@ fn each_topic_says_how_its_capture_stands_and_the_worst_is_said_first() {
     robot.site_answers(true);
     robot.state.identity = Some(fixtures::identity(true, false, true));
     robot.state.topics.rows = vec![waits, paused];
-    let alert = alerts(&robot.state).into_iter().map(|(_, text)| text).find(|text| text.starts_with("locked"));
+    robot.waits(1);
+    let alert =
+        robot.state.alerts.shown().into_iter().map(|alert| alert.text.clone()).find(|text| text.starts_with("locked"));
     assert_eq!(alert.as_deref(), Some("locked: capture of 1 topic waits for the key; u unlocks"));
 }

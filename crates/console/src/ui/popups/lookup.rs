@@ -16,25 +16,28 @@ const STEP: u16 = 14;
 /// The widest a view of a record grows.
 const WIDEST: u16 = 110;
 
-pub(super) type Piece = (String, Role);
+pub(in crate::ui) type Piece = (String, Role);
 
 /// Draws where a record comes from and where it stands.
 pub fn draw_provenance(canvas: &mut Canvas, area: Rect, lookup: &Lookup<Provenance>) {
-    draw(canvas, area, lookup, "Provenance of record", |view, width| {
-        // What the steps say themselves is not said before them: all of it should fit on a screen.
-        let mut lines: Vec<Vec<Piece>> = record_lines(&view.record).into_iter().take(2).collect();
-        lines.push(Vec::new());
-        let width = width.saturating_sub(STEP);
-        for (word, evidence) in &view.steps {
-            let role = step_role(word);
-            let pieces = wrap(&fitted(&clean(evidence, 500), width), width);
-            for (index, piece) in pieces.into_iter().enumerate() {
-                let label = if index == 0 { clean(word, 13) } else { String::new() };
-                lines.push(vec![(pad(&label, STEP), role), (piece, Role::Body)]);
-            }
+    draw(canvas, area, lookup, "Provenance of record", provenance_lines);
+}
+
+/// The steps of a record, in lines of that width.
+pub(in crate::ui) fn provenance_lines(view: &Provenance, width: u16) -> Vec<Vec<Piece>> {
+    // What the steps say themselves is not said before them: all of it should fit on a screen.
+    let mut lines: Vec<Vec<Piece>> = record_lines(&view.record).into_iter().take(2).collect();
+    lines.push(Vec::new());
+    let width = width.saturating_sub(STEP);
+    for (word, evidence) in &view.steps {
+        let role = step_role(word);
+        let pieces = wrap(&fitted(&clean(evidence, 500), width), width);
+        for (index, piece) in pieces.into_iter().enumerate() {
+            let label = if index == 0 { clean(word, 13) } else { String::new() };
+            lines.push(vec![(pad(&label, STEP), role), (piece, Role::Body)]);
         }
-        lines
-    });
+    }
+    lines
 }
 
 /// Evidence in its width: where it does not fit, hashes are told by their ends (`authros uploads show` has all).
@@ -106,7 +109,7 @@ fn draw<T>(
     }
 }
 
-pub(super) fn record_lines(record: &RecordView) -> Vec<Vec<Piece>> {
+pub(in crate::ui) fn record_lines(record: &RecordView) -> Vec<Vec<Piece>> {
     let mut type_name = labelled("type", record.type_name.clone(), Role::Body);
     if record.simulated {
         type_name.extend([("  ".to_owned(), Role::Body), ("SIMULATED".to_owned(), Role::Badge)]);

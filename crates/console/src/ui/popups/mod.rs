@@ -20,6 +20,9 @@ use crate::app::popup::{Confirm, Popup};
 use crate::app::{State, granting};
 use crate::model::clean;
 
+pub(in crate::ui) use lookup::{Piece, provenance_lines, record_lines as record_facts};
+pub(in crate::ui) use record::{inside, put_lines};
+
 /// Draws a popup into the middle of `area`.
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, popup: &Popup) {
     match popup {
@@ -33,6 +36,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, popup: &Popup) {
         Popup::Themes(choice) => themes::draw(canvas, area, state, choice),
         Popup::Publishers(lookup) => situation::draw_publishers(canvas, area, state, lookup),
         Popup::Readers(topics) => situation::draw_readers(canvas, area, state, topics),
+        Popup::Line(line) => situation::draw_line(canvas, area, line),
         Popup::Tasks => situation::draw_tasks(canvas, area, state),
         Popup::Browse(browse) => browse::draw(canvas, area, state, browse),
         Popup::Quit(leaving) => draw_quit(canvas, area, state, *leaving),

@@ -41,6 +41,11 @@ fn text(canvas: &mut Canvas, area: Rect, title: &str, lines: Vec<Vec<Piece>>) {
 
 fn whole(canvas: &mut Canvas, area: Rect, title: &str, opening: &Opening, view: &OpenedView) {
     let inner = framed(canvas, area, title, WIDEST, u16::MAX - 2);
+    inside(canvas, inner, opening, view);
+}
+
+/// An opened record: what it is, and below it the face in view.
+pub(in crate::ui) fn inside(canvas: &mut Canvas, inner: Rect, opening: &Opening, view: &OpenedView) {
     let head = head(view, inner.height);
     put_lines(canvas, inner, &head, 0);
     let taken = u16::try_from(head.len()).unwrap_or(u16::MAX);
@@ -164,7 +169,7 @@ fn bytes(view: &OpenedView) -> Vec<Vec<Piece>> {
     view.beginning.chunks(BYTES_A_LINE).enumerate().map(line).collect()
 }
 
-fn put_lines(canvas: &mut Canvas, area: Rect, lines: &[Vec<Piece>], scroll: usize) {
+pub(in crate::ui) fn put_lines(canvas: &mut Canvas, area: Rect, lines: &[Vec<Piece>], scroll: usize) {
     let rows = usize::from(area.height);
     let first = scroll.min(lines.len().saturating_sub(rows));
     for (place, line) in (0..area.height).zip(lines.iter().skip(first)) {

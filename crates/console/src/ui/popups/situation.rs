@@ -7,10 +7,13 @@ use crate::app::confirm::readers;
 use crate::app::feed::Feed;
 use crate::app::popup::Lookup;
 use crate::app::screens::grants::{end, is_active, is_given, scope};
+use crate::app::screens::log::{LogLine, level_word};
 use crate::app::{State, Tag};
 use crate::model::clean;
 use crate::pipeline::sender::LaneState;
+use crate::service::NoticeLevel;
 use crate::service::reply::{AlarmView, GrantRow, PinView, PinsView, TaskState, TaskView};
+use crate::ui::bottom;
 use crate::ui::canvas::{Canvas, row};
 use crate::ui::theme::Role;
 use crate::ui::words;
@@ -126,9 +129,17 @@ fn reason(word: &str) -> &str {
     }
 }
 
+/// Draws a line of the log, whole.
+pub fn draw_line(canvas: &mut Canvas, area: Rect, line: &LogLine) {
+    let about = format!("{}  {}  {}", line.at, level_word(line.level), line.key);
+    let role = if line.level == NoticeLevel::Info { Role::Body } else { bottom::level(line.level).1 };
+    draw_lines(canvas, area, "Log line", &[(about, Role::Dim), (line.text.clone(), role)], 0);
+}
+
 /// Draws what is under way, what waits, and for how long.
 pub fn draw_tasks(canvas: &mut Canvas, area: Rect, state: &State) {
     let mut lines: Vec<Line> = state.work.iter().map(Tag::words).map(|words| (words, Role::Accent)).collect();
+    lines.extend(state.progress.lines(state.shown_at()).into_iter().map(|line| (line, Role::Accent)));
     if lines.is_empty() {
         lines.push(("no commands running".to_owned(), Role::Dim));
     }

@@ -48,12 +48,14 @@ impl Profiles {
         passphrase: Option<SecretText>,
     ) -> Result<KeysView, Failure> {
         let registered = self.registered_network(owner).await?;
-        self.log.begin(owner, "load key", &format!("{kind:?}").to_lowercase()).await?;
-        let owner = match kind {
-            KeyKind::Sm4 => self.load_sm4(owner, path, registered.is_some()).await?,
-            KeyKind::Sm2 => self.load_sm2(owner, path, registered.as_ref()).await?,
-            KeyKind::Eoa => self.load_eoa(owner, path, passphrase, registered.is_some()).await?,
+        let word = format!("{kind:?}").to_lowercase();
+        self.log.begin(owner, "load key", &word).await?;
+        let loaded = match kind {
+            KeyKind::Sm4 => self.load_sm4(owner, path, registered.is_some()).await,
+            KeyKind::Sm2 => self.load_sm2(owner, path, registered.as_ref()).await,
+            KeyKind::Eoa => self.load_eoa(owner, path, passphrase, registered.is_some()).await,
         };
+        let owner = self.log.end(owner, "load key", &word, loaded).await?;
         self.hub.changed(Part::Identity);
         self.keys(&owner).await
     }
@@ -95,7 +97,8 @@ impl Profiles {
         self.log.begin(owner, "rotate envelope key", &owner.address.to_string()).await?;
         let pair = SmKeyPair::generate(self.plant.provider)?;
         let new = NewPairs { envelope: Some(pair), ..NewPairs::default() };
-        self.change_pairs(owner, registered.as_ref(), new).await?;
+        let changed = self.change_pairs(owner, registered.as_ref(), new).await;
+        self.log.end(owner, "rotate envelope key", &owner.address.to_string(), changed).await?;
         self.hub.changed(Part::Identity);
         self.keys(owner).await
     }

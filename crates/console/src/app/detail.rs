@@ -1,0 +1,107 @@
+//! The pane beside a list on a wide terminal. What it tells of a record is asked for when the cursor rests on it: a
+//! record of others is opened then, as by enter, and the audit log says so.
+
+use super::action::{Effect, Errand, Tag};
+use super::opening::Opening;
+use super::popup::Lookup;
+use super::screen::Screen;
+use super::state::State;
+use crate::model::Timestamp;
+use crate::service::reply::{OpenedView, Provenance};
+use crate::service::{Command, Failure};
+
+/// From so many columns on there is a pane.
+pub const WIDE_FROM: u16 = 140;
+/// How long the cursor rests before a record is asked for, nanoseconds.
+const REST: u64 = 300_000_000;
+
+/// What the pane knows of a record.
+#[derive(Debug, Default)]
+pub struct Detail {
+    /// The record under the cursor, and its list.
+    about: Option<(Screen, String)>,
+    /// When it is asked for.
+    due: Option<Timestamp>,
+    /// Where an own record comes from and where it stands.
+    pub steps: Option<Lookup<Provenance>>,
+    /// A record of others.
+    pub opening: Option<Opening>,
+}
+
+impl Detail {
+    /// When the record under the cursor is asked for.
+    pub fn due(&self) -> Option<Timestamp> {
+        self.due
+    }
+
+    /// Forgets everything, as when the keys are wiped.
+    pub fn clear(&mut self) {
+        *self = Self::default();
+    }
+}
+
+/// Whether there is a pane beside the list on screen.
+pub fn is_shown(state: &State) -> bool {
+    state.size.0 >= WIDE_FROM && state.screen.has_table()
+}
+
+/// The record that the pane is to tell of: one that the cursor was put on, not whichever is the newest.
+fn wanted(state: &State) -> Option<(Screen, String)> {
+    let open = state.identity.as_ref().is_some_and(|identity| identity.unlocked);
+    let tells = match state.screen {
+        Screen::Uploads => true,
+        Screen::Shared => open,
+        _ => false,
+    };
+    let aimed = state.table().is_some_and(|table| table.is_bound() && !table.filtering);
+    if !tells || !aimed || !is_shown(state) || !state.popups.is_empty() {
+        return None;
+    }
+    Some((state.screen, state.row_key()?))
+}
+
+/// Follows the cursor; asks when it has come to rest.
+pub fn follow(state: &mut State) -> Vec<Effect> {
+    if state.popups.is_empty() {
+        let wanted = wanted(state);
+        if wanted != state.detail.about {
+            let due = wanted.as_ref().map(|_| Timestamp(state.now.0.saturating_add(REST)));
+            state.detail = Detail { about: wanted, due, ..Detail::default() };
+        }
+    }
+    let rested = state.detail.due.is_some_and(|due| due <= state.now);
+    let busy = state.work.iter().any(|tag| matches!(tag, Tag::Beside(..)));
+    let Some((screen, id)) = state.detail.about.clone().filter(|_| rested && !busy) else { return Vec::new() };
+    state.detail.due = None;
+    let command = if screen == Screen::Uploads {
+        state.detail.steps = Some(Lookup::new(&id));
+        Command::ShowUpload { id: id.clone() }
+    } else {
+        state.detail.opening = Some(Opening::new(&id));
+        Command::OpenShared { id: id.clone() }
+    };
+    vec![state.send(Errand { command, tag: Tag::Beside(screen, id) })]
+}
+
+/// Records went on: where the one in the pane is not at its end, it is asked for again.
+pub fn touch(state: &mut State) {
+    let answered = state.detail.steps.as_ref().filter(|lookup| lookup.answer.is_some());
+    let settled = answered.and_then(Lookup::found).is_some_and(|found| super::update::is_settled(found.record.state));
+    if answered.is_some() && !settled && !state.is_frozen() {
+        state.detail.due = Some(Timestamp(state.now.0.saturating_add(REST)));
+    }
+}
+
+/// Takes the answer about an own record.
+pub fn looked_up(state: &mut State, id: &str, answer: Result<Provenance, Failure>) {
+    if let Some(steps) = state.detail.steps.as_mut().filter(|steps| steps.id == id) {
+        steps.answer = Some(answer.map(Box::new));
+    }
+}
+
+/// Takes the answer about a record of others.
+pub fn opened(state: &mut State, id: &str, answer: Result<Box<OpenedView>, Failure>) {
+    if let Some(opening) = state.detail.opening.as_mut().filter(|opening| opening.lookup.id == id) {
+        opening.lookup.answer = Some(answer);
+    }
+}

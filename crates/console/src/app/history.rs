@@ -1,0 +1,295 @@
+//! What flowed over the last hour, as far as this console has seen it: the ring behind the graphs of the Overview.
+
+use std::collections::VecDeque;
+
+use crate::model::Timestamp;
+use crate::service::reply::SiteView;
+
+/// Nanoseconds of a second.
+const SECOND: u64 = 1_000_000_000;
+/// Points of the newest minute are so far apart at least, nanoseconds.
+const FINE: u64 = SECOND;
+/// Points before it.
+const COARSE: u64 = 10 * SECOND;
+/// How long the newest points stay fine, nanoseconds; a little more than the minute that is shown.
+const FINE_FOR: u64 = 65 * SECOND;
+/// How long points are kept, nanoseconds; a little more than the hour that is shown.
+const KEPT: u64 = 3_640 * SECOND;
+/// After so long without news nothing happened until just before the next, nanoseconds.
+const QUIET: u64 = 3 * SECOND;
+
+/// Over how long the graphs look back.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Period {
+    /// One minute.
+    Minute,
+    /// A quarter of an hour.
+    #[default]
+    Quarter,
+    /// An hour.
+    Hour,
+}
+
+impl Period {
+    /// The next, around the corner.
+    pub fn next(self) -> Self {
+        match self {
+            Self::Minute => Self::Quarter,
+            Self::Quarter => Self::Hour,
+            Self::Hour => Self::Minute,
+        }
+    }
+
+    /// In minutes.
+    pub fn minutes(self) -> u64 {
+        match self {
+            Self::Minute => 1,
+            Self::Quarter => 15,
+            Self::Hour => 60,
+        }
+    }
+
+    fn nanoseconds(self) -> u64 {
+        self.minutes() * 60 * SECOND
+    }
+}
+
+/// What the site said at a moment. Counts only grow.
+#[derive(Debug, Clone, Default, PartialEq)]
+struct Point {
+    at: Timestamp,
+    captured: u64,
+    verified: u64,
+    pending: u64,
+    /// Longest time, microseconds, and how many were verified within it, as in [`SiteView::verified_after`].
+    spread: Vec<(u64, u64)>,
+}
+
+/// The points of the last hour, oldest first.
+#[derive(Debug, Default)]
+pub struct History {
+    points: VecDeque<Point>,
+}
+
+/// Figures over a period, a value for each of its equal parts; `None` = not known.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Flow {
+    /// Records captured a second.
+    pub captured: Vec<Option<f64>>,
+    /// Records verified a second.
+    pub verified: Vec<Option<f64>>,
+    /// Records not yet verified at the end of the part.
+    pub pending: Vec<Option<f64>>,
+    /// Seconds within which 99 of 100 records of the part were verified.
+    pub slowest: Vec<Option<f64>>,
+    /// Seconds within which half, and 99 of 100, were verified over all of the period.
+    pub after: Option<(f64, f64)>,
+}
+
+impl Flow {
+    /// Whether there is anything to draw.
+    pub fn any(&self) -> bool {
+        [&self.captured, &self.verified, &self.pending].into_iter().any(|values| highest(values) > 0.0)
+    }
+
+    /// Whether it looks other when time goes on and nothing comes.
+    fn moves(&self) -> bool {
+        let flows = highest(&self.captured) > 0.0 || highest(&self.verified) > 0.0;
+        let pending = || self.pending.iter().map(|count| count.unwrap_or(0.0));
+        flows || pending().zip(pending().skip(1)).any(|(one, next)| (one - next).abs() > 0.5)
+    }
+}
+
+/// The highest of the values that are known.
+pub fn highest(values: &[Option<f64>]) -> f64 {
+    values.iter().flatten().copied().fold(0.0, f64::max)
+}
+
+impl History {
+    /// Takes note of what the site says now.
+    pub fn observe(&mut self, site: &SiteView, now: Timestamp) {
+        let life = &site.life;
+        let point = Point {
+            at: now,
+            captured: life.captured,
+            verified: life.verified,
+            pending: life.pending,
+            spread: site.verified_after.clone(),
+        };
+        if let Some(last) = self.points.back() {
+            // Another site, or another chain: what was counted before says nothing.
+            if last.captured > point.captured || last.verified > point.verified || last.at > now {
+                self.points.clear();
+            } else if now.0 - last.at.0 > QUIET {
+                let until_now = Point { at: Timestamp(now.0 - FINE), ..last.clone() };
+                self.points.push_back(until_now);
+            }
+        }
+        let before = self.points.iter().rev().nth(1);
+        if before.is_some_and(|before| now.0 - before.at.0 < FINE) {
+            self.points.pop_back();
+        }
+        self.points.push_back(point);
+        self.thin(now);
+    }
+
+    fn thin(&mut self, now: Timestamp) {
+        let mut kept = Timestamp(0);
+        self.points.retain(|point| {
+            let age = now.0.saturating_sub(point.at.0);
+            let keep = age <= FINE_FOR || age <= KEPT && point.at.0.saturating_sub(kept.0) >= COARSE;
+            kept = if keep { point.at } else { kept };
+            keep
+        });
+    }
+
+    /// Figures of the period that ends now, in so many parts. Parts lie on a grid of time, so that they move on in
+    /// whole parts only.
+    pub fn flow(&self, period: Period, parts: usize, now: Timestamp) -> Flow {
+        let part = part(period, parts);
+        let end = now.0 / part * part;
+        let edges: Vec<Timestamp> =
+            (0..=parts as u64).rev().map(|back| Timestamp(end.saturating_sub(back * part))).collect();
+        let pairs = || edges.windows(2).filter_map(|pair| Some((*pair.first()?, *pair.last()?)));
+        let rate = |of: fn(&Point) -> u64| pairs().map(|(from, to)| self.rate(from, to, of)).collect();
+        Flow {
+            captured: rate(|point| point.captured),
+            verified: rate(|point| point.verified),
+            pending: pairs().map(|(_, to)| self.before(to).map(|point| float(point.pending))).collect(),
+            slowest: pairs().map(|(from, to)| self.within(from, to, 99)).collect(),
+            after: self.after(edges.first().copied().unwrap_or(now), now),
+        }
+    }
+
+    /// When the graph moves on though nothing is told; `None` = it shows nothing that could move.
+    pub fn moves_at(&self, period: Period, parts: usize, now: Timestamp) -> Option<Timestamp> {
+        let part = part(period, parts);
+        let moves = self.flow(period, parts, now).moves();
+        moves.then_some(Timestamp((now.0 / part + 1).saturating_mul(part)))
+    }
+
+    fn after(&self, from: Timestamp, to: Timestamp) -> Option<(f64, f64)> {
+        let from = from.max(self.points.front()?.at);
+        Some((self.within(from, to, 50)?, self.within(from, to, 99)?))
+    }
+
+    /// The last point at or before a moment.
+    fn before(&self, at: Timestamp) -> Option<&Point> {
+        let behind = self.points.partition_point(|point| point.at <= at);
+        self.points.get(behind.checked_sub(1)?)
+    }
+
+    /// What a count was at a moment: between two points as if it had grown evenly.
+    fn count(&self, at: Timestamp, of: fn(&Point) -> u64) -> Option<f64> {
+        let behind = self.points.partition_point(|point| point.at <= at);
+        let before = self.points.get(behind.checked_sub(1)?)?;
+        let Some(after) = self.points.get(behind) else { return Some(float(of(before))) };
+        let share = float(at.0 - before.at.0) / float(after.at.0 - before.at.0);
+        Some(float(of(before)) + share * float(of(after).saturating_sub(of(before))))
+    }
+
+    fn rate(&self, from: Timestamp, to: Timestamp, of: fn(&Point) -> u64) -> Option<f64> {
+        let seconds = float(to.0 - from.0) / float(SECOND);
+        Some((self.count(to, of)? - self.count(from, of)?) / seconds)
+    }
+
+    /// Seconds within which `percent` of a hundred records were verified, of those that were between two moments.
+    fn within(&self, from: Timestamp, to: Timestamp, percent: u64) -> Option<f64> {
+        let (first, last) = (&self.before(from)?.spread, &self.before(to)?.spread);
+        let counted = |end: u64| first.iter().find(|(other, _)| *other == end).map_or(0, |(_, count)| *count);
+        let new: Vec<(u64, u64)> =
+            last.iter().map(|(end, count)| (*end, count.saturating_sub(counted(*end)))).collect();
+        let all: u64 = new.iter().map(|(_, count)| count).sum();
+        let rank = (all * percent).div_ceil(100).max(1);
+        let mut seen = 0;
+        let found = new.iter().find(|(_, count)| {
+            seen += count;
+            seen >= rank
+        });
+        found.filter(|_| all > 0).map(|(end, _)| std::time::Duration::from_micros(*end).as_secs_f64())
+    }
+}
+
+fn part(period: Period, parts: usize) -> u64 {
+    period.nanoseconds() / (parts.max(1) as u64)
+}
+
+#[expect(clippy::cast_precision_loss, reason = "counts of records and nanoseconds of an hour stay below 2^53")]
+fn float(count: u64) -> f64 {
+    count as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::app::tests::fixtures;
+    use crate::service::reply::LifeLine;
+
+    fn site(captured: u64, verified: u64, spread: &[(u64, u64)]) -> SiteView {
+        let life = LifeLine { captured, verified, pending: captured - verified, ..LifeLine::default() };
+        SiteView { life, verified_after: spread.to_vec(), ..fixtures::site() }
+    }
+
+    fn at(seconds: u64) -> Timestamp {
+        Timestamp::from_seconds(1_200_000_000 + seconds)
+    }
+
+    fn close(values: &[Option<f64>], wanted: &[Option<f64>]) {
+        let near = |(one, other): (&Option<f64>, &Option<f64>)| match (one, other) {
+            (Some(one), Some(other)) => (one - other).abs() < 1e-6,
+            (one, other) => one == other,
+        };
+        assert!(values.len() == wanted.len() && values.iter().zip(wanted).all(near), "{values:?}");
+    }
+
+    #[test]
+    fn a_steady_flow_is_level_a_stop_is_zero_and_what_was_before_the_console_is_unknown() {
+        let mut history = History::default();
+        for second in 0..=30 {
+            history.observe(&site(40 * second, 40 * second, &[]), at(second));
+        }
+        let flow = history.flow(Period::Minute, 6, at(60));
+        let some = |rate| Some(rate);
+        close(&flow.captured, &[some(40.0), some(40.0), some(40.0), some(0.0), some(0.0), some(0.0)]);
+        assert!(flow.any());
+        let earlier = history.flow(Period::Minute, 6, at(30));
+        close(&earlier.captured, &[None, None, None, some(40.0), some(40.0), some(40.0)]);
+        assert!(!history.flow(Period::Minute, 6, at(200)).any(), "the minute is over");
+        assert_eq!(history.moves_at(Period::Minute, 6, at(200)), None);
+        assert_eq!(history.moves_at(Period::Minute, 6, at(61)), Some(at(70)));
+    }
+
+    #[test]
+    fn silence_is_no_slow_flow() {
+        let mut history = History::default();
+        history.observe(&site(0, 0, &[]), at(0));
+        history.observe(&site(100, 0, &[]), at(600));
+        let flow = history.flow(Period::Quarter, 15, at(900));
+        let moved = flow.captured.iter().flatten().filter(|rate| **rate > 0.0).count();
+        assert_eq!(moved, 1, "{:?}", flow.captured);
+        assert_eq!(flow.pending.last(), Some(&Some(100.0)));
+    }
+
+    #[test]
+    fn percentiles_are_of_the_period_alone() {
+        let mut history = History::default();
+        history.observe(&site(1_000, 1_000, &[(4_000_000, 1_000)]), at(0));
+        history.observe(&site(1_100, 1_100, &[(500_000, 98), (2_000_000, 2), (4_000_000, 1_000)]), at(20));
+        let flow = history.flow(Period::Minute, 6, at(60));
+        assert_eq!(flow.after, Some((0.5, 2.0)));
+        assert_eq!(highest(&flow.slowest).to_bits(), 2.0f64.to_bits());
+    }
+
+    #[test]
+    fn an_hour_of_news_is_few_points_and_keeps_its_sums() {
+        let mut history = History::default();
+        for quarter in 0..4 * 3_600u64 {
+            let now = Timestamp(at(0).0 + quarter * SECOND / 4);
+            history.observe(&site(10 * quarter, 10 * quarter, &[]), now);
+        }
+        assert!(history.points.len() < 440, "{}", history.points.len());
+        let flow = history.flow(Period::Hour, 60, at(3_600));
+        let known: Vec<f64> = flow.captured.iter().flatten().copied().collect();
+        assert!(known.len() >= 58 && known.iter().take(58).all(|rate| (rate - 40.0).abs() < 0.5), "{known:?}");
+    }
+}

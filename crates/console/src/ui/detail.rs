@@ -1,0 +1,189 @@
+//! The pane beside a list on a wide terminal: what its columns have no room for.
+
+use ratatui::layout::Rect;
+
+use super::canvas::{Canvas, below, right_of, row};
+use super::popups::{Piece, inside, provenance_lines, put_lines, record_facts};
+use super::theme::Role;
+use super::topics::watched;
+use super::words::{count, kilobytes, rate, size, wrap};
+use super::{bottom, graph};
+use crate::app::popup::Lookup;
+use crate::app::screens::grants::{end, is_given, scope};
+use crate::app::screens::log::level_word;
+use crate::app::screens::records::Records;
+use crate::app::screens::topics::KEPT_SAMPLES;
+use crate::app::{Screen, State, detail};
+use crate::model::{Timestamp, clean};
+use crate::service::reply::TopicRow;
+
+/// Columns that the list keeps at least.
+const LIST: u16 = 84;
+/// The widest a pane grows.
+const WIDEST: u16 = 84;
+/// Columns of the names of facts.
+const LABEL: u16 = 12;
+/// Rows of a topic's graph.
+const GRAPH: u16 = 8;
+
+/// Draws the pane where there is one; the room that the list has.
+pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) -> Rect {
+    if !detail::is_shown(state) {
+        return area;
+    }
+    let width = (area.width / 2).min(WIDEST).min(area.width.saturating_sub(LIST));
+    let list = Rect { width: area.width - width, ..area };
+    let pane = right_of(area, list.width);
+    for line in 0..pane.height {
+        canvas.put(row(pane, line), "│", Role::Border);
+    }
+    draw_row(canvas, right_of(pane, 2), state);
+    list
+}
+
+fn draw_row(canvas: &mut Canvas, area: Rect, state: &State) {
+    match state.screen {
+        Screen::Topics => draw_topic(canvas, area, state),
+        Screen::Uploads => draw_steps(canvas, area, state),
+        Screen::Shared => draw_opened(canvas, area, state),
+        Screen::Grants => drop(facts(canvas, area, "Grant", &grant(state))),
+        Screen::Gateway => drop(facts(canvas, area, "Sender", &sender(state))),
+        Screen::Log => draw_line(canvas, area, state),
+        Screen::Overview | Screen::Keys | Screen::Chain => {}
+    }
+}
+
+/// Names and what they are, broken where needed; the rows taken.
+fn facts(canvas: &mut Canvas, area: Rect, title: &str, facts: &[(&str, String)]) -> u16 {
+    canvas.put(area, title, Role::Title);
+    if facts.is_empty() {
+        canvas.put(row(area, 1), "Nothing selected.", Role::Dim);
+    }
+    let mut place = 1;
+    for (name, text) in facts.iter().filter(|(_, text)| !text.is_empty()) {
+        canvas.put(row(area, place), name, Role::Dim);
+        for line in wrap(&clean(text, 2_000), area.width.saturating_sub(LABEL)) {
+            canvas.put(right_of(row(area, place), LABEL), &line, Role::Body);
+            place += 1;
+        }
+    }
+    place
+}
+
+fn draw_topic(canvas: &mut Canvas, area: Rect, state: &State) {
+    let Some(topic) = state.topics.selected() else { return };
+    let taken = facts(canvas, area, &topic.topic, &about(topic)) + 1;
+    let samples = state.topics.samples(&topic.topic, KEPT_SAMPLES, state.shown_at());
+    let most = samples.iter().copied().fold(0.0, f64::max);
+    let values: Vec<Option<f64>> = samples.into_iter().map(Some).collect();
+    let here = below(area, taken);
+    let text = format!("kB/s over the last minute, most {}", kilobytes(Some(most)));
+    canvas.put(here, &text, Role::Title);
+    let width = area.width.min(u16::try_from(KEPT_SAMPLES).unwrap_or(u16::MAX));
+    let bars = Rect { height: GRAPH.min(here.height.saturating_sub(1)), width, ..below(here, 1) };
+    graph::draw(canvas, bars, &values, most, Role::Accent);
+}
+
+fn about(topic: &TopicRow) -> Vec<(&'static str, String)> {
+    let held = if topic.quarantined > 0 { count(topic.quarantined) } else { String::new() };
+    vec![
+        ("type", topic.type_name.clone().unwrap_or_else(|| "not known yet".to_owned())),
+        ("capture", watched(topic).0),
+        ("simulated", if topic.simulated { "yes".to_owned() } else { String::new() }),
+        ("publishers", topic.publishers.join(" ")),
+        ("not pinned", if topic.pins > 0 { topic.unpinned.join(" ") } else { String::new() }),
+        ("pins", count(topic.pins)),
+        ("rate", format!("{} Hz, {} kB/s", rate(topic.hz), kilobytes(topic.bytes_per_second))),
+        ("captured", count(topic.messages)),
+        ("quarantined", held),
+        ("lost", format!("{} in transport, {} in the recorder", topic.lost_in_transport, topic.lost_in_recorder)),
+        ("last", topic.last_message.map(|last| last.to_string()).unwrap_or_default()),
+    ]
+}
+
+/// What the list knows of the record under the cursor, and that more comes when the cursor is put on one.
+fn draw_record(canvas: &mut Canvas, area: Rect, state: &State, records: &Records, hint: &str) {
+    let key = state.row_key();
+    let Some(record) = records.rows.iter().find(|row| Some(&row.id) == key.as_ref()) else { return };
+    canvas.put(area, &format!("Record {}", record.id), Role::Title);
+    let mut lines = record_facts(record);
+    lines.push(Vec::new());
+    lines.push(vec![(hint.to_owned(), Role::Dim)]);
+    put_lines(canvas, below(area, 1), &lines, 0);
+}
+
+fn draw_steps(canvas: &mut Canvas, area: Rect, state: &State) {
+    match &state.detail.steps {
+        Some(Lookup { answer: Some(Ok(view)), id, .. }) => {
+            canvas.put(area, &format!("Provenance of record {id}"), Role::Title);
+            put_lines(canvas, below(area, 1), &provenance_lines(view, area.width), 0);
+        }
+        Some(Lookup { answer: Some(Err(failure)), .. }) => failed(canvas, area, &failure.message),
+        _ => draw_record(canvas, area, state, &state.uploads, "Put the cursor on a record to see where it stands."),
+    }
+}
+
+fn draw_opened(canvas: &mut Canvas, area: Rect, state: &State) {
+    match &state.detail.opening {
+        Some(opening) => match &opening.lookup.answer {
+            Some(Ok(view)) => {
+                canvas.put(area, &format!("Record {}", opening.lookup.id), Role::Title);
+                inside(canvas, below(area, 1), opening, view);
+            }
+            Some(Err(failure)) => failed(canvas, area, &failure.message),
+            None => draw_record(canvas, area, state, &state.shared, "Opening…"),
+        },
+        None if state.is_locked() => {
+            draw_record(canvas, area, state, &state.shared, "Locked: u unlocks, and records can be read.");
+        }
+        None => draw_record(canvas, area, state, &state.shared, "Put the cursor on a record to open it here."),
+    }
+}
+
+fn failed(canvas: &mut Canvas, area: Rect, message: &str) {
+    let lines: Vec<Vec<Piece>> =
+        wrap(&clean(message, 1_000), area.width).into_iter().map(|line| vec![(line, Role::Bad)]).collect();
+    put_lines(canvas, area, &lines, 0);
+}
+
+fn grant(state: &State) -> Vec<(&'static str, String)> {
+    let Some(row) = state.grants.selected() else { return Vec::new() };
+    let topics = if row.topics.is_empty() { scope(&row.topics) } else { row.topics.join(" ") };
+    vec![
+        ("state", row.state.word().to_owned()),
+        (if is_given(row) { "given to" } else { "got from" }, row.name.clone().unwrap_or_default()),
+        ("reader", row.grantee.to_string()),
+        ("owner", row.owner.to_string()),
+        ("fingerprint", row.fingerprint.clone().unwrap_or_else(|| "not registered".to_owned())),
+        ("topics", topics),
+        ("epoch", row.epoch.to_string()),
+        ("ends", end(row.expires)),
+        ("block", row.block.to_string()),
+        ("transaction", row.transaction.to_string()),
+    ]
+}
+
+fn sender(state: &State) -> Vec<(&'static str, String)> {
+    let rows = state.gateway.visible();
+    let key = state.row_key();
+    let Some(row) = rows.into_iter().find(|row| Some(row.name.to_string()) == key) else { return Vec::new() };
+    let moment = |at: Option<Timestamp>| at.map(|at| at.to_string()).unwrap_or_default();
+    vec![
+        ("name", row.name.to_string()),
+        ("account", row.account.to_string()),
+        ("sessions", row.sessions.to_string()),
+        ("from", row.peer.clone().unwrap_or_default()),
+        ("since", moment(row.since)),
+        ("last frame", moment(row.last)),
+        ("frames", count(row.frames)),
+        ("bytes", size(row.bytes)),
+    ]
+}
+
+fn draw_line(canvas: &mut Canvas, area: Rect, state: &State) {
+    let Some(line) = state.log.selected() else { return };
+    canvas.put(area, &format!("{}  {}  {}", line.at, level_word(line.level), line.key), Role::Dim);
+    let role = if line.level == crate::service::NoticeLevel::Info { Role::Body } else { bottom::level(line.level).1 };
+    let lines: Vec<Vec<Piece>> = wrap(&line.text, area.width).into_iter().map(|text| vec![(text, role)]).collect();
+    put_lines(canvas, below(area, 2), &lines, 0);
+}
