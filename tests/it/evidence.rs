@@ -222,7 +222,8 @@ fn a_topic_is_complete_to_the_number_that_the_recorders_head_names() {
     authros.enrol();
     authros.capture(&["/robot1/odom"], 3);
     let site = authros.serve(&home);
-    let heads = || authros.records(&["uploads", "list", "--kind", "audit", "--type", "authros/Heads", "--state", "verified"]);
+    let heads =
+        || authros.records(&["uploads", "list", "--kind", "audit", "--type", "authros/Heads", "--state", "verified"]);
     wait_until(90, "the recorder's head is anchored and verified", || heads().pop());
     let odom = authros.records(&["uploads", "list", "--topic", "/robot1/odom"]);
     let last = odom.iter().filter_map(|record| record["seq"].as_u64()).max().expect("numbers");

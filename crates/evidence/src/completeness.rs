@@ -125,7 +125,9 @@ fn told(stretch: &Stretch) -> String {
             format!("TWO different records are number {number}: their signer told two histories; {text}")
         }
         (None, Standing::Refused) => {
-            format!("the heads of its recorder contradict each other, or do not have the numbers that are named; {text}")
+            format!(
+                "the heads of its recorder contradict each other, or do not have the numbers that are named; {text}"
+            )
         }
         _ => text,
     }

@@ -83,7 +83,8 @@ pub(crate) fn claims<'a>(
 ) -> Vec<Claim<'a>> {
     let claim = |height: &Height| {
         let at = records.binary_search_by(|record| record.digest.cmp(&height.heads)).ok()?;
-        let record = records.get(at).filter(|record| (record.owner, record.recorder) == (Some(owner), Some(recorder)))?;
+        let record =
+            records.get(at).filter(|record| (record.owner, record.recorder) == (Some(owner), Some(recorder)))?;
         let heads = Heads::parse(statement(record, messages, Heads::TYPE)?).ok()?;
         let leaf = height_hash(&topic, height.number);
         let leads = root_of(leaf, height.index, u64::from(heads.count), &height.path) == Some(heads.root);
@@ -101,8 +102,6 @@ pub(crate) fn birth<'a>(
     (owner, recorder): (Address, RecorderId),
 ) -> Option<(&'a RecordReport, Birth)> {
     let own = records.iter().filter(|record| (record.owner, record.recorder) == (Some(owner), Some(recorder)));
-    let births = own.filter_map(|record| {
-        Some((record, Birth::parse(statement(record, messages, Birth::TYPE)?).ok()?))
-    });
+    let births = own.filter_map(|record| Some((record, Birth::parse(statement(record, messages, Birth::TYPE)?).ok()?)));
     births.min_by_key(|(record, _)| record.seq)
 }

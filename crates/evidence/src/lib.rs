@@ -24,8 +24,8 @@ mod verify;
 pub use bundle::{
     AnchorClaim, Anchoring, Bundle, BundleError, BundledRecord, Disclosure, MOST_RECORDS, READ_ME, SUGGESTED,
 };
-pub use heights::{Height, MOST_HEIGHTS};
 pub use header::{BlockHeader, LONGEST_HEADER, Seals, seals};
+pub use heights::{Height, MOST_HEIGHTS};
 pub use manifest::{ClaimedChain, Exporter, FORMAT, MEDIA_TYPE, Manifest, Member};
 pub use packing::{Packing, PackingError, disclose, pack};
 pub use report::{Disclosed, HeadsClaim, Level, Outcome, RecordReport, Report, Standing, Stretch};

@@ -59,12 +59,7 @@ pub fn verify(bundle: &Bundle, trust: Option<&Trust>, provider: &dyn Provider) -
 }
 
 impl<'a> Check<'a> {
-    fn record(
-        &self,
-        digest: Digest,
-        record: &'a BundledRecord,
-        messages: &mut Messages,
-    ) -> RecordReport {
+    fn record(&self, digest: Digest, record: &'a BundledRecord, messages: &mut Messages) -> RecordReport {
         let mut report = RecordReport {
             digest,
             owner: None,

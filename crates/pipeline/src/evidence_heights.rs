@@ -9,9 +9,9 @@ use tokio::task::block_in_place;
 use crate::model::{Birth, Digest, Heads, Heights, RecordState, RecorderId, TopicId};
 use crate::store::{RecordQuery, RecordRow};
 
+use super::PipelineError;
 use super::reader::Reader;
 use super::recorder_heads::{TOPIC, tree};
-use super::PipelineError;
 
 /// The newest statements of a profile that are looked through for heads.
 const MOST_STATEMENTS: usize = 1000;

@@ -167,10 +167,7 @@ fn with_a_head_held_back_an_older_one_counts_and_with_none_nothing_is_claimed() 
     );
     held_back.expect(Outcome::Holds, &text);
     let none = Case::of(&[1, 2, 3], &[]);
-    none.expect(
-        Outcome::Holds,
-        "every number from 1 to 3; no heads record is there: nothing is claimed after 3",
-    );
+    none.expect(Outcome::Holds, "every number from 1 to 3; no heads record is there: nothing is claimed after 3");
     // A head that is there and not disclosed, not anchored, or of another key says nothing.
     let mut sealed_head = Case::of(&[1, 2, 3], &[(3, 3)]);
     sealed_head.records.last_mut().expect("the head").1 = false;
@@ -213,5 +210,7 @@ fn a_birth_names_the_recorder_that_it_follows() {
     case.put(record, true);
     let stretch = case.told(Outcome::Holds);
     assert_eq!((stretch.predecessor, stretch.born_at), (birth.predecessor, Some(Timestamp::from_seconds(TIME))));
-    assert!(stretch.text.ends_with("its recorder follows 03030303030303030303030303030303, after a restore or on a copy"));
+    assert!(
+        stretch.text.ends_with("its recorder follows 03030303030303030303030303030303, after a restore or on a copy")
+    );
 }

@@ -6,7 +6,7 @@ use super::*;
 use crate::crypto::merkle::root_of;
 use crate::model::TopicId;
 use crate::pipeline::Owner;
-use crate::pipeline::tests::{body_of, plant, owner_with_keys};
+use crate::pipeline::tests::{body_of, owner_with_keys, plant};
 use crate::store::RecordQuery;
 
 const NOW: Duration = Duration::ZERO;

@@ -22,8 +22,8 @@ impl Ledger {
                  WHERE highest IS NOT NULL ORDER BY topic_id",
             )?;
             let [one, other] = but;
-            let rows =
-                statement.query_map(params![owner.0, one, other], |row| Ok((TopicId(row.get(0)?), unsigned(row, 1)?)))?;
+            let rows = statement
+                .query_map(params![owner.0, one, other], |row| Ok((TopicId(row.get(0)?), unsigned(row, 1)?)))?;
             Ok(rows.collect::<Result<_, _>>()?)
         })
     }
