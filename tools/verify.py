@@ -3,10 +3,10 @@
 
     verify.py NAME.authros [--trust trust.toml]
 
-It says of each record whether level (a), (b), (c) and (e) are proven, own_chain, unproven, absent or refused, as JSON, and ends
-with 0 where (a) to (c) are proven for all by what was pinned, 8 where something is not proven or holds by the exporter's own
-chain alone, 6 where something is refused, 3 where the trust file cannot be used. It is slow, on purpose: it can be read in one
-sitting. Bodies packed by the matrix code are opened and not unpacked, and it says so.
+It says of each record whether level (a), (b), (c) and (e) are proven, own_chain, unproven, absent or refused, and of each topic
+what (f) comes to, as JSON, and ends with 0 where (a) to (c) are proven for all by what was pinned, 8 where something is not
+proven or holds by the exporter's own chain alone, 6 where something is refused, 3 where the trust file cannot be used. It is
+slow, on purpose: it can be read in one sitting. Bodies packed by the matrix code are opened and not unpacked, and it says so.
 """
 import hashlib
 import hmac
@@ -469,7 +469,7 @@ def packed(members):
 
 class Bundle:
     FORMS = re.compile(r"mimetype|manifest\.(json|der)|trust\.toml|VERIFY\.txt|chain/(nodes|[0-9]+)\.rlp|"
-                       r"keys/[0-9a-f]{64}\.pem|identities/[0-9a-f]{64}\.bin|definitions/[0-9a-f]{64}\.txt|"
+                       r"heights\.json|keys/[0-9a-f]{64}\.pem|identities/[0-9a-f]{64}\.bin|definitions/[0-9a-f]{64}\.txt|"
                        r"records/[0-9a-f]{64}/(record\.bin|signature\.der|anchor\.json|reveal\.(bin|der))")
 
     def __init__(self, path):
@@ -479,7 +479,7 @@ class Bundle:
             raise Refused("it is longer than any bundle")
         self.members, self.plain_left, self.known = unpacked(data), 256 * 2 ** 20, {}
         names = list(self.members)
-        small = lambda name: name in ("manifest.json", "chain/nodes.rlp") or name.endswith("/record.bin")
+        small = lambda name: name in ("manifest.json", "heights.json", "chain/nodes.rlp") or name.endswith("/record.bin")
         if not all(self.FORMS.fullmatch(n) and (small(n) or len(d) <= 65_536) for n, d in self.members.items()):
             raise Refused("something is in the archive that a bundle does not hold")
         if len({name.split("/")[1] for name in names if name.startswith("records/")}) > 10_000:
@@ -502,6 +502,7 @@ class Bundle:
         of = lambda folder: {n: d for n, d in self.members.items() if n.startswith(folder)}
         self.identities = {keccak(data): data for data in of("identities/").values()}
         self.headers = {int(n[6:-4]): d for n, d in of("chain/").items() if n != "chain/nodes.rlp"}
+        self.heights = self.listed_heights()
         nodes = rlp(self.members["chain/nodes.rlp"]) if "chain/nodes.rlp" in self.members else []
         if any(not isinstance(node, bytes) or len(node) > 1024 for node in nodes):
             raise Refused("a node of the state is longer than any node")
@@ -512,6 +513,22 @@ class Bundle:
         signed = b"DSSEv1 %d %s %d %s" % (len(kind), kind, len(text), text)
         if key is None or not sm2_verify(key, signed, self.members["manifest.der"]):
             raise Refused("the manifest is not signed by its exporter's key")
+
+    def listed_heights(self):
+        """Heads, topics, highest numbers and paths, as the exporter lists them."""
+        if "heights.json" not in self.members:
+            return []
+        listed = json.loads(self.members["heights.json"])
+        if set(listed) != {"format", "heights"} or listed["format"] != "authros-heights/1" or len(listed["heights"]) > 10_000:
+            raise Refused("heights.json is not of its form")
+        found = []
+        for one in listed["heights"]:
+            heads, topic, path = unhex(one["heads"]), unhex(one["topic"]), [unhex(step) for step in one["path"]]
+            whole = all(type(one[name]) is int and 0 <= one[name] < 2 ** 64 for name in ("number", "index"))
+            if len(one) != 5 or not whole or (len(heads), len(topic)) != (32, 16) or len(path) > 14 or any(len(s) != 32 for s in path):
+                raise Refused("heights.json is not of its form")
+            found.append((heads, topic, one["number"], one["index"], path))
+        return found
 
     @staticmethod
     def pem(data):  # SubjectPublicKeyInfo; its last 64 bytes are the point
@@ -762,8 +779,43 @@ def two_histories(records):
     for of, ones in numbered.items():
         believed = [signer for signer, is_believed in ones if is_believed]
         if len(believed) > 1 or (believed and sum(signer == believed[0] for signer, _ in ones) > 1):
-            twice.append(int.from_bytes(of[3], "big"))
+            twice.append(of)
     return twice
+
+
+def completeness(bundle, records, twice):
+    """(f): what of a topic's numbers is there, and up to which number the recorder's own head says that there were any."""
+    believed = lambda found: found["key"] in ("proven", "own_chain")
+    heads, topics, result = {}, {}, []
+    for record, found in records:
+        if found["bytes"] != "proven":
+            continue
+        of = tuple(record.header[name] for name in ("owner", "recorder", "topic_id"))
+        topics.setdefault(of, []).append((int.from_bytes(record.header["seq"], "big"), found))
+        opened = believed(found) and found["opened"] != "refused" and hasattr(record, "body")
+        if opened and (record.head["topic"], record.head["type"]) == ("authros/recorder", "authros/Heads"):
+            if len(record.body) == 115 and record.body[:15] == b"AuthROS/heads/1":
+                heads[record.digest] = of[:2], record.header["seq"], record.body, found
+    for (owner, recorder, topic), ones in sorted(topics.items()):
+        numbers, claims = sorted({seq for seq, found in ones if believed(found)}), []
+        for digest, of_topic, number, index, path in bundle.heights:
+            if of_topic == topic and digest in heads and heads[digest][0] == (owner, recorder):
+                _, seq, body, found = heads[digest]
+                count, leaf = int.from_bytes(body[15:19], "big"), sm3(b"\0AuthROS/height/1" + topic + struct.pack(">Q", number))
+                leads = index < count and root_of(leaf, index, count, path) == body[19:51]
+                claims.append((seq, number if leads else -1, found))
+        claims.sort(key=lambda claim: claim[0])
+        named = [number for _, number, _ in claims]
+        lies = -1 in named or any(after < before for before, after in zip(named, named[1:]))
+        own = any(found["key"] == "own_chain" for found in [found for _, found in ones] + [claim[2] for claim in claims[-1:]])
+        first, last = (numbers[0], numbers[-1]) if numbers else (None, None)
+        missing = last - first + 1 - len(numbers) + max(0, (named[-1] if named else 0) - last) if numbers else 0
+        refused = lies or any(one[:3] == (owner, recorder, topic) for one in twice)
+        standing = "refused" if refused else "unproven" if not numbers else "own_chain" if own else "proven"
+        result.append({"owner": "0x" + owner.hex(), "recorder": recorder.hex(), "topic_id": topic.hex(), "standing": standing,
+                       "first": first, "last": last, "missing": missing,
+                       "complete_to": named[-1] if named and named[-1] >= 0 else None})
+    return result
 
 
 def main(arguments):
@@ -787,14 +839,15 @@ def main(arguments):
         all_ = [Record(bundle, trust, digest) for digest in digests]
         records = [record.report() for record in all_]
         twice = two_histories(zip(all_, records))
+        complete = completeness(bundle, list(zip(all_, records)), twice)
     except Exception as why:  # a stranger's file: whatever it breaks, it is no evidence
         print(json.dumps({"outcome": "refused", "why": str(why) if isinstance(why, Refused) else repr(why)}))
         return 6
     standings = [(name, record[name]) for record in records for name in ("bytes", "key", "anchor", "opened")]
     good = all(standing == "proven" for name, standing in standings if name != "opened")
-    refused = twice or any(standing == "refused" for _, standing in standings)
+    refused = any(one["standing"] == "refused" for one in complete) or any(standing == "refused" for _, standing in standings)
     outcome = "refused" if refused else "holds" if trust and records and good else "incomplete"
-    print(json.dumps({"outcome": outcome, "records": records, "twice": twice}, indent=1))
+    print(json.dumps({"outcome": outcome, "records": records, "complete": complete}, indent=1))
     return {"holds": 0, "incomplete": 8, "refused": 6}[outcome]
 
 

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use serde_json::Value;
-use support::{Anvil, Home, Outcome, Running, list, skipped, system_program, text};
+use support::{Anvil, Home, Outcome, Running, list, skipped, system_program, text, wait_until};
 
 struct Exported {
     home: Home,
@@ -20,7 +20,7 @@ struct Exported {
 
 fn export() -> Exported {
     let home = Home::new();
-    let authros = home.authros().with(&["--robots", "1"]);
+    let authros = home.authros().with(&["--robots", "1"]).with_variable("AUTHROS_AUDIT_ANCHOR_EVERY", "86400");
     authros.enrol();
     authros.capture(&["/robot1/odom"], 3);
     let records = authros.records(&["uploads", "list"]);
@@ -94,6 +94,15 @@ fn expect_agreement(bundle: &Path, trust: Option<&Path>) {
     };
     let all = |report: &Value| list(report, "records").iter().map(standings).collect::<Vec<_>>();
     assert_eq!(all(&ours), all(&theirs));
+    let stretches = |report: &Value| list(report, "complete").iter().map(stretch).collect::<Vec<_>>();
+    assert_eq!(stretches(&ours), stretches(&theirs));
+}
+
+/// What both verifiers say of a topic.
+fn stretch(told: &Value) -> Vec<String> {
+    let number = told.get("complete_to").unwrap_or(&told["heads"]["number"]);
+    let fields = ["recorder", "topic_id", "standing", "first", "last", "missing"].map(|name| &told[name]);
+    fields.into_iter().chain([number]).map(ToString::to_string).collect()
 }
 
 #[test]
@@ -187,7 +196,7 @@ fn the_same_export_twice_differs_in_its_signature_alone() {
         skipped!("no python3");
     }
     let home = Home::new();
-    let authros = home.authros().with(&["--robots", "1"]);
+    let authros = home.authros().with(&["--robots", "1"]).with_variable("AUTHROS_AUDIT_ANCHOR_EVERY", "86400");
     authros.enrol();
     authros.capture(&["/robot1/odom"], 2);
     let id = text(&authros.records(&["uploads", "list"])[0], "id");
@@ -200,6 +209,46 @@ fn the_same_export_twice_differs_in_its_signature_alone() {
     let manifest = unzipped(&one, "manifest.json");
     assert_eq!(manifest, unzipped(&other, "manifest.json"), "every other member is named in it with its hashes");
     assert_ne!(unzipped(&one, "manifest.der"), unzipped(&other, "manifest.der"), "signatures are drawn anew");
+}
+
+/// The recorder's own head says how far a topic went: an end that is left out is told.
+#[test]
+fn a_topic_is_complete_to_the_number_that_the_recorders_head_names() {
+    if system_program("python3").is_none() {
+        skipped!("no python3");
+    }
+    let home = Home::new();
+    let authros = home.authros().with(&["--robots", "1"]).with_variable("AUTHROS_AUDIT_ANCHOR_EVERY", "1");
+    authros.enrol();
+    authros.capture(&["/robot1/odom"], 3);
+    let site = authros.serve(&home);
+    let heads =
+        || authros.records(&["uploads", "list", "--kind", "audit", "--type", "authros/Heads", "--state", "verified"]);
+    wait_until(90, "the recorder's head is anchored and verified", || heads().pop());
+    let odom = authros.records(&["uploads", "list", "--topic", "/robot1/odom"]);
+    let last = odom.iter().filter_map(|record| record["seq"].as_u64()).max().expect("numbers");
+    let (whole, cut) = (home.root().join("whole.authros"), home.root().join("cut.authros"));
+    authros.json(&["evidence", "export", whole.to_str().expect("UTF-8"), "--topic", "/robot1/odom"]);
+    // Number 1 is the record of the definition, which this list leaves out.
+    let first = odom.iter().find(|record| record["seq"] == 2).expect("the first message");
+    authros.json(&["evidence", "export", cut.to_str().expect("UTF-8"), "--record", &text(first, "id")]);
+    site.stop("INT", 30).expect_code(0);
+    let trust = home.root().join("trust.toml");
+    fs::write(&trust, unzipped(&whole, "trust.toml")).expect("written");
+    let topic = |bundle: &Path| {
+        let report = verified(bundle, Some(&trust)).expect_code(8).document();
+        // The head names every topic but its own.
+        let named = |stretch: &Value| stretch["heads"].is_object();
+        list(&report, "complete").into_iter().find(named).expect("the topic")
+    };
+    let (told, shorter) = (topic(&whole), topic(&cut));
+    assert_eq!((&told["missing"], &told["heads"]["number"]), (&0.into(), &last.into()), "{told}");
+    assert!(text(&told, "text").contains(&format!("complete to number {last} as of the heads record at")), "{told}");
+    assert_eq!(shorter["missing"], last - 2, "{shorter}");
+    assert!(text(&shorter, "text").contains(&format!("NOT complete to number {last}")), "{shorter}");
+    assert!(told["born_at"].is_string() && told["predecessor"].is_null(), "{told}");
+    expect_agreement(&whole, Some(&trust));
+    expect_agreement(&cut, Some(&trust));
 }
 
 /// The proofs are another program's here (anvil's), and so are the headers, which nobody signs.

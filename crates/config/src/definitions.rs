@@ -161,7 +161,7 @@ pub const DEFINITIONS: &[Definition] = &[
         name: "audit.anchor_every",
         variable: "AUTHROS_AUDIT_ANCHOR_EVERY",
         default: "60",
-        text: "seconds after which a changed audit log's head is anchored, 1 to 86400",
+        text: "seconds after which heads of a changed audit log and of grown topics are anchored, 1 to 86400",
     },
     Definition {
         name: "audit.scrub",

@@ -13,6 +13,7 @@ pub const LONGEST_PATH: usize = 14;
 
 const LEAF: &[u8] = &[0];
 const NODE: &[u8] = &[1];
+const HEIGHT: &[u8] = b"AuthROS/height/1";
 
 /// One record as its batch binds it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -55,6 +56,12 @@ fn hashes(inputs: impl Iterator<Item = Vec<u8>>) -> Vec<Hash> {
 
 fn node(left: &Hash, right: &Hash) -> Hash {
     Hash(sm3(&[NODE, &left.0, &right.0]))
+}
+
+/// The hash of a topic with its highest number, as a leaf of a recorder's head:
+/// SM3(0x00 || `AuthROS/height/1` || topic id || number).
+pub fn height_hash(topic: &TopicId, number: u64) -> Hash {
+    Hash(sm3(&[LEAF, HEIGHT, &topic.0, &number.to_be_bytes()]))
 }
 
 /// A tree over the leaves of one batch.

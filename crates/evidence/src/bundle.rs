@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::archive::{self, LARGEST, MIMETYPE, MOST_MEMBERS, Members, is_name};
 use crate::header::BlockHeader;
+use crate::heights::{self, HEIGHTS, Height};
 use crate::manifest::{MANIFEST, Manifest, SIGNATURE};
 use crate::state::Nodes;
 
@@ -158,6 +159,8 @@ pub struct Bundle {
     pub nodes: Nodes,
     /// Texts of message definitions by their SM3.
     pub definitions: BTreeMap<Digest, String>,
+    /// Where heads of recorders have the highest numbers of topics.
+    pub heights: Vec<Height>,
     /// The trust file that its exporter suggests.
     pub suggested: Option<String>,
 }
@@ -214,6 +217,7 @@ impl Bundle {
             headers: BTreeMap::new(),
             nodes: Nodes::default(),
             definitions: BTreeMap::new(),
+            heights: Vec::new(),
             suggested: None,
         }
     }
@@ -228,13 +232,14 @@ impl Bundle {
     ) -> Result<(), BundleError> {
         let wrong = |why: &str| BundleError::of(name, why);
         let parts: Vec<&str> = name.split('/').collect();
-        if !matches!(parts.as_slice(), ["records", _, "record.bin"] | ["chain", "nodes.rlp"] | [MANIFEST])
+        if !matches!(parts.as_slice(), ["records", _, "record.bin"] | ["chain", "nodes.rlp"] | [MANIFEST | HEIGHTS])
             && bytes.len() > LONGEST_SMALL
         {
             return Err(wrong("is longer than such a member is"));
         }
         match parts.as_slice() {
             [MIMETYPE | MANIFEST | SIGNATURE | READ_ME] => {}
+            [HEIGHTS] => self.heights = heights::parse(bytes)?,
             [SUGGESTED] => self.suggested = Some(text(name, bytes)?),
             ["records", digest, part] => {
                 // One spelling: 0x and capital letters would file a second part under the same record.

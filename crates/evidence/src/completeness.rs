@@ -1,11 +1,14 @@
-//! Level (f): which numbers of a topic are there, and which are not. Nothing is claimed before the first or after the last,
-//! and only records count whose signer is shown: anybody can seal a record in another's name.
+//! Level (f): which numbers of a topic are there, and which are not. A head of the recorder says how high they were at a
+//! time; nothing is claimed after that, and nothing before the first. Only records count whose signer is shown: anybody can
+//! seal a record in another's name.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use authros_model::{Address, RecorderId, TopicId};
 
-use crate::report::{RecordReport, Standing, Stretch};
+use crate::heights::{Claim, Height, birth, claims};
+use crate::report::{HeadsClaim, RecordReport, Standing, Stretch};
+use crate::verify::Messages;
 
 /// The most gaps that are named.
 const MOST_GAPS: usize = 100;
@@ -16,7 +19,7 @@ type Topic = (Address, RecorderId, TopicId);
 type Numbered<'a> = BTreeMap<u64, Vec<&'a RecordReport>>;
 
 /// The stretches of all records whose bytes hold.
-pub(crate) fn stretches(records: &[RecordReport]) -> Vec<Stretch> {
+pub(crate) fn stretches(heights: &[Height], records: &[RecordReport], messages: &Messages) -> Vec<Stretch> {
     let mut topics: BTreeMap<Topic, Numbered<'_>> = BTreeMap::new();
     for record in records.iter().filter(|record| record.bytes.standing == Standing::Proven) {
         let (Some(owner), Some(recorder), Some(topic), Some(seq)) =
@@ -26,7 +29,15 @@ pub(crate) fn stretches(records: &[RecordReport]) -> Vec<Stretch> {
         };
         topics.entry((owner, recorder, topic)).or_default().entry(seq).or_default().push(record);
     }
-    topics.into_iter().map(|(of, numbered)| stretch(of, &numbered)).collect()
+    let stretch = |(of, numbered): (Topic, Numbered<'_>)| {
+        let mut stretch = stretch(of, &numbered, &claims(heights, records, messages, of));
+        if let Some((record, birth)) = birth(records, messages, (of.0, of.1)) {
+            (stretch.born_at, stretch.predecessor) = (record.anchored_at, birth.predecessor);
+        }
+        stretch.text = told(&stretch);
+        stretch
+    };
+    topics.into_iter().map(stretch).collect()
 }
 
 /// Whether these records of one number are two histories of one signer: both are believed, or both have the key that is
@@ -38,50 +49,102 @@ fn is_twice(records: &[&RecordReport]) -> bool {
     believed.next().is_some() || records.iter().any(|record| same(&record))
 }
 
-fn stretch((owner, recorder, topic_id): Topic, numbered: &Numbered<'_>) -> Stretch {
+/// Whether heads contradict themselves or each other: a path that leads nowhere, a number that went down.
+fn contradict(claims: &[Claim<'_>]) -> bool {
+    let numbers = || claims.iter().map(|claim| claim.number);
+    numbers().any(|number| number.is_none()) || numbers().zip(numbers().skip(1)).any(|(one, next)| next < one)
+}
+
+fn stretch((owner, recorder, topic_id): Topic, numbered: &Numbered<'_>, claims: &[Claim<'_>]) -> Stretch {
     let all = || numbered.values().flatten();
     let uncounted = all().filter(|record| !record.is_believed()).count() as u64;
-    let own = all().any(|record| record.key.standing == Standing::OwnChain);
+    let heads = claims.last().and_then(|claim| {
+        Some(HeadsClaim { record: claim.record.digest, number: claim.number?, at: claim.record.anchored_at })
+    });
+    let of_heads = claims.last().map(|claim| claim.record);
+    let own = all().copied().chain(of_heads).any(|record| record.key.standing == Standing::OwnChain);
     let believed = |records: &[&RecordReport]| records.iter().any(|record| record.is_believed());
     let numbers: BTreeSet<u64> =
         numbered.iter().filter(|(_, records)| believed(records)).map(|(number, _)| *number).collect();
     let twice: Vec<u64> = numbered.iter().filter(|(_, records)| is_twice(records)).map(|(number, _)| *number).collect();
-    let standing = match (twice.is_empty(), numbers.is_empty(), own) {
+    let standing = match (twice.is_empty() && !contradict(claims), numbers.is_empty(), own) {
         (false, ..) => Standing::Refused,
         (true, true, _) => Standing::Unproven,
         (true, false, true) => Standing::OwnChain,
         (true, false, false) => Standing::Proven,
     };
-    let between = numbers.iter().zip(numbers.iter().skip(1)).filter(|(one, next)| **next - **one > 1);
-    let gaps: Vec<(u64, u64)> = between.map(|(one, next)| (one + 1, next - 1)).collect();
-    let missing = gaps.iter().map(|(from, to)| to - from + 1).sum();
     let (first, last) = (numbers.first().copied(), numbers.last().copied());
-    let text = told(first.zip(last), &gaps, missing, twice.first().copied(), uncounted);
-    let gaps = gaps.into_iter().take(MOST_GAPS).collect();
-    Stretch { owner, recorder, topic_id, standing, first, last, gaps, missing, uncounted, twice, text }
+    let between = numbers.iter().zip(numbers.iter().skip(1)).filter(|(one, next)| **next - **one > 1);
+    let mut gaps: Vec<(u64, u64)> = between.map(|(one, next)| (one + 1, next - 1)).collect();
+    // What the head names and the file does not have: its end was left out.
+    let tail = last.zip(heads).filter(|(last, heads)| heads.number > *last);
+    gaps.extend(tail.map(|(last, heads)| (last + 1, heads.number)));
+    let missing = gaps.iter().map(|(from, to)| (to - from).saturating_add(1)).fold(0, u64::saturating_add);
+    gaps.truncate(MOST_GAPS);
+    Stretch {
+        owner,
+        recorder,
+        topic_id,
+        standing,
+        first,
+        last,
+        gaps,
+        missing,
+        uncounted,
+        twice,
+        heads,
+        born_at: None,
+        predecessor: None,
+        text: String::new(),
+    }
 }
 
-fn told(ends: Option<(u64, u64)>, gaps: &[(u64, u64)], missing: u64, twice: Option<u64>, uncounted: u64) -> String {
-    let Some((first, last)) = ends else {
-        return format!("nothing is claimed: the signers of its {uncounted} records are not proven");
+fn told(stretch: &Stretch) -> String {
+    let Some((first, last)) = stretch.first.zip(stretch.last) else {
+        return format!("nothing is claimed: the signers of its {} records are not proven", stretch.uncounted);
     };
-    let named: Vec<String> = gaps.iter().take(10).map(|(from, to)| range(*from, *to)).collect();
-    let mut text = match gaps.len() {
+    let named: Vec<String> = stretch.gaps.iter().take(10).map(|(from, to)| range(*from, *to)).collect();
+    let mut text = match stretch.gaps.len() {
         0 => format!("every number from {first} to {last}"),
         gaps => format!(
-            "{first} to {last} without {}{} ({missing} missing)",
+            "{first} to {last} without {}{} ({} missing)",
             named.join(", "),
-            if gaps > named.len() { " and more" } else { "" }
+            if gaps > named.len() { " and more" } else { "" },
+            stretch.missing
         ),
     };
-    text.push_str("; nothing is claimed before or after");
-    if uncounted > 0 {
-        text.push_str(&format!("; and {uncounted} records whose signer is not proven, not counted"));
+    text.push_str(&until(stretch, first, last));
+    if let Some(predecessor) = stretch.predecessor {
+        text.push_str(&format!("; its recorder follows {predecessor}, after a restore or on a copy"));
     }
-    match twice {
-        Some(number) => format!("TWO different records are number {number}: their signer told two histories; {text}"),
-        None => text,
+    if stretch.uncounted > 0 {
+        text.push_str(&format!("; and {} records whose signer is not proven, not counted", stretch.uncounted));
     }
+    match (stretch.twice.first(), stretch.standing) {
+        (Some(number), _) => {
+            format!("TWO different records are number {number}: their signer told two histories; {text}")
+        }
+        (None, Standing::Refused) => {
+            format!(
+                "the heads of its recorder contradict each other, or do not have the numbers that are named; {text}"
+            )
+        }
+        _ => text,
+    }
+}
+
+/// Up to where the recorder's own head goes, and from where on nothing is claimed.
+fn until(stretch: &Stretch, first: u64, last: u64) -> String {
+    let before = if first == 1 { String::new() } else { format!(" before {first} or") };
+    let Some(HeadsClaim { number, at, .. }) = stretch.heads else {
+        return format!("; no heads record is there: nothing is claimed{before} after {last}");
+    };
+    let at = at.map_or_else(|| "whose time is not shown".to_owned(), |at| format!("at {at}"));
+    let claim = match stretch.gaps.iter().any(|(from, _)| *from <= number) {
+        false => format!("; complete to number {number} as of the heads record {at}"),
+        true => format!("; NOT complete to number {number}, which the heads record {at} names"),
+    };
+    format!("{claim}; nothing is claimed{before} after that")
 }
 
 fn range(from: u64, to: u64) -> String {

@@ -8,6 +8,7 @@ mod bundle;
 mod completeness;
 mod disclosure;
 mod header;
+mod heights;
 mod known;
 mod manifest;
 mod packing;
@@ -24,9 +25,10 @@ pub use bundle::{
     AnchorClaim, Anchoring, Bundle, BundleError, BundledRecord, Disclosure, MOST_RECORDS, READ_ME, SUGGESTED,
 };
 pub use header::{BlockHeader, LONGEST_HEADER, Seals, seals};
+pub use heights::{Height, MOST_HEIGHTS};
 pub use manifest::{ClaimedChain, Exporter, FORMAT, MEDIA_TYPE, Manifest, Member};
 pub use packing::{Packing, PackingError, disclose, pack};
-pub use report::{Disclosed, Level, Outcome, RecordReport, Report, Standing, Stretch};
+pub use report::{Disclosed, HeadsClaim, Level, Outcome, RecordReport, Report, Standing, Stretch};
 pub use state::{AnchorWord, KeysWord, LoanWord, Nodes, Slot, Storage, Unproven, Word};
 pub use trust::{LONGEST_TRUST, Person, PinnedChain, Trust, TrustError};
 pub use verify::verify;

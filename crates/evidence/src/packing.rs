@@ -6,6 +6,7 @@ use authros_model::{Address, Digest, Domain, Identity, PublicKey};
 
 use crate::archive::{self, MIMETYPE, Members};
 use crate::bundle::{BundleError, BundledRecord, NODES, READ_ME, SUGGESTED};
+use crate::heights::{self, HEIGHTS, Height};
 use crate::manifest::{ClaimedChain, Exporter, MANIFEST, MEDIA_TYPE, Manifest, SIGNATURE, signed_bytes};
 use crate::state::Nodes;
 use crate::trust::Trust;
@@ -83,6 +84,15 @@ impl Packing {
     pub fn definition(&mut self, text: &str, provider: &dyn Provider) {
         let digest = Digest(provider.sm3(&[text.as_bytes()]));
         self.members.insert(format!("definitions/{}.txt", digest.to_hex()), text.as_bytes().to_vec());
+    }
+
+    /// Adds where heads of recorders have the highest numbers of topics.
+    ///
+    /// # Errors
+    /// Where it cannot be written.
+    pub fn heights(&mut self, heights: Vec<Height>) -> Result<(), PackingError> {
+        self.members.insert(HEIGHTS.to_owned(), heights::to_text(heights)?);
+        Ok(())
     }
 
     /// Suggests what to pin.

@@ -145,8 +145,25 @@ pub struct Stretch {
     pub uncounted: u64,
     /// Numbers that two different records have: their signer told two histories.
     pub twice: Vec<u64>,
+    /// What the newest believed head of its recorder says of it.
+    pub heads: Option<HeadsClaim>,
+    /// When the recorder's birth was anchored, where that is in the bundle.
+    pub born_at: Option<Timestamp>,
+    /// The recorder that it follows, after a restore, as its birth says.
+    pub predecessor: Option<RecorderId>,
     /// In words.
     pub text: String,
+}
+
+/// What a recorder said of a topic at a time.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct HeadsClaim {
+    /// The record of the head.
+    pub record: Digest,
+    /// The highest number of the topic.
+    pub number: u64,
+    /// When the head was anchored, by the clock of whoever sealed the block.
+    pub at: Option<Timestamp>,
 }
 
 /// What it all comes to.

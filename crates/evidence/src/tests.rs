@@ -1,5 +1,6 @@
 //! Bundles over a chain made here, so that every lie can be told in turn.
 
+mod complete;
 mod hostile;
 mod second;
 mod world;

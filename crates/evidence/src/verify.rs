@@ -15,6 +15,9 @@ use crate::report::{Disclosed, Level, Outcome, RecordReport, Report, Standing};
 use crate::signing::signing_right;
 use crate::trust::Trust;
 
+/// The messages that were opened, by their records.
+pub(crate) type Messages = BTreeMap<Digest, Revealed>;
+
 /// What a whole check is made with.
 pub(crate) struct Check<'a> {
     pub bundle: &'a Bundle,
@@ -35,16 +38,16 @@ pub fn verify(bundle: &Bundle, trust: Option<&Trust>, provider: &dyn Provider) -
         None => (domain(claimed.id, &claimed.genesis, &claimed.contract), claimed.contract),
     };
     let check = Check { bundle, trust, provider, domain: bound, contract, known: Known::default() };
-    let mut messages = BTreeMap::new();
+    let mut messages = Messages::new();
     let records: Vec<RecordReport> =
         bundle.records.iter().map(|(digest, record)| check.record(*digest, record, &mut messages)).collect();
-    let complete = stretches(&records);
+    let complete = stretches(&bundle.heights, &records, &messages);
     let exporter = check.exporter(&records);
     let standings =
         || records.iter().flat_map(|record| record.levels().map(|(letter, level)| (letter, level.standing)));
     let refused = exporter.standing == Standing::Refused
         || standings().any(|(_, standing)| standing == Standing::Refused)
-        || complete.iter().any(|stretch| !stretch.twice.is_empty());
+        || complete.iter().any(|stretch| stretch.standing == Standing::Refused);
     let (pinned, warnings) = (trust.is_some(), check.warnings(&records));
     let mut report = Report { outcome: Outcome::Incomplete, pinned, exporter, warnings, records, complete, messages };
     if refused {
@@ -56,12 +59,7 @@ pub fn verify(bundle: &Bundle, trust: Option<&Trust>, provider: &dyn Provider) -
 }
 
 impl<'a> Check<'a> {
-    fn record(
-        &self,
-        digest: Digest,
-        record: &'a BundledRecord,
-        messages: &mut BTreeMap<Digest, Revealed>,
-    ) -> RecordReport {
+    fn record(&self, digest: Digest, record: &'a BundledRecord, messages: &mut Messages) -> RecordReport {
         let mut report = RecordReport {
             digest,
             owner: None,

@@ -41,7 +41,7 @@ pub enum RecordKind {
     Adoption,
     /// A lost EOA's successor.
     Succession,
-    /// The head of the audit log.
+    /// What a home says of itself: the head of its audit log, the birth of its recorder and its highest numbers.
     Audit,
 }
 

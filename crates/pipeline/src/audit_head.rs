@@ -13,7 +13,7 @@ use super::statement::{self, Statement};
 use super::{Network, Owner, PipelineError, Plant};
 
 /// The name that the records are filed under.
-const TOPIC: &str = "authros/audit";
+pub(super) const TOPIC: &str = "authros/audit";
 /// Heads that are opened for one check, the newest; each covers all lines below it.
 const MOST_HEADS: usize = 100;
 
@@ -99,6 +99,7 @@ pub struct Heads {
 pub async fn heads(reader: &Reader<'_>) -> Result<Heads, PipelineError> {
     let query = RecordQuery {
         owner: Some(reader.reader.address),
+        topic: Some(TOPIC.to_owned()),
         kind: Some(RecordKind::Audit),
         limit: MOST_HEADS,
         newest_first: true,

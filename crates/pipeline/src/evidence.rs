@@ -15,6 +15,7 @@ use crate::model::{Address, Digest, ErrorKind, Header, Identity, PublicKey, Sign
 use crate::store::{RecordRow, Retained};
 
 use super::columns::{self, Keys as _};
+use super::evidence_heights::{self, Shown};
 use super::reader::Reader;
 use super::{PipelineError, authority};
 
@@ -59,17 +60,20 @@ pub async fn gather(
     reveal: &BTreeSet<Digest>,
 ) -> Result<Gathered, PipelineError> {
     let (mut gathered, mut asked) = (Gathered::default(), Vec::new());
-    for row in rows {
+    let Shown { rows: statements, heights } = evidence_heights::shown(reader, rows).await?;
+    let stated = statements.iter().map(|row| row.digest).collect::<BTreeSet<_>>();
+    let known: BTreeSet<Digest> = rows.iter().map(|row| row.digest).collect();
+    for row in rows.iter().chain(statements.iter().filter(|row| !known.contains(&row.digest))) {
         let Some((header, key, record)) = block_in_place(|| stored(reader, row, &mut gathered.notes))? else {
             continue;
         };
         gathered.packing.key(&key).map_err(refused)?;
-        let disclosure = match reveal.contains(&row.digest) {
+        let disclosure = match reveal.contains(&row.digest) || stated.contains(&row.digest) {
             true => Some(disclosed(reader, row, &header, &record.record, &mut gathered).await?),
             false => None,
         };
         gathered.records += 1;
-        gathered.revealed += u64::from(disclosure.is_some());
+        gathered.revealed += u64::from(reveal.contains(&row.digest));
         let record = BundledRecord { disclosure, ..record };
         match block_in_place(|| anchoring(reader, row))? {
             Some((block, anchor)) => {
@@ -79,6 +83,9 @@ pub async fn gather(
             }
             None => gathered.packing.record(row.digest, record).map_err(refused)?,
         }
+    }
+    if !heights.is_empty() {
+        gathered.packing.heights(heights).map_err(refused)?;
     }
     show(reader, asked, &mut gathered).await?;
     suggest(reader, &mut gathered).await?;

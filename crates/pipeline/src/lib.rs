@@ -23,6 +23,7 @@ pub mod epoch;
 pub mod equivocation;
 pub mod error;
 pub mod evidence;
+mod evidence_heights;
 pub mod export_folder;
 #[cfg(test)]
 mod fixture;
@@ -45,6 +46,7 @@ pub mod reader;
 pub mod record_audit;
 pub mod recorded_names;
 pub mod recorder;
+pub mod recorder_heads;
 pub mod retention;
 pub mod ring;
 mod sampler;

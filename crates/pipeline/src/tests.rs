@@ -155,7 +155,7 @@ pub(super) fn body_of(
     open(provider, blob, &row.signature, &signer, Anchor::Unanchored, key, &expected).expect("opens").body
 }
 
-fn plant(home: &Path) -> Plant {
+pub(super) fn plant(home: &Path) -> Plant {
     Plant {
         ledger: Ledger::open(&home.join("ledger.db")).expect("a ledger"),
         vault: open_vault(None, home).expect("a vault"),

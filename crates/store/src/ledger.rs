@@ -14,6 +14,7 @@ mod edges;
 mod filter_choice;
 mod forwarding;
 mod gaps;
+mod heights;
 mod inspect;
 mod integrity;
 mod kept;
@@ -87,6 +88,8 @@ const SCHEMA: Schema = Schema {
     ],
 };
 const READERS_KEPT: usize = 4;
+/// The setting that names the recorder whose ledger this one is a copy of.
+const PREDECESSOR: &str = "recorder:predecessor";
 /// The setting that says up to which block a copied ledger's accounts may have anchored without it.
 pub const HISTORY: &str = "foreign:history";
 
@@ -248,6 +251,10 @@ pub(super) fn renew(path: &Path) -> Result<(), StoreError> {
 fn renew_in(connection: &Connection, path: &Path) -> Result<(), StoreError> {
     database::quick_check(connection, path)?;
     let transaction = connection.unchecked_transaction()?;
+    transaction.execute(
+        "REPLACE INTO settings SELECT ?1, lower(hex(id)) FROM about JOIN recorders ON recorders.key = about.recorder",
+        [PREDECESSOR],
+    )?;
     transaction.execute("INSERT INTO recorders (id) VALUES (?1)", params![random_id(path)?])?;
     transaction.execute("UPDATE about SET recorder = last_insert_rowid(), clean = 1", [])?;
     // The first of several restores counts: whatever was anchored since may lie in another home.

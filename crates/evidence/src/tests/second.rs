@@ -10,7 +10,7 @@ use authros_model::head::Compression;
 use super::hostile::unanchored;
 use super::world::{BLOCK, TIME, World, bound, genesis, ours, pair, sealed, sealed_as};
 use crate::archive::{self, Members};
-use crate::{Bundle, BundledRecord, Outcome, Packing, Slot, Trust, disclose, pack, verify};
+use crate::{Bundle, BundledRecord, Outcome, Packing, Slot, Stretch, Trust, disclose, pack, verify};
 
 fn python(arguments: &[&str]) -> Option<Output> {
     match Command::new("python3").arg("-B").args(arguments).output() {
@@ -38,7 +38,7 @@ fn expect_success(output: &Output) {
 }
 
 /// Both say the same of each record and of the whole.
-fn agree(members: &Members, trust: &Trust, outcome: Outcome) {
+pub fn agree(members: &Members, trust: &Trust, outcome: Outcome) {
     let folder = tempfile::tempdir().expect("directory");
     let (file, pins) = (folder.path().join("case.authros"), folder.path().join("trust.toml"));
     std::fs::write(&file, pack(members).expect("packs")).expect("written");
@@ -65,8 +65,17 @@ fn agree(members: &Members, trust: &Trust, outcome: Outcome) {
             assert_eq!(own[level]["standing"], found[level], "{level}: {told}\n{levels:?}");
         }
     }
-    let twice: Vec<u64> = report.complete.iter().flat_map(|stretch| stretch.twice.clone()).collect();
-    assert_eq!(serde_json::to_value(twice).expect("JSON"), theirs["twice"]);
+    let completeness: Vec<serde_json::Value> = report.complete.iter().map(completeness).collect();
+    assert_eq!(serde_json::Value::Array(completeness), theirs["complete"]);
+}
+
+/// What both say of a topic.
+fn completeness(stretch: &Stretch) -> serde_json::Value {
+    let Stretch { owner, recorder, topic_id, standing, first, last, missing, heads, .. } = stretch;
+    serde_json::json!({
+        "owner": owner.to_string().to_lowercase(), "recorder": recorder, "topic_id": topic_id, "standing": standing,
+        "first": first, "last": last, "missing": missing, "complete_to": heads.map(|heads| heads.number),
+    })
 }
 
 fn signed(packing: Packing, world: &World) -> Members {

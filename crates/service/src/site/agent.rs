@@ -15,7 +15,7 @@ use crate::model::{Digest, ErrorKind, ProfileName, RecordState, TopicName, clean
 use crate::pipeline::forwarder::{CopyKeeping, Forwarder, Link, trust_in};
 use crate::pipeline::notices::Notices;
 use crate::pipeline::session::TopicFigures;
-use crate::pipeline::{Author, CaptureSession, Observer as _};
+use crate::pipeline::{Author, CaptureSession, Observer as _, recorder_heads};
 use crate::service::event::NoticeLevel;
 use crate::service::failure::{input, internal, refused};
 use crate::service::reply::Failure;
@@ -173,8 +173,23 @@ impl Agent {
             looks = looks.wrapping_add(1);
             self.warn_of_epoch();
             self.follow_topics();
+            self.state_heads();
             if let Some(end) = self.end(&counts) {
                 return Ok(end);
+            }
+        }
+    }
+
+    /// States how high the numbers of this robot's recorder are, where its keys cover that and it is time.
+    fn state_heads(&self) {
+        let Some(keys) = self.author.sealing() else { return };
+        let (plant, every) = (&self.site.plant, self.site.parts.config.audit_every);
+        match block_in_place(|| recorder_heads::state(plant, self.author.address, &keys, every)) {
+            Ok(Some(_)) => self.site.parts.hub.stored.notify_waiters(),
+            Ok(None) => {}
+            Err(error) => {
+                let text = format!("the recorder's head is not stated: {error}");
+                self.site.parts.hub.notice(NoticeLevel::Error, &text);
             }
         }
     }

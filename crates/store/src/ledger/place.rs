@@ -60,8 +60,10 @@ mod tests {
         std::fs::copy(&path, &copy).expect("copied");
         let (ledger, copied) = Ledger::open_in_place(&path).expect("opened again");
         assert!(!copied && ledger.recorder() == recorder, "the first is as it was");
+        assert_eq!(ledger.predecessor().expect("read"), None);
         let (other, copied) = Ledger::open_in_place(&copy).expect("the copy is opened");
         assert!(copied && other.recorder() != recorder);
+        assert_eq!(other.predecessor().expect("read"), Some(recorder), "it says whose copy it is");
         let renewed = other.recorder();
         other.close().expect("closed");
         let (other, copied) = Ledger::open_in_place(&copy).expect("the copy is opened again");

@@ -17,7 +17,7 @@ use super::parts::Parts;
 use crate::config::Config;
 use crate::model::{Timestamp, clean};
 use crate::pipeline::reader::Reader;
-use crate::pipeline::{Owner, Plant, audit_head};
+use crate::pipeline::{Owner, Plant, audit_head, recorder_heads};
 use crate::service::event::NoticeLevel;
 use crate::service::hub::Hub;
 use crate::service::reply::{AuditCheck, Failure};
@@ -50,7 +50,7 @@ impl Audit {
         Self { config, plant, hub, log, owners, link, life, reserve: Arc::clone(reserve) }
     }
 
-    /// Writes what was counted, anchors the head of the log, sets a lost reserve aside again; until the site ends.
+    /// Writes what was counted, anchors the heads of the log and of the recorder, sets a lost reserve aside again; until the site ends.
     pub(in crate::site) async fn keep(self: Arc<Self>) {
         let mut refill = Instant::now();
         while !self.life.is_stopping() {
@@ -59,7 +59,7 @@ impl Audit {
             }
             self.log.write_counted(Some(Timestamp::now())).await;
             for owner in self.owners.all() {
-                self.anchor_head(&owner).await;
+                self.anchor_heads(&owner).await;
             }
             if !self.reserve.is_held() && refill.elapsed() >= REFILL && self.plant.ledger.takes_records().is_ok() {
                 refill = Instant::now();
@@ -69,20 +69,23 @@ impl Audit {
         }
     }
 
-    async fn anchor_head(self: &Arc<Self>, owner: &Arc<Owner>) {
+    async fn anchor_heads(self: &Arc<Self>, owner: &Arc<Owner>) {
         let Some(network) = self.link.network_now() else { return };
         // Keys that are being changed now must not sign; the next look comes soon.
         let Ok(_one_at_a_time) = owner.changes.try_lock() else { return };
         let (of, every) = (Arc::clone(owner), self.config.audit_every);
         let stated = blocking(self, move |audit| {
-            Ok(audit_head::state_head(&audit.plant, &network, audit.log.lines(), &of, every)?)
+            let log = audit_head::state_head(&audit.plant, &network, audit.log.lines(), &of, every)?;
+            let Some(keys) = of.sealing().filter(|keys| keys.domain == network.domain) else { return Ok(log) };
+            Ok(recorder_heads::state(&audit.plant, of.address, &keys, every)?.or(log))
         })
         .await;
         match stated {
             Ok(Some(_)) => self.hub.stored.notify_waiters(),
             Ok(None) => {}
             Err(failure) => {
-                let text = format!("the audit log's head is not anchored for {}: {}", owner.profile, failure.message);
+                let (profile, why) = (&owner.profile, failure.message);
+                let text = format!("heads of the audit log and of the recorder are not anchored for {profile}: {why}");
                 self.hub.notice(NoticeLevel::Error, &text);
             }
         }

@@ -9,7 +9,7 @@ use tokio::task::block_in_place;
 
 use crate::crypto::{EpochIssue, IssuedKeys, IssuedTopic, Pseudonyms, SealingKey, filter_key, topic_id, topic_key};
 use crate::model::{ProfileName, SignerId};
-use crate::pipeline::{Network, Owner, quarantine};
+use crate::pipeline::{Network, Owner, quarantine, recorder_heads};
 use crate::service::failure::refused;
 use crate::service::reply::Failure;
 use crate::site::sharing::overdue::earliest_expiry;
@@ -77,9 +77,10 @@ impl Enrolments {
             let pseudonyms = (to.version > 1).then(|| Pseudonyms { id, filters: filter_key(&index, &id) });
             (topic.clone(), IssuedTopic { key: topic_key(&key, &id), pseudonyms })
         };
-        // What it holds back of its topics is counted under a name of its own.
-        let statements = (to.version > 1).then(|| quarantine::TOPIC.to_owned());
-        let keys = to.topics.iter().chain(&statements).map(of).collect();
+        // What it holds back of its topics is counted under a name of its own, and so is how high their numbers are.
+        let named = [quarantine::TOPIC, recorder_heads::TOPIC].map(ToOwned::to_owned);
+        let statements = if to.version > 1 { &named[..] } else { &[] };
+        let keys = to.topics.iter().chain(statements).map(of).collect();
         let key = if to.topics.is_empty() { SealingKey::Epoch(key) } else { SealingKey::Topics(keys) };
         Ok(EpochIssue { epoch, token, ends: earliest_expiry(owner, network, epoch), key })
     }

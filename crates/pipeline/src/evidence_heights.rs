@@ -1,0 +1,90 @@
+//! What a bundle shows of completeness: for each recorder in it the newest head that the chain has, its birth, and where
+//! the head has the highest numbers of the topics.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use authros_evidence::Height;
+use tokio::task::block_in_place;
+
+use crate::model::{Birth, Digest, Heads, Heights, RecordState, RecorderId, TopicId};
+use crate::store::{RecordQuery, RecordRow};
+
+use super::PipelineError;
+use super::reader::Reader;
+use super::recorder_heads::{TOPIC, tree};
+
+/// The newest statements of a profile that are looked through for heads.
+const MOST_STATEMENTS: usize = 1000;
+
+/// Statements that a bundle discloses for completeness.
+#[derive(Debug, Default)]
+pub(super) struct Shown {
+    /// The records of heads and births.
+    pub rows: Vec<RecordRow>,
+    /// Highest numbers with their paths.
+    pub heights: Vec<Height>,
+}
+
+/// What there is for these records.
+///
+/// # Errors
+/// Of the ledger; a statement that does not open is passed over.
+pub(super) async fn shown(reader: &Reader<'_>, rows: &[RecordRow]) -> Result<Shown, PipelineError> {
+    let mut topics: BTreeMap<RecorderId, BTreeSet<TopicId>> = BTreeMap::new();
+    for row in rows.iter().filter(|row| row.topic != TOPIC) {
+        topics.entry(row.recorder).or_default().insert(row.topic_id);
+    }
+    let query = RecordQuery {
+        owner: Some(reader.reader.address),
+        topic: Some(TOPIC.to_owned()),
+        limit: MOST_STATEMENTS,
+        newest_first: true,
+        ..RecordQuery::default()
+    };
+    let statements = block_in_place(|| reader.plant.ledger.list(&query))?.rows;
+    let mut shown = Shown::default();
+    for (recorder, topics) in topics {
+        let own = statements.iter().filter(|row| row.recorder == recorder && is_confirmed(row));
+        for row in own.clone().filter(|row| row.type_name == Heads::TYPE) {
+            let Some(heights) = heights(reader, row).await else { continue };
+            shown.heights.extend(of_topics(row.digest, &heights, &topics));
+            shown.rows.push(row.clone());
+            break;
+        }
+        for row in own.filter(|row| row.type_name == Birth::TYPE) {
+            if body(reader, row).await.is_some() {
+                shown.rows.push(row.clone());
+                break;
+            }
+        }
+    }
+    Ok(shown)
+}
+
+fn is_confirmed(row: &RecordRow) -> bool {
+    matches!(row.state, RecordState::Confirmed | RecordState::Verified)
+}
+
+/// What a statement on this chain says.
+async fn body(reader: &Reader<'_>, row: &RecordRow) -> Option<Vec<u8>> {
+    let opened = reader.open(row).await.ok()?;
+    (opened.header.domain == reader.network.domain).then_some(opened.body)
+}
+
+/// The list of numbers under a head.
+async fn heights(reader: &Reader<'_>, row: &RecordRow) -> Option<Heights> {
+    let heads = Heads::parse(&body(reader, row).await?).ok()?;
+    let listed = block_in_place(|| reader.plant.ledger.record(heads.heights)).ok()??;
+    let heights = Heights::parse(&body(reader, &listed).await?).ok()?;
+    (tree(&heights)?.root() == heads.root).then_some(heights)
+}
+
+fn of_topics(heads: Digest, heights: &Heights, topics: &BTreeSet<TopicId>) -> Vec<Height> {
+    let Some(tree) = tree(heights) else { return Vec::new() };
+    let named = heights.topics.iter().enumerate().filter(|(_, (topic, _))| topics.contains(topic));
+    let height = |(at, (topic, number)): (usize, &(TopicId, u64))| {
+        let (topic, number, path) = (*topic, *number, tree.path(at));
+        Height { heads, topic, number, index: at as u64, path }
+    };
+    named.map(height).collect()
+}
