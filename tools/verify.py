@@ -468,7 +468,7 @@ def packed(members):
 
 
 class Bundle:
-    FORMS = re.compile(r"mimetype|manifest\.(json|der)|trust\.toml|VERIFY\.txt|chain/(nodes|[0-9]+)\.rlp|"
+    FORMS = re.compile(r"mimetype|manifest\.(json|der)|trust\.toml|VERIFY\.txt|report\.html|chain/(nodes|[0-9]+)\.rlp|"
                        r"heights\.json|keys/[0-9a-f]{64}\.pem|identities/[0-9a-f]{64}\.bin|definitions/[0-9a-f]{64}\.txt|"
                        r"records/[0-9a-f]{64}/(record\.bin|signature\.der|anchor\.json|reveal\.(bin|der))")
 
@@ -479,8 +479,8 @@ class Bundle:
             raise Refused("it is longer than any bundle")
         self.members, self.plain_left, self.known = unpacked(data), 256 * 2 ** 20, {}
         names = list(self.members)
-        small = lambda name: name in ("manifest.json", "heights.json", "chain/nodes.rlp") or name.endswith("/record.bin")
-        if not all(self.FORMS.fullmatch(n) and (small(n) or len(d) <= 65_536) for n, d in self.members.items()):
+        large = lambda name: name in ("manifest.json", "heights.json", "chain/nodes.rlp") or name.endswith("/record.bin")
+        if not all(self.FORMS.fullmatch(n) and (large(n) or len(d) <= (2 ** 24 if n == "report.html" else 65_536)) for n, d in self.members.items()):
             raise Refused("something is in the archive that a bundle does not hold")
         if len({name.split("/")[1] for name in names if name.startswith("records/")}) > 10_000:
             raise Refused("it has too many records")

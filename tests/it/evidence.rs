@@ -134,6 +134,13 @@ fn a_bundle_is_verified_on_another_machine_and_every_lie_is_refused() {
     }
     let is_whole = |stretch: &Value| stretch["missing"] == 0 && text(stretch, "standing") == "own_chain";
     assert!(list(&report, "complete").iter().all(is_whole), "{report}");
+    let page = String::from_utf8(unzipped(&bundle, "report.html")).expect("text");
+    for part in
+        ["This page is not authoritative", "/robot1/odom", revealed.as_str(), "<svg", "own chain", "openssl pkeyutl"]
+    {
+        assert!(page.contains(part), "no {part} in {page}");
+    }
+    assert!(!page.contains("<script") && !page.contains("://"), "{page}");
     told(&home, &bundle, &trust);
     verified(&bundle, None).expect_code(8);
     expect_agreement(&bundle, Some(&trust));

@@ -24,10 +24,14 @@ pub const SUGGESTED: &str = "trust.toml";
 pub const NODES: &str = "chain/nodes.rlp";
 /// What to do with the file, for whoever finds it without us.
 pub const READ_ME: &str = "VERIFY.txt";
+/// The page for eyes; never read by a verifier.
+pub const REPORT: &str = "report.html";
 /// The most records in a bundle.
 pub const MOST_RECORDS: usize = 10_000;
 /// What an anchor's file begins with.
 const ANCHOR_FORMAT: &str = "authros-anchor/1";
+/// The longest page for eyes, bytes.
+const LONGEST_REPORT: usize = 16 << 20;
 /// The longest of the small members, bytes.
 const LONGEST_SMALL: usize = 64 * 1024;
 
@@ -232,13 +236,16 @@ impl Bundle {
     ) -> Result<(), BundleError> {
         let wrong = |why: &str| BundleError::of(name, why);
         let parts: Vec<&str> = name.split('/').collect();
-        if !matches!(parts.as_slice(), ["records", _, "record.bin"] | ["chain", "nodes.rlp"] | [MANIFEST | HEIGHTS])
-            && bytes.len() > LONGEST_SMALL
-        {
+        let longest = match parts.as_slice() {
+            ["records", _, "record.bin"] | ["chain", "nodes.rlp"] | [MANIFEST | HEIGHTS] => usize::MAX,
+            [REPORT] => LONGEST_REPORT,
+            _ => LONGEST_SMALL,
+        };
+        if bytes.len() > longest {
             return Err(wrong("is longer than such a member is"));
         }
         match parts.as_slice() {
-            [MIMETYPE | MANIFEST | SIGNATURE | READ_ME] => {}
+            [MIMETYPE | MANIFEST | SIGNATURE | READ_ME | REPORT] => {}
             [HEIGHTS] => self.heights = heights::parse(bytes)?,
             [SUGGESTED] => self.suggested = Some(text(name, bytes)?),
             ["records", digest, part] => {

@@ -22,12 +22,12 @@ mod trust;
 mod verify;
 
 pub use bundle::{
-    AnchorClaim, Anchoring, Bundle, BundleError, BundledRecord, Disclosure, MOST_RECORDS, READ_ME, SUGGESTED,
+    AnchorClaim, Anchoring, Bundle, BundleError, BundledRecord, Disclosure, MOST_RECORDS, READ_ME, REPORT, SUGGESTED,
 };
 pub use header::{BlockHeader, LONGEST_HEADER, Seals, seals};
 pub use heights::{Height, MOST_HEIGHTS};
 pub use manifest::{ClaimedChain, Exporter, FORMAT, MEDIA_TYPE, Manifest, Member};
-pub use packing::{Packing, PackingError, disclose, pack};
+pub use packing::{Packing, PackingError, READ_ME_TEXT, disclose, pack};
 pub use report::{Disclosed, HeadsClaim, Level, Outcome, RecordReport, Report, Standing, Stretch};
 pub use state::{AnchorWord, KeysWord, LoanWord, Nodes, Slot, Storage, Unproven, Word};
 pub use trust::{LONGEST_TRUST, Person, PinnedChain, Trust, TrustError};

@@ -5,19 +5,26 @@ use authros_crypto::{CryptoError, Provider, SmKeyPair, keyfile, signature_der, s
 use authros_model::{Address, Digest, Domain, Identity, PublicKey};
 
 use crate::archive::{self, MIMETYPE, Members};
-use crate::bundle::{BundleError, BundledRecord, NODES, READ_ME, SUGGESTED};
+use crate::bundle::{BundleError, BundledRecord, NODES, READ_ME, REPORT, SUGGESTED};
 use crate::heights::{self, HEIGHTS, Height};
 use crate::manifest::{ClaimedChain, Exporter, MANIFEST, MEDIA_TYPE, Manifest, SIGNATURE, signed_bytes};
 use crate::state::Nodes;
 use crate::trust::Trust;
 
-/// For whoever finds the file without the program.
-const READ_ME_TEXT: &str = include_str!("VERIFY.txt");
+/// What `VERIFY.txt` says, for whoever finds the file without the program.
+pub const READ_ME_TEXT: &str = include_str!("VERIFY.txt");
 
 /// A bundle that is being put together.
 #[derive(Debug, Default)]
 pub struct Packing {
     members: Members,
+}
+
+impl From<Members> for Packing {
+    /// Signed members, to which something is to be added before they are signed again.
+    fn from(members: Members) -> Self {
+        Self { members }
+    }
 }
 
 /// Why a bundle cannot be put together.
@@ -93,6 +100,11 @@ impl Packing {
     pub fn heights(&mut self, heights: Vec<Height>) -> Result<(), PackingError> {
         self.members.insert(HEIGHTS.to_owned(), heights::to_text(heights)?);
         Ok(())
+    }
+
+    /// Adds the page for eyes, which proves nothing.
+    pub fn report(&mut self, page: String) {
+        self.members.insert(REPORT.to_owned(), page.into_bytes());
     }
 
     /// Suggests what to pin.

@@ -317,6 +317,34 @@ fn an_unpacked_bundle_is_read_as_the_file_is() {
 }
 
 #[test]
+fn openssl_checks_a_record_and_the_manifest_by_the_lines_of_the_read_me() {
+    let (folder, world) = (tempfile::tempdir().expect("directory"), World::new());
+    for (name, bytes) in &world.members() {
+        let path = folder.path().join(name);
+        std::fs::create_dir_all(path.parent().expect("a folder")).expect("made");
+        std::fs::write(path, bytes).expect("written");
+    }
+    let is_shell = |line: &&str| line.starts_with("    ") && !line.contains("authros verify");
+    let lines: Vec<&str> = crate::READ_ME_TEXT.lines().filter(is_shell).collect();
+    let script = lines.join("\n").replace("DIGEST", &world.record.digest.to_hex());
+    let script = script.replace("=KEY", &format!("={}", signer_id(&world.keys.public)));
+    let run = || std::process::Command::new("sh").args(["-ec", &script]).current_dir(folder.path()).output();
+    if std::process::Command::new("openssl").arg("version").output().is_err() {
+        eprintln!("SKIPPED: no openssl");
+        return;
+    }
+    let output = run().expect("a shell");
+    let told = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success(), "{told}{}", String::from_utf8_lossy(&output.stderr));
+    assert!(told.contains(&world.record.digest.to_hex()), "{told}");
+    assert_eq!(told.matches("Signature Verified Successfully").count(), 2, "{told}");
+    let manifest = folder.path().join("manifest.json");
+    let text = std::fs::read_to_string(&manifest).expect("read") + " ";
+    std::fs::write(manifest, text).expect("written");
+    assert!(!run().expect("a shell").status.success(), "an altered manifest is not the signed one");
+}
+
+#[test]
 fn pins_that_cannot_be_meant_are_refused() {
     let text = World::trust().to_text().expect("text");
     assert_eq!(Trust::parse(text.as_bytes()), Ok(World::trust()));

@@ -1,7 +1,10 @@
 //! Small pictures for screens: any picture averaged down to a bounded number of pixels.
 
+use png::{BitDepth, ColorType};
 use serde::{Deserialize, Serialize};
 
+use super::PictureError;
+use super::codec::png_file;
 use crate::model::base64_text;
 
 /// The largest raster, pixels: enough for half-blocks on a screen of 240 columns and 80 rows.
@@ -45,6 +48,14 @@ impl Raster {
     /// The size it has where it fits into `largest` with its shape kept; never larger than it is.
     pub fn size_within(&self, largest: (usize, usize)) -> (usize, usize) {
         fitted((self.width, self.height), largest)
+    }
+
+    /// As a PNG.
+    ///
+    /// # Errors
+    /// [`PictureError`] where it has no pixels.
+    pub fn png(&self) -> Result<Vec<u8>, PictureError> {
+        png_file(&self.rgb, (self.width, self.height), ColorType::Rgb, BitDepth::Eight)
     }
 
     /// A pixel; black where there is none.

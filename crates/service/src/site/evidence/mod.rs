@@ -1,13 +1,16 @@
 //! Bundles of evidence: own records with all that proves them, for somebody who trusts nobody.
 
+mod figure;
+mod page;
+
 use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
 
-use authros_evidence::{ClaimedChain, pack};
+use authros_evidence::{Bundle, ClaimedChain, Packing, PackingError, Trust, pack, verify};
 
 use super::blocking;
-use crate::crypto::private_file;
+use crate::crypto::{Provider, private_file};
 use crate::model::{Digest, ErrorKind, RecordState, clean};
 use crate::pipeline::evidence::{MOST_RECORDS, gather};
 use crate::pipeline::reader::Reader;
@@ -110,6 +113,17 @@ impl Evidence {
         }
     }
 
+    /// The file: signed once for the page to be made of it, and again with the page.
+    fn packed(&self, owner: &Owner, packing: Packing, claimed: &ClaimedChain) -> Result<Vec<u8>, PackingError> {
+        let provider = self.plant.provider;
+        let sign = |packing: Packing| packing.sign(claimed.clone(), owner.address, &owner.signing(), provider);
+        let members = sign(packing)?;
+        let page = report(&Bundle::of_members(&members, provider)?, provider);
+        let mut packing = Packing::from(members);
+        packing.report(page);
+        pack(&sign(packing)?)
+    }
+
     async fn write_evidence(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
@@ -123,12 +137,8 @@ impl Evidence {
         let chain = &network.chain;
         let pin = chain.pin().ok_or_else(|| PipelineError::from(crate::chain::ChainError::NoContract))?;
         let claimed = ClaimedChain { id: pin.chain_id, genesis: pin.genesis, contract: pin.contract };
-        let failed = |error: authros_evidence::PackingError| Failure::new(ErrorKind::Input, error.to_string());
-        let bytes = tokio::task::block_in_place(|| {
-            let members =
-                gathered.packing.sign(claimed, owner.address, &owner.signing(), self.plant.provider).map_err(failed)?;
-            pack(&members).map_err(failed)
-        })?;
+        let bytes = tokio::task::block_in_place(|| self.packed(owner, gathered.packing, &claimed))
+            .map_err(|error| Failure::new(ErrorKind::Input, error.to_string()))?;
         private_file::create_private(file, &bytes)?;
         let length = u64::try_from(bytes.len()).map_err(|error| internal(error.to_string()))?;
         Ok(EvidenceView {
@@ -139,6 +149,12 @@ impl Evidence {
             notes: gathered.notes,
         })
     }
+}
+
+/// What this program itself says of a bundle, by the pins that it suggests.
+fn report(bundle: &Bundle, provider: &dyn Provider) -> String {
+    let trust = bundle.suggested.as_ref().and_then(|text| Trust::parse(text.as_bytes()).ok());
+    page::page(bundle, &verify(bundle, trust.as_ref(), provider))
 }
 
 /// Whether a record's ciphertext is to be in the vault.

@@ -1,0 +1,243 @@
+//! `report.html` of a bundle: what its exporter's program says of it, for eyes and paper. It proves nothing, and says so. It
+//! has no scripts and asks for nothing outside itself; every text in it is cleaned and escaped.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+
+use authros_evidence::{Bundle, RecordReport, Report};
+
+use super::figure::{data_uri, plot};
+use crate::model::clean;
+use crate::ros::readable::{self, Readable};
+use crate::ros::{Definition, Limits};
+
+/// The most records in the table of levels.
+const MOST_ROWS: usize = 500;
+/// The most disclosed records that are shown whole.
+const MOST_SHOWN: usize = 100;
+/// Where disclosed records are no longer shown, bytes of the page.
+const LONGEST: usize = 4 << 20;
+/// The most fields of a message whose type is none of the well-known.
+const MOST_FIELDS: usize = 200;
+/// The widest text from outside, characters.
+const WIDEST: usize = 1000;
+
+const HEAD: &str = "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+    <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; style-src 'unsafe-inline'; img-src data:\">\n\
+    <title>Evidence report</title>\n<style>\n\
+    body { font: 14px/1.45 serif; max-width: 60em; margin: 2em auto; padding: 0 1em; color: #111; background: #fff }\n\
+    h1, h2, h3 { font-family: sans-serif; line-height: 1.2 } h2 { border-bottom: 1px solid #999 }\n\
+    table { border-collapse: collapse; width: 100%; margin: .6em 0 } th, td { border: 1px solid #bbb; padding: .2em .4em; \
+    text-align: left; vertical-align: top; overflow-wrap: anywhere }\n\
+    th { background: #eee } code, td.n { font: 12px/1.4 monospace; overflow-wrap: anywhere }\n\
+    pre { font: 12px/1.4 monospace; white-space: pre-wrap; border: 1px solid #bbb; padding: .5em }\n\
+    .mark { border: 3px solid #a00; padding: .6em 1em } .bad { color: #a00; font-weight: bold }\n\
+    img { image-rendering: pixelated; width: 480px; max-width: 100%; border: 1px solid #bbb } svg { border: 1px solid #bbb }\n\
+    @media print { body { margin: 0; max-width: none; font-size: 11px } section { break-inside: avoid } h2 { break-after: avoid } }\n\
+    </style>\n</head>\n<body>\n";
+
+const MARK: &str = "<p class=\"mark\"><b>This page is not authoritative.</b> It was written by the program of whoever made the \
+    file, judged by that program's own pins, and proves nothing. What the file proves is said by a check of the file: \
+    <code>authros verify FILE.authros --trust trust.toml</code>, offline, with a trust file of your own, or by \
+    <code>tools/verify.py</code> of the same source.</p>\n";
+
+/// A text from outside, as HTML shows it.
+pub(super) fn escape(text: &str) -> String {
+    let mut out = String::with_capacity(text.len());
+    for character in clean(text, WIDEST).chars() {
+        match character {
+            '&' => out.push_str("&amp;"),
+            '<' => out.push_str("&lt;"),
+            '>' => out.push_str("&gt;"),
+            '"' => out.push_str("&quot;"),
+            '\'' => out.push_str("&#39;"),
+            other => out.push(other),
+        }
+    }
+    out
+}
+
+fn put(out: &mut String, text: std::fmt::Arguments<'_>) {
+    // Writing into memory does not fail.
+    let _infallible = out.write_fmt(text);
+}
+
+fn row<'a>(out: &mut String, cell: &str, cells: impl IntoIterator<Item = &'a str>) {
+    out.push_str("<tr>");
+    cells.into_iter().for_each(|text| put(out, format_args!("<{cell}>{}</{cell}>", escape(text))));
+    out.push_str("</tr>\n");
+}
+
+fn table(out: &mut String, head: &[&str], rows: &[Vec<String>]) {
+    out.push_str("<table>\n");
+    if !head.is_empty() {
+        row(out, "th", head.iter().copied());
+    }
+    rows.iter().for_each(|cells| row(out, "td", cells.iter().map(String::as_str)));
+    out.push_str("</table>\n");
+}
+
+/// The page.
+pub(super) fn page(bundle: &Bundle, report: &Report) -> String {
+    let mut out = format!("{HEAD}<h1>Evidence report</h1>\n{MARK}");
+    summary(&mut out, bundle, report);
+    levels(&mut out, report);
+    completeness(&mut out, report);
+    disclosed(&mut out, bundle, report);
+    notes(&mut out, report);
+    out.push_str("</body>\n</html>\n");
+    out
+}
+
+fn summary(out: &mut String, bundle: &Bundle, report: &Report) {
+    let (chain, exporter) = (&bundle.manifest.chain, &bundle.manifest.exporter);
+    let captured = || report.records.iter().filter_map(|record| record.captured_at);
+    let anchored = || report.records.iter().filter_map(|record| record.anchored_at);
+    let span = |first: Option<crate::model::Timestamp>, last: Option<crate::model::Timestamp>| match first.zip(last) {
+        Some((first, last)) => format!("{first} to {last}"),
+        None => "not shown".to_owned(),
+    };
+    let opened = report.records.iter().filter(|record| record.disclosed.is_some()).count();
+    let mut owners: BTreeMap<String, u64> = BTreeMap::new();
+    for record in &report.records {
+        let owner = record.owner.map_or_else(|| "nobody that can be read".to_owned(), |owner| owner.to_string());
+        *owners.entry(owner).or_default() += 1;
+    }
+    out.push_str("<h2>What, who, when</h2>\n");
+    let mut rows = vec![
+        vec!["Records".to_owned(), format!("{}, {opened} of them disclosed", report.records.len())],
+        vec!["Captured, as their owner says".to_owned(), span(captured().min(), captured().max())],
+        vec!["Anchored, by the clock of who sealed the blocks".to_owned(), span(anchored().min(), anchored().max())],
+        vec!["Put together by".to_owned(), format!("{} with the key {}", exporter.account, exporter.key)],
+        vec!["Chain".to_owned(), format!("id {}, genesis {}, contract {}", chain.id, chain.genesis, chain.contract)],
+    ];
+    rows.extend(
+        owners.into_iter().map(|(owner, records)| vec!["Owner".to_owned(), format!("{owner}: {records} records")]),
+    );
+    table(out, &[], &rows);
+    put(out, format_args!("<p>{}</p>\n", escape(report.last_line())));
+}
+
+fn levels(out: &mut String, report: &Report) {
+    out.push_str(
+        "<h2>Levels</h2>\n<p>(a) the bytes are intact and signed; (b) the key was its owner's at the anchoring block; (c) \
+         anchored in a block; (d) an outside authority's time; (e) opened by its owner's disclosure.</p>\n",
+    );
+    let rows: Vec<Vec<String>> = report.records.iter().take(MOST_ROWS).map(level_row).collect();
+    table(out, &["record", "number", "captured", "block", "(a)", "(b)", "(c)", "(d)", "(e)"], &rows);
+    if let Some(more) = report.records.len().checked_sub(MOST_ROWS).filter(|more| *more > 0) {
+        put(out, format_args!("<p>and {more} more records</p>\n"));
+    }
+}
+
+fn level_row(record: &RecordReport) -> Vec<String> {
+    let text = |value: Option<String>| value.unwrap_or_else(|| "-".to_owned());
+    let mut cells = vec![
+        record.digest.to_string(),
+        text(record.seq.map(|seq| seq.to_string())),
+        text(record.captured_at.map(|at| at.to_string())),
+        text(record.block.map(|block| block.to_string())),
+    ];
+    cells.extend(record.levels().map(|(_, level)| level.standing.word().to_owned()));
+    cells
+}
+
+fn completeness(out: &mut String, report: &Report) {
+    out.push_str("<h2>(f) Which numbers are there</h2>\n");
+    let rows: Vec<Vec<String>> = report
+        .complete
+        .iter()
+        .take(MOST_ROWS)
+        .map(|stretch| {
+            let names = [stretch.topic_id.to_string(), stretch.recorder.to_string()];
+            names.into_iter().chain([stretch.standing.word().to_owned(), stretch.text.clone()]).collect()
+        })
+        .collect();
+    table(out, &["topic", "recorder", "", ""], &rows);
+}
+
+fn disclosed(out: &mut String, bundle: &Bundle, report: &Report) {
+    let mut limits = Limits::default();
+    let opened: Vec<&RecordReport> = report.records.iter().filter(|record| record.disclosed.is_some()).collect();
+    out.push_str("<h2>Disclosed records</h2>\n");
+    if opened.is_empty() {
+        out.push_str("<p>None: every message in the file is sealed.</p>\n");
+    }
+    for (at, record) in opened.iter().enumerate() {
+        if at == MOST_SHOWN || out.len() > LONGEST {
+            put(out, format_args!("<p>and {} more, which are not shown here</p>\n", opened.len() - at));
+            return;
+        }
+        one(out, bundle, report, record, &mut limits);
+    }
+}
+
+fn one(out: &mut String, bundle: &Bundle, report: &Report, record: &RecordReport, limits: &mut Limits) {
+    let Some(facts) = &record.disclosed else { return };
+    put(out, format_args!("<section>\n<h3>{} <code>{}</code></h3>\n", escape(&facts.topic), escape(&facts.type_name)));
+    let mut rows = vec![
+        vec!["Record".to_owned(), record.digest.to_string()],
+        vec!["Published by".to_owned(), facts.publisher.clone()],
+        vec!["Message".to_owned(), format!("{} bytes, SM3 {}", facts.length, facts.message_sm3)],
+    ];
+    rows.extend(facts.tags.iter().map(|(name, value)| vec![format!("Tag {name}"), value.clone()]));
+    rows.extend(
+        record
+            .levels()
+            .map(|(letter, level)| vec![format!("({letter}) {}", level.standing.word()), level.text.clone()]),
+    );
+    table(out, &[], &rows);
+    message(out, bundle, report, record, limits);
+    out.push_str("</section>\n");
+}
+
+/// The message's values: as people read its type, else field by field.
+fn message(out: &mut String, bundle: &Bundle, report: &Report, record: &RecordReport, limits: &mut Limits) {
+    let Some(revealed) = report.messages.get(&record.digest) else { return };
+    let text = bundle.definitions.get(&revealed.head.definition);
+    let Some(definition) = text.and_then(|text| Definition::parse(&revealed.head.type_name, text).ok()) else {
+        out.push_str("<p>Its fields are not shown: its definition is not in the file.</p>\n");
+        return;
+    };
+    if let Some(readable) = readable::read(&definition, &revealed.body) {
+        return easy(out, &readable);
+    }
+    let Ok(value) = definition.decode_from(&revealed.body, limits) else {
+        out.push_str("<p>Its fields are not shown: they do not fit the definition, or there are too many.</p>\n");
+        return;
+    };
+    let rows: Vec<Vec<String>> = value.flatten(MOST_FIELDS).into_iter().map(|(path, text)| vec![path, text]).collect();
+    table(out, &["field", "value"], &rows);
+}
+
+fn easy(out: &mut String, readable: &Readable) {
+    let lines: Vec<Vec<String>> =
+        readable.lines.iter().map(|(label, value)| vec![label.clone(), value.clone()]).collect();
+    table(out, &[], &lines);
+    for shown in &readable.tables {
+        put(out, format_args!("<p>{}</p>\n", escape(&shown.title)));
+        let head: Vec<&str> = shown.head.iter().map(String::as_str).collect();
+        table(out, &head, &shown.rows);
+    }
+    if let Some(shown) = &readable.plot {
+        plot(out, shown);
+    }
+    if let Some(png) = readable.picture.as_ref().and_then(|raster| raster.png().ok()) {
+        put(out, format_args!("<p><img alt=\"the picture, made small\" src=\"{}\"></p>\n", data_uri(&png)));
+    }
+}
+
+fn notes(out: &mut String, report: &Report) {
+    out.push_str("<h2>Notes</h2>\n<ul>\n");
+    put(out, format_args!("<li>{}</li>\n", escape(&report.exporter.text)));
+    report.warnings.iter().for_each(|text| put(out, format_args!("<li>{}</li>\n", escape(text))));
+    put(out, format_args!("</ul>\n<h2>By hand</h2>\n<pre>{}</pre>\n", by_hand()));
+}
+
+/// The lines of `VERIFY.txt`.
+fn by_hand() -> String {
+    authros_evidence::READ_ME_TEXT.lines().map(|line| escape(line) + "\n").collect()
+}
+
+#[cfg(test)]
+mod tests;
