@@ -2,7 +2,7 @@
 
 #![deny(clippy::wildcard_enum_match_arm)]
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
@@ -125,10 +125,10 @@ fn home_settings(path: &Path) -> Result<HomeSettings, Failure> {
 /// What the ledger of this home keeps; nothing where there is none yet, and then none is made.
 async fn here(context: &Context) -> Result<Here, Failure> {
     let nothing = Decisions {
-        watches: Some(Default::default()),
-        publishers: Some(Default::default()),
-        contacts: Some(Default::default()),
-        admitted: Some(Default::default()),
+        watches: Some(BTreeMap::default()),
+        publishers: Some(BTreeSet::default()),
+        contacts: Some(BTreeMap::default()),
+        admitted: Some(BTreeSet::default()),
     };
     if !context.home.ledger().exists() {
         return Ok(Here { decisions: nothing, ..Here::default() });

@@ -27,7 +27,7 @@ fn messages(bag: &Path, topic: &str) -> Vec<Value> {
 
 fn expect_same(recorded: &Path, original: &Path, times: usize) {
     for topic in TOPICS {
-        let expected = messages(original, topic).repeat(times);
+        let expected = vec![messages(original, topic); times].concat();
         let heard = messages(recorded, topic);
         assert_eq!(heard.len(), expected.len(), "{topic}");
         assert!(heard == expected, "{topic}: the same bytes, md5sum, type and definition in the same order");

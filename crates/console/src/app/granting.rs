@@ -81,7 +81,8 @@ pub fn check(state: &State, wish: &GrantWish) -> Result<(), (usize, String)> {
 fn same_terms(row: &GrantRow, wish: &GrantWish) -> bool {
     let mut wanted: Vec<String> = wish.topics.iter().map(ToString::to_string).collect();
     let mut given = row.topics.clone();
-    (wanted.sort(), given.sort());
+    wanted.sort();
+    given.sort();
     wanted == given && wish.expires == row.expires
 }
 
@@ -102,7 +103,7 @@ pub fn question(state: &mut State, wish: GrantWish) -> Confirm {
         String::new(),
     ];
     question.lines.splice(0..0, before);
-    question.title = "Revoke, and grant anew?".to_owned();
+    "Revoke, and grant anew?".clone_into(&mut question.title);
     question.yes = "revoke and grant";
     state.follow_up = Some((tag, std::mem::replace(&mut question.errand, revoke)));
     question

@@ -17,12 +17,9 @@ pub fn toggle(state: &mut State) -> Vec<Effect> {
     let row = state.shared.rows.iter().find(|row| Some(&row.id) == key.as_ref());
     let found = row.and_then(|row| Some((row.owner?, row.owner_name.clone(), row.topic.clone())));
     let Some((owner, name, topic)) = found else { return Vec::new() };
-    let (pattern, prefix) = match (topic.parse(), prefix(owner, name.as_deref())) {
-        (Ok(pattern), Some(prefix)) => (pattern, prefix),
-        _ => {
-            state.complain(format!("{topic} is no topic that can be played: its name is still a pseudonym"));
-            return Vec::new();
-        }
+    let (Ok(pattern), Some(prefix)) = (topic.parse(), prefix(owner, name.as_deref())) else {
+        state.complain(format!("{topic} is no topic that can be played: its name is still a pseudonym"));
+        return Vec::new();
     };
     let played = format!("{prefix}{topic}");
     let wishes = PlayWishes {

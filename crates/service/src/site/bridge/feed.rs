@@ -225,7 +225,7 @@ fn is_on_its_way(state: RecordState) -> bool {
 
 fn topics_of(ledger: &Ledger, owner: Address, scope: &Scope) -> Result<Vec<TopicId>, Failure> {
     Ok(match scope {
-        Scope::Topics(topics) => topics.to_vec(),
+        Scope::Topics(topics) => Vec::clone(topics),
         Scope::All => ledger.counts(Some(owner))?.topics.iter().filter_map(|topic| topic.topic_id).collect(),
     })
 }
