@@ -19,6 +19,7 @@ mod inspect;
 mod integrity;
 mod kept;
 mod lanes;
+mod named;
 mod pins;
 mod place;
 mod proven;

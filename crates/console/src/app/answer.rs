@@ -198,9 +198,11 @@ fn done<T>(state: &mut State, tag: &Tag, result: Result<T, Failure>, take: impl 
             take(state, answer);
             // The form leads back to itself where what follows fails.
             let next = state.follow_up.as_ref().filter(|(after, _)| after == tag).map(|(_, errand)| errand.tag.clone());
-            match (next, &mut state.filled) {
-                (Some(next), Some((kept, ..))) if kept == tag => *kept = next,
-                _ => drop(state.filled.take_if(|(kept, ..)| kept == tag)),
+            if let Some((kept, ..)) = state.filled.as_mut().filter(|(kept, ..)| kept == tag) {
+                match next {
+                    Some(next) => *kept = next,
+                    None => state.filled = None,
+                }
             }
             undo::note(state, tag);
             for feed in touched_by(tag) {

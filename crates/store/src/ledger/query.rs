@@ -1,4 +1,4 @@
-//! Finding records: by digest, by id, and page by page in the order of capture.
+//! Finding records page by page in the order of capture.
 //!
 //! A page costs the same whatever the size of the ledger: the query picks streams (owner, topic, type,
 //! kind), each stream's records of each state are read in order off an index, and these lanes are merged.
@@ -7,13 +7,13 @@ use std::cmp::Reverse;
 use std::collections::{BTreeSet, BinaryHeap, HashMap, HashSet, VecDeque};
 
 use rusqlite::types::Value;
-use rusqlite::{CachedStatement, Connection, OptionalExtension as _, Row, params};
+use rusqlite::{CachedStatement, Connection, Row, params};
 use serde::{Deserialize, Serialize};
 
 use super::filter_choice::FilterChoice;
 use super::rows::{self, RecordRow, Stream, Which};
 use super::{Ledger, database::whole, recent};
-use crate::model::{Address, Digest, FilterId, RecordKind, RecordState, Timestamp, TopicId, clean};
+use crate::model::{Address, FilterId, RecordKind, RecordState, Timestamp, TopicId, clean};
 use crate::store::StoreError;
 
 const LARGEST_PAGE: usize = 10_000;
@@ -141,58 +141,6 @@ impl Ledger {
         let query = RecordQuery { owner, state: Some(state), limit, ..RecordQuery::default() };
         Ok(self.list(&query)?.rows)
     }
-
-    /// The record with this digest.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and its kin.
-    pub fn record(&self, digest: Digest) -> Result<Option<RecordRow>, StoreError> {
-        self.read(|connection| {
-            let stream = connection
-                .prepare_cached("SELECT stream FROM records WHERE digest = ?1")?
-                .query_row(params![digest.0], |row| row.get(0))
-                .optional()?;
-            let by_key = rows::keyed_streams(connection, stream)?;
-            let sql = format!("SELECT {} FROM records WHERE digest = ?1", rows::COLUMNS);
-            let row = connection
-                .prepare_cached(&sql)?
-                .query_row(params![digest.0], |row| rows::record(row, &by_key))
-                .optional()?;
-            Ok(row)
-        })
-    }
-
-    /// The record whose digest begins with `id` (4 to 64 hex characters).
-    ///
-    /// # Errors
-    /// [`StoreError::Id`] where `id` is none, [`StoreError::Ambiguous`] where several records match.
-    pub fn record_by_id(&self, id: &str) -> Result<Option<RecordRow>, StoreError> {
-        let (low, high) = bounds(id).ok_or_else(|| StoreError::Id(clean(id, 70)))?;
-        self.read(|connection| {
-            let found: Vec<i64> = connection
-                .prepare_cached("SELECT stream FROM records WHERE digest BETWEEN ?1 AND ?2 LIMIT 2")?
-                .query_map(params![low.0, high.0], |row| row.get(0))?
-                .collect::<Result<_, _>>()?;
-            let by_key = rows::keyed_streams(connection, found)?;
-            let sql = format!("SELECT {} FROM records WHERE digest BETWEEN ?1 AND ?2 LIMIT 2", rows::COLUMNS);
-            let mut found = connection
-                .prepare_cached(&sql)?
-                .query_map(params![low.0, high.0], |row| rows::record(row, &by_key))?
-                .collect::<Result<Vec<_>, _>>()?;
-            if found.len() > 1 { Err(StoreError::Ambiguous(id.to_owned())) } else { Ok(found.pop()) }
-        })
-    }
-}
-
-/// The fewest characters by which a record may be named.
-const SHORTEST_ID: usize = 4;
-
-/// The lowest and highest digest that begin with `id`.
-fn bounds(id: &str) -> Option<(Digest, Digest)> {
-    let whole = Digest::LENGTH * 2;
-    let valid = (SHORTEST_ID..=whole).contains(&id.len()) && id.bytes().all(|b| b.is_ascii_hexdigit());
-    let fill = |digit: &str| format!("{id}{}", digit.repeat(whole - id.len())).parse().ok();
-    if valid { fill("0").zip(fill("f")) } else { None }
 }
 
 /// The streams among which those of a query are: never more than its owner has, or than have records in its state.

@@ -1,0 +1,62 @@
+//! Finding one record: by its digest, or by the beginning of it.
+
+use rusqlite::{OptionalExtension as _, params};
+
+use super::Ledger;
+use super::rows::{self, RecordRow};
+use crate::model::{Digest, clean};
+use crate::store::StoreError;
+
+impl Ledger {
+    /// The record with this digest.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn record(&self, digest: Digest) -> Result<Option<RecordRow>, StoreError> {
+        self.read(|connection| {
+            let stream = connection
+                .prepare_cached("SELECT stream FROM records WHERE digest = ?1")?
+                .query_row(params![digest.0], |row| row.get(0))
+                .optional()?;
+            let by_key = rows::keyed_streams(connection, stream)?;
+            let sql = format!("SELECT {} FROM records WHERE digest = ?1", rows::COLUMNS);
+            let row = connection
+                .prepare_cached(&sql)?
+                .query_row(params![digest.0], |row| rows::record(row, &by_key))
+                .optional()?;
+            Ok(row)
+        })
+    }
+
+    /// The record whose digest begins with `id` (4 to 64 hex characters).
+    ///
+    /// # Errors
+    /// [`StoreError::Id`] where `id` is none, [`StoreError::Ambiguous`] where several records match.
+    pub fn record_by_id(&self, id: &str) -> Result<Option<RecordRow>, StoreError> {
+        let (low, high) = bounds(id).ok_or_else(|| StoreError::Id(clean(id, 70)))?;
+        self.read(|connection| {
+            let found: Vec<i64> = connection
+                .prepare_cached("SELECT stream FROM records WHERE digest BETWEEN ?1 AND ?2 LIMIT 2")?
+                .query_map(params![low.0, high.0], |row| row.get(0))?
+                .collect::<Result<_, _>>()?;
+            let by_key = rows::keyed_streams(connection, found)?;
+            let sql = format!("SELECT {} FROM records WHERE digest BETWEEN ?1 AND ?2 LIMIT 2", rows::COLUMNS);
+            let mut found = connection
+                .prepare_cached(&sql)?
+                .query_map(params![low.0, high.0], |row| rows::record(row, &by_key))?
+                .collect::<Result<Vec<_>, _>>()?;
+            if found.len() > 1 { Err(StoreError::Ambiguous(id.to_owned())) } else { Ok(found.pop()) }
+        })
+    }
+}
+
+/// The fewest characters by which a record may be named.
+const SHORTEST_ID: usize = 4;
+
+/// The lowest and highest digest that begin with `id`.
+fn bounds(id: &str) -> Option<(Digest, Digest)> {
+    let whole = Digest::LENGTH * 2;
+    let valid = (SHORTEST_ID..=whole).contains(&id.len()) && id.bytes().all(|b| b.is_ascii_hexdigit());
+    let fill = |digit: &str| format!("{id}{}", digit.repeat(whole - id.len())).parse().ok();
+    if valid { fill("0").zip(fill("f")) } else { None }
+}
