@@ -253,7 +253,13 @@ fn a_moving_record_is_aimed_at_opened_searched_for_and_left_while_others_come() 
         let before = text(&newest()[0], "id");
         wait_until(PATIENCE, "others to come", || Some(()).filter(|()| text(&newest()[0], "id") != before));
         assert_eq!(selected(&operator.0.shown()), aimed, "the record stays under the cursor");
-        operator.presses("\r").sees("Provenance").presses("n").presses("p").presses("q").no_longer_sees("Provenance");
+        operator
+            .presses("\r")
+            .sees("┌ Provenance")
+            .presses("n")
+            .presses("p")
+            .presses("q")
+            .no_longer_sees("┌ Provenance");
         operator.presses("\u{1b}[H").no_longer_sees("as of");
         operator.presses("/camera\r").no_longer_sees(ODOMETRY).sees(CAMERA).presses("/\u{15}\r").sees(ODOMETRY);
         operator.presses("f").sees("FROZEN").presses("\u{1b}[6~").sees("as of").presses("f").no_longer_sees("FROZEN");
@@ -264,6 +270,8 @@ fn a_moving_record_is_aimed_at_opened_searched_for_and_left_while_others_come() 
 /// Topic, sequence number and size of the row with the cursor: what of it does not change.
 fn selected(shown: &str) -> Vec<String> {
     let row = shown.lines().find(|line| line.starts_with('▌')).expect("a row with the cursor");
+    // On a wide terminal the pane stands beside the list.
+    let row = row.split('│').next().unwrap_or_default();
     row.split_whitespace()
         .skip(1)
         .filter(|word| word.starts_with('/') || word.contains(':'))
