@@ -27,12 +27,12 @@ fn utf8(path: &Path) -> &str {
 }
 
 fn import(authros: &Authros, path: &Path) -> Value {
-    authros.json_within(240, &["bag", "import", utf8(path)])
+    authros.json_within(900, &["bag", "import", utf8(path)])
 }
 
 fn export(authros: &Authros, path: &Path, options: &[&str]) -> Value {
     let format = if path.extension().is_some_and(|end| end == "mcap") { "--mcap" } else { "--bag" };
-    authros.json_within(240, &[&["shared", "export", format, utf8(path)], options].concat())
+    authros.json_within(900, &[&["shared", "export", format, utf8(path)], options].concat())
 }
 
 /// Of a bag's messages in any order: topic, type, md5sum, definition, time and bytes; the caller where it is known.
