@@ -93,6 +93,8 @@ impl Roscore {
     /// Records topics by ROS's own recorder into a new bag; ends with an interrupt.
     pub fn record(&self, bag: &Path, topics: &[&str]) -> Running {
         let mut command = self.command("rosbag");
+        // What it says would wait in a buffer, since nobody's terminal reads it.
+        command.env("ROSCONSOLE_STDOUT_LINE_BUFFERED", "1");
         command.args(["record", "--output-name"]).arg(bag).args(topics);
         let mut recorder = Running::start(command);
         for topic in topics {
