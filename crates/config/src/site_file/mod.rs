@@ -23,6 +23,9 @@ const KEY_IN_PATH: [&str; 2] = ["chain.url", "alerts.webhook"];
 /// Paths of such URLs that are known to hold none.
 const PLAIN_PATHS: [&str; 3] = ["", "/", "/api/v2/alerts"];
 
+/// The most contacts of a home.
+pub const MOST_CONTACTS: usize = 1_000;
+
 /// Settings that differ from their defaults, by name.
 pub type Settings = BTreeMap<&'static str, String>;
 

@@ -174,6 +174,17 @@ fn secrets_and_unknown_keys_are_refused_with_their_lines_and_not_repeated() {
     }
 }
 
+#[test]
+fn more_contacts_than_a_home_holds_are_refused_before_anything_is_changed() {
+    let contacts = |count: usize| {
+        let one = |number: usize| format!("[[contact]]\nname = \"c{number}\"\naddress = \"0x{number:040x}\"\n");
+        read(&(1..=count).map(one).collect::<String>())
+    };
+    assert_eq!(contacts(1_000).expect("as many as a home holds").decisions.contacts.map(|all| all.len()), Some(1_000));
+    let error = contacts(1_001).expect_err("one more").to_string();
+    assert!(error.contains("more than 1000 [[contact]]"), "{error}");
+}
+
 fn full() -> SiteFile {
     let text = format!(
         "[[topic]]\nmatch = \"/robot*/odom\"\ntype = \"nav_msgs/Odometry\"\nrate = 2.5\nevery = 3\nretention = \"1h\"\n\
