@@ -11,8 +11,8 @@ use super::verbs::NEITHER;
 use crate::config::{Decisions, Difference, Here, HomeSettings, KnownAccount, SiteFile, Source, without_password};
 use crate::model::{ErrorKind, Publisher, TopicName, clean};
 use crate::service::command::{
-    AddContact, Admit, Dismiss, ListAdmitted, ListContacts, ListPins, ListWatches, PinTopic, RemoveContact, UnpinTopic,
-    UnwatchTopic, WatchTopic,
+    AddContact, Admit, Dismiss, ListAdmitted, ListContacts, ListPins, ListWatches, PinTopic, RemoveContact,
+    UnpinPublisher, UnwatchTopic, WatchTopic,
 };
 use crate::service::reply::PinView;
 use crate::service::{Client, Failure};
@@ -77,6 +77,9 @@ pub async fn apply(context: &Context, path: &Path, check: bool, output: &Output)
         let text = format!("publishers are pinned by a profile, and '{}' is none yet", context.profile);
         return Err(Failure::new(ErrorKind::Input, format!("{text}; `authros identity create` makes it")));
     }
+    if context.config.site.is_some() {
+        check_keys(&differences)?;
+    }
     let lines: Vec<String> = differences.iter().map(|difference| clean(&difference.to_string(), 2000)).collect();
     let shown = if lines.is_empty() { "nothing differs".to_owned() } else { lines.join("\n") };
     let document = serde_json::json!({ "differences": &differences, "applied": !check });
@@ -94,11 +97,25 @@ pub async fn apply(context: &Context, path: &Path, check: bool, output: &Output)
         write_settings(context, &file, &home)?;
         output.note("authros: config.toml is written anew; a running site goes by it from its next start on");
     }
-    decide(context, &file, &differences).await?;
+    decide(context, &differences).await?;
     if context.global.json {
         output.result(&document, String::new);
     }
     Ok(0)
+}
+
+/// A joined site takes no contact without the fingerprint of its key: said before one is taken out to be entered anew.
+fn check_keys(differences: &[Difference]) -> Result<(), Failure> {
+    for difference in differences {
+        if let Difference::AddContact { name, fingerprint: None, .. } = difference {
+            let text = format!(
+                "which key '{name}' has is known here from a gateway's word alone, and nothing was changed; have its \
+                 owner tell its fingerprint by another way, and write it into the file as fingerprint of that [[contact]]"
+            );
+            return Err(Failure::new(ErrorKind::Refused, text));
+        }
+    }
+    Ok(())
 }
 
 fn read(path: &Path) -> Result<String, Failure> {
@@ -203,14 +220,14 @@ fn together(error: crate::config::ConfigError) -> Failure {
 }
 
 /// Brings the ledger to what the file says, one decision after the other: each is in the audit log.
-async fn decide(context: &Context, file: &SiteFile, differences: &[Difference]) -> Result<(), Failure> {
+async fn decide(context: &Context, differences: &[Difference]) -> Result<(), Failure> {
     if differences.iter().all(Difference::is_setting) {
         return Ok(());
     }
     let connection = context.connect(NEITHER).await?;
     let mut decided = Ok(());
     for difference in differences {
-        decided = one(&connection.client, file, difference.clone()).await;
+        decided = one(&connection.client, difference.clone()).await;
         if let Err(failure) = decided {
             let what = clean(&difference.to_string(), 300);
             let text = format!("'{what}' failed, what stands before it is done: {failure}");
@@ -222,7 +239,7 @@ async fn decide(context: &Context, file: &SiteFile, differences: &[Difference]) 
     decided
 }
 
-async fn one(client: &Client, file: &SiteFile, difference: Difference) -> Result<(), Failure> {
+async fn one(client: &Client, difference: Difference) -> Result<(), Failure> {
     match difference {
         Difference::Setting { .. }
         | Difference::RuleGone { .. }
@@ -233,22 +250,32 @@ async fn one(client: &Client, file: &SiteFile, difference: Difference) -> Result
         Difference::Pin { topic, publisher } => {
             client.ask(PinTopic { topic, publishers: vec![publisher] }).await.map(drop)
         }
-        Difference::Unpin { topic, publisher } => {
-            client.ask(UnpinTopic { topic: topic.clone(), caller_id: publisher.caller_id.clone() }).await?;
-            // That took all of its name; those that the file names stay.
-            let pinned = file.decisions.publishers.iter().flatten();
-            let same = |(of, other): &&(TopicName, Publisher)| *of == topic && other.caller_id == publisher.caller_id;
-            let publishers: Vec<_> = pinned.filter(same).map(|(_, other)| other.clone()).collect();
-            if publishers.is_empty() {
-                return Ok(());
-            }
-            client.ask(PinTopic { topic, publishers }).await.map(drop)
-        }
+        Difference::Unpin { topic, publisher } => client.ask(UnpinPublisher { topic, publisher }).await.map(drop),
         Difference::RemoveContact { name } => client.ask(RemoveContact { name }).await.map(drop),
         Difference::AddContact { name, address, fingerprint } => {
             client.ask(AddContact { name, address, fingerprint }).await.map(drop)
         }
         Difference::Dismiss { owner } => client.ask(Dismiss { owner: owner.into() }).await.map(drop),
         Difference::Admit { owner } => client.ask(Admit { owner: owner.into() }).await.map(drop),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_contact_without_a_fingerprint_is_refused_at_a_joined_site_and_one_that_goes_is_not() {
+        let name: crate::model::ContactName = "bob".parse().expect("a name");
+        let add = |fingerprint: Option<&str>| Difference::AddContact {
+            name: name.clone(),
+            address: crate::model::Address([7; 20]),
+            fingerprint: fingerprint.map(str::to_owned),
+        };
+        let gone = Difference::RemoveContact { name: name.clone() };
+        assert_eq!(check_keys(&[gone.clone(), add(Some("0011"))]), Ok(()));
+        let refused = check_keys(&[gone, add(None)]).expect_err("its key is not known");
+        assert_eq!(refused.kind, ErrorKind::Refused);
+        assert!(refused.message.contains("'bob'") && refused.message.contains("nothing was changed"));
     }
 }

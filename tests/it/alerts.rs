@@ -48,7 +48,7 @@ impl Webhook {
     }
 
     pub(crate) fn url(&self) -> String {
-        format!("http://127.0.0.1:{}/hook", self.port)
+        format!("http://127.0.0.1:{}/", self.port)
     }
 
     fn taken(&self) -> Vec<Asked> {

@@ -253,7 +253,7 @@ pub const DEFINITIONS: &[Definition] = &[
         name: "alerts.grant_ends",
         variable: "AUTHROS_ALERTS_GRANT_ENDS",
         default: "3d",
-        text: "a grant, given or received, that ends within so long is an alert, or never",
+        text: "a grant, given or received from a contact, that ends within so long is an alert, or never",
     },
     Definition {
         name: "alerts.audit",

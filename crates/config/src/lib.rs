@@ -28,7 +28,9 @@ pub use self::error::ConfigError;
 pub use self::metrics::{FiguresPlace, MetricsSettings};
 pub use self::read::without_password;
 use self::read::{Values, bytes, find, number, parsed, read_file, span, switch, url, value, wrong};
-pub use self::site_file::{Decisions, Difference, Here, HomeSettings, KnownAccount, Settings, SiteFile, Stays};
+pub use self::site_file::{
+    Decisions, Difference, Here, HomeSettings, KnownAccount, MOST_CONTACTS, Settings, SiteFile, Stays,
+};
 pub use self::source::{SettingView, Source};
 use crate::crypto::{Kernel, ProviderName};
 use crate::model::{

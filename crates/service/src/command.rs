@@ -124,6 +124,13 @@ requests! {
         /// The node name.
         caller_id: String,
     } => PinsView;
+    /// No longer accept one publisher of a topic; others of its caller id stay.
+    UnpinPublisher {
+        /// The topic.
+        topic: TopicName,
+        /// Who.
+        publisher: Publisher,
+    } => PinsView;
     /// Messages that are held back, oldest first.
     ListQuarantine {
         /// Only of this topic.

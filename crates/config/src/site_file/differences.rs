@@ -150,7 +150,11 @@ impl SiteFile {
             let name = definition.name;
             let [before, after] =
                 [&now, &wanted].map(|settings| settings.get(name).map_or(definition.default, String::as_str));
-            (before != after).then(|| Difference::Setting { name, before: shown(before), after: shown(after) })
+            (before != after).then(|| Difference::Setting {
+                name,
+                before: shown(name, before),
+                after: shown(name, after),
+            })
         });
         changed.collect()
     }
@@ -196,8 +200,8 @@ fn of_admitted(here: &Here, wanted: &BTreeSet<Address>) -> Vec<Difference> {
     gone.chain(new).collect()
 }
 
-fn shown(value: &str) -> String {
-    if holds_secret(value) { "(a value with a secret)".to_owned() } else { value.to_owned() }
+fn shown(name: &str, value: &str) -> String {
+    if holds_secret(name, value) { "(a value with a secret)".to_owned() } else { value.to_owned() }
 }
 
 fn of_rules(now: &TopicRules, wanted: &TopicRules) -> Vec<Difference> {

@@ -4,12 +4,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Display;
 use std::str::FromStr;
 
-use super::{Decisions, KnownAccount, Lines};
+use super::{Decisions, KnownAccount, Lines, MOST_CONTACTS};
 use crate::ConfigError;
 use crate::crypto::Fingerprint;
 use crate::model::{Publisher, TopicName, clean};
 
-/// The most entries of a list.
+/// The most entries of any other list.
 const MOST: usize = 10_000;
 
 /// One table of a list.
@@ -60,8 +60,9 @@ fn list<List: Default>(
     let Some(values) = value.as_array() else {
         return fault(name, format!("'{name}' is written as [[{name}]] tables"));
     };
-    if values.len() > MOST {
-        return fault(name, format!("there are more than {MOST} [[{name}]] tables"));
+    let most = if name == "contact" { MOST_CONTACTS } else { MOST };
+    if values.len() > most {
+        return fault(name, format!("there are more than {most} [[{name}]] tables; take some of them out"));
     }
     let mut list = List::default();
     for (index, value) in values.iter().enumerate() {

@@ -18,6 +18,13 @@ use crate::model::{Address, ContactName, Publisher, TopicName, TopicRules, TypeN
 
 /// Settings about the machine that a site runs on: left out of a dump, and left alone where a file does not name them.
 const OF_THE_MACHINE: [&str; 3] = ["ros.host", "ros.definitions", "crypto.sm4_kernel"];
+/// URLs of services that write the key they ask for into the path.
+const KEY_IN_PATH: [&str; 2] = ["chain.url", "alerts.webhook"];
+/// Paths of such URLs that are known to hold none.
+const PLAIN_PATHS: [&str; 3] = ["", "/", "/api/v2/alerts"];
+
+/// The most contacts of a home.
+pub const MOST_CONTACTS: usize = 1_000;
 
 /// Settings that differ from their defaults, by name.
 pub type Settings = BTreeMap<&'static str, String>;
@@ -178,20 +185,32 @@ fn stays(name: &str, value: &str) -> Option<Stays> {
     if OF_THE_MACHINE.contains(&name) {
         return Some(Stays::OfTheMachine);
     }
-    holds_secret(value).then_some(Stays::Secret)
+    holds_secret(name, value).then_some(Stays::Secret)
 }
 
-/// Whether a value holds what nobody else may read: who logs in at a URL, what stands behind its `?`, a key in PEM.
-pub fn holds_secret(value: &str) -> bool {
-    let in_url = |rest: &str| rest.contains(['@', '?']);
-    value.contains("-----BEGIN") || value.split_once("://").is_some_and(|(_, rest)| in_url(rest))
+/// Whether the value of a setting holds what nobody else may read, or may hold it: who logs in at a URL, what stands
+/// behind its `?`, its path where services write keys into it, a key in PEM.
+fn holds_secret(name: &str, value: &str) -> bool {
+    let in_url = |(scheme, rest): (&str, &str)| {
+        // What follows ipc:// is a file of the machine.
+        let may_hold_key = KEY_IN_PATH.contains(&name) && scheme != "ipc";
+        let path = rest.find(['/', '#']).and_then(|at| rest.get(at..)).unwrap_or_default();
+        rest.contains(['@', '?']) || may_hold_key && !PLAIN_PATHS.contains(&path)
+    };
+    value.contains("-----BEGIN") || value.split_once("://").is_some_and(in_url)
 }
 
 fn refuse_secret(file: &str, line: usize, name: &str, value: &str) -> Result<(), ConfigError> {
     let instead = match name {
         // What stands there is a path, or else perhaps the secret itself.
         "alerts.secret" if !value.starts_with('/') => "write the path of the file that holds it",
-        _ if holds_secret(value) => "set it in config.toml of each home, or in the environment; both stay as they are",
+        _ if holds_secret(name, value) && KEY_IN_PATH.contains(&name) => {
+            "what its URL has beside host and port may be a key: set it in config.toml of each home, or in the \
+             environment; both stay as they are"
+        }
+        _ if holds_secret(name, value) => {
+            "set it in config.toml of each home, or in the environment; both stay as they are"
+        }
         _ => return Ok(()),
     };
     Err(ConfigError::Secret { file: file.to_owned(), line, name: name.to_owned(), instead })

@@ -46,7 +46,7 @@ fn examples() -> Vec<(&'static str, String)> {
             "audit.scrub" => "3",
             "metrics.listen" => "0.0.0.0:9464",
             "metrics.open" | "metrics.topics" | "console.ascii" | "console.mouse" | "site.trust_first" => "yes",
-            "alerts.webhook" => "http://h:1/x",
+            "alerts.webhook" => "http://h:1/api/v2/alerts",
             "alerts.form" => "alertmanager",
             "alerts.secret" | "alerts.roots" => return secret.display().to_string(),
             "alerts.command" => "[\"/bin/page\", \"a b\"]",
@@ -114,6 +114,35 @@ fn what_belongs_to_a_machine_or_is_secret_stays_in_its_home() {
 }
 
 #[test]
+fn the_path_of_a_nodes_or_a_webhooks_url_may_be_a_key_and_stays_in_its_home() {
+    for (table, key) in [("chain", "url"), ("alerts", "webhook")] {
+        let name = format!("{table}.{key}");
+        let with = |url: &str| format!("[{table}]\n{key} = \"{url}\"\n");
+        for url in ["http://node:8545/v3/hunter2", "http://node/hunter2", "http://node//hunter2", "http://node#hunter2"]
+        {
+            let home = home(&with(url));
+            let stays: Vec<_> = home.stays.iter().map(|(name, (_, why))| (*name, *why)).collect();
+            assert_eq!(stays, [(name.as_str(), Stays::Secret)], "{url}");
+            let dump = SiteFile { settings: home.site.clone(), ..SiteFile::default() };
+            assert!(!dump.to_text(&[]).contains("hunter2"), "{url}");
+            assert_eq!(dump.differences(&home, &Here::default()), [], "{url}");
+            let other = read(&with("http://other/")).expect("a file").differences(&home, &Here::default());
+            let told: Vec<String> = other.iter().map(ToString::to_string).collect();
+            assert_eq!(told, [format!("~ {name}: (a value with a secret) -> http://other/")], "{url}");
+            let error = read(&with(url)).expect_err(url).to_string();
+            assert!(error.contains("site.toml line 2") && !error.contains("hunter2"), "{error}");
+        }
+        for url in ["http://node:8545", "http://node:8545/", "http://node/api/v2/alerts"] {
+            assert!(home(&with(url)).stays.is_empty(), "{url}");
+            assert!(read(&with(url)).is_ok(), "{url}");
+        }
+    }
+    for path in ["/var/lib/node.ipc", "ipc:///var/lib/node.ipc"] {
+        assert!(home(&format!("[chain]\nurl = \"{path}\"\n")).stays.is_empty(), "{path}: a file, no key");
+    }
+}
+
+#[test]
 fn secrets_and_unknown_keys_are_refused_with_their_lines_and_not_repeated() {
     for (line, text) in [
         (3, "robots = 1\n[chain]\nurl = \"http://me:hunter2@node\"\n"),
@@ -143,6 +172,17 @@ fn secrets_and_unknown_keys_are_refused_with_their_lines_and_not_repeated() {
         let place = format!("line {line}");
         assert!(error.contains("site.toml") && error.contains(&place) && !error.contains("hunter2"), "{error}\n{text}");
     }
+}
+
+#[test]
+fn more_contacts_than_a_home_holds_are_refused_before_anything_is_changed() {
+    let contacts = |count: usize| {
+        let one = |number: usize| format!("[[contact]]\nname = \"c{number}\"\naddress = \"0x{number:040x}\"\n");
+        read(&(1..=count).map(one).collect::<String>())
+    };
+    assert_eq!(contacts(1_000).expect("as many as a home holds").decisions.contacts.map(|all| all.len()), Some(1_000));
+    let error = contacts(1_001).expect_err("one more").to_string();
+    assert!(error.contains("more than 1000 [[contact]]"), "{error}");
 }
 
 fn full() -> SiteFile {

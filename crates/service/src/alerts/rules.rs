@@ -191,8 +191,15 @@ impl Judge {
             severity: Severity::Warning,
             level: if left(grant) <= nanos(limit) { Level::Firing } else { Level::Clear },
             text: format!(
-                "The grant of account {} to {} ends at {}; `authros grants extend` lets it go on.",
-                grant.owner, grant.reader, grant.ends
+                "The grant of account {} to {} ends at {}; {}.",
+                grant.owner,
+                grant.reader,
+                grant.ends,
+                if grant.given {
+                    "`authros grants extend` lets it go on"
+                } else {
+                    "only its owner can extend it, ask there"
+                }
             ),
         };
         going.map(judge).collect()

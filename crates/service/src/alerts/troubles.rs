@@ -29,7 +29,7 @@ fn part_of(name: &str) -> PartFigures {
 /// A grant that ends so long after the beginning.
 pub fn grant(second: u64) -> GrantFigures {
     let ends = Timestamp::from_seconds(BEGUN + second);
-    GrantFigures { owner: "0a0b0c0d".to_owned(), reader: "0e0f0a0b".to_owned(), ends }
+    GrantFigures { owner: "0a0b0c0d".to_owned(), reader: "0e0f0a0b".to_owned(), given: true, ends }
 }
 
 /// All is well at `second` after the beginning.

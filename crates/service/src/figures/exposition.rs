@@ -144,7 +144,8 @@ fn ages(text: &mut Text, figures: &Figures) {
     text.family(("authros_robot_last_seen_age_seconds", "gauge", help), &figures.robots, |text, name, row| {
         text.value(name, &[("robot", &row.robot)], figures.age(row.last_seen));
     });
-    let help = "Time until a grant ends, given or received; the 64 that end first, those without an end left out.";
+    let help =
+        "Time until a grant ends; of those given and of those received from contacts the 64 that end first each.";
     let grants = figures.grants.as_deref().unwrap_or_default();
     text.family(("authros_grant_ends_seconds", "gauge", help), grants, |text, name, row| {
         text.value(name, &[("owner", &row.owner), ("reader", &row.reader)], figures.until(row.ends));

@@ -26,7 +26,7 @@ pub struct Figures {
     pub lanes: Vec<LaneFigures>,
     /// The newest block: its height and its own time.
     pub block: Option<(u64, Timestamp)>,
-    /// Grants with an end, given and received, that ends first first; `None` = the chain is not known now.
+    /// Grants with an end, given by any profile or received from contacts, that ends first first; `None` = the chain is not known now.
     pub grants: Option<Vec<GrantFigures>>,
     /// Bytes free on the disk of the home, and how many of them records leave.
     pub disk: Option<(u64, u64)>,
@@ -90,6 +90,8 @@ pub struct GrantFigures {
     pub owner: String,
     /// The beginning of the account that reads.
     pub reader: String,
+    /// Whether an account of this home shares by it; else one of its contacts does.
+    pub given: bool,
     /// When it ends.
     pub ends: Timestamp,
 }

@@ -31,7 +31,8 @@ use crate::store::files::free_bytes;
 const FRESH: Duration = Duration::from_secs(1);
 /// Between two attempts to listen.
 const AGAIN: Duration = Duration::from_secs(5);
-/// Accounts, robots, topics and grants that have figures of their own, at most.
+/// Accounts, robots, topics and grants that have figures of their own, at most; of grants, those given and those received
+/// each so many.
 const MOST_OWNERS: usize = 64;
 const MOST_ROBOTS: usize = 256;
 const MOST_TOPICS: usize = 200;
@@ -192,20 +193,20 @@ impl Site {
 
     fn grant_figures(&self) -> Option<Vec<GrantFigures>> {
         let network = self.parts.link.network_now()?;
+        // Of profiles that are not open yet as well: a grant ends whether or not somebody came to unlock them.
+        let owners = &self.parts.owners;
+        let open = owners.all().into_iter().map(|owner| owner.address);
+        let own: BTreeSet<Address> = open.chain(owners.accounts()).collect();
         let mut ending = BTreeSet::new();
-        for owner in self.parts.owners.all() {
-            let grants = network.directory.grants_of(owner.address).into_iter();
-            for grant in grants.chain(network.directory.grants_to(owner.address)) {
+        for account in &own {
+            let grants = network.directory.grants_of(*account).into_iter();
+            for grant in grants.chain(network.directory.grants_to(*account)) {
                 let ends = grant.expiry().filter(|_| grant.state(network.directory.now()) == GrantState::Active);
                 ending.extend(ends.map(|ends| (ends, grant.terms.owner, grant.terms.grantee)));
             }
         }
-        let figures = ending.into_iter().take(MOST_GRANTS).map(|(ends, owner, reader)| GrantFigures {
-            owner: short(&owner.to_string()),
-            reader: short(&reader.to_string()),
-            ends,
-        });
-        Some(figures.collect())
+        let contacts = self.contacts.names();
+        Some(told_of(ending, &own, |owner| contacts.contains_key(&owner)))
     }
 
     fn block_figures(&self) -> Option<(u64, Timestamp)> {
@@ -229,6 +230,27 @@ impl Site {
     }
 }
 
+/// The grants that are told of, those that end first first. Received ones are told of contacts alone: anybody can grant
+/// something unasked, and must not push out what counts.
+fn told_of(
+    ending: BTreeSet<(Timestamp, Address, Address)>,
+    own: &BTreeSet<Address>,
+    is_contact: impl Fn(Address) -> bool,
+) -> Vec<GrantFigures> {
+    let (given, mut received): (Vec<_>, Vec<_>) = ending.into_iter().partition(|(_, owner, _)| own.contains(owner));
+    received.retain(|(_, owner, _)| is_contact(*owner));
+    let mut told: Vec<_> =
+        [given, received].into_iter().flat_map(|grants| grants.into_iter().take(MOST_GRANTS)).collect();
+    told.sort_unstable();
+    let figures = told.into_iter().map(|(ends, owner, reader)| GrantFigures {
+        owner: short(&owner.to_string()),
+        reader: short(&reader.to_string()),
+        given: own.contains(&owner),
+        ends,
+    });
+    figures.collect()
+}
+
 fn topics(counts: &StateCounts) -> Vec<TopicFigures> {
     let figures = |row: &crate::store::TopicCounts| TopicFigures {
         topic: crate::model::clean(&row.topic, 256),
@@ -248,4 +270,28 @@ fn listen_at(path: &Path) -> std::io::Result<UnixListener> {
     let listener = UnixListener::bind(path)?;
     std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o600))?;
     Ok(listener)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn account(number: u8) -> Address {
+        Address([number; 20])
+    }
+
+    #[test]
+    fn grants_of_strangers_are_not_told_of_and_push_out_none_that_was_given() {
+        let own = BTreeSet::from([account(1)]);
+        let stranger = |second: u64| (Timestamp(second), Address([second.to_le_bytes()[0]; 20]), account(1));
+        let mut ending: BTreeSet<_> = (100..200).map(stranger).collect();
+        ending.extend([(Timestamp(900), account(1), account(7)), (Timestamp(800), account(9), account(1))]);
+        let told = told_of(ending.clone(), &own, |owner| owner == account(9));
+        let told: Vec<_> = told.iter().map(|grant| (grant.owner.as_str(), grant.given, grant.ends)).collect();
+        assert_eq!(told, [("09090909", false, Timestamp(800)), ("01010101", true, Timestamp(900))]);
+        let all = told_of(ending, &own, |_| true);
+        assert_eq!(all.iter().filter(|grant| !grant.given).count(), MOST_GRANTS, "contacts have their own places");
+        assert!(all.iter().any(|grant| grant.given && grant.ends == Timestamp(900)));
+        assert!(all.is_sorted_by_key(|grant| grant.ends));
+    }
 }

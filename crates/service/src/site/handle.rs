@@ -70,6 +70,9 @@ impl Site {
             Command::UnpinTopic { topic, caller_id } => {
                 self.pins.unpin(&profile, &topic, &caller_id).await.map(ask::UnpinTopic::told)
             }
+            Command::UnpinPublisher { topic, publisher } => {
+                self.pins.unpin_one(&profile, &topic, &publisher).await.map(ask::UnpinPublisher::told)
+            }
             Command::ListQuarantine { topic, limit } => {
                 self.quarantine.view(&profile, topic, limit).await.map(ask::ListQuarantine::told)
             }

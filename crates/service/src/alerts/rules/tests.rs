@@ -96,3 +96,14 @@ fn a_grant_that_ends_is_told_until_it_is_extended_or_over_and_not_forgotten_with
     assert_eq!(level(&judge.judge(&with(50, Some(vec![grant(50)])))), None, "over");
     assert!(judge.not_known(&[alert]).is_empty());
 }
+
+#[test]
+fn who_reads_by_a_grant_that_ends_is_sent_to_its_owner() {
+    let text = |given| {
+        let figures = Figures { grants: Some(vec![GrantFigures { given, ..grant(3600) }]), ..well(0) };
+        let judged = Judge::new(limits()).judge(&figures);
+        judged.into_iter().find(|judged| judged.key.starts_with(GRANT)).map(|judged| judged.text).expect("an alert")
+    };
+    assert!(text(true).contains("`authros grants extend`"), "{}", text(true));
+    assert!(text(false).contains("its owner") && !text(false).contains("grants extend"), "{}", text(false));
+}

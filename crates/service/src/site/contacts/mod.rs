@@ -17,6 +17,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 use tokio::task::block_in_place;
 
+use crate::config::MOST_CONTACTS;
 use crate::crypto::Fingerprint;
 use crate::model::{Address, ContactName, Party, ProfileName};
 use crate::pipeline::Network;
@@ -26,8 +27,6 @@ use crate::service::reply::{CompareView, ContactRow, Failure};
 
 /// Where the book lies in the ledger.
 const BOOK: &str = "contacts";
-/// The most contacts of a home.
-const MOST: usize = 1_000;
 
 /// One entry of the book.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -146,8 +145,10 @@ impl Contacts {
                     "the address book has '{name}' for {address} already; `authros contacts remove {name}` takes it out"
                 )));
             }
-            if book.len() >= MOST {
-                return Err(refused(format!("the address book holds at most {MOST} contacts; remove one first")));
+            if book.len() >= MOST_CONTACTS {
+                return Err(refused(format!(
+                    "the address book holds at most {MOST_CONTACTS} contacts; remove one first"
+                )));
             }
             self.log.write(profile, "contact add", &format!("{name} {address}"), "done").await?;
             book.push(Contact { name, address, fingerprint, given });

@@ -130,6 +130,20 @@ impl Pinning {
         self.view(profile, Some(topic)).await
     }
 
+    /// No longer accepts one publisher of a topic; others of its caller id, and one of the settings, stay.
+    pub(super) async fn unpin_one(
+        self: &Arc<Self>,
+        profile: &ProfileName,
+        topic: &TopicName,
+        publisher: &Publisher,
+    ) -> Result<PinsView, Failure> {
+        let owner = self.owners.address_of(profile)?;
+        self.log.write(profile, "unpin", &format!("{topic} {publisher}"), "begun").await?;
+        block_in_place(|| self.pins.unpin_one(owner, topic.as_str(), publisher))?;
+        self.hub.changed(Part::Topics);
+        self.view(profile, Some(topic)).await
+    }
+
     /// Topics with an open alarm about a publisher.
     pub fn alarmed_topics(&self, profile: &ProfileName) -> Result<HashSet<String>, Failure> {
         let Ok(owner) = self.owners.address_of(profile) else { return Ok(HashSet::new()) };
