@@ -29,15 +29,20 @@ pub struct Detail {
 }
 
 impl Detail {
-    /// When the record under the cursor is asked for.
-    pub fn due(&self) -> Option<Timestamp> {
-        self.due
-    }
-
     /// Forgets everything, as when the keys are wiped.
     pub fn clear(&mut self) {
         *self = Self::default();
     }
+}
+
+/// When the record under the cursor is asked for. While an answer is awaited, it is that answer that goes on.
+pub fn due(state: &State) -> Option<Timestamp> {
+    state.detail.due.filter(|_| may_ask(state))
+}
+
+/// One record is asked for at a time, none behind a popup, and none while the keys are being wiped.
+fn may_ask(state: &State) -> bool {
+    state.popups.is_empty() && !state.work.iter().any(|tag| matches!(tag, Tag::Beside(..) | Tag::Lock))
 }
 
 /// Whether there is a pane beside the list on screen.
@@ -70,11 +75,13 @@ pub fn follow(state: &mut State) -> Vec<Effect> {
         }
     }
     let rested = state.detail.due.is_some_and(|due| due <= state.now);
-    let busy = state.work.iter().any(|tag| matches!(tag, Tag::Beside(..)));
-    let Some((screen, id)) = state.detail.about.clone().filter(|_| rested && !busy) else { return Vec::new() };
+    let may_ask = may_ask(state);
+    let Some((screen, id)) = state.detail.about.clone().filter(|_| rested && may_ask) else { return Vec::new() };
     state.detail.due = None;
     let command = if screen == Screen::Uploads {
-        state.detail.steps = Some(Lookup::new(&id));
+        // What was told of it before stays until the new answer comes.
+        state.detail.steps =
+            state.detail.steps.take().filter(|steps| steps.id == id).or_else(|| Some(Lookup::new(&id)));
         Command::ShowUpload { id: id.clone() }
     } else {
         state.detail.opening = Some(Opening::new(&id));
@@ -85,9 +92,9 @@ pub fn follow(state: &mut State) -> Vec<Effect> {
 
 /// Records went on: where the one in the pane is not at its end, it is asked for again.
 pub fn touch(state: &mut State) {
-    let answered = state.detail.steps.as_ref().filter(|lookup| lookup.answer.is_some());
-    let settled = answered.and_then(Lookup::found).is_some_and(|found| super::update::is_settled(found.record.state));
-    if answered.is_some() && !settled && !state.is_frozen() {
+    let found = state.detail.steps.as_ref().and_then(Lookup::found);
+    let goes_on = found.is_some_and(|found| !super::update::is_settled(found.record.state));
+    if goes_on && state.detail.due.is_none() && !state.is_frozen() {
         state.detail.due = Some(Timestamp(state.now.0.saturating_add(REST)));
     }
 }

@@ -210,7 +210,7 @@ impl State {
             super::lock::due(self),
             ages.and_then(|()| self.topics.older_at(self.now)),
             self.alerts.forgotten_at(),
-            self.detail.due(),
+            super::detail::due(self),
             self.progress_asked_at(),
             self.graphs_move_at(),
         ];
