@@ -678,9 +678,9 @@ class Record:
                 raise Refused("the key was neither the owner's nor lent")
             if until and not self.time:
                 raise Unproven("the loan had an end, and the block's time is not shown")
-        if self.account == owner and self.block != self.shown_at:
-            return "proven"
         suspended = storage.word(mapped(owner, 10))[7] != 0
+        if self.account == owner and self.block != self.shown_at and not suspended:
+            return "proven"  # for the moment of anchoring: the contract lets no suspended account anchor
         if self.block != self.shown_at:
             raise Unproven("nothing shows whether the owner was suspended")
         if suspended:
@@ -783,6 +783,11 @@ def two_histories(records):
     return twice
 
 
+def is_statement(found):
+    """Whether it opened as what a recorder states of itself; bundles add these to what was chosen."""
+    return found.get("topic") == "authros/recorder" and found["type"] in ("authros/Birth", "authros/Heads")
+
+
 def completeness(bundle, records, twice):
     """(f): what of a topic's numbers is there, and up to which number the recorder's own head says that there were any."""
     believed = lambda found: found["key"] in ("proven", "own_chain")
@@ -812,9 +817,15 @@ def completeness(bundle, records, twice):
         missing = last - first + 1 - len(numbers) + max(0, (named[-1] if named else 0) - last) if numbers else 0
         refused = lies or any(one[:3] == (owner, recorder, topic) for one in twice)
         standing = "refused" if refused else "unproven" if not numbers else "own_chain" if own else "proven"
+        counted = [found for _, found in ones if believed(found)]
+        own_statements = bool(counted) and all(is_statement(found) for found in counted)
+        to = named[-1] if named and not own_statements else None
+        if to is not None and not (numbers and first <= to == first - 1 + sum(one <= to for one in numbers)):
+            to = None
+        missing = 0 if own_statements else missing
         result.append({"owner": "0x" + owner.hex(), "recorder": recorder.hex(), "topic_id": topic.hex(), "standing": standing,
                        "first": first, "last": last, "missing": missing,
-                       "complete_to": named[-1] if named and named[-1] >= 0 else None})
+                       "complete_to": to})
     return result
 
 
@@ -844,7 +855,10 @@ def main(arguments):
         print(json.dumps({"outcome": "refused", "why": str(why) if isinstance(why, Refused) else repr(why)}))
         return 6
     standings = [(name, record[name]) for record in records for name in ("bytes", "key", "anchor", "opened")]
-    good = all(standing == "proven" for name, standing in standings if name != "opened")
+    needed = [[record[name] for name in ("bytes", "key", "anchor")] for record in records]
+    # A statement of which something is merely not proven says nothing, and spoils nothing.
+    spoken = [of for record, of in zip(records, needed) if not (is_statement(record) and "unproven" in of)]
+    good = all(standing == "proven" for of in spoken or needed for standing in of)
     refused = any(one["standing"] == "refused" for one in complete) or any(standing == "refused" for _, standing in standings)
     outcome = "refused" if refused else "holds" if trust and records and good else "incomplete"
     print(json.dumps({"outcome": outcome, "records": records, "complete": complete}, indent=1))

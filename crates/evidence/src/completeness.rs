@@ -34,10 +34,21 @@ pub(crate) fn stretches(heights: &[Height], records: &[RecordReport], messages: 
         if let Some((record, birth)) = birth(records, messages, (of.0, of.1)) {
             (stretch.born_at, stretch.predecessor) = (record.anchored_at, birth.predecessor);
         }
-        stretch.text = told(&stretch);
+        let own = are_statements(&numbered);
+        if own {
+            // They were put in to speak of other topics: nobody claims that these are all.
+            (stretch.gaps, stretch.missing, stretch.heads) = (Vec::new(), 0, None);
+        }
+        stretch.text = told(&stretch, own);
         stretch
     };
     topics.into_iter().map(stretch).collect()
+}
+
+/// Whether all that count, and there are some, opened as what the recorder states of itself.
+fn are_statements(numbered: &Numbered<'_>) -> bool {
+    let mut believed = numbered.values().flatten().filter(|record| record.is_believed()).peekable();
+    believed.peek().is_some() && believed.all(|record| record.is_statement())
 }
 
 /// Whether these records of one number are two histories of one signer: both are believed, or both have the key that is
@@ -99,12 +110,13 @@ fn stretch((owner, recorder, topic_id): Topic, numbered: &Numbered<'_>, claims: 
     }
 }
 
-fn told(stretch: &Stretch) -> String {
+fn told(stretch: &Stretch, own_statements: bool) -> String {
     let Some((first, last)) = stretch.first.zip(stretch.last) else {
         return format!("nothing is claimed: the signers of its {} records are not proven", stretch.uncounted);
     };
     let named: Vec<String> = stretch.gaps.iter().take(10).map(|(from, to)| range(*from, *to)).collect();
     let mut text = match stretch.gaps.len() {
+        _ if own_statements => "the recorder's own statements".to_owned(),
         0 => format!("every number from {first} to {last}"),
         gaps => format!(
             "{first} to {last} without {}{} ({} missing)",
@@ -113,7 +125,9 @@ fn told(stretch: &Stretch) -> String {
             stretch.missing
         ),
     };
-    text.push_str(&until(stretch, first, last));
+    if !own_statements {
+        text.push_str(&until(stretch, first, last));
+    }
     if let Some(predecessor) = stretch.predecessor {
         text.push_str(&format!("; its recorder follows {predecessor}, after a restore or on a copy"));
     }
@@ -140,6 +154,12 @@ fn until(stretch: &Stretch, first: u64, last: u64) -> String {
         return format!("; no heads record is there: nothing is claimed{before} after {last}");
     };
     let at = at.map_or_else(|| "whose time is not shown".to_owned(), |at| format!("at {at}"));
+    if number < first {
+        return format!(
+            "; the heads record {at} names number {number}, which is before the first here: it says nothing of these; \
+             nothing is claimed{before} after {last}"
+        );
+    }
     let claim = match stretch.gaps.iter().any(|(from, _)| *from <= number) {
         false => format!("; complete to number {number} as of the heads record {at}"),
         true => format!("; NOT complete to number {number}, which the heads record {at} names"),

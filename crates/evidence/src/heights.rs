@@ -15,7 +15,7 @@ pub const MOST_HEIGHTS: usize = crate::MOST_RECORDS;
 /// What the member begins with.
 const FORMAT: &str = "authros-heights/1";
 /// The name that recorders' own statements are filed under.
-const TOPIC: &str = "authros/recorder";
+pub(crate) const TOPIC: &str = "authros/recorder";
 
 /// That a head has this highest number of a topic, with the path to its root.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]

@@ -3,8 +3,10 @@
 use std::collections::BTreeMap;
 
 use authros_crypto::record::Revealed;
-use authros_model::{Address, Digest, RecorderId, SignerId, Timestamp, TopicId};
+use authros_model::{Address, Birth, Digest, Heads, RecorderId, SignerId, Timestamp, TopicId};
 use serde::Serialize;
+
+use crate::heights::TOPIC;
 
 /// How far a level goes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -96,6 +98,23 @@ impl RecordReport {
     /// Whether the key that signed it is shown to be its owner's, by pinned signers or by the exporter's own chain.
     pub fn is_believed(&self) -> bool {
         matches!(self.key.standing, Standing::Proven | Standing::OwnChain)
+    }
+
+    /// Whether it opened as what a recorder states of itself for completeness; bundles add these to what was chosen.
+    pub fn is_statement(&self) -> bool {
+        let types = [Birth::TYPE, Heads::TYPE];
+        self.disclosed.as_ref().is_some_and(|facts| facts.topic == TOPIC && types.contains(&facts.type_name.as_str()))
+    }
+
+    /// The standings that a bundle needs of it.
+    fn needed(&self) -> [Standing; 3] {
+        [&self.bytes, &self.key, &self.anchor].map(|level| level.standing)
+    }
+
+    /// Whether it is a statement of which something is merely not proven: it says nothing then, and denies nothing.
+    pub(crate) fn is_mute(&self) -> bool {
+        let needed = self.needed();
+        self.is_statement() && needed.contains(&Standing::Unproven) && !needed.contains(&Standing::Refused)
     }
 
     /// Its levels by their letters.
@@ -199,9 +218,11 @@ pub struct Report {
 }
 
 impl Report {
-    /// The standings of (a) to (c) of all records.
+    /// The standings of (a) to (c) of all records; a statement that says nothing counts only where nothing else is there.
     pub(crate) fn needed(&self) -> impl Iterator<Item = Standing> {
-        self.records.iter().flat_map(|record| [&record.bytes, &record.key, &record.anchor]).map(|level| level.standing)
+        let nothing_else = self.records.iter().all(RecordReport::is_mute);
+        let counted = self.records.iter().filter(move |record| nothing_else || !record.is_mute());
+        counted.flat_map(RecordReport::needed)
     }
 
     /// The last line for people.

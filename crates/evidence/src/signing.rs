@@ -52,14 +52,9 @@ fn judged(header: &Header, anchored: &Anchored<'_>, registered: &PublicKey) -> R
             Err(level) => return Ok(level),
         },
     };
-    // The contract lets no suspended account anchor. A right is the state after the block, so the block's own state is
-    // asked where it is there: the owner may have been suspended behind the anchor.
-    if anchored.account == owner && at != block {
-        return Ok(Level::new(
-            Standing::Proven,
-            format!("{how}, and {owner} was not suspended: it anchored this itself"),
-        ));
-    }
+    // The contract lets no suspended account anchor, which holds for the moment of anchoring. A right is the state after the
+    // block, so the block's own state is asked where it is there: the owner may have been suspended behind the anchor.
+    // A later state in which the owner is suspended does not show that this came after the block.
     let suspended = anchored.storage.is_suspended(owner)?;
     Ok(match (suspended, at == block) {
         (true, true) => refused(format!("{owner} was suspended at block {block}")),
@@ -67,6 +62,10 @@ fn judged(header: &Header, anchored: &Anchored<'_>, registered: &PublicKey) -> R
         (true, false) => Level::new(
             Standing::Unproven,
             format!("{how}; {owner} is suspended at block {at}, and since when is not shown"),
+        ),
+        (false, false) if anchored.account == owner => Level::new(
+            Standing::Proven,
+            format!("{how}, and {owner} was not suspended at the moment of anchoring: it anchored this itself"),
         ),
         (false, false) => Level::new(
             Standing::Unproven,

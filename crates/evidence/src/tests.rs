@@ -134,9 +134,12 @@ fn what_came_behind_an_owners_own_anchor_in_its_block_counts() {
     flags[7] = 1;
     suspended.put(Slot::account(suspended.owner), flags);
     suspended.expect('b', Refused, "was suspended at block 40");
-    // A later state tells nothing of it, and the contract lets no suspended account anchor.
+    // A later state does not say since when: it never shows more than the block's own.
     suspended.shown_at = BLOCK + 9;
-    suspended.expect('b', Proven, "it anchored this itself");
+    suspended.expect('b', Unproven, "is suspended at block 49, and since when is not shown");
+    let mut free = World::new();
+    free.shown_at = BLOCK + 9;
+    free.expect('b', Proven, "was not suspended at the moment of anchoring: it anchored this itself");
 
     let mut changed = World::new();
     changed.put(Slot::keys(changed.owner, 2), [3; 32]);

@@ -213,6 +213,9 @@ impl<'a> Check<'a> {
                 "capture times are the owner's claim; only the anchor says that a record existed by then".to_owned(),
             );
         }
+        if records.iter().any(RecordReport::is_mute) {
+            warnings.push("a recorder's own statement is not proven: it says nothing, and is not counted".to_owned());
+        }
         if !self.bundle.manifest.members.iter().any(|member| member.name == crate::bundle::NODES) {
             warnings.push("the bundle has no proof of the chain's state".to_owned());
         }

@@ -60,7 +60,8 @@ pub async fn gather(
     reveal: &BTreeSet<Digest>,
 ) -> Result<Gathered, PipelineError> {
     let (mut gathered, mut asked) = (Gathered::default(), Vec::new());
-    let Shown { rows: statements, heights } = evidence_heights::shown(reader, rows).await?;
+    let Shown { rows: statements, heights, notes } = evidence_heights::shown(reader, rows).await?;
+    gathered.notes = notes;
     let stated = statements.iter().map(|row| row.digest).collect::<BTreeSet<_>>();
     let known: BTreeSet<Digest> = rows.iter().map(|row| row.digest).collect();
     for row in rows.iter().chain(statements.iter().filter(|row| !known.contains(&row.digest))) {

@@ -3,7 +3,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use authros_evidence::Height;
+use authros_evidence::{Height, MOST_RECORDS};
 use tokio::task::block_in_place;
 
 use crate::model::{Birth, Digest, Heads, Heights, RecordState, RecorderId, TopicId};
@@ -13,8 +13,8 @@ use super::PipelineError;
 use super::reader::Reader;
 use super::recorder_heads::{TOPIC, tree};
 
-/// The newest statements of a profile that are looked through for heads.
-const MOST_STATEMENTS: usize = 1000;
+/// The most statements of one type by one recorder that are looked through.
+const MOST_STATEMENTS: usize = 16;
 
 /// Statements that a bundle discloses for completeness.
 #[derive(Debug, Default)]
@@ -23,6 +23,8 @@ pub(super) struct Shown {
     pub rows: Vec<RecordRow>,
     /// Highest numbers with their paths.
     pub heights: Vec<Height>,
+    /// What is missing, in words.
+    pub notes: Vec<String>,
 }
 
 /// What there is for these records.
@@ -34,31 +36,64 @@ pub(super) async fn shown(reader: &Reader<'_>, rows: &[RecordRow]) -> Result<Sho
     for row in rows.iter().filter(|row| row.topic != TOPIC) {
         topics.entry(row.recorder).or_default().insert(row.topic_id);
     }
-    let query = RecordQuery {
-        owner: Some(reader.reader.address),
-        topic: Some(TOPIC.to_owned()),
-        limit: MOST_STATEMENTS,
-        newest_first: true,
-        ..RecordQuery::default()
-    };
-    let statements = block_in_place(|| reader.plant.ledger.list(&query))?.rows;
     let mut shown = Shown::default();
     for (recorder, topics) in topics {
-        let own = statements.iter().filter(|row| row.recorder == recorder && is_confirmed(row));
-        for row in own.clone().filter(|row| row.type_name == Heads::TYPE) {
-            let Some(heights) = heights(reader, row).await else { continue };
-            shown.heights.extend(of_topics(row.digest, &heights, &topics));
-            shown.rows.push(row.clone());
+        if rows.len() + shown.rows.len() + 2 > MOST_RECORDS {
+            let text = format!("statements of recorder {recorder}, and of those after it, do not fit into the bundle");
+            shown.notes.push(text);
             break;
         }
-        for row in own.filter(|row| row.type_name == Birth::TYPE) {
-            if body(reader, row).await.is_some() {
-                shown.rows.push(row.clone());
-                break;
-            }
-        }
+        one(reader, (recorder, &topics), &mut shown).await?;
     }
     Ok(shown)
+}
+
+/// What there is of one recorder.
+async fn one(
+    reader: &Reader<'_>,
+    (recorder, topics): (RecorderId, &BTreeSet<TopicId>),
+    shown: &mut Shown,
+) -> Result<(), PipelineError> {
+    let before = shown.rows.len();
+    for row in statements(reader, recorder, Heads::TYPE)? {
+        let Some(heights) = heights(reader, &row).await else { continue };
+        shown.heights.extend(of_topics(row.digest, &heights, topics));
+        shown.rows.push(row);
+        break;
+    }
+    if shown.rows.len() == before {
+        shown
+            .notes
+            .push(format!("recorder {recorder} has no anchored heads record here: nothing says how far its topics go"));
+    }
+    let before = shown.rows.len();
+    for row in statements(reader, recorder, Birth::TYPE)? {
+        if body(reader, &row).await.is_some() {
+            shown.rows.push(row);
+            break;
+        }
+    }
+    if shown.rows.len() == before {
+        shown.notes.push(format!("recorder {recorder} has no anchored birth here: nothing says whom it follows"));
+    }
+    Ok(())
+}
+
+/// Anchored statements of a recorder, in the order in which they are looked through: heads from the newest on, births from
+/// the oldest.
+fn statements(reader: &Reader<'_>, recorder: RecorderId, type_name: &str) -> Result<Vec<RecordRow>, PipelineError> {
+    let query = RecordQuery {
+        owner: Some(reader.reader.address),
+        recorder: Some(recorder),
+        topic: Some(TOPIC.to_owned()),
+        type_name: Some(type_name.to_owned()),
+        limit: MOST_STATEMENTS,
+        newest_first: type_name == Heads::TYPE,
+        ..RecordQuery::default()
+    };
+    let mut rows = block_in_place(|| reader.plant.ledger.list(&query))?.rows;
+    rows.retain(is_confirmed);
+    Ok(rows)
 }
 
 fn is_confirmed(row: &RecordRow) -> bool {

@@ -1,7 +1,7 @@
 //! How high a recorder's numbers are, put on the chain while they change: a verifier of evidence then knows up to which
 //! number a topic went by that time. A restored ledger has a recorder of its own, which says whose it follows.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
 
@@ -16,7 +16,7 @@ use super::{PipelineError, Plant, audit_head};
 /// The name that the records are filed under.
 pub const TOPIC: &str = "authros/recorder";
 
-/// What was stated last, and when it was looked.
+/// What was stated last, and when.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 struct Noted {
     looked: Timestamp,
@@ -40,8 +40,8 @@ pub fn tree(heights: &Heights) -> Option<Tree> {
     Tree::new(heights.topics.iter().map(|(topic, number)| height_hash(topic, *number)).collect())
 }
 
-/// States the numbers of this ledger's recorder for `owner` where they have changed and were not looked at for `every`;
-/// the first time its birth too. Returns the record of the head. One caller at a time.
+/// States the numbers of this ledger's recorder for `owner` where they have changed and were not stated or looked at (`seen`,
+/// kept by the caller) for `every`; the first time its birth too. Returns the record of the head. One caller at a time.
 ///
 /// # Errors
 /// Of vault and ledger.
@@ -50,13 +50,20 @@ pub fn state(
     owner: Address,
     keys: &EpochKeys,
     every: Duration,
+    seen: &mut Option<Instant>,
 ) -> Result<Option<Digest>, PipelineError> {
+    if keys.topic(TOPIC).is_none() || seen.is_some_and(|seen| seen.elapsed() < every) {
+        return Ok(None);
+    }
     let (place, looked) = (place(plant, owner, keys), Timestamp::now());
     let before = noted(&plant.ledger, &place)?;
     let every = u64::try_from(every.as_nanos()).unwrap_or(u64::MAX);
-    if before.is_some_and(|before| looked.0.saturating_sub(before.looked.0) < every) {
+    // A note from the future is of a clock that ran ahead: it is due.
+    let since = before.and_then(|before| looked.0.checked_sub(before.looked.0));
+    if since.is_some_and(|since| since < every) {
         return Ok(None);
     }
+    *seen = Some(Instant::now());
     let heights = Heights { topics: plant.ledger.heights(owner, [TOPIC, audit_head::TOPIC])? };
     let Some(root) = tree(&heights).map(|tree| tree.root()) else { return Ok(None) };
     let note = |root, heads| {
@@ -68,7 +75,6 @@ pub fn state(
         return Ok(None);
     };
     if before.root == root {
-        note(root, before.heads)?;
         return Ok(None);
     }
     let Some(heads) = stated(plant, owner, keys, &heights, (root, before.heads))? else { return Ok(None) };

@@ -156,6 +156,53 @@ fn a_topic_is_complete_to_the_number_that_the_head_names_and_not_beyond() {
 }
 
 #[test]
+fn a_head_from_before_the_first_number_says_nothing_of_those_behind_it() {
+    let stretch = Case::of(&[3, 5, 6, 7], &[(3, 2)]).expect(
+        Outcome::Holds,
+        &format!(
+            "3 to 7 without 4 (1 missing); the heads record at {} names number 2, which is before the first here: it says \
+             nothing of these; nothing is claimed before 3 or after 7",
+            time()
+        ),
+    );
+    assert_eq!((stretch.first, stretch.heads.map(|heads| heads.number)), (Some(3), Some(2)));
+}
+
+#[test]
+fn a_statement_that_is_not_proven_spoils_nothing_and_one_that_is_refused_does() {
+    let mut case = Case::of(&[1, 2, 3], &[(9, 3)]);
+    let birth = statement(&case.world, 1, Birth::TYPE, &Birth { predecessor: None }.encode());
+    let digest = birth.digest;
+    case.world.put(Slot::uploaded(case.world.owner, &digest.0), word(&[BLOCK]));
+    let with = |anchor: Option<AnchorClaim>| {
+        let mut packing = case.packing();
+        let secret = RecordSecret::of(&case.world.topic_key, &birth.header);
+        let disclosure = Some(disclose(secret, (&bound(), &digest), &case.world.keys, ours()).expect("signs"));
+        let one = BundledRecord { record: birth.blob.clone(), signature: birth.signature, anchor, disclosure };
+        packing.record(digest, one).expect("added");
+        packing.sign(genesis(), case.world.owner, &case.world.keys, ours()).expect("signs")
+    };
+    // Its state is gone: nothing is shown of it.
+    let mute = with(None);
+    agree(&mute, &World::trust(), Outcome::Holds);
+    let report = verify(&Bundle::of_members(&mute, ours()).expect("reads"), Some(&World::trust()), ours());
+    assert!(report.warnings.iter().any(|text| text.contains("own statement is not proven")), "{:?}", report.warnings);
+    agree(&with(Some(AnchorClaim::new(BLOCK - 1, BLOCK, 1, Anchoring::Each))), &World::trust(), Outcome::Refused);
+}
+
+#[test]
+fn a_recorders_own_statements_are_no_topic_with_holes() {
+    let mut case = Case::of(&[1, 2, 3], &[(2001, 3)]);
+    let birth = statement(&case.world, 1, Birth::TYPE, &Birth { predecessor: None }.encode());
+    case.put(birth, true);
+    let members = case.members();
+    agree(&members, &World::trust(), Outcome::Holds);
+    let report = verify(&Bundle::of_members(&members, ours()).expect("reads"), Some(&World::trust()), ours());
+    let own = report.complete.iter().find(|stretch| stretch.topic_id == TopicId([9; 16])).expect("its own");
+    assert_eq!((own.text.as_str(), own.missing, own.gaps.len()), ("the recorder's own statements", 0, 0));
+}
+
+#[test]
 fn with_a_head_held_back_an_older_one_counts_and_with_none_nothing_is_claimed() {
     let at = time();
     let newest = Case::of(&[1, 2, 3, 4, 5], &[(3, 3), (5, 5)]);

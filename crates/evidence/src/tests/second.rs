@@ -71,10 +71,13 @@ pub fn agree(members: &Members, trust: &Trust, outcome: Outcome) {
 
 /// What both say of a topic.
 fn completeness(stretch: &Stretch) -> serde_json::Value {
-    let Stretch { owner, recorder, topic_id, standing, first, last, missing, heads, .. } = stretch;
+    let Stretch { owner, recorder, topic_id, standing, first, last, missing, heads, gaps, .. } = stretch;
+    let whole =
+        |number: &u64| first.is_some_and(|first| first <= *number) && gaps.iter().all(|(from, _)| from > number);
+    let number = heads.map(|heads| heads.number).filter(whole);
     serde_json::json!({
         "owner": owner.to_string().to_lowercase(), "recorder": recorder, "topic_id": topic_id, "standing": standing,
-        "first": first, "last": last, "missing": missing, "complete_to": heads.map(|heads| heads.number),
+        "first": first, "last": last, "missing": missing, "complete_to": number,
     })
 }
 

@@ -29,7 +29,7 @@ impl Home {
     }
 
     fn state(&self, every: Duration) -> Option<Digest> {
-        state(&self.plant, self.owner.address, &self.keys(), every).expect("stated")
+        state(&self.plant, self.owner.address, &self.keys(), every, &mut None).expect("stated")
     }
 
     fn say(&self, topic: &str) {
@@ -81,6 +81,29 @@ fn numbers_are_stated_when_they_changed_and_it_is_time_and_the_birth_comes_first
         assert_eq!(root_of(height_hash(topic, *number), at as u64, 2, &path), Some(heads.root));
         assert_ne!(root_of(height_hash(topic, number + 1), at as u64, 2, &path), Some(heads.root));
     }
+}
+
+#[test]
+fn what_was_just_looked_at_waits_and_a_note_from_the_future_does_not() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let home = Home::at(folder.path());
+    home.say("/odom");
+    let ledger = &home.plant.ledger;
+    let place = place(&home.plant, home.owner.address, &home.keys());
+    let hour = Duration::from_secs(3600);
+    let ahead = Timestamp(Timestamp::now().0 + 1_000_000 * 3_600_000_000);
+    let text = serde_json::to_string(&Noted { looked: ahead, root: Hash([0; 32]), heads: None }).expect("text");
+    ledger.put_setting(&place, &text).expect("noted");
+    let mut seen = None;
+    let mut look = || state(&home.plant, home.owner.address, &home.keys(), hour, &mut seen).expect("stated");
+    assert!(look().is_some(), "the clock ran ahead when the note was written");
+    home.say("/odom");
+    ledger.put_setting(&place, &text).expect("noted");
+    assert_eq!(look(), None, "it was looked at just now");
+    let unchanged = home.state(NOW).expect("the second number");
+    let noted = ledger.setting(&place).expect("read");
+    assert_eq!(home.state(NOW), None, "nothing has changed after {unchanged}");
+    assert_eq!(ledger.setting(&place).expect("read"), noted, "and nothing is written");
 }
 
 #[test]

@@ -89,6 +89,8 @@ pub struct Agent {
     /// Messages in the outbox when this run began.
     before: u64,
     unproven: u64,
+    /// When the numbers of the topics were last looked at.
+    seen: Option<std::time::Instant>,
     forwarder: JoinHandle<()>,
 }
 
@@ -130,7 +132,22 @@ impl Agent {
         let forwarder = Arc::new(tokio::sync::Mutex::new(forwarder));
         let forwarder = site.supervise("forwarder", move |site| forward(site, Arc::clone(&forwarder)));
         let (site, length, sessions) = (Arc::clone(site), wishes.length, vec![session]);
-        Ok(Self { site, name, author, sessions, topics, wishes, length, link, refused, before, unproven: 0, forwarder })
+        let (unproven, seen) = (0, None);
+        Ok(Self {
+            site,
+            name,
+            author,
+            sessions,
+            topics,
+            wishes,
+            length,
+            link,
+            refused,
+            before,
+            unproven,
+            seen,
+            forwarder,
+        })
     }
 
     /// Works until all that was asked for is verified, or until `told`. `progress` gets the figures whenever
@@ -181,10 +198,10 @@ impl Agent {
     }
 
     /// States how high the numbers of this robot's recorder are, where its keys cover that and it is time.
-    fn state_heads(&self) {
+    fn state_heads(&mut self) {
         let Some(keys) = self.author.sealing() else { return };
         let (plant, every) = (&self.site.plant, self.site.parts.config.audit_every);
-        match block_in_place(|| recorder_heads::state(plant, self.author.address, &keys, every)) {
+        match block_in_place(|| recorder_heads::state(plant, self.author.address, &keys, every, &mut self.seen)) {
             Ok(Some(_)) => self.site.parts.hub.stored.notify_waiters(),
             Ok(None) => {}
             Err(error) => {

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use super::filter_choice::FilterChoice;
 use super::rows::{self, RecordRow, Stream, Which};
 use super::{Ledger, database::whole, recent};
-use crate::model::{Address, FilterId, RecordKind, RecordState, Timestamp, TopicId, clean};
+use crate::model::{Address, FilterId, RecordKind, RecordState, RecorderId, Timestamp, TopicId, clean};
 use crate::store::StoreError;
 
 const LARGEST_PAGE: usize = 10_000;
@@ -30,6 +30,9 @@ pub struct RecordQuery {
     pub topic: Option<String>,
     /// Of any of these topics.
     pub topic_ids: Option<Vec<TopicId>>,
+    /// Numbered by this recorder.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub recorder: Option<RecorderId>,
     /// With one id of each of these among its own.
     pub filters: Vec<FilterChoice>,
     /// Of this message type.
@@ -59,6 +62,7 @@ impl Default for RecordQuery {
             owners: None,
             topic: None,
             topic_ids: None,
+            recorder: None,
             filters: Vec::new(),
             type_name: None,
             words: Vec::new(),
@@ -79,6 +83,7 @@ impl RecordQuery {
             && self.owners.as_ref().is_none_or(|owners| owners.contains(&stream.owner))
             && self.topic.as_ref().is_none_or(|topic| *topic == stream.topic)
             && self.topic_ids.as_ref().is_none_or(|ids| ids.contains(&stream.topic_id))
+            && self.recorder.is_none_or(|recorder| recorder == stream.recorder)
             && self.type_name.as_ref().is_none_or(|name| *name == stream.type_name)
             && self.kind.is_none_or(|kind| kind == stream.kind)
             && self.words.iter().all(|word| says(stream, &word.to_lowercase()))

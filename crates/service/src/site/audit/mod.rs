@@ -3,10 +3,19 @@
 pub(crate) mod log;
 mod records;
 mod refusals;
+/// What of the two was stated; a fault of one does not hide what is wrong with the other.
+fn both<T>(log: Result<Option<T>, Failure>, recorder: Result<Option<T>, Failure>) -> Result<Option<T>, Failure> {
+    match (log, recorder) {
+        (Err(log), Err(recorder)) => Err(Failure::new(log.kind, format!("{}; {}", log.message, recorder.message))),
+        (log, recorder) => Ok(recorder?.or(log?)),
+    }
+}
+
 #[cfg(test)]
 mod tests;
 
-use std::sync::Arc;
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use super::blocking;
@@ -15,7 +24,7 @@ use super::identity::owners::Owners;
 use super::lifetime::Lifetime;
 use super::parts::Parts;
 use crate::config::Config;
-use crate::model::{Timestamp, clean};
+use crate::model::{Address, Timestamp, clean};
 use crate::pipeline::reader::Reader;
 use crate::pipeline::{Owner, Plant, audit_head, recorder_heads};
 use crate::service::event::NoticeLevel;
@@ -41,13 +50,16 @@ pub(super) struct Audit {
     life: Arc<Lifetime>,
     /// Space for a revoke on a full disk.
     reserve: Arc<Reserve>,
+    /// When the numbers of an owner's topics were last looked at.
+    seen: Mutex<BTreeMap<Address, Instant>>,
 }
 
 impl Audit {
     /// From the shared parts, and the space set aside for a revoke.
     pub fn new(parts: &Parts, reserve: &Arc<Reserve>) -> Self {
         let Parts { config, plant, hub, log, owners, link, life, .. } = parts.clone();
-        Self { config, plant, hub, log, owners, link, life, reserve: Arc::clone(reserve) }
+        let (reserve, seen) = (Arc::clone(reserve), Mutex::default());
+        Self { config, plant, hub, log, owners, link, life, reserve, seen }
     }
 
     /// Writes what was counted, anchors the heads of the log and of the recorder, sets a lost reserve aside again; until the site ends.
@@ -75,9 +87,16 @@ impl Audit {
         let Ok(_one_at_a_time) = owner.changes.try_lock() else { return };
         let (of, every) = (Arc::clone(owner), self.config.audit_every);
         let stated = blocking(self, move |audit| {
-            let log = audit_head::state_head(&audit.plant, &network, audit.log.lines(), &of, every)?;
-            let Some(keys) = of.sealing().filter(|keys| keys.domain == network.domain) else { return Ok(log) };
-            Ok(recorder_heads::state(&audit.plant, of.address, &keys, every)?.or(log))
+            let log = audit_head::state_head(&audit.plant, &network, audit.log.lines(), &of, every);
+            let keys = of.sealing().filter(|keys| keys.domain == network.domain);
+            let recorder = keys.map_or(Ok(None), |keys| {
+                let mut all = audit.seen.lock().unwrap_or_else(PoisonError::into_inner);
+                let mut seen = all.get(&of.address).copied();
+                let stated = recorder_heads::state(&audit.plant, of.address, &keys, every, &mut seen);
+                all.extend(seen.map(|seen| (of.address, seen)));
+                stated
+            });
+            both(log.map_err(Failure::from), recorder.map_err(Failure::from))
         })
         .await;
         match stated {

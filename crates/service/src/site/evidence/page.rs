@@ -156,12 +156,17 @@ fn completeness(out: &mut String, report: &Report) {
     table(out, &["topic", "recorder", "", ""], &rows);
 }
 
+/// Whether it was disclosed for itself: what a recorder states is told under (f).
+fn is_chosen(record: &RecordReport) -> bool {
+    record.disclosed.is_some() && !record.is_statement()
+}
+
 fn disclosed(out: &mut String, bundle: &Bundle, report: &Report) {
     let mut limits = Limits::default();
-    let opened: Vec<&RecordReport> = report.records.iter().filter(|record| record.disclosed.is_some()).collect();
+    let opened: Vec<&RecordReport> = report.records.iter().filter(|record| is_chosen(record)).collect();
     out.push_str("<h2>Disclosed records</h2>\n");
     if opened.is_empty() {
-        out.push_str("<p>None: every message in the file is sealed.</p>\n");
+        out.push_str("<p>None: every message in the file is sealed, but for what recorders state of themselves.</p>\n");
     }
     for (at, record) in opened.iter().enumerate() {
         if at == MOST_SHOWN || out.len() > LONGEST {
