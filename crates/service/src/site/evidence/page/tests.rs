@@ -127,8 +127,11 @@ fn the_page_says_that_it_proves_nothing_and_has_the_levels_and_the_lines_for_ope
 
 #[test]
 fn a_picture_is_within_the_page() {
-    let definition = "std_msgs/Header header\nuint32 height\nuint32 width\nstring encoding\nuint8 is_bigendian\nuint32 step\n\
-                      uint8[] data\n================\nMSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n";
+    let definition = format!(
+        "std_msgs/Header header\nuint32 height\nuint32 width\nstring encoding\nuint8 is_bigendian\nuint32 step\n\
+         uint8[] data\n{}\nMSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n",
+        "=".repeat(80)
+    );
     let mut body = [0u8; 12].to_vec();
     body.extend(text("camera"));
     body.extend([1u32.to_le_bytes(), 2u32.to_le_bytes()].concat());
@@ -136,7 +139,7 @@ fn a_picture_is_within_the_page() {
     body.push(0);
     body.extend([6u32.to_le_bytes(), 6u32.to_le_bytes()].concat());
     body.extend([255, 0, 0, 0, 0, 255]);
-    let (bundle, report) = told("sensor_msgs/Image", definition, &body);
+    let (bundle, report) = told("sensor_msgs/Image", &definition, &body);
     let page = page(&bundle, &report);
     assert!(page.contains("<img alt=\"the picture, made small\" src=\"data:image/png;base64,iVBORw0KGgo"), "{page}");
 }
