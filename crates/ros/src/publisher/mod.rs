@@ -89,9 +89,30 @@ impl Publisher {
         self.node.overflowed()
     }
 
-    /// Takes a topic back at once: what is queued for its subscribers is not sent any more.
-    pub fn cut(&self, topic: &str) {
-        self.node.withdraw(topic, Duration::ZERO);
+    /// Waits no more for the subscribers that are behind now, until they have caught up.
+    pub fn outrun(&self) {
+        self.node.outlets().iter().for_each(|outlet| outlet.outrun());
+    }
+
+    /// Takes topics back at once: what is queued for their subscribers is not sent any more.
+    pub fn cut(&self, topics: &[String]) {
+        self.node.withdraw(topics);
+    }
+
+    /// No more messages come; what is queued is still sent.
+    pub fn leave(&self) {
+        self.node.leave();
+    }
+
+    /// Whether all that was queued is sent, after [`Self::leave`].
+    pub fn is_sent(&self) -> bool {
+        self.node.is_sent()
+    }
+
+    /// Ends without further patience. Messages that a subscriber did not get, in all.
+    pub fn end(self) -> u64 {
+        self.node.close(Duration::ZERO);
+        self.node.overflowed()
     }
 
     /// Forgets at once what came from a source, queues of the topic included; others go on publishing it.

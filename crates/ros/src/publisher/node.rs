@@ -37,6 +37,9 @@ struct Identity {
     outlets: Mutex<Vec<Arc<Outlet>>>,
     /// Of topics that were taken back.
     overflowed: AtomicU64,
+    /// Those that tell a master, perhaps a slow one, what is not published any more.
+    telling: Mutex<Vec<JoinHandle<()>>>,
+    left: AtomicBool,
 }
 
 /// A running node.
@@ -52,7 +55,9 @@ impl PublisherNode {
         let listener = listen(host)?;
         let port = listener.local_addr().map_err(|error| RosError::system("listen", &error))?.port();
         let (outlets, overflowed) = (Mutex::new(outlets), AtomicU64::new(0));
-        let identity = Arc::new(Identity { name, host: host.to_owned(), port, master, outlets, overflowed });
+        let (telling, left, host_name) = (Mutex::default(), AtomicBool::new(false), host.to_owned());
+        let identity = Identity { name, host: host_name, port, master, outlets, overflowed, telling, left };
+        let identity = Arc::new(identity);
         let stopping = Arc::new(AtomicBool::new(false));
         let slave = SlaveServer::start(host, Arc::clone(&identity) as _)?;
         let (seen, known) = (Arc::clone(&stopping), Arc::clone(&identity));
@@ -89,7 +94,9 @@ impl PublisherNode {
     }
 
     fn register(&self, outlet: &Outlet) -> Result<usize, RosError> {
-        let answer = self.tell_master("registerPublisher", &[outlet.topic(), outlet.type_name()]);
+        let about = [outlet.topic(), outlet.type_name()];
+        let deadline = Instant::now() + PATIENCE;
+        let answer = self.identity.tell_master("registerPublisher", &about, &self.slave.uri, deadline);
         let answer = answer.map_err(|error| master_error(&self.identity.master, "registerPublisher", error))?;
         Ok(answer.as_array().map_or(0, <[Value]>::len))
     }
@@ -100,45 +107,82 @@ impl PublisherNode {
         now + self.identity.overflowed.load(Ordering::SeqCst)
     }
 
-    /// Takes one topic back.
-    pub fn withdraw(&self, topic: &str, patience: Duration) {
-        let Some(outlet) = self.outlet_of(topic) else { return };
-        lock(&self.identity.outlets).retain(|other| other.topic() != topic);
-        outlet.close(patience);
-        self.identity.overflowed.fetch_add(outlet.overflowed(), Ordering::SeqCst);
-        // A master that is gone has forgotten the publisher as well.
-        let _ = self.tell_master("unregisterPublisher", &[topic]);
+    /// Takes topics back: no subscriber gets any more of any of them, whenever the master hears of it.
+    pub fn withdraw(&self, topics: &[String]) {
+        let is_meant = |outlet: &Arc<Outlet>| topics.iter().any(|topic| topic == outlet.topic());
+        let gone: Vec<Arc<Outlet>> = self.outlets().into_iter().filter(is_meant).collect();
+        lock(&self.identity.outlets).retain(|outlet| !is_meant(outlet));
+        for outlet in &gone {
+            outlet.close(Duration::ZERO);
+            self.identity.overflowed.fetch_add(outlet.overflowed(), Ordering::SeqCst);
+        }
+        self.tell_gone(&gone);
     }
 
-    /// Unregisters, and sends what is queued.
+    /// No more messages come; subscribers get what is queued.
+    pub fn leave(&self) {
+        if self.identity.left.swap(true, Ordering::SeqCst) {
+            return;
+        }
+        let outlets = self.outlets();
+        outlets.iter().for_each(|outlet| outlet.leave());
+        self.tell_gone(&outlets);
+    }
+
+    /// Whether nothing is queued any more.
+    pub fn is_sent(&self) -> bool {
+        self.outlets().iter().all(|outlet| outlet.is_sent())
+    }
+
+    /// Unregisters, and sends what is queued, all of it until one deadline.
     pub fn close(&self, patience: Duration) {
-        for outlet in self.outlets() {
-            // A master that is gone has forgotten the publisher as well.
-            let _ = self.tell_master("unregisterPublisher", &[outlet.topic()]);
+        self.leave();
+        let deadline = Instant::now() + patience;
+        while Instant::now() < deadline && !self.is_sent() {
+            std::thread::sleep(Duration::from_millis(5));
         }
-        for outlet in self.outlets() {
-            outlet.close(patience);
-        }
+        self.outlets().iter().for_each(|outlet| outlet.end(deadline));
+        self.finish_telling();
     }
 
-    fn tell_master(&self, method: &str, middle: &[&str]) -> Result<Value, CallError> {
-        let texts = std::iter::once(self.identity.name.as_str()).chain(middle.iter().copied());
-        let params: Vec<Value> = texts.chain([self.slave.uri.as_str()]).map(Value::text).collect();
-        call(&self.identity.master, method, &params, Instant::now() + PATIENCE)
+    /// Unregisters, without waiting for a master that is slow.
+    fn tell_gone(&self, outlets: &[Arc<Outlet>]) {
+        let topics: Vec<String> = outlets.iter().map(|outlet| outlet.topic().to_owned()).collect();
+        let (identity, uri) = (Arc::clone(&self.identity), self.slave.uri.clone());
+        let deadline = Instant::now() + PATIENCE;
+        let told = std::thread::Builder::new().name("ros-leaving".into()).spawn(move || {
+            for topic in topics {
+                let is_open = identity.outlet_of(&topic).is_some() && !identity.left.load(Ordering::SeqCst);
+                if !is_open {
+                    // A master that is gone has forgotten the publisher as well.
+                    let _ = identity.tell_master("unregisterPublisher", &[&topic], &uri, deadline);
+                }
+            }
+        });
+        // Without a thread the master sees the node's end by its slave API.
+        lock(&self.identity.telling).extend(told.ok());
+    }
+
+    fn finish_telling(&self) {
+        let telling = std::mem::take(&mut *lock(&self.identity.telling));
+        for told in telling {
+            let _ = told.join();
+        }
     }
 }
 
 impl Drop for PublisherNode {
     fn drop(&mut self) {
+        for outlet in self.outlets() {
+            outlet.close(Duration::ZERO);
+        }
         self.stopping.store(true, Ordering::SeqCst);
         // Accepting blocks: a connection of our own wakes it.
         let woken = TcpStream::connect((self.identity.host.as_str(), self.identity.port)).is_ok();
         if let Some(accepting) = self.accepting.take().filter(|_| woken) {
             let _ = accepting.join();
         }
-        for outlet in self.outlets() {
-            outlet.close(Duration::ZERO);
-        }
+        self.finish_telling();
     }
 }
 
@@ -149,6 +193,12 @@ impl Identity {
 
     fn outlet_of(&self, topic: &str) -> Option<Arc<Outlet>> {
         lock(&self.outlets).iter().find(|outlet| outlet.topic() == topic).cloned()
+    }
+
+    fn tell_master(&self, method: &str, middle: &[&str], uri: &str, deadline: Instant) -> Result<Value, CallError> {
+        let texts = std::iter::once(self.name.as_str()).chain(middle.iter().copied());
+        let params: Vec<Value> = texts.chain([uri]).map(Value::text).collect();
+        call(&self.master, method, &params, deadline)
     }
 }
 

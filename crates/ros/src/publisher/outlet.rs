@@ -26,6 +26,8 @@ struct Audience {
     subscribers: Vec<Arc<Subscriber>>,
     /// The last message of each source, where the topic is latching; the newest last.
     latched: Vec<(u64, Frame)>,
+    /// A subscriber whose handshake is on its way comes too late.
+    closed: bool,
 }
 
 impl Outlet {
@@ -58,6 +60,11 @@ impl Outlet {
         lock(&self.audience).subscribers.iter().any(|subscriber| subscriber.is_crowded())
     }
 
+    /// Waits no more for subscribers that are behind now.
+    pub fn outrun(&self) {
+        lock(&self.audience).subscribers.iter().for_each(|subscriber| subscriber.outrun());
+    }
+
     /// Sends `body` to all subscribers there are.
     pub fn publish(&self, body: &[u8]) {
         self.publish_of(0, body);
@@ -69,7 +76,7 @@ impl Outlet {
         let frame = Arc::new([length.to_le_bytes().as_slice(), body].concat());
         let mut audience = lock(&self.audience);
         self.published.fetch_add(1, Ordering::SeqCst);
-        let Audience { subscribers, latched } = &mut *audience;
+        let Audience { subscribers, latched, .. } = &mut *audience;
         subscribers.retain(|subscriber| match subscriber.push(&frame) {
             Some(dropped) => {
                 self.overflowed.fetch_add(dropped, Ordering::SeqCst);
@@ -115,6 +122,10 @@ impl Outlet {
         let writer = Arc::clone(&subscriber);
         std::thread::Builder::new().name("ros-writer".into()).spawn(move || writer.write_all())?;
         let mut audience = lock(&self.audience);
+        if audience.closed {
+            subscriber.close();
+            return Ok(());
+        }
         for (_, frame) in &audience.latched {
             self.overflowed.fetch_add(subscriber.push(frame).unwrap_or(0), Ordering::SeqCst);
         }
@@ -138,17 +149,33 @@ impl Outlet {
         lock(&self.audience).subscribers.iter().map(link).collect()
     }
 
+    /// No more messages come, and no more subscribers; the queues run empty.
+    pub fn leave(&self) {
+        let mut audience = lock(&self.audience);
+        audience.closed = true;
+        audience.latched.clear();
+        audience.subscribers.iter().for_each(|subscriber| subscriber.close());
+    }
+
+    /// Whether all queues have run empty, after [`Self::leave`].
+    pub fn is_sent(&self) -> bool {
+        lock(&self.audience).subscribers.iter().all(|subscriber| subscriber.is_done())
+    }
+
     /// Lets the queues run empty, but not for ever, and ends the connections; without patience what is queued is
     /// forgotten.
     pub fn close(&self, patience: Duration) {
-        let Audience { subscribers, .. } = std::mem::take(&mut *lock(&self.audience));
         let deadline = Instant::now() + patience;
-        for subscriber in &subscribers {
-            if patience.is_zero() {
-                subscriber.forget();
-            }
-            subscriber.close();
+        if patience.is_zero() {
+            lock(&self.audience).subscribers.iter().for_each(|subscriber| subscriber.forget());
         }
+        self.leave();
+        self.end(deadline);
+    }
+
+    /// Ends the connections at the deadline, or when all is sent; what was not sent is counted.
+    pub fn end(&self, deadline: Instant) {
+        let subscribers = std::mem::take(&mut lock(&self.audience).subscribers);
         for subscriber in &subscribers {
             self.overflowed.fetch_add(subscriber.wait(deadline), Ordering::SeqCst);
         }

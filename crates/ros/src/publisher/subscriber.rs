@@ -27,6 +27,8 @@ struct Queue {
     closing: bool,
     /// All is sent or will never be.
     done: bool,
+    /// It was waited for in vain; nobody waits for it until it has caught up.
+    slow: bool,
 }
 
 pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -59,7 +61,17 @@ impl Subscriber {
     /// Whether half of the queue's room is taken.
     pub fn is_crowded(&self) -> bool {
         let queue = lock(&self.queue);
-        !queue.done && queue.bytes > LONGEST_QUEUE / 2
+        !queue.done && !queue.slow && queue.bytes > LONGEST_QUEUE / 2
+    }
+
+    /// Waits for it no more where it is behind.
+    pub fn outrun(&self) {
+        let mut queue = lock(&self.queue);
+        queue.slow |= queue.bytes > LONGEST_QUEUE / 2;
+    }
+
+    pub fn is_done(&self) -> bool {
+        lock(&self.queue).done
     }
 
     /// Nothing of what is queued is sent any more.
@@ -86,6 +98,7 @@ impl Subscriber {
         let mut queue = self.changed.wait_while(lock(&self.queue), idle).unwrap_or_else(PoisonError::into_inner);
         let frame = queue.frames.pop_front()?;
         queue.bytes -= frame.len();
+        queue.slow &= queue.bytes > LONGEST_QUEUE / 4;
         Some(frame)
     }
 

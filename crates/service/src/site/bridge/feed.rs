@@ -1,7 +1,7 @@
 //! Which records come next: all that are there in the order of their capture, or, followed live, whatever is verified
 //! from now on, each stream in its order.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::time::{Duration, Instant};
 
 use crate::model::{Address, Digest, RecordKind, RecordState, Scope, Timestamp, TopicId};
@@ -54,6 +54,8 @@ pub(super) struct Live {
     streams: HashMap<(Address, TopicId), Stream>,
     listed: Option<Instant>,
     looked_late: Option<Instant>,
+    /// What could not be played yet; its streams wait for it.
+    pending: Vec<Item>,
 }
 
 #[derive(Default)]
@@ -99,21 +101,21 @@ impl Feed {
     }
 
     /// A record that could not be played now is given out once more.
-    pub fn again(&mut self, row: &RecordRow) {
-        let Self::Live(live) = self else { return };
-        if let Some(stream) = live.streams.get_mut(&(row.owner, row.topic_id)) {
-            stream.done.remove(&row.digest);
-            stream.low = stream.low.min(row.captured_at);
+    pub fn again(&mut self, item: Item) {
+        if let Self::Live(live) = self {
+            live.pending.push(item);
         }
     }
 }
 
 impl Live {
     fn next(&mut self, ledger: &Ledger, givers: &HashMap<Address, Scope>) -> Result<Round, Failure> {
-        let mut items = Vec::new();
+        let mut items = std::mem::take(&mut self.pending);
+        items.retain(|item| givers.contains_key(&item.row.owner));
+        let held: HashSet<_> = items.iter().map(|item| (item.row.owner, item.row.topic_id)).collect();
         self.streams.retain(|(owner, _), _| givers.contains_key(owner));
         if self.listed.is_none_or(|at| at.elapsed() >= LISTING) {
-            items = self.list(ledger, givers)?;
+            items.extend(self.list(ledger, givers)?);
             self.listed = Some(Instant::now());
         }
         let late = self.looked_late.is_none_or(|at| at.elapsed() >= LATE_LOOK);
@@ -121,7 +123,7 @@ impl Live {
             self.looked_late = Some(Instant::now());
         }
         let mut ready = Vec::new();
-        for (key, stream) in &mut self.streams {
+        for (key, stream) in self.streams.iter_mut().filter(|(key, _)| !held.contains(key)) {
             stream.take(ledger, *key, late, &mut ready)?;
         }
         // Stable: records of one moment stay in the order of their stream.
@@ -180,7 +182,7 @@ impl Stream {
     ) -> Result<(), Failure> {
         let since = if late { self.low.min(Timestamp(self.newest.0.saturating_sub(LATE))) } else { self.low };
         let mut query = RecordQuery { since: Some(since.max(self.floor)), ..of_stream(key) };
-        let (mut waiting, begun) = (None, ready.len());
+        let (mut waiting, begun, now) = (None, ready.len(), Timestamp::now());
         'pages: loop {
             let page = ledger.list(&query)?;
             for row in page.rows {
@@ -192,7 +194,8 @@ impl Stream {
                     break 'pages;
                 }
                 self.done.insert(row.digest, row.captured_at);
-                self.newest = self.newest.max(row.captured_at);
+                // A clock that is ahead leaves the others' records behind no more than ours.
+                self.newest = self.newest.max(row.captured_at.min(now));
                 ready.push(row);
             }
             query.after = page.next;

@@ -129,7 +129,12 @@ impl Bridge {
 
     /// The node that will publish, once it is sure that no loop comes about.
     async fn stage(&self, wishes: &PlayWishes, names: &Names) -> Result<Stage, Failure> {
-        let own = if self.ros.is_wanted() { self.ros.uri().await.ok() } else { None };
+        let own = match (self.ros.is_wanted(), &self.config.ros_master) {
+            (false, _) => None,
+            // While it is away the site captures from it all the same, as soon as it is back.
+            (true, Some(named)) => Some(named.clone()),
+            (true, None) => Some(self.ros.uri().await?),
+        };
         let uri = wishes.master.clone().or_else(|| own.clone()).or_else(|| self.config.ros_master.clone());
         let uri = uri.ok_or_else(|| {
             let advice = "name the graph to play into: --to http://HOST:11311, or set ros.master";
@@ -139,11 +144,12 @@ impl Bridge {
         let graph = Graph::new(&uri, &node)?;
         block_in_place(|| {
             graph.ping()?;
-            if own.is_some_and(|own| graph.is_at(&own)) {
+            let is_captured = own.is_some_and(|own| graph.is_at(&own));
+            if is_captured {
                 names.keep_apart().map_err(|why| refused(format!("{} is {why}", clean(&uri, 120))))?;
             }
             let publisher = Publisher::start(&uri, self.config.ros_host.as_deref(), &node)?;
-            Ok(Stage::new(uri.clone(), graph, publisher, names.has_prefix()))
+            Ok(Stage::new(uri.clone(), graph, publisher, names.prefix(), is_captured))
         })
     }
 }

@@ -30,9 +30,9 @@ impl Names {
         Ok(Self { prefix, remaps })
     }
 
-    /// Whether all but remapped names get a prefix.
-    pub fn has_prefix(&self) -> bool {
-        self.prefix.is_some()
+    /// What all but remapped names begin with.
+    pub fn prefix(&self) -> Option<String> {
+        self.prefix.clone()
     }
 
     /// The name under which a topic is played; `None` where it would be none.

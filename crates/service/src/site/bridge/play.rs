@@ -14,7 +14,7 @@ use super::names::Names;
 use super::pacer::{Pacer, TICK, clock_message, clock_topic};
 use super::stage::{Stage, source_of};
 use crate::crypto::OpenedRecord;
-use crate::model::{Address, Digest, ErrorKind, Scope, Timestamp, Verdict, clean};
+use crate::model::{Address, Digest, ErrorKind, Hash, Scope, Timestamp, Verdict, clean};
 use crate::pipeline::reader::{Reader, is_held};
 use crate::pipeline::{Network, Owner, PipelineError, authority, importer};
 use crate::ros::Advertised;
@@ -36,12 +36,17 @@ const NAP: Duration = Duration::from_millis(50);
 /// How long a subscriber that is far behind is waited for, before it loses messages.
 const CROWD: Duration = Duration::from_secs(5);
 
+/// How long subscribers get for the rest of their queues at an orderly end.
+const FAREWELL: Duration = Duration::from_secs(5);
+
 /// Between two registrations at the master.
 const REGISTERING: Duration = Duration::from_secs(5);
 
 /// The most reasons of refusals that are told, and definitions kept in memory.
 const MOST_REASONS: usize = 20;
 const MOST_DEFINITIONS: usize = 1024;
+
+const NO_RIGHT: &str = "no grant in force covers it, or no key of this profile opens it";
 
 /// What may end it from outside.
 pub(super) struct Ends {
@@ -86,6 +91,8 @@ pub(super) struct Play<'a> {
     network: Network,
     owner: &'a Arc<Owner>,
     givers: HashMap<Address, Scope>,
+    /// By which transaction each giver granted what is played.
+    granted: HashMap<Address, Hash>,
     wishes: &'a PlayWishes,
     names: Names,
     stage: Stage,
@@ -115,11 +122,14 @@ impl<'a> Play<'a> {
         ends: Ends,
     ) -> Self {
         let now = Instant::now();
+        let standing = authority::shared_with(&network.directory, owner.address);
+        let granted = standing.into_iter().map(|grant| (grant.terms.owner, grant.transaction)).collect();
         Self {
             bridge,
             network: network.clone(),
             owner,
             givers,
+            granted,
             wishes,
             names,
             stage,
@@ -143,9 +153,12 @@ impl<'a> Play<'a> {
     /// Where chain, vault, ledger or master fail; what was queued is not sent then.
     pub async fn run(mut self) -> Result<PlayedView, Failure> {
         let begun = Instant::now();
-        let ended = self.rounds().await;
-        let at_once = ended.as_ref().map_or(true, |end| end.is_by_right());
-        let dropped = self.stage.finish(at_once);
+        let mut ended = self.rounds().await;
+        if let Ok(end) = &mut ended {
+            *end = self.farewell(*end).await;
+        }
+        let by_right = ended.as_ref().map_or(true, |end| end.is_by_right());
+        let dropped = self.stage.finish(by_right);
         let mut reasons: Vec<(String, u64)> = self.reasons.into_iter().collect();
         reasons.sort_by_key(|(_, count)| std::cmp::Reverse(*count));
         Ok(PlayedView {
@@ -160,6 +173,22 @@ impl<'a> Play<'a> {
         })
     }
 
+    /// Gives subscribers the rest of their queues, as long as the right lasts.
+    async fn farewell(&mut self, end: PlayEnd) -> PlayEnd {
+        if end.is_by_right() {
+            return end;
+        }
+        self.stage.leave();
+        let begun = Instant::now();
+        while begun.elapsed() < FAREWELL && !self.stage.is_sent() {
+            if let Some(end) = self.right_ended() {
+                return end;
+            }
+            tokio::time::sleep(TICK).await;
+        }
+        end
+    }
+
     async fn rounds(&mut self) -> Result<PlayEnd, Failure> {
         self.show_clock()?;
         let ledger = &self.bridge.plant.ledger;
@@ -170,13 +199,18 @@ impl<'a> Play<'a> {
             }
             let round = block_in_place(|| feed.next(ledger, &self.givers))?;
             let is_idle = round.items.is_empty();
-            let mut items = round.items.into_iter();
-            while let Some(item) = items.next() {
+            let mut held = HashSet::new();
+            for item in round.items {
+                let stream = (item.row.owner, item.row.topic_id);
+                if held.contains(&stream) {
+                    feed.again(item);
+                    continue;
+                }
                 match self.take(&item).await? {
                     Taken::Done => {}
                     Taken::Later => {
-                        feed.again(&item.row);
-                        items.by_ref().for_each(|item| feed.again(&item.row));
+                        held.insert(stream);
+                        feed.again(item);
                     }
                     Taken::Ended(end) => return Ok(end),
                 }
@@ -198,6 +232,9 @@ impl<'a> Play<'a> {
         }
         if let Some(end) = self.connected().await {
             return Ok(Taken::Ended(end));
+        }
+        if !self.givers.contains_key(&row.owner) {
+            return Ok(self.refuse(NO_RIGHT.to_owned()));
         }
         let opened = self.reader().open(row).await;
         let record = match opened {
@@ -233,6 +270,9 @@ impl<'a> Play<'a> {
         let Some(topic) = self.names.played(&record.head.topic) else {
             return Ok(Err(format!("{} makes no graph name with this prefix", clean(&record.head.topic, 255))));
         };
+        if self.clock.as_ref() == Some(&topic) {
+            return Ok(Err(format!("--clock tells the time as {topic} instead")));
+        }
         let Some(definition) = self.definition(item, &record).await? else {
             return Ok(Err("no readable record holds the definition of its type".to_owned()));
         };
@@ -249,14 +289,21 @@ impl<'a> Play<'a> {
     async fn play(&mut self, item: &Item, checked: &Checked) -> Result<Taken, Failure> {
         let Checked { record, about } = checked;
         let source = source_of(item.row.owner, &record.head.caller_id);
-        if let Err(why) = self.stage.show(about, item.row.owner, source)? {
-            return Ok(self.refuse(why));
+        match self.stage.show(about, item.row.owner, source) {
+            Ok(Ok(())) => {}
+            Ok(Err(why)) => return Ok(self.refuse(why)),
+            // A master that restarts is back soon.
+            Err(_) if self.wishes.pace == Pace::Follow => return Ok(Taken::Later),
+            Err(failure) => return Err(failure),
         }
         let due = if item.only_latched { None } else { Some(record.header.captured_at) };
         if let Some(end) = self.until_due(due).await {
             return Ok(Taken::Ended(end));
         }
         // Opened a while ago, perhaps: the right is asked for once more.
+        if !self.givers.contains_key(&item.row.owner) {
+            return Ok(self.refuse(NO_RIGHT.to_owned()));
+        }
         let allowed = self.reader().authorise(&item.row);
         if let Err(error) = allowed {
             return self.judge(error);
@@ -278,14 +325,18 @@ impl<'a> Play<'a> {
 
     /// Waits until the moment of a message, and for subscribers that are far behind.
     async fn until_due(&mut self, due: Option<Timestamp>) -> Option<PlayEnd> {
-        let begun = Instant::now();
+        let mut crowded_since = None;
         loop {
             if let Some(end) = self.end() {
                 return Some(end);
             }
             self.tell_time();
             let left = due.map_or(Duration::ZERO, |due| self.pacer.wait(due, Instant::now()));
-            let crowded = self.stage.is_crowded() && begun.elapsed() < CROWD;
+            let mut crowded = self.stage.is_crowded();
+            if crowded && crowded_since.get_or_insert_with(Instant::now).elapsed() >= CROWD {
+                self.stage.outrun();
+                crowded = false;
+            }
             if left.is_zero() && !crowded {
                 return None;
             }
@@ -313,21 +364,32 @@ impl<'a> Play<'a> {
         if let Some(end) = self.ends.now() {
             return Some(end);
         }
+        if self.registered_at.elapsed() >= REGISTERING {
+            self.stage.register_again();
+            self.registered_at = Instant::now();
+        }
+        self.right_ended()
+    }
+
+    /// Whether the right to all that is played has ended, by what the chain says now.
+    fn right_ended(&mut self) -> Option<PlayEnd> {
         if self.owner.is_locked() {
             self.tell("the keyring was locked");
             return Some(PlayEnd::Locked);
         }
-        if self.registered_at.elapsed() >= REGISTERING {
-            self.stage.register_again();
-            self.registered_at = Instant::now();
+        if let Some(network) = self.bridge.link.network_now() {
+            self.network = network;
         }
         if self.rights_at.elapsed() < RIGHTS {
             return None;
         }
         self.rights_at = Instant::now();
         let standing = authority::shared_with(&self.network.directory, self.owner.address);
-        let standing: HashSet<Address> = standing.into_iter().map(|grant| grant.terms.owner).collect();
-        let ended: Vec<Address> = self.givers.keys().filter(|giver| !standing.contains(giver)).copied().collect();
+        let standing: HashMap<Address, Hash> =
+            standing.into_iter().map(|grant| (grant.terms.owner, grant.transaction)).collect();
+        // One that was revoked and given anew, perhaps for less, is another grant.
+        let is_over = |giver: &&Address| standing.get(giver).is_none_or(|now| self.granted.get(giver) != Some(now));
+        let ended: Vec<Address> = self.givers.keys().filter(is_over).copied().collect();
         let mut end = None;
         for giver in ended {
             end = Some(self.take_back(giver));
@@ -340,7 +402,8 @@ impl<'a> Play<'a> {
         self.givers.remove(&giver);
         self.stage.silence(giver);
         let grant = self.network.directory.grant_between(giver, self.owner.address);
-        let is_expired = grant.is_some_and(|grant| grant.revoked.is_none());
+        let is_same = |transaction| self.granted.get(&giver) == Some(&transaction);
+        let is_expired = grant.is_some_and(|grant| grant.revoked.is_none() && is_same(grant.transaction));
         let (end, why) = if is_expired { (PlayEnd::Expired, "has expired") } else { (PlayEnd::Revoked, "was revoked") };
         let name = self.bridge.contacts.names().get(&giver).map_or_else(|| giver.to_string(), ToString::to_string);
         self.tell(&format!("the grant of {name} {why}"));
@@ -367,7 +430,7 @@ impl<'a> Play<'a> {
                 if let Some(end) = self.end() {
                     return Ok(Taken::Ended(end));
                 }
-                Ok(self.refuse("no grant in force covers it, or no key of this profile opens it".to_owned()))
+                Ok(self.refuse(NO_RIGHT.to_owned()))
             }
             (_, ErrorKind::Unreachable | ErrorKind::Incomplete) if follows => Ok(Taken::Later),
             _ => Err(error.into()),
@@ -401,7 +464,9 @@ impl<'a> Play<'a> {
         if !self.wishes.clock {
             return Ok(());
         }
-        let topic = self.names.played("/clock").unwrap_or_else(|| "/clock".to_owned());
+        // Nodes read the time under this one name; where this site captures it would be captured.
+        let prefixed = if self.stage.is_captured() { self.names.played("/clock") } else { None };
+        let topic = prefixed.unwrap_or_else(|| "/clock".to_owned());
         let shown = self.stage.show_plain(&clock_topic(topic.clone()))?;
         shown.map_err(|why| Failure::new(ErrorKind::Refused, why))?;
         self.clock = Some(topic);

@@ -15,6 +15,9 @@ use crate::service::reply::Failure;
 /// How long playing waits for subscribers that the master knows, in all.
 const WELCOME: Duration = Duration::from_secs(5);
 
+/// The most topics of one playing.
+const MOST_TOPICS: usize = 500;
+
 /// How the nodes that capture are named.
 const CAPTURING: &str = "/authros_";
 
@@ -30,7 +33,9 @@ pub(super) struct Stage {
     uri: String,
     graph: Graph,
     publisher: Publisher,
-    prefixed: bool,
+    /// Under it no name is anybody else's.
+    prefix: Option<String>,
+    is_captured: bool,
     shown: HashMap<String, Shown>,
     /// Topics that are not shown, and why not.
     declined: HashMap<String, String>,
@@ -48,9 +53,15 @@ pub(super) fn source_of(owner: Address, caller_id: &str) -> u64 {
 }
 
 impl Stage {
-    pub fn new(uri: String, graph: Graph, publisher: Publisher, prefixed: bool) -> Self {
+    /// A node in a graph, from which this site captures or not.
+    pub fn new(uri: String, graph: Graph, publisher: Publisher, prefix: Option<String>, is_captured: bool) -> Self {
         let (shown, declined) = (HashMap::new(), HashMap::new());
-        Self { uri, graph, publisher, prefixed, shown, declined, patience: WELCOME }
+        Self { uri, graph, publisher, prefix, is_captured, shown, declined, patience: WELCOME }
+    }
+
+    /// Whether this site captures from the graph.
+    pub fn is_captured(&self) -> bool {
+        self.is_captured
     }
 
     /// The master.
@@ -73,6 +84,9 @@ impl Stage {
             shown.sources.insert(source, owner);
             return Ok(Ok(()));
         }
+        if self.shown.len() >= MOST_TOPICS {
+            return Ok(Err(format!("{MOST_TOPICS} topics are played already; choose some with --topic")));
+        }
         block_in_place(|| self.begin(about, owner, source))
     }
 
@@ -94,7 +108,8 @@ impl Stage {
 
     /// Why a name cannot be used without a prefix: a robot's own topic would get messages of another one.
     fn occupied(&self, topic: &str) -> Result<Option<String>, Failure> {
-        if self.prefixed {
+        let is_inside = |prefix: &String| topic.strip_prefix(prefix.as_str()).is_some_and(|rest| rest.starts_with('/'));
+        if self.prefix.as_ref().is_some_and(is_inside) {
             return Ok(None);
         }
         let nodes = self.graph.presence(topic)?;
@@ -126,6 +141,11 @@ impl Stage {
         self.publisher.is_crowded()
     }
 
+    /// Waits no more for subscribers that are far behind now.
+    pub fn outrun(&self) {
+        self.publisher.outrun();
+    }
+
     /// Registers all topics once more; a master that is away is tried again later.
     pub fn register_again(&self) {
         drop(block_in_place(|| self.publisher.register_again()));
@@ -133,32 +153,43 @@ impl Stage {
 
     /// Takes back at once what an owner's messages have shown.
     pub fn silence(&mut self, owner: Address) {
-        let publisher = &self.publisher;
+        let (mut cut, mut silenced) = (Vec::new(), Vec::new());
         self.shown.retain(|topic, shown| {
-            let theirs: Vec<u64> =
-                shown.sources.iter().filter(|(_, other)| **other == owner).map(|(source, _)| *source).collect();
-            if theirs.is_empty() {
-                return true;
-            }
+            let theirs = shown.sources.iter().filter(|(_, other)| **other == owner);
+            let theirs: Vec<(String, u64)> = theirs.map(|(source, _)| (topic.clone(), *source)).collect();
             shown.sources.retain(|_, other| *other != owner);
-            if shown.sources.is_empty() {
-                block_in_place(|| publisher.cut(topic));
-                return false;
+            let is_over = shown.sources.is_empty();
+            if is_over {
+                cut.push(topic.clone());
+            } else {
+                silenced.extend(theirs);
             }
-            theirs.iter().for_each(|source| publisher.silence(topic, *source));
-            true
+            !is_over
         });
+        silenced.iter().for_each(|(topic, source)| self.publisher.silence(topic, *source));
+        block_in_place(|| self.publisher.cut(&cut));
     }
 
-    /// Ends, with what is queued or, after the end of a right, without it; messages that subscribers did not get.
-    pub fn finish(self, at_once: bool) -> u64 {
+    /// No more messages come; what is queued is still sent.
+    pub fn leave(&self) {
+        block_in_place(|| self.publisher.leave());
+    }
+
+    /// Whether subscribers have all that was queued.
+    pub fn is_sent(&self) -> bool {
+        self.publisher.is_sent()
+    }
+
+    /// Ends; what is queued still is not sent. Messages that subscribers did not get, without those that a right's end
+    /// has taken back.
+    pub fn finish(self, by_right: bool) -> u64 {
         block_in_place(|| {
-            if at_once {
+            if by_right {
                 let dropped = self.publisher.overflowed();
-                self.shown.keys().for_each(|topic| self.publisher.cut(topic));
+                self.publisher.cut(&self.shown.into_keys().collect::<Vec<String>>());
                 return dropped;
             }
-            self.publisher.finish()
+            self.publisher.end()
         })
     }
 }
