@@ -35,6 +35,21 @@ fn the_pane_asks_for_the_record_that_the_cursor_rests_on_and_for_no_other() {
 }
 
 #[test]
+fn while_an_answer_is_awaited_nothing_is_due_and_nothing_more_is_asked() {
+    let mut robot = wide('3');
+    for _ in 0..3 {
+        robot.presses(Key::Down);
+    }
+    robot.waits(1);
+    let asked = beside(&robot);
+    assert_eq!(asked.len(), 1);
+    robot.presses(Key::Down);
+    robot.waits(1);
+    assert_eq!(beside(&robot), asked);
+    assert!(robot.state.deadline().is_none_or(|due| due > robot.state.now), "a console that waits sleeps");
+}
+
+#[test]
 fn a_narrow_terminal_asks_for_nothing() {
     let mut robot = Robot::at_work(true);
     robot.types("3");
