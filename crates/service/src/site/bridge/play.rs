@@ -8,6 +8,8 @@ use std::time::{Duration, Instant};
 use tokio::sync::{oneshot, watch};
 use tokio::task::block_in_place;
 
+mod rights;
+
 use super::Bridge;
 use super::feed::{Feed, Item};
 use super::names::Names;
@@ -20,7 +22,6 @@ use crate::pipeline::{Network, Owner, PipelineError, authority, importer};
 use crate::ros::Advertised;
 use crate::ros::recording::Encoding;
 use crate::service::command::{Pace, PlayWishes};
-use crate::service::event::NoticeLevel;
 use crate::service::reply::{Failure, PlayEnd, PlayedView};
 use crate::site::lifetime::Lifetime;
 
@@ -369,51 +370,6 @@ impl<'a> Play<'a> {
             self.registered_at = Instant::now();
         }
         self.right_ended()
-    }
-
-    /// Whether the right to all that is played has ended, by what the chain says now.
-    fn right_ended(&mut self) -> Option<PlayEnd> {
-        if self.owner.is_locked() {
-            self.tell("the keyring was locked");
-            return Some(PlayEnd::Locked);
-        }
-        if let Some(network) = self.bridge.link.network_now() {
-            self.network = network;
-        }
-        if self.rights_at.elapsed() < RIGHTS {
-            return None;
-        }
-        self.rights_at = Instant::now();
-        let standing = authority::shared_with(&self.network.directory, self.owner.address);
-        let standing: HashMap<Address, Hash> =
-            standing.into_iter().map(|grant| (grant.terms.owner, grant.transaction)).collect();
-        // One that was revoked and given anew, perhaps for less, is another grant.
-        let is_over = |giver: &&Address| standing.get(giver).is_none_or(|now| self.granted.get(giver) != Some(now));
-        let ended: Vec<Address> = self.givers.keys().filter(is_over).copied().collect();
-        let mut end = None;
-        for giver in ended {
-            end = Some(self.take_back(giver));
-        }
-        end.filter(|_| self.givers.is_empty())
-    }
-
-    /// An owner shares no more: what is queued or latched of hers is not given out either.
-    fn take_back(&mut self, giver: Address) -> PlayEnd {
-        self.givers.remove(&giver);
-        self.stage.silence(giver);
-        let grant = self.network.directory.grant_between(giver, self.owner.address);
-        let is_same = |transaction| self.granted.get(&giver) == Some(&transaction);
-        let is_expired = grant.is_some_and(|grant| grant.revoked.is_none() && is_same(grant.transaction));
-        let (end, why) = if is_expired { (PlayEnd::Expired, "has expired") } else { (PlayEnd::Revoked, "was revoked") };
-        let name = self.bridge.contacts.names().get(&giver).map_or_else(|| giver.to_string(), ToString::to_string);
-        self.tell(&format!("the grant of {name} {why}"));
-        end
-    }
-
-    fn tell(&self, why: &str) {
-        let text =
-            format!("playing into {} ended, {why}; {} messages were published", self.stage.uri(), self.published);
-        self.bridge.hub.notice(NoticeLevel::Warning, &text);
     }
 
     /// A record that does not open is counted; what is no fault of the record ends the playing, or is tried again.
