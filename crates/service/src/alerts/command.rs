@@ -3,7 +3,7 @@
 use std::io::Write as _;
 use std::os::unix::process::CommandExt as _;
 use std::process::{Child, Command, ExitStatus, Stdio};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, Signal, kill_process_group};
@@ -19,22 +19,53 @@ const LOOK: Duration = Duration::from_millis(20);
 /// What it gets of this process's environment.
 const ENVIRONMENT: [&str; 3] = ["PATH", "HOME", "LANG"];
 
+/// Whether somebody waits for a program. It is killed by who ends the waiting, for a process that ends may leave no time
+/// to the thread that looks after it.
+#[derive(Debug, Default)]
+pub struct Wanted(Mutex<State>);
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+enum State {
+    /// It is not begun.
+    #[default]
+    Waits,
+    /// It runs, in this group of its own.
+    Runs(Pid),
+    /// Nobody waits any more, or it has ended.
+    Over,
+}
+
+impl Wanted {
+    /// Nobody waits any more: what runs is killed, and nothing is begun.
+    pub fn end(&self) {
+        end(&mut self.state());
+    }
+
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+fn end(state: &mut State) {
+    if let State::Runs(group) = std::mem::replace(state, State::Over) {
+        // It may have ended in between; then there is nothing to kill.
+        let _ = kill_process_group(group, Signal::KILL);
+    }
+}
+
 /// Runs it to its end, for `patience` at most and only while it is wanted, and says how it ended.
 ///
 /// # Errors
-/// Of kind `Unreachable` where it cannot be started, `Refused` where it failed or took too long.
-pub fn run(words: &[String], body: &[u8], patience: Duration, wanted: &AtomicBool) -> Result<String, Failure> {
+/// Of kind `Unreachable` where it cannot be started, `Refused` where it failed, took too long or is wanted no more.
+pub fn run(words: &[String], body: &[u8], patience: Duration, wanted: &Wanted) -> Result<String, Failure> {
     let Some((program, arguments)) = words.split_first() else { return Err(refused("alerts.command is empty")) };
     let shown = clean(program, 100);
     let mut command = Command::new(program);
     command.args(arguments).stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null()).env_clear();
     command.envs(ENVIRONMENT.iter().filter_map(|name| Some((name, std::env::var_os(name)?))));
     // A group of its own, so that what it started ends with it.
-    let child = command.process_group(0).current_dir("/").spawn();
-    let mut child = child.map_err(|error| {
-        let text = format!("{shown} cannot be started: {error}; see alerts.command");
-        Failure::new(ErrorKind::Unreachable, text)
-    })?;
+    command.process_group(0).current_dir("/");
+    let mut child = begun(&mut command, wanted, &shown)?;
     // A pipe holds many such bodies; a program that does not read is no fault.
     if let Some(mut stdin) = child.stdin.take() {
         drop(stdin.write_all(body));
@@ -46,18 +77,37 @@ pub fn run(words: &[String], body: &[u8], patience: Duration, wanted: &AtomicBoo
     }
 }
 
+fn begun(command: &mut Command, wanted: &Wanted, shown: &str) -> Result<Child, Failure> {
+    let mut state = wanted.state();
+    if *state == State::Over {
+        return Err(refused(format!("{shown} was not started: nobody waits for it any more")));
+    }
+    let child = command.spawn().map_err(|error| {
+        let text = format!("{shown} cannot be started: {error}; see alerts.command");
+        Failure::new(ErrorKind::Unreachable, text)
+    })?;
+    *state = State::Runs(Pid::from_child(&child));
+    Ok(child)
+}
+
 /// How it ended; `None` = it was killed.
-fn ended(child: &mut Child, patience: Duration, wanted: &AtomicBool) -> Option<ExitStatus> {
+fn ended(child: &mut Child, patience: Duration, wanted: &Wanted) -> Option<ExitStatus> {
     let begun = Instant::now();
-    while begun.elapsed() < patience && wanted.load(Ordering::Acquire) {
+    while begun.elapsed() < patience {
+        let mut state = wanted.state();
         match child.try_wait() {
-            Ok(Some(status)) => return Some(status),
-            Ok(None) => std::thread::sleep(LOOK),
+            Ok(Some(status)) => {
+                // Its number may be another's from now on.
+                let killed = std::mem::replace(&mut *state, State::Over) == State::Over;
+                return Some(status).filter(|_| !killed);
+            }
+            Ok(None) => {}
             Err(_) => break,
         }
+        drop(state);
+        std::thread::sleep(LOOK);
     }
-    // It may have ended in between; then there is nothing to kill.
-    let _ = kill_process_group(Pid::from_child(child), Signal::KILL);
+    wanted.end();
     drop(child.wait());
     None
 }
@@ -71,7 +121,7 @@ mod tests {
     }
 
     fn ran(given: &[&str], body: &[u8], patience: Duration) -> Result<String, Failure> {
-        run(&words(given), body, patience, &AtomicBool::new(true))
+        run(&words(given), body, patience, &Wanted::default())
     }
 
     #[test]
@@ -90,7 +140,16 @@ mod tests {
         assert_eq!(ran(&["/not/there"], b"", PATIENCE).expect_err("missing").kind, ErrorKind::Unreachable);
         let killed = ran(&["/bin/sleep", "1000"], b"", Duration::from_millis(200)).expect_err("killed");
         assert!(killed.message.contains("was killed"), "{killed}");
-        let unwanted = run(&words(&["/bin/sleep", "1000"]), b"", PATIENCE, &AtomicBool::new(false));
-        assert!(unwanted.is_err(), "nobody waits for it any more");
+        let wanted = Wanted::default();
+        wanted.end();
+        assert!(run(&words(&["/bin/sleep", "1000"]), b"", PATIENCE, &wanted).is_err(), "nobody waits for it any more");
+        let wanted = std::sync::Arc::new(Wanted::default());
+        let other = std::sync::Arc::clone(&wanted);
+        let running = std::thread::spawn(move || run(&words(&["/bin/sleep", "1000"]), b"", PATIENCE, &other));
+        while !matches!(*wanted.state(), State::Runs(_)) {
+            std::thread::sleep(LOOK);
+        }
+        wanted.end();
+        assert!(running.join().expect("ends").is_err(), "killed by who waited");
     }
 }

@@ -10,7 +10,6 @@ pub(crate) mod troubles;
 mod webhook;
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 use serde::{Deserialize, Serialize};
 
@@ -72,12 +71,12 @@ pub enum Carrier {
     Command(Vec<String>),
 }
 
-/// Tells a thread that nobody waits for it any more.
-struct Waiting(Arc<AtomicBool>);
+/// Ends the program when nobody waits for it any more.
+struct Waiting(Arc<command::Wanted>);
 
 impl Drop for Waiting {
     fn drop(&mut self) {
-        self.0.store(false, Ordering::Release);
+        self.0.end();
     }
 }
 
@@ -104,7 +103,7 @@ impl Carrier {
             Self::Webhook(webhook) => return webhook.carry(delivery, dropped).await,
             Self::Command(words) => words.clone(),
         };
-        let (body, wanted) = (delivery.body(dropped), Arc::new(AtomicBool::new(true)));
+        let (body, wanted) = (delivery.body(dropped), Arc::new(command::Wanted::default()));
         let _waiting = Waiting(Arc::clone(&wanted));
         let run = move || command::run(&words, &body, command::PATIENCE, &wanted);
         let ran = tokio::task::spawn_blocking(run).await;
