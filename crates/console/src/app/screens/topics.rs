@@ -273,7 +273,7 @@ impl Topics {
         rows.get(self.table.position(&keys)).copied()
     }
 
-    /// The marked topics, else the one of the cursor; a robot's row stands for all its topics.
+    /// The marked topics, else the one of the cursor; a robot's row stands for those of its topics that the filter shows.
     pub fn targets(&self) -> Vec<&TopicRow> {
         let chosen: Vec<&str> = match self.table.marks.is_empty() {
             true => self.selected().map(|row| row.topic.as_str()).into_iter().collect(),
@@ -281,8 +281,9 @@ impl Topics {
         };
         let topics: BTreeSet<&str> = chosen.iter().copied().collect();
         let robots: BTreeSet<&str> = chosen.iter().filter_map(|name| self.robot(name)).collect();
+        let shown: BTreeSet<&str> = self.found().into_iter().map(|(_, row)| row.topic.as_str()).collect();
         let is_meant = |row: &&TopicRow| {
-            let robot = robots::robot_of(&row.topic);
+            let robot = robots::robot_of(&row.topic).filter(|_| shown.contains(row.topic.as_str()));
             topics.contains(row.topic.as_str()) || robot.is_some_and(|robot| robots.contains(robot))
         };
         self.rows.iter().filter(is_meant).collect()
