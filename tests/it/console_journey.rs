@@ -56,29 +56,6 @@ impl Operator {
 }
 
 #[test]
-fn a_wide_terminal_shows_what_flows_and_where_a_record_stands() {
-    let _alone = heavy();
-    let home = Home::new();
-    let authros = one_robot(home.authros());
-    authros.enrol();
-    authros.run(&["topics", "watch", ODOMETRY]).expect_code(0);
-    let mut operator = Operator(Console::open_in(&Terminal::of(200, 50), &authros, &[]));
-    operator.sees("Last 15 min").sees("p50").presses("m").sees("Last 60 min").presses("m").sees("Last 1 min");
-    operator
-        .presses("3")
-        .sees("verified")
-        .presses("\u{1b}[B\u{1b}[B")
-        .sees("as of")
-        .sees("Provenance of record")
-        .sees("hashes to the root");
-    operator.presses("2").sees(CAMERA).presses("h").sees("1 of ").no_longer_sees(CAMERA).presses("h").sees(CAMERA);
-    operator.presses("9").sees("watch /robot1/odom").presses("ooo").sees("from audit");
-    operator.presses("\r").sees("Log line").presses("q").no_longer_sees("Log line");
-    operator.presses("1");
-    operator.leaves();
-}
-
-#[test]
 fn from_nothing_to_verified_records_of_two_topics() {
     let _alone = heavy();
     let home = Home::new();
