@@ -380,8 +380,8 @@ impl Connection {
             feeds.remove(fed.request);
             return self.send(session, fed.request, &Answer::End(Code::NotAuthorised)).await;
         };
-        let desk = &self.shared.desk;
-        let fetched = match desk.admits(&commands.caller.account).await {
+        let desk = self.shared.desk.as_ref();
+        let fetched = match commands.check_fed(desk).await {
             Ok(()) => desk.fetch(&commands.caller, &entry.digest).await,
             Err(refusal) => Err(refusal),
         };

@@ -125,6 +125,16 @@ impl Commands {
         }
     }
 
+    /// What is fed to a subscription is given under the same terms as what is asked for: an account that was dismissed, or
+    /// has other keys by now than the session was allocated under, gets nothing more.
+    ///
+    /// # Errors
+    /// [`Refusal`], with which the subscription ends.
+    pub async fn check_fed(&self, desk: &dyn Desk) -> Result<(), Refusal> {
+        desk.admits(&self.caller.account).await?;
+        check_account(desk, &self.binding).await
+    }
+
     fn noted(&self, shared: &Shared, message: &Message<Charge>) -> Result<Answer, Refusal> {
         let digest = Digest(shared.provider().sm3(&[&message.body]));
         let receipt = shared.receipt(Timestamp::now(), vec![digest])?;
