@@ -38,9 +38,19 @@ impl Parts {
         self.otherwise.push(what);
     }
 
-    /// How all of it ended.
+    /// What became of further parts.
+    pub fn add(&mut self, more: Self) {
+        self.refusals.extend(more.refusals);
+        self.reached.extend(more.reached);
+        self.otherwise.extend(more.otherwise);
+    }
+
+    /// How all of it ended; the same words are told once.
     pub fn outcome(mut self) -> Outcome {
-        self.refusals.dedup();
+        for told in [&mut self.refusals, &mut self.otherwise] {
+            told.sort_unstable();
+            told.dedup();
+        }
         if !self.reached.is_empty() {
             Outcome::Succeeded(self.reached.join(", "))
         } else if !self.otherwise.is_empty() || self.refusals.is_empty() {

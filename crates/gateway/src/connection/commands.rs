@@ -103,7 +103,7 @@ impl Commands {
                 Ok(Answer::Done(Command::Subscribe))
             }
             Request::Unsubscribe(subscription) => {
-                self.feeds.iter_mut().for_each(|feeds| feeds.remove(subscription));
+                self.end_feed(subscription);
                 Ok(Answer::Done(Command::Unsubscribe))
             }
             Request::GrantNotice(notice) => {
@@ -133,6 +133,11 @@ impl Commands {
     pub async fn check_fed(&self, desk: &dyn Desk) -> Result<(), Refusal> {
         desk.admits(&self.caller.account).await?;
         check_account(desk, &self.binding).await
+    }
+
+    /// Ends a subscription, if there is one of this number.
+    pub fn end_feed(&mut self, request: u32) {
+        self.feeds.iter_mut().for_each(|feeds| feeds.remove(request));
     }
 
     fn noted(&self, shared: &Shared, message: &Message<Charge>) -> Result<Answer, Refusal> {
