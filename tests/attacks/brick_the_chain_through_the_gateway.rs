@@ -296,11 +296,13 @@ async fn a_registered_account_sends_all_it_may_for_a_minute() {
                 let call = dear_call(nonce - first, grantee);
                 let raw = signed(&key, chain, nonce, 10_000_000, Some(contract), &call);
                 match client.relay("eth_sendRawTransaction", &json!([raw])).await {
-                    Ok(Relayed::Result(_)) => drop(passed.fetch_add(1, Ordering::SeqCst)),
+                    Ok(Relayed::Result(_)) => {
+                        passed.fetch_add(1, Ordering::SeqCst);
+                    }
                     // The pool has enough of this account, or a nonce before it was refused.
                     Ok(Relayed::Fault { words, .. }) if words.contains("txpool is full") => {
                         parts.refused("mallory", &words, "txpool is full");
-                        drop(nonces.fetch_update(Ordering::SeqCst, Ordering::SeqCst, |next| Some(next.min(nonce))));
+                        nonces.fetch_min(nonce, Ordering::SeqCst);
                         tokio::time::sleep(Duration::from_millis(50)).await;
                     }
                     Ok(Relayed::Fault { words, .. }) if ORDER.iter().any(|word| words.contains(word)) => {

@@ -172,7 +172,9 @@ fn grow_the_directory_of_a_site_beside_its_chain() {
     let authros = home.authros().with(&["--robots", "0", "--chain", &node.http()]);
     let site = authros.serve(&home);
     let contract = text(&authros.json(&["chain", "status"]), "contract").parse().expect("an address");
-    STRANGERS.map(|stranger| node.fund(&format!("{:?}", account_of(stranger))));
+    for stranger in STRANGERS {
+        node.fund(&format!("{:?}", account_of(stranger)));
+    }
     let line = Line::to(([127, 0, 0, 1], node.port()).into(), PRICE);
     let mut field = Field::new(Sealer::Node { line, site }, &home, contract);
     field.register();

@@ -8,7 +8,7 @@ use std::process::Command;
 use crate::support::authros::files_below;
 use crate::support::{Home, wait_until};
 
-const HOME: i32 = 3;
+const INPUT: i32 = 3;
 
 /// Files and what a later program writes into each as its version.
 const LATER: [(&str, &str); 3] = [
@@ -57,7 +57,7 @@ fn an_older_program_is_refused_in_words_and_changes_nothing() {
             drop(database);
             let before = files(&place.path());
             for command in [&["status"][..], &["uploads", "list"], &["audit"], &["serve"]] {
-                let message = place.authros().with(&["--robots", "0"]).fails(HOME, command);
+                let message = place.authros().with(&["--robots", "0"]).fails(INPUT, command);
                 assert!(message.contains("900") && message.contains("use a newer authros"), "{command:?}: {message}");
                 assert!(message.contains(name.rsplit('/').next().expect("a name")), "it is named: {message}");
                 let after = files(&place.path());

@@ -146,9 +146,11 @@ impl ChainError {
     pub fn kind(&self) -> ErrorKind {
         match self {
             Self::Unreachable { .. } | Self::Answer { .. } | Self::NotMined(_) => ErrorKind::Unreachable,
-            Self::Url(_) | Self::NoContract | Self::OtherConsensus { .. } | Self::Input(_) => ErrorKind::Input,
+            Self::Url(_) | Self::NoContract | Self::OtherConsensus { .. } | Self::Newer { .. } | Self::Input(_) => {
+                ErrorKind::Input
+            }
             Self::Tampered { .. } => ErrorKind::Tampered,
-            Self::File { .. } | Self::Newer { .. } => ErrorKind::Home,
+            Self::File { .. } => ErrorKind::Home,
             Self::Internal(_) => ErrorKind::Internal,
             Self::Swapped { .. }
             | Self::NotTheContract(_)
