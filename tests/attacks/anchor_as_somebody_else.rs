@@ -57,7 +57,10 @@ fn anchor_as_somebody_else() {
         "anchor_as_somebody_else",
         match told {
             Some(words) if audited && heard => Outcome::Refused(words),
-            _ => Outcome::Succeeded(
+            Some(words) => {
+                Outcome::Otherwise(format!("{words}; in the audit log: {audited}, told when it happened: {heard}"))
+            }
+            None => Outcome::Succeeded(
                 "the copy's records are verified, the owner's status says that all is well".to_owned(),
             ),
         },

@@ -1,23 +1,32 @@
 //! Wants to stand still a chain that it does not own: frames of a hundred bytes, through the gateway's line to it, that
 //! take the chain's only thread for seconds and its memory for ever.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-use authros::gateway::{Client, GatewayError, Relayed};
+use authros::chain::Call;
+use authros::gateway::{Client, Code, GatewayError, Relayed};
+use authros::model::{Address, Scope, Token};
 use ethers::signers::{LocalWallet, Signer as _};
-use ethers::types::TransactionRequest;
 use ethers::types::transaction::eip2718::TypedTransaction;
+use ethers::types::{H160, TransactionRequest};
 use serde_json::{Value, json};
 
+use super::parts::Parts;
 use super::support::gate::Gate;
 use super::support::member::{Gateway, Member, connect};
 use super::support::source::line_from;
-use super::support::{hex, long, unhex};
+use super::support::{hex, long, text, unhex};
 use super::{Outcome, judge};
 
 const NAME: &str = "brick_the_chain_through_the_gateway";
 /// Enough to be noticed, and little enough to end on the build that takes it.
 const GAS: u64 = 30_000_000;
+/// No block may come later, while transactions wait.
+const LATE: Duration = Duration::from_secs(2);
+/// How much more memory it may hold after a minute, MiB.
+const ROOM: u64 = 32;
 
 /// Creation code that burns what it is given.
 fn payloads(gas: u64) -> [(&'static str, Vec<u8>); 3] {
@@ -33,28 +42,44 @@ fn payloads(gas: u64) -> [(&'static str, Vec<u8>); 3] {
     [("BLAKE2F", blake), ("SSTORE", store), ("modexp", power)]
 }
 
-fn signed(key: &LocalWallet, chain: u64, nonce: u64, gas: u64, code: &[u8]) -> String {
-    let request = TransactionRequest::new().nonce(nonce).gas(gas).gas_price(0).value(0).chain_id(chain);
-    let typed = TypedTransaction::Legacy(request.data(code.to_vec()));
+/// A call of `to`, or a creation.
+fn signed(key: &LocalWallet, chain: u64, nonce: u64, gas: u64, to: Option<H160>, data: &[u8]) -> String {
+    let mut request = TransactionRequest::new().nonce(nonce).gas(gas).gas_price(0).value(0).chain_id(chain);
+    request.to = to.map(Into::into);
+    let typed = TypedTransaction::Legacy(request.data(data.to_vec()));
     let signature = key.clone().with_chain_id(chain).sign_transaction_sync(&typed).expect("signs");
     format!("0x{}", hex(&typed.rlp_signed(&signature)))
 }
 
-/// Which payloads the gateway passed on, and the words with which it refused the last.
-async fn send_all(client: &mut Client, chain: u64, gas: u64) -> (Vec<&'static str>, String) {
-    let (mut passed, mut refusal) = (Vec::new(), String::new());
+/// What is said of a creation, whoever sends it.
+const NOT_TO_THE_CONTRACT: &str = "only transactions to the contract";
+/// What is said of a call of the contract with more gas than any call needs.
+const TOO_MUCH_GAS: &str = "are passed on";
+/// What the pool says of a nonce that is not the next one.
+const ORDER: [&str; 3] = ["nonce", "already known", "underpriced"];
+/// How gateways bound who asks too much.
+const BOUNDS: [Code; 5] = [Code::Quota, Code::Busy, Code::TooSlow, Code::Session, Code::Transaction];
+
+/// Sends a frame; gives its hash where it was passed on.
+async fn send(parts: &mut Parts, client: &mut Client, what: &str, words: &str, raw: String) -> Option<String> {
+    match client.relay("eth_sendRawTransaction", &json!([raw])).await {
+        Ok(Relayed::Result(hash)) => return Some(hash),
+        Ok(Relayed::Fault { words: read, .. }) => parts.refused(what, &read, words),
+        Err(error) => parts.otherwise(format!("{what}: {error}")),
+    }
+    None
+}
+
+/// All payloads as creations by accounts that nobody knows: none must pass.
+async fn send_all(parts: &mut Parts, client: &mut Client, who: &str, chain: u64, gas: u64) {
     for (name, code) in payloads(gas) {
         let key = LocalWallet::new(&mut ethers::core::rand::thread_rng());
-        match client.relay("eth_sendRawTransaction", &json!([signed(&key, chain, 0, gas, &code)])).await {
-            Ok(Relayed::Result(hash)) => {
-                passed.push(name);
-                mined(client, &hash).await;
-            }
-            Ok(Relayed::Fault { words, .. }) => refusal = words,
-            Err(error) => refusal = error.to_string(),
+        let raw = signed(&key, chain, 0, gas, None, &code);
+        if let Some(hash) = send(parts, client, who, NOT_TO_THE_CONTRACT, raw).await {
+            mined(client, &hash).await;
+            parts.reached(format!("{gas} gas of {name} were mined, of a {who}"));
         }
     }
-    (passed, refusal)
 }
 
 async fn mined(client: &mut Client, hash: &str) {
@@ -78,24 +103,105 @@ async fn visit(gateway: &Gateway) -> Result<Client, GatewayError> {
     Client::visit(&gateway.endpoint(), &mut gateway.trust(), &"visitor".parse().expect("a name")).await
 }
 
+/// The account of a profile, whose key signs transactions.
+fn wallet(member: &Member) -> LocalWallet {
+    LocalWallet::from_bytes(&member.keyring.eoa.expose()[..]).expect("a key")
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn visitors_and_registered_accounts_send_what_never_ends() {
     let gate = Gate::new();
-    gate.home.profile("alice").enrol();
+    let alice = gate.home.profile("alice");
+    alice.enrol();
+    let contract: H160 = text(&alice.json(&["chain", "status"]), "contract").parse().expect("an address");
     let alice = Member::of(&gate.home, "alice", gate.gateway.domain);
     let credentials = alice.allocate(&gate.gateway, "robot-7").await.expect("allocates");
     let mut visitor = visit(&gate.gateway).await.expect("visits");
     let mut robot = connect(&gate.gateway, &credentials).await;
     let chain = chain_id(&mut visitor).await;
-    let (by_visitor, refusal) = send_all(&mut visitor, chain, GAS).await;
-    let (by_robot, words) = send_all(&mut robot, chain, GAS).await;
-    if by_visitor.is_empty() && by_robot.is_empty() {
-        judge(NAME, Outcome::Refused(format!("visitor: {refusal}; registered: {words}")));
-    } else {
-        let what =
-            format!("{GAS} gas each were mined of a visitor {by_visitor:?}, of a registered account {by_robot:?}");
-        judge(NAME, Outcome::Succeeded(what));
+    let mut parts = Parts::default();
+    send_all(&mut parts, &mut visitor, "visitor", chain, GAS).await;
+    send_all(&mut parts, &mut robot, "registered account", chain, GAS).await;
+    // By the registered account itself, to the contract, with more gas than a call needs.
+    let raw = signed(&wallet(&alice), chain, 1_000, GAS, Some(contract), &[1; 4]);
+    let what = "registered account, to the contract";
+    if send(&mut parts, &mut robot, what, TOO_MUCH_GAS, raw).await.is_some() {
+        parts.reached(format!("{GAS} gas of a registered account were passed on"));
     }
+    judge(NAME, parts.outcome());
+}
+
+/// What was seen in a minute under attack.
+struct Seen {
+    sent: u64,
+    refused: Vec<String>,
+    /// Between two blocks, while anchors wait all the time.
+    longest: Duration,
+    /// Memory before and after, MiB.
+    held: [u64; 2],
+}
+
+/// A robot uploads until `end`, and somebody looks at the blocks.
+async fn upload(gate: &Gate, owner: &Member, end: Instant) -> Seen {
+    let of_robot = owner.allocate(&gate.gateway, "robot-7").await.expect("allocates");
+    let of_eyes = owner.allocate(&gate.gateway, "robot-8").await.expect("allocates");
+    let (mut robot, mut eyes) = (connect(&gate.gateway, &of_robot).await, connect(&gate.gateway, &of_eyes).await);
+    let (mut seen, mut block, mut since) = (
+        Seen { sent: 0, refused: Vec::new(), longest: Duration::ZERO, held: [gate.held(); 2] },
+        String::new(),
+        Instant::now(),
+    );
+    while Instant::now() < end {
+        // Anchors of what is uploaded wait all the time, so that a block is due all the time.
+        if let Ok(Relayed::Result(newest)) = eyes.relay("eth_blockNumber", &json!([])).await
+            && newest != block
+        {
+            seen.longest = seen.longest.max(if block.is_empty() { Duration::ZERO } else { since.elapsed() });
+            (block, since) = (newest, Instant::now());
+        }
+        seen.sent += 1;
+        let record = owner.record(&owner.keyring.signing, "/robot7/log", seen.sent, b"a line of the log");
+        if let Err(error) = robot.upload(vec![record]).await {
+            seen.refused.push(error.to_string());
+            robot = connect(&gate.gateway, &of_robot).await;
+        }
+        tokio::time::sleep(Duration::from_millis(100)).await;
+    }
+    seen.held[1] = gate.held();
+    seen
+}
+
+/// How the minute ended: what was refused to the attackers counts only if nobody else was kept out.
+fn minute(name: &str, seen: &Seen, attackers: Vec<Parts>, told: &str) {
+    let figures = format!(
+        "{} uploads in a minute, {} refused, {:.1} s between two blocks at most, {} MiB before, {} MiB after; {told}",
+        seen.sent,
+        seen.refused.len(),
+        seen.longest.as_secs_f64(),
+        seen.held[0],
+        seen.held[1]
+    );
+    let mut parts = Parts::default();
+    attackers.into_iter().for_each(|more| parts.add(more));
+    if !seen.refused.is_empty() || seen.longest > LATE || seen.held[1] > seen.held[0] + ROOM {
+        parts.reached(format!("{figures}; {:?}", seen.refused.first()));
+    }
+    let outcome = match parts.outcome() {
+        Outcome::Refused(refusals) => Outcome::Refused(format!("{figures}; {refusals}")),
+        Outcome::Otherwise(happened) => Outcome::Otherwise(format!("{figures}; {happened}")),
+        Outcome::Succeeded(reached) => Outcome::Succeeded(reached),
+    };
+    judge(name, outcome);
+}
+
+/// Three lines to the gateway, from an address each.
+async fn three_lines(gate: &Gate) -> Vec<Gateway> {
+    let to = gate.gateway.address.parse().expect("an address");
+    let mut lines = Vec::new();
+    for last in 1..=3 {
+        lines.push(Gateway { address: line_from(last, to).await.to_string(), ..gate.gateway.clone() });
+    }
+    lines
 }
 
 /// Three addresses for a minute, each frame with all the gas there is or with as much as is admitted, two of visitors
@@ -108,74 +214,127 @@ async fn three_addresses_for_a_minute_while_a_robot_uploads() {
     let gate = Gate::new();
     gate.home.profile("alice").enrol();
     let alice = Member::of(&gate.home, "alice", gate.gateway.domain);
-    let credentials = alice.allocate(&gate.gateway, "robot-7").await.expect("allocates");
-    let mut robot = connect(&gate.gateway, &credentials).await;
-    let credentials_of_eyes = alice.allocate(&gate.gateway, "robot-8").await.expect("allocates");
-    let chain = chain_id(&mut robot).await;
+    let chain = chain_id(&mut visit(&gate.gateway).await.expect("visits")).await;
     let end = Instant::now() + Duration::from_secs(60);
-    let to = gate.gateway.address.parse().expect("an address");
     let mut attackers = Vec::new();
-    for last in 1..=3 {
-        let through = Gateway { address: line_from(last, to).await.to_string(), ..gate.gateway.clone() };
-        let registered = match last {
-            3 => Some(alice.allocate(&gate.gateway, "robot-9").await.expect("allocates")),
+    for (number, through) in three_lines(&gate).await.into_iter().enumerate() {
+        let registered = match number {
+            2 => Some(alice.allocate(&gate.gateway, "robot-9").await.expect("allocates")),
             _ => None,
         };
         attackers.push(tokio::spawn(async move {
-            let mut passed = 0;
+            let (mut parts, who) =
+                (Parts::default(), if registered.is_some() { "registered account" } else { "visitor" });
             while Instant::now() < end {
                 let entered = match &registered {
                     Some(credentials) => Client::connect(&through.endpoint(), &mut through.trust(), credentials).await,
                     None => visit(&through).await,
                 };
-                let Ok(mut client) = entered else {
-                    tokio::time::sleep(Duration::from_millis(100)).await;
-                    continue;
+                let mut client = match entered {
+                    Ok(client) => client,
+                    Err(error) => {
+                        bounded(&mut parts, who, error);
+                        tokio::time::sleep(Duration::from_millis(100)).await;
+                        continue;
+                    }
                 };
                 for gas in [4_294_967_295, 10_000_000] {
-                    passed += send_all(&mut client, chain, gas).await.0.len();
+                    send_all(&mut parts, &mut client, who, chain, gas).await;
                 }
             }
-            passed
+            parts
         }));
     }
-    let mut eyes = connect(&gate.gateway, &credentials_of_eyes).await;
-    let (mut sent, mut refused, held) = (0, Vec::new(), gate.held());
-    let (mut block, mut since, mut longest) = (String::new(), Instant::now(), Duration::ZERO);
-    while Instant::now() < end {
-        // Anchors of what is uploaded wait all the time, so that a block is due all the time.
-        if let Ok(Relayed::Result(newest)) = eyes.relay("eth_blockNumber", &json!([])).await
-            && newest != block
-        {
-            longest = longest.max(if block.is_empty() { Duration::ZERO } else { since.elapsed() });
-            (block, since) = (newest, Instant::now());
-        }
-        sent += 1;
-        let upload = alice.record(&alice.keyring.signing, "/robot7/log", sent, b"a line of the log");
-        if let Err(error) = robot.upload(vec![upload]).await {
-            refused.push(error.to_string());
-            robot = connect(&gate.gateway, &credentials).await;
-        }
-        tokio::time::sleep(Duration::from_millis(100)).await;
-    }
-    let mut passed = 0;
+    let seen = upload(&gate, &alice, end).await;
+    let mut all = Vec::new();
     for attacker in attackers {
-        passed += attacker.await.expect("ends");
+        all.push(attacker.await.expect("ends"));
     }
-    if passed == 0 && refused.is_empty() {
-        let figures = format!(
-            "{:.1} s between two blocks at most; {held} MiB before, {} MiB after",
-            longest.as_secs_f64(),
-            gate.held()
-        );
-        judge(
-            NAME,
-            Outcome::Refused(format!("{sent} uploads in a minute, none refused, no frame passed on; {figures}")),
-        );
+    minute(NAME, &seen, all, "no creation passed on");
+}
+
+/// A refusal of who comes too often is one by name, in clear too: before a session nothing else can be said.
+fn bounded(parts: &mut Parts, what: &str, error: GatewayError) {
+    match error {
+        GatewayError::RefusedInClear(code) if BOUNDS.contains(&code) => parts.refused(what, code.text(), ""),
+        error => parts.answered(what, Err(error), &BOUNDS),
+    }
+}
+
+/// A registered account for a minute from three addresses: what it may send, calls of the contract with all the gas that
+/// a transaction may have, each as dear as the contract makes any, as fast as the gateway takes them.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_registered_account_sends_all_it_may_for_a_minute() {
+    if !long() {
+        return;
+    }
+    let gate = Gate::new();
+    let (alice, mallory) = (gate.home.profile("alice"), gate.home.profile("mallory"));
+    let grantee = alice.enrol().parse().expect("an address");
+    mallory.enrol();
+    let contract: H160 = text(&alice.json(&["chain", "status"]), "contract").parse().expect("an address");
+    let first = mallory.json(&["chain", "status"])["nonce"].as_u64().expect("a nonce");
+    let [alice, mallory] = ["alice", "mallory"].map(|name| Member::of(&gate.home, name, gate.gateway.domain));
+    let chain = chain_id(&mut visit(&gate.gateway).await.expect("visits")).await;
+    let (key, end) = (wallet(&mallory), Instant::now() + Duration::from_secs(60));
+    let (nonces, passed) = (Arc::new(AtomicU64::new(first)), Arc::new(AtomicU64::new(0)));
+    let mut attackers = Vec::new();
+    for (number, through) in three_lines(&gate).await.into_iter().enumerate() {
+        let name = format!("mallory-{number}");
+        let credentials = mallory.allocate(&gate.gateway, &name).await.expect("allocates");
+        let (key, nonces, passed) = (key.clone(), Arc::clone(&nonces), Arc::clone(&passed));
+        attackers.push(tokio::spawn(async move {
+            let mut parts = Parts::default();
+            let mut entered = None;
+            while Instant::now() < end {
+                let Some(client) = entered.as_mut() else {
+                    let again = Client::connect(&through.endpoint(), &mut through.trust(), &credentials).await;
+                    entered = again.map_err(|error| bounded(&mut parts, "mallory", error)).ok();
+                    continue;
+                };
+                let nonce = nonces.fetch_add(1, Ordering::SeqCst);
+                let call = dear_call(nonce - first, grantee);
+                let raw = signed(&key, chain, nonce, 10_000_000, Some(contract), &call);
+                match client.relay("eth_sendRawTransaction", &json!([raw])).await {
+                    Ok(Relayed::Result(_)) => {
+                        passed.fetch_add(1, Ordering::SeqCst);
+                    }
+                    // The pool has enough of this account, or a nonce before it was refused.
+                    Ok(Relayed::Fault { words, .. }) if words.contains("txpool is full") => {
+                        parts.refused("mallory", &words, "txpool is full");
+                        nonces.fetch_min(nonce, Ordering::SeqCst);
+                        tokio::time::sleep(Duration::from_millis(50)).await;
+                    }
+                    Ok(Relayed::Fault { words, .. }) if ORDER.iter().any(|word| words.contains(word)) => {
+                        parts.refused("mallory", "a nonce out of its order", "nonce");
+                    }
+                    Ok(Relayed::Fault { words, .. }) => parts.otherwise(words),
+                    Err(error) => {
+                        bounded(&mut parts, "mallory", error);
+                        entered = None;
+                    }
+                }
+            }
+            parts
+        }));
+    }
+    let seen = upload(&gate, &alice, end).await;
+    let mut all = Vec::new();
+    for attacker in attackers {
+        all.push(attacker.await.expect("ends"));
+    }
+    let passed = passed.load(Ordering::SeqCst);
+    assert!(passed > 0, "what it may send was passed on");
+    minute("send_all_that_a_registered_account_may", &seen, all, &format!("{passed} calls passed on"));
+}
+
+/// Grants with the longest envelope, then revokes.
+fn dear_call(number: u64, grantee: Address) -> Vec<u8> {
+    let call = if number.is_multiple_of(2) {
+        let (scope, envelope) = (Scope::All, vec![7; 4_096]);
+        Call::AuthorityGrant { grantee, epoch: 1 + number / 2, expiry: None, scope, envelope }
     } else {
-        judge(
-            NAME,
-            Outcome::Succeeded(format!("{passed} frames passed on, {} of {sent} uploads refused", refused.len())),
-        );
-    }
+        Call::AuthorityRevoke { grantee, new_token: Token([number.to_be_bytes(); 4].concat().try_into().expect("32")) }
+    };
+    call.encode().expect("encodes")
 }

@@ -34,10 +34,12 @@ fn fill_the_pool() {
     }
     judge(
         "fill the pool",
-        if taken <= FEW {
+        if taken > FEW {
+            Outcome::Succeeded(format!("{taken} of {SENT} future nonces of one account wait"))
+        } else if refusal.contains("nonce too high") && refusal.contains("ahead") {
             Outcome::Refused(format!("{taken} of {SENT} taken, then: {refusal}"))
         } else {
-            Outcome::Succeeded(format!("{taken} of {SENT} future nonces of one account wait"))
+            Outcome::Otherwise(format!("{taken} of {SENT} taken, then: {refusal}"))
         },
     );
 }

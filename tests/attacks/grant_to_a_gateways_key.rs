@@ -15,9 +15,10 @@ fn an_owner_grants_to_a_key_known_from_the_gateway_alone() {
     let words = granted.stderr.lines().last().unwrap_or_default().to_owned();
     let outcome = if granted.code == Some(0) {
         Outcome::Succeeded("the keys were wrapped for whatever key the gateway showed as the reader's".to_owned())
-    } else {
-        assert!(words.contains("--fingerprint"), "another refusal: {}", granted.stderr);
+    } else if words.contains("--fingerprint") {
         Outcome::Refused(words)
+    } else {
+        Outcome::Otherwise(granted.to_string())
     };
     judge("grant_to_a_gateways_key", outcome);
 }

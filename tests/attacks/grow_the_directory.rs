@@ -6,8 +6,9 @@ use authros::model::{Address, Identity, PublicKey, Scope, Signature, Token};
 use ethers::types::H160;
 use serde_json::{Value, json};
 
-use crate::served::{Served, account_of};
-use crate::support::{Home, long, text, wait_until};
+use crate::served::{Line, Served, account_of};
+use crate::support::process::own_memory;
+use crate::support::{Anvil, Home, Running, long, skipped, text, wait_until};
 use crate::{Outcome, judge};
 
 const NAME: &str = "grow_the_directory";
@@ -15,15 +16,32 @@ const NAME: &str = "grow_the_directory";
 const STRANGERS: [u8; 2] = [41, 42];
 /// Rounds whose transactions are handed in together.
 const TOGETHER: u64 = 8;
-/// How many times as much a round may cost at the end as at the beginning: the same process seals the chain, whose trees
-/// deepen with each token, and a log that goes into its file falls into one part.
-const FACTOR: u64 = 4;
-/// How much memory may grow over all rounds, MiB: what the chain keeps at hand of its newest blocks.
-const ROOM: u64 = 64;
+/// What gas costs where it costs something, wei.
+const PRICE: u64 = 2_000_000_000;
+
+/// How much more the last part may cost than the first.
+struct Bounds {
+    /// How many times as many bytes a round.
+    factor: u64,
+    /// How much more memory over all rounds, MiB.
+    room: u64,
+}
+
+/// Where the site seals the chain itself: its trees deepen with each token, a log that goes into its file falls into one
+/// part, and it keeps its newest blocks at hand.
+const SEALING: Bounds = Bounds { factor: 4, room: 64 };
+/// Where somebody else does: what is left is the directory, which forgets what has ended.
+const READING: Bounds = Bounds { factor: 2, room: 12 };
+
+/// Who seals the chain.
+enum Sealer {
+    Site(Served),
+    Node { line: Line, site: Running },
+}
 
 /// The site under attack, and the contract.
 struct Field {
-    chain: Served,
+    sealer: Sealer,
     contract: H160,
     ledger: std::path::PathBuf,
     /// The next nonce of each stranger.
@@ -32,6 +50,36 @@ struct Field {
 }
 
 impl Field {
+    fn new(sealer: Sealer, home: &Home, contract: H160) -> Self {
+        Self { sealer, contract, ledger: home.path().join("ledger.db"), nonces: [0; 2], tokens: 0 }
+    }
+
+    fn line(&self) -> &Line {
+        match &self.sealer {
+            Sealer::Site(served) => served,
+            Sealer::Node { line, .. } => line,
+        }
+    }
+
+    /// The process of the site.
+    fn process(&self) -> u32 {
+        match &self.sealer {
+            Sealer::Site(served) => served.process(),
+            Sealer::Node { site, .. } => site.id(),
+        }
+    }
+
+    /// Both strangers register.
+    fn register(&mut self) {
+        for stranger in [0, 1] {
+            let (token, key, proof) = (self.token(), PublicKey([9; 64]), Signature([9; 64]));
+            self.calls(
+                stranger,
+                &[Call::Register { identity: Identity { token, signing: key, envelope: key, proof } }],
+            );
+        }
+    }
+
     fn token(&mut self) -> Token {
         self.tokens += 1;
         Token([self.tokens.to_be_bytes(); 4].concat().try_into().expect("32 bytes"))
@@ -43,17 +91,17 @@ impl Field {
         for call in calls {
             let data = call.encode().expect("encodes");
             let nonce = self.nonces[stranger];
-            let raw = self.chain.signed_call(STRANGERS[stranger], nonce, self.contract, data);
+            let raw = self.line().signed_call(STRANGERS[stranger], nonce, self.contract, data);
             batch.push(json!({ "jsonrpc": "2.0", "id": nonce, "method": "eth_sendRawTransaction", "params": [raw] }));
             self.nonces[stranger] += 1;
         }
-        let answers = self.chain.post(&Value::Array(batch)).expect("answers");
+        let answers = self.line().post(&Value::Array(batch)).expect("answers");
         let answers = answers.as_array().expect("a batch").clone();
         assert!(answers.iter().all(|answer| answer["result"].is_string()), "{answers:?}");
         let last = &answers.last().expect("some")["result"];
-        let block = wait_until(60, "a block", || self.chain.block_of(last));
+        let block = wait_until(60, "a block", || self.line().block_of(last));
         for answer in &answers {
-            let receipt = self.chain.ask("eth_getTransactionReceipt", json!([answer["result"]])).expect("a receipt");
+            let receipt = self.line().ask("eth_getTransactionReceipt", json!([answer["result"]])).expect("a receipt");
             assert_eq!(receipt["status"], "0x1", "{receipt}");
         }
         wait_until(60, "the site has read it", || (self.scanned() >= block).then_some(()));
@@ -82,19 +130,26 @@ impl Field {
 
     /// Bytes that the site has written so far, to files and everything else.
     fn written(&self) -> u64 {
-        field(&std::fs::read_to_string(format!("/proc/{}/io", self.chain.process())).expect("it runs"), "wchar:")
+        let counters = std::fs::read_to_string(format!("/proc/{}/io", self.process())).expect("it runs");
+        let line = counters.lines().find_map(|line| line.strip_prefix("wchar:")).expect("the field");
+        line.trim().parse().expect("a number")
     }
 
-    /// What it holds in memory, MiB.
-    fn held(&self) -> u64 {
-        let status = std::fs::read_to_string(format!("/proc/{}/status", self.chain.process())).expect("it runs");
-        field(&status, "VmRSS:") / 1024
+    /// Some parts of so many rounds each, and whether the last costs more than the first.
+    fn judge(&mut self, name: &str, bounds: &Bounds, parts: u64, part: u64) {
+        let (mut costs, mut memory) = (Vec::new(), Vec::new());
+        for number in 0..parts {
+            let before = self.written();
+            self.rounds(1 + number * part, part);
+            costs.push((self.written() - before) / part);
+            memory.push(own_memory(self.process()) / 1024);
+        }
+        let told = format!("{} rounds: bytes written a round {costs:?}, MiB held {memory:?}", part * parts);
+        let (first, last) = (costs[0], *costs.last().expect("some"));
+        let held = memory.last().zip(memory.first()).map_or(0, |(last, first)| last.saturating_sub(*first));
+        let grows = last > first * bounds.factor || held > bounds.room;
+        judge(name, if grows { Outcome::Succeeded(told) } else { Outcome::Refused(told) });
     }
-}
-
-fn field(text: &str, name: &str) -> u64 {
-    let line = text.lines().find(|line| line.starts_with(name)).expect("the field");
-    line.split_whitespace().nth(1).and_then(|number| number.parse().ok()).expect("a number")
 }
 
 #[test]
@@ -103,27 +158,26 @@ fn grow_the_directory() {
     let authros = home.authros().with(&["--robots", "0"]);
     authros.enrol();
     let contract = text(&authros.json(&["chain", "status"]), "contract").parse().expect("an address");
-    let ledger = home.path().join("ledger.db");
-    let mut field = Field { chain: Served::start(&home), contract, ledger, nonces: [0; 2], tokens: 0 };
-    for stranger in [0, 1] {
-        let (token, key, proof) = (field.token(), PublicKey([9; 64]), Signature([9; 64]));
-        field.calls(stranger, &[Call::Register { identity: Identity { token, signing: key, envelope: key, proof } }]);
-    }
+    let mut field = Field::new(Sealer::Site(Served::start(&home)), &home, contract);
+    field.register();
+    let (parts, part) = if long() { (6, 1_000) } else { (3, 160) };
+    field.judge(NAME, &SEALING, parts, part);
+}
 
-    let part = if long() { 1_000 } else { 160 };
-    let parts = if long() { 6 } else { 3 };
-    let mut costs = Vec::new();
-    let mut memory = Vec::new();
-    for number in 0..parts {
-        let before = field.written();
-        field.rounds(1 + number * part, part);
-        costs.push((field.written() - before) / part);
-        memory.push(field.held());
+/// The site alone, with a chain that another process seals.
+#[test]
+fn grow_the_directory_of_a_site_beside_its_chain() {
+    let Some(node) = Anvil::start(&[]) else { skipped!("no anvil: npm install in tests/peers") };
+    let home = Home::new();
+    let authros = home.authros().with(&["--robots", "0", "--chain", &node.http()]);
+    let site = authros.serve(&home);
+    let contract = text(&authros.json(&["chain", "status"]), "contract").parse().expect("an address");
+    for stranger in STRANGERS {
+        node.fund(&format!("{:?}", account_of(stranger)));
     }
-    let rounds = part * parts;
-    let told = format!("{rounds} rounds: bytes written a round {costs:?}, MiB held {memory:?}");
-    let (first, last) = (costs[0], *costs.last().expect("some"));
-    let held = memory.last().zip(memory.first()).map_or(0, |(last, first)| last.saturating_sub(*first));
-    let grows = last > first * FACTOR || held > ROOM;
-    judge(NAME, if grows { Outcome::Succeeded(told) } else { Outcome::Refused(told) });
+    let line = Line::to(([127, 0, 0, 1], node.port()).into(), PRICE);
+    let mut field = Field::new(Sealer::Node { line, site }, &home, contract);
+    field.register();
+    let (parts, part) = if long() { (6, 1_000) } else { (3, 48) };
+    field.judge("grow_the_directory_of_a_site_beside_its_chain", &READING, parts, part);
 }

@@ -1,6 +1,8 @@
 //! What attackers want, one file each, named after the wish. Every attack is made from outside: by the program's command
-//! line, its files, or a second client of its protocols. It ends in [`Outcome::Refused`] with the refusal that was read, or
-//! in [`Outcome::Succeeded`] with what was reached; `tests/attacks/against BINARY` makes them on another build.
+//! line, its files, or a second client of its protocols. It ends in [`Outcome::Refused`] with the refusal that was read, in
+//! [`Outcome::Succeeded`] with what was reached, or in [`Outcome::Otherwise`] where it failed by something else than the
+//! refusal that is promised: a gateway that is down refuses nothing. `tests/attacks/against BINARY` makes them on another
+//! build.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 #![allow(clippy::print_stdout, reason = "what an attack reached is told")]
 
@@ -19,11 +21,13 @@ mod freeze_the_contract_for_ever;
 mod grant_to_a_gateways_key;
 mod grow_the_directory;
 mod hold_all_handshake_places;
+mod parts;
 mod pass_off_an_old_chain;
 mod read_the_core_dump;
 mod read_the_owner_with_a_scoped_robot;
 mod read_while_suspended;
 mod read_with_a_recalled_robot;
+mod read_with_replaced_keys;
 mod readmit_oneself;
 mod rekey_the_fleet_with_a_stolen_signing_key;
 mod run_a_copied_home;
@@ -43,16 +47,22 @@ pub enum Outcome {
     Refused(String),
     /// It reached what it wanted.
     Succeeded(String),
+    /// Neither: something else happened, in its own words.
+    Otherwise(String),
 }
 
-/// Ends a test: an attack that succeeded fails it, unless only a report is wanted.
+/// Ends a test: an attack that was not refused by name fails it, unless only a report is wanted.
 pub fn judge(attack: &str, outcome: Outcome) {
+    let report = std::env::var_os("AUTHROS_ATTACKS_REPORT").is_some();
     match outcome {
         Outcome::Refused(refusal) => println!("REFUSED {attack}: {refusal}"),
         Outcome::Succeeded(reached) => {
             println!("SUCCEEDED {attack}: {reached}");
-            let report = std::env::var_os("AUTHROS_ATTACKS_REPORT").is_some();
             assert!(report, "{attack} succeeded: {reached}");
+        }
+        Outcome::Otherwise(happened) => {
+            println!("OTHERWISE {attack}: {happened}");
+            assert!(report, "{attack} was neither refused by name nor did it succeed: {happened}");
         }
     }
 }

@@ -39,10 +39,12 @@ fn pass_off_an_old_chain() {
         && document["sealed_by"]["kind"] == "embedded"
         && document["warnings"].as_array().is_some_and(|warnings| !warnings.is_empty());
     let verdict = said.lines().find(|line| line.contains("VERIFIED")).unwrap_or_default().trim().to_owned();
-    let outcome = if honest {
-        Outcome::Refused(verdict)
-    } else {
-        Outcome::Succeeded(format!("`verify` says of a chain founded by its operator's clock: {verdict}"))
+    let outcome = match (honest, verdict.is_empty()) {
+        (true, false) => Outcome::Refused(verdict),
+        (false, false) => {
+            Outcome::Succeeded(format!("`verify` says of a chain founded by its operator's clock: {verdict}"))
+        }
+        (_, true) => Outcome::Otherwise(checked.to_string()),
     };
     crate::judge("pass_off_an_old_chain", outcome);
 }

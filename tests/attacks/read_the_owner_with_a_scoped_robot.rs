@@ -1,11 +1,12 @@
 //! The thief of a living robot that may record one topic reads what else its owner has.
 
-use authros::gateway::Selection;
+use authros::gateway::{Code, Selection};
 use authros::model::Digest;
 
 use crate::enrolled_robot::{Robot, Scene, all_of, session};
+use crate::judge;
+use crate::parts::Parts;
 use crate::support::text;
-use crate::{Outcome, judge};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn read_the_owner_with_a_scoped_robot() {
@@ -18,29 +19,19 @@ async fn read_the_owner_with_a_scoped_robot() {
     let records = scene.alice.records(&["uploads", "list"]);
     let known: Vec<Digest> = records.iter().map(|record| text(record, "digest").parse().expect("a digest")).collect();
     let mut client = session(&stolen).await.expect("it is lent");
-    let mut reached: Vec<String> = Vec::new();
-    let mut refusals: Vec<String> = Vec::new();
-    match client.query(&all_of(&stolen)).await {
-        Ok(page) => reached.push(format!("a list of {} records", page.entries.len())),
-        Err(error) => refusals.push(format!("Query: {error}")),
-    }
+    let (mut parts, refused_by) = (Parts::default(), [Code::NotAuthorised]);
+    assert!(known.len() >= 4, "of both robots: {known:?}");
+    let list = client.query(&all_of(&stolen)).await.map(|page| format!("a list of {} records", page.entries.len()));
+    parts.answered("Query", list, &refused_by);
     for digest in &known {
-        match client.fetch(digest).await {
-            Ok(record) => reached.push(format!("a record of {} bytes", record.blob.len())),
-            Err(error) => refusals.push(format!("Fetch: {error}")),
-        }
+        let record = client.fetch(digest).await.map(|record| format!("a record of {} bytes", record.blob.len()));
+        parts.answered("Fetch", record, &refused_by);
     }
-    match client.subscribe(&Selection::all(stolen.owner)).await {
-        Ok(_) => reached.push("live records".to_owned()),
-        Err(error) => refusals.push(format!("Subscribe: {error}")),
-    }
-    refusals.dedup();
+    let live = client.subscribe(&Selection::all(stolen.owner)).await.map(|_| "live records".to_owned());
+    parts.answered("Subscribe", live, &refused_by);
     if stolen.index.is_some() {
-        reached.push(format!("the index key of all of alice's names, in the file of device {signer}"));
+        parts.reached(format!("the index key of all of alice's names, in the file of device {signer}"));
     }
-    judge(
-        "read_the_owner_with_a_scoped_robot",
-        if reached.is_empty() { Outcome::Refused(refusals.join("; ")) } else { Outcome::Succeeded(reached.join(", ")) },
-    );
+    judge("read_the_owner_with_a_scoped_robot", parts.outcome());
     scene.site.stop("TERM", 20);
 }

@@ -3,18 +3,19 @@
 
 use std::time::Duration;
 
-use authros::gateway::{Client, Selection, Standing};
+use authros::gateway::{Client, Code, Selection, Standing};
 use authros::model::Digest;
 
 use crate::enrolled_robot::of;
+use crate::judge;
+use crate::parts::Parts;
 use crate::support::gate::Gate;
 use crate::support::member::{Member, connect};
-use crate::{Outcome, judge};
 
 const TOPIC: &str = "/robot7/log";
 
 /// Sends one more line of the owner's, and waits until it is verified.
-async fn send(owner: &Member, robot: &mut Client, seq: u64) -> Digest {
+pub async fn send(owner: &Member, robot: &mut Client, seq: u64) -> Digest {
     let record = owner.record(&owner.keyring.signing, TOPIC, seq, b"a line");
     let digest = Digest(owner.provider().sm3(&[&record.blob]));
     robot.upload(vec![record]).await.expect("accepted");
@@ -54,20 +55,16 @@ async fn read_while_suspended() {
             Err(error) => break error,
         }
     };
-    let mut reached = Vec::new();
-    let mut refusals = vec![format!("the open subscription: {ended}")];
+    let mut parts = Parts::default();
+    parts.answered("the open subscription", Err(ended), &[Code::NotAuthorised, Code::Suspended]);
+    if live > 0 {
+        parts.reached(format!("{live} live records after it"));
+    }
     let list = asking.query(&of(all.clone())).await.map(|page| format!("a list of {} records", page.entries.len()));
     let record = asking.fetch(&known).await.map(|record| format!("a record of {} bytes", record.blob.len()));
     let anew = asking.subscribe(&all).await.map(|_| "live records".to_owned());
-    for (what, outcome) in [("Query", list), ("Fetch", record), ("Subscribe", anew)] {
-        match outcome {
-            Ok(got) => reached.push(got),
-            Err(error) => refusals.push(format!("{what}: {error}")),
-        }
+    for (what, answer) in [("Query", list), ("Fetch", record), ("Subscribe", anew)] {
+        parts.answered(what, answer, &[Code::Suspended]);
     }
-    let outcome = match (live, reached.as_slice()) {
-        (0, []) => Outcome::Refused(refusals.join("; ")),
-        (live, reached) => Outcome::Succeeded(format!("{live} live records after it, asked anew {reached:?}")),
-    };
-    judge("read_while_suspended", outcome);
+    judge("read_while_suspended", parts.outcome());
 }

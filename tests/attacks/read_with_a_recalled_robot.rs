@@ -2,33 +2,27 @@
 
 use std::time::Duration;
 
-use authros::gateway::{Client, GatewayError, Selection};
+use authros::gateway::{Client, Code, GatewayError, Selection};
 use authros::model::{Digest, RecordKind};
 
 use crate::enrolled_robot::{Robot, Scene, all_of, of, session};
-use crate::{Outcome, judge};
+use crate::judge;
+use crate::parts::Parts;
 
-/// What the thief reaches, or the refusal that he reads.
-async fn reaches(client: &mut Client, robot: &authros::crypto::Enrolment, known: Digest) -> Result<String, String> {
+/// Asks for all that there is.
+async fn ask(parts: &mut Parts, client: &mut Client, robot: &authros::crypto::Enrolment, known: Digest) {
     let notices =
         Selection { topic_id: Some(robot.notice_id), kind: Some(RecordKind::Key), ..Selection::all(robot.owner) };
-    let mut refusals: Vec<String> = Vec::new();
-    let mut tried = |what: &str, outcome: Result<String, GatewayError>| match outcome {
-        Ok(reached) => Some(reached),
-        Err(error) => {
-            refusals.push(format!("{what}: {error}"));
-            None
-        }
-    };
     let list = client.query(&all_of(robot)).await.map(|page| format!("a list of {} records", page.entries.len()));
     let record = client.fetch(&known).await.map(|record| format!("a record of {} bytes", record.blob.len()));
     let live = client.subscribe(&Selection::all(robot.owner)).await.map(|_| "live records".to_owned());
     let told = client.query(&of(notices.clone())).await.map(|page| format!("{} notices", page.entries.len()));
     let telling = client.subscribe(&notices).await.map(|_| "live notices".to_owned());
-    let outcomes =
+    let answers =
         [("Query", list), ("Fetch", record), ("Subscribe", live), ("notices", told), ("live notices", telling)];
-    let reached: Vec<String> = outcomes.into_iter().filter_map(|(what, outcome)| tried(what, outcome)).collect();
-    if reached.is_empty() { Err(refusals.join("; ")) } else { Ok(reached.join(", ")) }
+    for (what, answer) in answers {
+        parts.answered(what, answer, &[Code::NotAuthorised]);
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -50,7 +44,8 @@ async fn read_with_a_recalled_robot() {
     }
     let recalled = scene.alice.json(&["devices", "recall", &lost.device]);
     let begun = std::time::Instant::now();
-    let early = reaches(&mut client, &stolen, known).await;
+    let mut parts = Parts::default();
+    ask(&mut parts, &mut client, &stolen, known).await;
     println!("recalled in block {}; asked {} ms later", recalled["block"], begun.elapsed().as_millis());
     other.capture(3);
     scene.alice.json(&["keys", "rotate"]);
@@ -61,20 +56,20 @@ async fn read_with_a_recalled_robot() {
             Err(error) => break error,
         }
     };
-    let anew = match session(&stolen).await {
-        Ok(mut client) => reaches(&mut client, &stolen, known).await,
-        Err(error) => Err(format!("a new session: {error}")),
-    };
+    if live > 0 {
+        parts.reached(format!("{live} live records, ended by {ended}"));
+    }
     // A subscription that only has nothing to tell is open still.
-    let cut = !matches!(ended, GatewayError::TimedOut);
-    let outcome = match (early, live, anew) {
-        (Err(early), 0, Err(anew)) if cut => {
-            Outcome::Refused(format!("{early}; the open subscription: {ended}; {anew}"))
-        }
-        (early, live, anew) => {
-            Outcome::Succeeded(format!("at once {early:?}; {live} live records, ended by {ended}; anew {anew:?}"))
-        }
-    };
-    judge("read_with_a_recalled_robot", outcome);
+    match ended {
+        GatewayError::TimedOut => parts.reached("a subscription that is open still".to_owned()),
+        ended => parts.answered("the open subscription", Err(ended), &[Code::NotAuthorised]),
+    }
+    // The name is nobody's any more: its key is told from a wrong one by nothing, and in clear, for there is no session.
+    match session(&stolen).await {
+        Ok(mut client) => ask(&mut parts, &mut client, &stolen, known).await,
+        Err(GatewayError::RefusedInClear(Code::Tag)) => parts.refused("a new session", Code::Tag.text(), "another key"),
+        Err(error) => parts.otherwise(format!("a new session: {error}")),
+    }
+    judge("read_with_a_recalled_robot", parts.outcome());
     scene.site.stop("TERM", 20);
 }

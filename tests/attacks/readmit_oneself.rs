@@ -17,7 +17,9 @@ fn readmit_oneself() {
         let how = if withdrawn.code == Some(0) { "although it was withdrawn" } else { "which cannot be withdrawn" };
         Outcome::Succeeded(format!("{address} registered on its admission, {how}"))
     } else {
-        Outcome::Refused(text(&registered.document()["error"], "message"))
+        let words = text(&registered.document()["error"], "message");
+        let named = registered.code == Some(5) && words.contains("registration is closed");
+        if named { Outcome::Refused(words) } else { Outcome::Otherwise(registered.to_string()) }
     };
     judge("readmit_oneself", outcome);
 }

@@ -8,7 +8,7 @@ use authros::crypto::{
     Enrolment, EoaSecret, Keyring, OwnerKeyChange, Passphrase, ProviderName, SealRequest, SealedEnrolment, SmKeyPair,
     UnlockedKeyring, notice_topic, provider, random_bytes, seal,
 };
-use authros::gateway::{GatewayError, Upload};
+use authros::gateway::{Code, GatewayError, Upload};
 use authros::model::head::Compression;
 use authros::model::{Digest, Head, PublicKey, RecordKind, RecorderId, Timestamp};
 
@@ -86,15 +86,19 @@ async fn rekey_the_fleet_with_a_stolen_signing_key() {
     let obeyed = || believed(&robot) == thief.public;
     let heard = by_key.is_ok() || by_account.is_ok();
     let settled = poll(60, || (!heard || passed_over() || obeyed()).then_some(()));
+    // The account alone signs no record; d_C alone does, and the robot wants the account's word too.
+    let named = matches!(by_account, Err(GatewayError::Refused(Code::Signature))) && by_key.is_ok() && passed_over();
     let words = |outcome: Result<_, GatewayError>| outcome.err().map_or("taken".to_owned(), |error| error.to_string());
     let at_gateway = format!("by the account: {}; by d_C: {}", words(by_account), words(by_key));
     let outcome = match (obeyed(), settled) {
         (true, _) => Outcome::Succeeded(format!("the robot obeys the thief ({at_gateway})")),
-        (false, Some(())) => {
-            assert_eq!(believed(&robot), stolen.owner_key);
-            Outcome::Refused(format!("the robot keeps its owner's key; at the gateway {at_gateway}"))
+        (false, Some(())) if named && believed(&robot) == stolen.owner_key => {
+            Outcome::Refused(format!("passed over, the robot keeps its owner's key; at the gateway {at_gateway}"))
         }
-        (false, None) => panic!("the robot heard nothing within a minute ({at_gateway})\n{}", agent.stderr()),
+        (false, Some(())) => Outcome::Otherwise(format!("not passed over by name; at the gateway {at_gateway}")),
+        (false, None) => {
+            Outcome::Otherwise(format!("the robot heard nothing within a minute ({at_gateway})\n{}", agent.stderr()))
+        }
     };
     agent.stop("TERM", 30);
     judge("rekey_the_fleet_with_a_stolen_signing_key", outcome);

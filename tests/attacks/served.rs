@@ -23,11 +23,26 @@ pub fn account_of(stranger: u8) -> H160 {
     LocalWallet::from_bytes(&[stranger; 32]).expect("a key").address()
 }
 
-/// A chain that is served.
-pub struct Served {
-    site: Running,
+/// A node by HTTP.
+pub struct Line {
     address: SocketAddr,
     chain_id: u64,
+    /// What a transaction offers for gas, wei.
+    price: u64,
+}
+
+/// An embedded chain that is served.
+pub struct Served {
+    site: Running,
+    line: Line,
+}
+
+impl std::ops::Deref for Served {
+    type Target = Line;
+
+    fn deref(&self) -> &Line {
+        &self.line
+    }
 }
 
 impl Served {
@@ -38,19 +53,26 @@ impl Served {
         let line = site.wait_for_text("serving", 60);
         let document: Value = line.lines().find_map(|line| serde_json::from_str(line).ok()).expect("one JSON line");
         let address = text(&document["serving"], "url").trim_start_matches("http://").parse().expect("an address");
-        let mut served = Self { site, address, chain_id: 0 };
-        served.chain_id = number(&served.ask("eth_chainId", json!([])).expect("a chain id"));
-        served
-    }
-
-    /// Where it answers.
-    pub fn url(&self) -> String {
-        format!("http://{}", self.address)
+        Self { site, line: Line::to(address, 0) }
     }
 
     /// The process that serves it.
     pub fn process(&self) -> u32 {
         self.site.id()
+    }
+}
+
+impl Line {
+    /// To the node at `address`, where gas has this price.
+    pub fn to(address: SocketAddr, price: u64) -> Self {
+        let mut line = Self { address, chain_id: 0, price };
+        line.chain_id = number(&line.ask("eth_chainId", json!([])).expect("a chain id"));
+        line
+    }
+
+    /// Where it answers.
+    pub fn url(&self) -> String {
+        format!("http://{}", self.address)
     }
 
     /// The answer to a body, or nothing where none comes in time.
@@ -90,7 +112,7 @@ impl Served {
         receipt.get("blockNumber").map(number)
     }
 
-    /// A creation by `code`, or without it a plain transfer, of a stranger who is a number, at price 0.
+    /// A creation by `code`, or without it a plain transfer, of a stranger who is a number.
     pub fn signed(&self, stranger: u8, nonce: u64, gas: u64, code: Option<&[u8]>) -> String {
         let request = TransactionRequest::new().nonce(nonce).gas(gas);
         self.sign(
@@ -102,14 +124,14 @@ impl Served {
         )
     }
 
-    /// A call of a contract by a stranger, at price 0.
+    /// A call of a contract by a stranger.
     pub fn signed_call(&self, stranger: u8, nonce: u64, contract: H160, data: Vec<u8>) -> String {
         self.sign(stranger, TransactionRequest::new().nonce(nonce).gas(CALL_GAS).to(contract).data(data))
     }
 
     fn sign(&self, stranger: u8, request: TransactionRequest) -> String {
         let wallet = LocalWallet::from_bytes(&[stranger; 32]).expect("a key");
-        let request: TypedTransaction = request.gas_price(0).value(0).chain_id(self.chain_id).into();
+        let request: TypedTransaction = request.gas_price(self.price).value(0).chain_id(self.chain_id).into();
         let signature = wallet.sign_transaction_sync(&request).expect("signs");
         request.rlp_signed(&signature).to_string()
     }

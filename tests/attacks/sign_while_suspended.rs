@@ -13,13 +13,14 @@ async fn sign_while_suspended() {
     scene.boss.json(&["chain", "suspend", &scene.address]);
     let folder = scene.forge(&stolen.keyring.signing, Timestamp::now()).await;
     let outcome = match scene.judge(&folder, "was suspended at block") {
-        Outcome::Succeeded(reached) => Outcome::Succeeded(reached),
+        first @ (Outcome::Succeeded(_) | Outcome::Otherwise(_)) => first,
         // Nor does it count when she may sign again.
         Outcome::Refused(first) => {
             scene.boss.json(&["chain", "restore", &scene.address]);
             match scene.judge(&folder, "was suspended at block") {
                 Outcome::Refused(_) => Outcome::Refused(first),
                 Outcome::Succeeded(reached) => Outcome::Succeeded(format!("after the account is restored: {reached}")),
+                Outcome::Otherwise(read) => Outcome::Otherwise(format!("after the account is restored: {read}")),
             }
         }
     };

@@ -32,11 +32,9 @@ impl Gate {
         Self { home, gateway: Gateway::of(&told), key, process }
     }
 
-    /// Resident memory of its process, MiB.
+    /// Memory of its process, without pages of files, MiB.
     pub fn held(&self) -> u64 {
-        let status = std::fs::read_to_string(format!("/proc/{}/status", self.process.id())).expect("it runs");
-        let line = status.lines().find(|line| line.starts_with("VmRSS:")).expect("a field");
-        line.split_whitespace().nth(1).and_then(|number| number.parse().ok()).unwrap_or(0_u64) / 1024
+        super::process::own_memory(self.process.id()) / 1024
     }
 
     /// Options with which another home joins it.

@@ -99,6 +99,13 @@ impl Pipe {
     }
 }
 
+/// Memory of a process that is its own, KiB: without pages of files, which the system takes back when it likes.
+pub fn own_memory(process: u32) -> u64 {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status")).expect("it runs");
+    let line = status.lines().find_map(|line| line.strip_prefix("RssAnon:")).expect("its memory");
+    line.trim().trim_end_matches(" kB").parse().expect("a number")
+}
+
 /// A running process of a test; killed with its process group when dropped.
 #[derive(Debug)]
 pub struct Running {

@@ -113,6 +113,16 @@ pub enum ChainError {
         /// Why.
         reason: String,
     },
+    /// The embedded chain was written by a later version of this program.
+    #[error("the embedded chain {} has version {found}, this program knows up to {known}; use a newer authros", path.display())]
+    Newer {
+        /// The file.
+        path: PathBuf,
+        /// The version found.
+        found: i64,
+        /// The newest version known.
+        known: i64,
+    },
     /// The embedded chain was founded with another consensus.
     #[error(
         "the embedded chain {} was founded with {founded}, and {asked} was asked for; leave `chain.consensus` empty, or \
@@ -136,7 +146,9 @@ impl ChainError {
     pub fn kind(&self) -> ErrorKind {
         match self {
             Self::Unreachable { .. } | Self::Answer { .. } | Self::NotMined(_) => ErrorKind::Unreachable,
-            Self::Url(_) | Self::NoContract | Self::OtherConsensus { .. } | Self::Input(_) => ErrorKind::Input,
+            Self::Url(_) | Self::NoContract | Self::OtherConsensus { .. } | Self::Newer { .. } | Self::Input(_) => {
+                ErrorKind::Input
+            }
             Self::Tampered { .. } => ErrorKind::Tampered,
             Self::File { .. } => ErrorKind::Home,
             Self::Internal(_) => ErrorKind::Internal,

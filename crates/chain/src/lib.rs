@@ -42,6 +42,7 @@ pub use self::anchor_proof::AnchorProof;
 pub use self::artefact::Revision;
 pub use self::call::{Call, LONGEST_ENVELOPE, MOST_WRAPS};
 pub use self::deploying::{DEFAULT_DELAY, LONGEST_DELAY, LONGEST_PAUSE, SHORTEST_DELAY};
+pub use self::embedded::check_embedded_chain;
 pub use self::error::{ChainError, explain};
 pub use self::event::Event;
 pub use self::fees::{Market, Offered, call_data, is_same_call, offered};

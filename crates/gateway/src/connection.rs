@@ -375,26 +375,29 @@ impl Connection {
 
     /// Sends a record of a subscription, if the caller may read it at this very moment.
     async fn feed(&mut self, session: &mut Session, commands: &mut Commands, fed: feeds::Fed) -> Result<(), End> {
-        let Some(feeds) = commands.feeds.as_mut().filter(|feeds| feeds.has(fed.request)) else { return Ok(()) };
+        let request = fed.request;
+        if !commands.feeds.as_ref().is_some_and(|feeds| feeds.has(request)) {
+            return Ok(());
+        }
         let Some(entry) = fed.entry else {
-            feeds.remove(fed.request);
-            return self.send(session, fed.request, &Answer::End(Code::NotAuthorised)).await;
+            commands.end_feed(request);
+            return self.send(session, request, &Answer::End(Code::NotAuthorised)).await;
         };
-        let desk = &self.shared.desk;
-        let fetched = match desk.admits(&commands.caller.account).await {
+        let desk = self.shared.desk.as_ref();
+        let fetched = match commands.check_fed(desk).await {
             Ok(()) => desk.fetch(&commands.caller, &entry.digest).await,
             Err(refusal) => Err(refusal),
         };
         match fetched {
-            Ok(record) => self.send(session, fed.request, &Answer::Event(Box::new((entry, record)))).await,
+            Ok(record) => self.send(session, request, &Answer::Event(Box::new((entry, record)))).await,
             Err(refusal) if matches!(refusal.code, Code::NotFound | Code::Tampered) => {
                 self.shared.refused(self.peer, &refusal);
                 Ok(())
             }
             Err(refusal) => {
-                feeds.remove(fed.request);
+                commands.end_feed(request);
                 self.shared.refused(self.peer, &refusal);
-                self.send(session, fed.request, &Answer::End(refusal.code)).await
+                self.send(session, request, &Answer::End(refusal.code)).await
             }
         }
     }

@@ -4,6 +4,7 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use rusqlite::config::DbConfig;
 use rusqlite::{Connection, OpenFlags, TransactionBehavior};
 
 use super::{StoreError, files};
@@ -12,6 +13,10 @@ const BUSY: Duration = Duration::from_secs(10);
 /// How long the end waits for whoever reads.
 const LAST_WAIT: Duration = Duration::from_millis(500);
 const STATEMENTS_KEPT: usize = 64;
+/// Pages that the one writer keeps in memory; negative is KiB, as SQLite has it.
+const WRITERS_CACHE: i64 = -8 * 1024;
+/// The same of each reader: there are several, and under load every one of them fills its own.
+const READERS_CACHE: i64 = -2 * 1024;
 /// Pages of the write-ahead log after which they go into the file itself, as SQLite has it.
 const SHORT_LOG: i64 = 1_000;
 /// The same where the disk has plenty of room. Where records of many topics come in turn, the same pages change in
@@ -37,9 +42,39 @@ pub(super) fn open_writer(path: &Path, schema: &Schema) -> Result<Connection, St
     files::private_directory(directory)?;
     drop(files::open_private(path)?);
     files::sync_directory(directory).map_err(|error| StoreError::home(path, &error))?;
+    check_version(path, schema)?;
     let mut connection = connect(path)?;
     migrate(&mut connection, path, schema).map_err(|error| error.in_file(path))?;
     Ok(connection)
+}
+
+/// Refuses a file that a later version of this program has written, and leaves file and log as they are: closing must
+/// not work the log in. What else is wrong with it says whoever opens it.
+///
+/// # Errors
+/// [`StoreError::Newer`].
+pub(super) fn check_version(path: &Path, schema: &Schema) -> Result<(), StoreError> {
+    if !path.exists() {
+        return Ok(());
+    }
+    let known = i64::try_from(schema.steps.len()).unwrap_or(i64::MAX);
+    let mut log = path.as_os_str().to_owned();
+    log.push("-wal");
+    let log_waits = std::fs::metadata(log).is_ok_and(|log| log.len() > 0);
+    let look = || -> rusqlite::Result<(i64, i64)> {
+        let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+        let connection = Connection::open_with_flags(path, flags)?;
+        connection.busy_timeout(BUSY)?;
+        connection.set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, log_waits)?;
+        let pragma = |name| connection.pragma_query_value(None, name, |row| row.get::<_, i64>(0));
+        Ok((pragma("application_id")?, pragma("user_version")?))
+    };
+    match look() {
+        Ok((application, found)) if application == schema.application && found > known => {
+            Err(StoreError::Newer { file: path.to_owned(), found, known })
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Works the log into the file, at the end of a process: other connections of it may outlive this one, and then
@@ -89,7 +124,10 @@ fn log_pages(free: u64) -> i64 {
 /// [`StoreError::Home`], [`StoreError::Corrupt`].
 pub(super) fn open_reader(path: &Path) -> Result<Connection, StoreError> {
     let connection = connect(path)?;
-    connection.pragma_update(None, "query_only", true).map_err(|error| StoreError::from(error).in_file(path))?;
+    connection
+        .pragma_update(None, "query_only", true)
+        .and_then(|()| connection.pragma_update(None, "cache_size", READERS_CACHE))
+        .map_err(|error| StoreError::from(error).in_file(path))?;
     Ok(connection)
 }
 
@@ -101,7 +139,7 @@ fn connect(path: &Path) -> Result<Connection, StoreError> {
             connection.set_prepared_statement_cache_capacity(STATEMENTS_KEPT);
             connection.pragma_update(None, "journal_mode", "WAL")?;
             connection.pragma_update(None, "synchronous", "FULL")?;
-            connection.pragma_update(None, "cache_size", -8192)?;
+            connection.pragma_update(None, "cache_size", WRITERS_CACHE)?;
             // Else savepoints of more than 64 KiB, and sorting, go through files outside of the home.
             connection.pragma_update(None, "temp_store", "MEMORY")?;
             Ok(connection)
@@ -185,6 +223,41 @@ mod tests {
         assert!(matches!(open_writer(&path, &FIRST), Err(StoreError::Newer { found: 2, known: 1, .. })));
         let foreign = Schema { application: 78, steps: FIRST.steps };
         assert!(matches!(open_writer(&path, &foreign), Err(StoreError::Corrupt { .. })));
+    }
+
+    /// Whatever is in a directory, byte by byte; not the index that SQLite keeps of a log.
+    fn bytes_in(directory: &Path) -> Vec<(PathBuf, Vec<u8>)> {
+        let entries = std::fs::read_dir(directory).expect("readable").flatten().map(|entry| entry.path());
+        let mut files: Vec<_> = entries
+            .filter(|path| !path.to_string_lossy().ends_with("-shm"))
+            .map(|path| (path.clone(), std::fs::read(&path).expect("read")))
+            .collect();
+        files.sort();
+        files
+    }
+
+    #[test]
+    fn a_later_version_is_refused_and_neither_file_nor_log_is_touched() {
+        let home = tempfile::tempdir().expect("temporary directory");
+        let written = home.path().join("x.db");
+        let connection = open_writer(&written, &SECOND).expect("new");
+        connection.execute("INSERT INTO a VALUES (1, 2)", []).expect("row");
+        // As a crash leaves it: all of it is in the log.
+        let left = tempfile::tempdir().expect("temporary directory");
+        for name in ["x.db", "x.db-wal"] {
+            std::fs::copy(home.path().join(name), left.path().join(name)).expect("copied");
+        }
+        drop(connection);
+        for place in [&left, &home] {
+            let (path, before) = (place.path().join("x.db"), bytes_in(place.path()));
+            let error = open_writer(&path, &FIRST).expect_err("a later version");
+            assert!(matches!(error, StoreError::Newer { found: 2, known: 1, .. }), "{error}");
+            assert!(error.to_string().contains("use a newer authros"), "{error}");
+            assert!(bytes_in(place.path()) == before, "something was written");
+            let connection = open_writer(&path, &SECOND).expect("as it was");
+            let rows: i64 = connection.query_row("SELECT count(*) FROM a", [], |row| row.get(0)).expect("rows");
+            assert_eq!(rows, 1);
+        }
     }
 
     #[test]

@@ -112,6 +112,14 @@ struct Shared {
 }
 
 impl Ledger {
+    /// Refuses a ledger that a later version of this program has written, without touching it.
+    ///
+    /// # Errors
+    /// [`StoreError::Newer`].
+    pub fn check_version(path: &Path) -> Result<(), StoreError> {
+        database::check_version(path, &SCHEMA)
+    }
+
     /// Opens the ledger file, or makes it with a random recorder id. After an unclean end its contents
     /// are checked first (`quick_check`: about a second per million records).
     ///

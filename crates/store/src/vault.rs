@@ -163,6 +163,14 @@ pub trait Vault: Send + Sync {
     }
 }
 
+/// Refuses an embedded vault (`vault.db` in `directory`) that a later version has written, without touching it.
+///
+/// # Errors
+/// [`StoreError::Newer`].
+pub fn check_version(directory: &Path) -> Result<(), StoreError> {
+    EmbeddedVault::check_version(&directory.join("vault.db"))
+}
+
 /// Opens the vault at `url`, or the embedded one (`vault.db` in `directory`) where there is no URL.
 ///
 /// # Errors

@@ -1,14 +1,16 @@
 //! Peers that are slow or go away, disks that refuse now and then, clocks that jump: the work waits and goes on.
 
 use std::fs;
-use std::path::PathBuf;
 use std::time::{Duration, Instant};
+
+use serde_json::Value;
 
 use super::kill::now;
 use super::storage::Shim;
+use crate::support::process::own_memory;
 use crate::support::proxy::EVERY;
 use crate::support::{
-    Anvil, Authros, Conservation, Home, Proxy, Redis, Running, Spoil, long, poll, skipped, system_program, text,
+    Anvil, Authros, Conservation, Home, Proxy, Redis, Running, Spoil, clock, long, poll, skipped, system_program, text,
     wait_until,
 };
 
@@ -37,13 +39,6 @@ fn settle(authros: &Authros, robots: usize, observer: Conservation, seconds: u64
     life.captured
 }
 
-/// Resident memory of a process, KiB.
-fn memory(site: &Running) -> u64 {
-    let status = fs::read_to_string(format!("/proc/{}/status", site.id())).expect("it runs");
-    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).expect("its memory");
-    line.trim().trim_end_matches(" kB").parse().expect("a number")
-}
-
 #[test]
 fn a_chain_that_answers_after_half_a_minute_costs_neither_memory_nor_messages() {
     let Some(anvil) = Anvil::start(&[]) else { skipped!("no anvil") };
@@ -56,13 +51,13 @@ fn a_chain_that_answers_after_half_a_minute_costs_neither_memory_nor_messages() 
     proxy.spoil(EVERY, Spoil::Delay(Duration::from_secs(30)), u64::MAX);
     let length = Duration::from_secs(if long() { 600 } else { 60 });
     let (begun, before) = (Instant::now(), observer.seen().life.map_or(0, |life| life.captured));
-    // Caches of SQLite and the first batches are not counted against it.
+    // The first batches, and caches that fill once, are not counted against it; pages of files are the system's.
     let warm = Duration::from_secs(20);
     let (mut least, mut most) = (u64::MAX, 0);
     while begun.elapsed() < length {
         std::thread::sleep(Duration::from_secs(1));
         if begun.elapsed() >= warm {
-            let now = memory(&site);
+            let now = own_memory(site.id());
             (least, most) = (least.min(now), most.max(now));
         }
     }
@@ -189,11 +184,6 @@ fn fsyncs_that_fail_by_libfiu_lose_nothing() {
     site.stop("TERM", 30).expect_code(0);
 }
 
-fn faketime() -> Option<PathBuf> {
-    let places = ["/usr/lib/x86_64-linux-gnu", "/usr/lib/aarch64-linux-gnu", "/usr/lib"];
-    places.iter().map(|place| PathBuf::from(place).join("faketime/libfaketimeMT.so.1")).find(|path| path.exists())
-}
-
 /// List, contract and reader say the same of a grant that a jump of the clock has ended; a new one is given at once.
 fn expect_agreement(authros: &Authros, reader: &Authros, address: &str) {
     let states = || -> Vec<String> {
@@ -211,64 +201,133 @@ fn expect_agreement(authros: &Authros, reader: &Authros, address: &str) {
     });
 }
 
-#[test]
-fn a_clock_that_jumps_by_a_day_and_back_breaks_nothing() {
-    let Some(library) = faketime() else { skipped!("no libfaketime (package faketime)") };
-    let home = Home::new();
-    let offset = home.file("offset", "+0\n", 0o600);
-    let authros = home.authros().with(&["--robots", "1"]);
-    let shifted = |authros: &Authros| {
-        authros
+/// A site whose clock the test sets, and one who reads there.
+struct Shifted {
+    home: Home,
+    offset: String,
+    authros: Authros,
+    site: Running,
+    reader: Authros,
+    address: String,
+}
+
+impl Shifted {
+    fn start() -> Option<Self> {
+        let library = clock::faketime()?;
+        let home = Home::new();
+        let offset = home.file("offset", "+0\n", 0o600);
+        let authros = home.authros().with(&["--robots", "1"]);
+        let shifted = authros
             .with_variable("LD_PRELOAD", library.to_str().expect("UTF-8"))
             .with_variable("FAKETIME_TIMESTAMP_FILE", &offset)
             .with_variable("FAKETIME_NO_CACHE", "1")
             // As a real clock that is set: what counts durations goes on.
             .with_variable("FAKETIME_DONT_FAKE_MONOTONIC", "1")
-            .with_variable("DONT_FAKE_MONOTONIC", "1")
-    };
-    let site = shifted(&authros).serve(&home);
-    let reader = home.profile("reader");
-    let address = reader.enrol();
-    authros.json(&["grant", &address, "--expires", "12h"]);
-    let observer = Conservation::watch(&home.path(), "default");
-    watch(&authros, 1);
-    let newest = || {
-        let page = authros.json(&["uploads", "list", "--newest", "--limit", "1", "--state", "verified"]);
+            .with_variable("DONT_FAKE_MONOTONIC", "1");
+        let site = shifted.serve(&home);
+        let reader = home.profile("reader");
+        let address = reader.enrol();
+        Some(Self { home, offset, authros, site, reader, address })
+    }
+
+    fn set(&self, offset: &str) {
+        fs::write(&self.offset, format!("{offset}\n")).expect("the clock is set");
+    }
+
+    /// What `status` says of the clock, once these words are in it.
+    fn told(&self, words: &str) {
+        let told = || {
+            let parts = self.authros.json(&["status"])["health"].as_array().cloned().unwrap_or_default();
+            let part = parts.into_iter().find(|part| part["part"] == "clock");
+            part.filter(|part| part["level"] == "waiting" && text(part, "text").contains(words))
+        };
+        wait_until(60, &format!("the clock is told to be '{words}'"), told);
+    }
+
+    fn newest(&self) -> Option<Value> {
+        let page = self.authros.json(&["uploads", "list", "--newest", "--limit", "1", "--state", "verified"]);
         page["records"].get(0).cloned()
-    };
-    let first = wait_until(60, "records are verified", newest);
+    }
+
+    /// Records are sealed and verified that were captured after now.
+    fn goes_on(&self, observer: &Conservation, what: &str) {
+        let before = observer.seen().life.map_or(0, |life| life.verified);
+        let more = || observer.seen().life.filter(|life| life.verified > before + 40);
+        wait_until(60, &format!("records are verified {what}"), more);
+    }
+
+    /// Ends the site; all is verified, and both jumps are in the audit log.
+    fn end(self, observer: Conservation, told: &str) {
+        let audit = self.authros.run(&["audit", "list"]).stdout;
+        assert!(audit.contains("s ahead") && audit.contains("s back"), "both jumps are in the audit log: {audit}");
+        let captured = settle(&self.authros, 1, observer, 120);
+        println!("{told}: all {captured} verified");
+        self.site.stop("TERM", 30).expect_code(0);
+        assert!(poll(1, || self.home.socket()).is_none());
+    }
+}
+
+#[test]
+fn a_clock_that_jumps_by_a_day_and_back_breaks_nothing() {
+    let Some(shifted) = Shifted::start() else { skipped!("no libfaketime (package faketime)") };
+    let Shifted { home, authros, reader, address, .. } = &shifted;
+    authros.json(&["grant", address, "--expires", "12h"]);
+    let observer = Conservation::watch(&home.path(), "default");
+    watch(authros, 1);
+    let first = wait_until(60, "records are verified", || shifted.newest());
     let opened = || reader.json(&["shared", "list", "--limit", "1000"]);
     let shared = wait_until(60, "the reader sees some", || opened()["records"].get(0).cloned());
     assert_eq!(reader.json(&["shared", "open", &text(&shared, "id")])["verdict"], "verified");
 
-    fs::write(&offset, "+1d\n").expect("the clock is set");
-    let clock = |words: &str| {
-        let parts = authros.json(&["status"])["health"].as_array().cloned().unwrap_or_default();
-        let part = parts.into_iter().find(|part| part["part"] == "clock");
-        part.filter(|part| part["level"] == "waiting" && text(part, "text").contains(words))
-    };
-    wait_until(60, "the jump is told", || clock("s ahead"));
-    let day = |record: &serde_json::Value| text(record, "captured_at")[..10].to_owned();
+    shifted.set("+1d");
+    shifted.told("s ahead");
+    let day = |record: &Value| text(record, "captured_at")[..10].to_owned();
     // Some may be sealed before the site has looked at the clock.
-    let of_tomorrow = |record: &serde_json::Value| day(record) > day(&first) && record["epoch"] != first["epoch"];
-    let later = wait_until(120, "records of tomorrow are verified", || newest().filter(of_tomorrow));
+    let of_tomorrow = |record: &Value| day(record) > day(&first) && record["epoch"] != first["epoch"];
+    let later = wait_until(120, "records of tomorrow are verified", || shifted.newest().filter(of_tomorrow));
     // The grant has ended: what is captured from now on is not for the reader.
     wait_until(60, "the reader is refused", || {
         (reader.run(&["shared", "open", &text(&later, "id"), "--json"]).code != Some(0)).then_some(())
     });
 
-    fs::write(&offset, "+0\n").expect("the clock is set back");
-    let before = observer.seen().life.map_or(0, |life| life.verified);
-    wait_until(60, "records are verified after the clock was set back", || {
-        observer.seen().life.filter(|life| life.verified > before + 40)
-    });
+    shifted.set("+0");
+    shifted.goes_on(&observer, "after the clock was set back");
     reader.is_refused(&["shared", "open", &text(&later, "id")]);
-    expect_agreement(&authros, &reader, &address);
-    wait_until(60, "the chain is told to be ahead", || clock("behind the chain"));
-    let audit = authros.run(&["audit", "list"]).stdout;
-    assert!(audit.contains("s ahead") && audit.contains("s back"), "both jumps are in the audit log: {audit}");
-    let captured = settle(&authros, 1, observer, 120);
-    println!("a day forth and back: all {captured} verified");
-    site.stop("TERM", 30).expect_code(0);
-    assert!(poll(1, || home.socket()).is_none());
+    expect_agreement(authros, reader, address);
+    shifted.told("behind the chain");
+    shifted.end(observer, "a day forth and back");
+}
+
+/// As a machine without a battery boots: the clock is a day behind, until somebody sets it.
+#[test]
+fn a_clock_that_falls_back_by_a_day_and_is_set_again_breaks_nothing() {
+    let Some(shifted) = Shifted::start() else { skipped!("no libfaketime (package faketime)") };
+    let Shifted { home, authros, reader, address, .. } = &shifted;
+    authros.json(&["grant", address, "--expires", "12h"]);
+    let observer = Conservation::watch(&home.path(), "default");
+    watch(authros, 1);
+    let first = wait_until(60, "records are verified", || shifted.newest());
+
+    shifted.set("-1d");
+    shifted.told("behind the chain");
+    shifted.goes_on(&observer, "by yesterday's clock");
+    // The chain's time goes on: nobody's grant ends or begins by it.
+    let states = || -> Vec<String> {
+        let rows = authros.json(&["grants", "list"])["grants"].as_array().cloned().unwrap_or_default();
+        rows.iter().map(|row| text(row, "state")).collect()
+    };
+    assert_eq!(states(), ["active"]);
+
+    shifted.set("+0");
+    shifted.goes_on(&observer, "after the clock was set again");
+    assert_eq!(states(), ["active"], "list and contract agree");
+    let newest = wait_until(60, "records of today", || shifted.newest());
+    assert_eq!(newest["epoch"], first["epoch"], "no epoch began by it");
+    let opens = |record: &Value| reader.run(&["shared", "open", &text(record, "id")]).code == Some(0);
+    wait_until(60, "the reader opens what is captured now", || opens(&newest).then_some(()));
+    assert!(opens(&first), "and what was captured before");
+    // The contract holds it for one in force: it can be made longer, and is listed so.
+    authros.json(&["grants", "extend", address, "--expires", "2d"]);
+    assert_eq!(states(), ["active"]);
+    shifted.end(observer, "a day back and set again");
 }

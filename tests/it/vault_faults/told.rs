@@ -4,7 +4,7 @@
 use serde_json::Value;
 
 use super::field::{CAMERA, Load, NO_REDIS, ODOM};
-use crate::support::{Redis, count, skipped, text, wait_until};
+use crate::support::{Console, Redis, Terminal, count, skipped, text, wait_until};
 
 /// How `status` ends, and what it says of a part.
 fn part(load: &Load, name: &str) -> (Option<i32>, Value) {
@@ -71,6 +71,34 @@ fn a_redis_that_is_killed_or_stopped_is_told_of_once_and_nothing_is_lost() {
     let life = load.settle(&[ODOM]);
     assert_eq!((count(&life, "dropped"), count(&life, "lost_in_transport")), (0, 0), "{life}");
     expect_told(&load, 2);
+    load.end();
+}
+
+#[test]
+fn the_header_of_the_console_says_so_while_redis_is_away_and_no_longer() {
+    let Some(mut redis) = Redis::start(&["--appendonly", "yes"]) else { skipped!(NO_REDIS) };
+    let load = Load::start(&["--vault", &redis.url()], &[], &[ODOM]);
+    let mut console = Console::open_in(&Terminal::of(140, 30), &load.authros, &[]);
+    let header = |console: &Console| console.shown().lines().next().unwrap_or_default().to_owned();
+    console.wait_for("vault ● ok", 60);
+    assert!(header(&console).contains("vault ● ok"), "{}", console.shown());
+    redis.kill();
+    console.wait_for("vault ✖ retry in 1 s", 60);
+    assert!(header(&console).contains("vault ✖ retry in 1 s"), "{}", console.shown());
+    redis.revive();
+    wait_until(60, "the header says that it is well", || header(&console).contains("vault ● ok").then_some(()));
+    // The one alert closed itself: it is shown as over.
+    let alerts = || -> Vec<String> {
+        let shown = console.shown();
+        shown.lines().filter(|line| line.contains("records wait on disk")).map(str::to_owned).collect()
+    };
+    wait_until(60, "the alert is over", || {
+        let alerts = alerts();
+        (alerts.len() == 1 && alerts[0].contains("resolved")).then_some(())
+    });
+    drop(console);
+    let life = load.settle(&[ODOM]);
+    assert_eq!(count(&life, "dropped"), 0, "{life}");
     load.end();
 }
 

@@ -17,16 +17,11 @@ use super::block::{Header, Receipt};
 use super::state_file::{self, Cache};
 use super::transaction::Transaction;
 use super::trie::EMPTY_ROOT;
+use super::version::{self, CHOSEN, PLAIN, TRIES};
 use super::world::Written;
 use crate::chain::{ChainError, Consensus};
 use crate::model::{Address, Hash};
 
-/// A chain of one signer with the usual period, as every chain was at first.
-const PLAIN: i64 = 1;
-/// A chain that says its consensus.
-const CHOSEN: i64 = 2;
-/// One whose state lies in it as tries, at least since a certain block.
-const TRIES: i64 = 3;
 const SCHEMA: &str = "
     CREATE TABLE IF NOT EXISTS chain (
         id INTEGER PRIMARY KEY CHECK (id = 1), version INTEGER NOT NULL, chain_id INTEGER NOT NULL, signer BLOB NOT NULL
@@ -103,8 +98,27 @@ impl ChainFile {
         let blame = |error: std::io::Error| ChainError::File { path: path.clone(), reason: error.to_string() };
         DirBuilder::new().recursive(true).mode(0o700).create(directory).map_err(blame)?;
         OpenOptions::new().create(true).append(true).mode(0o600).open(&path).map_err(blame)?;
-        let connection = prepare(&path).map_err(|error| blamed(&path, &error))?;
+        let blame = |error: rusqlite::Error| blamed(&path, &error);
+        let connection = connect(&path).map_err(blame)?;
+        version::check(&connection, &path)?;
+        prepare(&connection).map_err(blame)?;
         Ok(Self { path, connection, cache: Cache::default() })
+    }
+
+    /// Refuses a chain that a later version of this program has written, and leaves the file as it is. What else is
+    /// wrong with it says whoever opens it.
+    ///
+    /// # Errors
+    /// [`ChainError::File`].
+    pub fn check(directory: &Path) -> Result<(), ChainError> {
+        let path = directory.join("chain.db");
+        if !path.exists() {
+            return Ok(());
+        }
+        let Ok(connection) = connect(&path) else { return Ok(()) };
+        let checked = version::check(&connection, &path);
+        version::leave_log(&connection, &path);
+        checked
     }
 
     fn blame(&self, error: &rusqlite::Error) -> ChainError {
@@ -127,10 +141,7 @@ impl ChainFile {
             PLAIN => (Consensus::POA, None),
             CHOSEN => (self.chosen()?, None),
             TRIES => (self.chosen()?, Some(self.era()?)),
-            _ => {
-                let reason = format!("it has version {version}, and this program reads versions {PLAIN} to {TRIES}");
-                return Err(ChainError::File { path: self.path.clone(), reason });
-            }
+            found => return Err(ChainError::Newer { path: self.path.clone(), found, known: TRIES }),
         };
         let keys: Result<Vec<_>, _> = signer.chunks(KEY_LENGTH).map(SigningKey::from_slice).collect();
         let keys = keys.ok().filter(|keys| keys.len() == keys_of(&consensus));
@@ -344,16 +355,19 @@ pub fn keys_of(consensus: &Consensus) -> usize {
     }
 }
 
-fn prepare(path: &Path) -> rusqlite::Result<Connection> {
+fn connect(path: &Path) -> rusqlite::Result<Connection> {
     let connection = Connection::open(path)?;
     connection.busy_timeout(Duration::from_secs(5))?;
     connection.pragma_update(None, "locking_mode", "EXCLUSIVE")?;
+    Ok(connection)
+}
+
+fn prepare(connection: &Connection) -> rusqlite::Result<()> {
     connection.pragma_update(None, "journal_mode", "WAL")?;
     connection.pragma_update(None, "synchronous", "FULL")?;
     // Nothing of it in temporary files outside of its folder.
     connection.pragma_update(None, "temp_store", "MEMORY")?;
-    connection.execute_batch(SCHEMA)?;
-    Ok(connection)
+    connection.execute_batch(SCHEMA)
 }
 
 fn blamed(path: &Path, error: &rusqlite::Error) -> ChainError {

@@ -38,10 +38,11 @@ mod transaction;
 mod trie;
 #[cfg(test)]
 mod trie_tests;
+mod version;
 mod world;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread;
@@ -108,6 +109,14 @@ impl Drop for Inlet {
         // A search for work holds a sender too, so that the thread would not hear of the end otherwise.
         drop(self.0.send(Request::End));
     }
+}
+
+/// Refuses an embedded chain in `directory` that a later version of this program has written, without touching it.
+///
+/// # Errors
+/// [`ChainError::Newer`].
+pub fn check_embedded_chain(directory: &Path) -> Result<(), ChainError> {
+    file::ChainFile::check(directory)
 }
 
 impl Embedded {

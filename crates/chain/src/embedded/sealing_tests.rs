@@ -352,8 +352,12 @@ fn the_founding_binds() {
     tampered(home.path(), "keys are not what they were");
     change("UPDATE consensus SET words = 'poa:3:500'");
     change("UPDATE chain SET version = 4");
+    let bytes = || std::fs::read(home.path().join("chain.db")).expect("read");
+    let before = bytes();
     let error = try_open(home.path(), None).map(drop).expect_err("a later version");
-    assert_eq!(error.kind(), ErrorKind::Home, "{error}");
+    assert!(matches!(error, ChainError::Newer { found: 4, known: 3, .. }), "{error}");
+    assert!(error.kind() == ErrorKind::Input && error.to_string().contains("use a newer authros"), "{error}");
+    assert!(bytes() == before, "it was not touched");
     let unusable = try_open(&home.path().join("other"), Some(poa(0, 1))).map(drop).expect_err("no signers");
     assert_eq!(unusable.kind(), ErrorKind::Input);
 }

@@ -103,7 +103,7 @@ impl Commands {
                 Ok(Answer::Done(Command::Subscribe))
             }
             Request::Unsubscribe(subscription) => {
-                self.feeds.iter_mut().for_each(|feeds| feeds.remove(subscription));
+                self.end_feed(subscription);
                 Ok(Answer::Done(Command::Unsubscribe))
             }
             Request::GrantNotice(notice) => {
@@ -123,6 +123,21 @@ impl Commands {
             }
             _ => Err(Refusal::new(Code::NotHere, "a command for a session without a transport key")),
         }
+    }
+
+    /// What is fed to a subscription is given under the same terms as what is asked for: an account that was dismissed, or
+    /// has other keys by now than the session was allocated under, gets nothing more.
+    ///
+    /// # Errors
+    /// [`Refusal`], with which the subscription ends.
+    pub async fn check_fed(&self, desk: &dyn Desk) -> Result<(), Refusal> {
+        desk.admits(&self.caller.account).await?;
+        check_account(desk, &self.binding).await
+    }
+
+    /// Ends a subscription, if there is one of this number.
+    pub fn end_feed(&mut self, request: u32) {
+        self.feeds.iter_mut().for_each(|feeds| feeds.remove(request));
     }
 
     fn noted(&self, shared: &Shared, message: &Message<Charge>) -> Result<Answer, Refusal> {

@@ -202,6 +202,27 @@ async fn a_subscriber_gets_records_until_the_revoke_and_none_after() {
 }
 
 #[tokio::test]
+async fn a_subscriber_whose_keys_were_replaced_gets_nothing_more() {
+    let stage = Stage::new().await;
+    let (alice, bob) = (alice(), bob());
+    let (owner, reader) = (stage.enrol(&alice).await, stage.enrol(&bob).await);
+    let (mut owner, mut reader) =
+        (stage.connect(&owner).await.expect("connects"), stage.connect(&reader).await.expect("connects"));
+    owner.grant(&alice.signing, grant_to(&bob)).await.expect("noted");
+    let selection = Selection::all(alice.account());
+    reader.subscribe(&selection).await.expect("subscribes");
+    owner.upload(vec![alice.record(&alice.signing, 1, b"live")]).await.expect("receipt");
+    reader.next_event(Duration::from_secs(30)).await.expect("a record");
+    // The chain has another signing key for the reader; the grant stands.
+    let other = Account { signing: pair(0x44).public, envelope: bob.envelope.public };
+    stage.desk.state().accounts.insert(bob.account(), other);
+    owner.upload(vec![alice.record(&alice.signing, 2, b"not under the old keys")]).await.expect("receipt");
+    let ended = reader.next_event(Duration::from_secs(30)).await.map(|_| ());
+    assert_eq!(refusal(ended), Some(Code::NotRegistered));
+    assert_eq!(refusal(reader.subscribe(&selection).await), Some(Code::NotRegistered));
+}
+
+#[tokio::test]
 async fn notices_signed_by_another_key_change_nothing() {
     let stage = Stage::new().await;
     let (alice, bob) = (alice(), bob());

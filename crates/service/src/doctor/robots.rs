@@ -41,3 +41,43 @@ fn enrolled(home: &Home, sheet: &mut Sheet) {
         "enrol them again: authros agent enrol --topic ..., then authros devices recall the old one",
     );
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::SignerId;
+    use crate::service::reply::CheckStatus;
+    use crate::store::{Ledger, atomic_write};
+
+    fn robot(name: &str, version: u8, ended: bool) -> Enrolled {
+        let (name, device) = (name.parse().expect("a name"), SignerId([version; 32]));
+        Enrolled { name, device, topics: Vec::new(), version, ended }
+    }
+
+    #[test]
+    fn enrolments_of_an_earlier_version_are_named_until_they_are_recalled() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let home = Home::new(folder.path().to_owned());
+        let robots = [robot("scout-1", 1, false), robot("scout-2", 2, false), robot("scout-3", 1, true)];
+        let ledger = Ledger::open(&home.ledger()).expect("a ledger");
+        let text = serde_json::to_string(&robots).expect("JSON");
+        ledger.put_setting("enrolled:0xa1", &text).expect("written");
+        ledger.close().expect("closed");
+        let mut sheet = Sheet::default();
+        look(&home, &mut sheet);
+        let [found] = &sheet.checks[..] else { panic!("one line: {:?}", sheet.checks) };
+        assert_eq!((found.name.as_str(), found.status), ("robots", CheckStatus::Warn));
+        assert!(found.detail.contains("in their files: scout-1; they go on"), "{}", found.detail);
+        assert!(found.advice.contains("agent enrol") && found.advice.contains("devices recall"), "{}", found.advice);
+
+        // On the robot itself: what it keeps says its version in clear.
+        for (version, told) in [(2, 0), (1, 1)] {
+            let kept = [&b"\x89AuthEnr"[..], &[version], &[0; 200]].concat();
+            atomic_write(&SealedEnrolment::kept_in(home.root()), &kept).expect("written");
+            let mut sheet = Sheet::default();
+            look(&home, &mut sheet);
+            let of_this: Vec<_> = sheet.checks.iter().filter(|check| check.name == "enrolment").collect();
+            assert_eq!(of_this.len(), told, "version {version}: {:?}", sheet.checks);
+        }
+    }
+}

@@ -10,6 +10,7 @@ use super::identity::owners::Owners;
 use super::lifetime::Lifetime;
 use super::storage::room::open_ledger;
 use super::supervision::Supervisor;
+use crate::chain::check_embedded_chain;
 use crate::config::Config;
 use crate::crypto::provider;
 use crate::paths::Home;
@@ -17,7 +18,8 @@ use crate::pipeline::sender::Policy;
 use crate::pipeline::{Owner, Plant, Sender};
 use crate::service::hub::Hub;
 use crate::service::reply::Failure;
-use crate::store::open_vault;
+use crate::store::vault::check_version as check_vault_version;
+use crate::store::{Ledger, open_vault};
 
 /// The shared parts of one site.
 #[derive(Clone)]
@@ -47,6 +49,7 @@ impl Parts {
     pub fn open(home: Home, config: Config, needs_chain: bool) -> Result<(Self, Opened, bool), Failure> {
         let (events, _) = broadcast::channel(1024);
         let hub = Arc::new(Hub::new(events));
+        check_versions(&home)?;
         let (ledger, copied) = open_ledger(&home)?;
         let vault = open_vault(config.vault_url.as_deref(), &home.vault())?;
         let (provider, backlog) = (provider(config.provider), config.vault_backlog);
@@ -67,4 +70,11 @@ impl Parts {
         };
         Ok((parts, opened, copied))
     }
+}
+
+/// An older program on a newer home changes nothing of it: all files are looked at before the first is opened.
+fn check_versions(home: &Home) -> Result<(), Failure> {
+    Ledger::check_version(&home.ledger())?;
+    check_vault_version(&home.vault())?;
+    Ok(check_embedded_chain(&home.chain())?)
 }

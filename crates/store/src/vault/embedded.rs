@@ -30,6 +30,14 @@ impl EmbeddedVault {
         Ok(Self { path: path.to_owned(), writer, reader })
     }
 
+    /// Refuses the file of a later version, without touching it.
+    ///
+    /// # Errors
+    /// [`StoreError::Newer`].
+    pub fn check_version(path: &Path) -> Result<(), StoreError> {
+        database::check_version(path, &SCHEMA)
+    }
+
     fn on<T>(
         &self,
         connection: &Mutex<Connection>,

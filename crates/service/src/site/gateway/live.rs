@@ -7,8 +7,8 @@ use tokio::sync::mpsc;
 
 use super::GatewayDesk;
 use super::standing::entry;
-use crate::gateway::{Caller, Entry, Refusal, Selection};
-use crate::model::{Digest, RecordState};
+use crate::gateway::{Caller, Code, Entry, Refusal, Selection};
+use crate::model::{Digest, PublicKey, RecordState};
 use crate::pipeline::authority::ReadingRight;
 use crate::store::RecordRow;
 
@@ -25,7 +25,7 @@ pub(super) struct Watch {
 impl Watch {
     /// Begins; the caller is authorised now, or refused.
     pub(super) fn begin(self) -> Result<mpsc::Receiver<Entry>, Refusal> {
-        let mut reach = self.reach()?;
+        let (mut reach, keys) = (self.reach()?, self.keys()?);
         let mut settled = self.desk.gateway.hub.settled.subscribe();
         let mut authority = self.desk.gateway.hub.authority.subscribe();
         let (sender, receiver) = mpsc::channel(AHEAD);
@@ -35,8 +35,11 @@ impl Watch {
                     // Who may read comes before what there is to read.
                     biased;
                     changed = authority.changed() => {
-                        let Ok(now) = tokio::task::block_in_place(|| self.reach()) else { return };
-                        reach = now;
+                        let now = tokio::task::block_in_place(|| self.reach().and_then(|now| Ok((now, self.keys()?))));
+                        match now {
+                            Ok((now, same)) if same == keys => reach = now,
+                            _ => return,
+                        }
                         if changed.is_err() {
                             return;
                         }
@@ -64,6 +67,17 @@ impl Watch {
         let network = self.desk.fresh_network()?;
         self.desk.check_loan(&network, &self.caller)?;
         self.desk.reach(&network, &self.caller.account, &self.selection.owner)
+    }
+
+    /// The keys that the chain has for who asks: other ones end what was begun under these. None for a device, which is
+    /// worth as much as its loan, whatever keys its owner has.
+    fn keys(&self) -> Result<Option<(PublicKey, PublicKey)>, Refusal> {
+        if self.caller.device.is_some() {
+            return Ok(None);
+        }
+        let network = self.desk.fresh_network()?;
+        let identity = network.directory.identity(self.caller.account);
+        identity.map(|known| Some((known.signing, known.envelope))).map_err(Refusal::because(Code::NotRegistered))
     }
 
     fn entries(&self, digests: &[Digest], reach: &ReadingRight) -> Vec<Entry> {

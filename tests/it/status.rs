@@ -1,0 +1,88 @@
+//! `status` where no site runs: what it ends with and what it says of vault, chain, master and profile.
+
+use serde_json::Value;
+
+use crate::support::{Anvil, Authros, Home, Redis, count, free_port, skipped, text};
+
+const UNREACHABLE: i32 = 4;
+const INPUT: i32 = 3;
+
+/// Exit code, and how a part stands.
+fn part(authros: &Authros, name: &str) -> (Option<i32>, String, String) {
+    let outcome = authros.with(&["--json"]).run(&["status"]);
+    let parts = outcome.document()["health"].as_array().cloned().unwrap_or_default();
+    let found = parts.into_iter().find(|part| part["part"] == name).unwrap_or_else(|| panic!("no {name}: {outcome}"));
+    (outcome.code, text(&found, "level"), text(&found, "text"))
+}
+
+#[test]
+fn a_home_at_rest_is_well_and_says_that_no_site_runs() {
+    let home = Home::new();
+    let authros = home.authros().with(&["--robots", "1"]);
+    authros.enrol();
+    authros.capture(&["/robot1/odom"], 2);
+    let (code, level, words) = part(&authros, "site");
+    assert_eq!((code, level.as_str()), (Some(0), "absent"), "{words}");
+    assert!(words.contains("none runs") && words.contains("authros serve"), "{words}");
+    assert_eq!(part(&authros, "chain").1, "ok");
+    assert_eq!(part(&authros, "vault").1, "ok");
+    let shown = authros.run(&["status"]).expect_code(0).stdout;
+    assert!(shown.contains("captured 2 = verified 2 + pending 0") && shown.contains("it adds up"), "{shown}");
+}
+
+#[test]
+fn peers_that_are_away_are_told_without_a_site_too() {
+    let home = Home::new();
+    home.authros().with(&["--robots", "0"]).enrol();
+    let port = free_port().to_string();
+    for (name, flag, url) in [
+        ("chain", "--chain", format!("http://127.0.0.1:{port}")),
+        ("ros", "--ros-master", format!("http://127.0.0.1:{port}")),
+    ] {
+        let away = home.authros().with(&[flag, &url]);
+        let (code, level, words) = part(&away, name);
+        assert_eq!((code, level.as_str()), (Some(UNREACHABLE), "failed"), "{name}: {words}");
+        assert!(words.contains(&port), "it names {url}: {words}");
+        let shown = away.run(&["status"]).expect_code(UNREACHABLE).stdout;
+        assert!(shown.lines().any(|line| line.starts_with(name) && line.contains("failed")), "{shown}");
+    }
+    // Without its vault a home says nothing of its records.
+    let message = home.authros().fails(UNREACHABLE, &["status", "--vault", &format!("redis://127.0.0.1:{port}")]);
+    assert!(message.contains(&port), "{message}");
+}
+
+#[test]
+fn peers_that_answer_are_well_without_a_site_too() {
+    let (Some(node), Some(redis)) = (Anvil::start(&[]), Redis::start(&[])) else {
+        skipped!("no anvil or no redis-server")
+    };
+    let home = Home::new();
+    let authros = home.authros().with(&["--robots", "1", "--chain", &node.http(), "--vault", &redis.url()]);
+    authros.enrol();
+    authros.capture(&["/robot1/odom"], 2);
+    for name in ["chain", "vault"] {
+        let (code, level, words) = part(&authros, name);
+        assert_eq!((code, level.as_str()), (Some(0), "ok"), "{name}: {words}");
+    }
+    let life: Value = authros.json(&["status"])["life"].clone();
+    assert_eq!((count(&life, "verified"), count(&life, "captured")), (2, 2), "{life}");
+}
+
+#[test]
+fn a_profile_that_there_is_not_is_told_and_not_made() {
+    let home = Home::new();
+    // A home in which nobody is yet: nothing is wrong.
+    home.authros().run(&["status"]).expect_code(0);
+    home.profile("alice").with(&["--robots", "0"]).enrol();
+    for named in [home.profile("bob"), home.authros()] {
+        let message = named.fails(INPUT, &["status"]);
+        assert!(message.contains("has no profile") && message.contains("it has alice"), "{message}");
+        assert!(message.contains("--profile"), "what to do: {message}");
+    }
+    assert!(!home.path().join("profiles/bob").exists(), "none was made");
+    // With a site the same.
+    let _site = home.profile("alice").with(&["--robots", "0"]).serve(&home);
+    let message = home.profile("bob").fails(INPUT, &["status"]);
+    assert!(message.contains("has no profile 'bob'"), "{message}");
+    home.profile("alice").run(&["status"]).expect_code(0);
+}
