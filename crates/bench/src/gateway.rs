@@ -16,6 +16,7 @@ use tokio::task::{JoinSet, block_in_place};
 
 use self::desk::BenchDesk;
 use self::sender::Sender;
+use super::judgement::Judgement;
 use super::machine::Machine;
 use super::network::Directory;
 use super::outlet::Outlet;
@@ -80,7 +81,11 @@ struct Row {
 ///
 /// # Errors
 /// Where the gateway cannot be made, or refuses a record.
-pub async fn run(arguments: GatewayArguments, provider: &'static dyn Provider, outlet: &Outlet) -> Result<u8, Failure> {
+pub async fn run(
+    arguments: GatewayArguments,
+    provider: &'static dyn Provider,
+    outlet: &Outlet,
+) -> Result<Judgement, Failure> {
     let sender = Sender::new(provider)?;
     // First, while the allocator holds nothing that was freed.
     let idle = idle::measure(&sender, arguments.idle as usize).await?;
@@ -122,7 +127,7 @@ pub async fn run(arguments: GatewayArguments, provider: &'static dyn Provider, o
     about.insert("notes".to_owned(), json!(NOTES));
     let report = Report { name: "gateway", machine: Machine::read(), about, results };
     outlet.show(&report, || text(&report, &idle), || plots::page(&report))?;
-    Ok(0)
+    Ok(Judgement::Reached)
 }
 
 /// Where records are kept.
