@@ -227,7 +227,8 @@ fn what_cannot_be_measured_is_told() {
 #[test]
 fn figures_come_as_comma_separated_lines_too() {
     let home = Home::new();
-    let outcome = bare(&home).run(&["bench", "gas", "--csv"]).expect_code(0);
+    // What is promised of gas does not depend on the machine, so it is reached wherever this is judged.
+    let outcome = bare(&home).run(&["bench", "gas", "--csv", "--judge"]).expect_code(0);
     let lines: Vec<&str> = outcome.stdout.lines().collect();
     assert_eq!(lines.len(), 1 + 9, "{outcome}");
     let columns = lines[0].split(',').count();
