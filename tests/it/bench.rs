@@ -172,12 +172,14 @@ fn a_set_of_benches_gives_one_set_of_figures() {
     let directory = plots.root().to_str().expect("UTF-8");
     let plan = bare(&home).json(&["bench", "all", "--plan", "--skip", "sm2"]);
     let named: Vec<String> = list(&plan, "results").iter().map(|row| text(row, "bench")).collect();
-    for name in ["sm3", "sm4", "record", "gas", "consensus", "size", "gateway", "pipeline", "pictures", "growth"] {
+    for name in
+        ["sm3", "sm4", "record", "gas", "consensus", "size", "gateway", "pipeline", "memory", "pictures", "growth"]
+    {
         assert!(named.iter().any(|found| found == name), "{name}: {named:?}");
     }
     assert!(!named.iter().any(|found| found == "sm2"), "{named:?}");
     bare(&home).run(&["bench", "all", "--skip", "nothing"]).expect_code(2);
-    let others = "sm2,sm3,sm4,record,consensus,size,gateway,pipeline,pictures,growth";
+    let others = "sm2,sm3,sm4,record,consensus,size,gateway,pipeline,memory,pictures,growth";
     let report = bare(&home).json_within(LIMIT, &["bench", "all", "--skip", others, "--svg", directory]);
     expect_shape(&report, "all", &home);
     let rows = list(&report, "results");
@@ -209,6 +211,28 @@ fn a_gateway_keeps_every_record_it_is_measured_with() {
     let idle = &report["idle"];
     assert_eq!((count(idle, "asked"), count(idle, "connections")), (20, 20), "{idle}");
     assert!(idle["limited_by"].is_null() && idle["resident"].is_u64(), "{idle}");
+}
+
+#[test]
+fn memory_is_told_for_each_of_many() {
+    let _alone = heavy();
+    let home = Home::new();
+    let arguments = ["bench", "memory", "--robots", "20", "--topics", "20", "--records", "10000"];
+    let report = bare(&home).json_within(LIMIT, &arguments);
+    assert_eq!(text(&report, "name"), "memory");
+    let rows = list(&report, "results");
+    let counted: Vec<(String, u64)> = rows.iter().map(|row| (text(row, "what"), count(row, "count"))).collect();
+    let expected = [
+        ("idle robot at a gateway", 20),
+        ("watched topic", 20),
+        ("watched topic, published", 64),
+        ("record in the ledger", 10_000),
+    ];
+    assert_eq!(counted, expected.map(|(what, count)| (what.to_owned(), count)));
+    // An end of a connection has a socket's buffers and a thread or task; a robot has both ends here.
+    assert!(number(&rows[0], "bytes_each") > 1_000.0 && number(&rows[2], "bytes_each") > 1_000.0, "{rows:?}");
+    assert!(rows.iter().all(|row| row["bytes_each"].is_f64()), "{rows:?}");
+    expect_nothing_left(&home);
 }
 
 #[test]

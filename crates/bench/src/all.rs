@@ -12,7 +12,7 @@ use super::report::Report;
 use crate::Global;
 use crate::args::{
     AlgorithmArguments, AllArguments, Bench, BenchName, ConsensusArguments, GatewayArguments, GrowthArguments,
-    LoadChoice, NetworkChoice, PipelineArguments, RecordArguments, SizeArguments,
+    LoadChoice, MemoryArguments, NetworkChoice, PipelineArguments, RecordArguments, SizeArguments,
 };
 use authros_crypto::Provider;
 use authros_model::Consensus;
@@ -32,7 +32,7 @@ struct Entry {
 }
 
 /// Every bench in its order, with what it measures in this set.
-const PLAN: [(BenchName, &str, &str); 11] = [
+const PLAN: [(BenchName, &str, &str); 12] = [
     (BenchName::Sm3, "sm3", "digests of 1 KB to 800 KB beside libsm, libgcrypt and the paper"),
     (BenchName::Sm4, "sm4", "sealing and opening of 1 KB to 800 KB beside the crates, libsm and libgcrypt"),
     (BenchName::Sm2, "sm2", "signatures and envelopes beside the crate, libsm and OpenSSL"),
@@ -42,6 +42,7 @@ const PLAN: [(BenchName, &str, &str); 11] = [
     (BenchName::Size, "size", "uploads of 1 to 8 KB on PoA and PoW: ours and the prototype's way"),
     (BenchName::Gateway, "gateway", "256 records of 1 KiB by each way of uploading; 200 idle connections"),
     (BenchName::Pipeline, "pipeline", "10 s of messages and 10 s of pictures, publisher to verified"),
+    (BenchName::Memory, "memory", "memory of 200 idle robots, 200 watched topics, 10^5 records"),
     (BenchName::Pictures, "pictures", "raw pictures, clouds and small messages by codec"),
     (BenchName::Growth, "growth", "a record, a page and a frame with 10^3 to 10^5 records there"),
 ];
@@ -118,6 +119,7 @@ fn short(name: BenchName, arguments: &AllArguments) -> Bench {
             doubling: false,
             publishers: 4,
         }),
+        BenchName::Memory => Bench::Memory(MemoryArguments { robots: 200, topics: 200, records: 100_000 }),
         BenchName::Pictures => Bench::Pictures,
         BenchName::Growth => Bench::Growth(GrowthArguments { records: 100_000 }),
     }

@@ -54,6 +54,8 @@ pub enum Bench {
     Pipeline(PipelineArguments),
     /// Records that a gateway accepts per second, beside SM2 and SM3 alone; memory of idle connections
     Gateway(GatewayArguments),
+    /// Memory of an idle robot at a gateway, of a watched topic, of a record in the ledger
+    Memory(MemoryArguments),
     /// Raw pictures, clouds and small messages compressed, sealed and restored, per codec
     Pictures,
     /// What a record, a page of a list and a frame of the console cost while the ledger grows
@@ -73,6 +75,7 @@ pub enum BenchName {
     Gas,
     Pipeline,
     Gateway,
+    Memory,
     Pictures,
     Growth,
 }
@@ -211,6 +214,21 @@ pub struct PipelineArguments {
     /// Publishers, each a ROS node with a topic of its own
     #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u16).range(1..=64))]
     pub publishers: u16,
+}
+
+/// `bench memory …`
+#[derive(Debug, Args)]
+pub struct MemoryArguments {
+    /// Idle robots at a gateway; as many as open files allow
+    #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u32).range(1..=50_000))]
+    pub robots: u32,
+    /// Watched topics that nobody publishes
+    #[arg(long, value_name = "N", default_value_t = 500, value_parser = clap::value_parser!(u16).range(2..=10_000))]
+    pub topics: u16,
+    /// Records in the ledger
+    #[arg(long, value_name = "N", default_value_t = 1_000_000,
+          value_parser = clap::value_parser!(u64).range(10_000..=10_000_000))]
+    pub records: u64,
 }
 
 /// `bench gateway …`

@@ -15,6 +15,7 @@ use serde_json::{Map, json};
 use tokio::task::{JoinSet, block_in_place};
 
 use self::desk::BenchDesk;
+use self::idle::Idle;
 use self::sender::Sender;
 use super::judgement::Judgement;
 use super::machine::Machine;
@@ -128,6 +129,14 @@ pub async fn run(
     let report = Report { name: "gateway", machine: Machine::read(), about, results };
     outlet.show(&report, || text(&report, &idle), || plots::page(&report))?;
     Ok(Judgement::Reached)
+}
+
+/// Opens so many connections that say nothing, and looks at the memory.
+///
+/// # Errors
+/// As [`run`].
+pub(super) async fn idle_connections(provider: &'static dyn Provider, asked: usize) -> Result<Idle, Failure> {
+    idle::measure(&Sender::new(provider)?, asked).await
 }
 
 /// Where records are kept.
@@ -335,7 +344,7 @@ async fn receipt(client: &mut Client, number: u32, count: usize) -> Result<(), G
     }
 }
 
-fn text(report: &Report<Row>, idle: &idle::Idle) -> String {
+fn text(report: &Report<Row>, idle: &Idle) -> String {
     let head = ["way", "kept", "connections", "bytes", "records", "records/s", "MB/s", "per core", "of the bound"];
     let cells = |row: &Row| {
         let ratio = if row.of_bound.is_finite() { format!("{:.2}", row.of_bound) } else { "-".to_owned() };

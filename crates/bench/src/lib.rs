@@ -14,6 +14,7 @@ mod growth;
 mod judgement;
 mod lane;
 mod machine;
+mod memory;
 mod mined;
 mod network;
 mod outlet;
@@ -96,6 +97,7 @@ async fn measure(
         Bench::Gas => gas::run(provider, outlet).await,
         Bench::Growth(growth) => growth::run(growth, outlet).await,
         Bench::Pipeline(pipeline) => pipeline::run(global, pipeline, outlet).await,
+        Bench::Memory(memory) => memory::run(global, memory, provider, outlet).await,
         Bench::Gateway(gateway) => gateway::run(gateway, provider, outlet).await,
     }
 }

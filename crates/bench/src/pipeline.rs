@@ -2,7 +2,7 @@
 //! TCPROS. ROS master, chain and vault are embedded, or those that --ros-master, --chain and --vault name.
 
 mod before;
-mod host;
+pub(crate) mod host;
 mod plots;
 mod run;
 mod watch;
@@ -12,7 +12,9 @@ use std::collections::VecDeque;
 use serde::Serialize;
 use serde_json::{Map, json};
 
+pub(crate) use self::run::heard;
 use self::run::{Load, Summary};
+pub(crate) use self::watch::slope;
 use super::judgement::Judgement;
 use super::machine::Machine;
 use super::outlet::Outlet;

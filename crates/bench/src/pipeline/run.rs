@@ -114,7 +114,7 @@ pub async fn run(host: &Host, load: &Load, length: Duration) -> Result<Summary, 
     for topic in publishers.topics() {
         host.client.ask(WatchTopic { topic: crate::read(&topic)?, type_name: None }).await?;
     }
-    heard(&publishers).await?;
+    heard(&publishers, usize::from(load.publishers)).await?;
     let period = Duration::from_secs_f64(f64::from(load.publishers) / load.per_second);
     let mut watch = Watch::begin();
     publishers.begin(load.bytes, period)?;
@@ -160,9 +160,13 @@ pub async fn run(host: &Host, load: &Load, length: Duration) -> Result<Summary, 
     })
 }
 
-async fn heard(publishers: &Publishers) -> Result<(), Failure> {
+/// Waits until so many topics have a subscriber.
+///
+/// # Errors
+/// Where they have none in time.
+pub async fn heard(publishers: &Publishers, topics: usize) -> Result<(), Failure> {
     let begun = Instant::now();
-    while !publishers.is_heard() {
+    while publishers.heard() < topics {
         if begun.elapsed() > PATIENCE {
             return Err(internal("the site has not subscribed to the publishers within 20 s; look at its ROS master"));
         }

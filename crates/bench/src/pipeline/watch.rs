@@ -101,7 +101,7 @@ impl Watch {
 
 /// Bytes by which the memory grew a minute: the slope of the line nearest to what was seen at the ends of minutes, but for
 /// the first, in which buffers and tables fill; none where there are fewer than three.
-pub(super) fn slope(by_minute: &[u64]) -> Option<f64> {
+pub(crate) fn slope(by_minute: &[u64]) -> Option<f64> {
     let seen = by_minute.get(1..).filter(|seen| seen.len() >= 3)?;
     let points = || seen.iter().enumerate().map(|(minute, bytes)| (number(minute), number(*bytes >> 10) * 1024.0));
     let count = number(seen.len());
