@@ -301,7 +301,7 @@ fn a_signal_ends_a_bench_and_leaves_nothing() {
 fn what_is_published_is_verified_and_counted() {
     let _alone = heavy();
     let home = Home::new();
-    let arguments = ["bench", "pipeline", "--for", "2s", "--rate", "100", "--publishers", "2"];
+    let arguments = ["bench", "pipeline", "--for", "2s", "--rate", "100", "--publishers", "2", "--before", "2000"];
     let report = bare(&home).json_within(LIMIT, &arguments);
     expect_shape(&report, "pipeline", &home);
     let rows = list(&report, "results");
@@ -316,6 +316,9 @@ fn what_is_published_is_verified_and_counted() {
         for field in ["lost_in_transport", "dropped", "tampered", "law_broken"] {
             assert_eq!(count(load, field), 0, "{field}: {load}");
         }
+        // Those of before are another owner's, and in no count of this load.
+        assert!(count(load, "before") == 2_000 && number(load, "fsync_p50") > 0.0, "{load}");
+        assert!(!list(load, "memory_by_minute").is_empty() && load["memory_slope"].is_null(), "{load}");
         assert!(count(load, "law_asked") >= 2 && count(load, "memory_most") > 1 << 20, "{load}");
         let of_load = || rows.iter().filter(|row| row["load"] == load["load"]);
         assert_eq!(

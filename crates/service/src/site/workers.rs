@@ -255,9 +255,9 @@ async fn anchor(site: Arc<Site>, owner: Arc<Owner>) {
                 if round.submitted > 0 {
                     site.parts.hub.changed(Part::Uploads);
                 }
-                let rest = round.next.min(BETWEEN_LOOKS);
-                tokio::time::sleep(rest).await;
-                if round.next > rest {
+                if !round.next.is_zero() {
+                    let rest = round.next.min(BETWEEN_LOOKS);
+                    tokio::time::sleep(rest).await;
                     tokio::select! {
                         () = stored => {}
                         // A block may have freed a lane.
