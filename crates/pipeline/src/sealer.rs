@@ -15,7 +15,7 @@ use crate::store::StoreError;
 
 use super::losses::{GATHERED, Losses, Lost};
 use super::recorder::CapturedMessage;
-use super::ring::{Rings, Weighted as _};
+use super::ring::{Rings, Weighted};
 use super::session::Sessions;
 use super::stages::{Milestone, Stage};
 use super::{PipelineError, Plant};
@@ -67,7 +67,7 @@ impl Sealer {
         let mut closed_at = None;
         while let Some(items) = rings.take(ROUND, ROUND_BYTES, LOSSES_EVERY) {
             let (begun, taken) = (Instant::now(), items.len());
-            let bytes = items.iter().map(|item| item.weight()).sum();
+            let bytes = items.iter().map(Weighted::weight).sum();
             if !items.is_empty() {
                 self.store(&items, rings, &mut closed_at);
                 acknowledged();
@@ -186,7 +186,7 @@ impl Sealer {
         }
         self.planner.seqs.extend(plan.seqs);
         plan.keyless.into_iter().for_each(|item| self.lose(item, LossReason::Key));
-        Ok(plan.tasks.into_iter().filter_map(|task| task.definition_id()).collect())
+        Ok(plan.tasks.iter().filter_map(Task::definition_id).collect())
     }
 
     /// What compression did for each message, in their order.
