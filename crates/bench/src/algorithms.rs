@@ -1,5 +1,5 @@
 //! `authros bench sm2`, `sm3` and `sm4`: the paper's figures 16 and 17. Ours, libsm, the crates and libgcrypt
-//! take turns, so that what else the machine does falls on all alike; ratios are of the least times.
+//! and OpenSSL take turns, so that what else the machine does falls on all alike; ratios are of the least times.
 
 mod batch;
 mod plots;
@@ -12,12 +12,13 @@ use serde::Serialize;
 use serde_json::{Map, Value, json};
 
 use self::work::{Bench, Piece};
-use super::libgcrypt::Libgcrypt;
+use super::judgement::Judgement;
 use super::machine::Machine;
 use super::outlet::Outlet;
 use super::progress::Progress;
 use super::report::{Measured, Report};
 use super::spread::{Spread, number};
+use super::yardstick::Yardstick;
 use crate::args::AlgorithmArguments;
 use authros_crypto::{Kernel, Provider};
 use authros_model::ErrorKind;
@@ -64,7 +65,7 @@ struct Row {
     /// `digest`, `seal`, `open`, `record`, `sign`, `verify`, `encrypt` or `decrypt`.
     work: &'static str,
     /// `authros`, `authros-known`, `authros-many`, `authros-batch-16` (-64, -256), `crate`, `crates`, `libsm`,
-    /// `libsm-gcm` or `libgcrypt`.
+    /// `libsm-gcm`, `libgcrypt` or `openssl`.
     by: &'static str,
     #[serde(flatten)]
     measured: Measured,
@@ -88,34 +89,34 @@ struct Acceptance {
     ok: bool,
 }
 
-/// Measures; with `judge` exit code 1 where an acceptance figure is missed.
+/// Measures; [`Judgement::Missed`] where an acceptance figure is missed.
 ///
 /// # Errors
 /// Where an algorithm fails.
 pub async fn run(
     algorithm: Algorithm,
-    AlgorithmArguments { runs, judge }: AlgorithmArguments,
+    AlgorithmArguments { runs }: AlgorithmArguments,
     provider: &'static dyn Provider,
     outlet: &Outlet,
-) -> Result<u8, Failure> {
+) -> Result<Judgement, Failure> {
     if let Some(name) = std::env::var_os("AUTHROS_SM4_KERNEL").filter(|name| !name.is_empty()) {
         let kernel: Kernel = crate::read(&name.to_string_lossy())?;
         kernel.force().map_err(|error| Failure::new(ErrorKind::Input, error.to_string()))?;
     }
     let measured = tokio::task::spawn_blocking(move || measure(algorithm, runs, provider)).await;
-    let (results, libgcrypt) = measured.map_err(|_| internal("the measurement"))??;
+    let (results, other) = measured.map_err(|_| internal("the measurement"))??;
     let acceptance = acceptance(algorithm, &results);
     let ok = acceptance.iter().all(|one| one.ok);
-    let about = about(&acceptance, &libgcrypt);
+    let about = about(algorithm, &acceptance, &other);
     let report = Report { name: algorithm.name(), machine: Machine::read(), about, results };
-    outlet.show(&report, || text::text(&report, &acceptance, &libgcrypt), || plots::page(&report, algorithm))?;
-    Ok(if ok || !judge { 0 } else { ErrorKind::Internal.exit_code() })
+    outlet.show(&report, || text::text(&report, &acceptance, &other), || plots::page(&report, algorithm))?;
+    Ok(Judgement::reached(ok))
 }
 
-/// All rows, and libgcrypt's version or why there are no figures of it.
+/// All rows, and the other library's version or why there are no figures of it.
 fn measure(algorithm: Algorithm, runs: u32, provider: &'static dyn Provider) -> Result<(Vec<Row>, String), Failure> {
-    let (mut libgcrypt, words) = match Libgcrypt::start() {
-        _ if algorithm == Algorithm::Sm2 => (None, "libgcrypt is not timed for SM2".to_owned()),
+    let (library, done_there) = work::elsewhere(algorithm);
+    let (mut yardstick, words) = match Yardstick::start(library) {
         Ok(started) => {
             let version = started.version.clone();
             (Some(started), version)
@@ -128,20 +129,20 @@ fn measure(algorithm: Algorithm, runs: u32, provider: &'static dyn Provider) -> 
     for (at, &size) in sizes.iter().enumerate() {
         let bench = Bench::new(provider, size)?;
         let pieces = bench.pieces(algorithm);
-        let asked = libgcrypt.as_ref().map_or(&[][..], |_| work::of_libgcrypt(algorithm));
+        let asked = yardstick.as_ref().map_or(&[][..], |_| done_there);
         let mut times = vec![Vec::with_capacity(runs as usize); pieces.len() + asked.len()];
         for run in 0..runs as usize {
             for (piece, times) in pieces.iter().zip(&mut times) {
                 times.push(timed(piece)?);
             }
             for ((name, _), times) in asked.iter().zip(&mut times[pieces.len()..]) {
-                let answer = libgcrypt.as_mut().ok_or_else(|| internal("libgcrypt"))?.time(name, size);
-                times.push(answer.map_err(|why| internal(format!("libgcrypt's program: {why}")))?);
+                let answer = yardstick.as_mut().ok_or_else(|| internal(library.name))?.time(name, size);
+                times.push(answer.map_err(|why| internal(format!("{}'s program: {why}", library.name)))?);
             }
             progress.at(at * runs as usize + run, all);
         }
         let ours = pieces.iter().map(|piece| (piece.work, piece.by));
-        let names = ours.chain(asked.iter().map(|(_, work)| (*work, "libgcrypt")));
+        let names = ours.chain(asked.iter().map(|(_, work)| (*work, library.name)));
         rows.extend(names.zip(times).map(|((work, by), times)| row(work, by, size, times)));
     }
     Ok((rows, words))
@@ -252,11 +253,11 @@ fn acceptance_of_sm4(rows: &[Row]) -> Vec<Acceptance> {
     found
 }
 
-fn about(acceptance: &[Acceptance], libgcrypt: &str) -> Map<String, Value> {
+fn about(algorithm: Algorithm, acceptance: &[Acceptance], other: &str) -> Map<String, Value> {
     let kernel = authros_crypto::kernel::Available::decided().kernel();
     let mut about = Map::new();
     about.insert("kernel".to_owned(), json!(kernel.to_string()));
-    about.insert("libgcrypt".to_owned(), json!(libgcrypt));
+    about.insert(work::elsewhere(algorithm).0.name.to_owned(), json!(other));
     about.insert("acceptance".to_owned(), json!(acceptance));
     about.insert("notes".to_owned(), json!(text::NOTES));
     about

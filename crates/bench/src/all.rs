@@ -12,7 +12,7 @@ use super::report::Report;
 use crate::Global;
 use crate::args::{
     AlgorithmArguments, AllArguments, Bench, BenchName, ConsensusArguments, GatewayArguments, GrowthArguments,
-    LoadChoice, NetworkChoice, PipelineArguments, RecordArguments, SizeArguments,
+    LoadChoice, MemoryArguments, NetworkChoice, PipelineArguments, RecordArguments, SizeArguments,
 };
 use authros_crypto::Provider;
 use authros_model::Consensus;
@@ -25,28 +25,30 @@ struct Entry {
     bench: &'static str,
     what: &'static str,
     seconds: f64,
-    /// Exit code as if it had run alone.
+    /// Exit code as if it had run alone with `--judge`.
     code: u8,
     /// Why it could not be measured.
     error: Option<String>,
 }
 
 /// Every bench in its order, with what it measures in this set.
-const PLAN: [(BenchName, &str, &str); 11] = [
+const PLAN: [(BenchName, &str, &str); 12] = [
     (BenchName::Sm3, "sm3", "digests of 1 KB to 800 KB beside libsm, libgcrypt and the paper"),
     (BenchName::Sm4, "sm4", "sealing and opening of 1 KB to 800 KB beside the crates, libsm and libgcrypt"),
-    (BenchName::Sm2, "sm2", "signatures and envelopes beside the crate and libsm"),
+    (BenchName::Sm2, "sm2", "signatures and envelopes beside the crate, libsm and OpenSSL"),
     (BenchName::Record, "record", "one record sealed, opened and verified on one core, step by step"),
     (BenchName::Gas, "gas", "gas per record: each, batches, the prototype's way"),
     (BenchName::Consensus, "consensus", "300 uploads at once on PoA and PoW"),
     (BenchName::Size, "size", "uploads of 1 to 8 KB on PoA and PoW: ours and the prototype's way"),
     (BenchName::Gateway, "gateway", "256 records of 1 KiB by each way of uploading; 200 idle connections"),
     (BenchName::Pipeline, "pipeline", "10 s of messages and 10 s of pictures, publisher to verified"),
+    (BenchName::Memory, "memory", "memory of 200 idle robots, 200 watched topics, 10^5 records"),
     (BenchName::Pictures, "pictures", "raw pictures, clouds and small messages by codec"),
     (BenchName::Growth, "growth", "a record, a page and a frame with 10^3 to 10^5 records there"),
 ];
 
-/// Runs all that is not skipped; the exit code is the first one that is not 0.
+/// Runs all that is not skipped; the exit code is the first one that is not 0, of those that failed or, where figures are
+/// judged, of all.
 ///
 /// # Errors
 /// None of its own: what a bench says is told, and the next one begins.
@@ -55,6 +57,7 @@ pub async fn run(
     arguments: AllArguments,
     provider: &'static dyn Provider,
     outlet: Outlet,
+    judge: bool,
 ) -> Result<u8, Failure> {
     let plan: Vec<_> = PLAN.into_iter().filter(|(name, ..)| !arguments.skip.contains(name)).collect();
     if arguments.plan {
@@ -68,7 +71,7 @@ pub async fn run(
         let started = Instant::now();
         let done = measure(global, short(*name, &arguments), provider, &outlet).await;
         let (code, error) = match done {
-            Ok(code) => (code, None),
+            Ok(judgement) => (judgement.exit_code(), None),
             Err(failure) => (failure.kind.exit_code(), Some(failure.message)),
         };
         if let Some(error) = &error {
@@ -78,12 +81,17 @@ pub async fn run(
     }
     let document = document(&entries, &outlet.gathered(), begun.elapsed().as_secs_f64());
     outlet.tell(&document, || text(&entries));
-    Ok(entries.iter().map(|entry| entry.code).find(|code| *code != 0).unwrap_or(0))
+    Ok(ended(&entries, judge))
+}
+
+fn ended(entries: &[Entry], judge: bool) -> u8 {
+    let counted = entries.iter().filter(|entry| judge || entry.error.is_some());
+    counted.map(|entry| entry.code).find(|code| *code != 0).unwrap_or(0)
 }
 
 /// A bench with arguments that keep it short.
 fn short(name: BenchName, arguments: &AllArguments) -> Bench {
-    let algorithm = AlgorithmArguments { runs: arguments.runs, judge: false };
+    let algorithm = AlgorithmArguments { runs: arguments.runs };
     let node = arguments.node.clone();
     match name {
         BenchName::Sm2 => Bench::Sm2(algorithm),
@@ -107,8 +115,11 @@ fn short(name: BenchName, arguments: &AllArguments) -> Bench {
             load: LoadChoice::Both,
             rate: 1000,
             bytes: 1024,
+            before: 0,
+            doubling: false,
             publishers: 4,
         }),
+        BenchName::Memory => Bench::Memory(MemoryArguments { robots: 200, topics: 200, records: 100_000 }),
         BenchName::Pictures => Bench::Pictures,
         BenchName::Growth => Bench::Growth(GrowthArguments { records: 100_000 }),
     }
@@ -169,6 +180,21 @@ mod tests {
         assert_eq!(document["results"], json!([{ "bench": "a", "bytes": 1 }, { "bench": "b", "bytes": 1 }]));
         assert_eq!(document["benches"], json!([{ "name": "a", "notes": ["n"] }, { "name": "b", "notes": ["n"] }]));
         assert!(document["machine"]["cores"].is_u64() && document["ran"][0]["code"] == 0, "{document}");
+    }
+
+    #[test]
+    fn a_bench_that_failed_ends_the_set_and_a_figure_only_where_it_is_judged() {
+        let entry = |code, error: Option<&str>| Entry {
+            bench: "a",
+            what: "w",
+            seconds: 1.0,
+            code,
+            error: error.map(ToOwned::to_owned),
+        };
+        let missed = [entry(0, None), entry(1, None), entry(8, None)];
+        assert_eq!((ended(&missed, false), ended(&missed, true)), (0, 1));
+        let failed = [entry(1, None), entry(4, Some("no node"))];
+        assert_eq!((ended(&failed, false), ended(&failed, true)), (4, 1));
     }
 
     #[test]

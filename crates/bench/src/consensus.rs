@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 
+use super::judgement::Judgement;
 use super::machine::Machine;
 use super::network::{Directory, Network, Place, reach};
 use super::outlet::Outlet;
@@ -18,7 +19,6 @@ use super::uploads::{Load, MESSAGE, Outcome, Way, run as upload};
 use crate::args::ConsensusArguments;
 use authros_chain::Consensus;
 use authros_crypto::Provider;
-use authros_model::ErrorKind;
 use authros_output::table;
 use authros_service::Failure;
 
@@ -109,7 +109,7 @@ pub async fn run(
     arguments: ConsensusArguments,
     provider: &'static dyn Provider,
     outlet: &Outlet,
-) -> Result<u8, Failure> {
+) -> Result<Judgement, Failure> {
     if let Some(url) = &arguments.node {
         reach(url).await?;
     }
@@ -133,10 +133,10 @@ pub async fn run(
     let about = about(&presets);
     let report = Report { name: "consensus", machine: Machine::read(), about, results };
     outlet.show(&report, || text(&report, &presets), || plots::page(&report))?;
-    Ok(code(&report.results, outlet))
+    Ok(judged(&report.results, outlet))
 }
 
-fn code(rows: &[Row], outlet: &Outlet) -> u8 {
+fn judged(rows: &[Row], outlet: &Outlet) -> Judgement {
     let mut failed = false;
     for row in rows {
         for (why, times) in &row.failures {
@@ -147,7 +147,7 @@ fn code(rows: &[Row], outlet: &Outlet) -> u8 {
             ));
         }
     }
-    if failed { ErrorKind::Incomplete.exit_code() } else { 0 }
+    Judgement::complete(!failed)
 }
 
 fn about(presets: &[String]) -> Map<String, Value> {

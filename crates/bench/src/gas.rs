@@ -7,6 +7,7 @@ use serde::Serialize;
 use serde_json::{Map, Value, json};
 
 use super::account::Account;
+use super::judgement::Judgement;
 use super::machine::Machine;
 use super::network::{Directory, Network, Place, join, settle};
 use super::outlet::Outlet;
@@ -19,7 +20,7 @@ use super::uploads::MESSAGE;
 use authros_chain::merkle::{Inclusion, Leaf, Tree};
 use authros_chain::{Call, Chain, Consensus};
 use authros_crypto::{EoaSecret, Provider, random_bytes};
-use authros_model::{ErrorKind, Hash};
+use authros_model::Hash;
 use authros_output::table;
 use authros_service::Failure;
 use authros_service::failure::internal;
@@ -74,7 +75,7 @@ struct Acceptance {
 ///
 /// # Errors
 /// Where the chain cannot be made, or a transaction fails.
-pub async fn run(provider: &'static dyn Provider, outlet: &Outlet) -> Result<u8, Failure> {
+pub async fn run(provider: &'static dyn Provider, outlet: &Outlet) -> Result<Judgement, Failure> {
     let consensus = Consensus::Poa { signers: 1, period: Duration::ZERO };
     let directory = Directory::new()?;
     let network = Network::open(&Place::Embedded(consensus), provider, directory.path()).await?;
@@ -101,7 +102,7 @@ pub async fn run(provider: &'static dyn Provider, outlet: &Outlet) -> Result<u8,
     let about = about(&acceptance, over_prototype(&results));
     let report = Report { name: "gas", machine: Machine::read(), about, results };
     outlet.show(&report, || text(&report, &acceptance), || page(&report))?;
-    Ok(if ok { 0 } else { ErrorKind::Internal.exit_code() })
+    Ok(Judgement::reached(ok))
 }
 
 fn row(way: &'static str, records: usize, bytes: usize, gas: &[u64]) -> Row {

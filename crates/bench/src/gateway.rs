@@ -15,7 +15,9 @@ use serde_json::{Map, json};
 use tokio::task::{JoinSet, block_in_place};
 
 use self::desk::BenchDesk;
+use self::idle::Idle;
 use self::sender::Sender;
+use super::judgement::Judgement;
 use super::machine::Machine;
 use super::network::Directory;
 use super::outlet::Outlet;
@@ -80,7 +82,11 @@ struct Row {
 ///
 /// # Errors
 /// Where the gateway cannot be made, or refuses a record.
-pub async fn run(arguments: GatewayArguments, provider: &'static dyn Provider, outlet: &Outlet) -> Result<u8, Failure> {
+pub async fn run(
+    arguments: GatewayArguments,
+    provider: &'static dyn Provider,
+    outlet: &Outlet,
+) -> Result<Judgement, Failure> {
     let sender = Sender::new(provider)?;
     // First, while the allocator holds nothing that was freed.
     let idle = idle::measure(&sender, arguments.idle as usize).await?;
@@ -122,7 +128,15 @@ pub async fn run(arguments: GatewayArguments, provider: &'static dyn Provider, o
     about.insert("notes".to_owned(), json!(NOTES));
     let report = Report { name: "gateway", machine: Machine::read(), about, results };
     outlet.show(&report, || text(&report, &idle), || plots::page(&report))?;
-    Ok(0)
+    Ok(Judgement::Reached)
+}
+
+/// Opens so many connections that say nothing, and looks at the memory.
+///
+/// # Errors
+/// As [`run`].
+pub(super) async fn idle_connections(provider: &'static dyn Provider, asked: usize) -> Result<Idle, Failure> {
+    idle::measure(&Sender::new(provider)?, asked).await
 }
 
 /// Where records are kept.
@@ -330,7 +344,7 @@ async fn receipt(client: &mut Client, number: u32, count: usize) -> Result<(), G
     }
 }
 
-fn text(report: &Report<Row>, idle: &idle::Idle) -> String {
+fn text(report: &Report<Row>, idle: &Idle) -> String {
     let head = ["way", "kept", "connections", "bytes", "records", "records/s", "MB/s", "per core", "of the bound"];
     let cells = |row: &Row| {
         let ratio = if row.of_bound.is_finite() { format!("{:.2}", row.of_bound) } else { "-".to_owned() };

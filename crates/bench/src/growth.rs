@@ -2,9 +2,9 @@
 //! a record more, its way to verified, a page of a list and a frame of the console are timed. Pages and frames of all
 //! ledgers take turns, so that whatever else the machine does meets all of them.
 
-mod fill;
+pub(crate) mod fill;
 mod frames;
-mod life;
+pub(crate) mod life;
 mod pages;
 mod plots;
 
@@ -15,6 +15,7 @@ use serde::Serialize;
 use serde_json::{Map, Value, json};
 
 use self::fill::Costs;
+use super::judgement::Judgement;
 use super::machine::Machine;
 use super::network::Directory;
 use super::outlet::Outlet;
@@ -63,7 +64,7 @@ struct Row {
 ///
 /// # Errors
 /// Where the ledger cannot be made, or the disk is full.
-pub async fn run(arguments: GrowthArguments, outlet: &Outlet) -> Result<u8, Failure> {
+pub async fn run(arguments: GrowthArguments, outlet: &Outlet) -> Result<Judgement, Failure> {
     // Dropped here even where the bench is ended while its thread still works.
     let directory = Directory::new()?;
     let path = directory.path().to_owned();
@@ -76,7 +77,7 @@ pub async fn run(arguments: GrowthArguments, outlet: &Outlet) -> Result<u8, Fail
     about.insert("notes".to_owned(), json!(NOTES));
     let report = Report { name: "growth", machine: Machine::read(), about, results };
     outlet.show(&report, || text(&report, &ratios), || plots::page(&report))?;
-    Ok(0)
+    Ok(Judgement::Reached)
 }
 
 /// Powers of ten from [`FIRST`] up to the most records, which counts itself.

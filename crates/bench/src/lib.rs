@@ -11,9 +11,10 @@ mod consensus;
 mod gas;
 mod gateway;
 mod growth;
+mod judgement;
 mod lane;
-mod libgcrypt;
 mod machine;
+mod memory;
 mod mined;
 mod network;
 mod outlet;
@@ -29,11 +30,13 @@ mod storer;
 mod svg;
 mod uploads;
 mod usage;
+mod yardstick;
 
 use std::fmt::Display;
 use std::str::FromStr;
 
 use self::algorithms::Algorithm;
+use self::judgement::Judgement;
 use self::outlet::{Form, Outlet};
 use crate::args::{Bench, BenchArguments, BenchVerb};
 use authros_crypto::{Provider, ProviderName, provider};
@@ -52,7 +55,8 @@ pub struct Global<'a> {
     pub settings: &'a (dyn Fn(&str) -> Option<String> + Sync),
 }
 
-/// Runs one bench, or all. Dropping the future ends it.
+/// Runs one bench, or all, and says the exit code: 0 whatever the figures are, unless they are to be judged. Dropping the
+/// future ends it.
 ///
 /// # Errors
 /// What the bench or the arguments say.
@@ -66,8 +70,8 @@ pub async fn run(global: Global<'_>, arguments: BenchArguments, output: &Output)
     let provider = provider(global.provider);
     let outlet = Outlet::open(form, *output, arguments.svg)?;
     match arguments.verb {
-        BenchVerb::One(bench) => measure(global, bench, provider, &outlet).await,
-        BenchVerb::All(all) => all::run(global, all, provider, outlet).await,
+        BenchVerb::One(bench) => Ok(measure(global, bench, provider, &outlet).await?.ended(arguments.judge)),
+        BenchVerb::All(all) => all::run(global, all, provider, outlet, arguments.judge).await,
     }
 }
 
@@ -81,7 +85,7 @@ async fn measure(
     bench: Bench,
     provider: &'static dyn Provider,
     outlet: &Outlet,
-) -> Result<u8, Failure> {
+) -> Result<Judgement, Failure> {
     match bench {
         Bench::Sm2(runs) => algorithms::run(Algorithm::Sm2, runs, provider, outlet).await,
         Bench::Sm3(runs) => algorithms::run(Algorithm::Sm3, runs, provider, outlet).await,
@@ -93,6 +97,7 @@ async fn measure(
         Bench::Gas => gas::run(provider, outlet).await,
         Bench::Growth(growth) => growth::run(growth, outlet).await,
         Bench::Pipeline(pipeline) => pipeline::run(global, pipeline, outlet).await,
+        Bench::Memory(memory) => memory::run(global, memory, provider, outlet).await,
         Bench::Gateway(gateway) => gateway::run(gateway, provider, outlet).await,
     }
 }

@@ -11,6 +11,7 @@ use serde::Serialize;
 use serde_json::{Map, Value, json};
 
 use super::account::head;
+use super::judgement::Judgement;
 use super::machine::Machine;
 use super::outlet::Outlet;
 use super::progress::Progress;
@@ -125,7 +126,7 @@ struct Times {
 ///
 /// # Errors
 /// Where a message is not restored as it was, or the random source fails.
-pub fn run(provider: &'static dyn Provider, outlet: &Outlet) -> Result<u8, Failure> {
+pub fn run(provider: &'static dyn Provider, outlet: &Outlet) -> Result<Judgement, Failure> {
     let bench = Bench { provider, signer: SmKeyPair::generate(provider)?, key: TopicKey::new(random_bytes()?) };
     let (mut results, messages) = (Vec::new(), drawn::all());
     let (mut progress, all) = (Progress::new("pictures"), messages.len() * CODECS.len());
@@ -139,7 +140,7 @@ pub fn run(provider: &'static dyn Provider, outlet: &Outlet) -> Result<u8, Failu
     let about = Map::from_iter([("notes".to_owned(), json!(NOTES))]);
     let report = Report { name: "pictures", machine: Machine::read(), about, results };
     outlet.show(&report, || text(&report), || plots::page(&report))?;
-    Ok(0)
+    Ok(Judgement::Reached)
 }
 
 impl Bench {

@@ -8,6 +8,7 @@ use serde::Serialize;
 use serde_json::{Map, json};
 
 use self::timed::{Kit, Lap};
+use super::judgement::Judgement;
 use super::machine::Machine;
 use super::outlet::Outlet;
 use super::progress::Progress;
@@ -56,14 +57,14 @@ struct Row {
 ///
 /// # Errors
 /// Where an algorithm fails, or the page of plots cannot be written.
-pub async fn run(runs: u32, provider: &'static dyn Provider, outlet: &Outlet) -> Result<u8, Failure> {
+pub async fn run(runs: u32, provider: &'static dyn Provider, outlet: &Outlet) -> Result<Judgement, Failure> {
     let measured = tokio::task::spawn_blocking(move || measure(runs, provider)).await;
     let results = measured.map_err(|_| internal("the measurement"))??;
     let mut about = Map::new();
     about.insert("notes".to_owned(), json!(NOTES));
     let report = Report { name: "record", machine: Machine::read(), about, results };
     outlet.show(&report, || text(&report), || plots::page(&report))?;
-    Ok(0)
+    Ok(Judgement::Reached)
 }
 
 fn measure(runs: u32, provider: &'static dyn Provider) -> Result<Vec<Row>, Failure> {

@@ -9,6 +9,7 @@ use serde::Serialize;
 use serde_json::{Map, Value, json};
 
 use super::consensus::{Paper, milliseconds};
+use super::judgement::Judgement;
 use super::machine::Machine;
 use super::network::{Directory, Network, Place, reach};
 use super::outlet::Outlet;
@@ -18,7 +19,6 @@ use super::spread::{Spread, bars, decimal, histogram, number};
 use super::uploads::{Load, MESSAGE, Outcome, Way, run as upload};
 use crate::args::SizeArguments;
 use authros_crypto::Provider;
-use authros_model::ErrorKind;
 use authros_output::table;
 use authros_service::Failure;
 
@@ -82,7 +82,11 @@ impl Row {
 ///
 /// # Errors
 /// Where a network cannot be opened, or its count differs from the receipts.
-pub async fn run(arguments: SizeArguments, provider: &'static dyn Provider, outlet: &Outlet) -> Result<u8, Failure> {
+pub async fn run(
+    arguments: SizeArguments,
+    provider: &'static dyn Provider,
+    outlet: &Outlet,
+) -> Result<Judgement, Failure> {
     if let Some(url) = &arguments.node {
         reach(url).await?;
     }
@@ -104,7 +108,7 @@ pub async fn run(arguments: SizeArguments, provider: &'static dyn Provider, outl
     }
     let report = Report { name: "size", machine: Machine::read(), about: about(&presets), results };
     outlet.show(&report, || text(&report, &presets), || plots::page(&report))?;
-    Ok(code(&report.results, outlet))
+    Ok(judged(&report.results, outlet))
 }
 
 /// The prototype's contract, with both accounts registered.
@@ -153,7 +157,7 @@ fn row(network: &Network, load: &Load, outcome: Outcome) -> Row {
     }
 }
 
-fn code(rows: &[Row], outlet: &Outlet) -> u8 {
+fn judged(rows: &[Row], outlet: &Outlet) -> Judgement {
     let mut failed = false;
     for row in rows {
         for (why, times) in &row.failures {
@@ -162,7 +166,7 @@ fn code(rows: &[Row], outlet: &Outlet) -> u8 {
             outlet.note(&format!("authros: {}, {}, {} bytes: {times} uploads failed: {why}", what.0, what.1, what.2));
         }
     }
-    if failed { ErrorKind::Incomplete.exit_code() } else { 0 }
+    Judgement::complete(!failed)
 }
 
 fn about(presets: &[String]) -> Map<String, Value> {

@@ -9,6 +9,11 @@ pub fn resident() -> Option<u64> {
     kibibytes(&field(&std::fs::read_to_string("/proc/self/status").ok()?, "VmRSS")?)
 }
 
+/// Resident bytes now that no file holds; `None` where /proc does not tell.
+pub fn anonymous() -> Option<u64> {
+    kibibytes(&field(&std::fs::read_to_string("/proc/self/status").ok()?, "RssAnon")?)
+}
+
 /// Processor time of all threads so far, seconds; 0 where /proc does not tell.
 pub fn processor_seconds() -> f64 {
     let text = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
@@ -25,6 +30,7 @@ mod tests {
     #[test]
     fn this_process_uses_something() {
         assert!(resident() > Some(1 << 20), "{:?}", resident());
+        assert!(anonymous() > Some(1 << 16) && anonymous() < resident(), "{:?}", anonymous());
         let before = processor_seconds();
         let mut sum = 0u64;
         while processor_seconds() < before + 0.02 {

@@ -63,6 +63,18 @@ pub async fn is_root_in(
 /// # Errors
 /// Of the ledger.
 pub fn was_sighted(plant: &Plant, row: &RecordRow) -> Result<bool, PipelineError> {
-    let place = plant.ledger.batch_place(row.digest)?.filter(|place| place.block.is_some());
-    Ok(row.block.is_some() && place.is_none_or(|place| is_included(&place, row)))
+    Ok(were_sighted(plant, &[row])?.contains(&true))
+}
+
+/// As [`was_sighted`], of many records in their order; the ledger is asked once.
+///
+/// # Errors
+/// Of the ledger.
+pub fn were_sighted(plant: &Plant, rows: &[&RecordRow]) -> Result<Vec<bool>, PipelineError> {
+    let digests: Vec<_> = rows.iter().map(|row| row.digest).collect();
+    let sighted = |(row, place): (&&RecordRow, Option<BatchPlace>)| {
+        let anchored = place.filter(|place| place.block.is_some());
+        row.block.is_some() && anchored.is_none_or(|place| is_included(&place, row))
+    };
+    Ok(rows.iter().zip(plant.ledger.batch_places(&digests)?).map(sighted).collect())
 }

@@ -29,13 +29,15 @@ struct Inner<T> {
     held: usize,
     /// Items taken and not given back yet.
     in_hand: usize,
+    /// Takers that wait for an item: where there are none, nobody need be woken, which costs a call of the system.
+    takers: usize,
     closed: bool,
 }
 
 impl<T> Default for Inner<T> {
     fn default() -> Self {
         let (rings, turns) = (HashMap::new(), VecDeque::new());
-        Self { rings, turns, waiting: 0, held: 0, in_hand: 0, closed: false }
+        Self { rings, turns, waiting: 0, held: 0, in_hand: 0, takers: 0, closed: false }
     }
 }
 
@@ -105,6 +107,14 @@ impl<T: Weighted> Rings<T> {
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    fn wake(&self, inner: MutexGuard<'_, Inner<T>>) {
+        let waits = inner.takers > 0;
+        drop(inner);
+        if waits {
+            self.filled.notify_one();
+        }
+    }
+
     /// Appends `item` to its topic's ring, or gives it back where there is no room for it, or all is closed.
     ///
     /// # Errors
@@ -120,8 +130,7 @@ impl<T: Weighted> Rings<T> {
             return Err(item);
         }
         inner.append(topic, item, weight);
-        drop(guard);
-        self.filled.notify_one();
+        self.wake(guard);
         Ok(())
     }
 
@@ -139,8 +148,7 @@ impl<T: Weighted> Rings<T> {
             return Err(item);
         }
         inner.append(topic, item, weight);
-        drop(inner);
-        self.filled.notify_one();
+        self.wake(inner);
         Ok(())
     }
 
@@ -149,7 +157,9 @@ impl<T: Weighted> Rings<T> {
     pub fn take(&self, most: usize, weight: usize, patience: Duration) -> Option<Taken<'_, T>> {
         let mut inner = self.lock();
         if inner.waiting == 0 && !inner.closed {
+            inner.takers += 1;
             inner = self.filled.wait_timeout(inner, patience).unwrap_or_else(PoisonError::into_inner).0;
+            inner.takers = inner.takers.saturating_sub(1);
         }
         if inner.waiting == 0 && inner.closed {
             return None;
@@ -217,6 +227,10 @@ mod tests {
         rings.take(most, usize::MAX, Duration::ZERO).map(|taken| taken.to_vec()).unwrap_or_default()
     }
 
+    fn taken_within(rings: &Rings<usize>, patience: Duration) -> Vec<usize> {
+        rings.take(9, usize::MAX, patience).map(|taken| taken.to_vec()).unwrap_or_default()
+    }
+
     #[test]
     fn a_full_ring_gives_the_newest_back_and_recovers() {
         let (rings, a) = (Rings::new(20), topic("a"));
@@ -265,6 +279,20 @@ mod tests {
         assert_eq!((rings.push(&a, 1), rings.is_closed()), (Err(1), true));
         assert_eq!(taken(&rings, 1), [3]);
         assert!(rings.take(1, 1, Duration::ZERO).is_none());
+    }
+
+    #[test]
+    fn who_waits_for_an_item_is_woken_by_it() {
+        let (rings, a) = (Rings::new(100), topic("a"));
+        std::thread::scope(|scope| {
+            let taker = scope.spawn(|| taken_within(&rings, Duration::from_secs(600)));
+            while rings.lock().takers == 0 {
+                std::thread::yield_now();
+            }
+            assert_eq!(rings.push(&a, 7), Ok(()));
+            assert_eq!(taker.join().expect("joined"), [7]);
+        });
+        assert_eq!(rings.lock().takers, 0);
     }
 
     proptest! {

@@ -15,18 +15,22 @@ use crate::store::StoreError;
 
 use super::losses::{GATHERED, Losses, Lost};
 use super::recorder::CapturedMessage;
-use super::ring::Rings;
+use super::ring::{Rings, Weighted};
 use super::session::Sessions;
 use super::stages::{Milestone, Stage};
 use super::{PipelineError, Plant};
 
-use self::plan::{Planner, Task};
+use self::plan::{DefinitionId, Planner, Task};
 use self::sealing::{Ready, seal_all};
 
 /// Messages sealed at most before they are acknowledged together.
 const ROUND: usize = 256;
 /// Bytes sealed at most before they are acknowledged together.
 const ROUND_BYTES: usize = 8 * 1024 * 1024;
+/// A round of so many messages says that more are on their way.
+const SOME: usize = 8;
+/// How long a round gathers messages at most.
+const LONGEST_GATHERING: Duration = Duration::from_millis(10);
 /// Between two writings of the losses into the ledger.
 const LOSSES_EVERY: Duration = Duration::from_secs(1);
 /// How long messages are tried to be stored once the program ends.
@@ -62,12 +66,15 @@ impl Sealer {
     pub fn run(&mut self, rings: &Rings<CapturedMessage>, acknowledged: &dyn Fn()) {
         let mut closed_at = None;
         while let Some(items) = rings.take(ROUND, ROUND_BYTES, LOSSES_EVERY) {
+            let (begun, taken) = (Instant::now(), items.len());
+            let bytes = items.iter().map(Weighted::weight).sum();
             if !items.is_empty() {
                 self.store(&items, rings, &mut closed_at);
                 acknowledged();
             }
             drop(items);
             self.tell_losses(false);
+            std::thread::sleep(gathering((taken, bytes), begun.elapsed(), rings.capacity()));
         }
         self.tell_losses(true);
     }
@@ -124,10 +131,10 @@ impl Sealer {
     }
 
     /// Remembers which definitions are stored; one that is not remembered is sealed once more, which is no harm.
-    fn note_definitions(&mut self, names: Vec<String>) {
-        for name in names {
-            match self.plant.ledger.put_setting(&name, "sent") {
-                Ok(()) => drop(self.planner.definitions.insert(name)),
+    fn note_definitions(&mut self, definitions: Vec<DefinitionId>) {
+        for definition in definitions {
+            match self.plant.ledger.put_setting(&definition.name(), "sent") {
+                Ok(()) => drop(self.planner.definitions.insert(definition)),
                 Err(error) => self.plant.observer.alert(false, format!("a definition is stored again: {error}")),
             }
         }
@@ -161,7 +168,7 @@ impl Sealer {
     }
 
     /// Seals and stores; the definitions that went with it.
-    fn round(&mut self, items: &[CapturedMessage]) -> Result<Vec<String>, PipelineError> {
+    fn round(&mut self, items: &[CapturedMessage]) -> Result<Vec<DefinitionId>, PipelineError> {
         let begun = Instant::now();
         let plan = self.planner.plan(&self.plant, items)?;
         let ready = seal_all(&self.plant, self.boot_id, &plan.tasks)?;
@@ -179,7 +186,7 @@ impl Sealer {
         }
         self.planner.seqs.extend(plan.seqs);
         plan.keyless.into_iter().for_each(|item| self.lose(item, LossReason::Key));
-        Ok(plan.tasks.into_iter().filter_map(Task::definition_name).collect())
+        Ok(plan.tasks.iter().filter_map(Task::definition_id).collect())
     }
 
     /// What compression did for each message, in their order.
@@ -210,6 +217,14 @@ impl Sealer {
         });
         Ok(kept?)
     }
+}
+
+/// How long the next round gathers messages behind one that took so many, of so many bytes, and so long: what a commit
+/// costs beside its records is shared by more of them. Nobody waits where few come, where a round was full, or where as
+/// many again might not fit into the rings.
+fn gathering((taken, bytes): (usize, usize), took: Duration, capacity: usize) -> Duration {
+    let more = (SOME..ROUND).contains(&taken) && bytes < ROUND_BYTES && bytes <= capacity / 4;
+    if more { took.min(LONGEST_GATHERING) } else { Duration::ZERO }
 }
 
 /// Why messages wait, as a gap record tells it of those that did not fit any more.

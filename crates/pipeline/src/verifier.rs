@@ -1,32 +1,23 @@
 //! The last step: re-reads confirmed records from the vault and checks digest and signature, some at a time on as many
-//! cores as it pays.
+//! cores as it pays. Ledger and vault are asked for many at once (`reading`); each record is checked by itself.
+
+mod reading;
 
 use std::time::Instant;
 
-use crate::crypto::{Anchor, Unchecked, check_deleted, check_many, fault};
-use crate::model::{Digest, PublicKey, RecordState};
+use crate::crypto::{Anchor, Unchecked, check_many, fault};
+use crate::model::{Digest, RecordState};
 use crate::store::{RecordQuery, RecordRow, StoreError};
 
+use self::reading::{ReadBack, read_back};
 use super::authority::NoRight;
 use super::stages::{Milestone, Stage};
-use super::{Network, PipelineError, Plant, authority, columns, proof};
+use super::{Network, PipelineError, Plant, columns, proof};
 
-/// Records a round.
-const ROUND: usize = 128;
+/// Records a round: what a page of a ledger with many topics costs is shared by so many.
+const ROUND: usize = 512;
 /// Bytes read before they are checked together, unless a single record is larger.
 const PIECE: u64 = 4 << 20;
-
-/// A record as it was read back.
-enum ReadBack {
-    /// Its stored bytes, and the key that could sign it.
-    Bytes(Vec<u8>, PublicKey),
-    /// Nothing is to be checked: whether that is as it should be.
-    Decided(bool),
-    /// Its signer had no right at the anchoring block: that anchor does not count, a later one may.
-    PassedOver(NoRight),
-    /// The vault has just been given it anew: the next round tells.
-    Later,
-}
 
 /// What a page of records came to.
 #[derive(Default)]
@@ -86,11 +77,11 @@ fn verify_page(plant: &Plant, network: &Network, rows: &[RecordRow]) -> Result<u
 }
 
 impl<'a> Outcome<'a> {
-    /// Reads some records and checks them together.
+    /// Reads some records and checks them together: each in full, its signature included, whoever wrote it.
     fn judge(&mut self, plant: &Plant, network: &Network, rows: &[&'a RecordRow]) -> Result<(), PipelineError> {
         let mut read = Vec::with_capacity(rows.len());
-        for row in rows {
-            match read_back(plant, network, row) {
+        for (row, found) in rows.iter().zip(read_back(plant, network, rows)) {
+            match found {
                 Ok(ReadBack::Bytes(blob, signer)) => read.push((*row, blob, signer)),
                 Ok(ReadBack::Decided(sound)) => self.note(plant, row, Ok(sound))?,
                 Ok(ReadBack::PassedOver(why)) => self.passed.push((*row, why)),
@@ -103,14 +94,18 @@ impl<'a> Outcome<'a> {
             let (signature, anchor) = (&row.signature, Anchor::Chain(row.digest));
             records.push(Unchecked { blob, signature, signer, anchor });
         }
+        let (mut same, mut other) = (Vec::with_capacity(read.len()), Vec::new());
         for ((row, ..), checked) in read.iter().zip(check_many(plant.provider, &records)) {
-            let same = checked.is_ok_and(|(header, digest, _)| {
+            let is_same = checked.is_ok_and(|(header, digest, _)| {
                 digest == row.digest
                     && columns::header_difference(row, &header).is_none()
                     && network.accepts(&header.domain)
             });
-            let sound = if same { proof::was_sighted(plant, row) } else { Ok(false) };
-            self.note(plant, row, sound)?;
+            if is_same { same.push(*row) } else { other.push(*row) }
+        }
+        self.bad.extend(other);
+        for (row, sighted) in same.iter().zip(proof::were_sighted(plant, &same)?) {
+            if sighted { self.good.push(row) } else { self.bad.push(row) }
         }
         Ok(())
     }
@@ -131,52 +126,6 @@ impl<'a> Outcome<'a> {
         }
         Ok(())
     }
-}
-
-/// A vault that is only a cache may have forgotten the record; the ledger still has its copy.
-fn put_back(plant: &Plant, row: &RecordRow) -> Result<(), PipelineError> {
-    if plant.vault.durable() || plant.vault.contains(row.digest)? {
-        return Ok(());
-    }
-    if let Some(copy) = plant.ledger.local_copy(row.digest)? {
-        plant.vault.put(&[(row.digest, &copy)])?;
-        fault::point("put-back");
-    }
-    Ok(())
-}
-
-fn read_back(plant: &Plant, network: &Network, row: &RecordRow) -> Result<ReadBack, PipelineError> {
-    put_back(plant, row)?;
-    let signer = match authority::signer_of(plant, network, row)? {
-        Ok(signer) => signer,
-        Err(NoRight::KeyUnknown { .. }) => return Ok(ReadBack::Decided(false)),
-        Err(why) => return Ok(ReadBack::PassedOver(why)),
-    };
-    if let Some(blob) = plant.vault.get(row.digest)? {
-        return Ok(ReadBack::Bytes(blob, signer));
-    }
-    // The vault lost it since it was looked at; as long as there is a copy, nothing is gone.
-    if let Some(copy) = plant.ledger.local_copy(row.digest)? {
-        plant.vault.put(&[(row.digest, &copy)])?;
-        return Ok(ReadBack::Later);
-    }
-    is_sound_without(plant, network, row, &signer).map(ReadBack::Decided)
-}
-
-/// After a reorganisation a record is verified again that retention has given up meanwhile.
-fn is_sound_without(
-    plant: &Plant,
-    network: &Network,
-    row: &RecordRow,
-    signer: &PublicKey,
-) -> Result<bool, PipelineError> {
-    let Some(retained) = plant.ledger.retained(row.digest)?.filter(|retained| retained.deleted_at.is_some()) else {
-        return Ok(false);
-    };
-    let header = check_deleted(plant.provider, &retained.header, row.digest, &row.signature, signer);
-    let same = header
-        .is_ok_and(|header| columns::header_difference(row, &header).is_none() && network.accepts(&header.domain));
-    Ok(same && proof::was_sighted(plant, row)?)
 }
 
 fn settle(plant: &Plant, rows: &[&RecordRow], state: RecordState) -> Result<(), PipelineError> {

@@ -12,7 +12,8 @@ pub(super) const NOTES: [&str; 7] = [
      with its keys, sealed head and body, SM3 and SM2 signature.",
     "authros: the chosen provider (SM4 by the kernel named above); authros-known: a signer met before, whose table is kept; \
      authros-many: 16 messages side by side; crate: the crate sm2; crates: sm4, ctr and ghash; libsm: its SM4 behind our \
-     GCM, as the program uses it; libsm-gcm: its own GCM.",
+     GCM, as the program uses it; libsm-gcm: its own GCM. openssl: a context made for each message, as its users do; its \
+     key is made once.",
     "authros-batch-N: one signature over the Merkle root of N records' leaves, with every record's path made or followed; \
      for each record. A record signed so does not stand alone, and none is (ARCHITECTURE.md).",
     "outliers: values more than a quarter above the median, and the three greatest.",
@@ -20,14 +21,14 @@ pub(super) const NOTES: [&str; 7] = [
     "Judge on a machine that does nothing else.",
 ];
 
-pub(super) fn text(report: &Report<Row>, acceptance: &[Acceptance], libgcrypt: &str) -> String {
+pub(super) fn text(report: &Report<Row>, acceptance: &[Acceptance], other: &str) -> String {
     let head = ["work", "bytes", "by", "runs", "min", "p5", "p50", "p95", "max", "p5-p95", "outliers", "paper"];
     let rows: Vec<Vec<String>> = report.results.iter().map(cells).collect();
     let kernel = report.about.get("kernel").and_then(|kernel| kernel.as_str()).unwrap_or_default();
     let mut lines = vec![
         format!("{}, microseconds", report.name),
         format!("machine: {}", report.machine.line()),
-        format!("SM4 kernel: {kernel}; {libgcrypt}"),
+        format!("SM4 kernel: {kernel}; {other}"),
         String::new(),
         table(&head, &rows),
     ];

@@ -5,6 +5,7 @@ use std::hint::black_box;
 use super::Algorithm;
 use super::batch::Batch;
 use crate::account::head;
+use crate::yardstick::{LIBGCRYPT, Library, OPENSSL};
 use authros_crypto::{
     Provider, ProviderName, SealRequest, SmKeyPair, TopicKey, provider, random_bytes, seal, seal_by_crates,
     seal_by_libsm, sm3_many, verify_as_stranger,
@@ -23,12 +24,15 @@ const SHORT: usize = 8192;
 /// Who verifies a signer met before.
 pub(super) const KNOWN: &str = "authros-known";
 
-/// What libgcrypt does for an algorithm: its program's word, and ours.
-pub(super) fn of_libgcrypt(algorithm: Algorithm) -> &'static [(&'static str, &'static str)] {
+/// Who else does an algorithm, and which work: its program's word, and ours.
+pub(super) fn elsewhere(algorithm: Algorithm) -> (Library, &'static [(&'static str, &'static str)]) {
     match algorithm {
-        Algorithm::Sm2 => &[],
-        Algorithm::Sm3 => &[("sm3", "digest")],
-        Algorithm::Sm4 => &[("seal", "seal"), ("open", "open")],
+        Algorithm::Sm2 => {
+            let work = &[("sign", "sign"), ("verify", "verify"), ("encrypt", "encrypt"), ("decrypt", "decrypt")];
+            (OPENSSL, work)
+        }
+        Algorithm::Sm3 => (LIBGCRYPT, &[("sm3", "digest")]),
+        Algorithm::Sm4 => (LIBGCRYPT, &[("seal", "seal"), ("open", "open")]),
     }
 }
 

@@ -15,7 +15,7 @@ const OTHER_FILES: usize = 100;
 
 /// Memory of idle connections, both ends of them in this process.
 #[derive(Debug, Clone, Serialize)]
-pub(super) struct Idle {
+pub struct Idle {
     /// Wanted.
     pub asked: usize,
     /// Open and authenticated at once.

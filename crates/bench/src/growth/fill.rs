@@ -10,15 +10,15 @@ use authros_service::Failure;
 use authros_store::{Ledger, NewRecord};
 
 /// Whose records they are.
-pub(super) const OWNER: Address = Address([1; 20]);
+pub(crate) const OWNER: Address = Address([1; 20]);
 /// The filter id of records of one topic in twenty.
-pub(super) const RARE: FilterId = FilterId([1; 8]);
+pub(crate) const RARE: FilterId = FilterId([1; 8]);
 /// Topics that they are of; all of them are there at every level.
 const TOPICS: u64 = 500;
 /// Length of a message: an odometry's.
-pub(super) const MESSAGE: u64 = 728;
+pub(crate) const MESSAGE: u64 = 728;
 /// When the first was captured; each is a millisecond after the one before it.
-pub(super) const BEGIN: u64 = 1_700_000_000_000_000_000;
+pub(crate) const BEGIN: u64 = 1_700_000_000_000_000_000;
 /// Records in a commit that is timed, as in the pipeline.
 const COMMIT: u64 = 256;
 /// Records that are appended before they are verified in one batch: a second of a busy site.
@@ -26,13 +26,13 @@ const BATCH: u64 = 1_024;
 /// Batches that make one figure: so many that each has its share of checkpoints.
 const WINDOW: u64 = 4;
 /// Figures taken of one ledger, at most.
-pub(super) const FIGURES: u64 = 5;
+pub(crate) const FIGURES: u64 = 5;
 /// Records in a commit, and in a batch, that is not timed.
 const BULK: u64 = 5_000;
 
 /// Microseconds per record, figure by figure.
 #[derive(Debug, Default)]
-pub(super) struct Costs {
+pub(crate) struct Costs {
     /// Of acknowledging it.
     pub append: Vec<f64>,
     /// Of its steps to verified.
@@ -40,7 +40,7 @@ pub(super) struct Costs {
 }
 
 /// The record of that number.
-pub(super) fn record(number: u64) -> NewRecord {
+pub(crate) fn record(number: u64) -> NewRecord {
     let topic = number % TOPICS;
     let mut digest = [0; 32];
     digest[..8].copy_from_slice(&number.wrapping_mul(0x9e37_79b9_7f4a_7c15).to_be_bytes());
@@ -69,13 +69,13 @@ pub(super) fn record(number: u64) -> NewRecord {
 }
 
 /// The name of a topic.
-pub(super) fn name(topic: u64) -> String {
+pub(crate) fn name(topic: u64) -> String {
     format!("/robot{}/sensor{}/data", topic / 20, topic % 20)
 }
 
 /// Appends so many records to an empty ledger and verifies them; adds what one of the last ones took to `costs`. The
 /// first of each topic is not timed.
-pub(super) fn fill(ledger: &Ledger, wanted: u64, costs: &mut Costs, mut done: impl FnMut(u64)) -> Result<(), Failure> {
+pub(crate) fn fill(ledger: &Ledger, wanted: u64, costs: &mut Costs, mut done: impl FnMut(u64)) -> Result<(), Failure> {
     let timed_from = wanted.saturating_sub(FIGURES * WINDOW * BATCH).max(TOPICS.min(wanted));
     let (mut life, mut there) = (Life::default(), 0);
     while there < timed_from {

@@ -14,14 +14,14 @@ const RAW: usize = 180;
 
 /// The life line of all records so far.
 #[derive(Debug, Default)]
-pub(super) struct Life {
+pub(crate) struct Life {
     /// Batches that were anchored, each in a block of its own.
     blocks: u64,
 }
 
 impl Life {
     /// Verifies all stored records, `most` in a batch.
-    pub(super) fn verify(&mut self, ledger: &Ledger, most: usize) -> Result<(), Failure> {
+    pub(crate) fn verify(&mut self, ledger: &Ledger, most: usize) -> Result<(), Failure> {
         loop {
             let leaves = ledger.stored_leaves(OWNER, most)?;
             let Some(tree) = Tree::new(Leaf::hashes(&leaves)) else { return Ok(()) };

@@ -2,8 +2,12 @@
 
 use std::sync::Arc;
 
+use tokio::task::block_in_place;
+
+use super::before::{fill, fsync_times};
 use crate::Global;
 use crate::network::Directory;
+use crate::spread::Spread;
 use authros_config::Config;
 use authros_config::paths::Home;
 use authros_crypto::random_bytes;
@@ -20,27 +24,44 @@ use authros_store::{SiteLock, files};
 pub struct Host {
     /// Speaks for its only profile.
     pub client: Client,
+    /// What an fsync takes where its home lies, milliseconds.
+    pub fsync: Spread,
+    /// Records that were in ledger and vault before, of another owner.
+    pub before: u64,
     site: Arc<Site>,
     _directory: Directory,
 }
 
 impl Host {
-    /// Opens it with the settings that flags and environment name, without robots, and registers its profile.
+    /// Opens it with the settings that flags and environment name, without robots, and registers its profile. Where
+    /// records are to be there before, they are put into ledger and vault first, and no scrubber looks at them.
     ///
     /// # Errors
     /// Where a setting is not usable, nothing can be written, or a part that was named does not answer.
-    pub async fn open(global: Global<'_>, output: Output) -> Result<Self, Failure> {
+    pub async fn open(global: Global<'_>, before: u64, output: Output) -> Result<Self, Failure> {
         let directory = Directory::new()?;
         let home = Home::new(directory.path().join("home"));
-        let flags = |name: &str| if name == "robots" { Some("0".to_owned()) } else { (global.settings)(name) };
+        let flags = |name: &str| match name {
+            "robots" => Some("0".to_owned()),
+            "audit.scrub" if before > 0 => Some("0".to_owned()),
+            _ => (global.settings)(name),
+        };
         let config = Config::resolve(&flags, &|name| std::env::var(name).ok(), None)?;
+        if before > 0 && config.vault_url.is_some() {
+            let text = "--before fills the embedded vault; leave --vault out";
+            return Err(Failure::new(ErrorKind::Usage, text));
+        }
         files::private_directory(home.root())?;
         let lock = SiteLock::acquire(&home.site_lock())?
             .ok_or_else(|| Failure::new(ErrorKind::Home, "the bench's own directory is in use; run the bench again"))?;
+        let fsync = block_in_place(|| fsync_times(home.root()))?;
+        if before > 0 {
+            block_in_place(|| fill(&home, before))?;
+        }
         let site = Site::start(home, config, lock, Needs { ros: true, chain: true })?;
         let profile: ProfileName = crate::read("bench")?;
         let client = site.client(profile);
-        let host = Self { client, site, _directory: directory };
+        let host = Self { client, fsync, before, site, _directory: directory };
         if let Err(failure) = host.register().await {
             host.close().await;
             return Err(failure);

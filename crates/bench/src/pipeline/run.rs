@@ -7,6 +7,7 @@ use serde::Serialize;
 use tokio::task::block_in_place;
 
 use super::host::Host;
+use super::watch::{Watch, slope};
 use crate::progress::Progress;
 use crate::spread::{decimal, number};
 use crate::usage::{processor_seconds, resident};
@@ -15,14 +16,11 @@ use authros_ros::robot::Load as Publishers;
 use authros_service::Failure;
 use authros_service::command::WatchTopic;
 use authros_service::failure::internal;
-use authros_service::reply::LifeLine;
 
 /// How long subscribing may take.
 const PATIENCE: Duration = Duration::from_secs(20);
-/// How long the line may take for what is still on its way at the end.
-const REST: Duration = Duration::from_secs(180);
-/// How often the counts are asked.
-const TICK: Duration = Duration::from_secs(1);
+/// The share of the asked rate at which it counts as held.
+const HELD: f64 = 0.98;
 /// The longest bar, characters.
 const LONGEST_BAR: f64 = 50.0;
 
@@ -37,6 +35,20 @@ pub struct Load {
     pub per_second: f64,
     /// Publishers.
     pub publishers: u16,
+    /// How often its rate was doubled.
+    pub doubled: usize,
+}
+
+/// Names of the load of small messages, at the rate that was asked for and at its doubles.
+pub const MESSAGES: [&str; 8] = ["messages", "x 2", "x 4", "x 8", "x 16", "x 32", "x 64", "x 128"];
+
+impl Load {
+    /// Small messages at twice the rate; nothing behind the last name.
+    pub fn twice(&self) -> Option<Self> {
+        let again = MESSAGES.get(self.doubled).is_some_and(|name| *name == self.name);
+        let name = MESSAGES.get(self.doubled + 1).filter(|_| again)?;
+        Some(Self { name, per_second: self.per_second * 2.0, doubled: self.doubled + 1, ..*self })
+    }
 }
 
 /// A stage and how busy it was.
@@ -71,9 +83,22 @@ pub struct Summary {
     cores: f64,
     per_core: f64,
     most_pending: u64,
+    /// Not yet verified when the last message was published.
+    pending_end: u64,
+    /// From then until all was verified.
+    rest_seconds: f64,
     memory_begin: u64,
     memory_most: u64,
     memory_end: u64,
+    /// Bytes that no file holds, at the beginning and at the end of each minute.
+    memory_by_minute: Vec<u64>,
+    /// Bytes by which they grew a minute, the first one left out; none of a load of less than three minutes.
+    memory_slope: Option<f64>,
+    /// An fsync of 4 KiB before the load, milliseconds: median and 95th of a hundred.
+    fsync_p50: f64,
+    fsync_p95: f64,
+    /// Records that were in ledger and vault before.
+    before: u64,
     law_asked: u64,
     law_broken: u64,
     stages: Vec<Busy>,
@@ -89,16 +114,18 @@ pub async fn run(host: &Host, load: &Load, length: Duration) -> Result<Summary, 
     for topic in publishers.topics() {
         host.client.ask(WatchTopic { topic: crate::read(&topic)?, type_name: None }).await?;
     }
-    heard(&publishers).await?;
+    heard(&publishers, usize::from(load.publishers)).await?;
     let period = Duration::from_secs_f64(f64::from(load.publishers) / load.per_second);
     let mut watch = Watch::begin();
     publishers.begin(load.bytes, period)?;
     watch.until(host, load, length, Progress::new(load.name)).await?;
     block_in_place(|| publishers.end());
     let (seconds, processor) = (watch.begun.elapsed().as_secs_f64(), processor_seconds() - watch.processor);
-    let memory_end = resident().unwrap_or(0);
+    let (memory_end, ended) = (resident().unwrap_or(0), Instant::now());
+    let pending_end = host.status().await?.life.pending;
     let (published, overflowed) = publishers.published();
     let life = watch.settle(host, published - overflowed).await?;
+    let rest_seconds = ended.elapsed().as_secs_f64();
     let stages = Stage::ALL.map(|stage| busy(host, stage, seconds, published)).into();
     Ok(Summary {
         load: load.name,
@@ -117,18 +144,29 @@ pub async fn run(host: &Host, load: &Load, length: Duration) -> Result<Summary, 
         cores: processor / seconds,
         per_core: count(life.captured) / processor,
         most_pending: watch.most_pending,
+        pending_end,
+        rest_seconds,
         memory_begin: watch.memory_begin,
         memory_most: watch.memory_most,
         memory_end,
+        memory_slope: slope(&watch.by_minute),
+        memory_by_minute: watch.by_minute,
+        fsync_p50: host.fsync.p50,
+        fsync_p95: host.fsync.p95,
+        before: host.before,
         law_asked: watch.asked,
         law_broken: watch.broken,
         stages,
     })
 }
 
-async fn heard(publishers: &Publishers) -> Result<(), Failure> {
+/// Waits until so many topics have a subscriber.
+///
+/// # Errors
+/// Where they have none in time.
+pub async fn heard(publishers: &Publishers, topics: usize) -> Result<(), Failure> {
     let begun = Instant::now();
-    while !publishers.is_heard() {
+    while publishers.heard() < topics {
         if begun.elapsed() > PATIENCE {
             return Err(internal("the site has not subscribed to the publishers within 20 s; look at its ROS master"));
         }
@@ -146,86 +184,12 @@ fn count(number: u64) -> f64 {
     crate::spread::number(number)
 }
 
-/// What is asked each second.
-struct Watch {
-    begun: Instant,
-    processor: f64,
-    memory_begin: u64,
-    memory_most: u64,
-    most_pending: u64,
-    asked: u64,
-    broken: u64,
-}
-
-impl Watch {
-    fn begin() -> Self {
-        let memory = resident().unwrap_or(0);
-        Self {
-            begun: Instant::now(),
-            processor: processor_seconds(),
-            memory_begin: memory,
-            memory_most: memory,
-            most_pending: 0,
-            asked: 0,
-            broken: 0,
-        }
-    }
-
-    async fn look(&mut self, host: &Host) -> Result<LifeLine, Failure> {
-        let life = host.status().await?.life;
-        let known = life.verified + life.pending + life.right_ended + life.quarantined + life.dropped + life.tampered;
-        self.asked += 1;
-        self.broken += u64::from(known != life.captured);
-        self.most_pending = self.most_pending.max(life.pending);
-        self.memory_most = self.memory_most.max(resident().unwrap_or(0));
-        Ok(life)
-    }
-
-    async fn until(
-        &mut self,
-        host: &Host,
-        load: &Load,
-        length: Duration,
-        mut progress: Progress,
-    ) -> Result<(), Failure> {
-        let all = (length.as_secs_f64() * load.per_second).round();
-        while let Some(left) = length.checked_sub(self.begun.elapsed()).filter(|left| !left.is_zero()) {
-            tokio::time::sleep(left.min(TICK)).await;
-            let life = self.look(host).await?;
-            progress.at(usize::try_from(life.captured).unwrap_or(usize::MAX), whole(all));
-        }
-        Ok(())
-    }
-
-    /// Waits until all that was sent is captured, or lost, and nothing is pending.
-    async fn settle(&mut self, host: &Host, sent: u64) -> Result<LifeLine, Failure> {
-        let (begun, mut last) = (Instant::now(), (0, Instant::now()));
-        loop {
-            let life = self.look(host).await?;
-            if life.captured != last.0 {
-                last = (life.captured, Instant::now());
-            }
-            // What has not arrived three seconds after the last one that did, never will.
-            let arrived = life.captured >= sent || last.1.elapsed() > 3 * TICK;
-            if arrived && life.pending == 0 {
-                return Ok(life);
-            }
-            if begun.elapsed() > REST {
-                let text =
-                    format!("{} messages are not verified 180 s after the load; look at chain and vault", life.pending);
-                return Err(internal(text));
-            }
-            tokio::time::sleep(TICK / 4).await;
-        }
-    }
-}
-
 #[allow(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
     reason = "a count for a progress line, never negative"
 )]
-fn whole(number: f64) -> usize {
+pub(super) fn whole(number: f64) -> usize {
     number as usize
 }
 
@@ -253,6 +217,16 @@ impl Summary {
     /// Whether every message published was verified, and the law always held.
     pub fn is_whole(&self) -> bool {
         self.published == self.verified && self.law_broken == 0
+    }
+
+    /// Whether it is a rate that nobody asked for.
+    pub fn is_doubled(&self) -> bool {
+        MESSAGES[1..].contains(&self.load)
+    }
+
+    /// Whether the rate was held, and nothing was lost.
+    pub fn is_held(&self) -> bool {
+        self.is_whole() && self.per_second >= HELD * self.asked_per_second
     }
 
     /// One row.
@@ -290,6 +264,23 @@ impl Summary {
             "  {:.0} messages a second and core; most pending {}; law asked {} times, broken {}",
             self.per_core, self.most_pending, self.law_asked, self.law_broken
         );
-        self.stages.iter().map(bar).chain([law]).collect()
+        let disk = format!(
+            "  an fsync of 4 KiB before the load: {:.2} ms (p95 {:.2}); {} records there before",
+            self.fsync_p50, self.fsync_p95, self.before
+        );
+        let rest = format!(
+            "  {} not verified at the end of publishing; all were {:.1} s later",
+            self.pending_end, self.rest_seconds
+        );
+        self.stages.iter().map(bar).chain([law, disk, rest, self.memory_line()]).collect()
+    }
+
+    fn memory_line(&self) -> String {
+        let minutes: Vec<String> = self.memory_by_minute.iter().map(|bytes| (bytes >> 20).to_string()).collect();
+        let slope = self.memory_slope.map_or_else(
+            || "too short for a slope".to_owned(),
+            |slope| format!("{:+.3} MiB a minute behind the first", slope / 1_048_576.0),
+        );
+        format!("  memory that no file holds, minute by minute, MiB: {}; {slope}", minutes.join(" "))
     }
 }

@@ -27,8 +27,9 @@ pub const SCHEMA: &str = "
 pub const KEPT: u64 = 128;
 /// The most nodes of gone storage tries taken out with one block.
 const FELLED_AT_ONCE: u32 = 512;
-/// Half of what is kept of read and written nodes in memory, bytes.
-const HALF: usize = 16 * 1024 * 1024;
+/// Half of what is kept of read and written nodes in memory, bytes. Every block makes some KiB of new ones, so a site that
+/// runs grows by them until both halves are full: far more than the nodes that blocks need again would only look like a leak.
+const HALF: usize = 4 * 1024 * 1024;
 const HASH: usize = 32;
 
 /// The nodes used last, in two halves: when the newer is full it becomes the older one, and that one goes.

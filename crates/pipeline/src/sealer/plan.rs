@@ -4,7 +4,7 @@
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
-use crate::model::{Address, Digest, TopicId};
+use crate::model::{Address, Digest, Domain, TopicId};
 use crate::pipeline::epoch::{EpochKeys, TopicKeys};
 use crate::pipeline::packing::{Packing, Try};
 use crate::pipeline::recorder::CapturedMessage;
@@ -16,10 +16,31 @@ const MOST_HASHES: usize = 1024;
 /// Whose numbers, on which topic.
 pub type Stream = (Address, TopicId);
 
+/// A definition as it is stored: once for each topic and epoch of an owner.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct DefinitionId {
+    domain: Domain,
+    owner: Address,
+    epoch: u64,
+    topic: TopicId,
+    digest: Digest,
+    /// A quarantined definition is none for those who may never see it.
+    held: bool,
+}
+
+impl DefinitionId {
+    /// The ledger's name for it.
+    pub fn name(&self) -> String {
+        let Self { domain, owner, epoch, topic, digest, held } = self;
+        let held = if *held { ":quarantined" } else { "" };
+        format!("definition:{domain}:{owner}:{epoch}:{topic}:{digest}{held}")
+    }
+}
+
 /// What is sealed of a message.
 pub enum Content {
-    /// Its definition, with the ledger's name for it.
-    Definition(String),
+    /// Its definition.
+    Definition(DefinitionId),
     /// Itself; compressed, where that is tried and pays.
     Message(Option<Try>),
 }
@@ -46,10 +67,10 @@ impl Task<'_> {
         matches!(self.content, Content::Message(_))
     }
 
-    /// The ledger's name for the definition that it is, if it is one.
-    pub fn definition_name(self) -> Option<String> {
+    /// The definition that it is, if it is one.
+    pub fn definition_id(&self) -> Option<DefinitionId> {
         match self.content {
-            Content::Definition(name) => Some(name),
+            Content::Definition(definition) => Some(definition),
             Content::Message(_) => None,
         }
     }
@@ -64,17 +85,19 @@ pub struct Plan<'a> {
     pub keyless: Vec<&'a CapturedMessage>,
     /// Numbers given, the last of each stream.
     pub seqs: HashMap<Stream, u64>,
-    /// Names of the definitions among the tasks.
-    definitions: HashSet<String>,
+    /// The definitions among the tasks.
+    definitions: HashSet<DefinitionId>,
 }
 
 /// What is known from the rounds before.
 pub struct Planner {
     /// The last number of each stream that is stored.
     pub seqs: HashMap<Stream, u64>,
-    /// Names of definitions that are stored.
-    pub definitions: HashSet<String>,
+    /// Definitions that are stored.
+    pub definitions: HashSet<DefinitionId>,
     hashes: HashMap<Arc<str>, Digest>,
+    /// The definition that was last met on each topic: nearly always the next one too, and then the same text.
+    last: HashMap<Arc<str>, (Arc<str>, Digest)>,
     /// `None` = messages are sealed as they are.
     pub packing: Option<Packing>,
 }
@@ -86,6 +109,7 @@ impl Planner {
             seqs: HashMap::new(),
             definitions: HashSet::new(),
             hashes: HashMap::new(),
+            last: HashMap::new(),
             packing: Some(Packing::default()),
         }
     }
@@ -102,16 +126,16 @@ impl Planner {
                 plan.keyless.push(item);
                 continue;
             };
-            let definition = self.definition_digest(plant, &item.message.definition);
+            let definition = self.definition_digest(plant, &item.message.topic, &item.message.definition);
             let add = |planner: &Self, plan: &mut Plan<'a>, content| {
                 let seq = planner.next_seq(plant, (item.author.address, topic.id), plan)?;
                 let (keys, topic) = (Arc::clone(&keys), Arc::clone(&topic));
                 plan.tasks.push(Task { item, content, keys, topic, seq, definition });
                 Ok::<(), PipelineError>(())
             };
-            if let Some(name) = self.unsent(plant, &plan, item, (&*keys, topic.id, definition))? {
-                plan.definitions.insert(name.clone());
-                add(self, &mut plan, Content::Definition(name))?;
+            if let Some(unsent) = self.unsent(plant, &plan, item, (&*keys, topic.id, definition))? {
+                plan.definitions.insert(unsent);
+                add(self, &mut plan, Content::Definition(unsent))?;
             }
             let tried = self.packing.as_mut().and_then(|packing| packing.decide(&item.message));
             add(self, &mut plan, Content::Message(tried))?;
@@ -119,28 +143,40 @@ impl Planner {
         Ok(plan)
     }
 
-    /// The ledger's name for the message's definition, where that is not stored yet and not in the plan.
+    /// The message's definition, where that is not stored yet and not in the plan.
     fn unsent(
         &mut self,
         plant: &Plant,
         plan: &Plan<'_>,
         item: &CapturedMessage,
         (keys, topic, digest): (&EpochKeys, TopicId, Digest),
-    ) -> Result<Option<String>, PipelineError> {
-        // A quarantined definition is none for those who may never see it.
-        let held = if item.doubt.is_some() { ":quarantined" } else { "" };
-        let name = format!("definition:{}:{}:{}:{topic}:{digest}{held}", keys.domain, item.author.address, keys.epoch);
-        if plan.definitions.contains(&name) || self.definitions.contains(&name) {
+    ) -> Result<Option<DefinitionId>, PipelineError> {
+        let (owner, held) = (item.author.address, item.doubt.is_some());
+        let definition = DefinitionId { domain: keys.domain, owner, epoch: keys.epoch, topic, digest, held };
+        if plan.definitions.contains(&definition) || self.definitions.contains(&definition) {
             return Ok(None);
         }
-        if plant.ledger.setting(&name)?.is_none() {
-            return Ok(Some(name));
+        if plant.ledger.setting(&definition.name())?.is_none() {
+            return Ok(Some(definition));
         }
-        self.definitions.insert(name);
+        self.definitions.insert(definition);
         Ok(None)
     }
 
-    fn definition_digest(&mut self, plant: &Plant, definition: &Arc<str>) -> Digest {
+    /// SM3 of a definition; a text that lies where the topic's last one did is the same.
+    fn definition_digest(&mut self, plant: &Plant, topic: &Arc<str>, definition: &Arc<str>) -> Digest {
+        if let Some((_, digest)) = self.last.get(topic).filter(|(last, _)| Arc::ptr_eq(last, definition)) {
+            return *digest;
+        }
+        let digest = self.hash(plant, definition);
+        if self.last.len() >= MOST_HASHES {
+            self.last.clear();
+        }
+        self.last.insert(Arc::clone(topic), (Arc::clone(definition), digest));
+        digest
+    }
+
+    fn hash(&mut self, plant: &Plant, definition: &Arc<str>) -> Digest {
         if let Some(digest) = self.hashes.get(definition) {
             return *digest;
         }

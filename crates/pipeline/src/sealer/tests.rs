@@ -9,7 +9,7 @@ use super::super::fixture::{Notes, message};
 use super::super::tests::body_of;
 use super::*;
 use crate::crypto::{CryptoError, IndexKey, Provider, ProviderName, SealingKey, SmKeyPair, SmSecret, provider};
-use crate::model::{Address, Domain, PublicKey, RecordKind, RecordState, Signature, Token};
+use crate::model::{Address, Digest, Domain, PublicKey, RecordKind, RecordState, Signature, Token};
 use crate::pipeline::Author;
 use crate::pipeline::epoch::EpochKeys;
 use crate::store::{Ledger, RecordQuery, open_vault};
@@ -194,4 +194,31 @@ fn a_panic_over_one_message_of_a_round_loses_that_one_alone() {
     assert_eq!((counts.data_in(RecordState::Stored), counts.lost_in_recorder), (59, 1));
     assert!(counts.topics.iter().all(crate::store::TopicCounts::is_conserved));
     assert_eq!(line.notes.with("sealing failed"), 1);
+}
+
+#[test]
+fn a_round_gathers_only_where_more_come_and_find_room() {
+    let (took, rings) = (Duration::from_millis(4), 64 << 20);
+    assert_eq!(gathering((20, 30_000), took, rings), took);
+    assert_eq!(gathering((20, 30_000), Duration::from_secs(3), rings), LONGEST_GATHERING);
+    let at_once = [(1, 1_500), (7, 10_000), (ROUND, 400_000), (40, ROUND_BYTES)];
+    for taken in at_once {
+        assert_eq!(gathering(taken, took, rings), Duration::ZERO, "{taken:?}");
+    }
+    assert_eq!(gathering((20, 30_000), took, 119_999), Duration::ZERO, "as many again might not fit");
+}
+
+#[test]
+fn a_definition_keeps_its_name_in_the_ledger() {
+    let home = tempfile::tempdir().expect("folder");
+    let mut line = Line::new(home.path());
+    let item = line.item("/a", 1, b"x".to_vec());
+    let definitions = line.sealer.round(std::slice::from_ref(&item)).expect("sealed");
+    let digest = Digest(crate::crypto::sm3::sm3(&[b"string data"]));
+    let topic = line.keys.topic("/a").expect("covered").id;
+    let (domain, owner) = (Domain([3; 32]), Address([5; 20]));
+    let names: Vec<String> = definitions.iter().map(plan::DefinitionId::name).collect();
+    assert_eq!(names, [format!("definition:{domain}:{owner}:1:{topic}:{digest}")]);
+    line.sealer.note_definitions(definitions);
+    assert!(line.sealer.round(&[item]).expect("sealed").is_empty(), "once");
 }

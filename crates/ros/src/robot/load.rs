@@ -54,7 +54,12 @@ impl Load {
 
     /// Whether every topic has a subscriber.
     pub fn is_heard(&self) -> bool {
-        self.outlets.iter().all(|outlet| !outlet.links().is_empty())
+        self.heard() == self.outlets.len()
+    }
+
+    /// How many topics have a subscriber.
+    pub fn heard(&self) -> usize {
+        self.outlets.iter().filter(|outlet| !outlet.links().is_empty()).count()
     }
 
     /// Publishes messages of `bytes` each, `period` apart on every topic, with data that no compression shortens.

@@ -26,6 +26,9 @@ use crate::service::event::{NoticeLevel, Part};
 use crate::service::hub::Hub;
 use crate::service::reply::Failure;
 
+/// An owner's records are looked at no more often while they come: each look asks about all of the owner's topics.
+const BETWEEN_LOOKS: Duration = Duration::from_millis(25);
+
 /// Starts all tasks that the run needs.
 pub(super) fn start(
     site: &Arc<Site>,
@@ -242,6 +245,8 @@ async fn anchor(site: Arc<Site>, owner: Arc<Owner>) {
             tokio::time::sleep(Duration::from_millis(200)).await;
             continue;
         };
+        // What is stored while this round looks is not missed.
+        let stored = site.parts.hub.stored.notified();
         let begun = Instant::now();
         match anchor_round(&site, &mut anchorer, &network, &owner, &mut spoken).await {
             Ok(round) => {
@@ -251,11 +256,13 @@ async fn anchor(site: Arc<Site>, owner: Arc<Owner>) {
                     site.parts.hub.changed(Part::Uploads);
                 }
                 if !round.next.is_zero() {
+                    let rest = round.next.min(BETWEEN_LOOKS);
+                    tokio::time::sleep(rest).await;
                     tokio::select! {
-                        () = site.parts.hub.stored.notified() => {}
+                        () = stored => {}
                         // A block may have freed a lane.
                         _ = scanned.changed() => {}
-                        () = tokio::time::sleep(round.next) => {}
+                        () = tokio::time::sleep(round.next.saturating_sub(rest)) => {}
                     }
                 }
             }

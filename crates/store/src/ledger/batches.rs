@@ -182,15 +182,20 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and its kin.
     pub fn batch_place(&self, digest: Digest) -> Result<Option<BatchPlace>, StoreError> {
+        Ok(self.batch_places(&[digest])?.pop().flatten())
+    }
+
+    /// The places of several records, in their order, from one look at the ledger.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn batch_places(&self, digests: &[Digest]) -> Result<Vec<Option<BatchPlace>>, StoreError> {
         self.read(|connection| {
-            let place = connection
-                .prepare_cached(
-                    "SELECT leaf, count, path, root, closed_at, account, batches.block, batches.block_hash, batches.tx
-                     FROM records JOIN leaves ON record = n JOIN batches ON key = batch WHERE digest = ?1",
-                )?
-                .query_row([digest.0], place)
-                .optional()?;
-            Ok(place)
+            let mut find = connection.prepare_cached(
+                "SELECT leaf, count, path, root, closed_at, account, batches.block, batches.block_hash, batches.tx
+                 FROM records JOIN leaves ON record = n JOIN batches ON key = batch WHERE digest = ?1",
+            )?;
+            digests.iter().map(|digest| Ok(find.query_row([digest.0], place).optional()?)).collect()
         })
     }
 }

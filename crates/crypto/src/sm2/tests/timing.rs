@@ -5,6 +5,7 @@ use std::hint::black_box;
 use std::time::Instant;
 
 use super::*;
+use crate::crypto::kernel::sm2::Signer as _;
 
 /// Of two samples: the difference of their means over its standard error.
 fn welch(samples: &[Vec<f64>; 2]) -> f64 {
@@ -83,5 +84,17 @@ fn times_tell_nothing_of_secrets() {
         let chosen = [&signer, &random][class];
         let nonce = Scalar::reduced(&noise.array());
         timed(|| chosen.sign_with(&e, black_box(&nonce)))
+    });
+    let (fixed, public) = key(&mut Noise(54));
+    measured("decryption, key fixed or random", runs / 4, |class, noise| {
+        let (random, stranger) = key(noise);
+        let (secret, public) = ([&fixed, &random][class], [&public, &stranger][class].public());
+        let sealed = encrypt(public, b"text").expect("encrypts");
+        timed(|| decrypt(black_box(secret), sealed))
+    });
+    // Verification may tell, so the method must see it: otherwise it sees nothing.
+    measured("for comparison: verification's multiple, factor 3 or random", runs / 8, |class, noise| {
+        let factor = number(class, noise);
+        timed(|| other.times(black_box(&factor)))
     });
 }
