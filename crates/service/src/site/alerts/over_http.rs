@@ -124,7 +124,7 @@ async fn an_hour_without_a_webhook_fills_a_bounded_queue_and_what_was_given_up_i
         figures.robots = (0..10).map(silent).collect();
         changes += site.alerts.look(&figures).len();
     }
-    let view = site.alerts.view().expect("alerts");
+    let view = site.alerts.view();
     // Robots are judged from the second minute on, and fall silent and come back every hundred seconds.
     assert!(changes > 250, "{changes}");
     let all = u64::try_from(changes).expect("few");
