@@ -3,7 +3,7 @@
 use super::screens::grants::{is_active, is_given};
 use super::standing::not_captured;
 use super::state::State;
-use crate::model::Timestamp;
+use crate::model::{Address, Timestamp};
 use crate::service::NoticeLevel;
 use crate::service::reply::{AlertView, GrantRow, HealthLevel, LifeLine, PartHealth, Severity, SiteView};
 
@@ -161,24 +161,33 @@ fn judged(state: &State, site: &SiteView) -> Vec<Alert> {
         resolved,
         lasts: true,
     };
-    let own = state.identity.as_ref().and_then(|identity| identity.address).map(|address| address.to_string());
-    let is_news = |alert: &&AlertView| !is_told_otherwise(&alert.key, site, own.as_deref().unwrap_or_default());
+    let is_news = |alert: &&AlertView| !is_told_otherwise(&alert.key, state, site);
     let standing = site.alerts.iter().filter(is_news).map(|alert| shown(alert, None));
     let over = site.alerts_over.iter().filter(|over| is_news(&&over.alert));
     standing.chain(over.map(|over| shown(&over.alert, Some(over.ended)))).collect()
 }
 
-/// Whether health and life line say the same already, with words that lead further.
-fn is_told_otherwise(key: &str, site: &SiteView, own: &str) -> bool {
+/// Whether health, life line or grants say the same already, with words that lead further.
+fn is_told_otherwise(key: &str, state: &State, site: &SiteView) -> bool {
+    let own = state.identity.as_ref().and_then(|identity| identity.address);
     let (rule, subject) = key.split_once('/').unwrap_or((key, ""));
-    let is_own = !subject.is_empty() && own.trim_start_matches("0x").to_lowercase().starts_with(subject);
     match rule {
         "chain" | "vault" => true,
-        "tampered" | "quarantine" => is_own,
+        "tampered" | "quarantine" => own.is_some_and(|own| begins(own).eq_ignore_ascii_case(subject)),
         "gap" => site.life.lost_in_transport > 0 || site.life.dropped > site.life.discarded,
+        "grant_ends" => own.is_some_and(|own| {
+            let ending = state.grants.rows.iter().filter(|row| expiring(row, state.now).is_some());
+            let mut subjects = ending.map(|row| format!("{}-{}", begins(own), begins(row.grantee)));
+            subjects.any(|other| other.eq_ignore_ascii_case(subject))
+        }),
         // Rules of a later version too.
         _ => false,
     }
+}
+
+/// As the site names an account in its alerts.
+fn begins(account: Address) -> String {
+    account.to_string().trim_start_matches("0x").chars().take(8).collect()
 }
 
 /// What the profile lacks: the worst alone.

@@ -19,19 +19,8 @@ const LOSING: Duration = Duration::from_secs(300);
 const GRANT: &str = "grant_ends";
 
 /// Every rule: what its keys begin with.
-pub const RULES: [&str; 11] = [
-    "audit",
-    "chain",
-    "clock",
-    "disk",
-    "gap",
-    GRANT,
-    "quarantine",
-    "robot_silent",
-    "tampered",
-    "unanchored",
-    "vault",
-];
+pub const RULES: [&str; 11] =
+    ["audit", "chain", "clock", "disk", "gap", GRANT, "quarantine", "robot_silent", "tampered", "unanchored", "vault"];
 
 /// The rule that an alert's key belongs to.
 pub fn rule_of(key: &str) -> &str {

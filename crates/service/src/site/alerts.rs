@@ -14,9 +14,7 @@ use super::parts::Parts;
 use super::{Site, blocking};
 use crate::config::{AlertForm, AlertPlace, AlertSettings};
 use crate::model::Timestamp;
-use crate::service::alerts::{
-    Carrier, Change, Delivery, Judge, News, Queue, RULES, Standing, place_name, rule_of,
-};
+use crate::service::alerts::{Carrier, Change, Delivery, Judge, News, Queue, RULES, Standing, place_name, rule_of};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::input;
 use crate::service::figures::{Figures, short};
@@ -282,6 +280,8 @@ fn pause(failures: u32, chance: u64) -> Duration {
     half + Duration::from_nanos(chance % nanos.max(1))
 }
 
+#[cfg(test)]
+mod at_alertmanager;
 #[cfg(test)]
 mod over_http;
 

@@ -108,7 +108,8 @@ fn what_the_site_judges_is_shown_since_its_own_moment_and_then_as_over() {
 fn what_health_and_life_line_say_is_not_said_twice() {
     let mut robot = Robot::at_work(true);
     let own = fixtures::OWN.to_string().trim_start_matches("0x").to_lowercase();
-    let keys = ["chain".to_owned(), "gap".to_owned(), format!("tampered/{}", &own[..8]), "tampered/12345678".to_owned()];
+    let keys =
+        ["chain".to_owned(), "gap".to_owned(), format!("tampered/{}", &own[..8]), "tampered/12345678".to_owned()];
     let alert = |key: String| AlertView { text: key.clone(), key, ..fixtures::site_alert() };
     let life = LifeLine { tampered: 1, lost_in_transport: 3, ..fixtures::site().life };
     let mut site = SiteView { life, alerts: keys.map(alert).into(), ..fixtures::site() };
@@ -116,6 +117,10 @@ fn what_health_and_life_line_say_is_not_said_twice() {
     says(&mut robot, site);
     let texts: Vec<String> = alerts(&robot).into_iter().map(|(text, ..)| text).collect();
     assert_eq!(texts.iter().filter(|text| text.starts_with("chain")).count(), 1, "{texts:?}");
-    assert_eq!(texts.iter().filter(|text| text.contains("tampered")).count(), 2, "own and another account's: {texts:?}");
+    assert_eq!(
+        texts.iter().filter(|text| text.contains("tampered")).count(),
+        2,
+        "own and another account's: {texts:?}"
+    );
     assert!(texts.iter().all(|text| text != "gap"), "{texts:?}");
 }

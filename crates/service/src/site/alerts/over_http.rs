@@ -62,7 +62,7 @@ async fn body(stream: &mut TcpStream) -> Vec<u8> {
     }
 }
 
-async fn until(what: &str, done: impl Fn() -> bool) {
+pub(super) async fn until(what: &str, done: impl Fn() -> bool) {
     for _ in 0..2400 {
         if done() {
             return;
