@@ -8,15 +8,11 @@ use crate::support::{Home, count, free_port, text, wait_until};
 
 const TOPIC: &str = "/robot1/odom";
 
-/// The terms of the law and what they are the sum of, of the one account that is in these figures.
-fn law(told: &str) -> (f64, f64) {
-    let terms = ["verified", "pending", "right_ended", "quarantined", "dropped", "tampered"].map(|state| {
-        let ends = format!("state=\"{state}\"}}");
-        let line = told.lines().find(|line| line.starts_with("authros_records{") && line.contains(&ends));
-        let line = line.unwrap_or_else(|| panic!("no {state}:\n{told}"));
-        line.rsplit(' ').next().and_then(|value| value.parse::<f64>().ok()).expect("a number")
-    });
-    (value(told, "authros_records_captured_total{"), terms.iter().sum())
+/// What was captured for an account, and the sum of the law's terms.
+fn law(told: &str, owner: &str) -> (f64, f64) {
+    let terms = ["verified", "pending", "right_ended", "quarantined", "dropped", "tampered"]
+        .map(|state| value(told, &format!("authros_records{{owner=\"{owner}\",state=\"{state}\"}}")));
+    (value(told, &format!("authros_records_captured_total{{owner=\"{owner}\"}}")), terms.iter().sum())
 }
 
 /// Values of families of which each site has some.
@@ -60,6 +56,7 @@ fn a_gateway_and_an_agent_have_figures_of_their_own() {
     let key = text(&serde_json::from_str::<Value>(line).expect("JSON")["gateway"], "gateway");
     let owner = home.profile("alice");
     let account = owner.enrol();
+    let short: String = account.trim_start_matches("0x").chars().take(8).collect();
     let enrolment = robot.root().join("robot.enrolment").to_str().expect("UTF-8").to_owned();
     let arguments =
         ["agent", "enrol", "--gateway", &listen, "--gateway-key", &key, "--name", "scout", "--out", &enrolment];
@@ -69,18 +66,18 @@ fn a_gateway_and_an_agent_have_figures_of_their_own() {
     let running = running.with_variable("AUTHROS_METRICS_LISTEN", &format!("127.0.0.1:{at_robot}"));
     let agent = running.spawn(&["agent", "run", &enrolment, "--robots", "1"]);
     let of_agent = wait_until(120, "verified records in the agent's figures", || {
-        let told = figures(at_robot)?;
-        let verified = told.lines().find(|line| line.contains("state=\"verified\""))?.rsplit(' ').next()?.to_owned();
-        (verified.parse::<f64>().expect("a number") >= 5.0).then_some(told)
+        let line = format!("authros_records{{owner=\"{short}\",state=\"verified\"}}");
+        figures(at_robot).filter(|told| told.contains(&line) && value(told, &line) >= 5.0)
     });
     let of_gateway = wait_until(60, "the robot's records in the gateway's figures", || {
-        figures(at_gateway).filter(|told| told.contains("authros_records_captured_total{"))
+        let line = format!("authros_records{{owner=\"{short}\",state=\"verified\"}}");
+        figures(at_gateway).filter(|told| told.contains(&line) && value(told, &line) >= 5.0)
     });
     for (who, told) in [("agent", &of_agent), ("gateway", &of_gateway)] {
         has_families(told, &EVERYWHERE);
-        let (captured, terms) = law(told);
+        let (captured, terms) = law(told, &short);
         assert!(captured >= 5.0 && (captured - terms).abs() < 0.5, "{who}: {captured} is not {terms}");
-        assert!((value(told, "authros_records_conserved{") - 1.0).abs() < 0.5, "{who}");
+        assert!((value(told, &format!("authros_records_conserved{{owner=\"{short}\"}}")) - 1.0).abs() < 0.5, "{who}");
         promtool(&["check", "metrics"], told);
         for name in [TOPIC, "odom", "scout", "alice", "keeper", &account, &device] {
             assert!(!told.to_lowercase().contains(&name.to_lowercase()), "{name} is in the figures of the {who}");

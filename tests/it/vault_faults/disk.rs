@@ -112,8 +112,12 @@ fn on_a_full_disk_nothing_acknowledged_is_lost_and_it_goes_on_when_there_is_room
 
     disk.grow("200m");
     let view = wait_until(60, "its end", || Some(alerts()).filter(|view| has_disk(view, "over")));
-    assert!(count(&view, "waiting") >= 2 && count(&view, "dropped") == 0, "nobody took them, none was given up: {view}");
-    let queue = std::fs::metadata(format!("/proc/{}/root{}", disk.holder.id(), disk.place.join("site/alerts.queue").display()));
+    assert!(
+        count(&view, "waiting") >= 2 && count(&view, "dropped") == 0,
+        "nobody took them, none was given up: {view}"
+    );
+    let queue =
+        std::fs::metadata(format!("/proc/{}/root{}", disk.holder.id(), disk.place.join("site/alerts.queue").display()));
     assert!(queue.expect("written once there was room").len() > 0);
     let before = count(&full, "verified");
     until("it goes on by itself", &|life| count(life, "verified") >= before + 20);

@@ -289,6 +289,35 @@ mod over_http;
 mod tests {
     use super::*;
 
+    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+    async fn what_stands_and_was_over_is_known_where_nobody_is_told_and_nothing_is_written_for_nobody() {
+        use crate::service::alerts::troubles::{before, well};
+        let settings = [("alerts.disk", "1000MiB")];
+        let needs = super::super::Needs { ros: false, chain: false };
+        let (site, folder) = super::super::testing::site_of(&settings, needs);
+        let keys = |alerts: &[AlertView]| alerts.iter().map(|alert| alert.key.clone()).collect::<Vec<_>>();
+        let full = |second| Figures { disk: Some((1, 1)), ..well(second) };
+        assert_eq!(site.alerts.look(&full(0)).len(), 1);
+        assert!(site.alerts.look(&full(10)).is_empty(), "the same is told once");
+        assert_eq!(keys(&site.alerts.shown().0), ["disk"]);
+        assert_eq!(
+            site.alerts.by_rule().into_iter().filter(|(_, count)| *count > 0).collect::<Vec<_>>(),
+            [("disk", 1)]
+        );
+        (2..5).for_each(|look| drop(site.alerts.look(&well(look * 10))));
+        let view = site.alerts.view();
+        assert_eq!((keys(&view.alerts).len(), view.over.len(), view.waiting), (0, 1, 0), "{view:?}");
+        assert_eq!((view.over[0].alert.begun, view.over[0].ended), (well(0).now, well(30).now));
+        assert!(view.told.starts_with("nobody"), "{}", view.told);
+        site.alerts.look(&well(30 + 15 * 60));
+        assert!(site.alerts.shown().1.is_empty(), "a quarter of an hour later it is forgotten");
+        assert!(!folder.path().join("home/alerts.queue").exists());
+        let mut silent = well(2000);
+        silent.robots[0].last_seen = before(&silent, 700);
+        assert_eq!(site.alerts.look(&silent).len(), 1);
+        site.stop().await;
+    }
+
     #[test]
     fn pauses_double_up_to_five_minutes_and_half_of_each_is_chance() {
         let milliseconds = |failures, chance| pause(failures, chance).as_millis();
