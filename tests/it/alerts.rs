@@ -181,10 +181,7 @@ fn what_stands_is_shown_where_nobody_is_to_be_told() {
     let full = authros.with_variable("AUTHROS_ALERTS_DISK", "1000000GiB");
     let site = full.with_variable("AUTHROS_METRICS_LISTEN", &format!("127.0.0.1:{port}")).serve(&home);
     let alert = wait_until(60, "the alert in the status", || {
-        // Its exit code is of the parts, some of which may still be starting.
-        let told = authros.run(&["--json", "status"]).stdout;
-        let status: Value = serde_json::from_str(told.trim()).expect("JSON");
-        list(&status, "alerts").into_iter().find(|alert| alert["key"] == "disk")
+        list(&authros.json(&["status"]), "alerts").into_iter().find(|alert| alert["key"] == "disk")
     });
     assert!(text(&alert, "begun").starts_with("20"), "{alert}");
     let listed = authros.json(&["alerts", "list"]);
