@@ -292,7 +292,7 @@ mod tests {
     #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
     async fn what_stands_and_was_over_is_known_where_nobody_is_told_and_nothing_is_written_for_nobody() {
         use crate::service::alerts::troubles::{before, well};
-        let settings = [("alerts.disk", "1000MiB")];
+        let settings = [("alerts.disk", "1000MiB"), ("alerts.grant_ends", "1h")];
         let needs = super::super::Needs { ros: false, chain: false };
         let (site, folder) = super::super::testing::site_of(&settings, needs);
         let keys = |alerts: &[AlertView]| alerts.iter().map(|alert| alert.key.clone()).collect::<Vec<_>>();
