@@ -7,7 +7,7 @@ use clap::Subcommand;
 use super::connect::ProfileNeed;
 use super::verbs::{NEITHER, Plan};
 use crate::service::command::{ListAlerts, TestAlert};
-use crate::service::reply::{AlertTestView, AlertView, AlertsView};
+use crate::service::reply::{AlertTestView, AlertView, AlertsView, EndedAlert};
 use authros_output::table;
 
 /// `alerts …`
@@ -38,8 +38,14 @@ pub fn standing(view: &AlertsView) -> String {
             vec![table(&["since", "severity", "alert", "what"], &view.alerts.iter().map(row).collect::<Vec<_>>())]
         }
     };
+    lines.extend(view.over.iter().map(over));
     lines.push(format!("told: {}; {} deliveries wait, {} found no room", view.told, view.waiting, view.dropped));
     lines.join("\n")
+}
+
+/// One that is over, for people.
+pub fn over(ended: &EndedAlert) -> String {
+    format!("over since {}: {}, which began {}", ended.ended, ended.alert.key, ended.alert.begun)
 }
 
 /// What came back, for people.

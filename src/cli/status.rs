@@ -8,7 +8,7 @@ use super::verbs::NEITHER;
 use crate::model::{ErrorKind, Timestamp};
 use crate::service::command::SiteStatus;
 use crate::service::failure::input;
-use crate::service::reply::{HealthLevel, LifeLine, PartHealth, SiteView};
+use crate::service::reply::{AlertView, HealthLevel, LifeLine, PartHealth, SiteView};
 use crate::service::{Failure, doctor};
 use authros_output::Output;
 
@@ -110,6 +110,11 @@ fn text(view: &SiteView) -> String {
         })
         .collect();
     lines.extend(life(&view.life));
+    let stands = |alert: &AlertView| {
+        format!("alert since {}, {}: {}: {}", alert.begun, alert.severity.word(), alert.key, alert.text)
+    };
+    lines.extend(view.alerts.iter().map(stands));
+    lines.extend(view.alerts_over.iter().map(super::alerts::over));
     lines.join("\n")
 }
 
@@ -152,6 +157,8 @@ mod tests {
             tasks: Vec::new(),
             queue: crate::service::reply::QueueView::default(),
             verified_after: Vec::new(),
+            alerts: Vec::new(),
+            alerts_over: Vec::new(),
         }
     }
 

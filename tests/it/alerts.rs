@@ -160,7 +160,8 @@ fn an_alert_arrives_once_begun_and_once_over_at_a_webhook_that_refuses_and_hangs
 fn alerts_test_says_what_came_back_or_that_nobody_is_there() {
     let home = Home::new();
     let nobody = home.authros().with(&["--robots", "0"]);
-    assert!(nobody.fails(3, &["alerts", "list"]).contains("alerts.webhook"));
+    assert!(text(&nobody.json(&["alerts", "list"]), "told").contains("alerts.webhook"));
+    assert!(nobody.fails(3, &["alerts", "test"]).contains("alerts.webhook"));
     let gone = watched(&home, &format!("http://127.0.0.1:{}/", free_port()), "0");
     assert!(gone.fails(4, &["alerts", "test"]).contains("is not reached"));
     let open = home.file("open", SECRET, 0o644);
@@ -170,6 +171,29 @@ fn alerts_test_says_what_came_back_or_that_nobody_is_there() {
     assert_eq!(text(&page.json(&["alerts", "test"]), "place"), "command /bin/true");
     home.file("site/config.toml", "[alerts]\ncommand = [\"/bin/true\"]\n", 0o622);
     assert!(page.fails(3, &["alerts", "test"]).contains("chmod go-w"), "{settings}");
+}
+
+#[test]
+fn what_stands_is_shown_where_nobody_is_to_be_told() {
+    let home = Home::new();
+    let port = free_port();
+    let authros = home.authros().with(&["--robots", "0"]).with_variable("AUTHROS_ALERTS_EVERY", "1");
+    let full = authros.with_variable("AUTHROS_ALERTS_DISK", "1000000GiB");
+    let site = full.with_variable("AUTHROS_METRICS_LISTEN", &format!("127.0.0.1:{port}")).serve(&home);
+    let alert = wait_until(60, "the alert in the status", || {
+        list(&authros.json(&["status"]), "alerts").into_iter().find(|alert| alert["key"] == "disk")
+    });
+    assert!(text(&alert, "begun").starts_with("20"), "{alert}");
+    let listed = authros.json(&["alerts", "list"]);
+    assert_eq!(list(&listed, "alerts").len(), 1, "{listed}");
+    let people = authros.run(&["status"]).stdout;
+    assert!(people.contains("alert since") && people.contains("free on the disk"), "{people}");
+    wait_until(30, "the alert in the figures", || {
+        let figures = super::metrics::figures(port)?;
+        figures.contains("authros_alerts{rule=\"disk\"} 1\n").then_some(())
+    });
+    assert!(!home.path().join("alerts.queue").exists(), "nothing is kept for nobody");
+    site.stop("INT", 20).expect_code(0);
 }
 
 #[test]

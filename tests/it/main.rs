@@ -25,6 +25,7 @@ mod contacts;
 mod demo;
 mod evidence;
 mod faults;
+mod fleet_metrics;
 mod gateway;
 mod identity;
 mod key_changes;

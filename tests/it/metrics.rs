@@ -26,20 +26,30 @@ fn asked(mut stream: impl std::io::Read + std::io::Write) -> String {
     told
 }
 
-fn figures(port: u16) -> Option<String> {
+pub(crate) fn figures(port: u16) -> Option<String> {
     let told = asked(TcpStream::connect(("127.0.0.1", port)).ok()?);
     let (head, body) = told.split_once("\r\n\r\n").expect("a head and a body");
     assert!(head.starts_with("HTTP/1.1 200 OK\r\n"), "{head}");
     Some(body.to_owned())
 }
 
+/// Every text of a document.
+fn strings(value: &serde_json::Value, found: &mut Vec<String>) {
+    match value {
+        serde_json::Value::String(text) => found.push(text.clone()),
+        serde_json::Value::Array(values) => values.iter().for_each(|value| strings(value, found)),
+        serde_json::Value::Object(fields) => fields.values().for_each(|value| strings(value, found)),
+        serde_json::Value::Null | serde_json::Value::Bool(_) | serde_json::Value::Number(_) => {}
+    }
+}
+
 /// The value of a line that begins so, as any parser of the text would read it.
-fn value(figures: &str, begin: &str) -> f64 {
+pub(crate) fn value(figures: &str, begin: &str) -> f64 {
     let line = figures.lines().find(|line| line.starts_with(begin)).unwrap_or_else(|| panic!("no {begin}:\n{figures}"));
     line.rsplit(' ').next().and_then(|value| value.parse().ok()).expect("a number")
 }
 
-fn promtool(arguments: &[&str], input: &str) {
+pub(crate) fn promtool(arguments: &[&str], input: &str) {
     let Some(program) = system_program("promtool") else { skipped!("no promtool") };
     let mut child = Command::new(program)
         .args(arguments)
@@ -84,9 +94,20 @@ fn figures_of_a_site_are_those_of_status_and_promtool_takes_them() {
             "{milestone}"
         );
     }
-    let account = authros.json(&["identity", "show"])["address"].as_str().expect("an account").to_lowercase();
-    for name in [TOPIC, "robot1", "default", &account] {
+    let other = home.profile("bob").enrol();
+    authros.json(&["contacts", "add", "harbourmaster", &other]);
+    std::thread::sleep(Duration::from_millis(1100));
+    let told = figures(port).expect("figures, with a contact");
+    for name in [TOPIC, "odom", "robot1", "default", "harbourmaster"] {
         assert!(!told.to_lowercase().contains(name), "{name} is in the figures");
+    }
+    let mut keys = Vec::new();
+    strings(&authros.json(&["keys", "list"]), &mut keys);
+    strings(&authros.json(&["identity", "show"]), &mut keys);
+    let keys: Vec<String> = keys.into_iter().filter(|text| text.len() > 16).collect();
+    assert!(keys.len() >= 4, "accounts, keys and fingerprints: {keys:?}");
+    for key in keys.iter().map(|key| key.trim_start_matches("0x").to_lowercase()) {
+        assert!(!told.to_lowercase().contains(&key), "{key} is in the figures");
     }
     promtool(&["check", "metrics"], &told);
     // The best of some, so that a busy machine does not decide.
@@ -183,6 +204,12 @@ fn the_rules_are_ones_that_prometheus_takes_and_every_figure_they_name_is_there(
         assert!(source.contains(&format!("\"{name}\"")), "{name} is no figure");
     }
     promtool(&["check", "rules", rules.to_str().expect("UTF-8")], "");
+    let tests = folder.join("alerts.test.yml");
+    let tests_text = fs::read_to_string(&tests).expect("tests of the rules");
+    for alert in rules_text.lines().filter_map(|line| line.trim().strip_prefix("- alert: ")) {
+        assert!(tests_text.contains(&format!("alertname=\"{alert}\"")), "{alert} is not tried");
+    }
+    promtool(&["test", "rules", tests.to_str().expect("UTF-8")], "");
 }
 
 #[test]

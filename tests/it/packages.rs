@@ -96,3 +96,61 @@ fn every_library_of_the_program_is_in_the_list_with_the_checksum_of_the_lock_fil
         assert!(own.contains(&format!("checksum = \"{checksum}\"")), "{name} {version}");
     }
 }
+
+fn script(name: &str) -> Command {
+    Command::new(Path::new(env!("CARGO_MANIFEST_DIR")).join("packaging").join(name))
+}
+
+#[test]
+fn a_program_that_wants_a_newer_libc_is_not_packed() {
+    if system_program("objdump").is_none() {
+        skipped!("no objdump");
+    }
+    let judged = |program: &str, most: &str, code: i32| {
+        let mut command = script("libc");
+        command.args([program, most]);
+        Running::start(command).wait(60).expect_code(code)
+    };
+    // Whatever is linked to glibc on 64 bits wants 2.2.5 at least, and nothing wants 99.
+    let program = env!("CARGO_BIN_EXE_authros");
+    assert!(judged(program, "99.0", 0).stdout.contains("wants GLIBC_2."));
+    let refused = judged(program, "2.2", 1).stderr;
+    assert!(refused.contains("2.2 at most") && refused.lines().count() > 1, "{refused}");
+    // As versions, not as texts: 2.200 is newer than whatever there is.
+    judged(program, "2.200", 0);
+    let home = Home::new();
+    judged(&home.file("text", "GLIBC_2.2.5", 0o600), "2.31", 2);
+}
+
+#[test]
+fn a_build_for_a_machine_without_its_standard_library_is_refused_by_name_before_anything_is_compiled() {
+    const TARGET: &str = "aarch64-unknown-linux-gnu";
+    let folder = Command::new("rustc").args(["--print", "target-libdir", "--target", TARGET]).output();
+    let Ok(folder) = folder else { skipped!("no rustc") };
+    if Path::new(String::from_utf8_lossy(&folder.stdout).trim()).is_dir() {
+        skipped!("the standard library of arm64 is installed here, so it would be built");
+    }
+    let home = Home::new();
+    let out = home.root().join("out");
+    let mut command = script("build");
+    command.args(["--target", "aarch64", "--out"]).arg(&out);
+    let refused = Running::start(command).wait(60).expect_code(3).stderr;
+    assert!(refused.contains(TARGET) && refused.contains("rustup target add"), "{refused}");
+    assert!(!out.exists());
+    let mut command = script("build");
+    command.args(["--target", "sparc"]);
+    assert!(Running::start(command).wait(60).expect_code(2).stderr.contains("sparc"));
+}
+
+#[test]
+fn an_account_that_cannot_be_made_fails_the_installation_and_says_what_to_do() {
+    let home = Home::new();
+    // A machine that knows nobody of that name and has neither of the two programs that make accounts.
+    std::fs::create_dir(home.root().join("programs")).expect("made");
+    home.file("programs/getent", "#!/bin/sh\nexit 2\n", 0o700);
+    let mut command = Command::new("/bin/sh");
+    command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("packaging/debian/postinst")).arg("configure");
+    command.env("PATH", home.root().join("programs"));
+    let refused = Running::start(command).wait(60).expect_code(1).stderr;
+    assert!(refused.contains("useradd") && refused.contains("dpkg --configure authros"), "{refused}");
+}

@@ -8,6 +8,7 @@ use super::error::ConfigError;
 use super::read::{Values, bytes, number, source_of, span, value, wrong};
 use super::source::Source;
 use crate::crypto::private_file;
+use crate::model::clean;
 
 /// The shortest secret that signs deliveries, bytes.
 const SHORTEST_SECRET: usize = 16;
@@ -17,6 +18,8 @@ const LONGEST_SECRET: usize = 4096;
 const MOST_WORDS: usize = 32;
 /// Rights of group and others to write.
 const WRITTEN_BY_OTHERS: u32 = 0o022;
+/// The right of a folder that leaves each its own files.
+const STICKY: u32 = 0o1000;
 
 /// How a webhook is spoken to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -65,7 +68,7 @@ pub struct AlertLimits {
 /// What the settings say about alerts.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AlertSettings {
-    /// Who is told; `None` = nobody, and nothing is judged.
+    /// Who is told; `None` = nobody; what stands is shown all the same.
     pub place: Option<AlertPlace>,
     /// Between two looks.
     pub every: Duration,
@@ -158,20 +161,43 @@ fn command(values: &Values) -> Result<Option<Vec<String>>, ConfigError> {
     }
 }
 
-/// A command runs with this user's rights, so the file that names it must be in nobody else's hands.
-pub(super) fn check_hands(values: &Values, file: &Path) -> Result<(), ConfigError> {
-    let named = values.get("alerts.command").filter(|(command, _)| !command.is_empty());
-    if !matches!(named, Some((_, Source::File(_)))) {
+/// A command runs with this user's rights, so the file that names it, the program itself, and the folders above both must
+/// be in nobody else's hands.
+pub(super) fn check_hands(values: &Values, file: Option<&Path>) -> Result<(), ConfigError> {
+    let Some((_, source)) = values.get("alerts.command").filter(|(command, _)| !command.is_empty()) else {
         return Ok(());
+    };
+    let wrong = |what: String| wrong(values, "alerts.command", &what);
+    if let (Source::File(_), Some(file)) = (source, file) {
+        own_hands(file).map_err(wrong)?;
     }
-    let wrong = |what: &str| wrong(values, "alerts.command", what);
-    let about = std::fs::metadata(file).map_err(|error| wrong(&format!("its file cannot be looked at: {error}")))?;
+    match command(values)?.and_then(|words| words.first().map(PathBuf::from)) {
+        // One that is missing is told of when it is to be run; it may come with a disk that is not there yet.
+        Some(program) if program.exists() => own_hands(&program).map_err(wrong),
+        _ => Ok(()),
+    }
+}
+
+/// Whether nobody but this user and root can change or replace a file.
+///
+/// # Errors
+/// What is in whose hands, and what to do.
+fn own_hands(file: &Path) -> Result<(), String> {
+    let shown = |path: &Path| clean(&path.display().to_string(), 200);
+    let unknown = |error: std::io::Error| format!("{} cannot be looked at: {error}", shown(file));
+    let whole = file.canonicalize().map_err(unknown)?;
     let own = rustix::process::geteuid().as_raw();
-    if about.uid() != own && about.uid() != 0 {
-        return Err(wrong("config.toml belongs to another user, who could run programs as you; chown it"));
-    }
-    if about.mode() & WRITTEN_BY_OTHERS != 0 {
-        return Err(wrong("others may write config.toml and could run programs as you; chmod go-w it"));
+    for (depth, path) in whole.ancestors().enumerate() {
+        let about = std::fs::metadata(path).map_err(unknown)?;
+        let name = shown(path);
+        if about.uid() != own && about.uid() != 0 {
+            return Err(format!("{name} belongs to another user, who could run programs as you; chown it"));
+        }
+        // In a folder with the sticky bit nobody replaces what is another's.
+        let is_kept_apart = depth > 0 && about.mode() & STICKY != 0;
+        if about.mode() & WRITTEN_BY_OTHERS != 0 && !is_kept_apart {
+            return Err(format!("others may write {name} and could run programs as you; chmod go-w it"));
+        }
     }
     Ok(())
 }
@@ -233,6 +259,25 @@ mod tests {
     }
 
     #[test]
+    fn a_program_that_others_could_replace_is_not_run_whoever_names_it() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let program = folder.path().join("page");
+        write(&program, "#!/bin/sh\n").expect("written");
+        let words = format!("[\"{}\"]", program.display());
+        let named = |name: &str| (name == "AUTHROS_ALERTS_COMMAND").then(|| words.clone());
+        let read = |mode: u32, above: u32| {
+            set_permissions(&program, Permissions::from_mode(mode)).expect("its mode");
+            set_permissions(folder.path(), Permissions::from_mode(above)).expect("its mode");
+            Config::resolve(&none, &named, None).map(|config| config.alerts.place).map_err(|error| error.to_string())
+        };
+        assert!(matches!(read(0o700, 0o700), Ok(Some(AlertPlace::Command(_)))));
+        for (mode, above) in [(0o722, 0o700), (0o702, 0o700), (0o700, 0o720)] {
+            let error = read(mode, above).expect_err("others write it");
+            assert!(error.contains("chmod go-w"), "{mode:o} {above:o}: {error}");
+        }
+    }
+
+    #[test]
     fn a_command_needs_a_settings_file_that_nobody_else_writes() {
         let text = "[alerts]\ncommand = [\"/bin/page\", \"a b\", \"$HOME\"]";
         let wanted = ["/bin/page", "a b", "$HOME"].map(str::to_owned).to_vec();
@@ -242,6 +287,14 @@ mod tests {
         }
         for bad in ["\"/bin/page\"", "[]", "[\"page\"]", "[1]"] {
             assert!(alerts(&format!("[alerts]\ncommand = {bad}"), 0o600).is_err(), "{bad}");
+        }
+        for (mode, folder) in [(0o777, true), (0o770, true), (0o1777, false)] {
+            let place = tempfile::tempdir().expect("a folder");
+            set_permissions(place.path(), Permissions::from_mode(mode)).expect("its mode");
+            let path = place.path().join("config.toml");
+            write(&path, text).expect("written");
+            let read = Config::resolve(&none, &none, Some((&path, text))).map_err(|error| error.to_string());
+            assert_eq!(read.is_err_and(|error| error.contains("chmod go-w")), folder, "a folder of {mode:o}");
         }
         let both = format!("{text}\nwebhook = \"http://h:1/\"");
         assert!(alerts(&both, 0o600).expect_err("both").contains("one of the two"));

@@ -192,8 +192,8 @@ pub const DEFINITIONS: &[Definition] = &[
         name: "alerts.webhook",
         variable: "AUTHROS_ALERTS_WEBHOOK",
         default: "",
-        text: "who is told of alerts: http:// or https://HOST:PORT/PATH; empty and no alerts.command = nobody, and nothing is \
-               judged",
+        text: "who is told of alerts: http:// or https://HOST:PORT/PATH; empty and no alerts.command = nobody, and \
+               alerts are only shown",
     },
     Definition {
         name: "alerts.form",
@@ -217,7 +217,8 @@ pub const DEFINITIONS: &[Definition] = &[
         name: "alerts.command",
         variable: "AUTHROS_ALERTS_COMMAND",
         default: "",
-        text: "who is told instead of a webhook: [\"PROGRAM\", \"ARGUMENT\"], run without a shell, JSON on its stdin",
+        text: "who is told instead of a webhook: [\"PROGRAM\", \"ARGUMENT\"], run without a shell, JSON on its stdin; nobody else may \
+               write config.toml, the program, or a folder above them",
     },
     Definition {
         name: "alerts.every",

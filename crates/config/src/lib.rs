@@ -159,7 +159,7 @@ impl Config {
         for definition in DEFINITIONS {
             values.insert(definition.name, find(definition, flags, environment, &from_file));
         }
-        file.map(|(path, _)| alerts::check_hands(&values, path)).transpose()?;
+        alerts::check_hands(&values, file.map(|(path, _)| path))?;
         Ok(Self { topic_rules, ..Self::typed(values)? })
     }
 

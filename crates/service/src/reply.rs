@@ -18,7 +18,7 @@ mod viewing;
 
 use serde::{Deserialize, Serialize};
 
-pub use self::alerts::{AlertTestView, AlertView, AlertsView, Severity};
+pub use self::alerts::{AlertTestView, AlertView, AlertsView, EndedAlert, Severity};
 pub use self::audit::{AuditCheck, AuditView};
 pub use self::chain::{ChainView, DeployedView, GasView, GatewayView, ServedView};
 pub use self::check::{BackupView, CheckStatus, DoctorCheck, DoctorView, FindingKind, RecordAudit, RecordFinding};

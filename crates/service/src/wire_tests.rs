@@ -108,7 +108,7 @@ const REPLIES: &[&str] = &[
     r#"{"reply":"decided","with":{"decision":"released","messages":2,"text":"t"}}"#,
     r#"{"reply":"admitted","with":[]}"#,
     r#"{"reply":"watches","with":[{"topic":"/odom","type":null}]}"#,
-    r#"{"reply":"alerts","with":{"alerts":[{"key":"disk","severity":"critical","text":"t","site":"0a","begun":"2023-11-14T22:13:20Z"}],"told":"webhook h","waiting":1,"dropped":2}}"#,
+    r#"{"reply":"alerts","with":{"alerts":[{"key":"disk","severity":"critical","text":"t","site":"0a","begun":"2023-11-14T22:13:20Z"}],"over":[],"told":"webhook h","waiting":1,"dropped":2}}"#,
     r#"{"reply":"alert_tested","with":{"place":"webhook h","text":"204"}}"#,
     r#"{"reply":"audit","with":[]}"#,
     r#"{"reply":"audit_checked","with":{"ok":true,"lines":1,"heads":1,"anchored":1,"covered":1,"broken_line":null,"text":null,"unusable":[]}}"#,

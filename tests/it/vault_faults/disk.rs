@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::process::Command;
 
 use super::field::{CAMERA, ODOM};
-use crate::support::{Authros, Home, Running, count, skipped, system_program, text, wait_until};
+use crate::support::{Authros, Home, Running, count, free_port, skipped, system_program, text, wait_until};
 
 /// A tmpfs that only its own processes see.
 struct Disk {
@@ -74,6 +74,11 @@ fn on_a_full_disk_nothing_acknowledged_is_lost_and_it_goes_on_when_there_is_room
     let authros = disk.authros().with(&["--robots", "1"]);
     let authros =
         authros.with_variable("AUTHROS_DISK_RESERVE", "256KiB").with_variable("AUTHROS_CAPTURE_MEMORY", "1MiB");
+    // Nobody is at the webhook all the while.
+    let authros = authros
+        .with_variable("AUTHROS_ALERTS_WEBHOOK", &format!("http://127.0.0.1:{}/", free_port()))
+        .with_variable("AUTHROS_ALERTS_EVERY", "1")
+        .with_variable("AUTHROS_ALERTS_DISK", "512KiB");
     let mut site = authros.spawn(&["serve"]);
     site.wait_for_text("serving", 60);
     authros.enrol();
@@ -101,8 +106,19 @@ fn on_a_full_disk_nothing_acknowledged_is_lost_and_it_goes_on_when_there_is_room
     assert!(told.contains("disk"), "the operator is told: {told}");
     let health = authros.json(&["status"])["health"].to_string();
     assert!(health.contains("disk"), "{health}");
+    let alerts = || authros.json(&["alerts", "list"]);
+    let has_disk = |view: &serde_json::Value, which: &str| view[which].to_string().contains("\"disk\"");
+    wait_until(60, "the alert about the disk", || Some(alerts()).filter(|view| has_disk(view, "alerts")));
 
     disk.grow("200m");
+    let view = wait_until(60, "its end", || Some(alerts()).filter(|view| has_disk(view, "over")));
+    assert!(
+        count(&view, "waiting") >= 2 && count(&view, "dropped") == 0,
+        "nobody took them, none was given up: {view}"
+    );
+    let queue =
+        std::fs::metadata(format!("/proc/{}/root{}", disk.holder.id(), disk.place.join("site/alerts.queue").display()));
+    assert!(queue.expect("written once there was room").len() > 0);
     let before = count(&full, "verified");
     until("it goes on by itself", &|life| count(life, "verified") >= before + 20);
     for topic in [ODOM, CAMERA] {

@@ -154,7 +154,7 @@ impl SiteFile {
         let usable = Config::resolve(&given, &|_| None, None).and_then(|_| {
             let from_file = |(value, line): &(String, usize)| (value.clone(), Source::File(*line));
             let command = values.get("alerts.command").map(from_file);
-            alerts::check_hands(&command.map(|command| ("alerts.command", command)).into_iter().collect(), path)
+            alerts::check_hands(&command.map(|command| ("alerts.command", command)).into_iter().collect(), Some(path))
         });
         usable.map_err(|error| at_line(error, &file, &lines))?;
         Ok(Self { settings: named(values).collect(), rules, decisions })

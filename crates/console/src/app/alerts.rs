@@ -3,9 +3,9 @@
 use super::screens::grants::{is_active, is_given};
 use super::standing::not_captured;
 use super::state::State;
-use crate::model::Timestamp;
+use crate::model::{Address, Timestamp};
 use crate::service::NoticeLevel;
-use crate::service::reply::{GrantRow, HealthLevel, LifeLine, PartHealth};
+use crate::service::reply::{AlertView, GrantRow, HealthLevel, LifeLine, PartHealth, Severity, SiteView};
 
 /// The most notices repeated as alerts.
 const MOST_NOTICES: usize = 3;
@@ -48,11 +48,19 @@ impl Alert {
 pub struct AlertBook(Vec<Alert>);
 
 impl AlertBook {
-    /// Takes over what is found now: the new is noted with its moment, what is gone is over.
+    /// Takes over what is found now: the new is noted with its moment, what is gone is over. Some of what is found may be
+    /// over already, by the site's word.
     pub fn refresh(&mut self, found: Vec<Alert>, now: Timestamp) {
+        let (over, found): (Vec<Alert>, Vec<Alert>) = found.into_iter().partition(|alert| alert.resolved.is_some());
         for alert in &mut self.0 {
             if alert.resolved.is_none() && !found.iter().any(|other| other.about == alert.about) {
-                alert.resolved = Some(now);
+                let told = over.iter().find(|other| other.about == alert.about);
+                alert.resolved = told.map_or(Some(now), |other| other.resolved);
+            }
+        }
+        for alert in over {
+            if !self.0.iter().chain(&found).any(|known| known.about == alert.about) {
+                self.0.push(alert);
             }
         }
         self.0.retain(|alert| alert.resolved.is_none() || alert.is_worth_knowing());
@@ -120,6 +128,7 @@ fn standing(state: &State) -> Vec<Alert> {
         found.extend(
             life(&site.life).into_iter().map(|(count, level, what)| alert(what, level, format!("{count} {what}"))),
         );
+        found.extend(judged(state, site));
     }
     if let Some((about, text)) = identity(state) {
         found.push(alert(about, NoticeLevel::Warning, text));
@@ -136,6 +145,49 @@ fn standing(state: &State) -> Vec<Alert> {
         }
     }
     found
+}
+
+/// What the site found by its own rules, and what of it was over lately: since its own moments, whoever looked.
+fn judged(state: &State, site: &SiteView) -> Vec<Alert> {
+    let shown = |alert: &AlertView, resolved| Alert {
+        about: format!("alert {}", alert.key),
+        level: match alert.severity {
+            Severity::Warning => NoticeLevel::Warning,
+            Severity::Critical => NoticeLevel::Error,
+        },
+        text: alert.text.clone(),
+        since: alert.begun,
+        count: 1,
+        resolved,
+        lasts: true,
+    };
+    let is_news = |alert: &&AlertView| !is_told_otherwise(&alert.key, state, site);
+    let standing = site.alerts.iter().filter(is_news).map(|alert| shown(alert, None));
+    let over = site.alerts_over.iter().filter(|over| is_news(&&over.alert));
+    standing.chain(over.map(|over| shown(&over.alert, Some(over.ended)))).collect()
+}
+
+/// Whether health, life line or grants say the same already, with words that lead further.
+fn is_told_otherwise(key: &str, state: &State, site: &SiteView) -> bool {
+    let own = state.identity.as_ref().and_then(|identity| identity.address);
+    let (rule, subject) = key.split_once('/').unwrap_or((key, ""));
+    match rule {
+        "chain" | "vault" => true,
+        "tampered" | "quarantine" => own.is_some_and(|own| begins(own).eq_ignore_ascii_case(subject)),
+        "gap" => site.life.lost_in_transport > 0 || site.life.dropped > site.life.discarded,
+        "grant_ends" => own.is_some_and(|own| {
+            let ending = state.grants.rows.iter().filter(|row| expiring(row, state.now).is_some());
+            let mut subjects = ending.map(|row| format!("{}-{}", begins(own), begins(row.grantee)));
+            subjects.any(|other| other.eq_ignore_ascii_case(subject))
+        }),
+        // Rules of a later version too.
+        _ => false,
+    }
+}
+
+/// As the site names an account in its alerts.
+fn begins(account: Address) -> String {
+    account.to_string().trim_start_matches("0x").chars().take(8).collect()
 }
 
 /// What the profile lacks: the worst alone.

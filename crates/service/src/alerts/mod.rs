@@ -14,7 +14,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 pub use self::queue::Queue;
-pub use self::rules::Judge;
+pub use self::rules::{Judge, RULES, rule_of};
 pub use self::state::{Change, Standing};
 use self::webhook::Webhook;
 use crate::config::AlertPlace;

@@ -18,6 +18,15 @@ const LOSING: Duration = Duration::from_secs(300);
 /// The rule for grants that end.
 const GRANT: &str = "grant_ends";
 
+/// Every rule: what its keys begin with.
+pub const RULES: [&str; 11] =
+    ["audit", "chain", "clock", "disk", "gap", GRANT, "quarantine", "robot_silent", "tampered", "unanchored", "vault"];
+
+/// The rule that an alert's key belongs to.
+pub fn rule_of(key: &str) -> &str {
+    key.split('/').next().unwrap_or(key)
+}
+
 /// How a rule finds something.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Level {
@@ -208,7 +217,7 @@ impl Judge {
     /// What stands of a rule that cannot be judged yet: it neither goes on nor ends.
     pub fn not_known(&self, standing: &[AlertView]) -> Vec<Judged> {
         let waits = self.limits.grant_ends.is_some() && self.grants.is_none();
-        let of_grants = standing.iter().filter(|alert| alert.key.split('/').next() == Some(GRANT) && waits);
+        let of_grants = standing.iter().filter(|alert| rule_of(&alert.key) == GRANT && waits);
         let between = |alert: &AlertView| Judged {
             key: alert.key.clone(),
             severity: alert.severity,

@@ -208,9 +208,30 @@ fn health(text: &mut Text, figures: &Figures) {
     let resting = figures.resting();
     text.value("authros_tasks", &[("state", "running")], figures.tasks.len() - resting);
     text.value("authros_tasks", &[("state", "resting")], resting);
-    if let Some(connections) = figures.connections {
-        text.single("authros_gateway_connections", "gauge", "Open connections of the gateway.", connections);
+    if let Some(gateway) = &figures.gateway {
+        text.single("authros_gateway_connections", "gauge", "Open connections of the gateway.", gateway.connections);
+        let help = "Frames and connections that the gateway refused, by the protocol's code.";
+        text.family(
+            ("authros_gateway_refused_total", "counter", help),
+            &gateway.refused,
+            |text, name, (code, count)| {
+                text.value(name, &[("code", &code.to_string())], count);
+            },
+        );
     }
+    let help = "Alerts of the site itself that stand, by rule.";
+    text.family(("authros_alerts", "gauge", help), &figures.alerts, |text, name, (rule, count)| {
+        text.value(name, &[("rule", rule)], count);
+    });
+    let (waiting, dropped) = figures.deliveries;
+    text.single(
+        "authros_alert_deliveries_waiting",
+        "gauge",
+        "Deliveries of alerts that wait for their place.",
+        waiting,
+    );
+    let help = "Deliveries of alerts that found no room and that no delivery has told of yet.";
+    text.single("authros_alert_deliveries_dropped", "gauge", help, dropped);
 }
 
 fn histogram(text: &mut Text, latency: &Latency) {

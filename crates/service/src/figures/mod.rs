@@ -40,8 +40,12 @@ pub struct Figures {
     pub audit_unanchored: Option<Timestamp>,
     /// Seconds that the machine's clock is ahead of the one that rights go by; negative = behind.
     pub clock_ahead: i64,
-    /// Connections of the gateway that is served here.
-    pub connections: Option<u64>,
+    /// The gateway that is served here.
+    pub gateway: Option<GatewayFigures>,
+    /// How many alerts stand of each rule.
+    pub alerts: Vec<(&'static str, u64)>,
+    /// Deliveries of alerts that wait, and those that found no room and are not told of yet.
+    pub deliveries: (u64, u64),
     /// Times of the line, by milestone.
     pub latencies: Vec<Latency>,
     /// Seconds that each stage was busy.
@@ -94,6 +98,15 @@ pub struct GrantFigures {
     pub given: bool,
     /// When it ends.
     pub ends: Timestamp,
+}
+
+/// A gateway at work.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct GatewayFigures {
+    /// Open connections.
+    pub connections: u64,
+    /// What was refused since it was started, by the code of the protocol.
+    pub refused: Vec<(u16, u64)>,
 }
 
 /// A part of the site.

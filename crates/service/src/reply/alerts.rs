@@ -39,12 +39,25 @@ pub struct AlertView {
     pub begun: Timestamp,
 }
 
-/// All that stand now.
+/// An alert that is over.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct EndedAlert {
+    /// As it stood last.
+    #[serde(flatten)]
+    pub alert: AlertView,
+    /// When it was over.
+    pub ended: Timestamp,
+}
+
+/// All that stand now, and what was over lately.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AlertsView {
     /// By their keys.
     pub alerts: Vec<AlertView>,
-    /// Who is told.
+    /// Those that were over in the last 15 minutes, the newest first; of one process, 20 at most.
+    #[serde(default)]
+    pub over: Vec<EndedAlert>,
+    /// Who is told, or that nobody is.
     pub told: String,
     /// Deliveries that wait.
     pub waiting: u64,

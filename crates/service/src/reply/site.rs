@@ -105,6 +105,12 @@ pub struct SiteView {
     /// records took one of these.
     #[serde(default)]
     pub verified_after: Vec<(u64, u64)>,
+    /// Alerts that stand, of all accounts; none where no site runs that judges.
+    #[serde(default)]
+    pub alerts: Vec<super::AlertView>,
+    /// Those that were over lately, the newest first.
+    #[serde(default)]
+    pub alerts_over: Vec<super::EndedAlert>,
 }
 
 /// The ring between capture and sealer.

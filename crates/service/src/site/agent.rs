@@ -129,6 +129,7 @@ impl Agent {
         }
         site.ros.wishes_changed();
         let (link, refused) = (forwarder.link(), forwarder.refused());
+        site.gateway.passes_on(link.clone());
         let forwarder = Arc::new(tokio::sync::Mutex::new(forwarder));
         let forwarder = site.supervise("forwarder", move |site| forward(site, Arc::clone(&forwarder)));
         let (site, length, sessions) = (Arc::clone(site), wishes.length, vec![session]);

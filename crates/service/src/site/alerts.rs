@@ -1,10 +1,11 @@
 //! Judges the figures of this site every few seconds and delivers what begins and ends. Both are tasks of their own: a
 //! dead webhook or a slow disk delays alerts, and nothing else.
 
+use std::collections::VecDeque;
 use std::collections::hash_map::RandomState;
 use std::hash::{BuildHasher as _, Hasher as _};
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use tokio::sync::Notify;
@@ -13,11 +14,11 @@ use super::parts::Parts;
 use super::{Site, blocking};
 use crate::config::{AlertForm, AlertPlace, AlertSettings};
 use crate::model::Timestamp;
-use crate::service::alerts::{Carrier, Change, Delivery, Judge, News, Queue, Standing, place_name};
-use crate::service::event::NoticeLevel;
+use crate::service::alerts::{Carrier, Change, Delivery, Judge, News, Queue, RULES, Standing, place_name, rule_of};
+use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::input;
 use crate::service::figures::{Figures, short};
-use crate::service::reply::{AlertTestView, AlertView, AlertsView, Failure, Severity};
+use crate::service::reply::{AlertTestView, AlertView, AlertsView, EndedAlert, Failure, Severity};
 
 /// The first pause after a delivery that was not taken, and the longest.
 const PAUSES: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(300));
@@ -25,6 +26,9 @@ const PAUSES: (Duration, Duration) = (Duration::from_millis(500), Duration::from
 const REMIND: Duration = Duration::from_secs(60);
 /// What notices of deliveries are about.
 const DELIVERY: &str = "alert delivery";
+/// How long what is over is still shown, nanoseconds, and how many of it.
+const KEPT: u64 = 15 * 60 * 1_000_000_000;
+const MOST_OVER: usize = 20;
 
 /// The alerts of a site.
 pub(super) struct Alerts {
@@ -32,8 +36,37 @@ pub(super) struct Alerts {
     path: PathBuf,
     /// Opened when it is first asked for.
     known: Mutex<Option<Known>>,
+    /// As the last look left them. A lock of its own: whoever only asks never waits for a disk.
+    shown: Mutex<Shown>,
     /// Rings when there is something to deliver.
     added: Notify,
+}
+
+/// What is told of alerts to whoever asks.
+#[derive(Default)]
+struct Shown {
+    alerts: Vec<AlertView>,
+    /// The newest first.
+    over: VecDeque<EndedAlert>,
+    /// Deliveries that wait, and that found no room.
+    deliveries: (u64, u64),
+}
+
+impl Shown {
+    /// Takes over what a look at `now` came to.
+    fn refresh(&mut self, now: Timestamp, alerts: Vec<AlertView>, changes: &[Change]) {
+        self.alerts = alerts;
+        for change in changes {
+            match change {
+                Change::Begun(alert) => self.over.retain(|over| over.alert.key != alert.key),
+                Change::Resolved(alert, ended) => {
+                    self.over.push_front(EndedAlert { alert: alert.clone(), ended: *ended });
+                }
+            }
+        }
+        self.over.retain(|over| now.0.saturating_sub(over.ended.0) < KEPT);
+        self.over.truncate(MOST_OVER);
+    }
 }
 
 /// What is known of them: what judges, what stands, what waits.
@@ -48,7 +81,29 @@ impl Alerts {
     /// From the shared parts.
     pub fn new(parts: &Parts) -> Self {
         let (settings, path) = (parts.config.alerts.clone(), parts.home.alerts());
-        Self { settings, path, known: Mutex::default(), added: Notify::new() }
+        Self { settings, path, known: Mutex::default(), shown: Mutex::default(), added: Notify::new() }
+    }
+
+    fn shown_now(&self) -> MutexGuard<'_, Shown> {
+        self.shown.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Alerts that stand by the last look, and those that were over lately.
+    pub fn shown(&self) -> (Vec<AlertView>, Vec<EndedAlert>) {
+        let shown = self.shown_now();
+        (shown.alerts.clone(), shown.over.iter().cloned().collect())
+    }
+
+    /// How many stand of each rule.
+    pub fn by_rule(&self) -> Vec<(&'static str, u64)> {
+        let shown = self.shown_now();
+        let count = |rule: &str| shown.alerts.iter().filter(|alert| rule_of(&alert.key) == rule).count();
+        RULES.iter().map(|rule| (*rule, u64::try_from(count(rule)).unwrap_or(u64::MAX))).collect()
+    }
+
+    /// Deliveries that wait, and those that found no room.
+    pub fn deliveries(&self) -> (u64, u64) {
+        self.shown_now().deliveries
     }
 
     fn with<Told>(&self, work: impl FnOnce(&mut Known) -> Told) -> Told {
@@ -61,7 +116,7 @@ impl Alerts {
     }
 
     fn place(&self) -> Result<&AlertPlace, Failure> {
-        let nobody = "nobody is told of alerts and nothing is judged; set alerts.webhook or alerts.command";
+        let nobody = "nobody is told of alerts, they are only shown; set alerts.webhook or alerts.command";
         self.settings.place.as_ref().ok_or_else(|| input(nobody))
     }
 
@@ -69,36 +124,52 @@ impl Alerts {
     fn look(&self, figures: &Figures) -> Vec<Change> {
         let site = figures.owners.first().map_or("", |owner| owner.owner.as_str());
         let forgets = matches!(self.settings.place, Some(AlertPlace::Webhook { form: AlertForm::Alertmanager, .. }));
-        let changes = self.with(|known| {
+        let told = self.settings.place.is_some();
+        let (changes, standing, deliveries) = self.with(|known| {
             let mut judged = known.judge.judge(figures);
             judged.extend(known.judge.not_known(&known.standing.all()));
             let changes = known.standing.look(figures.now, site, judged);
-            for change in &changes {
+            // What nobody is told of is not kept either: where somebody is to be told later, it begins for him then.
+            for change in changes.iter().filter(|_| told) {
                 known.queue.add(change.clone());
             }
             if forgets && known.reminded.elapsed() >= REMIND && known.queue.first().is_none() {
                 known.reminded = Instant::now();
                 known.queue.remind();
             }
-            changes
+            (changes, known.standing.all(), known.queue.counts())
         });
+        let mut shown = self.shown_now();
+        shown.refresh(figures.now, standing, &changes);
+        shown.deliveries = deliveries;
+        drop(shown);
         self.added.notify_one();
         changes
     }
 
-    /// All that stand.
-    fn view(&self) -> Result<AlertsView, Failure> {
-        let told = place_name(self.place()?);
+    /// A delivery was taken.
+    fn done(&self, number: u64, told: u64) {
+        let deliveries = self.with(|known| {
+            known.queue.done(number, told);
+            known.queue.counts()
+        });
+        self.shown_now().deliveries = deliveries;
+    }
+
+    /// All that stand, and what was over lately.
+    fn view(&self) -> AlertsView {
+        let nobody = || "nobody; alerts.webhook or alerts.command names somebody".to_owned();
+        let told = self.settings.place.as_ref().map_or_else(nobody, place_name);
         let (alerts, (waiting, dropped)) = self.with(|known| (known.standing.all(), known.queue.counts()));
-        Ok(AlertsView { alerts, told, waiting, dropped })
+        AlertsView { alerts, over: self.shown().1, told, waiting, dropped }
     }
 }
 
 impl Site {
-    /// Begins to judge and to deliver, where somebody is to be told.
+    /// Begins to judge, and to deliver where somebody is to be told.
     pub(super) fn watch_for_alerts(self: &Arc<Self>) {
+        drop(self.parts.supervisor.keep("alerts", self, Self::judge_alerts));
         if self.alerts.settings.place.is_some() {
-            drop(self.parts.supervisor.keep("alerts", self, Self::judge_alerts));
             drop(self.parts.supervisor.keep("alert delivery", self, Self::deliver_alerts));
         }
     }
@@ -106,9 +177,13 @@ impl Site {
     async fn judge_alerts(self: Arc<Self>) {
         while self.parts.life.beat(self.alerts.settings.every).await {
             // Figures that cannot be read now are read the next time.
-            let looked = blocking(&self, |site| Ok(site.alerts.look(&site.figures()?))).await;
-            for change in looked.unwrap_or_default() {
-                self.tell_of(&change);
+            let looked = blocking(&self, |site| Ok(site.alerts.look(&site.figures()?))).await.unwrap_or_default();
+            if !looked.is_empty() {
+                self.parts.hub.changed(Part::Health);
+            }
+            // Where nobody is to be told, the parts' own notices are enough: consoles and `status` show what stands.
+            for change in looked.iter().filter(|_| self.alerts.settings.place.is_some()) {
+                self.tell_of(change);
             }
         }
     }
@@ -169,7 +244,7 @@ impl Site {
         Carrier::of(self.alerts.place()?)?.carry(&delivery, dropped).await?;
         let number = delivery.number;
         let done = move |site: &Self| {
-            site.alerts.with(|known| known.queue.done(number, dropped));
+            site.alerts.done(number, dropped);
             Ok(())
         };
         blocking(self, done).await
@@ -177,7 +252,7 @@ impl Site {
 
     /// The alerts that stand.
     pub(super) async fn alerts_view(self: &Arc<Self>) -> Result<AlertsView, Failure> {
-        blocking(self, |site| site.alerts.view()).await
+        blocking(self, |site| Ok(site.alerts.view())).await
     }
 
     /// Sends an alert that says that it is none.
@@ -206,11 +281,42 @@ fn pause(failures: u32, chance: u64) -> Duration {
 }
 
 #[cfg(test)]
+mod at_alertmanager;
+#[cfg(test)]
 mod over_http;
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+    async fn what_stands_and_was_over_is_known_where_nobody_is_told_and_nothing_is_written_for_nobody() {
+        use crate::service::alerts::troubles::{before, well};
+        let settings = [("alerts.disk", "1000MiB"), ("alerts.grant_ends", "1h")];
+        let needs = super::super::Needs { ros: false, chain: false };
+        let (site, folder) = super::super::testing::site_of(&settings, needs);
+        let keys = |alerts: &[AlertView]| alerts.iter().map(|alert| alert.key.clone()).collect::<Vec<_>>();
+        let full = |second| Figures { disk: Some((1, 1)), ..well(second) };
+        assert_eq!(site.alerts.look(&full(0)).len(), 1);
+        assert!(site.alerts.look(&full(10)).is_empty(), "the same is told once");
+        assert_eq!(keys(&site.alerts.shown().0), ["disk"]);
+        assert_eq!(
+            site.alerts.by_rule().into_iter().filter(|(_, count)| *count > 0).collect::<Vec<_>>(),
+            [("disk", 1)]
+        );
+        (2..5).for_each(|look| drop(site.alerts.look(&well(look * 10))));
+        let view = site.alerts.view();
+        assert_eq!((keys(&view.alerts).len(), view.over.len(), view.waiting), (0, 1, 0), "{view:?}");
+        assert_eq!((view.over[0].alert.begun, view.over[0].ended), (well(0).now, well(30).now));
+        assert!(view.told.starts_with("nobody"), "{}", view.told);
+        site.alerts.look(&well(30 + 15 * 60));
+        assert!(site.alerts.shown().1.is_empty(), "a quarter of an hour later it is forgotten");
+        assert!(!folder.path().join("home/alerts.queue").exists());
+        let mut silent = well(2000);
+        silent.robots[0].last_seen = before(&silent, 700);
+        assert_eq!(site.alerts.look(&silent).len(), 1);
+        site.stop().await;
+    }
 
     #[test]
     fn pauses_double_up_to_five_minutes_and_half_of_each_is_chance() {

@@ -135,7 +135,9 @@ impl Site {
             audit_lines,
             audit_unanchored,
             clock_ahead: look().ahead(),
-            connections: self.gateway.connections(),
+            gateway: self.gateway.figures(),
+            alerts: self.alerts.by_rule(),
+            deliveries: self.alerts.deliveries(),
             latencies: Milestone::ALL.map(|milestone| self.latency(milestone)).into(),
             busy: Stage::ALL.map(|stage| (stage.word(), self.parts.hub.stages.busy(stage).as_secs_f64())).into(),
         })

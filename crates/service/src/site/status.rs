@@ -7,6 +7,7 @@ use tokio::task::block_in_place;
 use super::{NetworkState, RosState, Site};
 use crate::config::without_password;
 use crate::model::{Address, ProfileName, RecordState, clean};
+use crate::pipeline::forwarder::Link as Line;
 use crate::pipeline::sender::LaneState;
 use crate::pipeline::stages::Milestone;
 use crate::pipeline::storer::Condition;
@@ -30,7 +31,9 @@ impl Site {
         let life = block_in_place(|| self.life_line(profile))?;
         let (process, tasks) = (std::process::id(), self.parts.supervisor.views());
         let verified_after = self.parts.hub.stages.spread(Milestone::Verified);
-        Ok(SiteView { health, life, robots, profiles, process, queue: self.queue_view(), tasks, verified_after })
+        let (alerts, alerts_over) = self.alerts.shown();
+        let queue = self.queue_view();
+        Ok(SiteView { health, life, robots, profiles, process, queue, tasks, verified_after, alerts, alerts_over })
     }
 
     /// What is not well now, and what is: the one place that status, figures and alerts ask.
@@ -114,6 +117,13 @@ impl Site {
     }
 
     fn gateway_health(&self) -> PartHealth {
+        match self.gateway.line() {
+            Some(Line::Connecting) => return part("gateway", HealthLevel::Waiting, "connecting"),
+            Some(Line::Up) => return part("gateway", HealthLevel::Ok, "connected"),
+            Some(Line::Away(text)) => return part("gateway", HealthLevel::Waiting, &text),
+            Some(Line::Refused(text)) => return part("gateway", HealthLevel::Failed, &text),
+            None => {}
+        }
         match self.gateway.served() {
             Some(view) => part(
                 "gateway",

@@ -20,6 +20,25 @@ pub struct LastSeen {
 const UNANCHORED: [RecordState; 4] =
     [RecordState::Sealed, RecordState::Stored, RecordState::Batched, RecordState::Submitted];
 
+/// Accounts with records here; once each.
+pub(super) const OWNERS: &str = "SELECT DISTINCT owner FROM topics LIMIT ?1";
+/// When an owner's oldest record of a kind and state was captured.
+pub(super) const OLDEST: &str = "SELECT min((SELECT min(captured_at) FROM records WHERE state = ?3 AND stream = s.key))
+                      FROM streams s JOIN topics t ON t.key = s.topic WHERE t.owner = ?1 AND s.kind = ?2";
+/// Losses without a gap record.
+pub(super) const UNTOLD: &str = "SELECT count(*) FROM gaps WHERE report IS NULL";
+
+/// Signers, and when the newest record of each was captured, whatever its state.
+pub(super) fn last_seen() -> String {
+    let newest = RecordState::ALL.iter().map(|state| {
+        format!("coalesce((SELECT max(captured_at) FROM records WHERE state = {} AND stream = s.key), 0)", state.code())
+    });
+    format!(
+        "SELECT signer, max(max({})) AS at FROM streams s WHERE kind = ?1 GROUP BY signer ORDER BY at DESC LIMIT ?2",
+        newest.collect::<Vec<_>>().join(", ")
+    )
+}
+
 impl Ledger {
     /// Whose records are here, at most `limit` accounts.
     ///
@@ -28,7 +47,7 @@ impl Ledger {
     pub fn owners(&self, limit: usize) -> Result<Vec<Address>, StoreError> {
         let limit = i64::try_from(limit).unwrap_or(i64::MAX);
         self.read(|connection| {
-            let mut statement = connection.prepare_cached("SELECT DISTINCT owner FROM topics LIMIT ?1")?;
+            let mut statement = connection.prepare_cached(OWNERS)?;
             let rows = statement.query_map([limit], |row| Ok(Address(row.get(0)?)))?;
             Ok(rows.collect::<Result<_, _>>()?)
         })
@@ -40,10 +59,7 @@ impl Ledger {
     /// [`StoreError::Database`] and its kin.
     pub fn oldest_unanchored(&self, owner: Address) -> Result<Option<Timestamp>, StoreError> {
         self.read(|connection| {
-            let mut statement = connection.prepare_cached(
-                "SELECT min((SELECT min(captured_at) FROM records WHERE state = ?3 AND stream = s.key))
-                 FROM streams s JOIN topics t ON t.key = s.topic WHERE t.owner = ?1 AND s.kind = ?2",
-            )?;
+            let mut statement = connection.prepare_cached(OLDEST)?;
             let mut oldest: Option<i64> = None;
             for state in UNANCHORED {
                 let values = params![owner.0, RecordKind::Data.code(), i64::from(state.code())];
@@ -59,22 +75,9 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and its kin.
     pub fn last_seen(&self, limit: usize) -> Result<Vec<LastSeen>, StoreError> {
-        let newest: Vec<String> = RecordState::ALL
-            .iter()
-            .map(|state| {
-                format!(
-                    "coalesce((SELECT max(captured_at) FROM records WHERE state = {} AND stream = s.key), 0)",
-                    state.code()
-                )
-            })
-            .collect();
-        let sql = format!(
-            "SELECT signer, max(max({})) AS at FROM streams s WHERE kind = ?1 GROUP BY signer ORDER BY at DESC LIMIT ?2",
-            newest.join(", ")
-        );
         let limit = i64::try_from(limit).unwrap_or(i64::MAX);
         self.read(|connection| {
-            let mut statement = connection.prepare_cached(&sql)?;
+            let mut statement = connection.prepare_cached(&last_seen())?;
             let rows = statement.query_map(params![RecordKind::Data.code(), limit], |row| {
                 let at: i64 = row.get(1)?;
                 Ok(LastSeen { signer: SignerId(row.get(0)?), at: Timestamp(at.cast_unsigned()) })
@@ -89,8 +92,7 @@ impl Ledger {
     /// [`StoreError::Database`] and its kin.
     pub fn untold_gaps(&self) -> Result<u64, StoreError> {
         self.read(|connection| {
-            let sql = "SELECT count(*) FROM gaps WHERE report IS NULL";
-            Ok(connection.prepare_cached(sql)?.query_row([], |row| super::rows::unsigned(row, 0))?)
+            Ok(connection.prepare_cached(UNTOLD)?.query_row([], |row| super::rows::unsigned(row, 0))?)
         })
     }
 }

@@ -1,6 +1,7 @@
 //! The ledger's tests: single behaviours here, random operations in `model`, random queries in `pages`.
 
 mod adoption;
+mod ages;
 mod directory;
 mod gaps;
 mod groups;

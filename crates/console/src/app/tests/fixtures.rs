@@ -7,10 +7,10 @@ use crate::model::{
 use crate::pipeline::sender::{LaneState, PauseReason};
 use crate::service::command::RecordingCommand;
 use crate::service::reply::{
-    AdministrationView, AlarmView, AuditView, ChainView, ContactRow, Direction, EpochView, GasView, GatewayStatusView,
-    GatewayView, GrantRow, GrantState, HealthLevel, IdentityView, KeysView, LifeLine, OpenedView, PartHealth, PinView,
-    PinsView, Provenance, QueueView, RecordPage, RecordView, RecordingReply, RefusedView, SenderView, ShownState,
-    SiteView, SystemKeyView, TopicRow, TransactionView,
+    AdministrationView, AlarmView, AlertView, AuditView, ChainView, ContactRow, Direction, EpochView, GasView,
+    GatewayStatusView, GatewayView, GrantRow, GrantState, HealthLevel, IdentityView, KeysView, LifeLine, OpenedView,
+    PartHealth, PinView, PinsView, Provenance, QueueView, RecordPage, RecordView, RecordingReply, RefusedView,
+    SenderView, Severity, ShownState, SiteView, SystemKeyView, TopicRow, TransactionView,
 };
 use crate::service::{Command, Failure, Operation, Reply, UploadQuery};
 use authros_chain::Sealing;
@@ -109,6 +109,20 @@ pub fn site() -> SiteView {
         tasks: Vec::new(),
         queue: QueueView { messages: 3, bytes: 2_184, capacity: 201_326_592 },
         verified_after: Vec::new(),
+        alerts: Vec::new(),
+        alerts_over: Vec::new(),
+    }
+}
+
+/// An alert that the site found by itself.
+pub fn site_alert() -> AlertView {
+    AlertView {
+        key: "robot_silent/1f2e3d4c".to_owned(),
+        severity: Severity::Warning,
+        text: "Nothing has come from robot 1f2e3d4c for 11 min; look at its agent, its network and its clock."
+            .to_owned(),
+        site: "0a0b0c0d".to_owned(),
+        begun: Timestamp::from_seconds(NOW.seconds() - 60),
     }
 }
 

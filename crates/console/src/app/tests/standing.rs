@@ -5,7 +5,8 @@ use crate::app::feed::Feed;
 use crate::app::popup::{Popup, Purpose};
 use crate::app::standing::Capture;
 use crate::app::{Key, Settings, Tag};
-use crate::service::reply::{HeldUp, TopicRow};
+use crate::model::Timestamp;
+use crate::service::reply::{AlertView, EndedAlert, HealthLevel, HeldUp, LifeLine, SiteView, TopicRow};
 use crate::service::{Command, Part, Reply};
 
 /// A console that has just been opened on a profile, locked or not.
@@ -71,4 +72,55 @@ fn each_topic_says_how_its_capture_stands_and_the_worst_is_said_first() {
     let alert =
         robot.state.alerts.shown().into_iter().map(|alert| alert.text.clone()).find(|text| text.starts_with("locked"));
     assert_eq!(alert.as_deref(), Some("locked: capture of 1 topic waits for the key; u unlocks"));
+}
+
+/// The site says how it is.
+fn says(robot: &mut Robot, site: SiteView) {
+    robot.hears_of(Part::Health);
+    robot.is_answered(&Tag::Feed(Feed::Site, 0), Ok(Reply::Site(site)));
+}
+
+/// Of each alert that is shown: its text, since when, and when it was over.
+fn alerts(robot: &Robot) -> Vec<(String, u64, Option<u64>)> {
+    let shown = robot.state.alerts.shown().into_iter();
+    shown.map(|alert| (alert.text.clone(), alert.since.seconds(), alert.resolved.map(|at| at.seconds()))).collect()
+}
+
+#[test]
+fn what_the_site_judges_is_shown_since_its_own_moment_and_then_as_over() {
+    let mut robot = Robot::at_work(true);
+    let alert = fixtures::site_alert();
+    let (text, begun) = (alert.text.clone(), fixtures::NOW.seconds() - 60);
+    says(&mut robot, SiteView { alerts: vec![alert.clone()], ..fixtures::site() });
+    assert_eq!(alerts(&robot), [(text.clone(), begun, None)], "this console was not there when it began");
+    let ended = EndedAlert { alert: alert.clone(), ended: Timestamp::from_seconds(fixtures::NOW.seconds() + 5) };
+    robot.waits(9);
+    says(&mut robot, SiteView { alerts_over: vec![ended.clone()], ..fixtures::site() });
+    assert_eq!(alerts(&robot), [(text.clone(), begun, Some(fixtures::NOW.seconds() + 5))]);
+
+    let mut later = Robot::at_work(true);
+    later.waits(60);
+    says(&mut later, SiteView { alerts_over: vec![ended], ..fixtures::site() });
+    assert_eq!(alerts(&later), [(text, begun, Some(fixtures::NOW.seconds() + 5))], "over before it was opened");
+}
+
+#[test]
+fn what_health_and_life_line_say_is_not_said_twice() {
+    let mut robot = Robot::at_work(true);
+    let own = fixtures::OWN.to_string().trim_start_matches("0x").to_lowercase();
+    let keys =
+        ["chain".to_owned(), "gap".to_owned(), format!("tampered/{}", &own[..8]), "tampered/12345678".to_owned()];
+    let alert = |key: String| AlertView { text: key.clone(), key, ..fixtures::site_alert() };
+    let life = LifeLine { tampered: 1, lost_in_transport: 3, ..fixtures::site().life };
+    let mut site = SiteView { life, alerts: keys.map(alert).into(), ..fixtures::site() };
+    site.health[1].level = HealthLevel::Failed;
+    says(&mut robot, site);
+    let texts: Vec<String> = alerts(&robot).into_iter().map(|(text, ..)| text).collect();
+    assert_eq!(texts.iter().filter(|text| text.starts_with("chain")).count(), 1, "{texts:?}");
+    assert_eq!(
+        texts.iter().filter(|text| text.contains("tampered")).count(),
+        2,
+        "own and another account's: {texts:?}"
+    );
+    assert!(texts.iter().all(|text| text != "gap"), "{texts:?}");
 }

@@ -7,7 +7,7 @@ use ratatui::backend::TestBackend;
 use crate::app::tests::{Robot, fixtures};
 use crate::app::{Action, Key, Tag};
 use crate::model::{ErrorKind, Verdict};
-use crate::service::reply::{GrantRow, PartHealth, RecordView, SiteView, TopicRow};
+use crate::service::reply::{AlertView, GrantRow, PartHealth, RecordView, SiteView, TopicRow};
 use crate::service::{Event, NoticeLevel, Part, Reply};
 use crate::ui::{Theme, draw};
 
@@ -40,6 +40,7 @@ fn infect(robot: &mut Robot, text: &str) {
     let failure = fixtures::failure(ErrorKind::Refused, text);
     let site = SiteView {
         health: vec![PartHealth { text: text.to_owned(), part: text.to_owned(), ..fixtures::site().health[0].clone() }],
+        alerts: vec![AlertView { key: text.to_owned(), text: text.to_owned(), ..fixtures::site_alert() }],
         ..fixtures::site()
     };
     robot.state.site = Some(site);

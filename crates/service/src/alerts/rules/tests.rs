@@ -38,6 +38,13 @@ fn every_rule_begins_once_and_ends_once() {
 }
 
 #[test]
+fn every_rule_is_named_and_every_name_is_a_rule() {
+    let found: std::collections::BTreeSet<String> =
+        troubles().into_iter().map(|(key, _)| rule_of(key).to_owned()).collect();
+    assert_eq!(found.iter().map(String::as_str).collect::<Vec<_>>(), RULES);
+}
+
+#[test]
 fn what_hovers_at_a_limit_neither_begins_nor_ends() {
     assert_eq!(
         [601, 600, 541, 540].map(|value| over(value, 600)),

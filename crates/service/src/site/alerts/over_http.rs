@@ -62,7 +62,7 @@ async fn body(stream: &mut TcpStream) -> Vec<u8> {
     }
 }
 
-async fn until(what: &str, done: impl Fn() -> bool) {
+pub(super) async fn until(what: &str, done: impl Fn() -> bool) {
     for _ in 0..2400 {
         if done() {
             return;
@@ -124,7 +124,7 @@ async fn an_hour_without_a_webhook_fills_a_bounded_queue_and_what_was_given_up_i
         figures.robots = (0..10).map(silent).collect();
         changes += site.alerts.look(&figures).len();
     }
-    let view = site.alerts.view().expect("alerts");
+    let view = site.alerts.view();
     // Robots are judged from the second minute on, and fall silent and come back every hundred seconds.
     assert!(changes > 250, "{changes}");
     let all = u64::try_from(changes).expect("few");

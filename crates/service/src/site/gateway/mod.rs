@@ -28,7 +28,7 @@ use crate::site::sharing::Sharing;
 use crate::site::supervision::Supervisor;
 use std::collections::BTreeSet;
 use std::net::SocketAddr;
-use std::sync::{Arc, Mutex, PoisonError, RwLock};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError, RwLock};
 use std::time::Duration;
 
 use tokio::sync::{oneshot, watch};
@@ -38,8 +38,10 @@ use crate::crypto::{Fingerprint, SmKeyPair};
 use crate::gateway::{Cabinet, Context, Limits, Schedule, Server};
 use crate::model::{Address, AnchorMode, Domain, Timestamp};
 use crate::pipeline::Owner;
+use crate::pipeline::forwarder::Link as Line;
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::{input, refused};
+use crate::service::figures::GatewayFigures;
 use crate::service::reply::{Failure, GatewayView};
 use status::Serving;
 
@@ -111,6 +113,8 @@ pub(in crate::site) struct Gateway {
     /// The one that is served, if one is.
     serving: Mutex<Option<Serving>>,
     remote: Option<Arc<Remote>>,
+    /// The line of the agent that works here, if one does.
+    passed_on: OnceLock<watch::Receiver<Line>>,
 }
 
 impl Gateway {
@@ -136,6 +140,7 @@ impl Gateway {
             admissions: Arc::clone(admissions),
             serving: Mutex::default(),
             remote,
+            passed_on: OnceLock::new(),
         }
     }
 }
@@ -146,10 +151,24 @@ impl Gateway {
         self.serving.lock().unwrap_or_else(PoisonError::into_inner).as_ref().map(|serving| serving.view.clone())
     }
 
-    /// Connections to the gateway that is served here, if one is.
-    pub fn connections(&self) -> Option<u64> {
+    /// Figures of the gateway that is served here, if one is.
+    pub fn figures(&self) -> Option<GatewayFigures> {
         let serving = self.serving.lock().unwrap_or_else(PoisonError::into_inner);
-        serving.as_ref().map(|serving| u64::try_from(serving.watch.connections()).unwrap_or(u64::MAX))
+        let watch = &serving.as_ref()?.watch;
+        let connections = u64::try_from(watch.connections()).unwrap_or(u64::MAX);
+        let refused = watch.refused().into_iter().map(|(code, count)| (code.number(), count)).collect();
+        Some(GatewayFigures { connections, refused })
+    }
+
+    /// This home's records are passed on to another gateway: where that line stands.
+    pub fn passes_on(&self, line: watch::Receiver<Line>) {
+        // A site has one agent at most.
+        let _ = self.passed_on.set(line);
+    }
+
+    /// Where the line to the gateway stands that this home's records are passed on to, if they are.
+    pub fn line(&self) -> Option<Line> {
+        self.passed_on.get().map(|line| line.borrow().clone())
     }
 
     /// Serves the gateway's protocol until `ended`, or the site's end.

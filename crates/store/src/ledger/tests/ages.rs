@@ -1,0 +1,33 @@
+//! What ages and last sights cost: counted in steps of SQLite's machine, not in time.
+
+use rusqlite::StatementStatus::VmStep;
+
+use super::*;
+use crate::store::ledger::ages::{OLDEST, OWNERS, UNTOLD, last_seen};
+
+/// Steps that SQLite's machine takes for each question of the figures, over so many records in four streams.
+fn steps(records: u64) -> Vec<i32> {
+    let (_home, ledger) = open();
+    for batch in 0..records / 100 {
+        let one = |n: u64| record(1, u8::try_from(n % 4).expect("small"), batch * 100 + n);
+        ledger.append((0..100).map(one).collect()).expect("acknowledged");
+    }
+    assert_eq!(ledger.owners(64).expect("owners").len(), 1);
+    assert!(ledger.oldest_unanchored(Address([1; 20])).expect("ages").is_some());
+    let seen = ledger.last_seen(256).expect("signers");
+    assert_eq!(seen.iter().map(|seen| seen.at.0).collect::<Vec<_>>(), [1_000 + records - 1]);
+    assert_eq!(ledger.untold_gaps().expect("gaps"), 0);
+    let counted = ledger.read(|connection| {
+        let questions = [OWNERS.to_owned(), OLDEST.to_owned(), last_seen(), UNTOLD.to_owned()];
+        // The very statements that were run: they stay in the connection's cache, and one connection is used again.
+        questions.iter().map(|sql| Ok(connection.prepare_cached(sql)?.reset_status(VmStep))).collect()
+    });
+    counted.expect("statements")
+}
+
+#[test]
+fn ages_cost_the_same_whatever_the_number_of_records() {
+    let (few, many) = (steps(400), steps(20_000));
+    assert!(few.iter().all(|steps| *steps > 0), "{few:?}");
+    assert_eq!(few, many);
+}
