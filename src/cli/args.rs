@@ -144,6 +144,16 @@ pub enum Verb {
         #[arg(value_enum)]
         shell: clap_complete::Shell,
     },
+    /// What a word of a command line can go on as; for the shells' completions
+    #[command(hide = true)]
+    Complete {
+        /// What kind of word it is
+        #[arg(value_enum)]
+        what: super::complete::Word,
+        /// Its beginning
+        #[arg(default_value = "", allow_hyphen_values = true)]
+        begun: String,
+    },
     /// Print the manual page, for `man -l -`
     Man,
 }

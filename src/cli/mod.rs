@@ -12,8 +12,10 @@ mod backups;
 mod capture;
 mod chain;
 mod check;
+mod complete;
 mod connect;
 mod console;
+mod coverage;
 mod demo;
 mod evidence;
 mod follow;
@@ -102,6 +104,10 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
             output.raw(&printed::completions(shell));
             Ok(0)
         }
+        Verb::Complete { what, begun } => {
+            output.raw(&complete::candidates(&global, what, &begun));
+            Ok(0)
+        }
         Verb::Man => {
             output.raw(&printed::manual()?);
             Ok(0)
@@ -135,6 +141,7 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
         }
         Verb::Uploads(verb) => runtime.block_on(verbs::uploads(Context::new(global, output)?, verb, output)),
         Verb::Shared(verb) => runtime.block_on(verbs::shared(Context::new(global, output)?, verb, output)),
+        Verb::Identity(args::IdentityVerb::List) => lists::identities(&Context::new(global, output)?, output),
         Verb::Identity(verb) => asked(runtime, global, output, |context| verbs::identity(context, verb, output)),
         Verb::Keys(verb) => asked(runtime, global, output, |context| plans::keys(context, verb)),
         Verb::Register => {

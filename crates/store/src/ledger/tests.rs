@@ -1,8 +1,10 @@
 //! The ledger's tests: single behaviours here, random operations in `model`, random queries in `pages`.
 
 mod adoption;
+mod coverage;
 mod directory;
 mod gaps;
+mod glance;
 mod groups;
 mod model;
 mod pages;
