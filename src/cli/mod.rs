@@ -38,6 +38,7 @@ mod show;
 mod site_file;
 mod status;
 mod systemd;
+mod tour;
 mod twins;
 mod verbs;
 mod viewing;
@@ -99,7 +100,8 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
     }
     let global = arguments.global;
     match arguments.verb.unwrap_or_else(|| Verb::Console(args::ConsoleArguments::default())) {
-        Verb::Console(console) => console::run(runtime, Context::new(global, output)?, console),
+        Verb::Console(console) => console::run(runtime, Context::new(global, output)?, console, None),
+        Verb::Tour(arguments) => tour::run(runtime, Context::new(global, output)?, arguments),
         Verb::Completions { shell } => {
             output.raw(&printed::completions(shell));
             Ok(0)

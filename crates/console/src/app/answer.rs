@@ -26,7 +26,9 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
     if let Tag::Feed(feed, generation) = tag {
         return fed(state, *feed, *generation, result);
     }
-    state.work.retain(|other| other != tag);
+    // What was asked for another profile, before this console spoke for the present one, is nobody's any more.
+    let Some(place) = state.work.iter().position(|other| other == tag) else { return Vec::new() };
+    state.work.remove(place);
     match tag {
         Tag::Feed(..) => {}
         Tag::OpenConsole => return opened_console(state, ask::OpenConsole::heard(result)),
@@ -36,6 +38,7 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
         Tag::Open(id) => return opening::opened(state, id, ask::OpenShared::heard(result)),
         Tag::Path(id) => opening::path_found(state, id, ask::ViewPath::heard(result)),
         Tag::Beside(Screen::Uploads, id) => detail::looked_up(state, id, ask::ShowUpload::heard(result)),
+        Tag::Beside(Screen::Topics, topic) => detail::covered(state, topic, ask::TopicCoverage::heard(result)),
         Tag::Beside(_, id) => detail::opened(state, id, ask::OpenShared::heard(result)),
         Tag::Show(id) => looked_up(state, id, ask::ShowUpload::heard(result)),
         Tag::Publishers(topic) => publishers(state, topic, ask::ListPins::heard(result)),
@@ -59,6 +62,10 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
         Tag::Play(_) => done(state, tag, ask::Play::heard(result), |state, view| playing::ended(state, &view)),
         Tag::StopPlay => done(state, tag, ask::StopPlay::heard(result), |_, ()| {}),
         Tag::Check(_) => done(state, tag, ask::CheckShared::heard(result), |state, check| checked(state, &check)),
+        Tag::Contact(_) => done(state, tag, ask::ListContacts::heard(result), |state, rows| {
+            state.contacts = rows;
+            say_done(state, tag);
+        }),
         Tag::Watch(topic) => done(state, tag, ask::WatchTopic::heard(result), |state, ()| {
             state.inform(format!("now watching {topic}"));
         }),
@@ -221,7 +228,9 @@ fn failed(state: &mut State, tag: &Tag, failure: &Failure) {
             let text = format!("{}: {}", tag.words(), failure.message);
             state.log.notice(state.now, NoticeLevel::Error, &text);
             form.error = Some(failure.message.clone());
-            state.popups.insert(0, Popup::Form(purpose, form));
+            let above = matches!(state.popups.last(), Some(Popup::Contacts(_)));
+            let place = if above { state.popups.len() } else { 0 };
+            state.popups.insert(place, Popup::Form(purpose, form));
         }
         None => state.complain_of(tag, failure),
     }
@@ -269,6 +278,7 @@ fn secret(name: String, secret: &SecretBytes) -> Effect {
 fn touched_by(tag: &Tag) -> &'static [Feed] {
     match tag {
         Tag::Watch(_) | Tag::Unwatch(_) | Tag::HoldCapture => &[Feed::Topics],
+        Tag::Contact(_) => &[Feed::Contacts, Feed::Grants, Feed::Shared],
         Tag::Grant(_) | Tag::Extend(_) | Tag::Revoke(_) => &[Feed::Grants, Feed::Identity, Feed::Keys],
         Tag::LoadKey(_) | Tag::Rotate => &[Feed::Keys, Feed::Identity],
         Tag::Pin(_) | Tag::Unpin(_) | Tag::Release(_) | Tag::Discard(_) => &[Feed::Topics],
