@@ -34,7 +34,6 @@ fn names_and_ids_are_found_with_a_site_at_work_and_without() {
     };
     look();
     ledger.close().expect("closed");
-    drop(ledger.clone());
     let before = files(home.path());
     look();
     assert_eq!(files(home.path()), before, "nothing is made by looking");
