@@ -11,6 +11,7 @@ use super::identity_path;
 use super::opening;
 use super::playing;
 use super::popup::Popup;
+use super::profiles;
 use super::screen::Screen;
 use super::state::State;
 use super::undo;
@@ -153,7 +154,15 @@ fn take(state: &mut State, feed: Feed, result: Answer) -> Result<(), Failure> {
 
 /// A profile that is open elsewhere, or a home that cannot be used, ends the console.
 fn opened_console(state: &mut State, result: Result<(), Failure>) -> Vec<Effect> {
+    let former = state.former.take();
     let Err(failure) = result else { return Vec::new() };
+    if let Some(former) = former {
+        // Back to the profile that this console can speak for.
+        let effects = profiles::switch(state, former);
+        state.former = None;
+        state.complain(failure.message);
+        return effects;
+    }
     if matches!(failure.kind, ErrorKind::Refused | ErrorKind::Home | ErrorKind::Input | ErrorKind::Usage) {
         return vec![Effect::Leave(failure)];
     }

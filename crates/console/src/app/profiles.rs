@@ -49,6 +49,7 @@ pub fn switch(state: &mut State, profile: ProfileName) -> Vec<Effect> {
     next.tour = state.tour.take();
     next.log = std::mem::take(&mut state.log);
     next.screen = Screen::Overview;
+    next.former = Some(state.settings.profile.clone());
     // What the former profile asked for is still answered, and is not for this one.
     next.feeds.follow(&state.feeds);
     *state = next;

@@ -140,6 +140,8 @@ pub struct State {
     pub touched: Timestamp,
     /// Whether local times stand beside UTC.
     pub local_time: bool,
+    /// The profile that this console spoke for before, until the present one is claimed.
+    pub former: Option<ProfileName>,
     /// The tour, while it goes on.
     pub tour: Option<Tour>,
 }
@@ -185,6 +187,7 @@ impl State {
             undo: None,
             touched: Timestamp::default(),
             local_time: false,
+            former: None,
             tour,
         }
     }

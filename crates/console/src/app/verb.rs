@@ -338,15 +338,15 @@ pub static VERBS: &[Entry] = &[
     entry(Verb::Administer(Act::Deploy), "deploy", "deploy", &[Key::Char('d')], "Deploy the contract")
         .on(ON_CHAIN)
         .changing(),
-    administers(Act::Admit, "admit", "Administrator: let an account register"),
+    administers(Act::Admit, "allow-account", "Administrator: let an account register"),
     administers(Act::Dismiss, "withdraw-admission", "Administrator: withdraw an admission"),
     administers(Act::Suspend, "suspend", "Administrator: stop an account's changes"),
     administers(Act::Restore, "restore", "Administrator: free a suspended account"),
     administers(Act::Open, "open-registration", "Administrator: anyone may register"),
     administers(Act::Close, "close-registration", "Administrator: only admitted accounts may register"),
     administers(Act::Pause, "pause-changes", "Administrator: stop all changes but revokes"),
-    administers(Act::Continue, "continue-changes", "Administrator: let changes go on"),
-    administers(Act::Succeed, "succeed", "Administrator: name who continues for a lost account"),
+    administers(Act::Continue, "resume-changes", "Administrator: let changes go on"),
+    administers(Act::Succeed, "replace-lost-account", "Administrator: name who continues for a lost account"),
     administers(Act::HandOver, "hand-over", "Administrator: name the next administrator"),
     administers(Act::Accept, "accept-administration", "Take over as the administrator that was named"),
     administers(Act::Adopt, "adopt-chain", "Adopt the present chain, give up the pinned"),

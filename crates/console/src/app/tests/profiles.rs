@@ -3,6 +3,7 @@
 use super::{Robot, fixtures};
 use crate::app::feed::Feed;
 use crate::app::{Action, Effect, Key, Tag};
+use crate::model::ErrorKind;
 use crate::service::Reply;
 
 #[test]
@@ -44,4 +45,19 @@ fn it_stays_while_something_is_being_done() {
     robot.presses(Key::Enter);
     assert_eq!(robot.state.settings.profile.as_str(), "default");
     assert!(robot.message().contains("still running"), "{}", robot.message());
+}
+
+#[test]
+fn a_profile_that_is_open_elsewhere_leads_back_to_the_former_one() {
+    let mut robot = Robot::at_work(true);
+    robot.types(":profile bob");
+    robot.presses(Key::Enter);
+    robot.is_answered(
+        &Tag::OpenConsole,
+        Err(fixtures::failure(ErrorKind::Home, "a console of profile 'bob' is open already")),
+    );
+    assert_eq!(robot.state.settings.profile.as_str(), "default");
+    assert!(!robot.effects.iter().any(|effect| matches!(effect, Effect::Leave(_))), "nobody is thrown out");
+    robot.site_answers(true);
+    assert!(robot.state.identity.is_some());
 }
