@@ -168,6 +168,11 @@ mod tests {
     use crate::cli::args::Arguments;
     use clap::CommandFactory;
 
+    fn has(command: &clap::Command, option: &str) -> bool {
+        let own = command.get_arguments().any(|argument| argument.get_long() == Some(option));
+        own || command.get_subcommands().any(|verb| has(verb, option))
+    }
+
     #[test]
     fn each_command_and_option_that_is_completed_is_one() {
         let mut all = Arguments::command();
@@ -178,10 +183,6 @@ mod tests {
                 command = command.find_subcommand(verb).expect(path);
             }
             assert!(command.get_positionals().next().is_some(), "{path} takes no word");
-        }
-        fn has(command: &clap::Command, option: &str) -> bool {
-            let own = command.get_arguments().any(|argument| argument.get_long() == Some(option));
-            own || command.get_subcommands().any(|verb| has(verb, option))
         }
         assert!(OPTIONS.iter().all(|(option, _)| has(&all, option)));
     }

@@ -82,10 +82,11 @@ fn draw_whole(canvas: &mut Canvas, area: Rect, state: &State) {
     if let Some(popup) = state.popups.last() {
         popups::draw(canvas, content, state, popup);
     }
-    bottom::draw(canvas, area, state);
     if let Some(tour) = &state.tour {
         tour::draw(canvas, Rect { y: content.bottom(), height: strip, ..area }, tour);
     }
+    // A message of several lines goes before the strip.
+    bottom::draw(canvas, area, state);
 }
 
 /// Draws the screen in view without header, messages and bar.

@@ -3,7 +3,7 @@
 
 pub mod text;
 
-use super::popup::Popup;
+use super::popup::{Lookup, Popup};
 use super::screens::grants::{is_active, is_given};
 use super::state::State;
 use super::update::is_settled;

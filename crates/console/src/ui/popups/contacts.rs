@@ -40,8 +40,12 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, book: &Book) {
         |fingerprint: &Option<String>| fingerprint.as_deref().map_or_else(|| "none".to_owned(), |text| clean(text, 60));
     let noted = format!("noted       {}", keys(&chosen.fingerprint));
     let given = if chosen.given { "" } else { "  (found on the chain, not told by a person)" };
-    canvas.puts(row(inner, inner.height - 2), &[(&noted, Role::Body), (given, Role::Dim)]);
-    canvas.put(row(inner, inner.height - 1), &format!("registered  {}", keys(&chosen.registered)), Role::Body);
+    canvas.puts(row(inner, inner.height.saturating_sub(2)), &[(&noted, Role::Body), (given, Role::Dim)]);
+    canvas.put(
+        row(inner, inner.height.saturating_sub(1)),
+        &format!("registered  {}", keys(&chosen.registered)),
+        Role::Body,
+    );
 }
 
 fn draw_row(canvas: &mut Canvas, line: Rect, contact: &ContactRow, here: bool) {
