@@ -91,12 +91,7 @@ fn sees_verified(state: &State) -> bool {
         _ => false,
     };
     state.popups.iter().any(shown)
-        || state
-            .detail
-            .steps
-            .as_ref()
-            .and_then(|steps| steps.found())
-            .is_some_and(|found| is_settled(found.record.state))
+        || state.detail.steps.as_ref().and_then(Lookup::found).is_some_and(|found| is_settled(found.record.state))
 }
 
 /// A record of the owner's is on screen, checked and readable.
