@@ -185,7 +185,9 @@ mod tests {
     fn what_comes_in_small_frames_ends_as_the_same_screen_and_a_key_is_not_behind_it() {
         let mut scene = scene();
         let (mut painter, mut whole) = (Painter::new(Depth::True, (80, 24)), Painter::new(Depth::True, (80, 24)));
-        let (mut screen, mut wanted) = (vt100::Parser::new(24, 80, 0), vt100::Parser::new(24, 80, 0));
+        let cells = |count| std::num::NonZeroU16::new(count).expect("not zero");
+        let emulator = || vt100::Parser::new(cells(24), cells(80), 0);
+        let (mut screen, mut wanted) = (emulator(), emulator());
         screen.process(painter.paint(&mut scene).as_bytes());
         drop(update(&mut scene.state, Action::Key(Key::Char('?'))));
         let first = painter.paint_at_most(&mut scene, Some(200));
