@@ -134,6 +134,8 @@ pub enum Verb {
     Gateway(GatewayVerb),
     /// The paper's crime-scene mission, from capture to refusal, on embedded parts
     Demo(DemoArguments),
+    /// The same mission by your own hand, in the console: what to do next and why stands at the bottom; five minutes
+    Tour(TourArguments),
     /// The paper's measurements, repeated on this machine
     Bench(authros_bench::args::BenchArguments),
     /// The operator console (also without any command)
@@ -143,6 +145,16 @@ pub enum Verb {
         /// For this shell
         #[arg(value_enum)]
         shell: clap_complete::Shell,
+    },
+    /// What a word of a command line can go on as; for the shells' completions
+    #[command(hide = true)]
+    Complete {
+        /// What kind of word it is
+        #[arg(value_enum)]
+        what: super::complete::Word,
+        /// Its beginning
+        #[arg(default_value = "", allow_hyphen_values = true)]
+        begun: String,
     },
     /// Print the manual page, for `man -l -`
     Man,
@@ -234,6 +246,17 @@ pub struct DemoArguments {
     /// Capture time in all, seconds, 2 to 600
     #[arg(long, default_value_t = 10, value_name = "N", value_parser = clap::value_parser!(u64).range(2..=600))]
     pub seconds: u64,
+}
+
+/// `tour …`
+#[derive(Debug, Default, Args)]
+pub struct TourArguments {
+    /// night, day, contrast or mono
+    #[arg(long, value_name = "NAME")]
+    pub theme: Option<String>,
+    /// Plain ASCII glyphs
+    #[arg(long)]
+    pub ascii: bool,
 }
 
 /// What is printed instead of done: defaults to write one's own files from.

@@ -6,19 +6,25 @@ use tokio::sync::{broadcast, mpsc};
 
 use super::args::ConsoleArguments;
 use super::connect::{Connection, Context};
-use super::{looks, passphrase};
-use crate::model::{ErrorKind, Timestamp};
+use super::{looks, passphrase, tour};
+use crate::app::tour::Cast;
+use crate::model::{ErrorKind, ProfileName, Timestamp};
 use crate::service::client::site_gone;
 use crate::service::command::Unlock;
 use crate::service::event::NoticeLevel;
 use crate::service::{Call, Client, Event, Failure, Needs, Site};
-use crate::term::{self, ExitReason};
+use crate::term::{self, ConsoleOptions, ExitReason};
 
-/// Runs the console until it is left; the exit code is the terminal's.
+/// Runs the console until it is left, with the tour where there is one; the exit code is the terminal's.
 ///
 /// # Errors
 /// Without a terminal, or where the profile's console is open already.
-pub fn run(runtime: &tokio::runtime::Runtime, context: Context, arguments: ConsoleArguments) -> Result<u8, Failure> {
+pub fn run(
+    runtime: &tokio::runtime::Runtime,
+    context: Context,
+    arguments: ConsoleArguments,
+    tour: Option<Cast>,
+) -> Result<u8, Failure> {
     if !arguments.plain && !term::is_interactive() {
         return Err(Failure::new(
             ErrorKind::Usage,
@@ -26,13 +32,14 @@ pub fn run(runtime: &tokio::runtime::Runtime, context: Context, arguments: Conso
         ));
     }
     let plain = arguments.plain;
-    let options = looks::options(&context, arguments)?;
+    let options = ConsoleOptions { tour, ..looks::options(&context, arguments)? };
+    let reader = options.tour.as_ref().map(|cast| cast.reader.clone());
     let (events, _) = broadcast::channel(1024);
     let (calls, waiting) = mpsc::unbounded_channel();
     let client = Client::new(context.profile.clone(), calls, events.clone());
     let site = Arc::new(OnceLock::new());
     // The first frame does not wait for the site: calls are answered as soon as it is there.
-    runtime.spawn(serve(context, Arc::clone(&site), waiting, events));
+    runtime.spawn(serve(context, reader, Arc::clone(&site), waiting, events));
     let run = if plain { term::plain::run } else { term::run };
     let ended = run(client, runtime.handle(), &options);
     if let Some(site) = site.get() {
@@ -47,7 +54,13 @@ pub fn run(runtime: &tokio::runtime::Runtime, context: Context, arguments: Conso
 
 type Calls = mpsc::UnboundedReceiver<Call>;
 
-async fn serve(context: Context, site: Arc<OnceLock<Arc<Site>>>, waiting: Calls, events: broadcast::Sender<Event>) {
+async fn serve(
+    context: Context,
+    reader: Option<ProfileName>,
+    site: Arc<OnceLock<Arc<Site>>>,
+    waiting: Calls,
+    events: broadcast::Sender<Event>,
+) {
     match context.connect(Needs { ros: true, chain: true }).await {
         Ok(Connection { client, site: own }) => {
             if let Some(own) = own {
@@ -56,9 +69,20 @@ async fn serve(context: Context, site: Arc<OnceLock<Arc<Site>>>, waiting: Calls,
                 drop(site.set(own));
             }
             tokio::spawn(unlock(context, client.clone()));
+            if let Some(reader) = reader {
+                tokio::spawn(prepare(client.clone(), reader, events.clone()));
+            }
             relay(client, waiting, events).await;
         }
         Err(failure) => refuse(waiting, &failure).await,
+    }
+}
+
+/// The reader of the tour; that there is none is said on screen.
+async fn prepare(client: Client, reader: ProfileName, events: broadcast::Sender<Event>) {
+    if let Err(failure) = tour::prepare(&client, reader).await {
+        let text = format!("the tour has nobody to share with: {}", failure.message);
+        drop(events.send(Event::Notice { at: Timestamp::now(), level: NoticeLevel::Error, text, about: None }));
     }
 }
 

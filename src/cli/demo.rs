@@ -70,7 +70,7 @@ pub async fn run(mut context: Context, arguments: DemoArguments, output: &Output
     }
     let temporary = match context.global.home {
         Some(_) => None,
-        None => Some(temporary_home(&mut context)?),
+        None => Some(temporary_home(&mut context, "authros-demo-")?),
     };
     let mission = Mission::start(&context, arguments.seconds, *output).await?;
     let told = mission.run().await;
@@ -80,8 +80,12 @@ pub async fn run(mut context: Context, arguments: DemoArguments, output: &Output
     Ok(if story.ok { 0 } else { ErrorKind::Internal.exit_code() })
 }
 
-fn temporary_home(context: &mut Context) -> Result<tempfile::TempDir, Failure> {
-    let directory = tempfile::Builder::new().prefix("authros-demo-").tempdir();
+/// Gives a context a home of its own, which goes with the value, and the settings of none.
+///
+/// # Errors
+/// Where none can be made.
+pub(super) fn temporary_home(context: &mut Context, prefix: &str) -> Result<tempfile::TempDir, Failure> {
+    let directory = tempfile::Builder::new().prefix(prefix).tempdir();
     let directory = directory
         .map_err(|error| Failure::new(ErrorKind::Home, format!("no temporary directory can be made: {error}")))?;
     context.home = Home::new(directory.path().to_owned());

@@ -3,9 +3,11 @@
 use super::connect::Context;
 use super::parties;
 use crate::config::SettingView;
+use crate::crypto::{Fingerprint, read_public};
 use crate::model::{Address, ProfileName, Verdict};
 use crate::pipeline::columns::Compared;
 use crate::pipeline::sender::LaneState;
+use crate::service::Failure;
 use crate::service::reply::{
     Caveat, ChainView, DeployedView, Direction, GrantRow, IdentityView, KeysView, Provenance, RecordPage, RecordView,
     ShownState, TopicRow,
@@ -57,6 +59,35 @@ pub fn profiles(context: &Context, output: &Output) -> u8 {
         all => all.iter().map(line).collect::<Vec<_>>().join("\n"),
     });
     0
+}
+
+/// The identities of a home by their public sides; the one that commands speak for is marked.
+///
+/// # Errors
+/// A keyring that cannot be read.
+pub fn identities(context: &Context, output: &Output) -> Result<u8, Failure> {
+    let mut rows = Vec::new();
+    for profile in context.home.profiles() {
+        let public = read_public(&context.home.keyring(&profile))?;
+        rows.push((profile == context.profile, profile, public.address, Fingerprint::of(&public.signing).to_string()));
+    }
+    let json: Vec<serde_json::Value> = rows
+        .iter()
+        .map(|(used, profile, address, fingerprint)| {
+            serde_json::json!({ "profile": profile, "used": used, "address": address, "fingerprint": fingerprint })
+        })
+        .collect();
+    output.result(&serde_json::json!({ "identities": json }), || {
+        if rows.is_empty() {
+            return "no identity yet; make one: authros identity create".to_owned();
+        }
+        let line = |(used, profile, address, fingerprint): &(bool, ProfileName, Address, String)| {
+            let mark = if *used { "*" } else { " " };
+            vec![format!("{mark} {profile}"), address.to_string(), fingerprint.clone()]
+        };
+        table(&["  profile", "address", "fingerprint"], &rows.iter().map(line).collect::<Vec<_>>())
+    });
+    Ok(0)
 }
 
 /// One identity.

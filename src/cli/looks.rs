@@ -34,6 +34,8 @@ pub fn options(context: &Context, arguments: ConsoleArguments) -> Result<Console
         kept: Some(context.home.console(&context.profile)),
         pictures: settings.pictures,
         lock_after: settings.lock_after,
+        profiles: context.home.profiles(),
+        tour: None,
         asks_passphrase: !passphrase::is_given(&context.global, &context.home, &context.profile),
     };
     if let Some(name) = &options.theme {

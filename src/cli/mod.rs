@@ -12,8 +12,10 @@ mod backups;
 mod capture;
 mod chain;
 mod check;
+mod complete;
 mod connect;
 mod console;
+mod coverage;
 mod demo;
 mod evidence;
 mod follow;
@@ -36,6 +38,7 @@ mod show;
 mod site_file;
 mod status;
 mod systemd;
+mod tour;
 mod twins;
 mod verbs;
 mod viewing;
@@ -97,9 +100,14 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
     }
     let global = arguments.global;
     match arguments.verb.unwrap_or_else(|| Verb::Console(args::ConsoleArguments::default())) {
-        Verb::Console(console) => console::run(runtime, Context::new(global, output)?, console),
+        Verb::Console(console) => console::run(runtime, Context::new(global, output)?, console, None),
+        Verb::Tour(arguments) => tour::run(runtime, Context::new(global, output)?, arguments),
         Verb::Completions { shell } => {
             output.raw(&printed::completions(shell));
+            Ok(0)
+        }
+        Verb::Complete { what, begun } => {
+            output.raw(&complete::candidates(&global, what, &begun));
             Ok(0)
         }
         Verb::Man => {
@@ -135,6 +143,7 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
         }
         Verb::Uploads(verb) => runtime.block_on(verbs::uploads(Context::new(global, output)?, verb, output)),
         Verb::Shared(verb) => runtime.block_on(verbs::shared(Context::new(global, output)?, verb, output)),
+        Verb::Identity(args::IdentityVerb::List) => lists::identities(&Context::new(global, output)?, output),
         Verb::Identity(verb) => asked(runtime, global, output, |context| verbs::identity(context, verb, output)),
         Verb::Keys(verb) => asked(runtime, global, output, |context| plans::keys(context, verb)),
         Verb::Register => {

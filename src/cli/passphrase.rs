@@ -119,7 +119,7 @@ fn asked(question: &str, option: &str) -> Result<SecretText, Failure> {
 
 fn asked_twice() -> Result<SecretText, Failure> {
     let new = asked("New passphrase, at least 8 characters", "--new-passphrase-file")?;
-    let again = asked("Once more", "--new-passphrase-file")?;
+    let again = asked("Repeat", "--new-passphrase-file")?;
     if new.expose() == again.expose() {
         return Ok(new);
     }

@@ -5,6 +5,7 @@ use std::fmt::Write as _;
 use clap::CommandFactory;
 
 use super::args::{Arguments, PrintArguments};
+use super::complete;
 use super::twins::{TWINS, Twin};
 use crate::app::keymap;
 use crate::config::DEFINITIONS;
@@ -68,7 +69,7 @@ fn setting(text: &mut String, key: &str, default: &str, help: &str, variable: &s
 pub fn completions(shell: clap_complete::Shell) -> String {
     let mut bytes = Vec::new();
     clap_complete::generate(shell, &mut Arguments::command(), "authros", &mut bytes);
-    String::from_utf8_lossy(&bytes).into_owned()
+    complete::with_words(shell, String::from_utf8_lossy(&bytes).into_owned())
 }
 
 /// The page of the program, and behind it one section per command.
@@ -94,7 +95,7 @@ pub fn manual() -> Result<String, Failure> {
 }
 
 fn commands(text: &mut String, command: &clap::Command, path: &str) {
-    for verb in command.get_subcommands().filter(|verb| verb.get_name() != "help") {
+    for verb in command.get_subcommands().filter(|verb| verb.get_name() != "help" && !verb.is_hide_set()) {
         let path = format!("{path} {}", verb.get_name());
         let about = verb.get_about().map(ToString::to_string).unwrap_or_default();
         let _ = write!(text, ".SH {}\n{}\n", roff(&path.to_uppercase()), roff(&about));

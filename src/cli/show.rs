@@ -3,15 +3,15 @@
 use std::io::Write as _;
 use std::path::Path;
 
-use super::{adopt, alerts, audit, check, gateway, lists, parties, policy, quarantine, viewing};
+use super::{adopt, alerts, audit, check, coverage, gateway, lists, parties, policy, quarantine, viewing};
 use crate::crypto::private_file;
 use crate::model::ErrorKind;
 use crate::service::command::{Ask, Command, SecretBytes};
 use crate::service::reply::{
     AdministrationView, AdmittedView, AlertTestView, AlertsView, Answer, AuditCheck, AuditView, BackupView, ChainView,
-    CheckView, CompareView, ContactRow, DecidedView, DeployedView, DeviceRow, DeviceTopicsView, ExportedFile,
-    GatewayStatusView, GrantRow, IdentityView, KeyChangeView, KeysView, OpenedView, PathView, PinsView, PolicyView,
-    Provenance, QuarantineView, RecordAudit, RecordPage, Reply, TopicRow, TransactionView,
+    CheckView, CompareView, ContactRow, CoverageView, DecidedView, DeployedView, DeviceRow, DeviceTopicsView,
+    ExportedFile, GatewayStatusView, GrantRow, IdentityView, KeyChangeView, KeysView, OpenedView, PathView, PinsView,
+    PolicyView, Provenance, QuarantineView, RecordAudit, RecordPage, Reply, TopicRow, TransactionView,
 };
 use crate::service::{Client, Failure};
 use authros_output::Output;
@@ -114,6 +114,7 @@ documents! {
     QuarantineView => quarantine::held;
     DecidedView => decided;
     PathView => viewing::path;
+    CoverageView => coverage::strip;
     DeviceTopicsView => device_topics;
 }
 

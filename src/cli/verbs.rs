@@ -96,7 +96,8 @@ pub fn identity(context: &Context, verb: IdentityVerb, output: &Output) -> Resul
             let passphrase = passphrase::given_or_new(&context.global, &context.home, &context.profile, output)?;
             Plan::new(NEITHER, NoProfile, CreateIdentity { passphrase })
         }
-        IdentityVerb::Show => Plan::new(CHAIN, NoProfile, ShowIdentity),
+        // A list asks no site: `run` prints it.
+        IdentityVerb::Show | IdentityVerb::List => Plan::new(CHAIN, NoProfile, ShowIdentity),
         IdentityVerb::Compare { fingerprint, account } => {
             let needs = if account.is_some() { CHAIN } else { NEITHER };
             let account = account.as_deref().map(parse::value).transpose()?;
@@ -125,6 +126,7 @@ pub fn topics(verb: TopicsVerb) -> Result<Plan, Failure> {
         TopicsVerb::Unwatch { topic } => kept(UnwatchTopic { topic: parse::value(&topic)? }.into()),
         TopicsVerb::Pin(pin) => kept(pin.question()?),
         TopicsVerb::Pins { topic } => kept(ListPins { topic: topic.as_deref().map(parse::value).transpose()? }.into()),
+        TopicsVerb::Coverage(coverage) => kept(coverage.question()?.into()),
         TopicsVerb::Policy(policy) => Plan::new(ROS, ProfileNeed::None, policy.question()?),
         TopicsVerb::Unpin { topic, caller_id } => kept(UnpinTopic { topic: parse::value(&topic)?, caller_id }.into()),
     })

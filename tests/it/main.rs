@@ -18,6 +18,7 @@ mod chain_commands;
 mod chain_faults;
 mod check;
 mod command_line;
+mod completing;
 mod console;
 mod console_journey;
 mod console_terminal;

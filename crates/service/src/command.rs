@@ -33,9 +33,9 @@ use crate::chain::Revision;
 use crate::model::{Address, ContactName, Party, ProfileName, Publisher, SignerId, Timestamp, TopicName, TypeName};
 use crate::service::reply::{
     AdministrationView, AuditCheck, AuditView, CaptureSummary, ChainView, CheckView, CompareView, ContactRow,
-    DecidedView, DeployedView, DeviceRow, DeviceTopicsView, EnrolledView, EvidenceView, ExportedFile, GatewayView,
-    GrantRow, IdentityView, KeyChangeView, KeysView, OpenedView, PinsView, PlayedView, PolicyView, Provenance,
-    QuarantineView, RecordPage, ServedView, SiteView, TopicRow, TransactionView,
+    CoverageView, DecidedView, DeployedView, DeviceRow, DeviceTopicsView, EnrolledView, EvidenceView, ExportedFile,
+    GatewayView, GrantRow, IdentityView, KeyChangeView, KeysView, OpenedView, PinsView, PlayedView, PolicyView,
+    Provenance, QuarantineView, RecordPage, ServedView, SiteView, TopicRow, TransactionView,
 };
 pub use crate::store::AuditQuery;
 
@@ -93,6 +93,17 @@ requests! {
     } => SecretBytes;
     /// All topics of the ROS graph.
     ListTopics => Vec<TopicRow>;
+    /// When there are own records of a topic, where something is missing, and what was held back; needs no passphrase.
+    TopicCoverage {
+        /// The topic.
+        topic: TopicName,
+        /// From then on; `None` = from its first record on.
+        since: Option<Timestamp>,
+        /// Before then; `None` = until now.
+        until: Option<Timestamp>,
+        /// Into so many parts, 1 to 1,000.
+        parts: usize,
+    } => CoverageView;
     /// Capture a topic until it is unwatched, over restarts.
     WatchTopic {
         /// The topic.

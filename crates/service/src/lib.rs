@@ -17,6 +17,7 @@ use authros_store as store;
 mod alerts;
 pub mod client;
 pub mod command;
+pub mod completing;
 pub mod doctor;
 pub mod event;
 pub mod failure;

@@ -41,7 +41,7 @@ pub use self::records::{
 };
 pub use self::site::{HealthLevel, LifeLine, PartHealth, QueueView, SiteView};
 pub use self::tasks::{TaskState, TaskView};
-pub use self::topics::{CaptureSummary, HeldUp, TopicRow, TopicSummary, WatchView};
+pub use self::topics::{CaptureSummary, CoveragePart, CoverageView, HeldUp, TopicRow, TopicSummary, WatchView};
 pub use self::viewing::PathView;
 use super::command::SecretBytes;
 use crate::model::ErrorKind;
@@ -124,6 +124,8 @@ replies! {
     Key(SecretBytes);
     /// To `ListTopics`.
     Topics(Vec<TopicRow>);
+    /// To `TopicCoverage`.
+    Coverage(CoverageView);
     /// To `Capture`.
     Captured(CaptureSummary);
     /// To `Recording`.

@@ -11,6 +11,8 @@ pub enum IdentityVerb {
     Create,
     /// Show the public identity
     Show,
+    /// The identities of this home: profile, account, fingerprint of the signing key; asks nobody
+    List,
     /// Wipe the keys that decrypt, grant and revoke from the running site's memory; capture goes on
     Lock,
     /// Whether a fingerprint is that of this profile's key, or of an account's

@@ -30,6 +30,8 @@ pub enum TopicsVerb {
         #[arg(long, value_name = "TOPIC")]
         topic: Option<String>,
     },
+    /// When there are own records of a topic, where messages were lost, and what was quarantined
+    Coverage(crate::cli::coverage::CoverageArguments),
     /// The rule of each topic; --learn drafts rules from the live graph
     Policy(crate::cli::policy::PolicyArguments),
     /// No longer accept a publisher of a topic

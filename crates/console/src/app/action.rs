@@ -6,7 +6,7 @@ use super::feed::Feed;
 use super::key::Key;
 use super::screen::Screen;
 use super::verb::Verb;
-use crate::model::{Address, Party, Timestamp};
+use crate::model::{Address, Party, ProfileName, Timestamp};
 use crate::service::reply::ExportedFile;
 use crate::service::{Command, Event, Failure, KeyKind, Reply};
 
@@ -82,6 +82,8 @@ pub enum Effect {
     Mouse(bool),
     /// Give a text to the terminal's clipboard (OSC 52).
     CopyText(String),
+    /// Ask for this profile from now on.
+    SpeakFor(ProfileName),
     /// Write files into a new place below the working directory, 0600, never over others.
     WriteFiles {
         /// Directory to make, if any.
@@ -183,6 +185,8 @@ pub enum Tag {
     Check(String),
     /// Export of a record.
     Export(String),
+    /// A contact entered, confirmed or removed.
+    Contact(String),
     /// Playing of a topic into ROS, under this name.
     Play(String),
     /// End of what is played.
@@ -232,6 +236,7 @@ impl Tag {
             Self::Path(id) => format!("reading the path to {id}"),
             Self::Check(id) => format!("checking {id}"),
             Self::Export(id) => format!("exporting {id}"),
+            Self::Contact(name) => format!("changing contact {name}"),
             Self::Play(topic) => format!("playing {topic} into ROS, live (4, then p: end it)"),
             Self::StopPlay => "ending what is played".to_owned(),
         }

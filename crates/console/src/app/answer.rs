@@ -11,6 +11,7 @@ use super::identity_path;
 use super::opening;
 use super::playing;
 use super::popup::Popup;
+use super::profiles;
 use super::screen::Screen;
 use super::state::State;
 use super::undo;
@@ -26,7 +27,9 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
     if let Tag::Feed(feed, generation) = tag {
         return fed(state, *feed, *generation, result);
     }
-    state.work.retain(|other| other != tag);
+    // What was asked for another profile, before this console spoke for the present one, is nobody's any more.
+    let Some(place) = state.work.iter().position(|other| other == tag) else { return Vec::new() };
+    state.work.remove(place);
     match tag {
         Tag::Feed(..) => {}
         Tag::OpenConsole => return opened_console(state, ask::OpenConsole::heard(result)),
@@ -36,6 +39,7 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
         Tag::Open(id) => return opening::opened(state, id, ask::OpenShared::heard(result)),
         Tag::Path(id) => opening::path_found(state, id, ask::ViewPath::heard(result)),
         Tag::Beside(Screen::Uploads, id) => detail::looked_up(state, id, ask::ShowUpload::heard(result)),
+        Tag::Beside(Screen::Topics, topic) => detail::covered(state, topic, ask::TopicCoverage::heard(result)),
         Tag::Beside(_, id) => detail::opened(state, id, ask::OpenShared::heard(result)),
         Tag::Show(id) => looked_up(state, id, ask::ShowUpload::heard(result)),
         Tag::Publishers(topic) => publishers(state, topic, ask::ListPins::heard(result)),
@@ -59,6 +63,10 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
         Tag::Play(_) => done(state, tag, ask::Play::heard(result), |state, view| playing::ended(state, &view)),
         Tag::StopPlay => done(state, tag, ask::StopPlay::heard(result), |_, ()| {}),
         Tag::Check(_) => done(state, tag, ask::CheckShared::heard(result), |state, check| checked(state, &check)),
+        Tag::Contact(_) => done(state, tag, ask::ListContacts::heard(result), |state, rows| {
+            state.contacts = rows;
+            say_done(state, tag);
+        }),
         Tag::Watch(topic) => done(state, tag, ask::WatchTopic::heard(result), |state, ()| {
             state.inform(format!("now watching {topic}"));
         }),
@@ -146,7 +154,15 @@ fn take(state: &mut State, feed: Feed, result: Answer) -> Result<(), Failure> {
 
 /// A profile that is open elsewhere, or a home that cannot be used, ends the console.
 fn opened_console(state: &mut State, result: Result<(), Failure>) -> Vec<Effect> {
+    let former = state.former.take();
     let Err(failure) = result else { return Vec::new() };
+    if let Some(former) = former {
+        // Back to the profile that this console can speak for.
+        let effects = profiles::switch(state, former);
+        state.former = None;
+        state.complain(failure.message);
+        return effects;
+    }
     if matches!(failure.kind, ErrorKind::Refused | ErrorKind::Home | ErrorKind::Input | ErrorKind::Usage) {
         return vec![Effect::Leave(failure)];
     }
@@ -221,7 +237,9 @@ fn failed(state: &mut State, tag: &Tag, failure: &Failure) {
             let text = format!("{}: {}", tag.words(), failure.message);
             state.log.notice(state.now, NoticeLevel::Error, &text);
             form.error = Some(failure.message.clone());
-            state.popups.insert(0, Popup::Form(purpose, form));
+            let above = matches!(state.popups.last(), Some(Popup::Contacts(_)));
+            let place = if above { state.popups.len() } else { 0 };
+            state.popups.insert(place, Popup::Form(purpose, form));
         }
         None => state.complain_of(tag, failure),
     }
@@ -269,6 +287,7 @@ fn secret(name: String, secret: &SecretBytes) -> Effect {
 fn touched_by(tag: &Tag) -> &'static [Feed] {
     match tag {
         Tag::Watch(_) | Tag::Unwatch(_) | Tag::HoldCapture => &[Feed::Topics],
+        Tag::Contact(_) => &[Feed::Contacts, Feed::Grants, Feed::Shared],
         Tag::Grant(_) | Tag::Extend(_) | Tag::Revoke(_) => &[Feed::Grants, Feed::Identity, Feed::Keys],
         Tag::LoadKey(_) | Tag::Rotate => &[Feed::Keys, Feed::Identity],
         Tag::Pin(_) | Tag::Unpin(_) | Tag::Release(_) | Tag::Discard(_) => &[Feed::Topics],

@@ -50,6 +50,7 @@ pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
             given(entry.works_on(state.screen), "other screen")?;
             given(matches!(verb, Verb::Browse) || state.has_rows(), "nothing selected")
         }
+        Verb::EndTour => given(state.tour.is_some(), "no tour: authros tour begins one"),
         Verb::Period | Verb::FoldAll => given(entry.works_on(state.screen), "other screen"),
         Verb::Release | Verb::Discard => held(state),
         Verb::BackUp => identity(state),
@@ -64,7 +65,7 @@ pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
         }
         Verb::Go(_) | Verb::NextScreen | Verb::PreviousScreen | Verb::Grant | Verb::Tasks | Verb::LocalTime => Ok(()),
         Verb::Freeze | Verb::Palette | Verb::Help | Verb::Dismiss | Verb::ChooseTheme | Verb::Ascii => Ok(()),
-        Verb::Mouse | Verb::Redraw | Verb::Suspend | Verb::Quit => Ok(()),
+        Verb::Mouse | Verb::Redraw | Verb::Suspend | Verb::Quit | Verb::Contacts | Verb::Profile => Ok(()),
     }
 }
 

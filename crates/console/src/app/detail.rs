@@ -6,14 +6,18 @@ use super::opening::Opening;
 use super::popup::Lookup;
 use super::screen::Screen;
 use super::state::State;
-use crate::model::Timestamp;
-use crate::service::reply::{OpenedView, Provenance};
+use crate::model::{Timestamp, TopicName};
+use crate::service::reply::{CoverageView, OpenedView, Provenance};
 use crate::service::{Command, Failure};
 
 /// From so many columns on there is a pane.
 pub const WIDE_FROM: u16 = 140;
 /// How long the cursor rests before a record is asked for, nanoseconds.
 const REST: u64 = 300_000_000;
+/// How often a topic's coverage in the pane is asked for, nanoseconds.
+const COVERAGE_EVERY: u64 = 30_000_000_000;
+/// Parts of a topic's coverage.
+const PARTS: usize = 60;
 
 /// What the pane knows of a record.
 #[derive(Debug, Default)]
@@ -26,6 +30,8 @@ pub struct Detail {
     pub steps: Option<Lookup<Provenance>>,
     /// A record of others.
     pub opening: Option<Opening>,
+    /// When there are records of a topic.
+    pub coverage: Option<(String, Result<Box<CoverageView>, Failure>)>,
 }
 
 impl Detail {
@@ -33,6 +39,12 @@ impl Detail {
     pub fn clear(&mut self) {
         *self = Self::default();
     }
+}
+
+/// What is asked about when there are records of a topic.
+pub fn coverage_of(topic: &TopicName) -> Errand {
+    let command = Command::TopicCoverage { topic: topic.clone(), since: None, until: None, parts: PARTS };
+    Errand { command, tag: Tag::Beside(Screen::Topics, topic.to_string()) }
 }
 
 /// When the record under the cursor is asked for. While an answer is awaited, it is that answer that goes on.
@@ -54,6 +66,7 @@ pub fn is_shown(state: &State) -> bool {
 fn wanted(state: &State) -> Option<(Screen, String)> {
     let open = state.identity.as_ref().is_some_and(|identity| identity.unlocked);
     let tells = match state.screen {
+        Screen::Topics => state.identity.as_ref().is_some_and(|identity| identity.exists),
         Screen::Uploads => true,
         Screen::Shared => open,
         _ => false,
@@ -71,13 +84,19 @@ pub fn follow(state: &mut State) -> Vec<Effect> {
         let wanted = wanted(state);
         if wanted != state.detail.about {
             let due = wanted.as_ref().map(|_| Timestamp(state.now.0.saturating_add(REST)));
-            state.detail = Detail { about: wanted, due, ..Detail::default() };
+            // Coverage is told of the topic that it names, and stays until another's comes.
+            let coverage = state.detail.coverage.take();
+            state.detail = Detail { about: wanted, due, coverage, ..Detail::default() };
         }
     }
     let rested = state.detail.due.is_some_and(|due| due <= state.now);
     let may_ask = may_ask(state);
     let Some((screen, id)) = state.detail.about.clone().filter(|_| rested && may_ask) else { return Vec::new() };
     state.detail.due = None;
+    if screen == Screen::Topics {
+        let topic = id.parse::<TopicName>().ok().filter(|_| state.topics.robot(&id).is_none());
+        return topic.map(|topic| coverage_of(&topic)).map(|errand| state.send(errand)).into_iter().collect();
+    }
     let command = if screen == Screen::Uploads {
         // What was told of it before stays until the new answer comes.
         state.detail.steps =
@@ -103,6 +122,15 @@ pub fn touch(state: &mut State) {
 pub fn looked_up(state: &mut State, id: &str, answer: Result<Provenance, Failure>) {
     if let Some(steps) = state.detail.steps.as_mut().filter(|steps| steps.id == id) {
         steps.answer = Some(answer.map(Box::new));
+    }
+}
+
+/// Takes the answer about a topic; in the pane it is asked again after a while, for nothing tells of it.
+pub fn covered(state: &mut State, topic: &str, answer: Result<CoverageView, Failure>) {
+    state.detail.coverage = Some((topic.to_owned(), answer.map(Box::new)));
+    let beside = state.detail.about.as_ref().is_some_and(|(screen, id)| *screen == Screen::Topics && id == topic);
+    if beside && !state.is_frozen() {
+        state.detail.due = Some(Timestamp(state.now.0.saturating_add(COVERAGE_EVERY)));
     }
 }
 

@@ -137,6 +137,13 @@ impl Feeds {
         slot.stale = true;
     }
 
+    /// No answer to what `former` asked is one to these.
+    pub fn follow(&mut self, former: &Self) {
+        for (slot, before) in self.0.iter_mut().zip(&former.0) {
+            slot.generation = before.generation + 1;
+        }
+    }
+
     /// All are asked anew, once, though the view stands still from now on.
     pub fn gather(&mut self) {
         Feed::ALL.into_iter().for_each(|feed| self.renew(feed));

@@ -14,7 +14,7 @@ pub const SHORTEST_PASSPHRASE: usize = 8;
 
 /// The kinds of key, in the order of the choice.
 const KINDS: [KeyKind; 3] = [KeyKind::Sm4, KeyKind::Sm2, KeyKind::Eoa];
-const KIND_WORDS: &[&str] = &["SM4 (K_C, 16 bytes)", "SM2 (d_C, PEM)", "EOA (V3 keystore or hex)"];
+const KIND_WORDS: &[&str] = &["SM4 (32 hex or 16 raw bytes)", "SM2 (d_C, PEM)", "EOA (V3 keystore or hex)"];
 const EPOCH_WORDS: &[&str] = &["from now on", "all, also what was recorded before"];
 
 /// Asks for the passphrase of a new identity, twice.

@@ -30,6 +30,11 @@ pub fn begin(state: &mut State) {
     open(state, &grantee, &topics, "");
 }
 
+/// Opens it for a contact.
+pub fn begin_for(state: &mut State, name: &str) {
+    open(state, name, &[], "");
+}
+
 fn terms(row: &GrantRow) -> (String, Vec<String>) {
     let grantee = row.name.clone().unwrap_or_else(|| other_side(row).to_string());
     let all = || vec![forms::ALL_TOPICS.to_owned()];

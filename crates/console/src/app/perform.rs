@@ -7,7 +7,9 @@ use super::administration;
 use super::available::available;
 use super::browse::Browse;
 use super::confirm;
+use super::contacts;
 use super::cursor;
+use super::detail;
 use super::feed::Feed;
 use super::forms;
 use super::granting;
@@ -17,6 +19,7 @@ use super::lock;
 use super::mouse;
 use super::playing;
 use super::popup::{Confirm, Lookup, Palette, Popup, Purpose};
+use super::profiles;
 use super::screen::Screen;
 use super::screens::grants::other_side;
 use super::screens::log::LogLine;
@@ -82,6 +85,9 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
             state.popups.push(Popup::Tasks);
         }
         Verb::Readers => readers(state),
+        Verb::Contacts => contacts::open(state),
+        Verb::Profile => profiles::open(state),
+        Verb::EndTour => state.tour = None,
         Verb::Browse => state.popups.push(Popup::Browse(Browse::default())),
         Verb::LocalTime => state.local_time = !state.local_time,
         Verb::Pin => ask_about(state, confirm::pin),
@@ -219,8 +225,13 @@ fn publishers(state: &mut State) -> Vec<Effect> {
     let Some((_, topic)) = selected_topic(state) else { return Vec::new() };
     let name = topic.to_string();
     state.popups.push(Popup::Publishers(Lookup::new(&name)));
+    let coverage = detail::coverage_of(&topic);
     let command = Command::ListPins { topic: Some(topic) };
-    vec![state.send(Errand { command, tag: Tag::Publishers(name) })]
+    let mut effects = vec![state.send(Errand { command, tag: Tag::Publishers(name) })];
+    if !state.work.contains(&coverage.tag) {
+        effects.push(state.send(coverage));
+    }
+    effects
 }
 
 fn ask_about(state: &mut State, question: fn(&TopicRow, TopicName) -> Confirm) {
@@ -311,5 +322,5 @@ pub fn wants_grants(state: &State) -> Option<Feed> {
         .popups
         .iter()
         .any(|popup| matches!(popup, Popup::Form(Purpose::Grant, _) | Popup::Confirm(_) | Popup::Readers(_)));
-    asks.then_some(Feed::Grants)
+    (asks || super::tour::wants_grants(state)).then_some(Feed::Grants)
 }

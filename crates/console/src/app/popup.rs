@@ -5,6 +5,7 @@ use super::administration::Act;
 use super::available::available;
 use super::browse::Browse;
 use super::confirm::Typed;
+use super::contacts::Book;
 use super::field::Field;
 use super::form::Form;
 use super::fuzzy;
@@ -48,6 +49,8 @@ pub enum Popup {
     Line(LogLine),
     /// Choosing among what others share.
     Browse(Browse),
+    /// The address book.
+    Contacts(Book),
     /// Leaving while something would stop, or is not done.
     Quit(Leaving),
 }
@@ -69,6 +72,10 @@ pub enum Purpose {
     ExportKey,
     /// The account of an administrator's act.
     Administer(Act),
+    /// A name for an account.
+    AddContact,
+    /// Which profile to speak for.
+    Profile,
     /// A publisher of this kind of topic that is no longer accepted.
     Unpin,
 }

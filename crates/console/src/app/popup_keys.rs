@@ -5,6 +5,7 @@ use super::administration;
 use super::available::available;
 use super::browse;
 use super::confirm;
+use super::contacts;
 use super::form::{Form, FormStep};
 use super::forms;
 use super::granting::{self, Extension};
@@ -15,6 +16,7 @@ use super::leaving;
 use super::opening;
 use super::perform::{copy, perform};
 use super::popup::{Confirm, Help, Lookup, Palette, Popup, Purpose};
+use super::profiles;
 use super::state::State;
 use super::themes;
 use super::verb::Verb;
@@ -25,6 +27,7 @@ pub fn hints(state: &State, popup: &Popup) -> Vec<(&'static str, &'static str)> 
     match popup {
         Popup::Palette(_) => vec![("enter", "run"), ("up down", "choose"), ("esc", "close")],
         Popup::Browse(_) => vec![("enter", "show these"), ("up down", "choose"), ("q", "close")],
+        Popup::Contacts(_) => contacts::hints(state),
         Popup::Publishers(_) => vec![("up down", "scroll"), ("p", "pin"), ("P", "unpin"), ("q", "close")],
         Popup::Tasks | Popup::Readers(_) => vec![("q", "close")],
         Popup::Line(_) => vec![("y", "copy"), ("q", "close")],
@@ -63,6 +66,7 @@ pub fn popup_key(state: &mut State, key: Key) -> Vec<Effect> {
         Popup::Themes(choice) => themes::key(state, choice, key),
         Popup::Record(opening) => opening::key(state, opening, key),
         Popup::Browse(browse) => browse::key(state, browse, key),
+        Popup::Contacts(book) => contacts::key(state, book, key),
         Popup::Publishers(lookup) => publishers_key(state, lookup, key),
         Popup::Tasks | Popup::Readers(_) => {
             if !matches!(key, Key::Escape | Key::Enter | Key::Char('q' | 't' | 'i')) {
@@ -157,6 +161,11 @@ fn palette_key(state: &mut State, mut palette: Palette, key: Key) -> Vec<Effect>
             if let (Some(("grant", terms)), Ok(())) = (with_terms(&words), available(state, Verb::Grant)) {
                 return granting::spoken(state, terms);
             }
+            if let Some(("profile", [name])) = with_terms(&words)
+                && let Ok(profile) = name.parse()
+            {
+                return profiles::switch(state, profile);
+            }
             let Some(entry) = matches.get(palette.selected.min(last)) else { return Vec::new() };
             return perform(state, entry.verb);
         }
@@ -250,7 +259,7 @@ fn unasked(state: &mut State) -> Vec<Effect> {
 fn need_of(confirm: &Confirm) -> Option<Need> {
     match confirm.errand.tag {
         Tag::Feed(..) | Tag::OpenConsole | Tag::CreateIdentity | Tag::Unlock | Tag::Lock | Tag::BackUp => None,
-        Tag::HoldCapture | Tag::StopPlay => None,
+        Tag::HoldCapture | Tag::StopPlay | Tag::Contact(_) => None,
         Tag::Publishers(_) | Tag::Show(_) | Tag::Beside(..) | Tag::Pin(_) | Tag::Unpin(_) => None,
         Tag::LoadKey(_) | Tag::Release(_) | Tag::Discard(_) | Tag::Deploy | Tag::Adopt => Some(Need::Unlocked),
         Tag::Open(_) | Tag::Path(_) | Tag::Check(_) | Tag::Export(_) | Tag::ExportKey(_) => Some(Need::Unlocked),
@@ -280,7 +289,13 @@ fn form_key(state: &mut State, purpose: Purpose, mut form: Form, key: Key) -> Ve
                 state.popups.insert(state.popups.len() - 1, Popup::Form(purpose, form));
                 return effects;
             }
-            Ok(effects) => return effects,
+            Ok(effects) => {
+                // A contact that is refused is asked for again.
+                if let Some(tag) = state.work.last().filter(|_| purpose == Purpose::AddContact).cloned() {
+                    state.filled = Some((tag, purpose, form));
+                }
+                return effects;
+            }
             Err((line, error)) => {
                 form.refuse(line, error);
                 state.popups.push(Popup::Form(purpose, form));
@@ -314,6 +329,11 @@ fn submit(state: &mut State, purpose: Purpose, form: &Form) -> Result<Vec<Effect
             }
         },
         Purpose::Unpin => forms::read_unpin(form)?,
+        Purpose::AddContact => contacts::read(form)?,
+        Purpose::Profile => {
+            let profile = profiles::read(form)?;
+            return Ok(profiles::switch(state, profile));
+        }
         Purpose::Administer(act) => {
             let question = administration::read(act, form)?;
             state.popups.push(Popup::Confirm(question));

@@ -21,6 +21,7 @@ use super::screens::log::Log;
 use super::screens::records::Records;
 use super::screens::topics::Topics;
 use super::toast::Toasts;
+use super::tour::{Cast, Tour};
 use super::undo::Undo;
 use super::zone::Zone;
 use crate::model::{Address, ProfileName, Timestamp};
@@ -58,6 +59,10 @@ pub struct Settings {
     pub process: u32,
     /// Ask for the passphrase of a locked keyring at the start.
     pub asks_passphrase: bool,
+    /// The profiles of the home, as they were at the start.
+    pub profiles: Vec<ProfileName>,
+    /// Who is who in the tour that begins with the console.
+    pub tour: Option<Cast>,
 }
 
 /// All the console knows and shows.
@@ -135,11 +140,16 @@ pub struct State {
     pub touched: Timestamp,
     /// Whether local times stand beside UTC.
     pub local_time: bool,
+    /// The profile that this console spoke for before, until the present one is claimed.
+    pub former: Option<ProfileName>,
+    /// The tour, while it goes on.
+    pub tour: Option<Tour>,
 }
 
 impl State {
     /// Before the first answer.
     pub fn new(settings: Settings) -> Self {
+        let tour = settings.tour.clone().map(Tour::new);
         Self {
             settings,
             now: Timestamp::default(),
@@ -177,6 +187,8 @@ impl State {
             undo: None,
             touched: Timestamp::default(),
             local_time: false,
+            former: None,
+            tour,
         }
     }
 
@@ -197,7 +209,7 @@ impl State {
 
     /// How many table rows fit on the screen.
     pub fn page_rows(&self) -> usize {
-        usize::from(self.size.1.saturating_sub(FRAME_ROWS)).max(1)
+        usize::from(self.size.1.saturating_sub(FRAME_ROWS + super::tour::rows(self))).max(1)
     }
 
     /// When time alone changes something; `None` = never.
@@ -213,6 +225,7 @@ impl State {
             super::detail::due(self),
             self.progress_asked_at(),
             self.graphs_move_at(),
+            self.grants.nearer_at(self.now).filter(|_| self.screen == Screen::Grants && !self.is_frozen()),
         ];
         moments.into_iter().flatten().min()
     }

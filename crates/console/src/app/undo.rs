@@ -53,7 +53,7 @@ pub fn note(state: &mut State, tag: &Tag) {
         | Tag::Lock
         | Tag::HoldCapture => None,
         Tag::ExportKey(_) | Tag::BackUp | Tag::Export(_) | Tag::Pin(_) | Tag::Unpin(_) => None,
-        Tag::Play(_) | Tag::StopPlay => None,
+        Tag::Play(_) | Tag::StopPlay | Tag::Contact(_) => None,
         Tag::Publishers(_) | Tag::Show(_) | Tag::Beside(..) | Tag::Open(_) | Tag::Path(_) | Tag::Check(_) => None,
     };
     if undo.is_some() {

@@ -16,6 +16,7 @@ use super::popup::{Popup, Purpose};
 use super::popup_keys::{popup_key, popup_paste};
 use super::screens::log::MOST_AUDIT;
 use super::state::State;
+use super::tour;
 use super::verb::Verb;
 use crate::model::{RecordState, Timestamp};
 use crate::service::command::{AuditQuery, RecordingProgress};
@@ -38,6 +39,7 @@ pub fn update(state: &mut State, action: Action) -> Vec<Effect> {
     let mut effects = act(state, action);
     state.topics.refresh(false);
     alerts::refresh(state);
+    tour::follow(state);
     if leaving::is_over(state) {
         effects.push(Effect::Quit);
     }
@@ -175,7 +177,8 @@ fn wants_tasks(state: &State) -> impl Iterator<Item = Feed> + use<> {
 
 /// A grant is checked against the address book, and completed from it.
 fn wants_contacts(state: &State) -> impl Iterator<Item = Feed> + use<> {
-    let asked = state.popups.iter().any(|popup| matches!(popup, Popup::Form(Purpose::Grant, _)));
+    let asks = |popup: &Popup| matches!(popup, Popup::Form(Purpose::Grant, _) | Popup::Contacts(_));
+    let asked = state.popups.iter().any(asks);
     [Feed::Contacts, Feed::Topics].into_iter().filter(move |_| asked)
 }
 

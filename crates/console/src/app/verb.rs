@@ -80,6 +80,12 @@ pub enum Verb {
     Discard,
     /// Who can read this now.
     Readers,
+    /// The address book.
+    Contacts,
+    /// Speak for another profile.
+    Profile,
+    /// Take the tour's strip away.
+    EndTour,
     /// Choose among what others share.
     Browse,
     /// Play what is shared into ROS, or end that.
@@ -292,6 +298,14 @@ pub static VERBS: &[Entry] = &[
     )
     .on(&[Screen::Grants])
     .changing(),
+    entry(
+        Verb::Contacts,
+        "contacts",
+        "contacts",
+        &[Key::Char('c')],
+        "Address book: names for accounts, and their keys",
+    )
+    .on(&[Screen::Grants]),
     entry(Verb::Period, "minutes", "minutes", &[Key::Char('m')], "Graphs over 1, 15 or 60 minutes")
         .on(&[Screen::Overview]),
     entry(Verb::Fold, "fold", "fold", &[Key::Char('h')], "Fold the robot's topics into one row, or unfold them")
@@ -324,15 +338,15 @@ pub static VERBS: &[Entry] = &[
     entry(Verb::Administer(Act::Deploy), "deploy", "deploy", &[Key::Char('d')], "Deploy the contract")
         .on(ON_CHAIN)
         .changing(),
-    administers(Act::Admit, "admit", "Administrator: let an account register"),
+    administers(Act::Admit, "allow-account", "Administrator: let an account register"),
     administers(Act::Dismiss, "withdraw-admission", "Administrator: withdraw an admission"),
     administers(Act::Suspend, "suspend", "Administrator: stop an account's changes"),
     administers(Act::Restore, "restore", "Administrator: free a suspended account"),
     administers(Act::Open, "open-registration", "Administrator: anyone may register"),
     administers(Act::Close, "close-registration", "Administrator: only admitted accounts may register"),
     administers(Act::Pause, "pause-changes", "Administrator: stop all changes but revokes"),
-    administers(Act::Continue, "continue-changes", "Administrator: let changes go on"),
-    administers(Act::Succeed, "succeed", "Administrator: name who continues for a lost account"),
+    administers(Act::Continue, "resume-changes", "Administrator: let changes go on"),
+    administers(Act::Succeed, "replace-lost-account", "Administrator: name who continues for a lost account"),
     administers(Act::HandOver, "hand-over", "Administrator: name the next administrator"),
     administers(Act::Accept, "accept-administration", "Take over as the administrator that was named"),
     administers(Act::Adopt, "adopt-chain", "Adopt the present chain, give up the pinned"),
@@ -362,6 +376,8 @@ pub static VERBS: &[Entry] = &[
     entry(Verb::LocalTime, "local-time", "", &[], "Show local time beside UTC, or UTC only")
         .chord(&[Key::Char('z'), Key::Char('l')]),
     entry(Verb::Freeze, "freeze", "freeze", &[Key::Char('f')], "Freeze the view (capture continues)"),
+    entry(Verb::Profile, "profile", "", &[], "Speak for another profile of this home"),
+    entry(Verb::EndTour, "end-tour", "", &[Key::Char('E')], "Take the tour's strip away"),
     entry(Verb::Palette, "palette", "commands", &[Key::Char(':')], "Every command by name").unlisted(),
     entry(Verb::Help, "help", "help", &[Key::Char('?')], "What the keys do here"),
     entry(Verb::Quit, "quit", "quit", &[Key::Char('q'), Key::Control('c')], "Quit; says what stops, and asks"),

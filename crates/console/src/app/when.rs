@@ -13,7 +13,9 @@ pub fn expiry(text: &str, now: Timestamp) -> Result<Option<Timestamp>, String> {
         return Ok(None);
     }
     let moment = positive_span(text).ok().map(|span| now.end_after(span));
-    let moment = moment.or_else(|| date(text)).ok_or("write a time such as 30d, 12h, 45m or 2036-12-31, or nothing")?;
+    let moment = moment
+        .or_else(|| date(text))
+        .ok_or("enter a duration (45m, 12h, 30d) or a date (2036-12-31), or leave it empty")?;
     if moment <= now { Err("that moment has passed; write a later one".to_owned()) } else { Ok(Some(moment)) }
 }
 

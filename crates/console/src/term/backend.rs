@@ -1,5 +1,6 @@
 //! Ratatui's backend over the encoder: frames end as bytes in memory, never on the tty.
 
+use std::collections::BTreeMap;
 use std::convert::Infallible;
 
 use ratatui::backend::{Backend, ClearType, WindowSize};
@@ -16,16 +17,28 @@ pub struct FrameBackend {
     size: Size,
     shown: bool,
     position: Position,
+    /// Changed cells that a frame of few bytes had no room for, by row and column.
+    waiting: BTreeMap<(u16, u16), Cell>,
+    /// The most bytes of a frame, as far as whole rows go.
+    most: Option<usize>,
 }
 
 impl FrameBackend {
     /// Of that size and colour depth.
     pub fn new(depth: Depth, size: Size) -> Self {
-        Self { encoder: Encoder::new(depth), size, shown: false, position: Position::ORIGIN }
+        Self {
+            encoder: Encoder::new(depth),
+            size,
+            shown: false,
+            position: Position::ORIGIN,
+            waiting: BTreeMap::new(),
+            most: None,
+        }
     }
 
     /// The terminal has a new size; the next frame is drawn whole.
     pub fn resize(&mut self, size: Size) {
+        self.waiting.clear();
         self.size = size;
     }
 
@@ -35,6 +48,17 @@ impl FrameBackend {
         self.encoder.take_frame()
     }
 
+    /// Frames from now on have so many bytes, and what of whole rows goes beyond; the other rows wait. `None` = no limit,
+    /// and what waits goes on waiting for a frame that has one: a key is answered by what is new alone.
+    pub fn limit(&mut self, most: Option<usize>) {
+        self.most = most;
+    }
+
+    /// Whether rows wait for the next frame.
+    pub fn waits(&self) -> bool {
+        !self.waiting.is_empty()
+    }
+
     /// What stands in `area` was covered by a picture.
     pub fn cover(&mut self, area: Rect) {
         self.encoder.cover(area);
@@ -42,6 +66,7 @@ impl FrameBackend {
 
     /// The real terminal was used by others.
     pub fn forget(&mut self) {
+        self.waiting.clear();
         self.encoder.forget();
     }
 }
@@ -50,8 +75,29 @@ impl Backend for FrameBackend {
     type Error = Infallible;
 
     fn draw<'a, I: Iterator<Item = (u16, u16, &'a Cell)>>(&mut self, content: I) -> Result<(), Infallible> {
-        for (x, y, cell) in content {
-            self.encoder.cell(x, y, cell);
+        if self.most.is_none() && self.waiting.is_empty() {
+            for (x, y, cell) in content {
+                self.encoder.cell(x, y, cell);
+            }
+            return Ok(());
+        }
+        let new = content.map(|(x, y, cell)| ((y, x), cell.clone()));
+        let Some(most) = self.most else {
+            for ((y, x), cell) in new {
+                self.waiting.remove(&(y, x));
+                self.encoder.cell(x, y, &cell);
+            }
+            return Ok(());
+        };
+        self.waiting.extend(new);
+        while let Some(row) = self.waiting.first_key_value().map(|((y, _), _)| *y) {
+            if self.encoder.length() >= most {
+                break;
+            }
+            let rest = self.waiting.split_off(&(row + 1, 0));
+            for ((y, x), cell) in std::mem::replace(&mut self.waiting, rest) {
+                self.encoder.cell(x, y, &cell);
+            }
         }
         Ok(())
     }
@@ -76,6 +122,7 @@ impl Backend for FrameBackend {
     }
 
     fn clear(&mut self) -> Result<(), Infallible> {
+        self.waiting.clear();
         self.encoder.clear();
         Ok(())
     }

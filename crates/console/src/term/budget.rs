@@ -6,6 +6,8 @@ use std::time::{Duration, Instant};
 pub const OVER_SSH: u32 = 4_000;
 /// The shortest time between two frames for data.
 const LEAST_GAP: Duration = Duration::from_millis(50);
+/// A frame for data takes the line for one part of a second in so many.
+const IN_FLIGHT: u32 = 10;
 
 /// Bytes sent and still to be paid for by waiting.
 #[derive(Debug)]
@@ -18,6 +20,13 @@ impl Budget {
     /// So many bytes a second; `None` = only the gap counts.
     pub fn new(bytes_per_second: Option<u32>, now: Instant) -> Self {
         Self { bytes_per_second: bytes_per_second.filter(|bytes| *bytes > 0), next: now }
+    }
+
+    /// The most bytes of a frame for data, whole rows beyond it not counted: what is on its way when a key is pressed
+    /// delays the answer. `None` = no limit.
+    pub fn most_at_once(&self) -> Option<usize> {
+        let rate = self.bytes_per_second?;
+        usize::try_from(rate / IN_FLIGHT).ok()
     }
 
     /// How long a frame for data has to wait.

@@ -93,6 +93,11 @@ impl Encoder {
         self.cursor = wanted;
     }
 
+    /// Bytes of the frame so far.
+    pub fn length(&self) -> usize {
+        self.out.len()
+    }
+
     /// The bytes of the frame, wrapped for showing at once; empty where nothing changed.
     pub fn take_frame(&mut self) -> String {
         if !self.out.is_empty() {

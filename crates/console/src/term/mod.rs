@@ -28,10 +28,11 @@ use std::path::{Path, PathBuf};
 
 use tokio::runtime::Handle;
 
+use crate::app::tour::Cast;
 use crate::app::zone::Zone;
 use crate::app::{Keymap, Settings, State};
 use crate::config::Pictures;
-use crate::model::{ErrorKind, Timestamp};
+use crate::model::{ErrorKind, ProfileName, Timestamp};
 use crate::service::{Client, Failure};
 use crate::ui::{ThemeError, Themes};
 
@@ -63,6 +64,10 @@ pub struct ConsoleOptions {
     pub lock_after: Option<u64>,
     /// Ask for the passphrase of a locked keyring at the start; not where it is given in another way.
     pub asks_passphrase: bool,
+    /// The profiles of the home.
+    pub profiles: Vec<ProfileName>,
+    /// Who is who in the tour, where the console begins with it.
+    pub tour: Option<Cast>,
 }
 
 /// Why the console ended.
@@ -135,6 +140,8 @@ fn first_state(client: &Client, options: &ConsoleOptions, directory: &Path) -> S
         lock_after: options.lock_after,
         process: std::process::id(),
         asks_passphrase: options.asks_passphrase,
+        profiles: options.profiles.clone(),
+        tour: options.tour.clone(),
         zone: Zone::new(jiff::tz::TimeZone::system()),
     });
     (state.now, state.mouse) = (Timestamp::now(), options.mouse);

@@ -10,6 +10,7 @@ use zeroize::Zeroizing;
 
 use super::files;
 use crate::app::{Action, Contents, Tag};
+use crate::model::ProfileName;
 use crate::service::client::site_gone;
 use crate::service::{Client, Command};
 
@@ -55,6 +56,11 @@ impl Outside {
                 }
             }
         });
+    }
+
+    /// Asks for this profile from now on.
+    pub fn speak_for(&mut self, profile: ProfileName) {
+        self.client = self.client.for_profile(profile);
     }
 
     /// Sends a command; its answer comes as an action.

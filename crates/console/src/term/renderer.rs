@@ -40,6 +40,13 @@ impl Painter {
 
     /// The bytes that bring the terminal to the scene as it is now; empty where it is so.
     pub fn paint(&mut self, scene: &mut Scene) -> String {
+        self.paint_at_most(scene, None)
+    }
+
+    /// The same in frames of at most so many bytes, as far as whole rows go; [`Self::is_behind`] says whether more is
+    /// to come.
+    pub fn paint_at_most(&mut self, scene: &mut Scene, most: Option<usize>) -> String {
+        self.terminal.backend_mut().limit(most);
         let mut bytes = String::new();
         let anew = std::mem::take(&mut scene.anew);
         if anew || self.size != scene.state.size {
@@ -64,6 +71,11 @@ impl Painter {
         bytes.push_str(&change.put);
         bytes.push_str(&std::mem::take(&mut scene.extra));
         bytes
+    }
+
+    /// Whether rows wait for a further frame.
+    pub fn is_behind(&self) -> bool {
+        self.terminal.backend().waits()
     }
 }
 
@@ -97,10 +109,14 @@ fn next_frame(stage: &Stage, painter: &mut Painter, budget: &Budget) -> Option<S
     let mut scene = stage.scene();
     loop {
         scene = due(stage, scene, budget)?;
+        let most = if scene.wish == Wish::Data { budget.most_at_once() } else { None };
         scene.wish = Wish::None;
         #[cfg(feature = "fault")]
         fail_for_the_test(&scene);
-        let bytes = painter.paint(&mut scene);
+        let bytes = painter.paint_at_most(&mut scene, most);
+        if painter.is_behind() {
+            scene.wish = Wish::Data;
+        }
         if !bytes.is_empty() {
             return Some(bytes);
         }
@@ -162,6 +178,35 @@ mod tests {
         assert_eq!(painter.paint(&mut scene), "");
         drop(update(&mut scene.state, Action::Key(Key::Char('2'))));
         assert!(!painter.paint(&mut scene).is_empty());
+        assert_eq!(painter.paint(&mut scene), "");
+    }
+
+    #[test]
+    fn what_comes_in_small_frames_ends_as_the_same_screen_and_a_key_is_not_behind_it() {
+        let mut scene = scene();
+        let (mut painter, mut whole) = (Painter::new(Depth::True, (80, 24)), Painter::new(Depth::True, (80, 24)));
+        let cells = |count| std::num::NonZeroU16::new(count).expect("not zero");
+        let emulator = || vt100::Parser::new(cells(24), cells(80), 0);
+        let (mut screen, mut wanted) = (emulator(), emulator());
+        screen.process(painter.paint(&mut scene).as_bytes());
+        drop(update(&mut scene.state, Action::Key(Key::Char('?'))));
+        let first = painter.paint_at_most(&mut scene, Some(200));
+        assert!(painter.is_behind() && first.len() < 500, "{}", first.len());
+        screen.process(first.as_bytes());
+        // A key in between that changes nothing is answered by nothing: its frame has what is new, not what waits.
+        drop(update(&mut scene.state, Action::Key(Key::Up)));
+        assert_eq!(painter.paint(&mut scene), "");
+        assert!(painter.is_behind());
+        let mut frames = 0;
+        while painter.is_behind() {
+            let frame = painter.paint_at_most(&mut scene, Some(200));
+            assert!(!frame.is_empty() && frame.len() < 500, "{}", frame.len());
+            screen.process(frame.as_bytes());
+            frames += 1;
+        }
+        assert!(frames > 2, "{frames}");
+        wanted.process(whole.paint(&mut scene).as_bytes());
+        assert_eq!(screen.screen().contents(), wanted.screen().contents());
         assert_eq!(painter.paint(&mut scene), "");
     }
 

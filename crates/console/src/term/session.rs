@@ -21,7 +21,7 @@ use super::stage::{Stage, Wish};
 use super::{ConsoleOptions, ExitReason, TermError, clipboard, guard, input};
 use crate::app::{Action, Effect, update};
 use crate::config::Pictures;
-use crate::model::Timestamp;
+use crate::model::{ProfileName, Timestamp};
 use crate::service::Client;
 use crate::ui::{Theme, Themes};
 
@@ -43,6 +43,8 @@ pub struct Session {
     themes: Themes,
     mouse: bool,
     kept: Option<PathBuf>,
+    /// Whose screens are kept.
+    profile: ProfileName,
     _guard: guard::Guard,
     _signals: Listener,
 }
@@ -74,6 +76,7 @@ impl Session {
         let stop = Arc::new(AtomicBool::new(false));
         input::start(Arc::clone(&stop), sender(&mouth, Heard::Act))?;
         let session = Self {
+            profile: client.profile().clone(),
             outside: Outside { client, handle: handle.clone(), mouth, directory },
             stage,
             ears,
@@ -186,6 +189,7 @@ impl Session {
                 Effect::CopyText(text) => {
                     self.stage.change(Wish::Now, |scene| scene.extra.push_str(&clipboard::sequence(&text)));
                 }
+                Effect::SpeakFor(profile) => self.outside.speak_for(profile),
                 Effect::WriteFiles { directory, files } => self.outside.write(directory, files),
             }
         }
@@ -242,7 +246,8 @@ impl Session {
     /// Ends the threads and gives the terminal back.
     fn close(&self) {
         self.stop.store(true, Ordering::Relaxed);
-        if let Some(path) = &self.kept {
+        let of_the_first = *self.outside.client.profile() == self.profile;
+        if let Some(path) = self.kept.as_ref().filter(|_| of_the_first) {
             let kept = crate::app::resume::kept(&self.stage.scene().state);
             super::kept::write(path, &kept);
         }

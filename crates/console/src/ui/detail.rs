@@ -3,19 +3,19 @@
 use ratatui::layout::Rect;
 
 use super::canvas::{Canvas, below, right_of, row};
-use super::popups::{Piece, inside, provenance_lines, put_lines, record_facts};
+use super::popups::{Piece, coverage_lines, inside, provenance_lines, put_lines, record_facts};
 use super::theme::Role;
 use super::topics::watched;
 use super::words::{count, kilobytes, rate, size, wrap};
 use super::{bottom, graph};
 use crate::app::popup::Lookup;
-use crate::app::screens::grants::{end, is_given, scope};
+use crate::app::screens::grants::{end, is_active, is_given, scope, soon};
 use crate::app::screens::log::level_word;
 use crate::app::screens::records::Records;
 use crate::app::screens::topics::KEPT_SAMPLES;
 use crate::app::{Screen, State, detail};
 use crate::model::{Timestamp, clean};
-use crate::service::reply::TopicRow;
+use crate::service::reply::{GrantRow, TopicRow};
 
 /// Columns that the list keeps at least.
 const LIST: u16 = 84;
@@ -82,6 +82,9 @@ fn draw_topic(canvas: &mut Canvas, area: Rect, state: &State) {
     let width = area.width.min(u16::try_from(KEPT_SAMPLES).unwrap_or(u16::MAX));
     let bars = Rect { height: GRAPH.min(here.height.saturating_sub(1)), width, ..below(here, 1) };
     graph::draw(canvas, bars, &values, most, Role::Accent);
+    let lines: Vec<Vec<Piece>> =
+        coverage_lines(state, &topic.topic).into_iter().map(|(text, role)| vec![(text, role)]).collect();
+    put_lines(canvas, below(here, bars.height + 2), &lines, 0);
 }
 
 fn about(topic: &TopicRow) -> Vec<(&'static str, String)> {
@@ -157,10 +160,15 @@ fn grant(state: &State) -> Vec<(&'static str, String)> {
         ("fingerprint", row.fingerprint.clone().unwrap_or_else(|| "not registered".to_owned())),
         ("topics", topics),
         ("epoch", row.epoch.to_string()),
-        ("ends", end(row.expires)),
+        ("ends", ends(row, state.shown_at())),
         ("block", row.block.to_string()),
         ("transaction", row.transaction.to_string()),
     ]
+}
+
+fn ends(row: &GrantRow, now: Timestamp) -> String {
+    let left = soon(row.expires, now).filter(|_| is_active(row)).map(|left| format!(" ({left})"));
+    format!("{}{}", end(row.expires), left.unwrap_or_default())
 }
 
 fn sender(state: &State) -> Vec<(&'static str, String)> {

@@ -20,7 +20,12 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, roomy: bool) -> Rect
         }
         return below(area, 1);
     }
-    canvas.puts(row(area, 0), &[("First steps", Role::Title), ("  press the highlighted key", Role::Dim)]);
+    let hint = if state.tour.is_some() {
+        "  press the highlighted key"
+    } else {
+        "  press the highlighted key; all of it in five minutes: authros tour"
+    };
+    canvas.puts(row(area, 0), &[("First steps", Role::Title), (hint, Role::Dim)]);
     for (line, (place, step)) in (1u16..).zip(steps.iter().enumerate()) {
         draw_step(canvas, row(area, line), step, place, next == Some(place));
     }

@@ -8,7 +8,7 @@ use super::theme::Role;
 use super::topics::empty;
 use crate::app::State;
 use crate::app::feed::Feed;
-use crate::app::screens::grants::{SORTS, day, is_active, is_given, key, other_side, scope};
+use crate::app::screens::grants::{SORTS, day, is_active, is_given, key, other_side, scope, soon};
 use crate::service::reply::GrantRow;
 
 const COLUMNS: &[Column] = &[
@@ -19,7 +19,7 @@ const COLUMNS: &[Column] = &[
     Column::text("SM2 fingerprint", 39).from(180),
     Column::name("Topics"),
     Column::number("Epoch", 6),
-    Column::text("Ends UTC", 16).from(75),
+    Column::text("Ends UTC", 18).from(75),
     Column::number("Block", 8).from(100),
 ];
 
@@ -31,7 +31,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
     let readers = grants.rows.iter().filter(|row| is_given(row) && is_active(row)).count();
     let order = order(&SORTS, &grants.table);
     let note = format!("{} of {}, by {order}; {readers} can read new records now", rows.len(), grants.rows.len());
-    let cells = |index: usize| rows.get(index).map_or_else(Vec::new, |row| cells(row));
+    let cells = |index: usize| rows.get(index).map_or_else(Vec::new, |row| cells(state, row));
     let empty = empty(state, Feed::Grants, "Nothing granted or received yet; press g to grant.");
     let sheet = Sheet {
         title: "Grants",
@@ -46,7 +46,16 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
     draw_table(canvas, area, &sheet);
 }
 
-fn cells(row: &GrantRow) -> Vec<(String, Role)> {
+/// When it ends: what ends soon by the time left, and the clock beside it.
+fn ends(state: &State, row: &GrantRow) -> (String, Role) {
+    let Some(end) = row.expires else { return ("no end".to_owned(), Role::Dim) };
+    match soon(row.expires, state.shown_at()).filter(|_| is_active(row)) {
+        Some(left) => (format!("{left}, {}", end.clock().get(..5).unwrap_or_default()), Role::Warning),
+        None => (day(end), Role::Dim),
+    }
+}
+
+fn cells(state: &State, row: &GrantRow) -> Vec<(String, Role)> {
     let role = if is_active(row) { Role::Good } else { Role::Dim };
     let direction = if is_given(row) { "given to" } else { "got from" };
     vec![
@@ -57,7 +66,7 @@ fn cells(row: &GrantRow) -> Vec<(String, Role)> {
         (row.fingerprint.clone().unwrap_or_else(|| "not registered".to_owned()), Role::Dim),
         (scope(&row.topics), Role::Body),
         (row.epoch.to_string(), Role::Body),
-        (row.expires.map_or_else(|| "no end".to_owned(), day), Role::Dim),
+        ends(state, row),
         (row.block.to_string(), Role::Dim),
     ]
 }

@@ -35,6 +35,7 @@ pub mod records;
 pub mod table;
 pub mod theme;
 pub mod topics;
+pub mod tour;
 pub mod words;
 
 #[cfg(test)]
@@ -74,12 +75,17 @@ pub fn draw(frame: &mut Frame, state: &State, theme: &Theme) -> Option<Placement
 }
 
 fn draw_whole(canvas: &mut Canvas, area: Rect, state: &State) {
-    let content = Rect { y: area.y + 2, height: area.height - 4, ..area };
+    let strip = crate::app::tour::rows(state);
+    let content = Rect { y: area.y + 2, height: area.height - 4 - strip, ..area };
     header::draw(canvas, Rect { height: 2, ..area }, state);
     draw_content(canvas, content, state);
     if let Some(popup) = state.popups.last() {
         popups::draw(canvas, content, state, popup);
     }
+    if let Some(tour) = &state.tour {
+        tour::draw(canvas, Rect { y: content.bottom(), height: strip, ..area }, tour);
+    }
+    // A message of several lines goes before the strip.
     bottom::draw(canvas, area, state);
 }
 

@@ -60,6 +60,67 @@ pub struct TopicRow {
     pub alarm: bool,
 }
 
+/// What there is of one part of a span of time.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct CoveragePart {
+    /// Its beginning.
+    pub at: Timestamp,
+    /// Whether there are records that are neither held back nor altered.
+    pub data: bool,
+    /// Whether there are records that are held back, or were and then discarded.
+    pub quarantined: bool,
+    /// Whether there are records whose stored bytes are wrong.
+    pub tampered: bool,
+    /// Messages that were noticed to be lost in it.
+    pub lost: u64,
+}
+
+/// When there are records of a topic.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct CoverageView {
+    /// The topic.
+    pub topic: TopicName,
+    /// Beginning of the span.
+    pub since: Timestamp,
+    /// Its end.
+    pub until: Timestamp,
+    /// Capture of the first record ever.
+    pub first: Option<Timestamp>,
+    /// Capture of the last.
+    pub last: Option<Timestamp>,
+    /// The parts of the span, oldest first, of one length.
+    pub parts: Vec<CoveragePart>,
+}
+
+impl CoveragePart {
+    /// The sign of a part: the worst that there is of it.
+    pub fn sign(&self) -> char {
+        match self {
+            Self { tampered: true, .. } => 'T',
+            Self { quarantined: true, .. } => 'Q',
+            Self { lost: 1.., .. } => 'L',
+            Self { data: true, .. } => '█',
+            _ => '·',
+        }
+    }
+}
+
+impl CoverageView {
+    /// A sign for each part.
+    pub fn strip(&self) -> String {
+        self.parts.iter().map(CoveragePart::sign).collect()
+    }
+
+    /// What the signs mean, of those that there are.
+    pub fn legend(&self) -> String {
+        const MEANINGS: [(char, &str); 5] =
+            [('█', "recorded"), ('·', "nothing"), ('L', "messages lost"), ('Q', "quarantined"), ('T', "tampered")];
+        let strip = self.strip();
+        let there = MEANINGS.iter().filter(|(sign, _)| strip.contains(*sign));
+        there.map(|(sign, text)| format!("{sign} {text}")).collect::<Vec<_>>().join("  ")
+    }
+}
+
 /// A topic that is watched.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct WatchView {

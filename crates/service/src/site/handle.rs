@@ -2,27 +2,14 @@
 
 #![deny(clippy::wildcard_enum_match_arm)]
 
-use std::collections::HashSet;
-use std::sync::{Arc, Mutex, PoisonError};
-
-use tokio::sync::oneshot;
+use std::sync::Arc;
 
 use super::Site;
-use crate::model::{ErrorKind, ProfileName};
+use super::consoles::{Claims, opened_by, until_released};
+use crate::model::ProfileName;
 use crate::pipeline::Owner;
 use crate::service::command::{self as ask, Ask, Command, Operation, Request, StoreCommand};
 use crate::service::reply::{Failure, Reply};
-
-/// What a connection holds as long as it lasts.
-#[derive(Default)]
-pub struct Held {
-    consoles: HashSet<ProfileName>,
-    /// Each ends a server of the chain when it is dropped.
-    servers: Vec<oneshot::Sender<()>>,
-}
-
-/// What a connection holds, shared by its requests.
-pub type Claims = Arc<Mutex<Held>>;
 
 impl Site {
     /// Answers one request. Each variant has its arm here, so a request that nothing answers does not compile.
@@ -36,10 +23,19 @@ impl Site {
         match command {
             Command::OpenConsole => self.claim(profile, claims).map(ask::OpenConsole::told),
             Command::CreateIdentity { passphrase } => {
-                self.profiles.create(profile, passphrase).await.map(ask::CreateIdentity::told)
+                let made = self.profiles.create(profile.clone(), passphrase).await?;
+                opened_by(claims, profile);
+                Ok(ask::CreateIdentity::told(made))
             }
             Command::ShowIdentity => self.profiles.view(&profile).await.map(ask::ShowIdentity::told),
-            Command::Unlock { passphrase } => self.profiles.unlock(profile, passphrase).await.map(ask::Unlock::told),
+            Command::Unlock { passphrase } => {
+                let was_open = owner().is_ok();
+                let view = self.profiles.unlock(profile.clone(), passphrase).await?;
+                if !was_open {
+                    opened_by(claims, profile);
+                }
+                Ok(ask::Unlock::told(view))
+            }
             Command::ChangePassphrase { old, new } => {
                 self.profiles.change_passphrase(&profile, old, new).await.map(ask::ChangePassphrase::told)
             }
@@ -55,6 +51,10 @@ impl Site {
             Command::RotateKeys => self.sharing.rotate(&owner()?, "asked for").await.map(ask::RotateKeys::told),
             Command::ExportKey { kind, passphrase } => {
                 self.profiles.export_key(&owner()?, kind, passphrase).await.map(ask::ExportKey::told)
+            }
+            Command::TopicCoverage { topic, since, until, parts } => {
+                let view = self.reading.coverage(&profile, topic, (since, until), parts).await;
+                view.map(ask::TopicCoverage::told)
             }
             Command::ListTopics => self.capture.topics(&profile).await.map(ask::ListTopics::told),
             Command::WatchTopic { topic, type_name } => {
@@ -227,35 +227,4 @@ impl Site {
         self.joined.caught_up(profile).await?;
         Ok(owner)
     }
-
-    fn claim(&self, profile: ProfileName, claims: &Claims) -> Result<(), Failure> {
-        let mut consoles = self.consoles.lock().unwrap_or_else(PoisonError::into_inner);
-        let own = claims.lock().unwrap_or_else(PoisonError::into_inner).consoles.contains(&profile);
-        if !consoles.insert(profile.clone()) && !own {
-            return Err(Failure::new(
-                ErrorKind::Home,
-                format!(
-                    "a console of profile '{profile}' is open already; close it, or open another profile with --profile"
-                ),
-            ));
-        }
-        claims.lock().unwrap_or_else(PoisonError::into_inner).consoles.insert(profile);
-        Ok(())
-    }
-
-    /// Frees the consoles that a connection held, and ends the servers it asked for.
-    pub(super) fn release(&self, claims: &Claims) {
-        let mut consoles = self.consoles.lock().unwrap_or_else(PoisonError::into_inner);
-        let held = std::mem::take(&mut *claims.lock().unwrap_or_else(PoisonError::into_inner));
-        for profile in held.consoles {
-            consoles.remove(&profile);
-        }
-    }
-}
-
-/// Ends when what the connection holds is released.
-fn until_released(claims: &Claims) -> oneshot::Receiver<()> {
-    let (end, ended) = oneshot::channel();
-    claims.lock().unwrap_or_else(PoisonError::into_inner).servers.push(end);
-    ended
 }

@@ -11,6 +11,7 @@ mod bridge;
 mod capture;
 mod chain;
 mod clock;
+mod consoles;
 mod contacts;
 mod devices;
 mod evidence;
@@ -35,7 +36,6 @@ mod supervision_tests;
 mod testing;
 mod workers;
 
-use std::collections::HashSet;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
@@ -45,6 +45,7 @@ use tokio::sync::{broadcast, mpsc};
 pub use agent::{Agent, AgentEnd, AgentFigures, AgentWishes};
 pub use capture::ros::RosState;
 pub use chain::link::NetworkState;
+pub(crate) use contacts::BOOK;
 pub(super) use devices::enrolled::Enrolled;
 pub use devices::enrolling::EnrolWishes;
 pub use reading::view::record_page;
@@ -140,7 +141,7 @@ pub struct Site {
     storage: Arc<Storage>,
     clock: Arc<Clock>,
     alerts: Arc<Alerts>,
-    consoles: Mutex<HashSet<ProfileName>>,
+    consoles: Mutex<consoles::Consoles>,
     guests: AtomicUsize,
     ros_task: Mutex<Option<tokio::task::JoinHandle<()>>>,
     _lock: SiteLock,
@@ -284,7 +285,7 @@ impl Site {
 
     /// Answers calls until their sender is gone; consoles claimed through it are then free again.
     pub async fn serve(self: Arc<Self>, mut calls: mpsc::UnboundedReceiver<Call>) {
-        let claims = handle::Claims::default();
+        let claims = consoles::Claims::default();
         while let Some(Call { request, answer }) = calls.recv().await {
             let (site, claims) = (Arc::clone(&self), Arc::clone(&claims));
             tokio::spawn(async move {

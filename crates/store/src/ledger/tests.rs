@@ -2,8 +2,10 @@
 
 mod adoption;
 mod ages;
+mod coverage;
 mod directory;
 mod gaps;
+mod glance;
 mod groups;
 mod model;
 mod pages;

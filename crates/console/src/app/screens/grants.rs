@@ -78,6 +78,17 @@ impl Grants {
         rows.get(self.table.position(&keys)).copied()
     }
 
+    /// When the time left of a grant that ends soon is another one, though nothing is told; `None` = never.
+    pub fn nearer_at(&self, now: Timestamp) -> Option<Timestamp> {
+        let ends = self.rows.iter().filter(|row| is_active(row)).filter_map(|row| row.expires);
+        let next = |end: Timestamp| {
+            let left = end.0.checked_sub(now.0).filter(|left| (1..SOON).contains(left))?;
+            let unit = if left < 2 * HOUR { MINUTE } else { HOUR };
+            Some(Timestamp(end.0 - left / unit * unit + 1))
+        };
+        ends.filter_map(next).min()
+    }
+
     /// Whether anything was ever given.
     pub fn any_given(&self) -> bool {
         self.rows.iter().any(is_given)
@@ -102,6 +113,21 @@ pub fn scope(topics: &[String]) -> String {
 /// When a grant ends, in words.
 pub fn end(expires: Option<Timestamp>) -> String {
     expires.map_or_else(|| "no end".to_owned(), |moment| format!("until {}", day(moment)))
+}
+
+/// Grants that end within this are told by the time left, nanoseconds.
+const SOON: u64 = 48 * HOUR;
+const HOUR: u64 = 3_600_000_000_000;
+const MINUTE: u64 = 60_000_000_000;
+
+/// How much is left of what ends soon, in words; `None` = it does not, or has ended.
+pub fn soon(expires: Option<Timestamp>, now: Timestamp) -> Option<String> {
+    let left = expires?.0.checked_sub(now.0).filter(|left| *left < SOON)?;
+    Some(match left / MINUTE {
+        0 => "in under 1 min".to_owned(),
+        minutes @ 1..120 => format!("in {minutes} min"),
+        minutes => format!("in {} h", minutes / 60),
+    })
 }
 
 /// `2026-12-31 23:59` UTC.

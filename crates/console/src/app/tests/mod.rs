@@ -3,6 +3,7 @@
 pub mod fixtures;
 
 mod aiming;
+mod contacts;
 mod first_use;
 mod fleet;
 mod freezing;
@@ -14,9 +15,11 @@ mod logging;
 mod operating;
 mod palette;
 mod placeholders;
+mod profiles;
 mod pulling;
 mod records;
 mod standing;
+mod touring;
 mod watching;
 mod wide;
 

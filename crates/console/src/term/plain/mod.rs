@@ -174,6 +174,7 @@ impl Plain {
                     self.say("Output is no terminal, so nothing takes it; it stands in the next line.")
                 }
                 Effect::WriteFiles { directory, files } => self.outside.write(directory, files),
+                Effect::SpeakFor(profile) => self.outside.speak_for(profile),
                 Effect::ShowTheme(_) | Effect::ToggleAscii | Effect::Mouse(_) => {
                     self.say("Lines have neither colours nor a mouse.");
                 }

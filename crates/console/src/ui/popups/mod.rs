@@ -2,6 +2,7 @@
 
 mod browse;
 mod chord;
+mod contacts;
 mod form;
 mod help;
 mod lookup;
@@ -22,6 +23,7 @@ use crate::model::clean;
 
 pub(in crate::ui) use lookup::{Piece, provenance_lines, record_lines as record_facts};
 pub(in crate::ui) use record::{inside, put_lines};
+pub(in crate::ui) use situation::coverage_lines;
 
 /// Draws a popup into the middle of `area`.
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, popup: &Popup) {
@@ -39,6 +41,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, popup: &Popup) {
         Popup::Line(line) => situation::draw_line(canvas, area, line),
         Popup::Tasks => situation::draw_tasks(canvas, area, state),
         Popup::Browse(browse) => browse::draw(canvas, area, state, browse),
+        Popup::Contacts(book) => contacts::draw(canvas, area, state, book),
         Popup::Quit(leaving) => draw_quit(canvas, area, state, *leaving),
     }
 }

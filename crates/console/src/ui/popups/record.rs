@@ -162,7 +162,8 @@ fn bytes(view: &OpenedView) -> Vec<Vec<Piece>> {
         let shown = |byte: &u8| if byte.is_ascii_graphic() || *byte == b' ' { char::from(*byte) } else { '.' };
         vec![
             (format!("{:08x}  ", at * BYTES_A_LINE), Role::Dim),
-            (format!("{:48} ", hex.join(" ")), Role::Body),
+            // 74 columns in all: what a window of 80 has.
+            (format!("{:47} ", hex.join(" ")), Role::Body),
             (chunk.iter().map(shown).collect(), Role::Accent),
         ]
     };

@@ -6,7 +6,7 @@ use super::framed;
 use crate::app::confirm::readers;
 use crate::app::feed::Feed;
 use crate::app::popup::Lookup;
-use crate::app::screens::grants::{end, is_active, is_given, scope};
+use crate::app::screens::grants::{day, end, is_active, is_given, scope};
 use crate::app::screens::log::{LogLine, level_word};
 use crate::app::{State, Tag};
 use crate::model::clean;
@@ -86,6 +86,7 @@ fn publishers(state: &State, topic: &str, view: &PinsView) -> Vec<Line> {
     let mut lines = Vec::new();
     let row = state.topics.rows.iter().find(|row| row.topic == topic);
     let now = row.map_or_else(String::new, |row| row.publishers.join(" "));
+    lines.extend(coverage_lines(state, topic));
     lines.push((format!("now     {}", if now.is_empty() { "nobody" } else { &now }), Role::Body));
     if view.pins.is_empty() {
         lines.push(("no publisher is pinned: the first that is captured will be".to_owned(), Role::Dim));
@@ -96,6 +97,22 @@ fn publishers(state: &State, topic: &str, view: &PinsView) -> Vec<Line> {
         lines.push((format!("{held} messages are held back: r releases, D discards (on the screen)"), Role::Warning));
     }
     lines
+}
+
+/// When there are records of a topic: from when to when, a strip of signs, and what they mean.
+pub fn coverage_lines(state: &State, topic: &str) -> Vec<Line> {
+    let Some((of, answer)) = &state.detail.coverage else { return Vec::new() };
+    match answer {
+        _ if of != topic => Vec::new(),
+        Err(failure) => vec![(clean(&failure.message, 500), Role::Bad)],
+        Ok(view) if view.first.is_none() => vec![("No record of it yet.".to_owned(), Role::Dim), Line::default()],
+        Ok(view) => vec![
+            (format!("Records from {} to {} UTC", day(view.since), day(view.until)), Role::Title),
+            (view.strip(), Role::Accent),
+            (view.legend(), Role::Dim),
+            Line::default(),
+        ],
+    }
 }
 
 fn pinned(pin: &PinView, now: &str) -> [Line; 2] {

@@ -26,7 +26,7 @@ use crate::service::failure::{input, internal, refused};
 use crate::service::reply::{CompareView, ContactRow, Failure};
 
 /// Where the book lies in the ledger.
-const BOOK: &str = "contacts";
+pub(crate) const BOOK: &str = "contacts";
 
 /// One entry of the book.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]

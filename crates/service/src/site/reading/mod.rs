@@ -1,5 +1,6 @@
 //! Records as people see them: a profile's own and those that others share, listed, checked, opened and handed out.
 
+mod coverage;
 mod names;
 mod opened;
 mod own;

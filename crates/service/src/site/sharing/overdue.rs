@@ -63,7 +63,7 @@ impl Sharing {
     ) -> Result<(), Failure> {
         self.foresee_expiry(owner, network, None)?;
         block_in_place(|| self.enrolments.tell_devices(owner, network))?;
-        if !self.is_behind(owner, network)? && self.lacking(owner, network)?.is_empty() {
+        if !self.owes(owner, network)? {
             return Ok(());
         }
         let _one_at_a_time = owner.changes.lock().await;
@@ -72,6 +72,11 @@ impl Sharing {
             self.next_epoch(owner, network, "a grant expired").await?;
         }
         self.rewrap(owner, network).await
+    }
+
+    /// Whether the chain is owed anything that only the profile's keys can give.
+    pub(in crate::site) fn owes(&self, owner: &Owner, network: &Network) -> Result<bool, Failure> {
+        Ok(self.is_behind(owner, network)? || !self.lacking(owner, network)?.is_empty())
     }
 
     fn is_behind(&self, owner: &Owner, network: &Network) -> Result<bool, Failure> {

@@ -1,0 +1,60 @@
+//! Speaking for another profile of the same home, without leaving the console.
+
+use super::action::Effect;
+use super::field::Field;
+use super::form::{Form, Line};
+use super::popup::{Popup, Purpose};
+use super::screen::Screen;
+use super::state::State;
+use super::update::start;
+use crate::model::ProfileName;
+
+/// Asks for which profile.
+pub fn open(state: &mut State) {
+    let lines = vec![Line::text("Profile", "name of a profile of this home", Field::default())];
+    let known: Vec<String> = state.settings.profiles.iter().map(ToString::to_string).collect();
+    let mut notes =
+        vec![format!("Now: {}. A keyring that is open here stays open until you quit.", state.settings.profile)];
+    if !known.is_empty() {
+        notes.push(format!("There are: {}", known.join(" ")));
+    }
+    state.popups.push(Popup::Form(Purpose::Profile, Form::new("Speak for another profile", notes, lines)));
+}
+
+/// The profile of a filled form.
+///
+/// # Errors
+/// The line that is wrong, and why.
+pub fn read(form: &Form) -> Result<ProfileName, (usize, String)> {
+    form.text(0).trim().parse().map_err(|error| (0, format!("{error}")))
+}
+
+/// Goes over to another profile: everything that was known is of the former one and is asked for anew.
+pub fn switch(state: &mut State, profile: ProfileName) -> Vec<Effect> {
+    if profile == state.settings.profile {
+        state.inform(format!("this console speaks for {profile} already"));
+        return Vec::new();
+    }
+    if let Some(work) = state.work.iter().find(|tag| tag.is_work()) {
+        let text = format!("{} is still running; wait for its end, then go over to {profile}", work.words());
+        state.inform(text);
+        return Vec::new();
+    }
+    let mut settings = state.settings.clone();
+    settings.profile.clone_from(&profile);
+    let mut next = State::new(settings);
+    (next.now, next.touched, next.size) = (state.now, state.now, state.size);
+    (next.mouse, next.local_time, next.period) = (state.mouse, state.local_time, state.period);
+    next.theme = std::mem::take(&mut state.theme);
+    next.tour = state.tour.take();
+    next.log = std::mem::take(&mut state.log);
+    next.screen = Screen::Overview;
+    next.former = Some(state.settings.profile.clone());
+    // What the former profile asked for is still answered, and is not for this one.
+    next.feeds.follow(&state.feeds);
+    *state = next;
+    state.inform(format!("this console now speaks for {profile}"));
+    let mut effects = vec![Effect::SpeakFor(profile)];
+    effects.extend(start(state));
+    effects
+}

@@ -1,0 +1,107 @@
+//! The tour: the paper's mission, step by step, on the operator's own screen. It looks at the state and goes on when
+//! what it asked for is so; what it says is in [`text`].
+
+pub mod text;
+
+use super::popup::{Lookup, Popup};
+use super::screens::grants::{is_active, is_given};
+use super::state::State;
+use super::update::is_settled;
+use crate::model::{ProfileName, Verdict};
+use text::{Step, TEXT};
+
+/// Rows that its strip takes at the bottom.
+pub const ROWS: u16 = 4;
+
+/// Who is who in the tour.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Cast {
+    /// Whose records are captured and shared.
+    pub owner: ProfileName,
+    /// With whom.
+    pub reader: ProfileName,
+}
+
+/// How far it has come.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Tour {
+    cast: Cast,
+    place: usize,
+}
+
+impl Tour {
+    /// At its beginning.
+    pub fn new(cast: Cast) -> Self {
+        Self { cast, place: 0 }
+    }
+
+    /// Number of the present step, from 1, and of how many.
+    pub fn count(&self) -> (usize, usize) {
+        (self.place + 1, TEXT.len())
+    }
+
+    /// Name, what to do, why.
+    pub fn lines(&self) -> Option<[String; 3]> {
+        let text = TEXT.get(self.place)?;
+        let fill =
+            |line: &str| line.replace("OWNER", self.cast.owner.as_str()).replace("READER", self.cast.reader.as_str());
+        Some([fill(text.name), fill(text.act), fill(text.why)])
+    }
+}
+
+/// Rows of the strip now.
+pub fn rows(state: &State) -> u16 {
+    if state.tour.is_some() { ROWS } else { 0 }
+}
+
+/// Whether the list of grants is needed to see that a step is done.
+pub fn wants_grants(state: &State) -> bool {
+    let step = state.tour.as_ref().and_then(|tour| TEXT.get(tour.place)).map(|text| text.step);
+    matches!(step, Some(Step::Grant | Step::Revoke))
+}
+
+/// Goes on as far as things are done.
+pub fn follow(state: &mut State) {
+    let Some(mut tour) = state.tour.take() else { return };
+    while TEXT.get(tour.place).is_some_and(|text| is_done(state, &tour.cast, text.step)) {
+        tour.place += 1;
+    }
+    state.tour = (tour.place < TEXT.len()).then_some(tour);
+}
+
+fn is_done(state: &State, cast: &Cast, step: Step) -> bool {
+    let owner = state.settings.profile == cast.owner;
+    let given = || state.grants.rows.iter().any(|row| is_given(row) && is_active(row));
+    match step {
+        Step::Register => state.identity.as_ref().is_some_and(|identity| identity.registered),
+        Step::Watch => owner && state.watches(),
+        Step::Verified => owner && sees_verified(state),
+        Step::Grant => owner && given(),
+        Step::Open => !owner && state.settings.profile == cast.reader && has_opened(state),
+        Step::Revoke => owner && state.feeds.slot(super::feed::Feed::Grants).loaded && !given(),
+        // The last one stays until it is ended by its key.
+        Step::End => false,
+    }
+}
+
+/// A record's way is on screen, and it has come to its end.
+fn sees_verified(state: &State) -> bool {
+    let shown = |popup: &Popup| match popup {
+        Popup::Provenance(lookup) => lookup.found().is_some_and(|found| is_settled(found.record.state)),
+        _ => false,
+    };
+    state.popups.iter().any(shown)
+        || state.detail.steps.as_ref().and_then(Lookup::found).is_some_and(|found| is_settled(found.record.state))
+}
+
+/// A record of the owner's is on screen, checked and readable.
+fn has_opened(state: &State) -> bool {
+    let openings = state.popups.iter().filter_map(|popup| match popup {
+        Popup::Record(opening) => Some(opening),
+        _ => None,
+    });
+    let opened = |opening: &super::opening::Opening| {
+        opening.lookup.found().is_some_and(|view| view.verdict == Verdict::Verified)
+    };
+    openings.chain(state.detail.opening.as_ref()).any(opened)
+}

@@ -1,0 +1,79 @@
+//! All that the tour says. OWNER and READER stand for the names of the two profiles.
+
+/// What a step waits for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Step {
+    /// The identity is on the chain.
+    Register,
+    /// A topic is watched.
+    Watch,
+    /// A record's way to verified is on screen.
+    Verified,
+    /// A grant is active.
+    Grant,
+    /// The reader sees a record of the owner's.
+    Open,
+    /// No grant is active any more.
+    Revoke,
+    /// Nothing more.
+    End,
+}
+
+/// What is said of a step: one line each.
+#[derive(Debug, Clone, Copy)]
+pub struct StepText {
+    /// What it waits for.
+    pub step: Step,
+    /// Its name.
+    pub name: &'static str,
+    /// What to do.
+    pub act: &'static str,
+    /// Why.
+    pub why: &'static str,
+}
+
+/// The steps in their order.
+pub const TEXT: [StepText; 7] = [
+    StepText {
+        step: Step::Register,
+        name: "Who you are",
+        act: "Press n and type a passphrase twice (any; this home is thrown away).",
+        why: "Keys are made here; the chain learns only their public side.",
+    },
+    StepText {
+        step: Step::Watch,
+        name: "Capture a robot",
+        act: "Press 2 for the topics, choose /robot1/odom with the arrows, press w.",
+        why: "Each message is encrypted and signed before anybody else sees it.",
+    },
+    StepText {
+        step: Step::Verified,
+        name: "See a record verified",
+        act: "Press 3 for your records, down to one of them, then enter. esc closes it.",
+        why: "Its digest is on the chain: nobody can change it later, not even you.",
+    },
+    StepText {
+        step: Step::Grant,
+        name: "Share it",
+        act: "esc, press 2, g on the topic; to READER. Enter through the form, then y.",
+        why: "READER gets the topic's key, sealed. The data itself does not move.",
+    },
+    StepText {
+        step: Step::Open,
+        name: "Be the reader",
+        act: "Type :profile READER and enter. Then 4, down, enter: a record opens.",
+        why: "READER checks digest and signature against the chain before decrypting.",
+    },
+    StepText {
+        step: Step::Revoke,
+        name: "Take it back",
+        act: "esc, :profile OWNER and enter. Then 5, x on the grant, and y.",
+        why: "The next record has a new key. What was read before cannot be unread.",
+    },
+    StepText {
+        step: Step::End,
+        name: "That is all of it",
+        act: "Look around: ? tells the keys of a screen. E takes this strip away.",
+        why: "authros alone opens your own site; the manual begins in docs/README.md.",
+    },
+];

@@ -1,0 +1,199 @@
+//! Consoles: one a profile at a time. A keyring that one opened is locked again when it leaves, once what the chain is
+//! owed of it was sent; one that `serve` or another command opened stays open.
+
+use std::collections::HashSet;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use tokio::sync::oneshot;
+
+use super::Site;
+use crate::model::{ErrorKind, ProfileName};
+use crate::service::event::NoticeLevel;
+use crate::service::reply::Failure;
+
+/// How long what is owed of a profile is waited for before its keyring is locked.
+const PATIENCE: Duration = Duration::from_secs(30);
+/// How often that is looked at.
+const LOOK_EVERY: Duration = Duration::from_millis(200);
+
+/// What a connection holds as long as it lasts.
+#[derive(Default)]
+pub struct Held {
+    consoles: HashSet<ProfileName>,
+    /// Profiles whose keyrings were opened through it.
+    opened: HashSet<ProfileName>,
+    /// Each ends a server of the chain when it is dropped.
+    servers: Vec<oneshot::Sender<()>>,
+}
+
+/// What a connection holds, shared by its requests.
+pub type Claims = Arc<Mutex<Held>>;
+
+/// The consoles of a site.
+#[derive(Debug, Default)]
+pub(super) struct Consoles {
+    open: HashSet<ProfileName>,
+    /// Profiles whose keyrings consoles opened that have left, or left them to the next one.
+    to_lock: HashSet<ProfileName>,
+}
+
+fn held(claims: &Claims) -> std::sync::MutexGuard<'_, Held> {
+    claims.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Notes that a keyring was opened through a connection.
+pub(super) fn opened_by(claims: &Claims, profile: ProfileName) {
+    held(claims).opened.insert(profile);
+}
+
+/// Ends when what the connection holds is released.
+pub(super) fn until_released(claims: &Claims) -> oneshot::Receiver<()> {
+    let (end, ended) = oneshot::channel();
+    held(claims).servers.push(end);
+    ended
+}
+
+impl Site {
+    /// Claims a profile for the console of a connection.
+    ///
+    /// # Errors
+    /// That another console has it.
+    pub(super) fn claim(&self, profile: ProfileName, claims: &Claims) -> Result<(), Failure> {
+        let mut consoles = self.consoles.lock().unwrap_or_else(PoisonError::into_inner);
+        let own = held(claims).consoles.contains(&profile);
+        if !consoles.open.insert(profile.clone()) && !own {
+            return Err(Failure::new(
+                ErrorKind::Home,
+                format!(
+                    "a console of profile '{profile}' is open already; close it, or open another profile with --profile"
+                ),
+            ));
+        }
+        held(claims).consoles.insert(profile);
+        Ok(())
+    }
+
+    /// Frees the consoles that a connection held, locks what they opened, and ends the servers it asked for.
+    pub(super) fn release(self: &Arc<Self>, claims: &Claims) {
+        let left = std::mem::take(&mut *held(claims));
+        let mut consoles = self.consoles.lock().unwrap_or_else(PoisonError::into_inner);
+        for profile in left.consoles {
+            consoles.open.remove(&profile);
+            if left.opened.contains(&profile) {
+                consoles.to_lock.insert(profile.clone());
+            }
+            if consoles.to_lock.contains(&profile) && !self.parts.life.is_ending() {
+                tokio::spawn(Arc::clone(self).lock_behind(profile));
+            }
+        }
+    }
+
+    /// Locks a profile whose console left, unless the next one is there already: that one then leaves it locked.
+    async fn lock_behind(self: Arc<Self>, profile: ProfileName) {
+        // What it cannot wait for is taken up at the next unlock.
+        drop(tokio::time::timeout(PATIENCE, self.owes_nothing(&profile)).await);
+        {
+            let mut consoles = self.consoles.lock().unwrap_or_else(PoisonError::into_inner);
+            if consoles.open.contains(&profile) || !consoles.to_lock.remove(&profile) {
+                return;
+            }
+        }
+        if let Err(failure) = self.profiles.lock(&profile).await {
+            let text =
+                format!("the keyring of '{profile}' stays open, though its console has left: {}", failure.message);
+            self.parts.hub.notice(NoticeLevel::Warning, &text);
+        }
+    }
+
+    /// Waits until all that needs the profile's keys was sent.
+    async fn owes_nothing(&self, profile: &ProfileName) {
+        loop {
+            let (owner, network) = (self.parts.owners.unlocked(profile).ok(), self.parts.link.network_now());
+            let owes = match (owner, network) {
+                (Some(owner), Some(network)) => {
+                    tokio::task::block_in_place(|| self.sharing.owes(&owner, &network)).unwrap_or(false)
+                }
+                _ => false,
+            };
+            if !owes {
+                return;
+            }
+            tokio::time::sleep(LOOK_EVERY).await;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::expect_used, reason = "a test fails by panicking")]
+
+    use super::*;
+    use crate::service::Client;
+    use crate::service::command::{OpenConsole, SecretText, Unlock};
+    use crate::site::testing::{PASSPHRASE, profile, registered, site_with_chain};
+
+    fn unlock() -> Unlock {
+        Unlock { passphrase: SecretText::new(PASSPHRASE.to_owned()) }
+    }
+
+    /// Everything about a console's leaving that is decided at once.
+    async fn left(site: &Arc<Site>, console: Client) {
+        drop(console);
+        loop {
+            let gone = site.consoles.lock().unwrap_or_else(PoisonError::into_inner).open.is_empty();
+            if gone {
+                return;
+            }
+            tokio::task::yield_now().await;
+        }
+    }
+
+    fn is_to_lock(site: &Site) -> bool {
+        !site.consoles.lock().unwrap_or_else(PoisonError::into_inner).to_lock.is_empty()
+    }
+
+    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+    async fn what_a_console_opened_is_locked_when_it_leaves_and_what_serve_opened_stays_open() {
+        let (site, _folder) = site_with_chain();
+        let owner = registered(&site, "alice").await;
+        site.profiles.lock(&profile("alice")).await.expect("locked");
+
+        let console = site.client(profile("alice"));
+        console.ask(OpenConsole).await.expect("claimed");
+        console.ask(unlock()).await.expect("opened");
+        assert!(!owner.is_locked());
+        left(&site, console).await;
+        while !owner.is_locked() {
+            tokio::task::yield_now().await;
+        }
+        assert!(!is_to_lock(&site));
+
+        let serve = site.client(profile("alice"));
+        serve.ask(unlock()).await.expect("opened");
+        let console = site.client(profile("alice"));
+        console.ask(OpenConsole).await.expect("claimed");
+        console.ask(unlock()).await.expect("open already");
+        left(&site, console).await;
+        assert!(!is_to_lock(&site) && !owner.is_locked());
+        drop(serve);
+        site.stop().await;
+    }
+
+    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+    async fn the_next_console_takes_over_and_leaves_it_locked() {
+        let (site, _folder) = site_with_chain();
+        let owner = registered(&site, "alice").await;
+        // The first console's keyring waits to be locked, and the next one is there before that is done.
+        site.consoles.lock().expect("whole").to_lock.insert(profile("alice"));
+        let console = site.client(profile("alice"));
+        console.ask(OpenConsole).await.expect("claimed");
+        Arc::clone(&site).lock_behind(profile("alice")).await;
+        assert!(!owner.is_locked(), "a console is at work");
+        left(&site, console).await;
+        while !owner.is_locked() {
+            tokio::task::yield_now().await;
+        }
+        site.stop().await;
+    }
+}

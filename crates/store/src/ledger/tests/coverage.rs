@@ -1,0 +1,62 @@
+//! When there are records of a topic: held against what was put in, part by part.
+
+use super::super::coverage::{Coverage, CoverageQuery};
+use super::*;
+
+const OWNER: Address = Address([1; 20]);
+
+fn at(seq: u64, captured_at: u64) -> NewRecord {
+    NewRecord { captured_at: Timestamp(captured_at), ..record(1, 1, seq) }
+}
+
+fn query(since: Option<u64>, until: u64, parts: usize) -> CoverageQuery {
+    let topic = "/robot1/odom".to_owned();
+    CoverageQuery { owner: OWNER, topic, since: since.map(Timestamp), until: Timestamp(until), parts }
+}
+
+/// A letter for each part: d = data, q = quarantined, t = tampered, l = lost, `.` = nothing.
+fn strip(coverage: &Coverage) -> Vec<String> {
+    let letters = |part: &super::super::coverage::CoveragePart| {
+        let all = [(part.data, 'd'), (part.quarantined, 'q'), (part.tampered, 't'), (part.lost > 0, 'l')];
+        let text: String = all.iter().filter(|(is, _)| *is).map(|(_, letter)| *letter).collect();
+        if text.is_empty() { ".".to_owned() } else { text }
+    };
+    coverage.parts.iter().map(letters).collect()
+}
+
+#[test]
+fn each_part_says_what_there_is_of_it() {
+    let (_home, ledger) = open();
+    let held = NewRecord { state: RecordState::Quarantined, ..at(5, 355) };
+    // 100 to 500 in four parts of 100; /robot2 is another topic, the one at 500 is behind the end.
+    let mut records = vec![at(1, 100), at(2, 199), at(3, 310), at(4, 500), held];
+    records.push(NewRecord { captured_at: Timestamp(250), ..record(1, 2, 1) });
+    ledger.append(records).expect("acknowledged");
+    let lost = Loss {
+        topic: "/robot1/odom".to_owned(),
+        first_at: Timestamp(299),
+        last_at: Timestamp(301),
+        ..loss(LossReason::Transport, 7)
+    };
+    let elsewhere = loss(LossReason::Memory, 2);
+    ledger.count_losses(vec![lost, elsewhere]).expect("counted");
+    let coverage = ledger.coverage(&query(Some(100), 500, 4)).expect("read");
+    assert_eq!(strip(&coverage), ["d", "l", "dql", "."]);
+    assert_eq!(
+        coverage.parts.iter().map(|part| (part.at.0, part.lost)).collect::<Vec<_>>(),
+        [(100, 0), (200, 7), (300, 7), (400, 0)]
+    );
+    assert_eq!((coverage.first, coverage.last), (Some(Timestamp(100)), Some(Timestamp(500))));
+    let whole = ledger.coverage(&query(None, 600, 1)).expect("read");
+    assert_eq!((whole.since, strip(&whole)), (Timestamp(100), vec!["dql".to_owned()]));
+}
+
+#[test]
+fn a_topic_without_records_and_a_span_without_length_are_no_errors() {
+    let (_home, ledger) = open();
+    let nothing = ledger.coverage(&query(None, 600, 60)).expect("read");
+    assert_eq!((nothing.first, nothing.since, strip(&nothing)), (None, Timestamp(600), vec![".".to_owned()]));
+    let turned = ledger.coverage(&query(Some(900), 600, 0)).expect("read");
+    assert_eq!((turned.since, turned.parts.len()), (Timestamp(600), 1));
+    assert_eq!(ledger.coverage(&query(Some(0), 10, 60)).expect("read").parts.len(), 10, "no part is shorter than 1 ns");
+}

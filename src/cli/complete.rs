@@ -1,0 +1,201 @@
+//! Completion of words that only the home knows: the hidden `complete` looks them up, and the shells' scripts ask it.
+
+use std::fmt::Write as _;
+
+use clap::ValueEnum;
+use clap_complete::Shell;
+
+use super::args::Global;
+use crate::paths::Home;
+use crate::service::completing::{self, Completed};
+
+/// A kind of word.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Word {
+    /// A topic that there are records of
+    Topic,
+    /// A name of the address book
+    Contact,
+    /// A record's id
+    Record,
+    /// A profile of the home
+    Profile,
+}
+
+impl Word {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Topic => "topic",
+            Self::Contact => "contact",
+            Self::Record => "record",
+            Self::Profile => "profile",
+        }
+    }
+}
+
+/// Commands whose first argument is such a word.
+const COMMANDS: &[(&str, Word)] = &[
+    ("topics watch", Word::Topic),
+    ("topics unwatch", Word::Topic),
+    ("topics pin", Word::Topic),
+    ("topics unpin", Word::Topic),
+    ("topics coverage", Word::Topic),
+    ("grant", Word::Contact),
+    ("revoke", Word::Contact),
+    ("grants extend", Word::Contact),
+    ("contacts remove", Word::Contact),
+    ("contacts confirm", Word::Contact),
+    ("uploads show", Word::Record),
+    ("uploads export", Word::Record),
+    ("shared check", Word::Record),
+    ("shared open", Word::Record),
+    ("shared path", Word::Record),
+];
+
+/// Options whose value is such a word, on every command.
+const OPTIONS: &[(&str, Word)] = &[
+    ("topic", Word::Topic),
+    ("owner", Word::Contact),
+    ("to", Word::Contact),
+    ("account", Word::Contact),
+    ("profile", Word::Profile),
+];
+
+/// The words, one a line.
+pub fn candidates(global: &Global, what: Word, begun: &str) -> String {
+    let home = global.home.clone().map_or_else(Home::standard, |root| Ok(Home::new(root)));
+    let Ok(home) = home else { return String::new() };
+    let kind = match what {
+        Word::Topic => Completed::Topic,
+        Word::Contact => Completed::Contact,
+        Word::Record => Completed::Record,
+        Word::Profile => Completed::Profile,
+    };
+    completing::words(&home, kind, begun).into_iter().map(|word| word + "\n").collect()
+}
+
+/// The shell's script with these words in it; of shells other than bash, zsh and fish as it is.
+pub fn with_words(shell: Shell, script: String) -> String {
+    match shell {
+        Shell::Bash => format!("{script}\n{}", BASH.replace("CASES", &cases())),
+        // Loaded by its name, `_authros` is what zsh calls from the second time on.
+        Shell::Zsh => {
+            let script = script.replacen("_authros() {", "_authros_commands_alone() {", 1);
+            let head = ZSH.replace("CASES", &cases());
+            script.replacen("_authros_commands_alone() {", &format!("{head}\n_authros_commands_alone() {{"), 1)
+        }
+        Shell::Fish => format!("{script}\n{}", fish()),
+        _ => script,
+    }
+}
+
+/// What is asked for by which words, as `case` of a shell has it.
+fn cases() -> String {
+    let mut text = String::new();
+    for (option, word) in OPTIONS {
+        // Writing to a string cannot fail.
+        let _ = writeln!(text, "        *\" --{option} \") what={} ;;", word.name());
+    }
+    for (path, word) in COMMANDS {
+        let _ = writeln!(text, "        \" {path} \") what={} ;;", word.name());
+    }
+    text
+}
+
+/// Words that stand before the one that is completed, flags of every command left out but for the last.
+const BASH: &str = r#"_authros_words() {
+    local begun="${COMP_WORDS[COMP_CWORD]}" before=" " what="" home="" place word
+    for ((place = 1; place < COMP_CWORD; place++)); do
+        word="${COMP_WORDS[place]}"
+        case "$word" in
+            --home) home="${COMP_WORDS[place + 1]}"; ((place++)) ;;
+            --json) ;;
+            --profile) if ((place + 1 < COMP_CWORD)); then ((place++)); else before="$before$word "; fi ;;
+            *) before="$before$word " ;;
+        esac
+    done
+    case "$before" in
+CASES    esac
+    if [[ -n "$what" && "$begun" != -* ]]; then
+        local IFS=$'\n'
+        COMPREPLY=($(AUTHROS_HOME="${home:-$AUTHROS_HOME}" authros complete "$what" "$begun" 2>/dev/null))
+    else
+        _authros "$@"
+    fi
+}
+complete -F _authros_words -o nosort -o bashdefault -o default authros 2>/dev/null || complete -F _authros_words -o bashdefault -o default authros
+"#;
+
+const ZSH: &str = r#"_authros() {
+    local begun="${words[CURRENT]}" before=" " what="" home="" place word
+    for ((place = 2; place < CURRENT; place++)); do
+        word="${words[place]}"
+        case "$word" in
+            --home) home="${words[place + 1]}"; ((place++)) ;;
+            --json) ;;
+            --profile) if ((place + 1 < CURRENT)); then ((place++)); else before="$before$word "; fi ;;
+            *) before="$before$word " ;;
+        esac
+    done
+    case "$before" in
+CASES    esac
+    if [[ -n "$what" && "$begun" != -* ]]; then
+        local -a found
+        found=("${(@f)$(AUTHROS_HOME="${home:-$AUTHROS_HOME}" authros complete "$what" "$begun" 2>/dev/null)}")
+        compadd -a found
+    else
+        _authros_commands_alone "$@"
+    fi
+}
+"#;
+
+fn fish() -> String {
+    let ask = |word: Word| format!("(authros complete {} (commandline -ct) 2>/dev/null)", word.name());
+    let mut text = String::new();
+    for (path, word) in COMMANDS {
+        let seen: Vec<String> = path.split(' ').map(|verb| format!("__fish_seen_subcommand_from {verb}")).collect();
+        let _ = writeln!(text, "complete -c authros -n \"{}\" -f -a \"{}\"", seen.join("; and "), ask(*word));
+    }
+    for (option, word) in OPTIONS {
+        let _ = writeln!(text, "complete -c authros -l {option} -x -a \"{}\"", ask(*word));
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cli::args::Arguments;
+    use clap::CommandFactory;
+
+    fn has(command: &clap::Command, option: &str) -> bool {
+        let own = command.get_arguments().any(|argument| argument.get_long() == Some(option));
+        own || command.get_subcommands().any(|verb| has(verb, option))
+    }
+
+    #[test]
+    fn each_command_and_option_that_is_completed_is_one() {
+        let mut all = Arguments::command();
+        all.build();
+        for (path, _) in COMMANDS {
+            let mut command = &all;
+            for verb in path.split(' ') {
+                command = command.find_subcommand(verb).expect(path);
+            }
+            assert!(command.get_positionals().next().is_some(), "{path} takes no word");
+        }
+        assert!(OPTIONS.iter().all(|(option, _)| has(&all, option)));
+    }
+
+    #[test]
+    fn each_script_asks_for_the_words() {
+        for shell in [Shell::Bash, Shell::Zsh, Shell::Fish] {
+            let script = crate::cli::printed::completions(shell);
+            assert!(script.contains("authros complete"), "{shell}");
+            assert!(!script.contains("CASES"), "{shell}");
+        }
+        let zsh = crate::cli::printed::completions(Shell::Zsh);
+        assert_eq!(zsh.matches("\n_authros() {").count(), 1, "the wrapper alone has the name");
+        assert!(zsh.contains("_authros_commands_alone() {"));
+    }
+}

@@ -1,0 +1,113 @@
+//! `topics coverage`: when there are own records of a topic, as a strip of signs.
+
+use clap::Args;
+
+use super::parse;
+use crate::model::Timestamp;
+use crate::service::Failure;
+use crate::service::command::TopicCoverage;
+use crate::service::reply::{CoveragePart, CoverageView};
+
+/// The most parts with losses that are listed.
+const MOST_LISTED: usize = 20;
+
+/// `topics coverage …`
+#[derive(Debug, Args)]
+pub struct CoverageArguments {
+    /// Topic
+    pub topic: String,
+    /// From then on: a time, a day, or so long ago, as 24h [default: from its first record on]
+    #[arg(long, value_name = "TIME")]
+    pub since: Option<String>,
+    /// Before then, written in the same way [default: now]
+    #[arg(long, value_name = "TIME")]
+    pub until: Option<String>,
+    /// Into so many parts, 1 to 1000
+    #[arg(long, value_name = "N", default_value_t = 60)]
+    pub parts: usize,
+}
+
+impl CoverageArguments {
+    /// What is asked of the site.
+    ///
+    /// # Errors
+    /// A topic or time that cannot be read.
+    pub fn question(&self) -> Result<TopicCoverage, Failure> {
+        Ok(TopicCoverage {
+            topic: parse::value(&self.topic)?,
+            since: self.since.as_deref().map(parse::past).transpose()?,
+            until: self.until.as_deref().map(parse::past).transpose()?,
+            parts: self.parts,
+        })
+    }
+}
+
+/// The strip, what its signs mean, and what was lost when.
+pub fn strip(view: &CoverageView) -> String {
+    let Some(first) = view.first else {
+        return format!("{}: no record yet", view.topic);
+    };
+    let last = view.last.unwrap_or(first);
+    let mut lines = vec![
+        format!("{}  first record {}, last {}", view.topic, seconds(first), seconds(last)),
+        format!("{} to {}, {} a part", seconds(view.since), seconds(view.until), length(view)),
+        view.strip(),
+        view.legend(),
+    ];
+    let lossy: Vec<&CoveragePart> = view.parts.iter().filter(|part| part.lost > 0).collect();
+    let listed = lossy.iter().take(MOST_LISTED);
+    lines.extend(listed.map(|part| format!("{}  {} messages were noticed to be lost", seconds(part.at), part.lost)));
+    if lossy.len() > MOST_LISTED {
+        lines.push(format!("and {} more parts with losses: --json has them all", lossy.len() - MOST_LISTED));
+    }
+    lines.join("\n")
+}
+
+/// A moment to the second.
+fn seconds(moment: Timestamp) -> String {
+    let text = moment.to_string();
+    text.get(..19).map_or_else(|| text.clone(), |head| format!("{head}Z"))
+}
+
+/// How long a part is.
+fn length(view: &CoverageView) -> String {
+    let parts = (view.parts.len() as u64).max(1);
+    match view.until.0.saturating_sub(view.since.0) / parts / 1_000_000_000 {
+        0 => "under 1 s".to_owned(),
+        under @ 1..120 => format!("{under} s"),
+        under @ 120..7_200 => format!("{} min", under / 60),
+        under @ 7_200..172_800 => format!("{} h", under / 3_600),
+        long => format!("{} d", long / 86_400),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn part(minute: u64, lost: u64) -> CoveragePart {
+        let at = Timestamp::from_seconds(1_700_000_000 + 60 * minute);
+        CoveragePart { at, data: minute != 1, quarantined: minute == 2, tampered: false, lost }
+    }
+
+    #[test]
+    fn a_strip_shows_the_worst_of_each_part_and_says_what_its_signs_mean() {
+        let at = Timestamp::from_seconds;
+        let view = CoverageView {
+            topic: "/robot1/odom".parse().expect("a topic"),
+            since: at(1_700_000_000),
+            until: at(1_700_000_240),
+            first: Some(at(1_700_000_000)),
+            last: Some(at(1_700_000_239)),
+            parts: vec![part(0, 0), part(1, 0), part(2, 0), part(3, 7)],
+        };
+        let text = strip(&view);
+        let lines: Vec<&str> = text.lines().collect();
+        assert_eq!(lines[1], "2023-11-14T22:13:20Z to 2023-11-14T22:17:20Z, 60 s a part");
+        assert_eq!(lines[2], "█·QL");
+        assert_eq!(lines[3], "█ recorded  · nothing  L messages lost  Q quarantined");
+        assert_eq!(lines[4], "2023-11-14T22:16:20Z  7 messages were noticed to be lost");
+        let none = CoverageView { first: None, last: None, ..view };
+        assert_eq!(strip(&none), "/robot1/odom: no record yet");
+    }
+}
