@@ -15,6 +15,7 @@ mod filter_choice;
 mod forwarding;
 mod gaps;
 mod heights;
+mod incidents;
 mod inspect;
 mod integrity;
 mod kept;
@@ -57,6 +58,7 @@ pub use edges::is_legal;
 pub use filter_choice::FilterChoice;
 pub use forwarding::KeptReceipt;
 pub use gaps::{GapRow, Loss};
+pub use incidents::{Coverage, IncidentNote, IncidentRow, IncidentSpan};
 pub use inspect::{AuditPage, AuditedBatch, AuditedPlace, AuditedRecord, Sequence};
 pub use kept::KeptBinding;
 pub use lanes::{LaneCount, OpenTransaction, Reissue};
@@ -86,6 +88,7 @@ const SCHEMA: Schema = Schema {
         include_str!("ledger/schema_9.sql"),
         include_str!("ledger/schema_10.sql"),
         include_str!("ledger/schema_11.sql"),
+        include_str!("ledger/schema_13.sql"),
     ],
 };
 const READERS_KEPT: usize = 4;
