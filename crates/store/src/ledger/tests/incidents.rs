@@ -13,8 +13,25 @@ fn span(since: u64, until: Option<u64>, topics: &[&str]) -> IncidentSpan {
     IncidentSpan { since: Timestamp(since), until: until.map(Timestamp), topics }
 }
 
-fn verified(topic: u8, seq: u64) -> NewRecord {
-    NewRecord { state: Verified, ..record(1, topic, seq) }
+/// Acknowledges records and moves them into a state, as the line does in many steps.
+fn append_in(ledger: &Ledger, state: RecordState, records: Vec<NewRecord>) {
+    let digests: Vec<Digest> = records.iter().map(|record| record.digest).collect();
+    ledger.append(records).expect("acknowledged");
+    let moved = ledger.write(move |session| {
+        let sql = "UPDATE records SET state = ?1 WHERE digest = ?2";
+        let connection = session.connection;
+        digests.iter().try_for_each(|digest| Ok(connection.execute(sql, params![state.code(), digest.0]).map(drop)?))
+    });
+    moved.expect("moved");
+}
+
+/// Names these of a topic in a retention record that stands verified.
+fn give_up(ledger: &Ledger, topic: &KeptTopic, limit: usize) {
+    let due = ledger.oldest(topic, (Timestamp(0), Timestamp(2_000)), limit).expect("read");
+    let named = due.into_iter().map(|record| (record, vec![1])).collect();
+    let report = NewRecord { kind: RecordKind::Retention, topic: "authros/retention".to_owned(), ..record(1, 9, 1) };
+    ledger.give_up(topic, report.clone(), named).expect("named");
+    append_in(ledger, Verified, vec![report]);
 }
 
 #[test]
@@ -67,10 +84,11 @@ fn closing_ends_a_span_that_goes_on_and_leaves_one_that_has_ended() {
 #[test]
 fn coverage_tells_what_there_is_of_each_topic() {
     let (_home, ledger) = open();
-    let held = NewRecord { state: RecordState::Quarantined, ..record(1, 1, 7) };
     let definition = NewRecord { kind: RecordKind::Definition, ..record(1, 1, 8) };
-    let records = vec![verified(1, 1), record(1, 1, 2), verified(1, 5), verified(2, 1), held, definition];
-    ledger.append(records).expect("acknowledged");
+    append_in(&ledger, Verified, vec![record(1, 1, 1), record(1, 1, 5), record(1, 2, 1)]);
+    append_in(&ledger, RecordState::Quarantined, vec![record(1, 1, 7)]);
+    append_in(&ledger, RecordState::Dropped, vec![record(1, 1, 9)]);
+    ledger.append(vec![record(1, 1, 2), definition]).expect("acknowledged");
     ledger.append(vec![record(2, 1, 1)]).expect("another owner's");
     let lost = Loss {
         topic: "/robot1/odom".to_owned(),
@@ -102,13 +120,10 @@ fn coverage_tells_what_there_is_of_each_topic() {
 #[test]
 fn what_was_named_and_not_yet_deleted_stays_as_long_as_an_incident_holds_it() {
     let (_home, ledger) = open();
-    let old = [verified(1, 1), verified(1, 2)];
-    ledger.append(old.to_vec()).expect("acknowledged");
+    let old = [record(1, 1, 1), record(1, 1, 2)];
+    append_in(&ledger, Verified, old.to_vec());
     let topic = ledger.kept_topics(OWNER).expect("read").pop().expect("a topic");
-    let due = ledger.oldest(&topic, (Timestamp(0), Timestamp(2_000)), 9).expect("read");
-    let named = due.into_iter().map(|record| (record, vec![1])).collect();
-    let report = NewRecord { kind: RecordKind::Retention, topic: "authros/retention".to_owned(), ..verified(9, 1) };
-    ledger.give_up(&topic, report, named).expect("named");
+    give_up(&ledger, &topic, 9);
     let both = vec![old[0].digest, old[1].digest];
     assert_eq!(ledger.to_delete(OWNER, 9), Ok(both.clone()));
     ledger.open_incident(OWNER, &name("first"), &span(1_001, Some(1_002), &["/robot1/odom"]), None).expect("opened");
@@ -127,14 +142,13 @@ fn what_was_named_and_not_yet_deleted_stays_as_long_as_an_incident_holds_it() {
 #[test]
 fn bytes_of_a_stretch_leave_out_what_was_given_up_and_what_was_dropped() {
     let (_home, ledger) = open();
-    let dropped = NewRecord { state: RecordState::Dropped, ..record(1, 1, 4) };
-    ledger.append(vec![verified(1, 1), verified(1, 2), record(1, 1, 3), dropped]).expect("acknowledged");
+    append_in(&ledger, Verified, vec![record(1, 1, 1), record(1, 1, 2)]);
+    append_in(&ledger, RecordState::Dropped, vec![record(1, 1, 4)]);
+    ledger.append(vec![record(1, 1, 3)]).expect("acknowledged");
     let topic = ledger.kept_topics(OWNER).expect("read").pop().expect("a topic");
     let between = |since, until| ledger.bytes_between(topic.key, (Timestamp(since), Timestamp(until))).expect("read");
     assert_eq!((between(1_001, 1_003), between(0, 9_999), between(1_004, 9_999)), (203, 306, 0));
-    let first = ledger.oldest(&topic, (Timestamp(0), Timestamp(2_000)), 1).expect("read");
-    let report = NewRecord { kind: RecordKind::Retention, topic: "authros/retention".to_owned(), ..verified(9, 1) };
-    ledger.give_up(&topic, report, vec![(first[0], vec![1])]).expect("named");
+    give_up(&ledger, &topic, 1);
     assert_eq!(between(0, 9_999), 205);
 }
 
