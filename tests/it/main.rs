@@ -27,6 +27,7 @@ mod evidence;
 mod faults;
 mod gateway;
 mod identity;
+mod incidents;
 mod key_changes;
 mod keys;
 mod messages;
