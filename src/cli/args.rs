@@ -86,6 +86,9 @@ pub enum Verb {
     Contacts(super::parties::ContactsVerb),
     /// All records against proofs and chain; who did what: list, verify, export
     Audit(super::audit::AuditArguments),
+    /// Spans of time and topics that retention leaves alone: open, list, show, note, close, remove
+    #[command(subcommand)]
+    Incident(super::incidents::IncidentVerb),
     /// Alerts: list those that stand, try whether they arrive
     #[command(subcommand)]
     Alerts(super::alerts::AlertsVerb),

@@ -18,7 +18,10 @@ use authros_output::{Output, table};
 /// `uploads list`: of the profile that is named, else of all profiles of the home.
 pub fn list_uploads(context: &Context, query: UploadQuery) -> Question {
     // The ids of tags follow from each profile's own key.
-    let of_one = context.global.profile.is_some() || !query.tags.is_empty() || context.home.profiles().len() < 2;
+    let of_one = context.global.profile.is_some()
+        || !query.tags.is_empty()
+        || query.incident.is_some()
+        || context.home.profiles().len() < 2;
     if of_one { ListUploads(query).into() } else { ListAllUploads(query).into() }
 }
 

@@ -32,6 +32,9 @@ pub enum EvidenceVerb {
         /// Only of this topic
         #[arg(long, value_name = "TOPIC")]
         topic: Option<String>,
+        /// Only in this incident: its name, span and notes stand on the bundle's page
+        #[arg(long, value_name = "NAME")]
+        incident: Option<String>,
         /// Captured at or after: a time as 2026-11-21T08:30:00Z, a day, or so long ago, as 10m
         #[arg(long, value_name = "TIME")]
         since: Option<String>,
@@ -50,12 +53,14 @@ pub enum EvidenceVerb {
 /// # Errors
 /// What the arguments or the site say.
 pub async fn run(context: Context, verb: EvidenceVerb, output: &Output) -> Result<u8, Failure> {
-    let EvidenceVerb::Export { file, records, topic, since, until, reveal } = verb;
+    let EvidenceVerb::Export { file, records, topic, incident, since, until, reveal } = verb;
     let file = std::path::absolute(&file)
         .map_err(|error| Failure::new(ErrorKind::Input, format!("{}: {error}", file.display())))?;
     let moment = |text: Option<String>| text.as_deref().map(parse::past).transpose();
     let topic = topic.as_deref().map(parse::value).transpose()?;
-    let wishes = EvidenceWishes { file, records, topic, since: moment(since)?, until: moment(until)?, reveal };
+    let incident = incident.as_deref().map(parse::value).transpose()?;
+    let wishes =
+        EvidenceWishes { file, records, topic, incident, since: moment(since)?, until: moment(until)?, reveal };
     let connection = context.connect(CHAIN).await?;
     let result = async {
         context.prepare(&connection.client, ProfileNeed::Unlocked, output).await?;

@@ -20,6 +20,7 @@ mod demo;
 mod evidence;
 mod follow;
 mod gateway;
+mod incidents;
 mod lists;
 mod logging;
 mod looks;
@@ -165,6 +166,7 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
             asked(runtime, global, output, |_| Ok(Plan::new(CHAIN, ProfileNeed::Unlocked, adopt::question(&verb)?)))
         }
         Verb::Alerts(verb) => asked(runtime, global, output, |_| Ok(alerts::plan(&verb))),
+        Verb::Incident(verb) => asked(runtime, global, output, |_| incidents::plan(verb)),
         Verb::Audit(arguments) => asked(runtime, global, output, |context| plans::audit(context, &arguments)),
     }
 }

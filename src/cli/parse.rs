@@ -66,8 +66,21 @@ pub fn query(arguments: &ListArguments) -> Result<UploadQuery, Failure> {
     if !(1..=1000).contains(&arguments.limit) {
         return Err(Failure::new(ErrorKind::Input, format!("--limit {} is not between 1 and 1000", arguments.limit)));
     }
-    let ListArguments { topic, type_name, tags, state, kind, owner, since, until, after, limit, newest, follow: _ } =
-        arguments;
+    let ListArguments {
+        topic,
+        type_name,
+        tags,
+        state,
+        kind,
+        owner,
+        since,
+        until,
+        incident,
+        after,
+        limit,
+        newest,
+        follow: _,
+    } = arguments;
     let (after, limit, newest_first) = (after.clone(), *limit, *newest);
     let mut query = UploadQuery { after, limit, newest_first, ..UploadQuery::default() };
     let now = Timestamp::now();
@@ -80,6 +93,7 @@ pub fn query(arguments: &ListArguments) -> Result<UploadQuery, Failure> {
         (Term::Kind, kind.as_slice()),
         (Term::Since, since.as_slice()),
         (Term::Until, until.as_slice()),
+        (Term::Incident, incident.as_slice()),
     ] {
         texts.iter().try_for_each(|text| query.take(term, text, now))?;
     }
@@ -106,7 +120,7 @@ mod tests {
         let alice = "0x5aAeb6053F3E94C9b9A09f33669435E7Ef1BeAed";
         let text = format!(
             "owner:{alice} topic:/robot1/odom type:nav_msgs/Odometry tag:mission=harbour tag:shift=a=b state:verified \
-             kind:gap since:2026-11-21 until:2026-11-22T08:30:00Z"
+             kind:gap since:2026-11-21 until:2026-11-22T08:30:00Z incident:crash"
         );
         let flags = text.split(' ').flat_map(|word| {
             let (name, value) = word.split_once(':').expect("a term");

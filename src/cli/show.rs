@@ -3,14 +3,13 @@
 use std::io::Write as _;
 use std::path::Path;
 
-use super::{adopt, alerts, audit, check, coverage, gateway, lists, parties, policy, quarantine, viewing};
+use super::{adopt, alerts, audit, check, coverage, gateway, incidents, lists, parties, policy, quarantine, viewing};
 use crate::crypto::private_file;
 use crate::model::ErrorKind;
 use crate::service::command::{Ask, Command, SecretBytes};
 use crate::service::reply::{
     AdministrationView, AdmittedView, AlertTestView, AlertsView, Answer, AuditCheck, AuditView, BackupView, ChainView,
-    CheckView, CompareView, ContactRow, CoverageView, DecidedView, DeployedView, DeviceRow, DeviceTopicsView,
-    ExportedFile, GatewayStatusView, GrantRow, IdentityView, KeyChangeView, KeysView, OpenedView, PathView, PinsView,
+    CheckView, CompareView, ContactRow, CoverageView, DecidedView, DeployedView, DeviceRow, DeviceTopicsView, ExportedFile, GatewayStatusView, GrantRow, IdentityView, IncidentView, KeyChangeView, KeysView, OpenedView, PathView, PinsView,
     PolicyView, Provenance, QuarantineView, RecordAudit, RecordPage, Reply, TopicRow, TransactionView,
 };
 use crate::service::{Client, Failure};
@@ -116,6 +115,7 @@ documents! {
     PathView => viewing::path;
     CoverageView => coverage::strip;
     DeviceTopicsView => device_topics;
+    IncidentView => incidents::incident;
 }
 
 rows! {
@@ -125,6 +125,7 @@ rows! {
     ContactRow, "contacts" => parties::contact_table;
     AuditView, "audit" => audit::lines;
     AdmittedView, "admitted" => gateway::admitted;
+    IncidentView, "incidents" => incidents::all;
 }
 
 impl Printed for () {

@@ -29,6 +29,7 @@ mod faults;
 mod fleet_metrics;
 mod gateway;
 mod identity;
+mod incidents;
 mod key_changes;
 mod keys;
 mod messages;

@@ -1,12 +1,16 @@
 //! Retention: ciphertext that a rule no longer keeps is named in a signed record, and deleted when that record stands
 //! confirmed on the chain. A function of the ledger: called again, it does what is left.
 
+mod held;
+
 use std::collections::HashMap;
 
 use crate::model::{
     Address, Digest, Domain, Header, Keeping, RecordKind, RetentionReport, RetentionRule, Timestamp, TopicId,
 };
 use crate::store::{KeptTopic, OldRecord};
+
+use held::Held;
 
 use super::statement::{self, Speaker, Statement};
 use super::{Owner, PipelineError, Plant};
@@ -25,6 +29,8 @@ pub struct Retention {
     rules: Keeping,
     /// Where the oldest record of each topic is looked for.
     since: HashMap<(Address, i64), Timestamp>,
+    /// What incidents hold of topics, as of the last round.
+    held: HashMap<(Address, i64), Held>,
     rounds: u32,
 }
 
@@ -40,7 +46,7 @@ pub struct Round {
 impl Retention {
     /// Rules that nothing was done by yet.
     pub fn new(rules: Keeping) -> Self {
-        Self { rules, since: HashMap::new(), rounds: 0 }
+        Self { rules, since: HashMap::new(), held: HashMap::new(), rounds: 0 }
     }
 
     /// Names what is no longer kept of an owner's records, and deletes what was named and is anchored. One caller at a
@@ -52,14 +58,26 @@ impl Retention {
         self.rounds += 1;
         if self.rounds.is_multiple_of(ANEW) {
             self.since.clear();
+            self.held.clear();
         }
         let mut done = Round { named: Vec::new(), deleted: delete(plant, owner)? };
+        let incidents = plant.ledger.incidents(owner.address)?;
         for topic in plant.ledger.kept_topics(owner.address)? {
+            self.hold((owner.address, topic.key), Held::of(&topic.name, &incidents));
             let Some(rule) = self.rules.of(&topic.name) else { continue };
             let named = self.name(plant, owner, &topic, &rule)?;
             done.named.extend((named > 0).then_some((topic.name, named)));
         }
         Ok(done)
+    }
+
+    /// Where an incident was opened, closed or removed, the oldest record is looked for from the beginning again.
+    fn hold(&mut self, place: (Address, i64), held: Held) {
+        let known = self.held.entry(place).or_default();
+        if known.spans != held.spans {
+            *known = held;
+            self.since.remove(&place);
+        }
     }
 
     fn name(
@@ -71,7 +89,7 @@ impl Retention {
     ) -> Result<u64, PipelineError> {
         let place = (owner.address, topic.key);
         let since = self.since.get(&place).copied().unwrap_or_default();
-        let due = due(plant, topic, rule, since)?;
+        let due = due(plant, topic, rule, since, self.held.entry(place).or_default())?;
         let Some(last) = due.last().map(|record| record.captured_at) else { return Ok(0) };
         let mut whole = Vec::with_capacity(due.len());
         for record in due {
@@ -89,20 +107,30 @@ impl Retention {
     }
 }
 
-/// The oldest records that the rule no longer keeps: too old, or more than the budget.
+/// The oldest records that the rule no longer keeps and no incident holds: too old, or more than the budget.
 fn due(
     plant: &Plant,
     topic: &KeptTopic,
     rule: &RetentionRule,
     since: Timestamp,
+    held: &mut Held,
 ) -> Result<Vec<OldRecord>, PipelineError> {
     let now = Timestamp::now();
-    let excess = rule.bytes.map_or(0, |budget| topic.bytes.saturating_sub(budget));
+    let mut excess = rule.bytes.map_or(0, |budget| topic.bytes.saturating_sub(budget));
+    if excess > 0 {
+        excess = excess.saturating_sub(held.bytes(plant, topic, now)?);
+    }
     let age = rule.age.map(|age| u64::try_from(age.as_nanos()).unwrap_or(u64::MAX));
     let oldest_kept = age.map_or(Timestamp(0), |age| Timestamp(now.0.saturating_sub(age)));
     let until = if excess > 0 { now } else { oldest_kept };
     let mut rest = excess;
-    let mut due = plant.ledger.oldest(topic, (since, until), ROUND)?;
+    let mut due = Vec::new();
+    for free in held.between((since, until)) {
+        due.extend(plant.ledger.oldest(topic, free, ROUND - due.len())?);
+        if due.len() >= ROUND {
+            break;
+        }
+    }
     let kept = due.iter().position(|record| {
         let stays = record.captured_at >= oldest_kept && rest == 0;
         rest = rest.saturating_sub(record.bytes);

@@ -7,6 +7,7 @@ mod check;
 mod choices;
 mod evidence;
 pub mod filter;
+mod incidents;
 mod operate;
 mod playing;
 mod recordings;
@@ -21,6 +22,9 @@ pub use self::check::{AuditRecords, BackUp, ListAllUploads, StoreCommand};
 pub use self::choices::{Epochs, Held, KeyKind, PairKind, UploadQuery};
 pub use self::evidence::EvidenceWishes;
 pub use self::filter::Term;
+pub use self::incidents::{
+    CloseIncident, IncidentCommand, ListIncidents, NoteIncident, OpenIncident, RemoveIncident, ShowIncident,
+};
 pub use self::operate::{
     Admit, BackUpKeys, Dismiss, GatewayStatus, HoldCapture, ListAdmitted, ListAlerts, ListWatches, Lock, Operation,
     TestAlert,
@@ -354,6 +358,8 @@ requests! {
         OfStore(StoreCommand),
         /// What an operator asks of the site itself.
         Operate(Operation),
+        /// Incidents: spans of own records, kept together.
+        OfIncident(IncidentCommand),
     }
 }
 

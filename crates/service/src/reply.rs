@@ -6,6 +6,7 @@ mod chain;
 mod check;
 mod forging;
 mod identity;
+mod incidents;
 mod operate;
 mod parties;
 mod playing;
@@ -26,6 +27,7 @@ pub use self::forging::{AlarmView, DecidedView, HeldView, PinView, PinsView, Qua
 pub use self::identity::{
     DeviceTopicsView, EnrolledView, EpochView, IdentityView, KeyChangeView, KeysView, TransactionView,
 };
+pub use self::incidents::{IncidentNoteView, IncidentView, SpanCoverageView};
 pub use self::operate::{AdmittedView, GatewayStatusView, RefusedView, SenderView, SystemKeyView};
 pub use self::parties::{
     AdministrationView, CompareView, ContactRow, DeviceRow, Direction, GrantRow, GrantState, ProposalView,
@@ -198,4 +200,8 @@ replies! {
     BackedUp(BackupView);
     /// To `VerifyAudit`.
     AuditChecked(AuditCheck);
+    /// To `OpenIncident`, `ShowIncident`, `NoteIncident` and `CloseIncident`.
+    Incident(IncidentView);
+    /// To `ListIncidents` and `RemoveIncident`.
+    Incidents(Vec<IncidentView>);
 }

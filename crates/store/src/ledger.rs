@@ -17,6 +17,7 @@ mod forwarding;
 mod gaps;
 mod glance;
 mod heights;
+mod incidents;
 mod inspect;
 mod integrity;
 mod kept;
@@ -61,6 +62,7 @@ pub use filter_choice::FilterChoice;
 pub use forwarding::KeptReceipt;
 pub use gaps::{GapRow, Loss};
 pub use glance::Glance;
+pub use incidents::{IncidentNote, IncidentRow, IncidentSpan, SpanCoverage};
 pub use inspect::{AuditPage, AuditedBatch, AuditedPlace, AuditedRecord, Sequence};
 pub use kept::KeptBinding;
 pub use lanes::{LaneCount, OpenTransaction, Reissue};
@@ -90,6 +92,7 @@ const SCHEMA: Schema = Schema {
         include_str!("ledger/schema_9.sql"),
         include_str!("ledger/schema_10.sql"),
         include_str!("ledger/schema_11.sql"),
+        include_str!("ledger/schema_13.sql"),
     ],
 };
 const READERS_KEPT: usize = 4;

@@ -90,6 +90,9 @@ pub struct ListArguments {
     /// Captured before, written in the same way
     #[arg(long, value_name = "TIME")]
     pub until: Option<String>,
+    /// Only in this incident of the profile (uploads)
+    #[arg(long, value_name = "NAME")]
+    pub incident: Option<String>,
     /// Continue behind `next` of the page before
     #[arg(long, value_name = "CURSOR")]
     pub after: Option<String>,

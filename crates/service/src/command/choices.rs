@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::model::{Party, RecordKind, RecordState, Timestamp, TopicName, TypeName};
+use crate::model::{IncidentName, Party, RecordKind, RecordState, Timestamp, TopicName, TypeName};
 
 /// Which key a key file holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -45,6 +45,9 @@ pub struct UploadQuery {
     /// Only with all of these tags (name, value) in the sealed head.
     #[serde(default)]
     pub tags: Vec<(String, String)>,
+    /// Only in this incident of the profile.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub incident: Option<IncidentName>,
     /// Only in this state.
     pub state: Option<RecordState>,
     /// Captured at or after.

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
-use crate::model::{Timestamp, TopicName};
+use crate::model::{IncidentName, Timestamp, TopicName};
 
 /// Own records for a bundle; all where nothing narrows it.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -17,6 +17,9 @@ pub struct EvidenceWishes {
     /// Those of this topic.
     #[serde(default)]
     pub topic: Option<TopicName>,
+    /// Those in this incident.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub incident: Option<IncidentName>,
     /// Captured at or after.
     #[serde(default)]
     pub since: Option<Timestamp>,

@@ -28,12 +28,23 @@ pub enum Term {
     Since,
     /// Captured before.
     Until,
+    /// In one incident.
+    Incident,
 }
 
 impl Term {
     /// All of them.
-    pub const ALL: [Self; 8] =
-        [Self::Owner, Self::Topic, Self::Type, Self::Tag, Self::State, Self::Kind, Self::Since, Self::Until];
+    pub const ALL: [Self; 9] = [
+        Self::Owner,
+        Self::Topic,
+        Self::Type,
+        Self::Tag,
+        Self::State,
+        Self::Kind,
+        Self::Since,
+        Self::Until,
+        Self::Incident,
+    ];
 
     /// Its word: behind `--`, or before `:`.
     pub fn word(self) -> &'static str {
@@ -46,6 +57,7 @@ impl Term {
             Self::Kind => "kind",
             Self::Since => "since",
             Self::Until => "until",
+            Self::Incident => "incident",
         }
     }
 
@@ -73,6 +85,7 @@ impl UploadQuery {
             }
             Term::Since => self.since = Some(past(text, now)?),
             Term::Until => self.until = Some(past(text, now)?),
+            Term::Incident => self.incident = Some(parsed(text)?),
         }
         Ok(())
     }

@@ -19,6 +19,7 @@ mod figures;
 mod gateway;
 mod handle;
 mod identity;
+mod incidents;
 mod lifetime;
 mod mirror;
 mod parts;
@@ -70,6 +71,7 @@ use evidence::Evidence;
 use gateway::Gateway;
 use gateway::admissions::Admissions;
 use identity::Profiles;
+use incidents::Incidents;
 use mirror::Joined;
 use mirror::remote::Remote;
 use parts::Parts;
@@ -129,6 +131,7 @@ pub struct Site {
     devices: Arc<Devices>,
     reading: Arc<Reading>,
     evidence: Arc<Evidence>,
+    incidents: Arc<Incidents>,
     bridge: Arc<Bridge>,
     capture: Arc<Capture>,
     recordings: Arc<Recordings>,
@@ -240,6 +243,7 @@ impl Site {
             audit: Arc::new(Audit::new(of, &reserve)),
             backup: Arc::new(Backup::new(of, &quarantine)),
             evidence: Arc::new(Evidence::new(of, &reading)),
+            incidents: Arc::new(Incidents::new(of)),
             bridge: Arc::new(Bridge::new(of, &contacts, &ros)),
             storage: Arc::new(Storage::new(of)),
             clock: Arc::new(Clock::new(of)),

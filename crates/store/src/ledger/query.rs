@@ -28,6 +28,9 @@ pub struct RecordQuery {
     pub owners: Option<Vec<Address>>,
     /// Of the topic with this name.
     pub topic: Option<String>,
+    /// Of any topic with one of these names; empty = of any.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub topics: Vec<String>,
     /// Of any of these topics.
     pub topic_ids: Option<Vec<TopicId>>,
     /// Numbered by this recorder.
@@ -61,6 +64,7 @@ impl Default for RecordQuery {
             owner: None,
             owners: None,
             topic: None,
+            topics: Vec::new(),
             topic_ids: None,
             recorder: None,
             filters: Vec::new(),
@@ -82,6 +86,7 @@ impl RecordQuery {
         self.owner.is_none_or(|owner| owner == stream.owner)
             && self.owners.as_ref().is_none_or(|owners| owners.contains(&stream.owner))
             && self.topic.as_ref().is_none_or(|topic| *topic == stream.topic)
+            && (self.topics.is_empty() || self.topics.contains(&stream.topic))
             && self.topic_ids.as_ref().is_none_or(|ids| ids.contains(&stream.topic_id))
             && self.recorder.is_none_or(|recorder| recorder == stream.recorder)
             && self.type_name.as_ref().is_none_or(|name| *name == stream.type_name)

@@ -142,7 +142,8 @@ impl Ledger {
         })
     }
 
-    /// Records of an owner whose retention record stands confirmed, and whose ciphertext is still to be deleted.
+    /// Records of an owner whose retention record stands confirmed, whose ciphertext is still to be deleted, and that no
+    /// incident holds.
     ///
     /// # Errors
     /// [`StoreError::Database`] and its kin.
@@ -151,7 +152,12 @@ impl Ledger {
             let mut statement = connection.prepare_cached(
                 "SELECT one.digest FROM retained INDEXED BY retained_due CROSS JOIN records one ON one.n = record
                  JOIN topics ON topics.key = one.topic JOIN records told ON told.digest = report
-                 WHERE retained.deleted_at IS NULL AND owner = ?1 AND told.state IN (?2, ?3) ORDER BY record LIMIT ?4",
+                 WHERE retained.deleted_at IS NULL AND owner = ?1 AND told.state IN (?2, ?3)
+                 AND NOT EXISTS (SELECT 1 FROM incidents i WHERE i.owner = topics.owner
+                     AND one.captured_at >= i.since AND one.captured_at < coalesce(i.until, 9223372036854775807)
+                     AND (topics.name IN (SELECT topic FROM incident_topics WHERE incident = i.key)
+                         OR NOT EXISTS (SELECT 1 FROM incident_topics WHERE incident = i.key)))
+                 ORDER BY record LIMIT ?4",
             )?;
             let (confirmed, verified) = (RecordState::Confirmed.code(), RecordState::Verified.code());
             let values = params![owner.0, confirmed, verified, i64::try_from(limit).unwrap_or(i64::MAX)];

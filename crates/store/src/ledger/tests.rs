@@ -7,6 +7,7 @@ mod directory;
 mod gaps;
 mod glance;
 mod groups;
+mod incidents;
 mod model;
 mod pages;
 mod quarantine;
@@ -22,7 +23,8 @@ use sm3::{Digest as _, Sm3};
 use super::*;
 use crate::model::RecordState::{Confirmed, Stored, Submitted, Verified};
 use crate::model::{
-    Address, Digest, ErrorKind, Hash, LossReason, RecordKind, RecordState, Signature, SignerId, Timestamp, TopicId,
+    Address, Digest, ErrorKind, Hash, IncidentName, LossReason, RecordKind, RecordState, Signature, SignerId,
+    Timestamp, TopicId,
 };
 
 /// A record of owner `owner` on topic `topic`; its digest is spread like a real one.

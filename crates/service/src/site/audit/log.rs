@@ -202,6 +202,7 @@ fn query_text(query: &UploadQuery) -> String {
     words.extend(query.type_name.as_ref().map(|name| format!("type {name}")));
     words.extend(query.words.iter().map(|word| format!("with {}", clean(word, 40))));
     words.extend(query.tags.iter().map(|(name, value)| format!("tag {}={}", clean(name, 40), clean(value, 40))));
+    words.extend(query.incident.as_ref().map(|name| format!("incident {name}")));
     words.extend(query.kind.map(|kind| format!("kind {}", kind.word())));
     words.extend(query.state.map(|state| format!("state {}", state.word())));
     words.extend(query.since.map(|since| format!("since {since}")));

@@ -17,9 +17,10 @@ use crate::pipeline::reader::Reader;
 use crate::pipeline::{Network, Owner, PipelineError, Plant};
 use crate::service::command::EvidenceWishes;
 use crate::service::failure::{input, internal};
-use crate::service::reply::{EvidenceView, Failure};
+use crate::service::reply::{EvidenceView, Failure, IncidentView};
 use crate::site::audit::Log;
 use crate::site::chain::link::Link;
+use crate::site::incidents;
 use crate::site::parts::Parts;
 use crate::site::reading::Reading;
 use crate::store::{RecordQuery, RecordRow};
@@ -52,7 +53,13 @@ impl Evidence {
             return Err(input(format!("{} exists; name a file that does not", wishes.file.display())));
         }
         let network = self.link.network().await?;
+        let about = self.incident(owner, &wishes).await?;
         let mut rows = self.chosen(owner, &wishes).await?;
+        let before = rows.len();
+        if about.is_some() {
+            rows.retain(|row| row.deleted_at.is_none() || wishes.records.contains(&row.id));
+        }
+        let deleted = before - rows.len();
         let mut reveal = BTreeSet::new();
         for id in &wishes.reveal {
             let row = self.reading.own_record(&owner.profile, id).await?;
@@ -68,7 +75,13 @@ impl Evidence {
         }
         let file = clean(&wishes.file.display().to_string(), 300);
         self.log.begin(owner, "export evidence", &file).await?;
-        let written = self.write_evidence(owner, &network, &rows, &reveal, &wishes.file).await;
+        let written = self.write_evidence(owner, &network, (&rows, &reveal), about.as_ref(), &wishes.file).await;
+        let written = written.map(|mut view| {
+            view.notes.extend((deleted > 0).then(|| {
+                format!("{deleted} records of the incident are not in the bundle: retention deleted their bytes before")
+            }));
+            view
+        });
         for row in rows.iter().filter(|row| reveal.contains(&row.digest)) {
             let ended = written.as_ref().map(|_| ()).map_err(Clone::clone);
             // What went wrong is told once, below.
@@ -77,13 +90,25 @@ impl Evidence {
         self.log.end(owner, "export evidence", &file, written).await
     }
 
+    /// The incident whose records are asked for.
+    async fn incident(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        wishes: &EvidenceWishes,
+    ) -> Result<Option<IncidentView>, Failure> {
+        let Some(name) = wishes.incident.clone() else { return Ok(None) };
+        let owner = owner.address;
+        blocking(self, move |evidence| incidents::view(&evidence.plant.ledger, owner, &name)).await.map(Some)
+    }
+
     /// The own records that are asked for, whose bytes are stored; all of them where nothing narrows it.
     async fn chosen(self: &Arc<Self>, owner: &Arc<Owner>, wishes: &EvidenceWishes) -> Result<Vec<RecordRow>, Failure> {
         let mut rows = Vec::new();
         for id in &wishes.records {
             rows.push(self.reading.own_record(&owner.profile, id).await?);
         }
-        let narrowed = wishes.topic.is_some() || wishes.since.is_some() || wishes.until.is_some();
+        let narrowed =
+            wishes.topic.is_some() || wishes.since.is_some() || wishes.until.is_some() || wishes.incident.is_some();
         let named = !wishes.records.is_empty() || !wishes.reveal.is_empty();
         if named && !narrowed {
             return Ok(rows);
@@ -99,7 +124,16 @@ impl Evidence {
                 limit: PAGE,
                 ..RecordQuery::default()
             };
-            let page = blocking(self, move |evidence| Ok(evidence.plant.ledger.list(&query)?)).await?;
+            let (incident, owner) = (wishes.incident.clone(), owner.address);
+            let page = blocking(self, move |evidence| {
+                let ledger = &evidence.plant.ledger;
+                let query = match incident {
+                    Some(name) => incidents::narrowed(ledger, owner, &name, query)?,
+                    None => query,
+                };
+                Ok(ledger.list(&query)?)
+            })
+            .await?;
             rows.extend(page.rows.into_iter().filter(is_stored));
             if rows.len() > MOST_RECORDS {
                 return Err(input(format!(
@@ -114,11 +148,17 @@ impl Evidence {
     }
 
     /// The file: signed once for the page to be made of it, and again with the page.
-    fn packed(&self, owner: &Owner, packing: Packing, claimed: &ClaimedChain) -> Result<Vec<u8>, PackingError> {
+    fn packed(
+        &self,
+        owner: &Owner,
+        packing: Packing,
+        claimed: &ClaimedChain,
+        about: Option<&IncidentView>,
+    ) -> Result<Vec<u8>, PackingError> {
         let provider = self.plant.provider;
         let sign = |packing: Packing| packing.sign(claimed.clone(), owner.address, &owner.signing(), provider);
         let members = sign(packing)?;
-        let page = report(&Bundle::of_members(&members, provider)?, provider);
+        let page = report(&Bundle::of_members(&members, provider)?, about, provider);
         let mut packing = Packing::from(members);
         packing.report(page);
         pack(&sign(packing)?)
@@ -128,8 +168,8 @@ impl Evidence {
         self: &Arc<Self>,
         owner: &Arc<Owner>,
         network: &Network,
-        rows: &[RecordRow],
-        reveal: &BTreeSet<Digest>,
+        (rows, reveal): (&[RecordRow], &BTreeSet<Digest>),
+        about: Option<&IncidentView>,
         file: &Path,
     ) -> Result<EvidenceView, Failure> {
         let reader = Reader { plant: &self.plant, network, reader: owner };
@@ -137,7 +177,7 @@ impl Evidence {
         let chain = &network.chain;
         let pin = chain.pin().ok_or_else(|| PipelineError::from(crate::chain::ChainError::NoContract))?;
         let claimed = ClaimedChain { id: pin.chain_id, genesis: pin.genesis, contract: pin.contract };
-        let bytes = tokio::task::block_in_place(|| self.packed(owner, gathered.packing, &claimed))
+        let bytes = tokio::task::block_in_place(|| self.packed(owner, gathered.packing, &claimed, about))
             .map_err(|error| Failure::new(ErrorKind::Input, error.to_string()))?;
         private_file::create_private(file, &bytes)?;
         let length = u64::try_from(bytes.len()).map_err(|error| internal(error.to_string()))?;
@@ -152,9 +192,9 @@ impl Evidence {
 }
 
 /// What this program itself says of a bundle, by the pins that it suggests.
-fn report(bundle: &Bundle, provider: &dyn Provider) -> String {
+fn report(bundle: &Bundle, about: Option<&IncidentView>, provider: &dyn Provider) -> String {
     let trust = bundle.suggested.as_ref().and_then(|text| Trust::parse(text.as_bytes()).ok());
-    page::page(bundle, &verify(bundle, trust.as_ref(), provider))
+    page::page(bundle, &verify(bundle, trust.as_ref(), provider), about)
 }
 
 /// Whether a record's ciphertext is to be in the vault.

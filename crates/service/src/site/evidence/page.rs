@@ -10,6 +10,7 @@ use super::figure::{data_uri, plot};
 use crate::model::clean;
 use crate::ros::readable::{self, Readable};
 use crate::ros::{Definition, Limits};
+use crate::service::reply::IncidentView;
 
 /// The most records in the table of levels.
 const MOST_ROWS: usize = 500;
@@ -78,9 +79,12 @@ fn table(out: &mut String, head: &[&str], rows: &[Vec<String>]) {
 }
 
 /// The page.
-pub(super) fn page(bundle: &Bundle, report: &Report) -> String {
+pub(super) fn page(bundle: &Bundle, report: &Report, about: Option<&IncidentView>) -> String {
     let mut out = format!("{HEAD}<h1>Evidence report</h1>\n{MARK}");
     summary(&mut out, bundle, report);
+    if let Some(about) = about {
+        incident(&mut out, about);
+    }
     levels(&mut out, report);
     completeness(&mut out, report);
     disclosed(&mut out, bundle, report);
@@ -116,6 +120,19 @@ fn summary(out: &mut String, bundle: &Bundle, report: &Report) {
     );
     table(out, &[], &rows);
     put(out, format_args!("<p>{}</p>\n", escape(report.last_line())));
+}
+
+/// What its owner calls the incident whose records these are. Its topics go by their pseudonyms, as in the whole file.
+fn incident(out: &mut String, about: &IncidentView) {
+    out.push_str("<h2>Incident, in its owner's words</h2>\n");
+    let until = about.until.map_or_else(|| "not ended".to_owned(), |until| until.to_string());
+    let mut rows = vec![
+        vec!["Name".to_owned(), about.name.to_string()],
+        vec!["From".to_owned(), about.since.to_string()],
+        vec!["To".to_owned(), until],
+    ];
+    rows.extend(about.notes.iter().map(|note| vec![format!("Note of {}", note.at), note.text.clone()]));
+    table(out, &[], &rows);
 }
 
 fn levels(out: &mut String, report: &Report) {

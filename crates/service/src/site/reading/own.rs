@@ -14,9 +14,10 @@ use crate::pipeline::epoch::tag_choice;
 use crate::pipeline::reader::Reader;
 use crate::pipeline::{Owner, PipelineError, authority};
 use crate::service::command::UploadQuery;
-use crate::service::failure::internal;
+use crate::service::failure::{input, internal};
 use crate::service::reply::{ExportedFile, Failure, Provenance, RecordPage};
 use crate::site::blocking;
+use crate::site::incidents::narrowed;
 use crate::store::{BatchPlace, FilterChoice, RecordQuery, RecordRow};
 
 impl Reading {
@@ -34,13 +35,25 @@ impl Reading {
             self.learn_names(&reader, owner).await?;
         }
         let filters = self.own_tag_filters(profile, &query.tags)?;
+        let incident = query.incident.clone();
         let query = RecordQuery { owner: Some(owner), filters: filters.clone(), ..record_query(query) };
-        let page = blocking(self, move |reading| Ok(reading.plant.ledger.list(&query)?)).await?;
+        let page = blocking(self, move |reading| {
+            let ledger = &reading.plant.ledger;
+            let query = match incident {
+                Some(name) => narrowed(ledger, owner, &name, query)?,
+                None => query,
+            };
+            Ok(ledger.list(&query)?)
+        })
+        .await?;
         Ok(record_page(&self.compared(page.rows, &self.own_keys(), &filters)?, page.next, false))
     }
 
     /// Records of all profiles of the home, each with its owner; needs no passphrase.
     pub(in crate::site) async fn list_all(self: &Arc<Self>, query: UploadQuery) -> Result<RecordPage, Failure> {
+        if query.incident.is_some() {
+            return Err(input("an incident is one profile's: leave --all out, or the incident".to_owned()));
+        }
         let page = blocking(self, move |reading| {
             let owners = Some(reading.owners.accounts());
             Ok(reading.plant.ledger.list(&RecordQuery { owners, owner: None, ..record_query(query) })?)

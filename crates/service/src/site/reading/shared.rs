@@ -24,6 +24,9 @@ impl Reading {
         owner: &Arc<Owner>,
         query: UploadQuery,
     ) -> Result<RecordPage, Failure> {
+        if query.incident.is_some() {
+            return Err(input("incidents are of your own records: `authros uploads list --incident NAME`".to_owned()));
+        }
         let network = self.link.network().await?;
         let wanted = query.owner.as_ref().map(|owner| self.contacts.resolve(owner)).transpose()?;
         let mut grants = authority::shared_with(&network.directory, owner.address);

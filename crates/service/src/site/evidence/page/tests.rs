@@ -80,7 +80,7 @@ fn text(of: &str) -> Vec<u8> {
 #[test]
 fn what_strangers_wrote_stays_text() {
     let (bundle, report) = told("std_msgs/String", "string data", &text(HOSTILE));
-    let page = page(&bundle, &report);
+    let page = page(&bundle, &report, None);
     assert_eq!(report.records.iter().filter(|record| record.disclosed.is_some()).count(), 1, "{report:?}");
     assert!(
         page.matches("&lt;script&gt;alert(&#39;x&#39;)&lt;/script&gt;").count() >= 4,
@@ -106,7 +106,7 @@ fn what_strangers_wrote_stays_text() {
 #[test]
 fn the_page_says_that_it_proves_nothing_and_has_the_levels_and_the_lines_for_openssl() {
     let (bundle, report) = told("std_msgs/String", "string data", &text("hello"));
-    let shown = page(&bundle, &report);
+    let shown = page(&bundle, &report, None);
     for part in [
         "This page is not authoritative",
         "default-src &#39;none&#39;".replace("&#39;", "'").as_str(),
@@ -120,9 +120,9 @@ fn the_page_says_that_it_proves_nothing_and_has_the_levels_and_the_lines_for_ope
     ] {
         assert!(shown.contains(part), "no {part} in {shown}");
     }
-    assert_eq!(shown, page(&bundle, &report), "the same twice");
+    assert_eq!(shown, page(&bundle, &report, None), "the same twice");
     let (bundle, report) = told("std_msgs/String", "no definition at all {", &text("hello"));
-    assert!(page(&bundle, &report).contains("Its fields are not shown"));
+    assert!(page(&bundle, &report, None).contains("Its fields are not shown"));
 }
 
 #[test]
@@ -140,6 +140,6 @@ fn a_picture_is_within_the_page() {
     body.extend([6u32.to_le_bytes(), 6u32.to_le_bytes()].concat());
     body.extend([255, 0, 0, 0, 0, 255]);
     let (bundle, report) = told("sensor_msgs/Image", &definition, &body);
-    let page = page(&bundle, &report);
+    let page = page(&bundle, &report, None);
     assert!(page.contains("<img alt=\"the picture, made small\" src=\"data:image/png;base64,iVBORw0KGgo"), "{page}");
 }

@@ -1,0 +1,53 @@
+//! Commands about incidents: spans of time and topics of own records, kept together.
+
+use serde::{Deserialize, Serialize};
+
+use super::{Ask, Command};
+use crate::model::{IncidentName, Timestamp, TopicName};
+use crate::service::reply::IncidentView;
+
+requests! {
+    /// One of these; needs no keyring.
+    #[serde(rename_all = "snake_case", tag = "incident")]
+    enum IncidentCommand by Command::OfIncident;
+    /// Keep a span together: retention leaves its records alone.
+    OpenIncident {
+        /// Its name.
+        name: IncidentName,
+        /// Records captured then or later.
+        since: Timestamp,
+        /// Records captured before then; `None` = until it is closed.
+        #[serde(default)]
+        until: Option<Timestamp>,
+        /// Of these topics; empty = of all.
+        #[serde(default)]
+        topics: Vec<TopicName>,
+        /// What it is about, in words.
+        #[serde(default)]
+        note: Option<String>,
+    } => IncidentView;
+    /// All of the profile, each with what it holds.
+    ListIncidents => Vec<IncidentView>;
+    /// One of them.
+    ShowIncident {
+        /// Its name.
+        name: IncidentName,
+    } => IncidentView;
+    /// Add a note.
+    NoteIncident {
+        /// Its name.
+        name: IncidentName,
+        /// The note.
+        text: String,
+    } => IncidentView;
+    /// End its span now; what is in it stays held.
+    CloseIncident {
+        /// Its name.
+        name: IncidentName,
+    } => IncidentView;
+    /// Forget it: what it held is retention's again.
+    RemoveIncident {
+        /// Its name.
+        name: IncidentName,
+    } => Vec<IncidentView>;
+}

@@ -1,0 +1,277 @@
+//! Incidents: spans of time and topics of own records, held from retention as long as they are there.
+
+#[cfg(test)]
+mod tests;
+
+use std::sync::Arc;
+
+use crate::model::{Address, ErrorKind, IncidentName, ProfileName, Timestamp, TopicName, clean, clean_lines};
+use crate::pipeline::Plant;
+use crate::service::command::{self as ask, Ask, IncidentCommand};
+use crate::service::event::Part;
+use crate::service::failure::input;
+use crate::service::hub::Hub;
+use crate::service::reply::{SpanCoverageView, Failure, IncidentNoteView, IncidentView, Reply};
+use crate::site::audit::Log;
+use crate::site::blocking;
+use crate::site::identity::owners::Owners;
+use crate::site::parts::Parts;
+use crate::store::{SpanCoverage, IncidentRow, IncidentSpan, Ledger, RecordQuery};
+
+/// The most incidents of a profile.
+const MOST: usize = 200;
+/// The most topics that an incident names.
+const MOST_TOPICS: usize = 256;
+/// The most notes of an incident.
+const MOST_NOTES: usize = 200;
+/// The longest note, characters.
+const LONGEST_NOTE: usize = 2000;
+/// The widest topic shown, characters.
+const WIDEST: usize = 255;
+
+/// Incidents as the operator opens, notes, closes and removes them.
+pub(in crate::site) struct Incidents {
+    plant: Plant,
+    hub: Arc<Hub>,
+    log: Arc<Log>,
+    owners: Arc<Owners>,
+}
+
+/// What a new incident is to be about.
+struct Wanted {
+    name: IncidentName,
+    span: IncidentSpan,
+    note: Option<String>,
+}
+
+impl Incidents {
+    /// From the shared parts.
+    pub fn new(parts: &Parts) -> Self {
+        let Parts { plant, hub, log, owners, .. } = parts.clone();
+        Self { plant, hub, log, owners }
+    }
+
+    /// Answers one request.
+    pub async fn answer(self: &Arc<Self>, profile: &ProfileName, command: IncidentCommand) -> Result<Reply, Failure> {
+        let owner = self.owners.address_of(profile)?;
+        match command {
+            IncidentCommand::OpenIncident { name, since, until, topics, note } => {
+                let wanted = wanted(name, (since, until), &topics, note.as_deref())?;
+                self.open(profile, owner, wanted).await.map(ask::OpenIncident::told)
+            }
+            IncidentCommand::ListIncidents => self.list(owner).await.map(ask::ListIncidents::told),
+            IncidentCommand::ShowIncident { name } => self.show(owner, name).await.map(ask::ShowIncident::told),
+            IncidentCommand::NoteIncident { name, text } => {
+                self.note(profile, owner, name, &text).await.map(ask::NoteIncident::told)
+            }
+            IncidentCommand::CloseIncident { name } => {
+                self.close(profile, owner, name).await.map(ask::CloseIncident::told)
+            }
+            IncidentCommand::RemoveIncident { name } => {
+                self.remove(profile, owner, name).await.map(ask::RemoveIncident::told)
+            }
+        }
+    }
+
+    async fn open(
+        self: &Arc<Self>,
+        profile: &ProfileName,
+        owner: Address,
+        wanted: Wanted,
+    ) -> Result<IncidentView, Failure> {
+        let Wanted { name, span, note } = wanted;
+        let known = self.rows(owner).await?;
+        if known.iter().any(|row| row.name == name) {
+            return Err(taken(&name));
+        }
+        if known.len() >= MOST {
+            return Err(input(format!(
+                "there are {MOST} incidents, as many as a profile may have; `authros incident remove NAME` forgets one"
+            )));
+        }
+        self.log.write(profile, "open incident", &subject(&name, &span), "begun").await?;
+        let named = name.clone();
+        let opened = blocking(self, move |incidents| {
+            Ok(incidents.plant.ledger.open_incident(owner, &named, &span, note.as_deref())?)
+        })
+        .await?;
+        if !opened {
+            return Err(taken(&name));
+        }
+        self.hub.changed(Part::Uploads);
+        self.show(owner, name).await
+    }
+
+    async fn rows(self: &Arc<Self>, owner: Address) -> Result<Vec<IncidentRow>, Failure> {
+        blocking(self, move |incidents| Ok(incidents.plant.ledger.incidents(owner)?)).await
+    }
+
+    async fn list(self: &Arc<Self>, owner: Address) -> Result<Vec<IncidentView>, Failure> {
+        blocking(self, move |incidents| {
+            let ledger = &incidents.plant.ledger;
+            ledger.incidents(owner)?.into_iter().map(|row| covered(ledger, owner, row)).collect()
+        })
+        .await
+    }
+
+    async fn show(self: &Arc<Self>, owner: Address, name: IncidentName) -> Result<IncidentView, Failure> {
+        blocking(self, move |incidents| {
+            let ledger = &incidents.plant.ledger;
+            covered(ledger, owner, known(ledger, owner, &name)?)
+        })
+        .await
+    }
+
+    async fn note(
+        self: &Arc<Self>,
+        profile: &ProfileName,
+        owner: Address,
+        name: IncidentName,
+        text: &str,
+    ) -> Result<IncidentView, Failure> {
+        let text = note_text(text)?;
+        if self.show(owner, name.clone()).await?.notes.len() >= MOST_NOTES {
+            return Err(input(format!("{name} has {MOST_NOTES} notes, as many as an incident may have")));
+        }
+        self.log.write(profile, "note incident", name.as_str(), "begun").await?;
+        let named = name.clone();
+        blocking(self, move |incidents| found(&named, incidents.plant.ledger.note_incident(owner, &named, &text)?))
+            .await?;
+        self.show(owner, name).await
+    }
+
+    async fn close(
+        self: &Arc<Self>,
+        profile: &ProfileName,
+        owner: Address,
+        name: IncidentName,
+    ) -> Result<IncidentView, Failure> {
+        if !self.show(owner, name.clone()).await?.open {
+            return Err(input(format!("{name} is closed already; what is in it is held until it is removed")));
+        }
+        self.log.write(profile, "close incident", name.as_str(), "begun").await?;
+        let named = name.clone();
+        blocking(self, move |incidents| found(&named, incidents.plant.ledger.close_incident(owner, &named)?)).await?;
+        self.hub.changed(Part::Uploads);
+        self.show(owner, name).await
+    }
+
+    async fn remove(
+        self: &Arc<Self>,
+        profile: &ProfileName,
+        owner: Address,
+        name: IncidentName,
+    ) -> Result<Vec<IncidentView>, Failure> {
+        let view = self.show(owner, name.clone()).await?;
+        let told = format!("{name}: {} records were held", view.records);
+        self.log.write(profile, "remove incident", &told, "begun").await?;
+        blocking(self, move |incidents| found(&name, incidents.plant.ledger.remove_incident(owner, &name)?)).await?;
+        self.hub.changed(Part::Uploads);
+        self.list(owner).await
+    }
+}
+
+/// Bounds are checked, and foreign text is cleaned, before anything is written.
+fn wanted(
+    name: IncidentName,
+    (since, until): (Timestamp, Option<Timestamp>),
+    topics: &[TopicName],
+    note: Option<&str>,
+) -> Result<Wanted, Failure> {
+    if since > Timestamp::now() {
+        return Err(input(format!(
+            "{name} would begin at {since}, which is to come; a watched topic is captured anyway, open the incident then"
+        )));
+    }
+    if until.is_some_and(|until| until <= since) {
+        return Err(input(format!("{name} would end before it begins; --until is a later moment than --since")));
+    }
+    if topics.len() > MOST_TOPICS {
+        return Err(input(format!("an incident names at most {MOST_TOPICS} topics; without any it is about all")));
+    }
+    let topics = topics.iter().map(ToString::to_string).collect();
+    Ok(Wanted { name, span: IncidentSpan { since, until, topics }, note: note.map(note_text).transpose()? })
+}
+
+fn note_text(text: &str) -> Result<String, Failure> {
+    let length = text.chars().count();
+    if length > LONGEST_NOTE {
+        return Err(input(format!(
+            "the note has {length} characters, and {LONGEST_NOTE} are the most; make it shorter"
+        )));
+    }
+    let text = clean_lines(text, LONGEST_NOTE);
+    if text.trim().is_empty() { Err(input("the note is empty".to_owned())) } else { Ok(text) }
+}
+
+fn taken(name: &IncidentName) -> Failure {
+    input(format!("there is an incident {name} already; `authros incident show {name}` tells of it"))
+}
+
+fn unknown(name: &IncidentName) -> Failure {
+    Failure::new(ErrorKind::Input, format!("there is no incident {name}; `authros incident list` has those there are"))
+}
+
+fn found(name: &IncidentName, done: bool) -> Result<(), Failure> {
+    if done { Ok(()) } else { Err(unknown(name)) }
+}
+
+fn known(ledger: &Ledger, owner: Address, name: &IncidentName) -> Result<IncidentRow, Failure> {
+    ledger.incident(owner, name)?.ok_or_else(|| unknown(name))
+}
+
+/// What the audit log says it is about.
+fn subject(name: &IncidentName, span: &IncidentSpan) -> String {
+    let until = span.until.map_or_else(|| "until it is closed".to_owned(), |until| format!("until {until}"));
+    let topics = if span.topics.is_empty() { "all topics".to_owned() } else { span.topics.join(" ") };
+    clean(&format!("{name}: since {} {until}, {topics}", span.since), 400)
+}
+
+/// A query that finds only what is in an incident of the owner.
+///
+/// # Errors
+/// Of kind `Input` where there is none of this name; of the ledger.
+pub(in crate::site) fn narrowed(
+    ledger: &Ledger,
+    owner: Address,
+    name: &IncidentName,
+    query: RecordQuery,
+) -> Result<RecordQuery, Failure> {
+    let IncidentSpan { since, until, topics } = known(ledger, owner, name)?.span;
+    let until = [query.until, until].into_iter().flatten().min();
+    Ok(RecordQuery { since: query.since.max(Some(since)), until, topics, ..query })
+}
+
+/// One incident of the owner, for the page of a bundle.
+///
+/// # Errors
+/// As [`narrowed`].
+pub(in crate::site) fn view(ledger: &Ledger, owner: Address, name: &IncidentName) -> Result<IncidentView, Failure> {
+    covered(ledger, owner, known(ledger, owner, name)?)
+}
+
+fn covered(ledger: &Ledger, owner: Address, row: IncidentRow) -> Result<IncidentView, Failure> {
+    let coverage: Vec<SpanCoverageView> = ledger.span_coverage(owner, &row.span)?.into_iter().map(coverage_view).collect();
+    let note = |note: crate::store::IncidentNote| IncidentNoteView {
+        at: note.at,
+        text: clean_lines(&note.text, LONGEST_NOTE),
+    };
+    Ok(IncidentView {
+        name: row.name,
+        open: row.closed_at.is_none(),
+        since: row.span.since,
+        until: row.span.until,
+        opened_at: row.opened_at,
+        closed_at: row.closed_at,
+        topics: row.span.topics.iter().map(|topic| clean(topic, WIDEST)).collect(),
+        notes: row.notes.into_iter().map(note).collect(),
+        records: coverage.iter().map(|one| one.records).sum(),
+        bytes: coverage.iter().map(|one| one.bytes).sum(),
+        coverage,
+    })
+}
+
+fn coverage_view(found: SpanCoverage) -> SpanCoverageView {
+    let SpanCoverage { topic, records, bytes, first, last, deleted, quarantined, lost } = found;
+    SpanCoverageView { topic: clean(&topic, WIDEST), records, bytes, first, last, deleted, quarantined, lost }
+}

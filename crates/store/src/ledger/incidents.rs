@@ -1,0 +1,310 @@
+//! Incidents: spans of time and topics with notes. Records in one are left alone by retention as long as it is there.
+
+use std::collections::BTreeMap;
+
+use rusqlite::{Connection, OptionalExtension as _, Row, params};
+use serde::{Deserialize, Serialize};
+
+use super::append::count;
+use super::rows::unsigned;
+use super::{Ledger, database::whole};
+use crate::model::{Address, IncidentName, IncidentNameError, RecordKind, RecordState, Timestamp};
+use crate::store::StoreError;
+
+/// What an incident is about.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct IncidentSpan {
+    /// Records captured then or later.
+    pub since: Timestamp,
+    /// Records captured before then; `None` = it goes on.
+    pub until: Option<Timestamp>,
+    /// Of topics with these names; empty = of all.
+    pub topics: Vec<String>,
+}
+
+/// A note about an incident.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct IncidentNote {
+    /// When it was written.
+    pub at: Timestamp,
+    /// Its text, as it was given: clean it.
+    pub text: String,
+}
+
+/// An incident as the ledger keeps it.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct IncidentRow {
+    /// Its name; an owner has it once.
+    pub name: IncidentName,
+    /// What it is about.
+    pub span: IncidentSpan,
+    /// When it was opened.
+    pub opened_at: Timestamp,
+    /// When it was closed.
+    pub closed_at: Option<Timestamp>,
+    /// Oldest first.
+    pub notes: Vec<IncidentNote>,
+}
+
+/// What there is of one topic in a span.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct SpanCoverage {
+    /// Topic name.
+    pub topic: String,
+    /// Captured messages that are records, without those held back.
+    pub records: u64,
+    /// Bytes of these messages.
+    pub bytes: u64,
+    /// When the first of them was captured.
+    pub first: Option<Timestamp>,
+    /// When the last was.
+    pub last: Option<Timestamp>,
+    /// How many of them have no ciphertext any more: retention took it before.
+    pub deleted: u64,
+    /// Messages that are held back in quarantine.
+    pub quarantined: u64,
+    /// Messages that were lost in stretches of time that touch the span.
+    pub lost: u64,
+}
+
+impl SpanCoverage {
+    /// Takes over what another part of the same topic has.
+    fn add(&mut self, part: &Self) {
+        self.records += part.records;
+        self.bytes += part.bytes;
+        self.deleted += part.deleted;
+        self.quarantined += part.quarantined;
+        self.lost += part.lost;
+        self.first = [self.first, part.first].into_iter().flatten().min();
+        self.last = self.last.max(part.last);
+    }
+}
+
+impl Ledger {
+    /// Keeps a new incident; `false` where the owner has one of this name already.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like: then it is not kept.
+    pub fn open_incident(
+        &self,
+        owner: Address,
+        name: &IncidentName,
+        span: &IncidentSpan,
+        note: Option<&str>,
+    ) -> Result<bool, StoreError> {
+        let (name, span, note) = (name.clone(), span.clone(), note.map(str::to_owned));
+        self.write(move |session| {
+            let connection = session.connection;
+            let now = whole("time", Timestamp::now().0)?;
+            let until = span.until.map(|until| whole("time", until.0)).transpose()?;
+            let added = connection.execute(
+                "INSERT OR IGNORE INTO incidents (owner, name, since, until, opened_at) VALUES (?1, ?2, ?3, ?4, ?5)",
+                params![owner.0, name.as_str(), whole("time", span.since.0)?, until, now],
+            )?;
+            if added == 0 {
+                return Ok(false);
+            }
+            let key = connection.last_insert_rowid();
+            for topic in &span.topics {
+                connection.execute("INSERT OR IGNORE INTO incident_topics VALUES (?1, ?2)", params![key, topic])?;
+            }
+            if let Some(text) = note {
+                connection.execute("INSERT INTO incident_notes VALUES (?1, 1, ?2, ?3)", params![key, now, text])?;
+            }
+            Ok(true)
+        })
+    }
+
+    /// The incidents of an owner, the newest span last.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn incidents(&self, owner: Address) -> Result<Vec<IncidentRow>, StoreError> {
+        self.read(|connection| {
+            let sql = "SELECT key, name, since, until, opened_at, closed_at FROM incidents WHERE owner = ?1
+                       ORDER BY since, key";
+            let mut statement = connection.prepare_cached(sql)?;
+            let rows = statement.query_map([owner.0], |row| Ok((row.get(0)?, incident(row)?)))?;
+            let rows: Vec<(i64, IncidentRow)> = rows.collect::<Result<_, _>>()?;
+            rows.into_iter().map(|(key, row)| whole_of(connection, key, row)).collect()
+        })
+    }
+
+    /// One incident of an owner.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn incident(&self, owner: Address, name: &IncidentName) -> Result<Option<IncidentRow>, StoreError> {
+        self.read(|connection| {
+            let sql = "SELECT key, name, since, until, opened_at, closed_at FROM incidents
+                       WHERE owner = ?1 AND name = ?2";
+            let found = connection
+                .prepare_cached(sql)?
+                .query_row(params![owner.0, name.as_str()], |row| Ok((row.get(0)?, incident(row)?)))
+                .optional()?;
+            found.map(|(key, row)| whole_of(connection, key, row)).transpose()
+        })
+    }
+
+    /// Adds a note; `false` where there is no such incident.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like: then it is not added.
+    pub fn note_incident(&self, owner: Address, name: &IncidentName, text: &str) -> Result<bool, StoreError> {
+        let (name, text) = (name.clone(), text.to_owned());
+        self.write(move |session| {
+            let now = whole("time", Timestamp::now().0)?;
+            let added = session.connection.execute(
+                "INSERT INTO incident_notes SELECT key,
+                     (SELECT coalesce(max(number), 0) + 1 FROM incident_notes WHERE incident = key), ?3, ?4
+                 FROM incidents WHERE owner = ?1 AND name = ?2",
+                params![owner.0, name.as_str(), now, text],
+            )?;
+            Ok(added > 0)
+        })
+    }
+
+    /// Closes an open incident: its span ends now, if it did not end before. `false` where none of this name is open.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like: then it stays open.
+    pub fn close_incident(&self, owner: Address, name: &IncidentName) -> Result<bool, StoreError> {
+        let name = name.clone();
+        self.write(move |session| {
+            let now = whole("time", Timestamp::now().0)?;
+            let closed = session.connection.execute(
+                "UPDATE incidents SET closed_at = ?3, until = min(coalesce(until, ?3), ?3)
+                 WHERE owner = ?1 AND name = ?2 AND closed_at IS NULL",
+                params![owner.0, name.as_str(), now],
+            )?;
+            Ok(closed > 0)
+        })
+    }
+
+    /// Forgets an incident; what it held is retention's again. `false` where there is none of this name.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like: then it stays.
+    pub fn remove_incident(&self, owner: Address, name: &IncidentName) -> Result<bool, StoreError> {
+        let name = name.clone();
+        self.write(move |session| {
+            let connection = session.connection;
+            let whose = params![owner.0, name.as_str()];
+            for table in ["incident_topics", "incident_notes"] {
+                let sql = format!(
+                    "DELETE FROM {table} WHERE incident IN (SELECT key FROM incidents WHERE owner = ?1 AND name = ?2)"
+                );
+                connection.execute(&sql, whose)?;
+            }
+            Ok(count(connection.execute("DELETE FROM incidents WHERE owner = ?1 AND name = ?2", whose)?) > 0)
+        })
+    }
+
+    /// What there is of each topic in a span of an owner's records: of those that it names, or of all that have any.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn span_coverage(&self, owner: Address, span: &IncidentSpan) -> Result<Vec<SpanCoverage>, StoreError> {
+        self.read(|connection| {
+            let mut found: BTreeMap<String, SpanCoverage> =
+                span.topics.iter().map(|topic| (topic.clone(), SpanCoverage::default())).collect();
+            let parts = counted(connection, owner, span)?.into_iter().chain(losses(connection, owner, span)?);
+            for part in parts.filter(|part| span.topics.is_empty() || span.topics.contains(&part.topic)) {
+                found.entry(part.topic.clone()).or_default().add(&part);
+            }
+            Ok(found.into_iter().map(|(topic, coverage)| SpanCoverage { topic, ..coverage }).collect())
+        })
+    }
+
+    /// Bytes of a topic's captured messages of a stretch of time whose ciphertext retention has not given up.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn bytes_between(&self, topic: i64, (since, until): (Timestamp, Timestamp)) -> Result<u64, StoreError> {
+        self.read(|connection| {
+            let sql = "SELECT coalesce(sum(r.bytes), 0) FROM streams s JOIN counters c ON c.stream = s.key
+                       JOIN records r INDEXED BY records_by_state ON r.state = c.state AND r.stream = s.key
+                       WHERE s.topic = ?1 AND s.kind = ?2 AND c.records > 0 AND c.state <> ?3
+                       AND r.captured_at >= ?4 AND r.captured_at < ?5
+                       AND NOT EXISTS (SELECT 1 FROM retained WHERE record = r.n)";
+            let (kind, dropped) = (RecordKind::Data.code(), RecordState::Dropped.code());
+            let values = params![topic, kind, dropped, bound(since), bound(until)];
+            Ok(connection.prepare_cached(sql)?.query_row(values, |row| unsigned(row, 0))?)
+        })
+    }
+}
+
+fn incident(row: &Row<'_>) -> rusqlite::Result<IncidentRow> {
+    let name: String = row.get(1)?;
+    let name = name.parse().map_err(|error: IncidentNameError| {
+        rusqlite::Error::FromSqlConversionFailure(1, rusqlite::types::Type::Text, Box::new(error))
+    })?;
+    let time =
+        |column| Ok::<_, rusqlite::Error>(row.get::<_, Option<i64>>(column)?.map(|at| Timestamp(at.cast_unsigned())));
+    Ok(IncidentRow {
+        name,
+        span: IncidentSpan { since: Timestamp(unsigned(row, 2)?), until: time(3)?, topics: Vec::new() },
+        opened_at: Timestamp(unsigned(row, 4)?),
+        closed_at: time(5)?,
+        notes: Vec::new(),
+    })
+}
+
+/// With its topics and notes.
+fn whole_of(connection: &Connection, key: i64, mut row: IncidentRow) -> Result<IncidentRow, StoreError> {
+    let mut topics =
+        connection.prepare_cached("SELECT topic FROM incident_topics WHERE incident = ?1 ORDER BY topic")?;
+    row.span.topics = topics.query_map([key], |row| row.get(0))?.collect::<Result<_, _>>()?;
+    let mut notes =
+        connection.prepare_cached("SELECT at, text FROM incident_notes WHERE incident = ?1 ORDER BY number")?;
+    let notes =
+        notes.query_map([key], |row| Ok(IncidentNote { at: Timestamp(unsigned(row, 0)?), text: row.get(1)? }))?;
+    row.notes = notes.collect::<Result<_, _>>()?;
+    Ok(row)
+}
+
+/// What the records of each topic and state add to its coverage.
+fn counted(connection: &Connection, owner: Address, span: &IncidentSpan) -> Result<Vec<SpanCoverage>, StoreError> {
+    let sql = "SELECT t.name, r.state, count(*), sum(r.bytes), min(r.captured_at), max(r.captured_at),
+                   count(r.deleted_at)
+               FROM topics t JOIN streams s ON s.topic = t.key JOIN counters c ON c.stream = s.key
+               JOIN records r INDEXED BY records_by_state ON r.state = c.state AND r.stream = s.key
+               WHERE t.owner = ?1 AND s.kind = ?2 AND c.records > 0 AND c.state <> ?3
+               AND r.captured_at >= ?4 AND r.captured_at < ?5 GROUP BY t.name, r.state";
+    let (kind, dropped) = (RecordKind::Data.code(), RecordState::Dropped.code());
+    let mut statement = connection.prepare_cached(sql)?;
+    let rows = statement.query_map(params![owner.0, kind, dropped, bound(span.since), end(span)], |row| {
+        let (topic, records) = (row.get(0)?, unsigned(row, 2)?);
+        if row.get::<_, u8>(1)? == RecordState::Quarantined.code() {
+            return Ok(SpanCoverage { topic, quarantined: records, ..SpanCoverage::default() });
+        }
+        Ok(SpanCoverage {
+            topic,
+            records,
+            bytes: unsigned(row, 3)?,
+            first: Some(Timestamp(unsigned(row, 4)?)),
+            last: Some(Timestamp(unsigned(row, 5)?)),
+            deleted: unsigned(row, 6)?,
+            ..SpanCoverage::default()
+        })
+    })?;
+    Ok(rows.collect::<Result<_, _>>()?)
+}
+
+/// Messages of each topic that were lost in stretches of time that touch the span.
+fn losses(connection: &Connection, owner: Address, span: &IncidentSpan) -> Result<Vec<SpanCoverage>, StoreError> {
+    let sql = "SELECT topic, sum(count) FROM gaps WHERE owner = ?1 AND last_at >= ?2 AND first_at < ?3 GROUP BY topic";
+    let mut statement = connection.prepare_cached(sql)?;
+    let rows = statement.query_map(params![owner.0, bound(span.since), end(span)], |row| {
+        Ok(SpanCoverage { topic: row.get(0)?, lost: unsigned(row, 1)?, ..SpanCoverage::default() })
+    })?;
+    Ok(rows.collect::<Result<_, _>>()?)
+}
+
+fn bound(at: Timestamp) -> i64 {
+    i64::try_from(at.0).unwrap_or(i64::MAX)
+}
+
+fn end(span: &IncidentSpan) -> i64 {
+    span.until.map_or(i64::MAX, bound)
+}

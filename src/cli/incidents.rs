@@ -1,0 +1,149 @@
+//! `incident`: spans of time and topics of own records, held from retention; what there is of them, for people.
+
+use clap::Subcommand;
+
+use super::connect::ProfileNeed;
+use super::parse;
+use super::verbs::{NEITHER, Plan};
+use crate::model::{ErrorKind, Timestamp};
+use crate::service::Failure;
+use crate::service::command::{CloseIncident, ListIncidents, NoteIncident, OpenIncident, RemoveIncident, ShowIncident};
+use crate::service::reply::{SpanCoverageView, IncidentView};
+use authros_output::table;
+
+/// `incident …`
+#[derive(Debug, Subcommand)]
+pub enum IncidentVerb {
+    /// Keep a span of time and topics together: retention leaves its records alone until it is removed
+    Open {
+        /// Its name: letters, digits, '.', '-' and '_'
+        name: String,
+        /// Where it begins: a time as 2026-11-21T08:30:00Z, a day, or so long ago, as 10m or -10m
+        #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
+        since: String,
+        /// Where it ends, written in the same way [default: when it is closed]
+        #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
+        until: Option<String>,
+        /// Its topics, one or more [default: all]
+        #[arg(long, visible_alias = "topic", value_name = "TOPIC", num_args = 1.., value_delimiter = ',')]
+        topics: Vec<String>,
+        /// What it is about, in words
+        #[arg(long, value_name = "TEXT")]
+        note: Option<String>,
+    },
+    /// All of them, each with what it holds
+    List,
+    /// One of them: its notes, and what there is of each topic
+    Show {
+        /// Its name
+        name: String,
+    },
+    /// Add a note
+    Note {
+        /// Its name
+        name: String,
+        /// The note
+        text: String,
+    },
+    /// End its span now; what is in it stays held
+    Close {
+        /// Its name
+        name: String,
+    },
+    /// Forget it: retention takes what only this one held
+    Remove {
+        /// Its name
+        name: String,
+        /// Yes, forget it
+        #[arg(long)]
+        yes: bool,
+    },
+}
+
+/// What is asked.
+///
+/// # Errors
+/// What is wrong with the arguments.
+pub fn plan(verb: IncidentVerb) -> Result<Plan, Failure> {
+    let kept = |question: super::show::Question| Plan::new(NEITHER, ProfileNeed::None, question);
+    Ok(match verb {
+        IncidentVerb::Open { name, since, until, topics, note } => kept(
+            OpenIncident {
+                name: parse::value(&name)?,
+                since: moment(&since)?,
+                until: until.as_deref().map(moment).transpose()?,
+                topics: parse::values(&topics)?,
+                note,
+            }
+            .into(),
+        ),
+        IncidentVerb::List => kept(ListIncidents.into()),
+        IncidentVerb::Show { name } => kept(ShowIncident { name: parse::value(&name)? }.into()),
+        IncidentVerb::Note { name, text } => kept(NoteIncident { name: parse::value(&name)?, text }.into()),
+        IncidentVerb::Close { name } => kept(CloseIncident { name: parse::value(&name)? }.into()),
+        IncidentVerb::Remove { name, yes: true } => kept(RemoveIncident { name: parse::value(&name)? }.into()),
+        IncidentVerb::Remove { .. } => {
+            return Err(Failure::new(
+                ErrorKind::Usage,
+                "what retention then deletes cannot be brought back; say --yes to do it",
+            ));
+        }
+    })
+}
+
+/// A moment; so long ago with or without the sign.
+fn moment(text: &str) -> Result<Timestamp, Failure> {
+    parse::past(text.strip_prefix('-').unwrap_or(text))
+}
+
+fn time(at: Option<Timestamp>) -> String {
+    at.map_or_else(|| "-".to_owned(), |at| at.to_string())
+}
+
+fn state(incident: &IncidentView) -> &'static str {
+    if incident.open { "open" } else { "closed" }
+}
+
+/// All incidents of a profile.
+pub fn all(incidents: &[IncidentView]) -> String {
+    if incidents.is_empty() {
+        return "no incident; `authros incident open NAME --since 10m` keeps one".to_owned();
+    }
+    let row = |incident: &IncidentView| {
+        vec![
+            incident.name.to_string(),
+            state(incident).to_owned(),
+            incident.since.to_string(),
+            time(incident.until),
+            incident.coverage.iter().filter(|topic| topic.records > 0).count().to_string(),
+            incident.records.to_string(),
+            incident.bytes.to_string(),
+        ]
+    };
+    let rows: Vec<Vec<String>> = incidents.iter().map(row).collect();
+    table(&["incident", "", "from", "to", "topics", "records", "bytes"], &rows)
+}
+
+/// One incident with its notes and what there is of each topic.
+pub fn incident(view: &IncidentView) -> String {
+    let to = view.until.map_or_else(|| "now, until it is closed".to_owned(), |until| until.to_string());
+    let mut lines = vec![
+        format!("{} ({}): {} to {to}", view.name, state(view), view.since),
+        format!("{} records, {} bytes, held from retention", view.records, view.bytes),
+    ];
+    lines.extend(view.notes.iter().map(|note| format!("{}  {}", note.at, note.text)));
+    let row = |one: &SpanCoverageView| {
+        let [records, lost, quarantined, deleted] =
+            [one.records, one.lost, one.quarantined, one.deleted].map(|count| count.to_string());
+        vec![one.topic.clone(), records, time(one.first), time(one.last), lost, quarantined, deleted]
+    };
+    let rows: Vec<Vec<String>> = view.coverage.iter().map(row).collect();
+    if !rows.is_empty() {
+        lines.push(table(&["topic", "records", "first", "last", "lost", "quarantined", "deleted before"], &rows));
+    }
+    let empty = view.coverage.iter().filter(|one| one.records + one.quarantined == 0);
+    lines.extend(
+        empty.map(|one| format!("nothing of {} is here in that span; is the name right, is it watched?", one.topic)),
+    );
+    lines.join("\n")
+}
