@@ -35,7 +35,7 @@ use crate::service::reply::{
     AdministrationView, AuditCheck, AuditView, CaptureSummary, ChainView, CheckView, CompareView, ContactRow,
     DecidedView, DeployedView, DeviceRow, DeviceTopicsView, EnrolledView, EvidenceView, ExportedFile, GatewayView,
     GrantRow, IdentityView, KeyChangeView, KeysView, OpenedView, PinsView, PlayedView, PolicyView, Provenance,
-    QuarantineView, RecordPage, ServedView, SiteView, TopicRow, TransactionView,
+    QuarantineView, RecordPage, ServedView, SiteView, StampView, TopicRow, TransactionView,
 };
 pub use crate::store::AuditQuery;
 
@@ -185,6 +185,8 @@ requests! {
     } => Vec<ExportedFile>;
     /// Own records with all that proves them, in one file.
     ExportEvidence(wishes: EvidenceWishes) => EvidenceView;
+    /// What is not stamped by the time stamp authorities yet, now.
+    StampEvidence => StampView;
     /// Share with another account.
     Grant {
         /// Who may read.

@@ -24,10 +24,10 @@ pub use files::{ConsoleLock, SiteLock, atomic_write};
 pub use ledger::{
     AlarmRow, Anchors, AuditPage, AuditedBatch, AuditedPlace, AuditedRecord, BatchPlace, EarlierAnchor, FilterChoice,
     Foreign, GapRow, HeldMinute, HeldQuery, HeldRow, Hold, KeptBinding, KeptEnvelope, KeptEvent, KeptReceipt,
-    KeptRight, KeptStanding, KeptTopic, LaneCount, LastSeen, Ledger, Left, Loss, NewBatch, NewRecord, NewTransaction,
-    OldRecord, OpenTransaction, PinRow, RecordPage, RecordQuery, RecordRow, RecordsHeld, Reissue, Retained, RightEvent,
-    RightKind, RootSighting, Sequence, Sighting, StandingRights, StateCounts, TopicCounts, TransactionOutcome,
-    TransactionRow, TransactionState, WaitingBatch, WaitingSigner,
+    KeptRight, KeptStamp, KeptStanding, KeptTopic, LaneCount, LastSeen, Ledger, Left, Loss, NewBatch, NewRecord,
+    NewTransaction, OldRecord, OpenTransaction, PinRow, RecordPage, RecordQuery, RecordRow, RecordsHeld, Reissue,
+    Retained, RightEvent, RightKind, RootSighting, Sequence, Sighting, StampCounts, StandingRights, StateCounts,
+    TopicCounts, TransactionOutcome, TransactionRow, TransactionState, WaitingBatch, WaitingSigner,
 };
 pub use reserve::{RESERVE_BYTES, Reserve};
 pub use vault::{Stored, Usage, Vault, open_vault};

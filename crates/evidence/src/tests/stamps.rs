@@ -6,6 +6,7 @@ use authros_model::{Hash, Timestamp};
 use proptest::prelude::*;
 
 use super::authority::{Authority, P256, P384, RSA, RSA_PSS};
+use super::second::agree;
 use super::world::{World, genesis, ours};
 use crate::time::{Certificate, Request, StampTree, Stamped, TimeError, check_token, token_of};
 use crate::trust::PinnedAuthority;
@@ -215,7 +216,10 @@ fn a_record_existed_before_its_stamp() {
     authority.issue(("one", P384), "root", "stamps", "");
     let world = World::new();
     let packing = stamped(&world, |imprint| authority.token(imprint, "one", "sha256"));
-    let report = judged(&world, packing, &pinned(&authority, "root"));
+    let trust = pinned(&authority, "root");
+    let members = packing.sign(genesis(), world.owner, &world.keys, ours()).expect("packs");
+    agree(&members, &trust, Outcome::Holds);
+    let report = judged(&world, Packing::from(members), &trust);
     let record = &report.records[0];
     assert_eq!((record.time.standing, report.outcome), (Standing::Proven, Outcome::Holds), "{}", record.time.text);
     // openssl's own reading of the time, with the second and a half that it gives itself.
@@ -264,6 +268,8 @@ fn a_stamp_over_something_else_is_refused_and_an_absent_one_is_told() {
     let name = members.keys().find(|name| name.ends_with("roots.json")).expect("roots").clone();
     let text = String::from_utf8(members[&name].clone()).expect("text").replace("\"index\": 1", "\"index\": 0");
     members.insert(name, text.into_bytes());
+    let lie = Packing::from(members.clone()).sign(genesis(), world.owner, &world.keys, ours()).expect("packs");
+    agree(&lie, &trust, Outcome::Refused);
     let (standing, text, _) = told(Packing::from(members));
     assert_eq!(standing, Standing::Refused);
     assert!(text.contains("does not lead to what was stamped"), "{text}");

@@ -65,7 +65,7 @@ use clock::Clock;
 use contacts::Contacts;
 use devices::Devices;
 use devices::enrolled::Enrolments;
-use evidence::Evidence;
+use evidence::{Evidence, TimeStamps};
 use gateway::Gateway;
 use gateway::admissions::Admissions;
 use identity::Profiles;
@@ -128,6 +128,7 @@ pub struct Site {
     devices: Arc<Devices>,
     reading: Arc<Reading>,
     evidence: Arc<Evidence>,
+    stamps: Arc<TimeStamps>,
     bridge: Arc<Bridge>,
     capture: Arc<Capture>,
     recordings: Arc<Recordings>,
@@ -204,6 +205,7 @@ impl Site {
         let contacts = Arc::new(Contacts::new(of));
         let pins = Arc::new(Pinning::new(of, &judges));
         let reading = Arc::new(Reading::new(of, &contacts));
+        let stamps = Arc::new(TimeStamps::new(of));
         let quarantine = Arc::new(Quarantine::new(of, &reading));
         let enrolments = Arc::new(Enrolments::new(of));
         let sharing = Arc::new(Sharing::new(of, &contacts, &enrolments, &joined, &reserve));
@@ -238,7 +240,8 @@ impl Site {
             adoption: Arc::new(Adoption::new(of, &lanes, &connection, &profiles, remote)),
             audit: Arc::new(Audit::new(of, &reserve)),
             backup: Arc::new(Backup::new(of, &quarantine)),
-            evidence: Arc::new(Evidence::new(of, &reading)),
+            evidence: Arc::new(Evidence::new(of, &reading, &stamps)),
+            stamps,
             bridge: Arc::new(Bridge::new(of, &contacts, &ros)),
             storage: Arc::new(Storage::new(of)),
             clock: Arc::new(Clock::new(of)),
