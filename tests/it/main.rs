@@ -45,6 +45,7 @@ mod ros2;
 mod sharing;
 mod site_file;
 mod succession;
+mod time_stamps;
 mod units;
 mod uploads_export;
 mod vault_faults;

@@ -202,7 +202,7 @@ impl TimeStamps {
             }
             None => (HealthLevel::Ok, None, told),
         };
-        Ok(Some(PartHealth { part: "time stamps".to_owned(), level, text: clean(&text, 300), since, retry: None }))
+        Ok(Some(PartHealth { part: "time".to_owned(), level, text: clean(&text, 300), since, retry: None }))
     }
 
     /// The authorities as a trust file names them; one whose certificate cannot be read is left out.
