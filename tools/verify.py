@@ -469,7 +469,7 @@ def packed(members):
 
 class Bundle:
     FORMS = re.compile(r"mimetype|manifest\.(json|der)|trust\.toml|VERIFY\.txt|report\.html|chain/(nodes|[0-9]+)\.rlp|"
-                       r"heights\.json|keys/[0-9a-f]{64}\.pem|identities/[0-9a-f]{64}\.bin|definitions/[0-9a-f]{64}\.txt|"
+                       r"heights\.json|stamps/[0-9a-f]{64}/(roots\.json|[0-9a-f]{64}\.der)|keys/[0-9a-f]{64}\.pem|identities/[0-9a-f]{64}\.bin|definitions/[0-9a-f]{64}\.txt|"
                        r"records/[0-9a-f]{64}/(record\.bin|signature\.der|anchor\.json|reveal\.(bin|der))")
 
     def __init__(self, path):
@@ -479,7 +479,7 @@ class Bundle:
             raise Refused("it is longer than any bundle")
         self.members, self.plain_left, self.known = unpacked(data), 256 * 2 ** 20, {}
         names = list(self.members)
-        large = lambda name: name in ("manifest.json", "heights.json", "chain/nodes.rlp") or name.endswith("/record.bin")
+        large = lambda name: name in ("manifest.json", "heights.json", "chain/nodes.rlp") or name.endswith(("/record.bin", "/roots.json"))
         if not all(self.FORMS.fullmatch(n) and (large(n) or len(d) <= (2 ** 24 if n == "report.html" else 65_536)) for n, d in self.members.items()):
             raise Refused("something is in the archive that a bundle does not hold")
         if len({name.split("/")[1] for name in names if name.startswith("records/")}) > 10_000:
@@ -503,6 +503,7 @@ class Bundle:
         self.identities = {keccak(data): data for data in of("identities/").values()}
         self.headers = {int(n[6:-4]): d for n, d in of("chain/").items() if n != "chain/nodes.rlp"}
         self.heights = self.listed_heights()
+        self.stamped = self.listed_stamps()
         nodes = rlp(self.members["chain/nodes.rlp"]) if "chain/nodes.rlp" in self.members else []
         if any(not isinstance(node, bytes) or len(node) > 1024 for node in nodes):
             raise Refused("a node of the state is longer than any node")
@@ -513,6 +514,26 @@ class Bundle:
         signed = b"DSSEv1 %d %s %d %s" % (len(kind), kind, len(text), text)
         if key is None or not sm2_verify(key, signed, self.members["manifest.der"]):
             raise Refused("the manifest is not signed by its exporter's key")
+
+    def listed_stamps(self):
+        """Under which imprints roots of batches are, and whether their paths lead there."""
+        found, folders = {}, {name.split("/")[1] for name in self.members if name.startswith("stamps/")}
+        for folder in sorted(folders):
+            tokens = [n for n in self.members if n.startswith(f"stamps/{folder}/") and n.endswith(".der")]
+            listed = json.loads(self.members[f"stamps/{folder}/roots.json"])
+            count, top, roots = listed["count"], unhex(listed["top"]), listed["roots"]
+            named = hashlib.sha256(b"AuthROS/stamp/1" + top + struct.pack(">Q", count)).hexdigest() == folder
+            if listed["format"] != "authros-stamp/1" or not named or len(top) != 32 or not 1 <= len(tokens) <= 4 or count > 16_384:
+                raise Refused("a time stamp is not of its form")
+            if any(hashlib.sha256(self.members[n]).hexdigest() != n.split("/")[2][:-4] for n in tokens):
+                raise Refused("a token is filed under another's name")
+            if any(unhex(one["root"]) >= unhex(next_["root"]) for one, next_ in zip(roots, roots[1:])):
+                raise Refused("roots of a time stamp are not in their order")
+            for one in roots:
+                root, path = unhex(one["root"]), [unhex(step) for step in one["path"]]
+                leads = one["index"] < count and root_of(sm3(b"\0AuthROS/stamp/1" + root), one["index"], count, path) == top
+                found.setdefault(root, []).append((folder, leads))
+        return found
 
     def listed_heights(self):
         """Heads, topics, highest numbers and paths, as the exporter lists them."""
@@ -592,10 +613,9 @@ class Record:
             raise Unproven("it was on no chain")
         claim = json.loads(self.member("anchor.json"))
         how, owner = claim["anchor"], self.header["owner"]
-        leaf = sm3(b"\0" + b"".join(self.header[n] for n in ("owner", "recorder", "topic_id", "seq")) + self.digest)
         if how["mode"] == "batch":
             path = [unhex(step) for step in how["path"]]
-            if not how["index"] < how["count"] or root_of(leaf, how["index"], how["count"], path) != unhex(how["root"]):
+            if not how["index"] < how["count"] or root_of(self.leaf(), how["index"], how["count"], path) != unhex(how["root"]):
                 raise Refused("its path does not lead to the root")
         if claim["shown_at"] not in self.bundle.headers:
             raise Unproven("the header is not in the bundle")
@@ -720,14 +740,30 @@ class Record:
             raise Unproven("it opens; that its owner disclosed it is not shown")
         return "proven"
 
+    def leaf(self):
+        return sm3(b"\0" + b"".join(self.header[n] for n in ("owner", "recorder", "topic_id", "seq")) + self.digest)
+
+    def existed(self):  # (d), but for the tokens
+        anchor = json.loads(self.member("anchor.json") or b"{}").get("anchor", {})
+        places = self.bundle.stamped.get(unhex(anchor["root"]), []) if anchor.get("mode") == "batch" else []
+        if not places:
+            return "absent"
+        path = [unhex(one) for one in anchor["path"]]
+        if not anchor["index"] < anchor["count"] or root_of(self.leaf(), anchor["index"], anchor["count"], path) != unhex(anchor["root"]):
+            raise Refused("its path does not lead to the root that was stamped")
+        if not all(leads for _, leads in places):
+            raise Refused("the path of its batch's root does not lead to what was stamped")
+        raise Unproven("its batch is under " + " and ".join(sorted(imprint for imprint, _ in places))
+                       + "; whether an authority stamped that is checked by openssl, see VERIFY.txt")
+
     def report(self):
         found, notes = {"digest": self.digest.hex()}, {}
-        for name in ("bytes", "anchor", "key", "opened"):
+        for name in ("bytes", "anchor", "key", "opened", "time"):
             if name != "bytes" and found["bytes"] != "proven":
                 found[name] = "absent" if name == "opened" else "unproven"
                 continue
             try:
-                found[name] = getattr(self, name)()
+                found[name] = getattr(self, "existed" if name == "time" else name)()
             except Unproven as why:
                 found[name], notes[name] = "unproven", str(why)
             except Refused as why:
@@ -750,7 +786,7 @@ def read_trust(path):
     chain, persons = trust["chain"], trust.get("person", [])
     signers = [unhex(one) for one in chain["signers"]]
     required, optional = {"id", "genesis", "contract", "code_hash", "signers", "sealed_by_exporter"}, {"quorum"}
-    if not required <= set(chain) <= required | optional or not set(trust) <= {"chain", "person"}:
+    if not required <= set(chain) <= required | optional or not set(trust) <= {"chain", "person", "authority"}:
         raise ValueError("it has not the lines that docs/evidence.md shows")
     if not isinstance(chain["sealed_by_exporter"], bool) or isinstance(chain["id"], bool) or chain["id"] < 0:
         raise ValueError("sealed_by_exporter is true or false, and id a number")
@@ -854,7 +890,7 @@ def main(arguments):
     except Exception as why:  # a stranger's file: whatever it breaks, it is no evidence
         print(json.dumps({"outcome": "refused", "why": str(why) if isinstance(why, Refused) else repr(why)}))
         return 6
-    standings = [(name, record[name]) for record in records for name in ("bytes", "key", "anchor", "opened")]
+    standings = [(name, record[name]) for record in records for name in ("bytes", "key", "anchor", "opened", "time")]
     needed = [[record[name] for name in ("bytes", "key", "anchor")] for record in records]
     # A statement of which something is merely not proven says nothing, and spoils nothing.
     spoken = [of for record, of in zip(records, needed) if not (is_statement(record) and "unproven" in of)]

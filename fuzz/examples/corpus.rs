@@ -7,7 +7,7 @@ use std::{fs, io};
 
 use authros_fuzz::{
     Sample, backup, bundle, decoder, export_folder, frame, key_allocation, picture, proof, record, recording, ros2_cdr,
-    sm2, state_proof,
+    sm2, state_proof, time_stamp,
 };
 
 /// Name, valid encodings, what is done with them.
@@ -15,7 +15,7 @@ type Target = (&'static str, Vec<Sample>, fn(&[u8]) -> bool);
 
 fn main() -> io::Result<()> {
     let write = std::env::args().nth(1).is_some_and(|word| word == "write");
-    let targets: [Target; 14] = [
+    let targets: [Target; 15] = [
         ("frame", frame::samples(), frame::run),
         ("key_allocation", key_allocation::samples(), key_allocation::run),
         ("record", record::samples(), record::run),
@@ -30,6 +30,7 @@ fn main() -> io::Result<()> {
         ("ros2_cdr", ros2_cdr::samples(), ros2_cdr::run),
         ("bundle", bundle::samples(), bundle::run),
         ("state_proof", state_proof::samples(), state_proof::run),
+        ("time_stamp", time_stamp::samples(), time_stamp::run),
     ];
     let corpus = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpus");
     for (target, samples, run) in targets {

@@ -14,6 +14,7 @@ pub mod recording;
 pub mod ros2_cdr;
 pub mod sm2;
 pub mod state_proof;
+pub mod time_stamp;
 
 mod cast;
 mod messages;

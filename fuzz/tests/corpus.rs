@@ -6,7 +6,7 @@ use std::path::Path;
 
 use authros_fuzz::{
     backup, bundle, decoder, export_folder, frame, key_allocation, picture, proof, record, recording, ros2_cdr, sm2,
-    state_proof,
+    state_proof, time_stamp,
 };
 
 /// Replays a target's files; how many there are, and how many of them went all the way through.
@@ -42,11 +42,12 @@ replay! {
     ros2_cdr: ros2_cdr::run;
     bundle: bundle::run;
     state_proof: state_proof::run;
+    time_stamp: time_stamp::run;
 }
 
 #[test]
 fn every_target_is_replayed() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let targets = fs::read_dir(root.join("fuzz_targets")).expect("readable").count();
-    assert_eq!(targets, 14, "a new target belongs into the list above");
+    assert_eq!(targets, 15, "a new target belongs into the list above");
 }

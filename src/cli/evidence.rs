@@ -11,8 +11,8 @@ use crate::crypto::{ProviderName, provider};
 use crate::model::{Digest, ErrorKind, clean, clean_lines};
 use crate::ros::{Definition, Limits};
 use crate::service::Failure;
-use crate::service::command::{EvidenceWishes, ExportEvidence};
-use crate::service::reply::EvidenceView;
+use crate::service::command::{EvidenceWishes, ExportEvidence, StampEvidence};
+use crate::service::reply::{EvidenceView, StampView};
 use authros_evidence::{Bundle, Outcome, RecordReport, Report, Trust};
 use authros_output::{Output, table};
 
@@ -46,6 +46,8 @@ pub enum EvidenceVerb {
         #[arg(long = "reveal", value_name = "ID")]
         reveal: Vec<String>,
     },
+    /// Have the authorities of `time.authorities` stamp what is not stamped yet, now; a running site does so each hour
+    Stamp,
 }
 
 /// `evidence export`.
@@ -53,7 +55,9 @@ pub enum EvidenceVerb {
 /// # Errors
 /// What the arguments or the site say.
 pub async fn run(context: Context, verb: EvidenceVerb, output: &Output) -> Result<u8, Failure> {
-    let EvidenceVerb::Export { file, records, topic, incident, since, until, reveal } = verb;
+    let EvidenceVerb::Export { file, records, topic, incident, since, until, reveal } = verb else {
+        return stamp(context, output).await;
+    };
     let file = std::path::absolute(&file)
         .map_err(|error| Failure::new(ErrorKind::Input, format!("{}: {error}", file.display())))?;
     let moment = |text: Option<String>| text.as_deref().map(parse::past).transpose();
@@ -71,6 +75,25 @@ pub async fn run(context: Context, verb: EvidenceVerb, output: &Output) -> Resul
     let view = result?;
     output.result(&view, || exported(&view));
     Ok(0)
+}
+
+async fn stamp(context: Context, output: &Output) -> Result<u8, Failure> {
+    let connection = context.connect(CHAIN).await?;
+    let result = connection.client.ask(StampEvidence).await;
+    connection.close().await;
+    let view = result?;
+    output.result(&view, || stamped(&view));
+    Ok(if view.problem.is_some() { ErrorKind::Incomplete.exit_code() } else { 0 })
+}
+
+/// What authorities gave, for people.
+pub fn stamped(view: &StampView) -> String {
+    let mut lines = vec![format!("{} batches put under a stamp, {} stamps wait", view.roots, view.waiting)];
+    lines.extend(view.tokens.iter().map(|token| {
+        format!("{} batches existed before {}, by the stamp of {}", token.roots, token.before, token.authority)
+    }));
+    lines.extend(view.problem.iter().map(|problem| format!("note: {problem}; it is tried again")));
+    lines.join("\n")
 }
 
 /// What an export wrote, for people.

@@ -48,7 +48,7 @@ fn export() -> Exported {
 }
 
 /// One member, by a program that knows ZIP and nothing of us.
-fn unzipped(bundle: &Path, name: &str) -> Vec<u8> {
+pub(crate) fn unzipped(bundle: &Path, name: &str) -> Vec<u8> {
     let script = "import sys, zipfile\nsys.stdout.buffer.write(zipfile.ZipFile(sys.argv[1]).read(sys.argv[2]))\n";
     let output = Command::new("python3").args(["-c", script]).arg(bundle).arg(name).output().expect("python3");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
@@ -56,7 +56,7 @@ fn unzipped(bundle: &Path, name: &str) -> Vec<u8> {
 }
 
 /// `verify` with an empty HOME, and without a network where this machine can do that.
-fn verified(bundle: &Path, trust: Option<&Path>) -> Outcome {
+pub(crate) fn verified(bundle: &Path, trust: Option<&Path>) -> Outcome {
     let empty = tempfile::tempdir().expect("directory");
     let cut = Command::new("unshare").args(["-rn", "true"]).status().is_ok_and(|status| status.success());
     let mut command = if cut { Command::new("unshare") } else { Command::new(env!("CARGO_BIN_EXE_authros")) };
@@ -83,7 +83,7 @@ fn by_the_second(bundle: &Path, trust: Option<&Path>) -> Outcome {
 }
 
 /// Both verifiers say the same of each record.
-fn expect_agreement(bundle: &Path, trust: Option<&Path>) {
+pub(crate) fn expect_agreement(bundle: &Path, trust: Option<&Path>) {
     let (ours, theirs) = (verified(bundle, trust), by_the_second(bundle, trust));
     assert_eq!(ours.code, theirs.code, "{ours}\n{theirs}");
     let (ours, theirs) = (ours.document(), theirs.document());

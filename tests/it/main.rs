@@ -50,6 +50,7 @@ mod sharing;
 mod site_file;
 mod status;
 mod succession;
+mod time_stamps;
 mod units;
 mod uploads_export;
 mod vault_faults;

@@ -170,6 +170,13 @@ pub const DEFINITIONS: &[Definition] = &[
         text: "per cent of the stored records that a running site re-hashes an hour; 0 = none, above 100 = several times",
     },
     Definition {
+        name: "time.authorities",
+        variable: "AUTHROS_TIME_AUTHORITIES",
+        default: "",
+        text: "time stamp authorities (RFC 3161) that stamp each hour's batches: [{ name = \"NAME\", url = \"http://HOST/PATH\", \
+               certificate = \"/PATH/OF.pem\" }]; empty = none",
+    },
+    Definition {
         name: "metrics.listen",
         variable: "AUTHROS_METRICS_LISTEN",
         default: "",

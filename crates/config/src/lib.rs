@@ -15,6 +15,7 @@ mod site_file;
 mod source;
 #[cfg(test)]
 mod tests;
+mod time;
 mod topic_rules;
 
 use std::collections::BTreeMap;
@@ -32,6 +33,7 @@ pub use self::site_file::{
     Decisions, Difference, Here, HomeSettings, KnownAccount, MOST_CONTACTS, Settings, SiteFile, Stays,
 };
 pub use self::source::{SettingView, Source};
+pub use self::time::TimeAuthority;
 use crate::crypto::{Kernel, ProviderName};
 use crate::model::{
     Address, AnchorMode, Consensus, Keeping, ListedPublishers, PinMode, RetentionRules, SignerId, TopicRules, clean,
@@ -105,6 +107,8 @@ pub struct Config {
     pub scrub_percent: u64,
     /// Where figures are read, and which.
     pub metrics: MetricsSettings,
+    /// Whose time stamps are asked for.
+    pub time_authorities: Vec<TimeAuthority>,
     /// Who is told of trouble, and what is trouble.
     pub alerts: AlertSettings,
     /// Blocks until confirmed.
@@ -203,6 +207,7 @@ impl Config {
             audit_every: Duration::from_secs(number(&values, "audit.anchor_every", 1, 86_400)?),
             scrub_percent: number(&values, "audit.scrub", 0, 1_000_000)?,
             metrics: MetricsSettings::read(&values)?,
+            time_authorities: time::authorities(&values)?,
             alerts: AlertSettings::read(&values)?,
             confirmations: number(&values, "confirmations", 1, 1000)?,
             gateway: GatewayRules {

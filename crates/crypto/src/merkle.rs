@@ -14,6 +14,7 @@ pub const LONGEST_PATH: usize = 14;
 const LEAF: &[u8] = &[0];
 const NODE: &[u8] = &[1];
 const HEIGHT: &[u8] = b"AuthROS/height/1";
+const STAMP: &[u8] = b"AuthROS/stamp/1";
 
 /// One record as its batch binds it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -62,6 +63,11 @@ fn node(left: &Hash, right: &Hash) -> Hash {
 /// SM3(0x00 || `AuthROS/height/1` || topic id || number).
 pub fn height_hash(topic: &TopicId, number: u64) -> Hash {
     Hash(sm3(&[LEAF, HEIGHT, &topic.0, &number.to_be_bytes()]))
+}
+
+/// The hash of a batch's root as a leaf of what time stamp authorities stamp: SM3(0x00 || `AuthROS/stamp/1` || root).
+pub fn stamp_hash(root: &Hash) -> Hash {
+    Hash(sm3(&[LEAF, STAMP, &root.0]))
 }
 
 /// A tree over the leaves of one batch.

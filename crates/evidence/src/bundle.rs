@@ -17,6 +17,7 @@ use crate::header::BlockHeader;
 use crate::heights::{self, HEIGHTS, Height};
 use crate::manifest::{MANIFEST, Manifest, SIGNATURE};
 use crate::state::Nodes;
+use crate::time::{BundledStamp, DraftStamp};
 
 /// The trust file that a bundle may suggest, and that is never believed.
 pub const SUGGESTED: &str = "trust.toml";
@@ -165,8 +166,17 @@ pub struct Bundle {
     pub definitions: BTreeMap<Digest, String>,
     /// Where heads of recorders have the highest numbers of topics.
     pub heights: Vec<Height>,
+    /// Stamps of authorities by their imprints.
+    pub stamps: BTreeMap<Hash, BundledStamp>,
     /// The trust file that its exporter suggests.
     pub suggested: Option<String>,
+}
+
+/// Records and stamps whose files come one by one.
+#[derive(Default)]
+struct Drafts {
+    records: BTreeMap<Digest, Draft>,
+    stamps: BTreeMap<Hash, DraftStamp>,
 }
 
 impl Bundle {
@@ -195,15 +205,18 @@ impl Bundle {
     /// As [`Bundle::read`].
     pub fn of_members(members: &Members, provider: &dyn Provider) -> Result<Self, BundleError> {
         let manifest = Manifest::read(members, provider)?;
-        let (mut drafts, mut bundle) = (BTreeMap::new(), Self::empty(manifest));
+        let (mut drafts, mut bundle) = (Drafts::default(), Self::empty(manifest));
         for (name, bytes) in members {
             bundle.take(name, bytes, &mut drafts, provider)?;
         }
-        if drafts.len() > MOST_RECORDS {
-            return Err(BundleError::whole(&format!("it has more than {MOST_RECORDS} records")));
+        if drafts.records.len() > MOST_RECORDS || drafts.stamps.len() > MOST_RECORDS {
+            return Err(BundleError::whole(&format!("it has more than {MOST_RECORDS} records, or time stamps")));
         }
-        for (digest, draft) in drafts {
+        for (digest, draft) in drafts.records {
             bundle.records.insert(digest, draft.finish(&digest)?);
+        }
+        for (imprint, draft) in drafts.stamps {
+            bundle.stamps.insert(imprint, draft.finish(&imprint)?);
         }
         let key = bundle.keys.get(&bundle.manifest.exporter.key);
         bundle.signed =
@@ -222,6 +235,7 @@ impl Bundle {
             nodes: Nodes::default(),
             definitions: BTreeMap::new(),
             heights: Vec::new(),
+            stamps: BTreeMap::new(),
             suggested: None,
         }
     }
@@ -231,13 +245,16 @@ impl Bundle {
         &mut self,
         name: &str,
         bytes: &[u8],
-        drafts: &mut BTreeMap<Digest, Draft>,
+        drafts: &mut Drafts,
         provider: &dyn Provider,
     ) -> Result<(), BundleError> {
         let wrong = |why: &str| BundleError::of(name, why);
         let parts: Vec<&str> = name.split('/').collect();
         let longest = match parts.as_slice() {
-            ["records", _, "record.bin"] | ["chain", "nodes.rlp"] | [MANIFEST | HEIGHTS] => usize::MAX,
+            ["records", _, "record.bin"]
+            | ["chain", "nodes.rlp"]
+            | ["stamps", _, "roots.json"]
+            | [MANIFEST | HEIGHTS] => usize::MAX,
             [REPORT] => LONGEST_REPORT,
             _ => LONGEST_SMALL,
         };
@@ -252,7 +269,12 @@ impl Bundle {
                 // One spelling: 0x and capital letters would file a second part under the same record.
                 let filed = digest.parse().ok().filter(|filed: &Digest| filed.to_hex() == **digest);
                 let digest = filed.ok_or_else(|| wrong("is filed under what is no digest"))?;
-                drafts.entry(digest).or_default().take(name, part, bytes)?;
+                drafts.records.entry(digest).or_default().take(name, part, bytes)?;
+            }
+            ["stamps", imprint, part] => {
+                let filed = imprint.parse().ok().filter(|filed: &Hash| filed.to_hex() == **imprint);
+                let imprint = filed.ok_or_else(|| wrong("is filed under what is no imprint"))?;
+                drafts.stamps.entry(imprint).or_default().take(name, part, bytes)?;
             }
             ["keys", file] => {
                 let pem = std::str::from_utf8(bytes).ok().and_then(|text| keyfile::sm2_public_from_pem(text).ok());

@@ -14,9 +14,11 @@ mod manifest;
 mod packing;
 mod report;
 mod signing;
+mod stamping;
 mod state;
 #[cfg(test)]
 mod tests;
+pub mod time;
 pub mod trie;
 mod trust;
 mod verify;
@@ -30,5 +32,5 @@ pub use manifest::{ClaimedChain, Exporter, FORMAT, MEDIA_TYPE, Manifest, Member}
 pub use packing::{Packing, PackingError, READ_ME_TEXT, disclose, pack};
 pub use report::{Disclosed, HeadsClaim, Level, Outcome, RecordReport, Report, Standing, Stretch};
 pub use state::{AnchorWord, KeysWord, LoanWord, Nodes, Slot, Storage, Unproven, Word};
-pub use trust::{LONGEST_TRUST, Person, PinnedChain, Trust, TrustError};
+pub use trust::{LONGEST_TRUST, Person, PinnedAuthority, PinnedChain, Trust, TrustError};
 pub use verify::verify;

@@ -2,13 +2,14 @@
 
 use authros_crypto::record::reveal_bytes;
 use authros_crypto::{CryptoError, Provider, SmKeyPair, keyfile, signature_der, signer_id};
-use authros_model::{Address, Digest, Domain, Identity, PublicKey};
+use authros_model::{Address, Digest, Domain, Hash, Identity, PublicKey};
 
 use crate::archive::{self, MIMETYPE, Members};
 use crate::bundle::{BundleError, BundledRecord, NODES, READ_ME, REPORT, SUGGESTED};
 use crate::heights::{self, HEIGHTS, Height};
 use crate::manifest::{ClaimedChain, Exporter, MANIFEST, MEDIA_TYPE, Manifest, SIGNATURE, signed_bytes};
 use crate::state::Nodes;
+use crate::time::{self, StampTree};
 use crate::trust::Trust;
 
 /// What `VERIFY.txt` says, for whoever finds the file without the program.
@@ -73,7 +74,7 @@ impl Packing {
     /// Adds an identity as the chain has it.
     pub fn identity(&mut self, identity: &Identity) {
         let bytes = identity.encode();
-        let hash = authros_model::Hash(authros_crypto::keccak256(&[&bytes]));
+        let hash = Hash(authros_crypto::keccak256(&[&bytes]));
         self.members.insert(format!("identities/{}.bin", hash.to_hex()), bytes);
     }
 
@@ -99,6 +100,17 @@ impl Packing {
     /// Where it cannot be written.
     pub fn heights(&mut self, heights: Vec<Height>) -> Result<(), PackingError> {
         self.members.insert(HEIGHTS.to_owned(), heights::to_text(heights)?);
+        Ok(())
+    }
+
+    /// Adds an authority's stamps over these roots, of all that were stamped together.
+    ///
+    /// # Errors
+    /// Where it cannot be written.
+    pub fn stamps(&mut self, tree: &StampTree, wanted: &[Hash], tokens: &[Vec<u8>]) -> Result<(), PackingError> {
+        if !tokens.is_empty() {
+            self.members.extend(time::members(tree, wanted, tokens)?);
+        }
         Ok(())
     }
 

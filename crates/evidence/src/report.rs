@@ -80,6 +80,8 @@ pub struct RecordReport {
     pub block: Option<u64>,
     /// Seconds from the claimed capture to the anchor; less than zero where the claim is later.
     pub seconds_to_anchor: Option<i64>,
+    /// Before when it existed, by an authority that was pinned.
+    pub existed_before: Option<Timestamp>,
     /// (a) The bytes are intact and signed.
     pub bytes: Level,
     /// (b) The key was the owner's to sign with.

@@ -1,8 +1,10 @@
 //! Bundles over a chain made here, so that every lie can be told in turn.
 
+mod authority;
 mod complete;
 mod hostile;
 mod second;
+mod stamps;
 mod world;
 
 use authros_crypto::record::RecordSecret;

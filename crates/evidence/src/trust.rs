@@ -6,8 +6,12 @@ use authros_crypto::domain;
 use authros_model::{Address, Domain, Hash, SignerId, clean};
 use serde::{Deserialize, Serialize};
 
+use crate::time::Certificate;
+
 /// The longest file, bytes.
 pub const LONGEST_TRUST: usize = 64 * 1024;
+/// The most authorities.
+const MOST_AUTHORITIES: usize = 16;
 
 /// A file of pins that cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -23,6 +27,19 @@ pub struct Trust {
     /// Who is behind accounts and keys.
     #[serde(default, rename = "person", skip_serializing_if = "Vec::is_empty")]
     pub persons: Vec<Person>,
+    /// Whose time stamps count.
+    #[serde(default, rename = "authority", skip_serializing_if = "Vec::is_empty")]
+    pub authorities: Vec<PinnedAuthority>,
+}
+
+/// A time stamp authority.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PinnedAuthority {
+    /// Who that is.
+    pub name: String,
+    /// Its certificate, or that of whoever issued it, PEM.
+    pub certificate: String,
 }
 
 /// A chain and its contract.
@@ -75,6 +92,14 @@ impl Trust {
         let accounts: BTreeSet<Address> = trust.persons.iter().map(|person| person.account).collect();
         if accounts.len() != trust.persons.len() {
             return Err(TrustError("an account is two persons'".into()));
+        }
+        for authority in &trust.authorities {
+            if let Err(error) = Certificate::from_pem(&authority.certificate) {
+                return Err(TrustError(format!("the authority '{}': {error}", clean(&authority.name, 80))));
+            }
+        }
+        if trust.authorities.len() > MOST_AUTHORITIES {
+            return Err(TrustError(format!("it names more than {MOST_AUTHORITIES} authorities")));
         }
         if trust.chain.quorum.is_some_and(|quorum| quorum == 0 || quorum > signers.len()) {
             return Err(TrustError("its quorum is none of its signers, or more than there are".into()));

@@ -13,6 +13,7 @@ use crate::disclosure::opened;
 use crate::known::Known;
 use crate::report::{Disclosed, Level, Outcome, RecordReport, Report, Standing};
 use crate::signing::signing_right;
+use crate::stamping::Stamps;
 use crate::trust::Trust;
 
 /// The messages that were opened, by their records.
@@ -26,6 +27,8 @@ pub(crate) struct Check<'a> {
     /// What records are bound to: by the pins, else by the bundle's own word.
     pub domain: Domain,
     pub contract: Address,
+    /// Time stamps, by the authorities that were pinned.
+    pub stamps: Stamps<'a>,
     /// What is found out on the way.
     pub known: Known<'a>,
 }
@@ -37,7 +40,8 @@ pub fn verify(bundle: &Bundle, trust: Option<&Trust>, provider: &dyn Provider) -
         Some(trust) => (trust.domain(), trust.chain.contract),
         None => (domain(claimed.id, &claimed.genesis, &claimed.contract), claimed.contract),
     };
-    let check = Check { bundle, trust, provider, domain: bound, contract, known: Known::default() };
+    let stamps = Stamps::new(bundle, trust);
+    let check = Check { bundle, trust, provider, domain: bound, contract, stamps, known: Known::default() };
     let mut messages = Messages::new();
     let records: Vec<RecordReport> =
         bundle.records.iter().map(|(digest, record)| check.record(*digest, record, &mut messages)).collect();
@@ -73,10 +77,11 @@ impl<'a> Check<'a> {
             anchored_at: None,
             block: None,
             seconds_to_anchor: None,
+            existed_before: None,
             bytes: Level::new(Standing::Unproven, ""),
             key: Level::new(Standing::Unproven, "the bytes do not hold"),
             anchor: Level::new(Standing::Unproven, "the bytes do not hold"),
-            time: Level::new(Standing::Absent, "no authority's time stamp: this version neither makes nor reads any"),
+            time: Level::new(Standing::Unproven, "the bytes do not hold"),
             opened: Level::new(Standing::Absent, "sealed: its owner did not disclose it"),
             disclosed: None,
         };
@@ -93,6 +98,7 @@ impl<'a> Check<'a> {
             (Some(header.recorder), Some(header.topic_id), Some(header.seq));
         report.captured_at = Some(header.captured_at);
         report.bytes = Level::new(Standing::Proven, format!("intact, and signed by the key {}", header.signer));
+        (report.time, report.existed_before) = self.stamps.level(digest, &header, record);
         let (level, anchored) = anchored(self, digest, &header, record);
         report.anchor = level;
         let signed = anchored.as_ref().map(|anchored| signing_right(self, &header, anchored));

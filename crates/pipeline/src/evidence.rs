@@ -4,18 +4,20 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use authros_evidence::{
-    AnchorClaim, Anchoring, BundledRecord, Disclosure, Nodes, Packing, PackingError, PinnedChain, Slot, Trust, disclose,
+    AnchorClaim, Anchoring, BundledRecord, Disclosure, Nodes, Packing, PackingError, PinnedAuthority, PinnedChain,
+    Slot, Trust, disclose,
 };
 use tokio::task::block_in_place;
 
 use crate::chain::{ChainError, Event, Revision, SealerKind};
 use crate::crypto::record::{RecordSecret, open_revealed};
 use crate::crypto::signer_id;
-use crate::model::{Address, Digest, ErrorKind, Header, Identity, PublicKey, SignerId};
+use crate::model::{Address, Digest, ErrorKind, Hash, Header, Identity, PublicKey, SignerId};
 use crate::store::{RecordRow, Retained};
 
 use super::columns::{self, Keys as _};
 use super::evidence_heights::{self, Shown};
+use super::evidence_stamps;
 use super::reader::Reader;
 use super::{PipelineError, authority};
 
@@ -46,11 +48,22 @@ struct Asked {
     record: BundledRecord,
 }
 
+impl Asked {
+    /// The root of its batch.
+    fn root(&self) -> Option<Hash> {
+        match &self.anchor {
+            Anchoring::Each => None,
+            Anchoring::Batch { root, .. } => Some(*root),
+        }
+    }
+}
+
 fn refused(error: PackingError) -> PipelineError {
     PipelineError::Refused(error.to_string())
 }
 
-/// Gathers these records, the reader's own, and discloses those that are named.
+/// Gathers these records, the reader's own, and discloses those that are named; the trust file that is suggested names these
+/// time stamp authorities.
 ///
 /// # Errors
 /// Of ledger, vault and chain; a record whose bytes are gone.
@@ -58,6 +71,7 @@ pub async fn gather(
     reader: &Reader<'_>,
     rows: &[RecordRow],
     reveal: &BTreeSet<Digest>,
+    authorities: Vec<PinnedAuthority>,
 ) -> Result<Gathered, PipelineError> {
     let (mut gathered, mut asked) = (Gathered::default(), Vec::new());
     let Shown { rows: statements, heights, notes } = evidence_heights::shown(reader, rows).await?;
@@ -88,8 +102,10 @@ pub async fn gather(
     if !heights.is_empty() {
         gathered.packing.heights(heights).map_err(refused)?;
     }
+    let roots = asked.iter().filter_map(Asked::root).collect();
+    block_in_place(|| evidence_stamps::add(reader.plant, &roots, &mut gathered))?;
     show(reader, asked, &mut gathered).await?;
-    suggest(reader, &mut gathered).await?;
+    suggest(reader, authorities, &mut gathered).await?;
     Ok(gathered)
 }
 
@@ -273,7 +289,11 @@ async fn identity(reader: &Reader<'_>, account: Address, version: u64) -> Result
 }
 
 /// The trust file that the exporter would write.
-async fn suggest(reader: &Reader<'_>, gathered: &mut Gathered) -> Result<(), PipelineError> {
+async fn suggest(
+    reader: &Reader<'_>,
+    authorities: Vec<PinnedAuthority>,
+    gathered: &mut Gathered,
+) -> Result<(), PipelineError> {
     let chain = &reader.network.chain;
     let Some(pin) = chain.pin() else { return Ok(()) };
     let mut signers = chain.sealing().await?.sealers;
@@ -282,5 +302,5 @@ async fn suggest(reader: &Reader<'_>, gathered: &mut Gathered) -> Result<(), Pip
     let (id, genesis, contract, code_hash) = (pin.chain_id, pin.genesis, pin.contract, pin.code_hash);
     let quorum = None;
     let pinned = PinnedChain { id, genesis, contract, code_hash, signers, quorum, sealed_by_exporter };
-    gathered.packing.suggest(&Trust { chain: pinned, persons: Vec::new() }).map_err(refused)
+    gathered.packing.suggest(&Trust { chain: pinned, persons: Vec::new(), authorities }).map_err(refused)
 }

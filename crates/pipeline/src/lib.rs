@@ -24,6 +24,7 @@ pub mod equivocation;
 pub mod error;
 pub mod evidence;
 mod evidence_heights;
+mod evidence_stamps;
 pub mod export_folder;
 #[cfg(test)]
 mod fixture;

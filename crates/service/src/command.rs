@@ -37,9 +37,7 @@ use crate::chain::Revision;
 use crate::model::{Address, ContactName, Party, ProfileName, Publisher, SignerId, Timestamp, TopicName, TypeName};
 use crate::service::reply::{
     AdministrationView, AuditCheck, AuditView, CaptureSummary, ChainView, CheckView, CompareView, ContactRow,
-    CoverageView, DecidedView, DeployedView, DeviceRow, DeviceTopicsView, EnrolledView, EvidenceView, ExportedFile,
-    GatewayView, GrantRow, IdentityView, KeyChangeView, KeysView, OpenedView, PinsView, PlayedView, PolicyView,
-    Provenance, QuarantineView, RecordPage, ServedView, SiteView, TopicRow, TransactionView,
+    CoverageView, DecidedView, DeployedView, DeviceRow, DeviceTopicsView, EnrolledView, EvidenceView, ExportedFile, GatewayView, GrantRow, IdentityView, KeyChangeView, KeysView, OpenedView, PinsView, PlayedView, PolicyView, Provenance, QuarantineView, RecordPage, ServedView, SiteView, StampView, TopicRow, TransactionView,
 };
 pub use crate::store::AuditQuery;
 
@@ -200,6 +198,8 @@ requests! {
     } => Vec<ExportedFile>;
     /// Own records with all that proves them, in one file.
     ExportEvidence(wishes: EvidenceWishes) => EvidenceView;
+    /// What is not stamped by the time stamp authorities yet, now.
+    StampEvidence => StampView;
     /// Share with another account.
     Grant {
         /// Who may read.

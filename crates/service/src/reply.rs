@@ -40,6 +40,7 @@ pub use self::recordings::{
 };
 pub use self::records::{
     Caveat, CheckView, EvidenceView, ExportedFile, OpenedView, Provenance, RecordPage, RecordView, ShownState,
+    StampView, StampedView,
 };
 pub use self::site::{HealthLevel, LifeLine, PartHealth, QueueView, SiteView};
 pub use self::tasks::{TaskState, TaskView};
@@ -142,6 +143,8 @@ replies! {
     Files(Vec<ExportedFile>);
     /// To `ExportEvidence`.
     Evidence(EvidenceView);
+    /// To `StampEvidence`.
+    Stamped(StampView);
     /// To `Play`.
     Played(PlayedView);
     /// To commands that send a transaction.

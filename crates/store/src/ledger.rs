@@ -34,6 +34,7 @@ mod rights;
 mod rows;
 mod settings;
 mod sightings;
+mod stamps;
 #[cfg(test)]
 mod tests;
 mod trail;
@@ -74,6 +75,7 @@ pub use retention::{KeptTopic, OldRecord, Retained};
 pub use rights::WaitingSigner;
 pub use rows::{Foreign, NewRecord, RecordRow};
 pub use sightings::{KeptEvent, Sighting};
+pub use stamps::{KeptStamp, StampCounts};
 pub use transactions::{NewTransaction, TransactionOutcome, TransactionRow, TransactionState};
 pub use usage::OwnerUsage;
 pub(super) use writer::Session;
@@ -92,6 +94,7 @@ const SCHEMA: Schema = Schema {
         include_str!("ledger/schema_9.sql"),
         include_str!("ledger/schema_10.sql"),
         include_str!("ledger/schema_11.sql"),
+        include_str!("ledger/schema_12.sql"),
         include_str!("ledger/schema_13.sql"),
     ],
 };

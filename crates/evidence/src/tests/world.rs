@@ -232,7 +232,7 @@ impl World {
         let signers = [1, 2, 3].map(|secret| account(secret).1).to_vec();
         let (id, genesis, contract, code_hash) = (7, Hash([9; 32]), CONTRACT, CODE);
         let chain = PinnedChain { id, genesis, contract, code_hash, signers, quorum: None, sealed_by_exporter: false };
-        Trust { chain, persons: Vec::new() }
+        Trust { chain, persons: Vec::new(), authorities: Vec::new() }
     }
 
     pub fn report(&self) -> Report {

@@ -48,7 +48,7 @@ impl Webhook {
         // Only the server that was named is told.
         let client = reqwest::Client::builder().no_proxy().redirect(reqwest::redirect::Policy::none());
         let client = client.tls_built_in_root_certs(false);
-        let trusted = if url.scheme() == "https" { authorities(roots)? } else { Vec::new() };
+        let trusted = if url.scheme() == "https" { authorities(roots, "see alerts.roots")? } else { Vec::new() };
         let client = trusted.into_iter().fold(client, reqwest::ClientBuilder::add_root_certificate);
         let client = client.timeout(PATIENCE).build().map_err(|_| unusable())?;
         let read = |path| private_file::read_private(path, LONGEST_SECRET);
@@ -93,22 +93,27 @@ impl Webhook {
     }
 }
 
+/// Whom a certificate may be of by what this machine trusts.
+pub(crate) fn trusted() -> Result<Vec<reqwest::Certificate>, Failure> {
+    authorities(None, "see the machine's ca-certificates")
+}
+
 /// Whom a certificate may be of: what a file names, or else what this machine trusts.
-fn authorities(file: Option<&Path>) -> Result<Vec<reqwest::Certificate>, Failure> {
+fn authorities(file: Option<&Path>, help: &str) -> Result<Vec<reqwest::Certificate>, Failure> {
     let named = std::env::var_os("SSL_CERT_FILE").map(PathBuf::from);
     let of_machine = || named.or_else(|| TRUSTED.iter().map(PathBuf::from).find(|path| path.is_file()));
     let path = file.map(Path::to_owned).or_else(of_machine).ok_or_else(|| {
-        input("this machine names no authorities for https; install ca-certificates, or set alerts.roots")
+        input(format!("this machine names no authorities for https; install ca-certificates; {help}"))
     })?;
     let shown = clean(&path.display().to_string(), 200);
-    let unusable = |why: String| input(format!("{shown} cannot be used for https: {why}; see alerts.roots"));
+    let unusable = |why: String| input(format!("{shown} cannot be used for https: {why}; {help}"));
     let bytes = std::fs::read(&path).map_err(|error| unusable(error.to_string()))?;
     let found = reqwest::Certificate::from_pem_bundle(&bytes).map_err(|error| unusable(innermost(&error)))?;
     if found.is_empty() { Err(unusable("it holds no certificate in PEM".to_owned())) } else { Ok(found) }
 }
 
 /// The first cause; it knows no URL.
-fn innermost(error: &dyn std::error::Error) -> String {
+pub(crate) fn innermost(error: &dyn std::error::Error) -> String {
     let mut cause = error;
     while let Some(deeper) = cause.source() {
         cause = deeper;

@@ -94,6 +94,30 @@ pub struct EvidenceView {
     pub notes: Vec<String>,
 }
 
+/// What time stamp authorities were asked for.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct StampView {
+    /// Batches that were put under a stamp by this.
+    pub roots: u64,
+    /// What was given.
+    pub tokens: Vec<StampedView>,
+    /// Stamps that no authority gave yet.
+    pub waiting: u64,
+    /// The first thing that went wrong.
+    pub problem: Option<String>,
+}
+
+/// One stamp that an authority gave.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct StampedView {
+    /// Who, as the settings name it.
+    pub authority: String,
+    /// Before when all of it existed.
+    pub before: Timestamp,
+    /// Over so many batches.
+    pub roots: u64,
+}
+
 /// What the opening of a record showed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct OpenedView {

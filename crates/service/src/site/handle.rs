@@ -96,6 +96,7 @@ impl Site {
             Command::ExportEvidence(wishes) => {
                 self.evidence.export(&owner()?, wishes).await.map(ask::ExportEvidence::told)
             }
+            Command::StampEvidence => self.stamps.stamp().await.map(ask::StampEvidence::told),
             Command::ListShared(query) => {
                 self.reading.list_shared(&self.caught_up_owner(&profile).await?, query).await.map(ask::ListShared::told)
             }

@@ -67,7 +67,7 @@ use clock::Clock;
 use contacts::Contacts;
 use devices::Devices;
 use devices::enrolled::Enrolments;
-use evidence::Evidence;
+use evidence::{Evidence, TimeStamps};
 use gateway::Gateway;
 use gateway::admissions::Admissions;
 use identity::Profiles;
@@ -132,6 +132,7 @@ pub struct Site {
     reading: Arc<Reading>,
     evidence: Arc<Evidence>,
     incidents: Arc<Incidents>,
+    stamps: Arc<TimeStamps>,
     bridge: Arc<Bridge>,
     capture: Arc<Capture>,
     recordings: Arc<Recordings>,
@@ -208,6 +209,7 @@ impl Site {
         let contacts = Arc::new(Contacts::new(of));
         let pins = Arc::new(Pinning::new(of, &judges));
         let reading = Arc::new(Reading::new(of, &contacts));
+        let stamps = Arc::new(TimeStamps::new(of));
         let quarantine = Arc::new(Quarantine::new(of, &reading));
         let enrolments = Arc::new(Enrolments::new(of));
         let sharing = Arc::new(Sharing::new(of, &contacts, &enrolments, &joined, &reserve));
@@ -242,8 +244,9 @@ impl Site {
             adoption: Arc::new(Adoption::new(of, &lanes, &connection, &profiles, remote)),
             audit: Arc::new(Audit::new(of, &reserve)),
             backup: Arc::new(Backup::new(of, &quarantine)),
-            evidence: Arc::new(Evidence::new(of, &reading)),
+            evidence: Arc::new(Evidence::new(of, &reading, &stamps)),
             incidents: Arc::new(Incidents::new(of)),
+            stamps,
             bridge: Arc::new(Bridge::new(of, &contacts, &ros)),
             storage: Arc::new(Storage::new(of)),
             clock: Arc::new(Clock::new(of)),

@@ -40,6 +40,7 @@ impl Site {
     pub(super) fn parts_health(&self) -> Result<Vec<PartHealth>, Failure> {
         let mut health = vec![self.ros_health(), self.chain_health(), self.vault_health(), self.gateway_health()];
         health.extend(self.clock.health());
+        health.extend(self.stamps.health()?);
         health.extend(self.account_health()?);
         Ok(health)
     }

@@ -11,6 +11,7 @@ use super::chain::administration::Administering;
 use super::chain::connection::Connection;
 use super::chain::lanes::Lanes;
 use super::clock::Clock;
+use super::evidence::TimeStamps;
 use super::mirror::Joined;
 use super::quarantine::Quarantine;
 use super::sharing::Sharing;
@@ -55,6 +56,9 @@ pub(super) fn start(
         site.parts.supervisor.keep("chain", &site.connection, Connection::keep_connected);
         site.parts.supervisor.keep("owners", site, resume_owners);
         site.parts.supervisor.keep("watcher", site, watch);
+        if site.stamps.is_wanted() {
+            site.parts.supervisor.keep("time stamps", &site.stamps, TimeStamps::keep);
+        }
         site.parts.supervisor.keep("verifier", site, verify);
         site.parts.supervisor.keep("scrubber", &site.audit, Audit::keep_scrubbing);
         site.parts.supervisor.keep("expiry", &site.sharing, Sharing::keep_settled);

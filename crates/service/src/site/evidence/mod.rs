@@ -2,6 +2,9 @@
 
 mod figure;
 mod page;
+mod time;
+
+pub(in crate::site) use self::time::TimeStamps;
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -34,13 +37,14 @@ pub(in crate::site) struct Evidence {
     log: Arc<Log>,
     link: Arc<Link>,
     reading: Arc<Reading>,
+    stamps: Arc<TimeStamps>,
 }
 
 impl Evidence {
     /// From the shared parts.
-    pub fn new(parts: &Parts, reading: &Arc<Reading>) -> Self {
+    pub fn new(parts: &Parts, reading: &Arc<Reading>, stamps: &Arc<TimeStamps>) -> Self {
         let Parts { plant, log, link, .. } = parts.clone();
-        Self { plant, log, link, reading: Arc::clone(reading) }
+        Self { plant, log, link, reading: Arc::clone(reading), stamps: Arc::clone(stamps) }
     }
 
     /// Writes records with all that proves them into a new file, 0600.
@@ -173,7 +177,8 @@ impl Evidence {
         file: &Path,
     ) -> Result<EvidenceView, Failure> {
         let reader = Reader { plant: &self.plant, network, reader: owner };
-        let gathered = gather(&reader, rows, reveal).await?;
+        let authorities = tokio::task::block_in_place(|| self.stamps.suggested());
+        let gathered = gather(&reader, rows, reveal, authorities).await?;
         let chain = &network.chain;
         let pin = chain.pin().ok_or_else(|| PipelineError::from(crate::chain::ChainError::NoContract))?;
         let claimed = ClaimedChain { id: pin.chain_id, genesis: pin.genesis, contract: pin.contract };

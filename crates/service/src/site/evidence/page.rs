@@ -97,6 +97,7 @@ fn summary(out: &mut String, bundle: &Bundle, report: &Report) {
     let (chain, exporter) = (&bundle.manifest.chain, &bundle.manifest.exporter);
     let captured = || report.records.iter().filter_map(|record| record.captured_at);
     let anchored = || report.records.iter().filter_map(|record| record.anchored_at);
+    let stamped = || report.records.iter().filter_map(|record| record.existed_before);
     let span = |first: Option<crate::model::Timestamp>, last: Option<crate::model::Timestamp>| match first.zip(last) {
         Some((first, last)) => format!("{first} to {last}"),
         None => "not shown".to_owned(),
@@ -112,6 +113,7 @@ fn summary(out: &mut String, bundle: &Bundle, report: &Report) {
         vec!["Records".to_owned(), format!("{}, {opened} of them disclosed", report.records.len())],
         vec!["Captured, as their owner says".to_owned(), span(captured().min(), captured().max())],
         vec!["Anchored, by the clock of who sealed the blocks".to_owned(), span(anchored().min(), anchored().max())],
+        vec!["Existed before, by authorities' stamps".to_owned(), span(stamped().min(), stamped().max())],
         vec!["Put together by".to_owned(), format!("{} with the key {}", exporter.account, exporter.key)],
         vec!["Chain".to_owned(), format!("id {}, genesis {}, contract {}", chain.id, chain.genesis, chain.contract)],
     ];

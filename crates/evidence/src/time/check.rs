@@ -1,0 +1,124 @@
+//! A token checked from what it is over up to the certificate that is pinned, without a network.
+
+use authros_model::Timestamp;
+use ring::digest::{SHA1_FOR_LEGACY_USE_ONLY, digest};
+
+use super::certificate::Certificate;
+use super::der::{OBJECT, OCTETS, SEQUENCE};
+use super::request::Request;
+use super::signature::HashKind;
+use super::token::{Signer, Token};
+use super::{TimeError, form, names, path};
+
+/// What a good token says.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Stamped {
+    /// When, by the authority's clock; a fraction of a second left off.
+    pub at: Timestamp,
+    /// Before which moment it certainly was, by the accuracy that the authority gives itself.
+    pub before: Timestamp,
+    /// Who signed it, as the certificate names him, cleaned.
+    pub signer: String,
+    /// Which of the pinned certificates it leads to; `None` where it leads to none, and then this all is its own word.
+    pub pinned: Option<usize>,
+}
+
+impl Stamped {
+    /// Which of the pinned certificates it leads to.
+    ///
+    /// # Errors
+    /// [`TimeError::NotPinned`] where it leads to none.
+    pub fn by_pinned(&self) -> Result<usize, TimeError> {
+        self.pinned.ok_or_else(|| TimeError::NotPinned(self.signer.clone()))
+    }
+}
+
+/// Checks a token (DER, at most [`super::LARGEST_DER`] bytes): form, imprint (SHA-256), nonce where the request is known,
+/// what was signed (RFC 5652, 5.6), that the signature names its certificate (RFC 5816), the signature itself, the
+/// certificate's purpose, validity at the stamped time, and the way to one of the pinned certificates. Whether a
+/// certificate was revoked is not looked up.
+///
+/// # Errors
+/// [`TimeError`] with the first thing that contradicts it.
+pub fn check_token(
+    token: &[u8],
+    imprint: &[u8; 32],
+    request: Option<&Request>,
+    pinned: &[Certificate],
+) -> Result<Stamped, TimeError> {
+    let token = Token::parse(token)?;
+    if token.info.imprint != imprint {
+        return Err(TimeError::OtherImprint);
+    }
+    if request.is_some_and(|request| token.info.nonce != Some(&request.nonce_integer()[..])) {
+        return Err(TimeError::OtherNonce);
+    }
+    let signer = &token.signer;
+    let mut known = token.certificates.iter().chain(pinned);
+    let is_signers = |known: &&Certificate| known.issuer == signer.issuer && known.serial == signer.serial;
+    let certificate = known.find(is_signers).ok_or(TimeError::NoCertificate)?;
+    content(signer, token.content)?;
+    named(signer, certificate)?;
+    certificate.key.verify(signer.scheme, &signer.signed, signer.signature)?;
+    if !certificate.uses.may_stamp() {
+        return Err(TimeError::NotForStamps);
+    }
+    certificate.valid_at(token.info.at)?;
+    let leads = way(certificate, &token.certificates, pinned, token.info.at)?;
+    let [at, before] = [token.info.at, token.info.before].map(Timestamp::from_seconds);
+    Ok(Stamped { at, before, signer: certificate.name(), pinned: leads })
+}
+
+/// Which pinned certificate it leads to.
+fn way(
+    first: &Certificate,
+    others: &[Certificate],
+    pinned: &[Certificate],
+    at: u64,
+) -> Result<Option<usize>, TimeError> {
+    let mut fault = None;
+    for (place, pinned) in pinned.iter().enumerate() {
+        match path::check(first, others, pinned, at) {
+            Ok(()) => return Ok(Some(place)),
+            Err(TimeError::NotPinned(_)) => {}
+            Err(error) => drop(fault.get_or_insert(error)),
+        }
+    }
+    fault.map_or(Ok(None), Err)
+}
+
+/// What was signed is a stamp, and this one.
+fn content(signer: &Signer<'_>, content: &[u8]) -> Result<(), TimeError> {
+    let missing = || form("signer's part", "an attribute that each stamp has is missing");
+    let mut kind = signer.attribute(names::CONTENT_TYPE).ok_or_else(missing)?;
+    let is_stamp = kind.element(OBJECT)?.content == names::STAMP;
+    kind.end()?;
+    let mut hash = signer.attribute(names::MESSAGE_DIGEST).ok_or_else(missing)?;
+    let is_this = hash.element(OCTETS)?.content == signer.hash.of(content).as_ref();
+    hash.end()?;
+    if is_stamp && is_this { Ok(()) } else { Err(TimeError::OtherContent) }
+}
+
+/// The signature names the certificate that it is by, so that no other one of the same key takes its place. By SHA-1
+/// (RFC 2634) too: who would put another one there needs a second preimage, and many authorities still write that.
+fn named(signer: &Signer<'_>, certificate: &Certificate) -> Result<(), TimeError> {
+    let (second, first) = (names::SIGNING_CERTIFICATE_2, names::SIGNING_CERTIFICATE);
+    let mut found = false;
+    for (name, is_second) in [(second, true), (first, false)] {
+        let Some(mut value) = signer.attribute(name) else { continue };
+        let mut outer = value.inside(SEQUENCE)?;
+        value.end()?;
+        // The first is the signer's own; policies may follow.
+        let mut own = outer.inside(SEQUENCE)?.inside(SEQUENCE)?;
+        let hash = match (is_second, own.next_tag()) {
+            (true, Some(SEQUENCE)) => HashKind::read(&mut own, SEQUENCE)?.of(&certificate.der),
+            (true, _) => HashKind::Sha256.of(&certificate.der),
+            (false, _) => digest(&SHA1_FOR_LEGACY_USE_ONLY, &certificate.der),
+        };
+        if own.element(OCTETS)?.content != hash.as_ref() {
+            return Err(TimeError::OtherCertificate);
+        }
+        found = true;
+    }
+    if found { Ok(()) } else { Err(TimeError::OtherCertificate) }
+}

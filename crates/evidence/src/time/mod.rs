@@ -1,0 +1,104 @@
+//! Time from outside: an authority's stamp (RFC 3161) over the roots of batches, asked for and checked without a network.
+//! What is pinned is a certificate; whether one was revoked is not looked up.
+
+mod certificate;
+mod check;
+mod der;
+mod names;
+mod path;
+mod request;
+mod signature;
+mod stamp;
+mod token;
+
+pub use certificate::Certificate;
+pub use check::{Stamped, check_token};
+pub use der::LARGEST_DER;
+pub use request::{LONGEST_ANSWER, REQUEST_TYPE, Request, token_of};
+pub use stamp::{BundledStamp, MOST_ROOTS, MOST_TOKENS, StampTree, StampedRoot};
+pub(crate) use stamp::{DraftStamp, members};
+
+use authros_model::{Timestamp, clean};
+
+/// Why a stamp is not taken.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum TimeError {
+    /// It is not of its form.
+    #[error("the {part} is not of its form: {why}")]
+    Form {
+        /// Which part.
+        part: &'static str,
+        /// What is wrong with it.
+        why: &'static str,
+    },
+    /// The authority gave none.
+    #[error("the authority gave no stamp: status {status}{}", .text.as_ref().map_or(String::new(), |text| format!(", {text}")))]
+    NotGranted {
+        /// PKIStatus of RFC 3161.
+        status: u64,
+        /// What it said, cleaned.
+        text: Option<String>,
+    },
+    /// It is over something else.
+    #[error("it stamps something else: its message imprint is another one")]
+    OtherImprint,
+    /// The imprint is by another hash than was asked for.
+    #[error("its message imprint is not by SHA-256")]
+    ImprintHash,
+    /// It answers another request.
+    #[error("it answers another request: its nonce is another one")]
+    OtherNonce,
+    /// The certificate that signed it is not there.
+    #[error("the certificate of whoever signed it is not in it")]
+    NoCertificate,
+    /// The signed attributes are not those of this content.
+    #[error("its signature is for another content")]
+    OtherContent,
+    /// The signature covers no name of the certificate, or another one's.
+    #[error("its signature does not name the certificate that it is by (ESSCertID)")]
+    OtherCertificate,
+    /// The signature is not right.
+    #[error("its signature is not right")]
+    Signature,
+    /// Signed in a way that this program does not know.
+    #[error("it is signed by {0}, which this program does not check")]
+    Algorithm(&'static str),
+    /// The certificate is not one for time stamps alone.
+    #[error("its certificate is not one for time stamps alone (a critical extended key usage, timeStamping)")]
+    NotForStamps,
+    /// A certificate was not valid then.
+    #[error("the certificate of {name} was not valid at {at}: it is from {from} to {until}")]
+    NotValid {
+        /// Whose.
+        name: String,
+        /// When it was used.
+        at: Timestamp,
+        /// When it begins.
+        from: Timestamp,
+        /// When it ends.
+        until: Timestamp,
+    },
+    /// There is no way from the certificate to the pinned one.
+    #[error("no certificate in it leads from {0} to one that is pinned")]
+    NotPinned(String),
+    /// A certificate on the way may not issue others.
+    #[error("the certificate of {0}, on the way, may not issue others")]
+    NotAnIssuer(String),
+    /// A certificate on the way is not signed by the one above.
+    #[error("the certificate of {0}, on the way, is not signed by the one above it")]
+    Forged(String),
+    /// A certificate has a critical extension that this program does not know.
+    #[error("the certificate of {0} has a critical extension that this program does not know")]
+    Critical(String),
+}
+
+impl TimeError {
+    fn not_granted(status: u64, text: Option<&str>) -> Self {
+        Self::NotGranted { status, text: text.map(|text| clean(text, 200)) }
+    }
+}
+
+/// A part that is not of its form.
+fn form(part: &'static str, why: &'static str) -> TimeError {
+    TimeError::Form { part, why }
+}

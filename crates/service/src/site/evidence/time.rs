@@ -1,0 +1,264 @@
+//! Time from outside: each hour the roots of the batches that were closed since are stamped by the authorities that are
+//! set. Who does not answer is asked again, later and later; nothing waits for it.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use authros_evidence::PinnedAuthority;
+use authros_evidence::time::{
+    Certificate, LONGEST_ANSWER, MOST_ROOTS, REQUEST_TYPE, Request, StampTree, check_token, token_of,
+};
+use reqwest_tls as reqwest;
+use sha2::{Digest as _, Sha256};
+
+use crate::config::TimeAuthority;
+use crate::crypto::random_bytes;
+use crate::model::{ErrorKind, Hash, Timestamp, clean};
+use crate::pipeline::Plant;
+use crate::service::alerts::{innermost, trusted};
+use crate::service::event::NoticeLevel;
+use crate::service::failure::{input, internal, refused};
+use crate::service::hub::Hub;
+use crate::service::reply::{Failure, HealthLevel, PartHealth, StampView, StampedView};
+use crate::site::blocking;
+use crate::site::lifetime::Lifetime;
+use crate::site::parts::Parts;
+use crate::store::KeptStamp;
+
+/// How long an authority may take from the connection to the end of its answer.
+const PATIENCE: Duration = Duration::from_secs(15);
+/// How often batches are stamped.
+const PERIOD: Duration = Duration::from_secs(3600);
+/// How often it is looked whether that time has come.
+const LOOK: Duration = Duration::from_secs(60);
+/// The first pause after an authority did not stamp, and the longest.
+const PAUSES: (Duration, Duration) = (LOOK, PERIOD);
+/// Stamps that one authority is asked for in one round.
+const AT_ONCE: usize = 64;
+/// The longest file with a certificate, bytes.
+const LONGEST_CERTIFICATE: u64 = 64 * 1024;
+/// What notices are about.
+const ABOUT: &str = "time stamps";
+
+/// What is known of the last round.
+#[derive(Default)]
+struct Last {
+    /// What went wrong, and since when.
+    trouble: Option<(Timestamp, String)>,
+    /// Not before this is anybody asked again.
+    again: Option<Instant>,
+    pause: Duration,
+}
+
+/// The stamps of a site.
+pub(in crate::site) struct TimeStamps {
+    plant: Plant,
+    hub: Arc<Hub>,
+    life: Arc<Lifetime>,
+    authorities: Vec<TimeAuthority>,
+    /// Requests that brought no stamp since the site began.
+    failures: AtomicU64,
+    last: Mutex<Last>,
+    /// One round at a time.
+    turn: tokio::sync::Mutex<()>,
+}
+
+impl TimeStamps {
+    /// From the shared parts.
+    pub fn new(parts: &Parts) -> Self {
+        let Parts { plant, hub, life, config, .. } = parts.clone();
+        let authorities = config.time_authorities.clone();
+        let (failures, last, turn) = (AtomicU64::new(0), Mutex::default(), tokio::sync::Mutex::default());
+        Self { plant, hub, life, authorities, failures, last, turn }
+    }
+
+    /// Whether any authority is set.
+    pub fn is_wanted(&self) -> bool {
+        !self.authorities.is_empty()
+    }
+
+    fn with<Told>(&self, work: impl FnOnce(&mut Last) -> Told) -> Told {
+        work(&mut self.last.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// Stamps what is due, until the site ends.
+    pub async fn keep(self: Arc<Self>) {
+        while self.life.beat(LOOK).await {
+            if self.with(|last| last.again.is_some_and(|again| again > Instant::now())) {
+                continue;
+            }
+            let _turn = self.turn.lock().await;
+            if let Err(failure) = blocking(&self, |stamps| stamps.begin(false)).await {
+                self.failed(&failure);
+                continue;
+            }
+            drop(self.ask_all().await);
+        }
+    }
+
+    /// Puts batches under stamps: at once, or where the last time was long enough ago.
+    fn begin(&self, at_once: bool) -> Result<u64, Failure> {
+        let newest = self.plant.ledger.stamp_counts()?.newest;
+        let due = newest.is_none_or(|newest| Timestamp::now().0.saturating_sub(newest.0) >= nanoseconds(PERIOD));
+        let mut roots = 0;
+        while at_once || due {
+            let more = self.plant.ledger.begin_stamp(MOST_ROOTS)?;
+            roots += more;
+            if more < MOST_ROOTS as u64 {
+                break;
+            }
+        }
+        Ok(roots)
+    }
+
+    /// Stamps now what is not stamped yet.
+    pub async fn stamp(self: &Arc<Self>) -> Result<StampView, Failure> {
+        if !self.is_wanted() {
+            return Err(input("no time stamp authority is set; set time.authorities (docs/evidence.md shows how)"));
+        }
+        let _turn = self.turn.lock().await;
+        let roots = blocking(self, |stamps| stamps.begin(true)).await?;
+        let (tokens, problem) = self.ask_all().await;
+        let waiting = blocking(self, |stamps| Ok(stamps.plant.ledger.stamp_counts()?.waiting)).await?;
+        match problem {
+            Some(failure) if tokens.is_empty() => Err(failure),
+            problem => Ok(StampView { roots, tokens, waiting, problem: problem.map(|failure| failure.message) }),
+        }
+    }
+
+    /// Asks each authority for what it is owed; what it gave, and the first thing that went wrong.
+    async fn ask_all(self: &Arc<Self>) -> (Vec<StampedView>, Option<Failure>) {
+        let (mut tokens, mut problem) = (Vec::new(), None);
+        for authority in &self.authorities {
+            if let Err(failure) = self.ask(authority, &mut tokens).await {
+                self.failed(&failure);
+                problem.get_or_insert(failure);
+            }
+        }
+        if problem.is_none() && self.with(|last| std::mem::take(last).trouble.is_some()) {
+            self.hub.notice_about(ABOUT, NoticeLevel::Info, "batches are stamped again");
+        }
+        (tokens, problem)
+    }
+
+    fn failed(&self, failure: &Failure) {
+        self.failures.fetch_add(1, Ordering::AcqRel);
+        let is_new = self.with(|last| {
+            let is_new = last.trouble.is_none();
+            let since = last.trouble.as_ref().map_or_else(Timestamp::now, |(since, _)| *since);
+            last.trouble = Some((since, failure.message.clone()));
+            last.pause = (last.pause * 2).clamp(PAUSES.0, PAUSES.1);
+            last.again = Some(Instant::now() + last.pause);
+            is_new
+        });
+        if is_new {
+            let text = format!("batches wait for their time stamps, it is tried again: {}", failure.message);
+            self.hub.notice_about(ABOUT, NoticeLevel::Warning, &text);
+        }
+    }
+
+    async fn ask(self: &Arc<Self>, authority: &TimeAuthority, tokens: &mut Vec<StampedView>) -> Result<(), Failure> {
+        let certificate = read(authority)?;
+        let id = Hash(Sha256::digest(certificate.der()).into());
+        let waiting = move |stamps: &Self| Ok(stamps.plant.ledger.waiting_stamps(id, AT_ONCE)?);
+        let waiting = blocking(self, waiting).await?;
+        if waiting.is_empty() {
+            return Ok(());
+        }
+        let client = client(authority)?;
+        for KeptStamp { key, roots, .. } in waiting {
+            let count = roots.len() as u64;
+            let tree = StampTree::new(roots).ok_or_else(|| internal("a stamp has no roots; please report this"))?;
+            let nonce = random_bytes()?;
+            let request = Request { imprint: tree.imprint(), nonce };
+            let answer = fetch(&client, authority, request.encode()).await?;
+            let told = |error| refused(format!("the time stamp authority '{}': {error}", clean(&authority.name, 80)));
+            let token = token_of(&answer).map_err(told)?;
+            let pinned = std::slice::from_ref(&certificate);
+            let stamped = check_token(token, &request.imprint, Some(&request), pinned).map_err(told)?;
+            stamped.by_pinned().map_err(told)?;
+            let (token, before) = (token.to_vec(), stamped.before);
+            blocking(self, move |stamps| Ok(stamps.plant.ledger.keep_token(key, id, before, token)?)).await?;
+            tokens.push(StampedView { authority: clean(&authority.name, 80), before, roots: count });
+        }
+        Ok(())
+    }
+
+    /// How it goes, where any authority is set.
+    pub fn health(&self) -> Result<Option<PartHealth>, Failure> {
+        if !self.is_wanted() {
+            return Ok(None);
+        }
+        let counts = self.plant.ledger.stamp_counts()?;
+        let newest =
+            counts.before.map_or_else(|| "none yet".to_owned(), |before| format!("the newest before {before}"));
+        let told = format!("{} stamps, {newest}; {} wait", counts.stamped, counts.waiting);
+        let trouble = self.with(|last| last.trouble.clone());
+        let failures = self.failures.load(Ordering::Acquire);
+        let (level, since, text) = match trouble {
+            Some((since, why)) => {
+                (HealthLevel::Waiting, Some(since), format!("{told}; {failures} requests brought none: {why}"))
+            }
+            None => (HealthLevel::Ok, None, told),
+        };
+        Ok(Some(PartHealth { part: "time".to_owned(), level, text: clean(&text, 300), since, retry: None }))
+    }
+
+    /// The authorities as a trust file names them; one whose certificate cannot be read is left out.
+    pub fn suggested(&self) -> Vec<PinnedAuthority> {
+        let pin = |authority: &TimeAuthority| {
+            read(authority).ok()?;
+            let certificate = std::fs::read_to_string(&authority.certificate).ok()?;
+            Some(PinnedAuthority { name: authority.name.clone(), certificate })
+        };
+        self.authorities.iter().filter_map(pin).collect()
+    }
+}
+
+fn nanoseconds(span: Duration) -> u64 {
+    u64::try_from(span.as_nanos()).unwrap_or(u64::MAX)
+}
+
+/// The certificate that is pinned, read anew each time: it may have been replaced.
+fn read(authority: &TimeAuthority) -> Result<Certificate, Failure> {
+    let path = clean(&authority.certificate.display().to_string(), 200);
+    let failed = |why: String| input(format!("{path}: {why}; set time.authorities to a certificate in PEM"));
+    let length = std::fs::metadata(&authority.certificate).map_err(|error| failed(error.to_string()))?.len();
+    if length > LONGEST_CERTIFICATE {
+        return Err(failed("it is too long for a certificate".to_owned()));
+    }
+    let text = std::fs::read_to_string(&authority.certificate).map_err(|error| failed(error.to_string()))?;
+    Certificate::from_pem(&text).map_err(|error| failed(error.to_string()))
+}
+
+fn client(authority: &TimeAuthority) -> Result<reqwest::Client, Failure> {
+    let roots = if authority.url.starts_with("https://") { trusted()? } else { Vec::new() };
+    // Only whom the settings name is asked.
+    let client = reqwest::Client::builder().no_proxy().redirect(reqwest::redirect::Policy::none());
+    let client =
+        roots.into_iter().fold(client.tls_built_in_root_certs(false), reqwest::ClientBuilder::add_root_certificate);
+    client.timeout(PATIENCE).build().map_err(|error| internal(innermost(&error)))
+}
+
+async fn fetch(client: &reqwest::Client, authority: &TimeAuthority, request: Vec<u8>) -> Result<Vec<u8>, Failure> {
+    let name = clean(&authority.name, 80);
+    let unreachable = |error: reqwest::Error| {
+        let why = if error.is_timeout() { "no answer in time".to_owned() } else { innermost(&error) };
+        let text = format!("the time stamp authority '{name}' is not reached: {why}; see time.authorities");
+        Failure::new(ErrorKind::Unreachable, text)
+    };
+    let sent = client.post(&authority.url).header("Content-Type", REQUEST_TYPE).body(request).send().await;
+    let mut answer = sent.map_err(unreachable)?;
+    if !answer.status().is_success() {
+        return Err(refused(format!("the time stamp authority '{name}' answered {}", answer.status().as_u16())));
+    }
+    let mut bytes = Vec::new();
+    while let Some(chunk) = answer.chunk().await.map_err(unreachable)? {
+        bytes.extend_from_slice(&chunk);
+        if bytes.len() > LONGEST_ANSWER {
+            return Err(refused(format!("the time stamp authority '{name}' answered with more than any stamp has")));
+        }
+    }
+    Ok(bytes)
+}
