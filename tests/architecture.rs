@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 
 /// The crates in their order: each may depend only on crates before it. The last is the binary's own.
 const CRATES: [&str; 17] = [
-    "model", "fault", "crypto", "evidence", "pipe", "ros2", "ros", "chain", "store", "gateway", "pipeline", "config", "service",
-    "console", "output", "bench", "authros",
+    "model", "fault", "crypto", "evidence", "pipe", "ros2", "ros", "chain", "store", "gateway", "pipeline", "config",
+    "service", "console", "output", "bench", "authros",
 ];
 /// The rooms of the console, in their order.
 const CONSOLE: [&str; 3] = ["app", "ui", "term"];

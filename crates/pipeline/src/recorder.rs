@@ -218,14 +218,7 @@ impl Recorder {
         }
         let author = Arc::clone(&interest.author);
         let rule = interest.rule.clone();
-        let item = CapturedMessage {
-            author,
-            message: Arc::clone(message),
-            simulated,
-            sessions,
-            doubt,
-            rule,
-        };
+        let item = CapturedMessage { author, message: Arc::clone(message), simulated, sessions, doubt, rule };
         if let Err(refused) = self.rings.push(&message.topic, item) {
             self.losses.note(&refused.author, Lost::message(message), self.losses.cause());
             refused.sessions.iter().for_each(|session| session.dropped(&message.topic, refused.doubt.is_some()));

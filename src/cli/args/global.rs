@@ -31,6 +31,9 @@ pub struct Global {
     /// Real ROS master, as http://host:11311
     #[arg(long, global = true, value_name = "URI")]
     pub ros_master: Option<String>,
+    /// Capture ROS 2 of this domain too [default without a number: $ROS_DOMAIN_ID, else 0]
+    #[arg(long, global = true, value_name = "DOMAIN", num_args = 0..=1, require_equals = false, default_missing_value = "")]
+    pub ros2: Option<String>,
     /// Node of a real chain: http://, ws:// or ipc path
     #[arg(long, global = true, value_name = "URL")]
     pub chain: Option<String>,
@@ -71,6 +74,7 @@ impl Global {
     pub fn setting(&self, name: &str) -> Option<String> {
         match name {
             "ros.master" => self.ros_master.clone(),
+            "ros.domain" => self.ros2.clone().map(domain),
             "chain.url" => self.chain.clone(),
             "chain.contract" => self.contract.clone(),
             "chain.consensus" => self.consensus.clone(),
@@ -85,4 +89,10 @@ impl Global {
             _ => None,
         }
     }
+}
+
+/// The domain that a flag without a number means.
+fn domain(written: String) -> String {
+    let of_environment = || std::env::var("ROS_DOMAIN_ID").ok().filter(|value| !value.is_empty());
+    Some(written).filter(|written| !written.is_empty()).or_else(of_environment).unwrap_or_else(|| "0".to_owned())
 }

@@ -216,8 +216,16 @@ mod tests {
         publisher.numbers.follow(1, now);
         publisher.numbers.follow(5, now);
         let notices = publisher.vanished(now);
-        assert!(matches!(notices[..], [CaptureNotice::LostInTransport { count: 3, numbers: (2, 4), .. },
-            CaptureNotice::EndUnknown { at_least: 3, .. }]), "{notices:?}");
+        assert!(
+            matches!(
+                notices[..],
+                [
+                    CaptureNotice::LostInTransport { count: 3, numbers: (2, 4), .. },
+                    CaptureNotice::EndUnknown { at_least: 3, .. }
+                ]
+            ),
+            "{notices:?}"
+        );
         assert!(publisher.disconnect("gone").is_some() && publisher.disconnect("gone").is_none());
     }
 }

@@ -47,7 +47,9 @@ impl Standing {
                 "{place}: {participants} participants, but {foreign} publishers of other names than those of ROS 2, and none \
                  of ROS 2 topics"
             ),
-            _ if writers == 0 => format!("{place}: {participants} participants, but no topics; with SROS2 they are hidden"),
+            _ if writers == 0 => {
+                format!("{place}: {participants} participants, but no topics; with SROS2 they are hidden")
+            }
             _ => format!("{place}: {participants} participants, {writers} publishers of ROS 2 topics"),
         }
     }
