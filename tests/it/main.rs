@@ -42,6 +42,7 @@ mod remote;
 mod restart;
 mod rights;
 mod ros2;
+mod ros2_capture;
 mod sharing;
 mod site_file;
 mod succession;

@@ -18,8 +18,9 @@ const MOST_PUBLISHERS: usize = 40_000;
 const FOUND_AGAIN: Duration = Duration::from_secs(10);
 /// A publisher that is gone is remembered so long, for messages that were on their way.
 const REMEMBERED: Duration = Duration::from_secs(60);
-/// Fast DDS gives what it keeps for latecomers up to 3.2 s after they joined, and may announce itself as late.
-pub const PATIENCE: Duration = Duration::from_secs(4);
+/// So long after the start whoever is to be seen has been seen, and so long where somebody was.
+const LOOKED: Duration = Duration::from_secs(3);
+const LOOKED_WITH_SOMEBODY: Duration = Duration::from_secs(1);
 /// The longest reason taken.
 const LONGEST_REASON: usize = 400;
 
@@ -171,7 +172,7 @@ impl State {
     fn alive(&mut self, counts: Counts, now: Instant, outcome: &mut Outcome) {
         self.counts = counts;
         let running = self.hello.map_or(Duration::ZERO, |hello| now.saturating_duration_since(hello));
-        if running >= PATIENCE || counts.writers > 0 {
+        if running >= if counts.writers > 0 { LOOKED_WITH_SOMEBODY } else { LOOKED } {
             self.reading = Reading::Up;
         }
         if running >= FOUND_AGAIN {
