@@ -96,3 +96,24 @@ fn domain(written: String) -> String {
     let of_environment = || std::env::var("ROS_DOMAIN_ID").ok().filter(|value| !value.is_empty());
     Some(written).filter(|written| !written.is_empty()).or_else(of_environment).unwrap_or_else(|| "0".to_owned())
 }
+
+#[cfg(test)]
+mod tests {
+    use crate::cli::args::Arguments;
+    use clap::Parser;
+
+    fn domain(arguments: &[&str]) -> Option<String> {
+        let read = Arguments::try_parse_from(["authros"].iter().chain(arguments)).expect("arguments");
+        read.global.setting("ros.domain")
+    }
+
+    #[test]
+    fn the_domain_may_be_left_out_and_takes_no_command_for_a_number() {
+        assert_eq!(domain(&["--ros2", "7"]).as_deref(), Some("7"));
+        assert_eq!(domain(&["topics", "list", "--ros2", "7"]).as_deref(), Some("7"));
+        assert_eq!(domain(&["topics", "list"]), None);
+        for without in [&["--ros2"][..], &["--ros2", "topics", "list"], &["doctor", "--ros2"]] {
+            assert!(domain(without).is_some_and(|domain| domain.parse::<u16>().is_ok()), "{without:?}");
+        }
+    }
+}

@@ -9,7 +9,7 @@ use crate::ros::RosError;
 /// Its name.
 pub const PROGRAM: &str = "authros-ros2";
 /// How long it may take to leave its domain before it is killed.
-const LEAVING: Duration = Duration::from_millis(3500);
+const LEAVING: Duration = Duration::from_millis(1500);
 
 /// Where the program is: as the settings say, else beside this one.
 ///

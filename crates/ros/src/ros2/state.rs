@@ -156,7 +156,7 @@ impl State {
     ) {
         let Self { watched, publishers, .. } = self;
         let Some(publisher) = publishers.get_mut(id) else { return };
-        if !watched.iter().any(|topic| topic.as_str() == publisher.writer.topic) {
+        if !publisher.connected && !watched.iter().any(|topic| topic.as_str() == publisher.writer.topic) {
             return;
         }
         let arrival = publisher.numbers.follow(number, now);
