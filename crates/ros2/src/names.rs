@@ -32,13 +32,6 @@ pub fn type_name(dds: &str) -> Option<String> {
     known.then(|| format!("{package}/{kind}/{name}"))
 }
 
-/// What DDS calls a type.
-pub fn dds_type(type_name: &str) -> Option<String> {
-    let (rest, name) = type_name.rsplit_once('/')?;
-    let (package, kind) = rest.split_once('/')?;
-    Some(format!("{package}::{kind}::dds_::{name}_"))
-}
-
 /// The type's hash out of a writer's user data, which is `key=value;` after a length, padded.
 pub fn type_hash(user_data: &[u8]) -> Option<String> {
     const KEY: &[u8] = b"typehash=";
@@ -80,11 +73,9 @@ mod tests {
             assert_eq!(topic(none), None, "{none}");
         }
         assert_eq!(type_name("nav_msgs::msg::dds_::Odometry_").as_deref(), Some("nav_msgs/msg/Odometry"));
-        assert_eq!(dds_type("nav_msgs/msg/Odometry").as_deref(), Some("nav_msgs::msg::dds_::Odometry_"));
         for none in ["ShapeType", "a::msg::dds_::B", "a::msg::B_", "::msg::dds_::B_", "a::msg::dds_::B\u{7}_"] {
             assert_eq!(type_name(none), None, "{none}");
         }
-        assert_eq!(dds_type("nav_msgs/Odometry"), None);
     }
 
     #[test]

@@ -41,6 +41,8 @@ pub struct Reading {
     pub ready: bool,
     /// When it is to be dropped, where another has taken its place.
     pub retires: Option<Instant>,
+    /// When it began: what the topic's cache holds of before is another reader's, unless it is latched.
+    begun: Timestamp,
     /// Bytes of the largest sample.
     largest: usize,
     depth: usize,
@@ -62,7 +64,7 @@ impl Reading {
         request: Request,
         (registry, token): (&Registry, Token),
     ) -> Result<Self, Ros2Error> {
-        let depth = quality::FIRST_DEPTH;
+        let (depth, begun) = (quality::FIRST_DEPTH, Timestamp::now());
         let policies = quality::policies(request, depth);
         let topic = participant
             .create_topic(dds_topic.to_owned(), dds_type.to_owned(), &policies, TopicKind::NoKey)
@@ -73,7 +75,7 @@ impl Reading {
             .register(&mut reader, token, Interest::READABLE)
             .map_err(|error| Ros2Error::system("wait for samples", &error))?;
         let (dds_topic, dds_type) = (dds_topic.to_owned(), dds_type.to_owned());
-        Ok(Self { dds_topic, dds_type, request, ready: true, retires: None, largest: 0, depth, reader })
+        Ok(Self { dds_topic, dds_type, request, ready: true, retires: None, begun, largest: 0, depth, reader })
     }
 
     /// Bytes that may be kept of this topic.
@@ -101,6 +103,7 @@ impl Reading {
         let (mut bytes, before) = (0, into.len());
         while into.len() - before < TURN && bytes < TURN_BYTES {
             match self.reader.try_take_one_with(RawDecoder) {
+                Ok(Some(change)) if change.receive_instant < self.begun && !self.request.latched => {}
                 Ok(Some(change)) => {
                     let writer = change.writer_guid().to_bytes();
                     let number = i64::from(change.sequence_number);
