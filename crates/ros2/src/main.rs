@@ -44,8 +44,8 @@ fn domain() -> Option<u16> {
 fn bound_memory() {
     let maximum = getrlimit(Resource::As).maximum;
     let most = maximum.map_or(MOST_MEMORY, |maximum| maximum.min(MOST_MEMORY));
-    drop(setrlimit(Resource::As, Rlimit { current: Some(most), maximum: Some(most) }));
-    drop(setrlimit(Resource::Core, Rlimit { current: Some(0), maximum: Some(0) }));
+    let _ = setrlimit(Resource::As, Rlimit { current: Some(most), maximum: Some(most) });
+    let _ = setrlimit(Resource::Core, Rlimit { current: Some(0), maximum: Some(0) });
 }
 
 fn fail(reason: &str) -> ExitCode {

@@ -69,7 +69,7 @@ impl Numbers {
             .filter(|(place, (_, (_, since)))| *place < beyond || late(*since))
             .map(|(_, (first, (last, _)))| (*first, *last))
             .collect();
-        gaps.iter().for_each(|(first, _)| drop(self.missing.remove(first)));
+        self.missing.retain(|first, _| !gaps.iter().any(|(gap, _)| gap == first));
         gaps
     }
 
