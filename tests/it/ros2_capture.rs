@@ -23,9 +23,9 @@ fn begin(network: &Network, home: &Home, options: &[&str]) -> (Running, Authros)
 }
 
 fn row(alice: &Authros, topic: &str) -> Value {
-    let rows = alice.json(&["topics", "list"]);
-    let found = rows.as_array().expect("rows").iter().find(|row| row["topic"] == topic).cloned();
-    found.unwrap_or_else(|| panic!("{topic} in {rows}"))
+    let view = alice.json(&["topics", "list"]);
+    let found = list(&view, "topics").into_iter().find(|row| row["topic"] == topic);
+    found.unwrap_or_else(|| panic!("{topic} in {view}"))
 }
 
 fn figures(summary: &Value) -> (u64, u64, u64) {
