@@ -20,6 +20,7 @@ use supervision::Shared;
 
 pub use crate::pipe::read::{Counts, Quality};
 pub use child::PROGRAM;
+pub use publisher::WRITER;
 pub use standing::{INVISIBLE, Reading, Standing};
 
 /// A topic of the domain.

@@ -13,7 +13,7 @@ use crate::ros::{CaptureNotice, Message, Origin};
 /// What MCAP calls the QoS that a channel's publishers offer.
 const QUALITY: &str = "offered_qos_profiles";
 /// The publisher's own id, 16 bytes as hex, among what is said of a channel.
-const WRITER: &str = "writer_id";
+pub const WRITER: &str = "writer_id";
 
 /// A publisher.
 pub struct Publisher {
