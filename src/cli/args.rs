@@ -21,7 +21,13 @@ pub use self::records::{CaptureArguments, ListArguments, SharedVerb, TopicsVerb,
 /// Share robot data under proof: messages sealed with SM4, signed with SM2, anchored by SM3
 /// digest on a private Ethereum network. Without a command it opens the operator console.
 #[derive(Debug, Parser)]
-#[command(name = "authros", version, max_term_width = 100, disable_help_subcommand = true)]
+#[command(
+    name = "authros",
+    version,
+    max_term_width = 100,
+    disable_help_subcommand = true,
+    subcommand_precedence_over_arg = true
+)]
 pub struct Arguments {
     /// What applies to every command.
     #[command(flatten)]

@@ -46,6 +46,7 @@ mod remote;
 mod restart;
 mod rights;
 mod ros2;
+mod ros2_capture;
 mod sharing;
 mod site_file;
 mod status;

@@ -18,6 +18,7 @@ pub mod process;
 pub mod proxy;
 pub mod redis;
 pub mod ros;
+pub mod ros2;
 pub mod source;
 pub mod two;
 pub mod wire;

@@ -52,10 +52,22 @@ pub const DEFINITIONS: &[Definition] = &[
         text: "where ROS 2 is installed, separated by colons: definitions of types that a recording does not describe",
     },
     Definition {
+        name: "ros.domain",
+        variable: "ROS_DOMAIN_ID",
+        default: "",
+        text: "domain of ROS 2 to capture from, 0 to 232, beside ROS 1; empty = no ROS 2",
+    },
+    Definition {
+        name: "ros.ros2_program",
+        variable: "AUTHROS_ROS2_PROGRAM",
+        default: "",
+        text: "path of authros-ros2, the program that reads ROS 2; empty = beside this program",
+    },
+    Definition {
         name: "robots",
         variable: "AUTHROS_ROBOTS",
         default: "4",
-        text: "simulated robots on the embedded master, 0 to 32",
+        text: "simulated robots on the embedded master, 0 to 32; with ros.domain none unless they are asked for",
     },
     Definition {
         name: "chain.url",

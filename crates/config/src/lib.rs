@@ -19,7 +19,7 @@ mod time;
 mod topic_rules;
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 pub use self::alerts::{AlertForm, AlertLimits, AlertPlace, AlertSettings};
@@ -67,6 +67,10 @@ pub struct Config {
     pub publishers: ListedPublishers,
     /// Where ROS 2 is installed: prefixes, as `AMENT_PREFIX_PATH` lists them; empty = nowhere.
     pub definitions: String,
+    /// Domain of ROS 2 to capture from; `None` = no ROS 2.
+    pub ros_domain: Option<u16>,
+    /// The program that reads ROS 2, where it is not beside this one.
+    pub ros2_program: Option<PathBuf>,
     /// Simulated robots; 0 with a real master.
     pub robots: u16,
     /// Node of a real chain.
@@ -176,14 +180,23 @@ impl Config {
             (Some("watched"), _) | (Some("auto"), Some(_)) => MeterMode::Watched,
             _ => return Err(wrong(&values, "ros.meter", "write all, watched or auto")),
         };
+        let ros_domain = match text("ros.domain") {
+            Some(_) => u16::try_from(number(&values, "ros.domain", 0, 232)?).ok(),
+            None => None,
+        };
         let robots = number(&values, "robots", 0, 32)?;
+        // Whoever has real robots asks for simulated ones, or gets none.
+        let unasked = values.get("robots").is_some_and(|(_, source)| *source == Source::Default);
+        let without_robots = ros_master.is_some() || ros_domain.is_some() && unasked;
         Ok(Self {
             ros_host: text("ros.host").map(str::to_owned),
             meter,
             pin_mode: parsed(&values, "ros.pins")?.unwrap_or_default(),
             publishers: parsed(&values, "ros.publishers")?.unwrap_or_default(),
             definitions: text("ros.definitions").unwrap_or_default().to_owned(),
-            robots: if ros_master.is_some() { 0 } else { u16::try_from(robots).unwrap_or(0) },
+            ros_domain,
+            ros2_program: text("ros.ros2_program").map(PathBuf::from),
+            robots: if without_robots { 0 } else { u16::try_from(robots).unwrap_or(0) },
             ros_master,
             chain_url: url(&values, "chain.url", &["http://", "ws://", "ipc://", "/"])?,
             contract: parsed(&values, "chain.contract")?,

@@ -81,6 +81,7 @@ pub fn message(topic: &str, captured_at: Timestamp, body: Vec<u8>) -> Message {
         latching: false,
         captured_at,
         header_seq: None,
+        tags: Vec::new(),
         body,
     }
 }

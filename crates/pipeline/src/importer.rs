@@ -11,6 +11,8 @@ use super::session::TopicFigures;
 use super::{Author, CaptureSession};
 use crate::model::topic::LONGEST_NAME;
 use crate::model::{Timestamp, TopicRules};
+use crate::ros::recording::tags::{CHANNEL, PUBLISHED, SEQUENCE};
+pub use crate::ros::recording::tags::{ENCODING, MCAP};
 use crate::ros::recording::{Channel, Encoding, RecordedMessage, Sent};
 use crate::ros::{Message, Origin};
 
@@ -28,21 +30,10 @@ const LONGEST_MD5: usize = 64;
 
 /// Tag of everything that was imported, and its value.
 pub const SOURCE: (&str, &str) = ("source", "bag");
-/// Tag of messages that are no ROS 1 messages: how they are serialised.
-pub const ENCODING: &str = "encoding";
 /// Tag of messages of a latching publisher.
 pub const LATCHING: &str = "latching";
 /// Tag of messages whose topic was recorded under a name that is not a graph name: that name.
 pub const RECORDED_TOPIC: &str = "recorded_topic";
-
-/// What MCAP says beside the message: tags that begin so, and are never searched for.
-pub const MCAP: &str = "mcap.";
-/// Tag of when a message was published, nanoseconds, where that is not when it was recorded.
-const PUBLISHED: &str = "mcap.publish_time";
-/// Tag of a message's number in its recording.
-const SEQUENCE: &str = "mcap.sequence";
-/// Tags of what the recording says of the channel.
-const CHANNEL: &str = "mcap.channel.";
 
 /// Why a channel cannot be imported; `None` where it can.
 pub fn fault(channel: &Channel) -> Option<&'static str> {
@@ -147,7 +138,6 @@ impl<'a> Importer<'a> {
             return false;
         }
         let RecordedMessage { channel, time, sent, body } = message;
-        let tags = sent.map(|sent| tags_of(sent, time)).unwrap_or_default();
         let rule = self.rules.of(topic).cloned();
         let author = Arc::clone(&self.author);
         let stream = self.stream(&channel, topic);
@@ -163,11 +153,12 @@ impl<'a> Importer<'a> {
             latching: channel.latching,
             captured_at: time,
             header_seq: None,
+            tags: sent.map(|sent| tags_of(sent, time)).unwrap_or_default(),
             body,
         };
         let message = Arc::new(message);
         let mut item =
-            CapturedMessage { author, message, simulated: false, sessions: vec![session], doubt: None, rule, tags };
+            CapturedMessage { author, message, simulated: false, sessions: vec![session], doubt: None, rule };
         let share = SHARE.min(self.rings.capacity() / 4);
         loop {
             match self.rings.push_within(topic, item, share, TICK) {

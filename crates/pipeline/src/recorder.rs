@@ -28,8 +28,6 @@ pub struct CapturedMessage {
     pub doubt: Option<Doubt>,
     /// The rule of its topic, whose tags it gets.
     pub rule: Option<Arc<TopicRule>>,
-    /// Tags of this message alone.
-    pub tags: Vec<(String, String)>,
 }
 
 impl Weighted for CapturedMessage {
@@ -220,15 +218,7 @@ impl Recorder {
         }
         let author = Arc::clone(&interest.author);
         let rule = interest.rule.clone();
-        let item = CapturedMessage {
-            author,
-            message: Arc::clone(message),
-            simulated,
-            sessions,
-            doubt,
-            rule,
-            tags: Vec::new(),
-        };
+        let item = CapturedMessage { author, message: Arc::clone(message), simulated, sessions, doubt, rule };
         if let Err(refused) = self.rings.push(&message.topic, item) {
             self.losses.note(&refused.author, Lost::message(message), self.losses.cause());
             refused.sessions.iter().for_each(|session| session.dropped(&message.topic, refused.doubt.is_some()));
@@ -333,6 +323,13 @@ fn words(notice: &CaptureNotice) -> Option<(bool, String)> {
         }
         CaptureNotice::LostInTransport { topic, caller_id, count, .. } => {
             (true, format!("{count} messages of {caller_id} on {topic} never arrived: counted as lost in transport"))
+        }
+        CaptureNotice::ReadingBroken { reason } => {
+            (true, format!("reading of ROS 2 broke off and begins anew, what is missing will be counted: {reason}"))
+        }
+        CaptureNotice::EndUnknown { topic, caller_id, at_least } => {
+            let text = "vanished while ROS 2 was not read: at least";
+            (true, format!("{caller_id} on {topic} {text} {at_least} messages are missing, the end is unknown"))
         }
         CaptureNotice::Refused { topic, publisher, reason } => {
             (true, format!("{publisher} on {topic} was refused: {reason}"))

@@ -22,6 +22,7 @@ use super::address::{Endpoint, own_host};
 use super::slave::SlaveServer;
 use crate::model::{Timestamp, TopicName, TypeName};
 use node::Shared;
+pub(crate) use origin::next_number;
 pub use origin::{Origin, Rival};
 use registrar::Registrar;
 
@@ -49,7 +50,9 @@ pub struct Message {
     pub captured_at: Timestamp,
     /// `header.seq`, where the type begins with a header.
     pub header_seq: Option<u32>,
-    /// The serialised message, without its length.
+    /// What else is told of it, sealed beside it as tags; [`crate::recording::tags`] has the names.
+    pub tags: Vec<(String, String)>,
+    /// The serialised message, without its length; of ROS 2 with its encapsulation header.
     pub body: Vec<u8>,
 }
 
@@ -141,6 +144,21 @@ pub enum CaptureNotice {
         publisher: String,
         /// Why.
         reason: String,
+    },
+    /// The program that reads ROS 2 ended and is started anew; what was missed meanwhile is told of by
+    /// [`Self::LostInTransport`] when its publishers are heard again.
+    ReadingBroken {
+        /// Why.
+        reason: String,
+    },
+    /// A publisher vanished while nothing could be read of it.
+    EndUnknown {
+        /// Topic name.
+        topic: Arc<str>,
+        /// The publisher's node name.
+        caller_id: String,
+        /// So many of its messages are missing at least.
+        at_least: u64,
     },
     /// The master stopped answering; publishers that are connected are still read.
     MasterLost {

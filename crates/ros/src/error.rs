@@ -52,6 +52,12 @@ pub enum RosError {
     /// The embedded master did not come up.
     #[error("the embedded ROS master did not start ({0}); name a running one by --ros-master instead")]
     EmbeddedMaster(String),
+    /// The program that reads ROS 2 is not installed.
+    #[error(
+        "the program that reads ROS 2 is not at {0}; install authros-ros2 beside authros (from the source: cargo build \
+         -p authros-ros2), or name it by ros.ros2_program"
+    )]
+    NoReader(String),
     /// The operating system did not give what was needed.
     #[error("cannot {action} ({reason}); free some threads, sockets or memory and try again")]
     System {
@@ -103,6 +109,7 @@ impl RosError {
             Self::Refused { .. } => ErrorKind::Refused,
             Self::Address(_) | Self::Robots(_) | Self::Rate(_) => ErrorKind::Usage,
             Self::OwnHost { .. }
+            | Self::NoReader(_)
             | Self::Protocol { .. }
             | Self::Definition { .. }
             | Self::NoFields { .. }
@@ -114,6 +121,10 @@ impl RosError {
 
     pub(super) fn address(text: &str) -> Self {
         Self::Address(clean(text, 120))
+    }
+
+    pub(super) fn no_reader(path: &std::path::Path) -> Self {
+        Self::NoReader(clean(&path.display().to_string(), 200))
     }
 
     pub(super) fn system(action: &'static str, reason: &std::io::Error) -> Self {

@@ -1,4 +1,4 @@
-//! ROS 1: the embedded master, the graph, simulated robots, capture of topics, decoding of messages, recordings.
+//! ROS: the embedded master, the graph, simulated robots, capture of topics, decoding of messages, recordings.
 //!
 //! All network code talks XML-RPC and TCPROS with timeouts and caps; what peers send is untrusted.
 //! No crypto, no storage and no screens here: captured messages leave through [`MessageSink`].
@@ -7,6 +7,7 @@
 use crate as ros;
 use authros_crypto as crypto;
 use authros_model as model;
+use authros_pipe as pipe;
 
 mod address;
 pub mod bag;
@@ -20,6 +21,7 @@ mod publisher;
 pub mod readable;
 pub mod recording;
 pub mod robot;
+pub mod ros2;
 mod slave;
 mod tcpros;
 mod xmlrpc;

@@ -27,6 +27,10 @@ pub async fn examine(home: &Home, config: &Config, site: Option<Result<SiteView,
         robots::look(home, &mut sheet);
         peers::vault(home, config, &mut sheet);
         peers::ros(config, &mut sheet);
+        // A running site of this home is in the domain already, and says below what it sees.
+        if !runs {
+            peers::second(config, &mut sheet);
+        }
     });
     chain::look(home, config, runs, &mut sheet).await;
     drop(lock);

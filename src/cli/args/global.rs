@@ -31,6 +31,9 @@ pub struct Global {
     /// Real ROS master, as http://host:11311
     #[arg(long, global = true, value_name = "URI")]
     pub ros_master: Option<String>,
+    /// Capture ROS 2 of this domain too [default without a number: $ROS_DOMAIN_ID, else 0]
+    #[arg(long, global = true, value_name = "DOMAIN", num_args = 0..=1, require_equals = false, default_missing_value = "")]
+    pub ros2: Option<String>,
     /// Node of a real chain: http://, ws:// or ipc path
     #[arg(long, global = true, value_name = "URL")]
     pub chain: Option<String>,
@@ -71,6 +74,7 @@ impl Global {
     pub fn setting(&self, name: &str) -> Option<String> {
         match name {
             "ros.master" => self.ros_master.clone(),
+            "ros.domain" => self.ros2.clone().map(domain),
             "chain.url" => self.chain.clone(),
             "chain.contract" => self.contract.clone(),
             "chain.consensus" => self.consensus.clone(),
@@ -83,6 +87,33 @@ impl Global {
             "site.gateway_key" => self.gateway_key.clone(),
             "site.trust_first" => self.trust_first.then(|| "yes".to_owned()),
             _ => None,
+        }
+    }
+}
+
+/// The domain that a flag without a number means.
+fn domain(written: String) -> String {
+    let of_environment = || std::env::var("ROS_DOMAIN_ID").ok().filter(|value| !value.is_empty());
+    Some(written).filter(|written| !written.is_empty()).or_else(of_environment).unwrap_or_else(|| "0".to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::cli::args::Arguments;
+    use clap::Parser;
+
+    fn domain(arguments: &[&str]) -> Option<String> {
+        let read = Arguments::try_parse_from(["authros"].iter().chain(arguments)).expect("arguments");
+        read.global.setting("ros.domain")
+    }
+
+    #[test]
+    fn the_domain_may_be_left_out_and_takes_no_command_for_a_number() {
+        assert_eq!(domain(&["--ros2", "7"]).as_deref(), Some("7"));
+        assert_eq!(domain(&["topics", "list", "--ros2", "7"]).as_deref(), Some("7"));
+        assert_eq!(domain(&["topics", "list"]), None);
+        for without in [&["--ros2"][..], &["--ros2", "topics", "list"], &["doctor", "--ros2"]] {
+            assert!(domain(without).is_some_and(|domain| domain.parse::<u16>().is_ok()), "{without:?}");
         }
     }
 }

@@ -55,6 +55,7 @@ fn examples() -> Vec<(&'static str, String)> {
                 "never"
             }
             "alerts.disk" => "2GiB",
+            "ros.domain" => "7",
             "confirmations" => "3",
             "gateway.admission" => "open",
             "gateway.quota_bytes" => "1GiB",

@@ -105,7 +105,7 @@ impl Task<'_> {
 fn tags(item: &CapturedMessage) -> BTreeMap<String, String> {
     let mut tags: BTreeMap<String, String> =
         item.sessions.iter().flat_map(|session| session.tags().iter().cloned()).collect();
-    tags.extend(item.tags.iter().cloned());
+    tags.extend(item.message.tags.iter().cloned());
     if let Some(rule) = &item.rule {
         tags.extend(rule.all_tags());
     }

@@ -100,8 +100,7 @@ impl Line {
     fn item(&self, topic: &str, number: usize, body: Vec<u8>) -> CapturedMessage {
         let message = message(topic, Timestamp(number as u64 + 1), body);
         let (author, message) = (Arc::clone(&self.author), Arc::new(message));
-        let (sessions, tags) = (Vec::new(), Vec::new());
-        CapturedMessage { author, message, simulated: false, sessions, doubt: None, rule: None, tags }
+        CapturedMessage { author, message, simulated: false, sessions: Vec::new(), doubt: None, rule: None }
     }
 
     /// All records of a topic in the order of their numbers, opened.

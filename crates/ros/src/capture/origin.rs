@@ -18,7 +18,7 @@ const MOST_ENDED: usize = 256;
 static MET: AtomicU64 = AtomicU64::new(1);
 
 /// The number of the next publisher.
-pub(super) fn next_number() -> u64 {
+pub(crate) fn next_number() -> u64 {
     MET.fetch_add(1, Ordering::Relaxed)
 }
 

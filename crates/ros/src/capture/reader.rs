@@ -284,6 +284,7 @@ impl Reader {
             latching: from.latching,
             captured_at,
             header_seq,
+            tags: Vec::new(),
             body,
         });
         self.topic.count_message(bytes, captured_at);

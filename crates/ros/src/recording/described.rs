@@ -54,7 +54,13 @@ impl Described {
 fn own(facts: TypeFacts<'_>) -> Result<Definition, RosError> {
     let no_fields = |reason: &str| Err(RosError::no_fields(facts.name, reason));
     match (facts.encoding, facts.text) {
-        (_, None) => no_fields("its definition is in none of the records that can be read here; write it as .bin"),
+        (Encoding::Cdr { .. }, None) => no_fields(
+            "its definition is in none of the records that can be read here; name the folder where its package is installed \
+             (ros.definitions, AMENT_PREFIX_PATH)",
+        ),
+        (Encoding::Ros1, None) => {
+            no_fields("its definition is in none of the records that can be read here; write it as .bin")
+        }
         (Encoding::Ros1, Some(text)) => Definition::parse(facts.name, text),
         (Encoding::Cdr { idl: false }, Some(text)) => Definition::parse_ros2(facts.name, text),
         (Encoding::Cdr { idl: true }, Some(_)) => no_fields(

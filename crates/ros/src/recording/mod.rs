@@ -8,6 +8,7 @@ mod damage;
 mod described;
 mod open;
 mod place;
+pub mod tags;
 
 use std::collections::BTreeMap;
 use std::sync::Arc;

@@ -1,10 +1,18 @@
 //! The peers of the settings: Redis, the ROS master and host names.
 
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
 use super::{Sheet, files};
 use crate::config::{Config, without_password};
 use crate::paths::Home;
-use crate::ros::Graph;
+use crate::ros::ros2::{Reading, Ros2Capture};
+use crate::ros::{CaptureNotice, Graph, Message, MessageSink};
 use crate::store::vault::policy::{self, Gravity};
+
+/// The longest look at a domain of ROS 2.
+const LOOK: Duration = Duration::from_secs(6);
+const TICK: Duration = Duration::from_millis(50);
 
 /// The vault: the embedded file, or Redis with its policy and persistence.
 pub(super) fn vault(home: &Home, config: &Config, sheet: &mut Sheet) {
@@ -30,6 +38,36 @@ pub(super) fn vault(home: &Home, config: &Config, sheet: &mut Sheet) {
             let (text, advice) = text.split_once(';').unwrap_or((&text, "start it, or correct vault.url"));
             sheet.fail("vault", text.trim(), advice.trim());
         }
+    }
+}
+
+/// Takes nothing: the doctor only looks.
+struct Nobody;
+
+impl MessageSink for Nobody {
+    fn accept(&self, _: Message) {}
+    fn notice(&self, _: CaptureNotice) {}
+}
+
+/// Who is in the ROS 2 domain, where the settings name one; it is joined for a moment.
+pub(super) fn second(config: &Config, sheet: &mut Sheet) {
+    let Some(domain) = config.ros_domain.filter(|_| config.site.is_none()) else { return };
+    let capture = match Ros2Capture::start(domain, config.ros2_program.as_deref(), Arc::new(Nobody)) {
+        Ok(capture) => capture,
+        Err(error) => return sheet.fail("ros 2", &error.to_string(), "install it, or take ros.domain out"),
+    };
+    let begun = Instant::now();
+    while begun.elapsed() < LOOK && capture.standing().reading == Reading::Looking {
+        std::thread::sleep(TICK);
+    }
+    let standing = capture.standing();
+    let advice = "start a robot there; on it unset FASTDDS_BUILTIN_TRANSPORTS and ROS_DISCOVERY_SERVER, use UDP, and see \
+                  docs/ros2.md";
+    match &standing.reading {
+        Reading::Down { reason } => sheet.fail("ros 2", &standing.text(), &format!("look at what it says: {reason}")),
+        Reading::Looking => sheet.fail("ros 2", &standing.text(), "the program that reads it says nothing; try again"),
+        Reading::Up if standing.is_empty() => sheet.warn("ros 2", &standing.text(), advice),
+        Reading::Up => sheet.ok("ros 2", &standing.text()),
     }
 }
 

@@ -22,6 +22,15 @@ pub struct TopicRow {
     /// Its type, cleaned, where known.
     #[serde(rename = "type")]
     pub type_name: Option<String>,
+    /// Which ROS it is of: 1 or 2.
+    #[serde(default = "first")]
+    pub ros: u8,
+    /// The type's hash (`RIHS01_…`), cleaned, where a publisher of ROS 2 told it.
+    #[serde(default)]
+    pub type_hash: Option<String>,
+    /// What all publishers of ROS 2 offer, as `reliable volatile`; `None` in ROS 1.
+    #[serde(default)]
+    pub qos: Option<String>,
     /// Node names, cleaned.
     pub publishers: Vec<String>,
     /// Whether this profile watches it.
@@ -119,6 +128,11 @@ impl CoverageView {
         let there = MEANINGS.iter().filter(|(sign, _)| strip.contains(*sign));
         there.map(|(sign, text)| format!("{sign} {text}")).collect::<Vec<_>>().join("  ")
     }
+}
+
+/// Sites of before knew ROS 1 alone.
+fn first() -> u8 {
+    1
 }
 
 /// A topic that is watched.

@@ -39,6 +39,7 @@ impl Site {
     /// What is not well now, and what is: the one place that status, figures and alerts ask.
     pub(super) fn parts_health(&self) -> Result<Vec<PartHealth>, Failure> {
         let mut health = vec![self.ros_health(), self.chain_health(), self.vault_health(), self.gateway_health()];
+        health.extend(self.ros.second.health().map(|(level, text)| part("ros 2", level, &text)));
         health.extend(self.clock.health());
         health.extend(self.stamps.health()?);
         health.extend(self.account_health()?);

@@ -31,6 +31,9 @@ pub fn together(robot: &str, rows: &[&TopicRow]) -> TopicRow {
     publishers.dedup();
     TopicRow {
         topic: name_of(robot),
+        ros: rows.iter().map(|row| row.ros).min().unwrap_or(1),
+        type_hash: None,
+        qos: None,
         type_name: Some(format!("{} topics", rows.len())),
         publishers,
         watched: rows.iter().any(|row| row.watched),

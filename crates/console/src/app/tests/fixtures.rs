@@ -132,6 +132,9 @@ pub fn topic(name: &str, hz: f64) -> TopicRow {
     TopicRow {
         topic: name.to_owned(),
         type_name: Some(if camera { "sensor_msgs/CompressedImage" } else { "nav_msgs/Odometry" }.to_owned()),
+        ros: 1,
+        type_hash: None,
+        qos: None,
         publishers: vec!["/driver".to_owned()],
         watched: false,
         held_up: None,

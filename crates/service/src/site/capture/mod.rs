@@ -3,6 +3,7 @@
 mod policy;
 pub(super) mod ros;
 pub(super) mod sealer_thread;
+pub(super) mod second;
 #[cfg(test)]
 mod tests;
 mod topics;
@@ -24,13 +25,16 @@ use crate::site::parts::Parts;
 use crate::site::pins::Pinning;
 use std::sync::Mutex;
 use std::sync::{Arc, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use crate::model::{ProfileName, TopicName, TypeName};
 use crate::pipeline::{CaptureSession, Owner};
 use crate::service::event::NoticeLevel;
 use crate::service::failure::input;
 use crate::service::reply::{CaptureSummary, Failure, TopicSummary};
+
+/// How long to wait before looking again whether a latched message came.
+const TICK: Duration = Duration::from_millis(50);
 
 /// What is captured, and by which rules.
 pub(in crate::site) struct Capture {
@@ -95,7 +99,7 @@ impl Capture {
         if topics.is_empty() {
             return Err(input("a capture needs at least one topic; name it with --topic"));
         }
-        self.ros.link().await?;
+        self.ros.any_now().await?;
         if owner.sealing().is_none() {
             self.profiles.register(owner).await?;
         } else {
@@ -109,7 +113,7 @@ impl Capture {
         self.begin(owner, &names, type_name.as_ref(), &session);
         let time_is_up = async {
             match milliseconds {
-                Some(milliseconds) => tokio::time::sleep(Duration::from_millis(milliseconds)).await,
+                Some(milliseconds) => self.last(Duration::from_millis(milliseconds), topics, &session).await,
                 None => std::future::pending().await,
             }
         };
@@ -126,6 +130,16 @@ impl Capture {
             self.hub.notice(NoticeLevel::Error, &failure.message);
         }
         Ok(summary(&session))
+    }
+
+    /// So long, or as long as the first message of a latched ROS 2 topic takes to come.
+    async fn last(&self, asked: Duration, topics: &[TopicName], session: &CaptureSession) {
+        let begun = Instant::now();
+        tokio::time::sleep(asked).await;
+        let least = self.ros.second.least(topics);
+        while begun.elapsed() < least && session.figures().iter().all(|topic| topic.captured == 0) {
+            tokio::time::sleep(TICK).await;
+        }
     }
 
     fn begin(

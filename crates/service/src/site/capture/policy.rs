@@ -25,7 +25,7 @@ impl Capture {
                 if !(1000..=LONGEST).contains(&milliseconds) {
                     return Err(input("look at the topics for 1 second to 10 minutes, as `--for 5s`"));
                 }
-                self.ros.link().await?;
+                self.ros.any().await?;
                 let learning = self.ros.learn();
                 self.ros.wishes_changed();
                 tokio::select! {

@@ -24,6 +24,7 @@ use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::internal;
 use crate::service::reply::Failure;
 use crate::site::blocking;
+use crate::site::capture::second::{GraphOf, Second};
 
 /// Between two looks at the graph.
 const LOOK: Duration = Duration::from_secs(1);
@@ -112,6 +113,8 @@ pub(in crate::site) struct RosSide {
     life: Arc<Lifetime>,
     recorder: Arc<Recorder>,
     state: watch::Sender<RosState>,
+    /// ROS 2, where the settings name a domain.
+    pub(in crate::site) second: Second,
     /// How many look at every topic of the graph now.
     learning: AtomicUsize,
 }
@@ -121,6 +124,7 @@ impl RosSide {
     pub fn new(parts: &Parts, recorder: &Arc<Recorder>, needed: bool) -> Self {
         let Parts { config, hub, life, .. } = parts.clone();
         Self {
+            second: Second::new(&config, &hub, recorder),
             config,
             hub,
             life,
@@ -157,6 +161,8 @@ impl RosSide {
 
     /// Brings the ROS side up and keeps looking at the graph until the site ends.
     pub(in crate::site) async fn keep(self: Arc<Self>) {
+        let ros = Arc::clone(&self);
+        drop(tokio::task::spawn_blocking(move || ros.second.begin()).await);
         let link = loop {
             // Begun again after a fault, the task finds the link still at work.
             let kept = match &*self.state.borrow() {
@@ -175,9 +181,12 @@ impl RosSide {
                     self.hub.changed(Part::Health);
                 }
             }
+            // ROS 2 needs no master.
+            self.second.look();
+            self.share_wishes(&[]);
             tokio::select! {
                 () = tokio::time::sleep(Duration::from_secs(2)) => {}
-                () = self.leaving() => return,
+                () = self.leaving() => return self.leave_second().await,
             }
         };
         self.state.send_replace(RosState::Up(Arc::clone(&link)));
@@ -203,8 +212,17 @@ impl RosSide {
                 break;
             }
         }
+        self.leave_second().await;
         // The nodes unregister at the master and their threads are joined: not on an async thread.
         drop(tokio::task::spawn_blocking(move || drop(link)).await);
+    }
+
+    /// Out of the domain, unless all of it is begun anew.
+    async fn leave_second(self: &Arc<Self>) {
+        if !self.is_wanted() {
+            let ros = Arc::clone(self);
+            drop(tokio::task::spawn_blocking(move || ros.second.end()).await);
+        }
     }
 
     async fn leaving(&self) {
@@ -251,38 +269,43 @@ impl RosSide {
 
     /// Whether anything is other than at the last look.
     async fn look_at_graph(self: &Arc<Self>, link: &Arc<RosLink>) -> bool {
-        match block_in_place(|| link.look()) {
-            Ok(changed) => {
-                self.follow_wishes(link);
-                let was_down = matches!(&*self.state.borrow(), RosState::Down { .. });
-                if was_down {
-                    self.state.send_replace(RosState::Up(Arc::clone(link)));
+        let in_two = self.second.look();
+        in_two
+            | match block_in_place(|| link.look()) {
+                Ok(changed) => {
+                    self.follow_wishes(link);
+                    let was_down = matches!(&*self.state.borrow(), RosState::Down { .. });
+                    if was_down {
+                        self.state.send_replace(RosState::Up(Arc::clone(link)));
+                        self.hub.changed(Part::Health);
+                        self.hub.notice(NoticeLevel::Info, "the ROS master answers again");
+                    }
+                    let moved = changed || self.recorder.meter_moved();
+                    if moved {
+                        self.hub.changed(Part::Topics);
+                    }
+                    moved || was_down
+                }
+                Err(failure) if matches!(&*self.state.borrow(), RosState::Up(_)) => {
+                    self.hub.notice(NoticeLevel::Error, &failure.message);
+                    self.state.send_replace(RosState::Down { failure, link: Some(Arc::clone(link)) });
                     self.hub.changed(Part::Health);
-                    self.hub.notice(NoticeLevel::Info, "the ROS master answers again");
+                    true
                 }
-                let moved = changed || self.recorder.meter_moved();
-                if moved {
-                    self.hub.changed(Part::Topics);
-                }
-                moved || was_down
+                // A master that is gone is asked as often as before, so that its return is seen at once.
+                Err(_) => true,
             }
-            Err(failure) if matches!(&*self.state.borrow(), RosState::Up(_)) => {
-                self.hub.notice(NoticeLevel::Error, &failure.message);
-                self.state.send_replace(RosState::Down { failure, link: Some(Arc::clone(link)) });
-                self.hub.changed(Part::Health);
-                true
-            }
-            // A master that is gone is asked as often as before, so that its return is seen at once.
-            Err(_) => true,
-        }
     }
 
     /// Subscribes to what is wanted or measured, and to nothing else.
     fn follow_wishes(&self, link: &RosLink) {
-        let mut wanted: BTreeSet<TopicName> =
-            self.recorder.wanted().iter().filter_map(|topic| topic.parse().ok()).collect();
+        let mut wanted = self.share_wishes(&link.topics());
         if self.config.meter == MeterMode::All || self.learning.load(Ordering::Acquire) > 0 {
-            wanted.extend(link.topics().iter().filter_map(|topic| topic.name.parse::<TopicName>().ok()));
+            let of_two = |info: &&TopicInfo| self.graph_of(info) == GraphOf::Two;
+            let topics = link.topics();
+            let names =
+                topics.iter().filter(|info| !of_two(info)).filter_map(|info| info.name.parse::<TopicName>().ok());
+            wanted.extend(names);
         }
         let watched: BTreeSet<TopicName> = link.capture.watched().into_iter().map(|(topic, _)| topic).collect();
         for topic in watched.difference(&wanted) {
@@ -293,12 +316,48 @@ impl RosSide {
         }
     }
 
+    /// What the recorder wants of ROS 1; ROS 2 is asked for the rest.
+    fn share_wishes(&self, graph: &[TopicInfo]) -> BTreeSet<TopicName> {
+        let wanted = self.recorder.wanted().iter().filter_map(|topic| topic.parse().ok()).collect();
+        let all = self.config.meter == MeterMode::All || self.learning.load(Ordering::Acquire) > 0;
+        self.second.share(wanted, all, graph)
+    }
+
     /// The subscriptions follow the recorder's wishes at once.
     pub(in crate::site) fn wishes_changed(&self) {
         if let RosState::Up(link) | RosState::Down { link: Some(link), .. } = &*self.state.borrow() {
             self.follow_wishes(link);
+        } else if self.is_wanted() {
+            self.share_wishes(&[]);
         }
         self.hub.changed(Part::Topics);
+    }
+
+    /// Which graph a topic of ROS 1 is captured from.
+    pub(in crate::site) fn graph_of(&self, info: &TopicInfo) -> GraphOf {
+        self.second.graph_of(info)
+    }
+
+    /// The ROS 1 link, or none where ROS 2 is there without it; ROS 2 was given time to look around.
+    ///
+    /// # Errors
+    /// Why the master is not reached, where there is no ROS 2 either.
+    pub(in crate::site) async fn any(&self) -> Result<Option<Arc<RosLink>>, Failure> {
+        let link = self.any_now().await?;
+        self.second.first_look().await;
+        Ok(link)
+    }
+
+    /// As [`Self::any`], without that time.
+    ///
+    /// # Errors
+    /// As there.
+    pub(in crate::site) async fn any_now(&self) -> Result<Option<Arc<RosLink>>, Failure> {
+        match self.link().await {
+            Ok(link) => Ok(Some(link)),
+            Err(_) if self.second.is_on() => Ok(None),
+            Err(failure) => Err(failure),
+        }
     }
 
     /// The master's URI, as soon as it is reached.

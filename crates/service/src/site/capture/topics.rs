@@ -1,6 +1,7 @@
 //! Topics of the graph: listed with their rates, watched and unwatched.
 
 use super::Capture;
+use super::second::GraphOf;
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
@@ -13,18 +14,30 @@ use crate::store::TopicCounts;
 impl Capture {
     /// Every topic of the graph, and those watched that nobody publishes yet.
     pub(in crate::site) async fn topics(self: &Arc<Self>, profile: &ProfileName) -> Result<Vec<TopicRow>, Failure> {
-        let link = self.ros.link().await?;
+        let link = self.ros.any().await?;
         let watches = block_in_place(|| self.watches.of(profile))?;
         let now = Timestamp::now();
+        let of_two = self.ros.second.topics();
+        let in_two = |name: &str| of_two.iter().any(|topic| topic.name == name);
+        // A name of both is listed once, as what is captured of it.
         let mut rows: Vec<TopicRow> = link
-            .topics()
             .iter()
+            .flat_map(|link| link.topics())
+            .filter(|info| !(in_two(&info.name) && self.ros.graph_of(info) == GraphOf::Two))
             .map(|info| {
                 let simulated = info.publishers.iter().any(|publisher| self.recorder.is_simulated(publisher));
                 let publishers = info.publishers.iter().map(|publisher| clean(publisher, 255)).collect();
                 self.topic_row(&info.name, info.type_name.as_deref(), publishers, simulated, now)
             })
             .collect();
+        for topic in &of_two {
+            if !rows.iter().any(|row| row.topic == topic.name) {
+                let publishers = topic.publishers.iter().map(|publisher| clean(publisher, 255)).collect();
+                let row = self.topic_row(&topic.name, Some(&topic.type_name), publishers, false, now);
+                let type_hash = topic.type_hash.as_deref().map(|hash| clean(hash, 80));
+                rows.push(TopicRow { ros: 2, type_hash, qos: Some(topic.quality_text()), ..row });
+            }
+        }
         let published: HashSet<String> = rows.iter().map(|row| row.topic.clone()).collect();
         for (topic, type_name) in &watches {
             if !published.contains(topic.as_str()) {
@@ -75,6 +88,9 @@ impl Capture {
         let rate = self.recorder.meter().rate(topic, now);
         TopicRow {
             topic: clean(topic, 255),
+            ros: 1,
+            type_hash: None,
+            qos: None,
             type_name: type_name.map(|name| clean(name, 255)),
             publishers,
             watched: false,

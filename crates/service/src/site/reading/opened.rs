@@ -112,6 +112,8 @@ impl Reading {
         }
         let text = reader.definition_text(row, record).await?;
         let (head, about) = (&record.head, importer::about(&record.head.tags));
+        // A publisher of ROS 2 describes nothing; an empty text would say that its messages are empty.
+        let text = text.filter(|text| !text.is_empty() || !about.contains_key(crate::ros::ros2::WRITER));
         let (encoding, hash) = (importer::encoding(&head.tags), about.get(TYPE_HASH).map(|hash| &**hash));
         let facts = TypeFacts { name: &head.type_name, encoding, text: text.as_deref(), hash };
         let folders = Folders::of_prefixes(OsStr::new(&self.config.definitions));

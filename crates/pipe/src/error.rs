@@ -1,0 +1,27 @@
+//! What can go wrong with a pipe.
+
+/// An error of the pipe. Where it is met, the child is ended and started anew.
+#[derive(Debug, thiserror::Error)]
+pub enum PipeError {
+    /// The other side is gone or the pipe does not work.
+    #[error("the pipe to the other process broke ({0}); it is started anew by the site")]
+    Broken(#[from] std::io::Error),
+    /// A frame that claims more than is ever sent.
+    #[error(
+        "a frame on the pipe claims {found} bytes of {part}, {most} are allowed; both programs must be of one release"
+    )]
+    TooLong {
+        /// Head or payload.
+        part: &'static str,
+        /// The length claimed.
+        found: u64,
+        /// The most allowed.
+        most: u32,
+    },
+    /// The pipe ended within a frame.
+    #[error("the pipe ended in the middle of a frame; the other process was killed or crashed")]
+    Cut,
+    /// A head that says nothing known.
+    #[error("a frame on the pipe cannot be understood ({0}); both programs must be of one release")]
+    Head(String),
+}

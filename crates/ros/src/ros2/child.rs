@@ -1,0 +1,58 @@
+//! The program that reads the network: found, started without environment, ended.
+
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use crate::ros::RosError;
+
+/// Its name.
+pub const PROGRAM: &str = "authros-ros2";
+/// How long it may take to leave its domain before it is killed.
+const LEAVING: Duration = Duration::from_millis(1500);
+
+/// Where the program is: as the settings say, else beside this one.
+///
+/// # Errors
+/// [`RosError::NoReader`] where there is none.
+pub fn find(named: Option<&Path>) -> Result<PathBuf, RosError> {
+    let beside = || std::env::current_exe().ok().and_then(|own| Some(own.parent()?.join(PROGRAM)));
+    let path = named.map(Path::to_owned).or_else(beside).unwrap_or_else(|| PathBuf::from(PROGRAM));
+    if path.is_file() { Ok(path) } else { Err(RosError::no_reader(&path)) }
+}
+
+/// Starts it: no environment, no terminal, a process group of its own, nothing open but the two pipes.
+///
+/// # Errors
+/// [`RosError::System`] where it does not start.
+pub fn start(program: &Path, domain: u16) -> Result<(Child, ChildStdin, ChildStdout), RosError> {
+    use std::os::unix::process::CommandExt;
+    let system = |error: &std::io::Error| RosError::system("start the program that reads ROS 2", error);
+    let mut child = Command::new(program)
+        .args(["--domain", &domain.to_string()])
+        .env_clear()
+        .current_dir("/")
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .process_group(0)
+        .spawn()
+        .map_err(|error| system(&error))?;
+    match (child.stdin.take(), child.stdout.take()) {
+        (Some(to), Some(from)) => Ok((child, to, from)),
+        _ => Err(system(&std::io::Error::other("it has no pipes"))),
+    }
+}
+
+/// Waits until it has ended by itself, and kills it where that takes too long.
+pub fn end(child: &mut Child) {
+    let begun = Instant::now();
+    while begun.elapsed() < LEAVING {
+        if !matches!(child.try_wait(), Ok(None)) {
+            return;
+        }
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    drop(child.kill());
+    drop(child.wait());
+}

@@ -1,0 +1,110 @@
+//! ROS 2: topics read by a program of its own without keys, which is started, watched over and started anew here.
+//!
+//! What it tells is not trusted more than a peer. What a publisher sent and never arrived is counted here, by the
+//! publisher's own numbers, so that the count goes on where the program had to be started anew.
+
+mod child;
+mod numbers;
+mod publisher;
+mod standing;
+mod state;
+mod supervision;
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::thread::JoinHandle;
+
+use crate::model::TopicName;
+use crate::ros::{MessageSink, RosError};
+use supervision::Shared;
+
+pub use crate::pipe::read::{Counts, Quality};
+pub use child::PROGRAM;
+pub use publisher::WRITER;
+pub use standing::{INVISIBLE, Reading, Standing};
+
+/// A topic of the domain.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Ros2Topic {
+    /// Its name.
+    pub name: String,
+    /// Its type, `package/msg/Type`.
+    pub type_name: String,
+    /// `RIHS01_` and 64 hex characters, where a publisher told it.
+    pub type_hash: Option<String>,
+    /// What every publisher of it offers.
+    pub quality: Quality,
+    /// Names of its publishers: clean them before they are shown.
+    pub publishers: Vec<String>,
+}
+
+impl Ros2Topic {
+    /// What is offered, in two words.
+    pub fn quality_text(&self) -> String {
+        let reliability = if self.quality.reliable { "reliable" } else { "best_effort" };
+        let durability = if self.quality.latched { "transient_local" } else { "volatile" };
+        format!("{reliability} {durability}")
+    }
+}
+
+/// A running capture of a domain; leaves it when dropped.
+pub struct Ros2Capture {
+    shared: Arc<Shared>,
+    threads: Vec<JoinHandle<()>>,
+}
+
+impl Ros2Capture {
+    /// Begins to read `domain`; nothing is watched yet. `program` names the program that reads where it is not beside
+    /// this one.
+    ///
+    /// # Errors
+    /// [`RosError::NoReader`] where that program is absent, [`RosError::System`] where there is no thread to be had.
+    pub fn start(domain: u16, program: Option<&Path>, sink: Arc<dyn MessageSink>) -> Result<Self, RosError> {
+        let program: PathBuf = child::find(program)?;
+        let shared = Arc::new(Shared::new(domain, program, sink));
+        let mut capture = Self { shared: Arc::clone(&shared), threads: Vec::new() };
+        capture.threads.push(supervision::keep_reading(&shared)?);
+        capture.threads.push(supervision::keep_watch(&shared)?);
+        Ok(capture)
+    }
+
+    /// Captures a topic, whenever somebody publishes it.
+    pub fn watch(&self, topic: &TopicName) {
+        self.shared.watch(topic);
+    }
+
+    /// Captures it no longer.
+    pub fn unwatch(&self, topic: &TopicName) {
+        self.shared.unwatch(topic);
+    }
+
+    /// The watched topics.
+    pub fn watched(&self) -> Vec<TopicName> {
+        self.shared.state().watched.iter().cloned().collect()
+    }
+
+    /// The topics that somebody publishes now, by name.
+    pub fn topics(&self) -> Vec<Ros2Topic> {
+        self.shared.state().topics()
+    }
+
+    /// Where it stands.
+    pub fn standing(&self) -> Standing {
+        let state = self.shared.state();
+        Standing {
+            domain: self.shared.domain,
+            reading: state.reading.clone(),
+            counts: state.counts,
+            restarts: state.restarts,
+        }
+    }
+}
+
+impl Drop for Ros2Capture {
+    fn drop(&mut self) {
+        self.shared.stop();
+        for thread in self.threads.drain(..) {
+            drop(thread.join());
+        }
+    }
+}

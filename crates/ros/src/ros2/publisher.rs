@@ -1,0 +1,231 @@
+//! One publisher of a ROS 2 topic as the site knows it, and the messages it sends.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use crate::model::{Timestamp, clean};
+use crate::pipe::read::{Quality, Writer};
+use crate::ros::capture::next_number;
+use crate::ros::recording::{TYPE_HASH, tags};
+use crate::ros::ros2::numbers::Numbers;
+use crate::ros::{CaptureNotice, Message, Origin};
+
+/// What MCAP calls the QoS that a channel's publishers offer.
+const QUALITY: &str = "offered_qos_profiles";
+/// The publisher's own id, 16 bytes as hex, among what is said of a channel.
+pub const WRITER: &str = "writer_id";
+
+/// A publisher.
+pub struct Publisher {
+    /// What it told of itself.
+    pub writer: Writer,
+    /// Who it is, as far as can be seen.
+    pub origin: Arc<Origin>,
+    /// Its messages' numbers.
+    pub numbers: Numbers,
+    /// Whether it is there; messages that were on their way may still come when it is not.
+    pub gone: Option<Instant>,
+    /// Which start of the program told of it last.
+    pub told_by: u64,
+    /// Whether the sink was told of it.
+    pub connected: bool,
+    topic: Arc<str>,
+    type_name: Arc<str>,
+    tags: Vec<(String, String)>,
+}
+
+/// The name that stands for a publisher: its node's, where that is known.
+pub fn name(writer: &Writer) -> String {
+    let node = writer.node.as_deref().map(|node| clean(node, 255));
+    node.unwrap_or_else(|| format!("/unnamed_{}", clean(&writer.vendor, 40)))
+}
+
+impl Publisher {
+    /// A publisher in a domain that was just told of.
+    pub fn new(writer: Writer, domain: u16, told_by: u64) -> Self {
+        let type_name: Arc<str> = writer.type_name.as_str().into();
+        let hash = writer.type_hash.as_deref().and_then(|hash| hash.strip_prefix("RIHS01_")).unwrap_or("*");
+        let origin = Origin {
+            number: next_number(),
+            caller_id: name(&writer).into(),
+            // Where a participant runs is not told by the library that reads the network.
+            host: format!("domain{domain}"),
+            uri: format!("dds://{domain}/{}", writer.id),
+            type_name: Arc::clone(&type_name),
+            md5sum: hash.into(),
+            listed_at: Instant::now(),
+            rival: None,
+        };
+        let channel = |key: &str, value: String| (format!("{}{key}", tags::CHANNEL), value);
+        let mut said = vec![
+            (tags::ENCODING.to_owned(), "cdr".to_owned()),
+            channel(WRITER, writer.id.clone()),
+            channel(QUALITY, profile(writer.quality)),
+        ];
+        said.extend(writer.type_hash.clone().map(|hash| channel(TYPE_HASH, hash)));
+        Self {
+            origin: Arc::new(origin),
+            numbers: Numbers::default(),
+            gone: None,
+            told_by,
+            connected: false,
+            topic: writer.topic.as_str().into(),
+            type_name,
+            tags: said,
+            writer,
+        }
+    }
+
+    /// A message of it.
+    pub fn message(&self, (number, sent): (i64, Option<u64>), captured_at: Timestamp, body: Vec<u8>) -> Message {
+        let mut said = self.tags.clone();
+        // MCAP has 32 bits for it.
+        said.push((tags::SEQUENCE.to_owned(), low(number).to_string()));
+        said.extend(sent.map(|sent| (tags::PUBLISHED.to_owned(), sent.to_string())));
+        Message {
+            topic: Arc::clone(&self.topic),
+            type_name: Arc::clone(&self.type_name),
+            md5sum: "*".into(),
+            definition: "".into(),
+            caller_id: Arc::clone(&self.origin.caller_id),
+            origin: Arc::clone(&self.origin),
+            latching: self.writer.quality.latched,
+            captured_at,
+            header_seq: None,
+            tags: said,
+            body,
+        }
+    }
+
+    fn caller_id(&self) -> String {
+        clean(&self.origin.caller_id, 120)
+    }
+
+    /// It is being read; told once.
+    pub fn connect(&mut self) -> Option<CaptureNotice> {
+        let told = std::mem::replace(&mut self.connected, true);
+        (!told && self.gone.is_none()).then(|| CaptureNotice::PublisherConnected {
+            topic: Arc::clone(&self.topic),
+            caller_id: self.caller_id(),
+            type_name: Arc::clone(&self.type_name),
+            origin: Arc::clone(&self.origin),
+        })
+    }
+
+    /// It is no longer read; told where its being read was told.
+    pub fn disconnect(&mut self, reason: &str) -> Option<CaptureNotice> {
+        std::mem::take(&mut self.connected).then(|| CaptureNotice::PublisherLost {
+            topic: Arc::clone(&self.topic),
+            caller_id: self.caller_id(),
+            number: self.origin.number,
+            reason: reason.to_owned(),
+        })
+    }
+
+    /// What of it never arrived; for a reliable one nothing arrives late, and `all` waits for nobody.
+    pub fn lost(&mut self, now: Instant, all: bool) -> Vec<CaptureNotice> {
+        let gaps = self.numbers.settled(now, all || self.writer.quality.reliable);
+        let notice = |(first, last): (i64, i64)| CaptureNotice::LostInTransport {
+            topic: Arc::clone(&self.topic),
+            caller_id: self.caller_id(),
+            count: u64::try_from(last - first).unwrap_or(0) + 1,
+            numbers: (low(first), low(last)),
+        };
+        gaps.into_iter().map(notice).collect()
+    }
+
+    /// It did not come back after the program that read it was started anew.
+    pub fn vanished(&mut self, now: Instant) -> Vec<CaptureNotice> {
+        let mut notices = self.lost(now, true);
+        let count = |notice: &CaptureNotice| match notice {
+            CaptureNotice::LostInTransport { count, .. } => *count,
+            _ => 0,
+        };
+        let at_least = notices.iter().map(count).sum();
+        if self.connected && self.numbers.has_begun() {
+            let (topic, caller_id) = (Arc::clone(&self.topic), self.caller_id());
+            notices.push(CaptureNotice::EndUnknown { topic, caller_id, at_least });
+        }
+        notices
+    }
+}
+
+fn low(number: i64) -> u32 {
+    u32::try_from(number & i64::from(u32::MAX)).unwrap_or(0)
+}
+
+/// A QoS profile in the words of `ros2 bag`. History and depth are not told by publishers.
+fn profile(quality: Quality) -> String {
+    const ENDLESS: u64 = i64::MAX as u64;
+    let word = |yes, one: &'static str, other| if yes { one } else { other };
+    let time = |nanoseconds: Option<u64>| {
+        let whole = nanoseconds.unwrap_or(ENDLESS);
+        format!("\n    sec: {}\n    nsec: {}", whole / 1_000_000_000, whole % 1_000_000_000)
+    };
+    format!(
+        "- history: unknown\n  depth: 0\n  reliability: {}\n  durability: {}\n  deadline:{}\n  lifespan:{}\n  \
+         liveliness: automatic\n  liveliness_lease_duration:{}\n  avoid_ros_namespace_conventions: false",
+        word(quality.reliable, "reliable", "best_effort"),
+        word(quality.latched, "transient_local", "volatile"),
+        time(quality.deadline),
+        time(quality.lifespan),
+        time(None),
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn writer() -> Writer {
+        Writer {
+            id: "0110aa".into(),
+            topic: "/robot1/odom".into(),
+            type_name: "nav_msgs/msg/Odometry".into(),
+            type_hash: Some(format!("RIHS01_{}", "ab".repeat(32))),
+            quality: Quality { reliable: false, latched: true, deadline: None, lifespan: Some(1_500_000_000) },
+            node: None,
+            vendor: "cyclonedds".into(),
+        }
+    }
+
+    #[test]
+    fn what_is_told_of_a_publisher_goes_beside_its_messages() {
+        let publisher = Publisher::new(writer(), 7, 1);
+        let message = publisher.message(((1 << 32) + 5, Some(9)), Timestamp(10), vec![0, 1, 0, 0]);
+        let tag = |name: &str| message.tags.iter().find(|(key, _)| key == name).map(|(_, value)| value.as_str());
+        assert_eq!(tag("encoding"), Some("cdr"));
+        assert_eq!(tag("mcap.sequence"), Some("5"));
+        assert_eq!(tag("mcap.publish_time"), Some("9"));
+        assert_eq!(tag("mcap.channel.writer_id"), Some("0110aa"));
+        assert_eq!(tag("mcap.channel.topic_type_hash"), publisher.writer.type_hash.as_deref());
+        let profile = tag("mcap.channel.offered_qos_profiles").expect("a profile");
+        assert!(profile.contains("reliability: best_effort\n  durability: transient_local\n"), "{profile}");
+        assert!(profile.contains("lifespan:\n    sec: 1\n    nsec: 500000000\n"), "{profile}");
+        assert!(profile.contains("deadline:\n    sec: 9223372036\n    nsec: 854775807\n"), "{profile}");
+        assert_eq!((&*message.caller_id, message.latching), ("/unnamed_cyclonedds", true));
+        assert_eq!((publisher.origin.host.as_str(), publisher.origin.md5sum.len()), ("domain7", 64));
+    }
+
+    #[test]
+    fn whoever_vanishes_while_nobody_reads_leaves_an_unknown_end() {
+        let now = Instant::now();
+        let mut publisher = Publisher::new(writer(), 0, 1);
+        assert!(publisher.vanished(now).is_empty(), "nothing was read of it");
+        assert!(publisher.connect().is_some() && publisher.connect().is_none());
+        publisher.numbers.follow(1, now);
+        publisher.numbers.follow(5, now);
+        let notices = publisher.vanished(now);
+        assert!(
+            matches!(
+                notices[..],
+                [
+                    CaptureNotice::LostInTransport { count: 3, numbers: (2, 4), .. },
+                    CaptureNotice::EndUnknown { at_least: 3, .. }
+                ]
+            ),
+            "{notices:?}"
+        );
+        assert!(publisher.disconnect("gone").is_some() && publisher.disconnect("gone").is_none());
+    }
+}

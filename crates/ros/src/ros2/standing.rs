@@ -1,0 +1,81 @@
+//! Where reading ROS 2 stands, in words for people.
+
+use crate::pipe::read::Counts;
+
+/// Whether the program that reads is there.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Reading {
+    /// It was started and has said nothing yet, or not looked around for long enough.
+    Looking,
+    /// It reads.
+    Up,
+    /// It does not; it is tried again.
+    Down {
+        /// Why.
+        reason: String,
+    },
+}
+
+/// Where reading stands.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Standing {
+    /// The domain.
+    pub domain: u16,
+    /// Whether it is read.
+    pub reading: Reading,
+    /// Who is there.
+    pub counts: Counts,
+    /// How often the program was started anew.
+    pub restarts: u64,
+}
+
+/// What cannot be seen from here, and how to be seen.
+pub const INVISIBLE: &str = "not visible from here are robots of another ROS_DOMAIN_ID, of another network, and with Fast \
+                             DDS over shared memory alone or with LARGE_DATA (FASTDDS_BUILTIN_TRANSPORTS), a Discovery \
+                             Server, SROS2 or rmw_zenoh";
+
+impl Standing {
+    /// In one line.
+    pub fn text(&self) -> String {
+        let Counts { participants, writers, foreign } = self.counts;
+        let place = format!("ROS 2 domain {}", self.domain);
+        match &self.reading {
+            Reading::Down { reason } => format!("{place} is not read: {reason}"),
+            Reading::Looking if participants == 0 => format!("{place}: looking around"),
+            _ if participants == 0 => format!("{place}: nobody there; {INVISIBLE}"),
+            _ if writers == 0 && foreign > 0 => format!(
+                "{place}: {participants} participants, but {foreign} publishers of other names than those of ROS 2, and none \
+                 of ROS 2 topics"
+            ),
+            _ if writers == 0 => {
+                format!("{place}: {participants} participants, but no topics; with SROS2 they are hidden")
+            }
+            _ => format!("{place}: {participants} participants, {writers} publishers of ROS 2 topics"),
+        }
+    }
+
+    /// Whether nobody or no topic is there though there was time to look.
+    pub fn is_empty(&self) -> bool {
+        self.reading == Reading::Up && self.counts.writers == 0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nobody_no_topics_and_other_names_are_told_apart() {
+        let text = |participants, writers, foreign| {
+            let counts = Counts { participants, writers, foreign };
+            Standing { domain: 3, reading: Reading::Up, counts, restarts: 0 }.text()
+        };
+        for hidden in ["LARGE_DATA", "shared memory", "Discovery Server", "SROS2", "ROS_DOMAIN_ID"] {
+            assert!(text(0, 0, 0).contains(hidden), "{hidden}");
+        }
+        assert!(text(0, 0, 0).starts_with("ROS 2 domain 3: nobody there"));
+        assert!(text(2, 0, 0).contains("2 participants, but no topics"));
+        assert!(text(2, 0, 1).contains("other names"));
+        assert!(text(2, 5, 1).contains("5 publishers of ROS 2 topics"));
+    }
+}

@@ -1,0 +1,323 @@
+//! What is known of a domain, and what each frame of the program that reads it changes.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::{Duration, Instant};
+
+use super::Ros2Topic;
+use super::numbers::Arrival;
+use super::publisher::{Publisher, name};
+use super::standing::Reading;
+use crate::model::topic::LONGEST_NAME;
+use crate::model::{Timestamp, TopicName, clean};
+use crate::pipe::read::{Counts, Told, Writer};
+use crate::ros::{CaptureNotice, Message};
+
+/// The most publishers known at once.
+const MOST_PUBLISHERS: usize = 40_000;
+/// So long after its start the program must have found again whoever is still there.
+const FOUND_AGAIN: Duration = Duration::from_secs(10);
+/// A publisher that is gone is remembered so long, for messages that were on their way.
+const REMEMBERED: Duration = Duration::from_secs(60);
+/// So long after the start whoever is to be seen has been seen, and so long where somebody was.
+const LOOKED: Duration = Duration::from_secs(3);
+const LOOKED_WITH_SOMEBODY: Duration = Duration::from_secs(1);
+/// The longest reason taken.
+const LONGEST_REASON: usize = 400;
+
+/// What is to be handed to the sink, in this order and without the state locked.
+#[derive(Debug, Default)]
+pub struct Outcome {
+    /// News.
+    pub notices: Vec<CaptureNotice>,
+    /// A message.
+    pub message: Option<Message>,
+}
+
+/// What is known.
+pub struct State {
+    /// Topics to be captured.
+    pub watched: BTreeSet<TopicName>,
+    /// Where reading stands.
+    pub reading: Reading,
+    /// Who is there.
+    pub counts: Counts,
+    /// How often the program was started anew.
+    pub restarts: u64,
+    domain: u16,
+    publishers: BTreeMap<String, Publisher>,
+    /// How often the program said hello.
+    started: u64,
+    hello: Option<Instant>,
+}
+
+impl State {
+    /// Nothing is known yet.
+    pub fn new(domain: u16) -> Self {
+        Self {
+            watched: BTreeSet::new(),
+            reading: Reading::Looking,
+            counts: Counts::default(),
+            restarts: 0,
+            domain,
+            publishers: BTreeMap::new(),
+            started: 0,
+            hello: None,
+        }
+    }
+
+    /// Takes in a frame.
+    ///
+    /// # Errors
+    /// Why the program is to be ended: in words.
+    pub fn take(&mut self, told: Told, payload: Vec<u8>, now: Instant) -> Result<Outcome, String> {
+        let mut outcome = Outcome::default();
+        match told {
+            Told::Hello { version, domain } => self.greet(version, domain, now)?,
+            Told::WriterHere(writer) => self.here(writer, &mut outcome),
+            Told::WriterGone { id } => self.gone(&id, now, &mut outcome),
+            Told::Sample { writer, number, sent, arrived } => {
+                self.sample(&writer, (number, sent, arrived), payload, now, &mut outcome);
+            }
+            Told::Refused { topic, reason } => outcome.notices.push(CaptureNotice::Refused {
+                topic: clean(&topic, LONGEST_NAME).into(),
+                publisher: format!("ROS 2 domain {}", self.domain),
+                reason: clean(&reason, LONGEST_REASON),
+            }),
+            Told::Alive(counts) => self.alive(counts, now, &mut outcome),
+            Told::Failed { reason } => return Err(clean(&reason, LONGEST_REASON)),
+        }
+        Ok(outcome)
+    }
+
+    fn greet(&mut self, version: u32, domain: u16, now: Instant) -> Result<(), String> {
+        if version != crate::pipe::VERSION || domain != self.domain {
+            let own = crate::pipe::VERSION;
+            return Err(format!(
+                "it speaks version {version} of the pipe, {own} is needed; install both of one release"
+            ));
+        }
+        self.started += 1;
+        self.hello = Some(now);
+        self.reading = Reading::Looking;
+        Ok(())
+    }
+
+    fn is_watched(&self, topic: &str) -> bool {
+        self.watched.iter().any(|watched| watched.as_str() == topic)
+    }
+
+    fn here(&mut self, writer: Writer, outcome: &mut Outcome) {
+        let usable = writer.topic.parse::<TopicName>().is_ok()
+            && writer.id.len() <= 64
+            && writer.type_name.len() <= LONGEST_NAME
+            && writer.type_hash.as_ref().is_none_or(|hash| hash.len() <= 80);
+        if !usable || self.publishers.len() >= MOST_PUBLISHERS && !self.publishers.contains_key(&writer.id) {
+            return;
+        }
+        let (watched, started) = (self.is_watched(&writer.topic), self.started);
+        match self.publishers.get_mut(&writer.id).filter(|known| known.writer == writer) {
+            Some(known) => (known.gone, known.told_by) = (None, started),
+            None => {
+                let mut new = Publisher::new(writer, self.domain, started);
+                if let Some(mut former) = self.publishers.remove(&new.writer.id) {
+                    outcome.notices.extend(former.disconnect("it offers something else now"));
+                    new.numbers = former.numbers;
+                }
+                self.publishers.insert(new.writer.id.clone(), new);
+                return self.connect_new(watched, outcome);
+            }
+        }
+        self.connect_new(watched, outcome);
+    }
+
+    fn connect_new(&mut self, watched: bool, outcome: &mut Outcome) {
+        if watched {
+            let Self { watched, publishers, .. } = self;
+            let is_watched = |topic: &str| watched.iter().any(|watched| watched.as_str() == topic);
+            let wanted = publishers.values_mut().filter(|known| !known.connected && is_watched(&known.writer.topic));
+            outcome.notices.extend(wanted.filter_map(Publisher::connect));
+        }
+    }
+
+    fn gone(&mut self, id: &str, now: Instant, outcome: &mut Outcome) {
+        let Some(publisher) = self.publishers.get_mut(id) else { return };
+        publisher.gone = Some(now);
+        outcome.notices.extend(publisher.lost(now, false));
+        outcome.notices.extend(publisher.disconnect("it left the domain"));
+    }
+
+    fn sample(
+        &mut self,
+        id: &str,
+        (number, sent, arrived): (i64, Option<u64>, u64),
+        payload: Vec<u8>,
+        now: Instant,
+        outcome: &mut Outcome,
+    ) {
+        let Self { watched, publishers, .. } = self;
+        let Some(publisher) = publishers.get_mut(id) else { return };
+        if !publisher.connected && !watched.iter().any(|topic| topic.as_str() == publisher.writer.topic) {
+            return;
+        }
+        let arrival = publisher.numbers.follow(number, now);
+        outcome.notices.extend(publisher.lost(now, false));
+        if arrival == Arrival::New {
+            // A time from the future, or none, is not believed.
+            let own = Timestamp::now();
+            let at = if arrived == 0 || arrived > own.0 { own } else { Timestamp(arrived) };
+            outcome.message = Some(publisher.message((number, sent), at, payload));
+        }
+    }
+
+    fn alive(&mut self, counts: Counts, now: Instant, outcome: &mut Outcome) {
+        self.counts = counts;
+        let running = self.hello.map_or(Duration::ZERO, |hello| now.saturating_duration_since(hello));
+        if running >= if counts.writers > 0 { LOOKED_WITH_SOMEBODY } else { LOOKED } {
+            self.reading = Reading::Up;
+        }
+        if running >= FOUND_AGAIN {
+            let started = self.started;
+            for publisher in self.publishers.values_mut().filter(|known| known.told_by != started) {
+                if publisher.gone.is_none() {
+                    outcome.notices.extend(publisher.vanished(now));
+                    outcome.notices.extend(publisher.disconnect("it was not found again"));
+                    publisher.gone = Some(now);
+                }
+            }
+        }
+        for publisher in self.publishers.values_mut() {
+            outcome.notices.extend(publisher.lost(now, false));
+        }
+        self.publishers
+            .retain(|_, known| known.gone.is_none_or(|gone| now.saturating_duration_since(gone) < REMEMBERED));
+    }
+
+    /// A topic is captured from now on.
+    pub fn watch(&mut self, topic: &TopicName, outcome: &mut Outcome) -> bool {
+        let new = self.watched.insert(topic.clone());
+        self.connect_new(new, outcome);
+        new
+    }
+
+    /// A topic is captured no longer: what is missing of it until now will not come.
+    pub fn unwatch(&mut self, topic: &TopicName, now: Instant, outcome: &mut Outcome) -> bool {
+        if !self.watched.remove(topic) {
+            return false;
+        }
+        for publisher in self.publishers.values_mut().filter(|known| known.writer.topic == topic.as_str()) {
+            outcome.notices.extend(publisher.lost(now, true));
+            outcome.notices.extend(publisher.disconnect("the topic is no longer captured"));
+            publisher.numbers = super::numbers::Numbers::default();
+        }
+        true
+    }
+
+    /// Topics with a publisher that is there.
+    pub fn topics(&self) -> Vec<Ros2Topic> {
+        let mut topics: BTreeMap<&str, Ros2Topic> = BTreeMap::new();
+        for Publisher { writer, .. } in self.publishers.values().filter(|known| known.gone.is_none()) {
+            let topic = topics.entry(&writer.topic).or_insert_with(|| Ros2Topic {
+                name: writer.topic.clone(),
+                type_name: writer.type_name.clone(),
+                type_hash: writer.type_hash.clone(),
+                quality: writer.quality,
+                publishers: Vec::new(),
+            });
+            topic.quality.reliable &= writer.quality.reliable;
+            topic.quality.latched &= writer.quality.latched;
+            topic.type_hash = topic.type_hash.take().or_else(|| writer.type_hash.clone());
+            topic.publishers.push(name(writer));
+        }
+        topics.into_values().collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pipe::read::Quality;
+
+    fn writer(id: &str, topic: &str, reliable: bool) -> Told {
+        Told::WriterHere(Writer {
+            id: id.into(),
+            topic: topic.into(),
+            type_name: "std_msgs/msg/String".into(),
+            type_hash: None,
+            quality: Quality { reliable, ..Quality::default() },
+            node: Some("/talker".into()),
+            vendor: "fastdds".into(),
+        })
+    }
+
+    fn hello() -> Told {
+        Told::Hello { version: crate::pipe::VERSION, domain: 0 }
+    }
+
+    fn sample(id: &str, number: i64) -> Told {
+        Told::Sample { writer: id.into(), number, sent: None, arrived: 5 }
+    }
+
+    fn lost(notices: &[CaptureNotice]) -> u64 {
+        let count = |notice: &CaptureNotice| match notice {
+            CaptureNotice::LostInTransport { count, .. } => *count,
+            _ => 0,
+        };
+        notices.iter().map(count).sum()
+    }
+
+    #[test]
+    fn a_gap_over_a_restart_is_counted_exactly_and_repeats_are_not_captured_twice() {
+        let (mut state, now) = (State::new(0), Instant::now());
+        let mut take = |told, at| state.take(told, vec![1], at).expect("taken");
+        take(hello(), now);
+        take(writer("aa", "/chatter", true), now);
+        assert!(take(sample("aa", 1), now).message.is_none(), "nobody wants it");
+        let mut outcome = Outcome::default();
+        assert!(state.watch(&"/chatter".parse().expect("a name"), &mut outcome));
+        assert!(matches!(outcome.notices[..], [CaptureNotice::PublisherConnected { .. }]));
+        let mut take = |told, at| state.take(told, vec![1], at).expect("taken");
+        assert!(take(sample("aa", 2), now).message.is_some());
+        // It dies, is started anew, and finds the publisher again.
+        take(hello(), now);
+        assert!(take(writer("aa", "/chatter", true), now).notices.is_empty());
+        assert!(take(sample("aa", 2), now).message.is_none());
+        let outcome = take(sample("aa", 9), now);
+        assert_eq!((lost(&outcome.notices), outcome.message.is_some()), (6, true));
+        let late = take(Told::Alive(Counts::default()), now + FOUND_AGAIN);
+        assert!(late.notices.is_empty(), "{late:?}");
+    }
+
+    #[test]
+    fn whoever_is_not_found_again_is_told_of_with_an_unknown_end() {
+        let (mut state, now) = (State::new(0), Instant::now());
+        state.watch(&"/chatter".parse().expect("a name"), &mut Outcome::default());
+        let mut take = |told, at| state.take(told, vec![1], at).expect("taken");
+        take(hello(), now);
+        take(writer("aa", "/chatter", false), now);
+        take(sample("aa", 1), now);
+        take(sample("aa", 4), now);
+        take(hello(), now);
+        assert!(take(Told::Alive(Counts::default()), now).notices.is_empty());
+        let outcome = take(Told::Alive(Counts::default()), now + FOUND_AGAIN);
+        assert_eq!(lost(&outcome.notices), 2);
+        let told = |notice: &CaptureNotice| matches!(notice, CaptureNotice::EndUnknown { at_least: 2, .. });
+        assert!(outcome.notices.iter().any(told), "{outcome:?}");
+        assert!(outcome.notices.iter().any(|notice| matches!(notice, CaptureNotice::PublisherLost { .. })));
+        assert!(state.topics().is_empty());
+    }
+
+    #[test]
+    fn another_release_and_impossible_names_are_refused() {
+        let (mut state, now) = (State::new(0), Instant::now());
+        let error = state.take(Told::Hello { version: 99, domain: 0 }, Vec::new(), now).expect_err("another release");
+        assert!(error.contains("one release"), "{error}");
+        state.take(writer("aa", "/bad name", true), Vec::new(), now).expect("taken");
+        state.take(writer(&"a".repeat(65), "/good", true), Vec::new(), now).expect("taken");
+        assert!(state.topics().is_empty());
+        state.take(writer("aa", "/good", true), Vec::new(), now).expect("taken");
+        state.take(writer("bb", "/good", false), Vec::new(), now).expect("taken");
+        let topics = state.topics();
+        assert_eq!(topics.len(), 1);
+        assert_eq!((topics[0].quality_text().as_str(), topics[0].publishers.len()), ("best_effort volatile", 2));
+    }
+}

@@ -1,0 +1,166 @@
+//! Who is in the domain and writes what; what changed is told to the site.
+
+use std::collections::{BTreeMap, BTreeSet, HashSet};
+
+use rustdds::discovery::DiscoveredWriterData;
+
+use crate::names;
+use crate::nodes::Nodes;
+use crate::pipe::read::{Counts, Quality, Told, Writer};
+use crate::quality;
+
+/// The most writers that are told of.
+const MOST_WRITERS: usize = 20_000;
+
+/// An id of DDS.
+pub type Id = [u8; 16];
+/// What the ids of one participant begin with.
+pub type Prefix = [u8; 12];
+
+/// A writer as DDS names it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Found {
+    /// Its topic.
+    pub dds_topic: String,
+    /// Its type.
+    pub dds_type: String,
+    /// What it offers.
+    pub quality: Quality,
+    /// As the site is told of it; `None` where it is not of ROS 2.
+    pub told: Option<Writer>,
+}
+
+/// Writers and participants that are there.
+#[derive(Default)]
+pub struct Graph {
+    own: Prefix,
+    participants: BTreeSet<Prefix>,
+    writers: BTreeMap<Id, Found>,
+    /// Ids that the site knows, also of writers that are gone.
+    known: HashSet<Id>,
+}
+
+fn prefix(id: &Id) -> Prefix {
+    let mut prefix = [0; 12];
+    prefix.copy_from_slice(&id[..12]);
+    prefix
+}
+
+impl Graph {
+    /// Nobody is known yet; `own` is this process's participant.
+    pub fn new(own: &Id) -> Self {
+        Self { own: prefix(own), ..Self::default() }
+    }
+
+    /// A participant is there.
+    pub fn came(&mut self, participant: &[u8]) {
+        if let Ok(found) = Prefix::try_from(participant)
+            && found != self.own
+            && self.participants.len() < MOST_WRITERS
+        {
+            self.participants.insert(found);
+        }
+    }
+
+    /// A participant is gone.
+    pub fn left(&mut self, participant: &[u8]) {
+        self.participants.retain(|known| known[..] != *participant);
+    }
+
+    /// Whether a participant is there, by what its ids begin with.
+    pub fn is_there(&self, participant: &[u8]) -> bool {
+        self.participants.iter().any(|known| known[..] == *participant)
+    }
+
+    /// Writers of a topic, by the name DDS has for it.
+    pub fn of_topic<'a>(&'a self, dds_topic: &'a str) -> impl Iterator<Item = &'a Found> {
+        self.writers.values().filter(move |found| found.dds_topic == dds_topic)
+    }
+
+    /// Whether the site was told of this writer.
+    pub fn knows(&self, id: &Id) -> bool {
+        self.known.contains(id)
+    }
+
+    /// Takes the writers that are there now; what is to be told of it.
+    pub fn look(&mut self, now: &[DiscoveredWriterData], nodes: &Nodes) -> Vec<Told> {
+        let mut told = Vec::new();
+        let mut there = BTreeMap::new();
+        for writer in now.iter().take(MOST_WRITERS) {
+            let id = writer.publication_topic_data.key.to_bytes();
+            if prefix(&id) == self.own {
+                continue;
+            }
+            let found = found(id, writer, nodes);
+            if self.writers.get(&id) != Some(&found)
+                && let Some(writer) = &found.told
+            {
+                self.know(id);
+                told.push(Told::WriterHere(writer.clone()));
+            }
+            there.insert(id, found);
+        }
+        let gone = self.writers.iter().filter(|(id, found)| found.told.is_some() && !there.contains_key(*id));
+        told.extend(gone.map(|(id, _)| Told::WriterGone { id: names::hex(id) }));
+        let seen: BTreeSet<Prefix> = there.keys().map(prefix).collect();
+        seen.iter().for_each(|participant| self.came(participant));
+        self.writers = there;
+        told
+    }
+
+    /// The site is told of a writer that is seen by its samples alone.
+    pub fn by_sample(&mut self, id: Id, dds_topic: &str, dds_type: &str) -> Option<Told> {
+        let quality = Quality::default();
+        let writer = writer(id, dds_topic, dds_type, (None, quality), None)?;
+        self.know(id);
+        Some(Told::WriterHere(writer))
+    }
+
+    fn know(&mut self, id: Id) {
+        if self.known.len() >= 2 * MOST_WRITERS {
+            let writers = &self.writers;
+            self.known.retain(|id| writers.contains_key(id));
+        }
+        self.known.insert(id);
+    }
+
+    /// How many there are.
+    pub fn counts(&self) -> Counts {
+        let count = |number: usize| u32::try_from(number).unwrap_or(u32::MAX);
+        let own = self.writers.values().filter(|found| found.told.is_some()).count();
+        let foreign =
+            self.writers.values().filter(|found| found.told.is_none() && is_foreign(&found.dds_topic)).count();
+        Counts { participants: count(self.participants.len()), writers: count(own), foreign: count(foreign) }
+    }
+}
+
+/// Services, and what ROS 2 itself tells, belong to it though they are no topics.
+fn is_foreign(dds_topic: &str) -> bool {
+    !["rt/", "rq/", "rr/", "rs/", "ra/"].iter().any(|own| dds_topic.starts_with(own)) && dds_topic != names::NODES
+}
+
+fn found(id: Id, writer_data: &DiscoveredWriterData, nodes: &Nodes) -> Found {
+    let data = &writer_data.publication_topic_data;
+    let quality = quality::offered(data);
+    let hash = names::type_hash(&writer_data.user_data);
+    let told = writer(id, &data.topic_name, &data.type_name, (hash, quality), nodes.of(&id));
+    Found { dds_topic: data.topic_name.clone(), dds_type: data.type_name.clone(), quality, told }
+}
+
+fn writer(
+    id: Id,
+    dds_topic: &str,
+    dds_type: &str,
+    (type_hash, quality): (Option<String>, Quality),
+    node: Option<&str>,
+) -> Option<Writer> {
+    Some(Writer {
+        id: names::hex(&id),
+        topic: names::topic(dds_topic)?,
+        type_name: names::type_name(dds_type)?,
+        type_hash,
+        quality,
+        node: node.map(str::to_owned),
+        vendor: names::vendor(id),
+    })
+}

@@ -1,0 +1,20 @@
+//! Reads ROS 2 topics for a site of AuthROS, in a process without keys.
+//!
+//! The network code is `rustdds`; what it hands out leaves through a pipe ([`authros_pipe`]). The site starts the program,
+//! watches over it and counts what is lost.
+
+use authros_pipe as pipe;
+
+mod capture;
+mod error;
+mod graph;
+mod names;
+mod nodes;
+mod quality;
+mod raw;
+mod reading;
+mod threads;
+mod wishes;
+
+pub use capture::run;
+pub use error::Ros2Error;

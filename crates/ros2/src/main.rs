@@ -1,0 +1,55 @@
+//! `authros-ros2 --domain N`: started by a site of AuthROS, with a pipe as its input and output. It has no keys, and no
+//! use by itself.
+
+use std::fs::File;
+use std::os::fd::AsFd;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+
+/// The most address space: what the network makes this process take ends here, and the site starts it anew.
+const MOST_MEMORY: u64 = 2 << 30;
+
+/// The highest domain whose ports exist.
+const HIGHEST_DOMAIN: u16 = 232;
+
+fn main() -> ExitCode {
+    let Some(domain) = domain() else {
+        return fail("usage: authros-ros2 --domain N (0 to 232); it is started by authros --ros2, not by hand");
+    };
+    let stop = Arc::new(AtomicBool::new(false));
+    for signal in [signal_hook::consts::SIGTERM, signal_hook::consts::SIGINT, signal_hook::consts::SIGHUP] {
+        if signal_hook::flag::register(signal, Arc::clone(&stop)).is_err() {
+            return fail("cannot listen for signals; start it anew");
+        }
+    }
+    bound_memory();
+    let pipes = (std::io::stdin().as_fd().try_clone_to_owned(), std::io::stdout().as_fd().try_clone_to_owned());
+    let (Ok(from), Ok(to)) = pipes else { return fail("its input or output is closed; start it by authros --ros2") };
+    match authros_ros2::run(domain, File::from(from), File::from(to), &stop) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => fail(&error.to_string()),
+    }
+}
+
+fn domain() -> Option<u16> {
+    let mut arguments = std::env::args().skip(1);
+    let (Some(name), Some(value), None) = (arguments.next(), arguments.next(), arguments.next()) else { return None };
+    value.parse().ok().filter(|domain| name == "--domain" && *domain <= HIGHEST_DOMAIN)
+}
+
+/// A limit that cannot be set is no reason not to work.
+fn bound_memory() {
+    let maximum = getrlimit(Resource::As).maximum;
+    let most = maximum.map_or(MOST_MEMORY, |maximum| maximum.min(MOST_MEMORY));
+    let _ = setrlimit(Resource::As, Rlimit { current: Some(most), maximum: Some(most) });
+    let _ = setrlimit(Resource::Core, Rlimit { current: Some(0), maximum: Some(0) });
+}
+
+fn fail(reason: &str) -> ExitCode {
+    use std::io::Write;
+    drop(writeln!(std::io::stderr(), "authros-ros2: {reason}"));
+    ExitCode::FAILURE
+}

@@ -1,0 +1,90 @@
+//! Names as ROS 2 writes them into DDS, and as people know them.
+
+/// The longest name taken.
+const LONGEST: usize = 255;
+
+/// The topic of ROS 2 that carries which node has which writers.
+pub const NODES: &str = "ros_discovery_info";
+
+/// `/robot1/odom` for `rt/robot1/odom`; `None` for what is no topic of ROS 2 (services have other prefixes).
+pub fn topic(dds: &str) -> Option<String> {
+    let name = dds.strip_prefix("rt").filter(|name| name.len() <= LONGEST)?;
+    let is_part = |part: &str| {
+        part.bytes().next().is_some_and(|byte| byte.is_ascii_alphabetic() || byte == b'_')
+            && part.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'_')
+    };
+    name.strip_prefix('/')?.split('/').all(is_part).then(|| name.to_owned())
+}
+
+/// What DDS calls a topic.
+pub fn dds_topic(topic: &str) -> String {
+    format!("rt{topic}")
+}
+
+/// `nav_msgs/msg/Odometry` for `nav_msgs::msg::dds_::Odometry_`.
+pub fn type_name(dds: &str) -> Option<String> {
+    let parts: Vec<&str> = dds.split("::").collect();
+    let [package, kind, "dds_", name] = parts[..] else { return None };
+    let name = name.strip_suffix('_')?;
+    let is_word =
+        |part: &str| !part.is_empty() && part.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'_');
+    let known = [package, kind, name].into_iter().all(is_word) && dds.len() <= LONGEST;
+    known.then(|| format!("{package}/{kind}/{name}"))
+}
+
+/// The type's hash out of a writer's user data, which is `key=value;` after a length, padded.
+pub fn type_hash(user_data: &[u8]) -> Option<String> {
+    const KEY: &[u8] = b"typehash=";
+    let begin = user_data.windows(KEY.len()).position(|window| window == KEY)? + KEY.len();
+    let value = user_data[begin..].split(|byte| *byte == b';' || *byte == 0).next()?;
+    let text = std::str::from_utf8(value).ok()?;
+    let digits = text.strip_prefix("RIHS01_")?;
+    (digits.len() == 64 && digits.bytes().all(|byte| byte.is_ascii_hexdigit())).then(|| text.to_owned())
+}
+
+/// Who made a participant's middleware, by the first bytes of its id.
+pub fn vendor(id: [u8; 16]) -> String {
+    match id[..2] {
+        [1, 1] => "connext".to_owned(),
+        [1, 3] => "opendds".to_owned(),
+        [1, 15] => "fastdds".to_owned(),
+        [1, 16] => "cyclonedds".to_owned(),
+        [1, 17] => "gurumdds".to_owned(),
+        [1, 18] => "rustdds".to_owned(),
+        [1, 20] => "dustdds".to_owned(),
+        [one, two] => format!("vendor_{one:02x}{two:02x}"),
+        _ => "unknown".to_owned(),
+    }
+}
+
+/// Bytes as hex.
+pub fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_dds_and_of_people() {
+        assert_eq!(topic("rt/robot1/odom").as_deref(), Some("/robot1/odom"));
+        for none in ["rq/x", "rt", "rt/", "rtx/y", "rt//x", "rt/1x", "rt/a\u{1b}b", "Square"] {
+            assert_eq!(topic(none), None, "{none}");
+        }
+        assert_eq!(type_name("nav_msgs::msg::dds_::Odometry_").as_deref(), Some("nav_msgs/msg/Odometry"));
+        for none in ["ShapeType", "a::msg::dds_::B", "a::msg::B_", "::msg::dds_::B_", "a::msg::dds_::B\u{7}_"] {
+            assert_eq!(type_name(none), None, "{none}");
+        }
+    }
+
+    #[test]
+    fn the_hash_is_found_behind_its_length_and_before_the_padding() {
+        let digits = "df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18";
+        let data = [b"Q\0\0\0".as_slice(), format!("typehash=RIHS01_{digits};\0\0\0").as_bytes()].concat();
+        assert_eq!(type_hash(&data), Some(format!("RIHS01_{digits}")));
+        assert_eq!(type_hash(b"\x0a\0\0\0typehash=RIHS01_12;"), None);
+        assert_eq!(type_hash(b""), None);
+        assert_eq!(type_hash(format!("typehash=RIHS01_{}\u{1b};", &digits[1..]).as_bytes()), None);
+    }
+}

@@ -1,0 +1,182 @@
+//! Which node a writer belongs to, as ROS 2 tells it on a topic of its own. The message is `rmw_dds_common`'s
+//! `ParticipantEntitiesInfo`; up to Humble an id takes 24 bytes, later 16.
+
+use std::collections::HashMap;
+
+/// The most writers whose node is kept.
+const MOST: usize = 20_000;
+/// The longest name of a node taken, with its namespace.
+const LONGEST: usize = 255;
+
+/// An id without the kind of length it came in.
+type Id = [u8; 16];
+
+/// Nodes by the ids of their writers.
+#[derive(Default)]
+pub struct Nodes {
+    by_participant: HashMap<Id, Vec<(Id, String)>>,
+    kept: usize,
+}
+
+impl Nodes {
+    /// Takes in a message, with its header; what cannot be read is left out.
+    pub fn take(&mut self, message: &[u8]) {
+        let Some((participant, writers)) = [16, 24].into_iter().find_map(|length| parse(message, length)) else {
+            return;
+        };
+        self.forget(&participant);
+        if self.kept + writers.len() <= MOST {
+            self.kept += writers.len();
+            self.by_participant.insert(participant, writers);
+        }
+    }
+
+    fn forget(&mut self, participant: &Id) {
+        self.kept -= self.by_participant.remove(participant).map_or(0, |writers| writers.len());
+    }
+
+    /// Only participants that are still there are kept; an id's first twelve bytes are its participant's.
+    pub fn keep(&mut self, is_there: impl Fn(&[u8]) -> bool) {
+        let gone: Vec<Id> = self.by_participant.keys().filter(|id| !is_there(&id[..12])).copied().collect();
+        gone.iter().for_each(|id| self.forget(id));
+    }
+
+    /// The node of a writer, `/namespace/name`.
+    pub fn of(&self, writer: &Id) -> Option<&str> {
+        let lists = self.by_participant.iter().filter(|(id, _)| id[..12] == writer[..12]);
+        lists.flat_map(|(_, writers)| writers).find(|(id, _)| id == writer).map(|(_, node)| node.as_str())
+    }
+}
+
+/// The participant and its writers, where the message is read to its end with ids of this length.
+fn parse(message: &[u8], id: usize) -> Option<(Id, Vec<(Id, String)>)> {
+    let (header, body) = message.split_at_checked(4)?;
+    let mut reader = Reader { body, at: 0, little: header[1] & 1 == 1 };
+    let participant = reader.id(id)?;
+    let mut writers = Vec::new();
+    // Each list is bounded by the bytes that are left.
+    for _ in 0..reader.count(8)? {
+        let (namespace, name) = (reader.text()?, reader.text()?);
+        let node = match namespace {
+            "/" | "" => format!("/{name}"),
+            _ => format!("{namespace}/{name}"),
+        };
+        for _ in 0..reader.count(id)? {
+            reader.id(id)?;
+        }
+        for _ in 0..reader.count(id)? {
+            let writer = reader.id(id)?;
+            let fits = node.len() <= LONGEST && !node.chars().any(char::is_control);
+            writers.extend(fits.then(|| (writer, node.clone())));
+        }
+    }
+    // Up to three bytes of padding.
+    (reader.body.len() - reader.at < 4).then_some((participant, writers))
+}
+
+struct Reader<'a> {
+    body: &'a [u8],
+    at: usize,
+    little: bool,
+}
+
+impl<'a> Reader<'a> {
+    fn take(&mut self, length: usize) -> Option<&'a [u8]> {
+        let end = self.at.checked_add(length)?;
+        let found = self.body.get(self.at..end)?;
+        self.at = end;
+        Some(found)
+    }
+
+    fn number(&mut self) -> Option<u32> {
+        self.at = self.at.next_multiple_of(4);
+        let bytes: [u8; 4] = self.take(4)?.try_into().ok()?;
+        Some(if self.little { u32::from_le_bytes(bytes) } else { u32::from_be_bytes(bytes) })
+    }
+
+    fn count(&mut self, least: usize) -> Option<usize> {
+        let count = self.number()? as usize;
+        (count <= (self.body.len() - self.at.min(self.body.len())) / least).then_some(count)
+    }
+
+    fn text(&mut self) -> Option<&'a str> {
+        let length = self.number()? as usize;
+        let bytes = self.take(length)?;
+        std::str::from_utf8(bytes.strip_suffix(&[0]).unwrap_or(bytes)).ok()
+    }
+
+    fn id(&mut self, length: usize) -> Option<Id> {
+        self.take(length)?.first_chunk().copied()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// As a node of Jazzy (16) or Humble (24) writes it.
+    fn message(id: usize, namespace: &str, name: &str) -> Vec<u8> {
+        let mut bytes = vec![0, 1, 0, 0];
+        let put_text = |bytes: &mut Vec<u8>, text: &str| {
+            while (bytes.len() - 4) % 4 != 0 {
+                bytes.push(0);
+            }
+            bytes.extend(u32::try_from(text.len() + 1).expect("short").to_le_bytes());
+            bytes.extend(text.bytes().chain([0]));
+        };
+        let put_ids = |bytes: &mut Vec<u8>, ids: &[u8]| {
+            while (bytes.len() - 4) % 4 != 0 {
+                bytes.push(0);
+            }
+            bytes.extend(u32::try_from(ids.len()).expect("few").to_le_bytes());
+            for last in ids {
+                let mut own = vec![7; 16];
+                own[15] = *last;
+                own.resize(id, 0);
+                bytes.extend(own);
+            }
+        };
+        let mut participant = vec![7; 16];
+        participant.resize(id, 0);
+        bytes.extend(participant);
+        bytes.extend(1_u32.to_le_bytes());
+        put_text(&mut bytes, namespace);
+        put_text(&mut bytes, name);
+        put_ids(&mut bytes, &[1]);
+        put_ids(&mut bytes, &[2, 3]);
+        bytes
+    }
+
+    #[test]
+    fn writers_belong_to_nodes_in_both_lengths_of_ids() {
+        for length in [16, 24] {
+            let mut nodes = Nodes::default();
+            nodes.take(&message(length, "/robot1", "driver"));
+            let mut id = [7; 16];
+            for (last, node) in [(2, Some("/robot1/driver")), (3, Some("/robot1/driver")), (1, None), (9, None)] {
+                id[15] = last;
+                assert_eq!(nodes.of(&id), node, "{length} {last}");
+            }
+            nodes.keep(|prefix| prefix != [7; 12]);
+            id[15] = 2;
+            assert_eq!((nodes.of(&id), nodes.kept), (None, 0));
+        }
+        let mut nodes = Nodes::default();
+        nodes.take(&message(16, "/", "driver"));
+        assert_eq!(nodes.of(&[[7; 15].as_slice(), &[2]].concat().try_into().expect("16")), Some("/driver"));
+    }
+
+    #[test]
+    fn hostile_messages_are_left_out() {
+        let whole = message(16, "/", "x");
+        let mut nodes = Nodes::default();
+        for end in 0..whole.len() - 3 {
+            nodes.take(&whole[..end]);
+        }
+        let mut claim = whole.clone();
+        claim[20..24].copy_from_slice(&u32::MAX.to_le_bytes());
+        nodes.take(&claim);
+        nodes.take(&message(16, "/", "x\u{1b}[2J"));
+        assert_eq!(nodes.kept, 0);
+    }
+}

@@ -1,0 +1,112 @@
+//! What is offered, what is asked for, and how much is kept.
+
+use rustdds::discovery::PublicationBuiltinTopicData;
+use rustdds::policy::{DataRepresentation, Durability, History, Reliability, ResourceLimits};
+use rustdds::qos::policy::{XCDR_DATA_REPRESENTATION, XCDR2_DATA_REPRESENTATION};
+use rustdds::{Duration, QosPolicies, QosPolicyBuilder};
+
+use crate::pipe::read::Quality;
+
+/// Samples kept of a topic before the size of one is known.
+pub const FIRST_DEPTH: usize = 16;
+/// The most samples kept of a topic.
+const MOST_DEPTH: usize = 1000;
+/// The fewest.
+const LEAST_DEPTH: usize = 4;
+/// Bytes of samples kept of one topic, and of all topics.
+const TOPIC_BYTES: usize = 32 << 20;
+const ALL_BYTES: usize = 256 << 20;
+
+/// What a writer offers.
+pub fn offered(told: &PublicationBuiltinTopicData) -> Quality {
+    let nanoseconds = |duration: Duration| {
+        let endless = duration >= Duration::INFINITE;
+        u64::try_from(duration.to_nanoseconds()).ok().filter(|_| !endless)
+    };
+    Quality {
+        // A writer that does not say so is reliable, by the standard's default.
+        reliable: !matches!(told.reliability, Some(Reliability::BestEffort)),
+        latched: told.durability.is_some_and(|durability| durability >= Durability::TransientLocal),
+        deadline: told.deadline.and_then(|deadline| nanoseconds(deadline.0)),
+        lifespan: told.lifespan.and_then(|lifespan| nanoseconds(lifespan.duration)),
+    }
+}
+
+/// What all writers of a topic can give.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Request {
+    /// Lost samples are asked for again.
+    pub reliable: bool,
+    /// What was published before is asked for.
+    pub latched: bool,
+}
+
+/// As much as every one of the offers gives: more would exclude a writer.
+pub fn request(offers: impl Iterator<Item = Quality> + Clone) -> Request {
+    Request { reliable: offers.clone().all(|offer| offer.reliable), latched: offers.clone().all(|offer| offer.latched) }
+}
+
+/// The request in the words of DDS, with so many samples kept.
+pub fn policies(request: Request, depth: usize) -> QosPolicies {
+    let depth = i32::try_from(depth).unwrap_or(i32::MAX);
+    let builder = QosPolicyBuilder::new()
+        .durability(if request.latched { Durability::TransientLocal } else { Durability::Volatile })
+        .history(History::KeepLast { depth })
+        .resource_limits(ResourceLimits { max_samples: depth, max_instances: 1, max_samples_per_instance: depth });
+    let builder = if request.reliable { builder.reliable(Duration::from_millis(100)) } else { builder.best_effort() };
+    let both = vec![XCDR_DATA_REPRESENTATION, XCDR2_DATA_REPRESENTATION];
+    builder.build().with_data_representation(DataRepresentation { value: both })
+}
+
+/// How many samples of this size are kept, when all other topics keep `others` bytes.
+pub fn depth(sample: usize, others: usize) -> usize {
+    let bytes = TOPIC_BYTES.min(ALL_BYTES.saturating_sub(others) / 2);
+    (bytes / sample.max(1)).clamp(LEAST_DEPTH, MOST_DEPTH)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn quality(reliable: bool, latched: bool) -> Quality {
+        Quality { reliable, latched, ..Quality::default() }
+    }
+
+    #[test]
+    fn a_request_is_what_every_offer_gives() {
+        let asked = |offers: &[(bool, bool)]| {
+            let asked = request(offers.iter().map(|(reliable, latched)| quality(*reliable, *latched)));
+            (asked.reliable, asked.latched)
+        };
+        assert_eq!(asked(&[(true, true), (true, true)]), (true, true));
+        assert_eq!(asked(&[(true, true), (true, false)]), (true, false));
+        assert_eq!(asked(&[(true, false), (false, false)]), (false, false));
+    }
+
+    #[test]
+    fn what_is_not_said_is_the_default_of_the_standard() {
+        let told = |reliability, durability| PublicationBuiltinTopicData {
+            reliability,
+            durability,
+            ..PublicationBuiltinTopicData::new(rustdds::GUID::from_bytes([1; 16]), None, "a".into(), "b".into(), None)
+        };
+        assert_eq!(offered(&told(None, None)), quality(true, false));
+        assert_eq!(
+            offered(&told(Some(Reliability::BestEffort), Some(Durability::TransientLocal))),
+            quality(false, true)
+        );
+        let mut long = told(None, None);
+        long.deadline = Some(rustdds::policy::Deadline(Duration::INFINITE));
+        assert_eq!(offered(&long).deadline, None);
+    }
+
+    #[test]
+    fn what_is_kept_is_bounded_by_bytes() {
+        assert_eq!(depth(100, 0), 1000);
+        assert_eq!(depth(1 << 20, 0), 32);
+        assert_eq!(depth(8 << 20, 0), 4);
+        assert_eq!(depth(1 << 20, 240 << 20), 8);
+        assert_eq!(depth(1 << 20, 1 << 40), 4);
+        assert_eq!(depth(0, 0), 1000);
+    }
+}

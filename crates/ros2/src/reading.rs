@@ -1,0 +1,156 @@
+//! One reader of one topic and type, and what is taken out of it at once.
+
+use std::time::Instant;
+
+use rustdds::mio1::{Interest, Registry, Token};
+use rustdds::no_key::SimpleDataReader;
+use rustdds::{DomainParticipant, Subscriber, Timestamp, TopicKind};
+
+use crate::Ros2Error;
+use crate::graph::Id;
+use crate::quality::{self, Request};
+use crate::raw::{Raw, RawAdapter, RawDecoder};
+
+/// The most samples taken before another topic has its turn, and about how many bytes.
+const TURN: usize = 256;
+const TURN_BYTES: usize = 4 << 20;
+
+/// A sample as it leaves.
+pub struct Taken {
+    /// Its writer.
+    pub writer: Id,
+    /// Its number.
+    pub number: i64,
+    /// When it was published, nanoseconds.
+    pub sent: Option<u64>,
+    /// When it had arrived, nanoseconds.
+    pub arrived: u64,
+    /// Header and body.
+    pub bytes: Vec<u8>,
+}
+
+/// A reader.
+pub struct Reading {
+    /// The topic, as DDS names it.
+    pub dds_topic: String,
+    /// The type, as DDS names it.
+    pub dds_type: String,
+    /// What was asked for.
+    pub request: Request,
+    /// Whether there may be something to take.
+    pub ready: bool,
+    /// When it is to be dropped, where another has taken its place.
+    pub retires: Option<Instant>,
+    /// When it began: what the topic's cache holds of before is another reader's, unless it is latched.
+    begun: Timestamp,
+    /// Bytes of the largest sample.
+    largest: usize,
+    depth: usize,
+    reader: SimpleDataReader<Raw, RawAdapter>,
+}
+
+fn refused(error: impl std::fmt::Debug) -> Ros2Error {
+    Ros2Error::System { action: "make a reader", reason: format!("{error:?}") }
+}
+
+impl Reading {
+    /// Begins to read.
+    ///
+    /// # Errors
+    /// [`Ros2Error::System`] with the words of the network code.
+    pub fn begin(
+        (participant, subscriber): (&DomainParticipant, &Subscriber),
+        (dds_topic, dds_type): (&str, &str),
+        request: Request,
+        (registry, token): (&Registry, Token),
+    ) -> Result<Self, Ros2Error> {
+        let (depth, begun) = (quality::FIRST_DEPTH, Timestamp::now());
+        let policies = quality::policies(request, depth);
+        let topic = participant
+            .create_topic(dds_topic.to_owned(), dds_type.to_owned(), &policies, TopicKind::NoKey)
+            .map_err(refused)?;
+        let mut reader =
+            subscriber.create_simple_datareader_no_key::<Raw, RawAdapter>(&topic, Some(policies)).map_err(refused)?;
+        registry
+            .register(&mut reader, token, Interest::READABLE)
+            .map_err(|error| Ros2Error::system("wait for samples", &error))?;
+        let (dds_topic, dds_type) = (dds_topic.to_owned(), dds_type.to_owned());
+        Ok(Self { dds_topic, dds_type, request, ready: true, retires: None, begun, largest: 0, depth, reader })
+    }
+
+    /// Bytes that may be kept of this topic.
+    pub fn kept(&self) -> usize {
+        self.depth * self.largest
+    }
+
+    /// As many samples are kept from now on as bytes allow. What is kept of a topic only ever grows.
+    pub fn deepen(&mut self, participant: &DomainParticipant, others: usize) {
+        let depth = quality::depth(self.largest, others);
+        if self.largest == 0 || depth < self.depth.saturating_mul(2) {
+            return;
+        }
+        let policies = quality::policies(self.request, depth);
+        let (topic, type_name) = (self.dds_topic.clone(), self.dds_type.clone());
+        // The cache of a topic takes the greater depth over when the topic is named again.
+        if participant.create_topic(topic, type_name, &policies, TopicKind::NoKey).is_ok() {
+            self.depth = depth;
+        }
+    }
+
+    /// Takes what is there, but no more than one turn's worth.
+    pub fn take(&mut self, into: &mut Vec<Taken>) {
+        self.reader.drain_read_notifications();
+        let (mut bytes, before) = (0, into.len());
+        while into.len() - before < TURN && bytes < TURN_BYTES {
+            match self.reader.try_take_one_with(RawDecoder) {
+                Ok(Some(change)) if change.receive_instant < self.begun && !self.request.latched => {}
+                Ok(Some(change)) => {
+                    let writer = change.writer_guid().to_bytes();
+                    let number = i64::from(change.sequence_number);
+                    let sent = change.source_timestamp().and_then(nanoseconds);
+                    let arrived = nanoseconds(change.receive_instant).unwrap_or(0);
+                    let sample = change.into_value().0;
+                    bytes += sample.len();
+                    self.largest = self.largest.max(sample.len());
+                    into.push(Taken { writer, number, sent, arrived, bytes: sample });
+                }
+                Ok(None) => {
+                    self.ready = false;
+                    return;
+                }
+                // One that cannot be taken is passed over; its number is missing then, and counted.
+                Err(_) => bytes += TURN_BYTES / TURN,
+            }
+        }
+    }
+
+    /// No longer waited for.
+    pub fn end(mut self, registry: &Registry) {
+        drop(registry.deregister(&mut self.reader));
+    }
+}
+
+/// Nanoseconds since 1970; `None` for a time that is none.
+fn nanoseconds(time: Timestamp) -> Option<u64> {
+    if time == Timestamp::INVALID || time == Timestamp::ZERO || time == Timestamp::INFINITE {
+        return None;
+    }
+    let ticks = time.to_ticks();
+    let fraction = ((ticks & 0xffff_ffff) * 1_000_000_000 + (1 << 31)) >> 32;
+    Some((ticks >> 32) * 1_000_000_000 + fraction)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_come_back_to_the_nanosecond() {
+        for whole in [1_u64, 999_999_999, 1_500_000_000_123_456_789, 1_795_000_000_000_000_001] {
+            let fraction = ((whole % 1_000_000_000) << 32) / 1_000_000_000;
+            let ticks = ((whole / 1_000_000_000) << 32) + fraction;
+            assert_eq!(nanoseconds(Timestamp::from_ticks(ticks)), Some(whole));
+        }
+        assert_eq!(nanoseconds(Timestamp::INVALID), None);
+    }
+}

@@ -1,0 +1,244 @@
+//! The site's ROS 2 side: one domain, read beside ROS 1 by a program without keys.
+
+use std::collections::{BTreeSet, HashMap};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use crate::config::{Config, Source};
+use crate::model::{TopicName, clean};
+use crate::pipeline::Recorder;
+use crate::ros::ros2::{Reading, Ros2Capture, Ros2Topic, Standing};
+use crate::ros::{CaptureNotice, MessageSink, TopicInfo};
+use crate::service::event::{NoticeLevel, Part};
+use crate::service::hub::Hub;
+use crate::service::reply::{Failure, HealthLevel};
+
+/// The longest that a list of topics waits for a domain that has just been joined.
+const FIRST_LOOK: Duration = Duration::from_secs(6);
+/// Between two looks at it meanwhile.
+const TICK: Duration = Duration::from_millis(50);
+/// Fast DDS gives a latched message up to 3.2 s after somebody came for it.
+const LATCHED: Duration = Duration::from_secs(4);
+
+/// Which graph a topic is captured from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(in crate::site) enum GraphOf {
+    /// ROS 1.
+    One,
+    /// ROS 2.
+    Two,
+    /// Nobody publishes it yet: both are waited for.
+    Open,
+}
+
+/// Where the ROS 2 side stands.
+enum State {
+    /// This run has none.
+    Off,
+    /// The program that reads it is not there.
+    Absent(Failure),
+    /// It is read.
+    On(Arc<Ros2Capture>),
+}
+
+/// The ROS 2 side of a site.
+pub(in crate::site) struct Second {
+    config: Arc<Config>,
+    hub: Arc<Hub>,
+    recorder: Arc<Recorder>,
+    state: Mutex<State>,
+    /// Which graph a wanted topic was first found in.
+    decided: Mutex<HashMap<TopicName, GraphOf>>,
+    told: Mutex<Told>,
+}
+
+/// What was told already.
+#[derive(Default)]
+struct Told {
+    standing: Option<String>,
+    first_look: bool,
+    topics: Vec<Ros2Topic>,
+    refused: BTreeSet<TopicName>,
+}
+
+fn locked<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Second {
+    /// Off until it is begun.
+    pub fn new(config: &Arc<Config>, hub: &Arc<Hub>, recorder: &Arc<Recorder>) -> Self {
+        Self {
+            config: Arc::clone(config),
+            hub: Arc::clone(hub),
+            recorder: Arc::clone(recorder),
+            state: Mutex::new(State::Off),
+            decided: Mutex::default(),
+            told: Mutex::default(),
+        }
+    }
+
+    /// Joins the domain of the settings, where they name one; says so where it cannot.
+    pub fn begin(&self) {
+        let Some(domain) = self.config.ros_domain else { return };
+        if matches!(*locked(&self.state), State::On(_)) {
+            return;
+        }
+        let started = Ros2Capture::start(domain, self.config.ros2_program.as_deref(), self.recorder.clone());
+        let state = match started {
+            Ok(capture) => State::On(Arc::new(capture)),
+            Err(error) => {
+                let failure = Failure::from(error);
+                self.hub.notice(NoticeLevel::Error, &failure.message);
+                State::Absent(failure)
+            }
+        };
+        *locked(&self.state) = state;
+        self.hub.changed(Part::Health);
+    }
+
+    /// Leaves the domain; blocks until the program has ended.
+    pub fn end(&self) {
+        let state = std::mem::replace(&mut *locked(&self.state), State::Off);
+        drop(state);
+    }
+
+    fn capture(&self) -> Option<Arc<Ros2Capture>> {
+        match &*locked(&self.state) {
+            State::On(capture) => Some(Arc::clone(capture)),
+            State::Off | State::Absent(_) => None,
+        }
+    }
+
+    /// Whether there is a domain that is read.
+    pub fn is_on(&self) -> bool {
+        self.capture().is_some()
+    }
+
+    /// Topics that somebody publishes in the domain.
+    pub fn topics(&self) -> Vec<Ros2Topic> {
+        self.capture().map(|capture| capture.topics()).unwrap_or_default()
+    }
+
+    /// Waits until there was time to look around.
+    pub async fn first_look(&self) {
+        let begun = Instant::now();
+        while begun.elapsed() < FIRST_LOOK
+            && self.capture().is_some_and(|capture| capture.standing().reading == Reading::Looking)
+        {
+            tokio::time::sleep(TICK).await;
+        }
+    }
+
+    /// How long a capture of these topics lasts at least: a latched message may come late.
+    pub fn least(&self, topics: &[TopicName]) -> Duration {
+        let latched =
+            |topic: &Ros2Topic| topic.quality.latched && topics.iter().any(|name| name.as_str() == topic.name);
+        if self.topics().iter().any(latched) { LATCHED } else { Duration::ZERO }
+    }
+
+    /// The health of this side and its words; `None` where the settings name no domain.
+    pub fn health(&self) -> Option<(HealthLevel, String)> {
+        match &*locked(&self.state) {
+            State::Off => None,
+            State::Absent(failure) => Some((HealthLevel::Failed, failure.message.clone())),
+            State::On(capture) => Some(health_of(&capture.standing())),
+        }
+    }
+
+    /// Says what is seen as soon as there was time to look; whether anything is other than at the last look.
+    pub fn look(&self) -> bool {
+        let Some(capture) = self.capture() else { return false };
+        let (standing, topics) = (capture.standing(), capture.topics());
+        let mut told = locked(&self.told);
+        if !told.first_look && standing.reading == Reading::Up {
+            told.first_look = true;
+            let level = if standing.is_empty() { NoticeLevel::Warning } else { NoticeLevel::Info };
+            self.hub.notice(level, &standing.text());
+        }
+        let text = Some(standing.text());
+        let (stands, lists) = (told.standing == text, told.topics == topics);
+        (told.standing, told.topics) = (text, topics);
+        if !stands {
+            self.hub.changed(Part::Health);
+        }
+        if !lists {
+            self.hub.changed(Part::Topics);
+        }
+        !stands || !lists
+    }
+
+    /// Of the wanted topics those that ROS 1 is to be asked for; the domain is asked for the others at once.
+    pub fn share(&self, wanted: BTreeSet<TopicName>, all: bool, graph: &[TopicInfo]) -> BTreeSet<TopicName> {
+        let Some(capture) = self.capture() else { return wanted };
+        let topics = capture.topics();
+        let decide = |topic: &TopicName| self.decide(topic, graph, &topics);
+        let mut of_two: BTreeSet<TopicName> =
+            wanted.iter().filter(|topic| decide(topic) != GraphOf::One).cloned().collect();
+        let one = wanted.iter().filter(|topic| decide(topic) != GraphOf::Two).cloned().collect();
+        // Everything is measured where that was asked for in so many words: it is read over the network.
+        if all && self.config.source("ros.meter") != Source::Default {
+            let names = topics.iter().filter_map(|topic| topic.name.parse::<TopicName>().ok());
+            of_two.extend(names.filter(|topic| !is_published(topic, graph)));
+        }
+        locked(&self.decided).retain(|topic, _| wanted.contains(topic));
+        let watched: BTreeSet<TopicName> = capture.watched().into_iter().collect();
+        watched.difference(&of_two).for_each(|topic| capture.unwatch(topic));
+        of_two.difference(&watched).for_each(|topic| capture.watch(topic));
+        one
+    }
+
+    /// Which graph a topic of ROS 1 is captured from.
+    pub fn graph_of(&self, info: &TopicInfo) -> GraphOf {
+        let decided = locked(&self.decided);
+        let known = decided.iter().find(|(topic, _)| topic.as_str() == info.name).map(|(_, graph)| *graph);
+        known.unwrap_or(if info.publishers.is_empty() { GraphOf::Two } else { GraphOf::One })
+    }
+
+    fn decide(&self, topic: &TopicName, graph: &[TopicInfo], topics: &[Ros2Topic]) -> GraphOf {
+        let two = topics.iter().any(|other| other.name == topic.as_str());
+        let one = is_published(topic, graph);
+        let mut decided = locked(&self.decided);
+        let known = decided.get(topic).copied();
+        let found = match (one, two, known) {
+            (true, true, Some(known)) => known,
+            (true, _, _) => GraphOf::One,
+            (false, true, _) => GraphOf::Two,
+            (false, false, _) => known.unwrap_or(GraphOf::Open),
+        };
+        if found != GraphOf::Open {
+            decided.insert(topic.clone(), found);
+        }
+        drop(decided);
+        if one && two && locked(&self.told).refused.insert(topic.clone()) {
+            self.refuse(topic, found);
+        }
+        found
+    }
+
+    fn refuse(&self, topic: &TopicName, taken: GraphOf) {
+        let (taken, other) = if taken == GraphOf::Two { (2, 1) } else { (1, 2) };
+        let reason = format!(
+            "the name is in ROS 1 and in ROS 2, and records are filed by it: it is captured from ROS {taken}; to capture both \
+             give the other a prefix where it is started, as {topic}:=/ros{other}{topic}"
+        );
+        let publisher = format!("its publisher in ROS {other}");
+        let topic = topic.as_str().into();
+        self.recorder.notice(CaptureNotice::Refused { topic, publisher, reason });
+    }
+}
+
+fn is_published(topic: &TopicName, graph: &[TopicInfo]) -> bool {
+    graph.iter().any(|info| info.name == topic.as_str() && !info.publishers.is_empty())
+}
+
+/// The level and the words of a standing.
+pub(in crate::site) fn health_of(standing: &Standing) -> (HealthLevel, String) {
+    let level = match &standing.reading {
+        Reading::Down { .. } => HealthLevel::Failed,
+        Reading::Looking => HealthLevel::Waiting,
+        Reading::Up if standing.is_empty() => HealthLevel::Waiting,
+        Reading::Up => HealthLevel::Ok,
+    };
+    (level, clean(&standing.text(), 400))
+}

@@ -1,0 +1,103 @@
+"""A DDS peer that publishes as a ROS 2 node would: Eclipse Cyclone DDS with ROS 2's names, types and QoS.
+
+usage: ros2_publisher.py TOPIC KIND COUNT HERTZ BYTES [best_effort] [latched] [hash] [foreign]
+
+KIND `string`: text of BYTES characters that begins with its number; `image`: a picture of BYTES bytes. Waits for a
+subscriber, unless the topic is latched, publishes, prints one line of JSON about what it did, and stays until it is ended.
+"""
+
+import hashlib
+import json
+import sys
+import time
+from dataclasses import dataclass
+
+from cyclonedds.core import Policy, Qos
+from cyclonedds.domain import DomainParticipant
+from cyclonedds.idl import IdlStruct
+from cyclonedds.idl.types import sequence, uint8, uint32
+from cyclonedds.pub import DataWriter
+from cyclonedds.topic import Topic
+from cyclonedds.util import duration
+
+HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
+
+
+@dataclass
+class String(IdlStruct, typename="std_msgs.msg.dds_.String_"):
+    data: str
+
+
+@dataclass
+class Time(IdlStruct, typename="builtin_interfaces.msg.dds_.Time_"):
+    sec: uint32
+    nanosec: uint32
+
+
+@dataclass
+class Header(IdlStruct, typename="std_msgs.msg.dds_.Header_"):
+    stamp: Time
+    frame_id: str
+
+
+@dataclass
+class CompressedImage(IdlStruct, typename="sensor_msgs.msg.dds_.CompressedImage_"):
+    header: Header
+    format: str
+    data: sequence[uint8]
+
+
+def text(number, size):
+    begin = f"{number} "
+    return begin + "x" * (size - len(begin))
+
+
+def picture(number, size):
+    # Of every number another picture, which nothing compresses.
+    block = hashlib.sha256(str(number).encode()).digest() * 64
+    return (block * (size // len(block) + 1))[:size]
+
+
+def main():
+    topic, kind, count, hertz, size, *flags = sys.argv[1:]
+    count, hertz, size = int(count), float(hertz), int(size)
+    best_effort, latched = "best_effort" in flags, "latched" in flags
+    policies = [
+        Policy.Reliability.BestEffort if best_effort else Policy.Reliability.Reliable(duration(seconds=10)),
+        Policy.Durability.TransientLocal if latched else Policy.Durability.Volatile,
+        Policy.History.KeepLast(1 if latched else 100000 if kind == "string" else 20),
+    ]
+    if "hash" in flags:
+        policies.append(Policy.Userdata(f"typehash={HASH};".encode()))
+    qos = Qos(*policies)
+    participant = DomainParticipant()
+    made = String if kind == "string" else CompressedImage
+    name = topic if "foreign" in flags else "rt" + topic
+    writer = DataWriter(participant, Topic(participant, name, made, qos=Qos(*policies[:3])), qos=qos)
+    if kind == "string":
+        messages = [String(text(number, size)) for number in range(1, count + 1)]
+    else:
+        messages = [
+            CompressedImage(Header(Time(number, 0), "camera"), "jpeg", picture(number, size))
+            for number in range(1, count + 1)
+        ]
+    digest = hashlib.sha256()
+    for message in messages:
+        digest.update(message.serialize(use_version_2=False))
+    print(json.dumps({"ready": True}), flush=True)
+    while not latched and "foreign" not in flags and len(writer.get_matched_subscriptions()) == 0:
+        time.sleep(0.01)
+    begin = time.monotonic()
+    for number, message in enumerate(messages, 1):
+        wait = begin + (number - 1) / hertz - time.monotonic()
+        if wait > 0:
+            time.sleep(wait)
+        writer.write(message)
+    seconds = round(time.monotonic() - begin, 3)
+    print(json.dumps({"sent": count, "seconds": seconds, "sha256": digest.hexdigest()}), flush=True)
+    # Its last messages are repeated to whoever missed them for as long as it is there.
+    time.sleep(3600)
+
+
+if __name__ == "__main__":
+    main()

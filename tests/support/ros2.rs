@@ -1,0 +1,124 @@
+//! A network of its own for ROS 2, and a real DDS peer in it: Eclipse Cyclone DDS, as `tests/run` installs it.
+
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+
+use serde_json::Value;
+
+use super::process::Running;
+use super::{Authros, poll};
+
+const NOISE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/peers/ros2_noise.py");
+const PUBLISHER: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/peers/ros2_publisher.py");
+
+/// A network namespace with nothing but loopback, so that DDS neither leaks nor meets anybody; ends when dropped.
+#[derive(Debug)]
+pub struct Network {
+    holder: Child,
+    entry: Vec<String>,
+}
+
+impl Network {
+    /// A new one; `None` where this machine gives none.
+    pub fn new() -> Option<Self> {
+        for own_user in [false, true] {
+            let mut command = Command::new("unshare");
+            if own_user {
+                command.args(["--user", "--map-root-user"]);
+            }
+            let script = "ip link set lo up && ip link set lo multicast on && ip route add 224.0.0.0/4 dev lo; echo up; exec sleep 3600";
+            command.args(["--net", "--kill-child", "sh", "-c", script]).stdout(Stdio::piped()).stderr(Stdio::null());
+            let Ok(mut holder) = command.spawn() else { return None };
+            let mut line = String::new();
+            let said = holder.stdout.take().map(std::io::BufReader::new);
+            if said.is_some_and(|mut said| std::io::BufRead::read_line(&mut said, &mut line).is_ok() && line == "up\n")
+            {
+                let mut entry = vec!["--target".to_owned(), holder.id().to_string(), "--net".to_owned()];
+                if own_user {
+                    entry.extend(["--user".to_owned(), "--preserve-credentials".to_owned()]);
+                }
+                entry.push("--".to_owned());
+                return Some(Self { holder, entry });
+            }
+            drop(holder.kill());
+            drop(holder.wait());
+        }
+        None
+    }
+
+    /// The program under test, inside.
+    pub fn inside(&self, authros: &Authros) -> Authros {
+        let program = authros.program().to_str().expect("UTF-8").to_owned();
+        let prefix: Vec<&str> = self.entry.iter().map(String::as_str).chain([program.as_str()]).collect();
+        authros.with_program(Path::new("/usr/bin/nsenter")).with_prefix(&prefix)
+    }
+
+    /// A command, inside.
+    pub fn command(&self, program: &Path) -> Command {
+        let mut command = Command::new("nsenter");
+        command.args(&self.entry).arg(program);
+        command
+    }
+}
+
+impl Drop for Network {
+    fn drop(&mut self) {
+        drop(self.holder.kill());
+        drop(self.holder.wait());
+    }
+}
+
+/// The program that reads ROS 2, where it was built beside the program under test.
+pub fn reader_program() -> Option<PathBuf> {
+    let path = Path::new(env!("CARGO_BIN_EXE_authros")).with_file_name("authros-ros2");
+    path.is_file().then_some(path)
+}
+
+fn python() -> Option<PathBuf> {
+    let peers = std::env::var_os("AUTHROS_PEERS")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("target/peers"), PathBuf::from);
+    let path = peers.join("cyclonedds/bin/python");
+    path.is_file().then_some(path)
+}
+
+/// What a test of ROS 2 needs, or why it is skipped.
+pub fn network() -> Result<Network, &'static str> {
+    reader_program().ok_or("authros-ros2 is not built: cargo build -p authros-ros2")?;
+    python().ok_or("no cyclonedds in target/peers")?;
+    Network::new().ok_or("this machine gives no network namespace")
+}
+
+/// Sends so many datagrams that are none of RTPS to the ports of domain 0, and a few that nearly are; then ends.
+pub fn noise(network: &Network, count: usize) -> Running {
+    let mut command = network.command(&python().expect("asked before"));
+    command.arg(NOISE).arg(count.to_string());
+    Running::start(command)
+}
+
+/// A real DDS publisher with ROS 2's names.
+#[derive(Debug)]
+pub struct Talker(Running);
+
+impl Talker {
+    /// Starts it; it waits for a subscriber unless its topic is latched. The arguments are the script's.
+    pub fn start(network: &Network, arguments: &[&str]) -> Self {
+        let mut command = network.command(&python().expect("asked before"));
+        command.arg(PUBLISHER).args(arguments).env_remove("CYCLONEDDS_URI");
+        let mut running = Running::start(command);
+        running.wait_for_text("\"ready\"", 60);
+        Self(running)
+    }
+
+    /// Waits until it has published everything; what it says of that.
+    pub fn sent(&mut self, seconds: u64) -> Value {
+        let text = self.0.wait_for_text("\"sha256\"", seconds);
+        let line = text.lines().find(|line| line.contains("\"sha256\"")).expect("said");
+        serde_json::from_str(line).expect("JSON")
+    }
+
+    /// It vanishes without a word.
+    pub fn kill(&mut self) {
+        self.0.signal("KILL");
+        poll(10, || (!self.0.is_running()).then_some(()));
+    }
+}
