@@ -8,7 +8,7 @@ use super::verbs::{NEITHER, Plan};
 use crate::model::{ErrorKind, Timestamp};
 use crate::service::Failure;
 use crate::service::command::{CloseIncident, ListIncidents, NoteIncident, OpenIncident, RemoveIncident, ShowIncident};
-use crate::service::reply::{SpanCoverageView, IncidentView};
+use crate::service::reply::{IncidentView, SpanCoverageView};
 use authros_output::table;
 
 /// `incident …`

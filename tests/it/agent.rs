@@ -148,7 +148,9 @@ fn four_robots_of_two_accounts_through_one_gateway() {
 fn nothing_shows(bytes: &[u8], robots: &[Robot]) {
     assert!(bytes.len() > 100 * 500, "the records went this way");
     // None so short that random bytes hold it by chance.
-    for word in ["scout-", "alexandra", "bartholomew", "/robot1/odom", "nav_msgs", "Odometry", "mission", "harbour", "robot1"] {
+    for word in
+        ["scout-", "alexandra", "bartholomew", "/robot1/odom", "nav_msgs", "Odometry", "mission", "harbour", "robot1"]
+    {
         assert!(!holds(bytes, word.as_bytes()), "'{word}' on the wire");
     }
     for robot in robots {

@@ -11,12 +11,12 @@ use crate::service::command::{self as ask, Ask, IncidentCommand};
 use crate::service::event::Part;
 use crate::service::failure::input;
 use crate::service::hub::Hub;
-use crate::service::reply::{SpanCoverageView, Failure, IncidentNoteView, IncidentView, Reply};
+use crate::service::reply::{Failure, IncidentNoteView, IncidentView, Reply, SpanCoverageView};
 use crate::site::audit::Log;
 use crate::site::blocking;
 use crate::site::identity::owners::Owners;
 use crate::site::parts::Parts;
-use crate::store::{SpanCoverage, IncidentRow, IncidentSpan, Ledger, RecordQuery};
+use crate::store::{IncidentRow, IncidentSpan, Ledger, RecordQuery, SpanCoverage};
 
 /// The most incidents of a profile.
 const MOST: usize = 200;
@@ -251,7 +251,8 @@ pub(in crate::site) fn view(ledger: &Ledger, owner: Address, name: &IncidentName
 }
 
 fn covered(ledger: &Ledger, owner: Address, row: IncidentRow) -> Result<IncidentView, Failure> {
-    let coverage: Vec<SpanCoverageView> = ledger.span_coverage(owner, &row.span)?.into_iter().map(coverage_view).collect();
+    let coverage: Vec<SpanCoverageView> =
+        ledger.span_coverage(owner, &row.span)?.into_iter().map(coverage_view).collect();
     let note = |note: crate::store::IncidentNote| IncidentNoteView {
         at: note.at,
         text: clean_lines(&note.text, LONGEST_NOTE),
