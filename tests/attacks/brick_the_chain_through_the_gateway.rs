@@ -60,22 +60,28 @@ const ORDER: [&str; 3] = ["nonce", "already known", "underpriced"];
 /// How gateways bound who asks too much.
 const BOUNDS: [Code; 5] = [Code::Quota, Code::Busy, Code::TooSlow, Code::Session, Code::Transaction];
 
-/// Sends a frame; gives its hash where it was passed on.
-async fn send(parts: &mut Parts, client: &mut Client, what: &str, words: &str, raw: String) -> Option<String> {
+/// Sends a frame; gives its hash where it was passed on. Who comes often may also be refused by one of `bounds`.
+async fn send(
+    parts: &mut Parts,
+    client: &mut Client,
+    (what, words): (&str, &str),
+    bounds: &[Code],
+    raw: String,
+) -> Option<String> {
     match client.relay("eth_sendRawTransaction", &json!([raw])).await {
         Ok(Relayed::Result(hash)) => return Some(hash),
         Ok(Relayed::Fault { words: read, .. }) => parts.refused(what, &read, words),
-        Err(error) => parts.otherwise(format!("{what}: {error}")),
+        Err(error) => bounded(parts, what, error, bounds),
     }
     None
 }
 
 /// All payloads as creations by accounts that nobody knows: none must pass.
-async fn send_all(parts: &mut Parts, client: &mut Client, who: &str, chain: u64, gas: u64) {
+async fn send_all(parts: &mut Parts, client: &mut Client, who: &str, bounds: &[Code], chain: u64, gas: u64) {
     for (name, code) in payloads(gas) {
         let key = LocalWallet::new(&mut ethers::core::rand::thread_rng());
         let raw = signed(&key, chain, 0, gas, None, &code);
-        if let Some(hash) = send(parts, client, who, NOT_TO_THE_CONTRACT, raw).await {
+        if let Some(hash) = send(parts, client, (who, NOT_TO_THE_CONTRACT), bounds, raw).await {
             mined(client, &hash).await;
             parts.reached(format!("{gas} gas of {name} were mined, of a {who}"));
         }
@@ -120,12 +126,12 @@ async fn visitors_and_registered_accounts_send_what_never_ends() {
     let mut robot = connect(&gate.gateway, &credentials).await;
     let chain = chain_id(&mut visitor).await;
     let mut parts = Parts::default();
-    send_all(&mut parts, &mut visitor, "visitor", chain, GAS).await;
-    send_all(&mut parts, &mut robot, "registered account", chain, GAS).await;
+    send_all(&mut parts, &mut visitor, "visitor", &[], chain, GAS).await;
+    send_all(&mut parts, &mut robot, "registered account", &[], chain, GAS).await;
     // By the registered account itself, to the contract, with more gas than a call needs.
     let raw = signed(&wallet(&alice), chain, 1_000, GAS, Some(contract), &[1; 4]);
     let what = "registered account, to the contract";
-    if send(&mut parts, &mut robot, what, TOO_MUCH_GAS, raw).await.is_some() {
+    if send(&mut parts, &mut robot, (what, TOO_MUCH_GAS), &[], raw).await.is_some() {
         parts.reached(format!("{GAS} gas of a registered account were passed on"));
     }
     judge(NAME, parts.outcome());
@@ -233,13 +239,13 @@ async fn three_addresses_for_a_minute_while_a_robot_uploads() {
                 let mut client = match entered {
                     Ok(client) => client,
                     Err(error) => {
-                        bounded(&mut parts, who, error);
+                        bounded(&mut parts, who, error, &BOUNDS);
                         tokio::time::sleep(Duration::from_millis(100)).await;
                         continue;
                     }
                 };
                 for gas in [4_294_967_295, 10_000_000] {
-                    send_all(&mut parts, &mut client, who, chain, gas).await;
+                    send_all(&mut parts, &mut client, who, &BOUNDS, chain, gas).await;
                 }
             }
             parts
@@ -254,10 +260,10 @@ async fn three_addresses_for_a_minute_while_a_robot_uploads() {
 }
 
 /// A refusal of who comes too often is one by name, in clear too: before a session nothing else can be said.
-fn bounded(parts: &mut Parts, what: &str, error: GatewayError) {
+fn bounded(parts: &mut Parts, what: &str, error: GatewayError, bounds: &[Code]) {
     match error {
-        GatewayError::RefusedInClear(code) if BOUNDS.contains(&code) => parts.refused(what, code.text(), ""),
-        error => parts.answered(what, Err(error), &BOUNDS),
+        GatewayError::RefusedInClear(code) if bounds.contains(&code) => parts.refused(what, code.text(), ""),
+        error => parts.answered(what, Err(error), bounds),
     }
 }
 
@@ -289,7 +295,7 @@ async fn a_registered_account_sends_all_it_may_for_a_minute() {
             while Instant::now() < end {
                 let Some(client) = entered.as_mut() else {
                     let again = Client::connect(&through.endpoint(), &mut through.trust(), &credentials).await;
-                    entered = again.map_err(|error| bounded(&mut parts, "mallory", error)).ok();
+                    entered = again.map_err(|error| bounded(&mut parts, "mallory", error, &BOUNDS)).ok();
                     continue;
                 };
                 let nonce = nonces.fetch_add(1, Ordering::SeqCst);
@@ -310,7 +316,7 @@ async fn a_registered_account_sends_all_it_may_for_a_minute() {
                     }
                     Ok(Relayed::Fault { words, .. }) => parts.otherwise(words),
                     Err(error) => {
-                        bounded(&mut parts, "mallory", error);
+                        bounded(&mut parts, "mallory", error, &BOUNDS);
                         entered = None;
                     }
                 }
