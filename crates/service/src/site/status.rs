@@ -33,7 +33,7 @@ impl Site {
         let verified_after = self.parts.hub.stages.spread(Milestone::Verified);
         let (alerts, alerts_over) = self.alerts.shown();
         let queue = self.queue_view();
-        Ok(SiteView { health, life, robots, profiles, process, queue, tasks, verified_after, alerts, alerts_over })
+        Ok(SiteView { health, life, robots, profiles, process, tasks, queue, verified_after, alerts, alerts_over })
     }
 
     /// What is not well now, and what is: the one place that status, figures and alerts ask.
