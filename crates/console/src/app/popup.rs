@@ -147,7 +147,9 @@ impl Palette {
             let name = fuzzy::score(self.field.text(), entry.name);
             name.or_else(|| fuzzy::whole_words(self.field.text(), entry.help).then_some(100))
         };
-        let listed = VERBS.iter().filter(|entry| entry.palette && !(state.settings.read_only && entry.changes));
+        let listed = VERBS.iter().filter(|entry| {
+            entry.palette && !(state.settings.read_only && entry.changes) && super::tour::knows(state, entry.verb)
+        });
         let mut found: Vec<_> = listed.filter_map(|entry| score(entry).map(|score| (score, entry))).collect();
         found.sort_by_key(|(score, entry)| (available(state, entry.verb).is_err(), *score));
         found.into_iter().map(|(_, entry)| entry).collect()

@@ -298,14 +298,8 @@ pub static VERBS: &[Entry] = &[
     )
     .on(&[Screen::Grants])
     .changing(),
-    entry(
-        Verb::Contacts,
-        "contacts",
-        "contacts",
-        &[Key::Char('c')],
-        "Address book: names for accounts, and their keys",
-    )
-    .on(&[Screen::Grants]),
+    entry(Verb::Contacts, "contacts", "contacts", &[Key::Char('c')], "Address book: names for accounts")
+        .on(&[Screen::Grants]),
     entry(Verb::Period, "minutes", "minutes", &[Key::Char('m')], "Graphs over 1, 15 or 60 minutes")
         .on(&[Screen::Overview]),
     entry(Verb::Fold, "fold", "fold", &[Key::Char('h')], "Fold the robot's topics into one row, or unfold them")

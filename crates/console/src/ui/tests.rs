@@ -61,6 +61,10 @@ fn situations(add: &mut Situations<'_>) {
         robot.types("t");
         robot.site_answers(true);
     });
+    add("contacts", Screen::Grants, &|robot| {
+        robot.types("c");
+        robot.site_answers(true);
+    });
     add("browse", Screen::Shared, &|robot| robot.types("b"));
     add("suspend asked", Screen::Chain, &|robot| {
         robot.types(":suspend");

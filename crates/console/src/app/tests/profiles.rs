@@ -40,7 +40,8 @@ fn the_palette_goes_over_and_late_answers_of_the_former_profile_are_dropped() {
 #[test]
 fn it_stays_while_something_is_being_done() {
     let mut robot = Robot::at_work(true);
-    robot.types("2w");
+    robot.types("6ry");
+    assert_eq!(robot.work(), [Tag::Rotate]);
     robot.types(":profile bob");
     robot.presses(Key::Enter);
     assert_eq!(robot.state.settings.profile.as_str(), "default");

@@ -33,10 +33,12 @@ fn no_grant_is_active(robot: &mut Robot) {
 fn each_step_waits_for_its_deed() {
     let mut robot = on_tour();
     assert_eq!(step(&robot), 1, "nobody is registered");
+    let mut rows = fixtures::topics();
+    rows.iter_mut().for_each(|row| row.watched = false);
+    robot.state.topics.set(rows.clone(), fixtures::NOW);
     robot.state.identity = Some(fixtures::identity(true, true, true));
     robot.waits(1);
     assert_eq!(step(&robot), 2, "nothing is watched");
-    let mut rows = fixtures::topics();
     rows[0].watched = true;
     robot.state.topics.set(rows, fixtures::NOW);
     robot.waits(1);

@@ -7,6 +7,7 @@ use super::popup::{Lookup, Popup};
 use super::screens::grants::{is_active, is_given};
 use super::state::State;
 use super::update::is_settled;
+use super::verb::Verb;
 use crate::model::{ProfileName, Verdict};
 use text::{Step, TEXT};
 
@@ -52,6 +53,11 @@ impl Tour {
 /// Rows of the strip now.
 pub fn rows(state: &State) -> u16 {
     if state.tour.is_some() { ROWS } else { 0 }
+}
+
+/// Whether a verb is of any use: the one that ends the tour is of none without it.
+pub fn knows(state: &State, verb: Verb) -> bool {
+    verb != Verb::EndTour || state.tour.is_some()
 }
 
 /// Whether the list of grants is needed to see that a step is done.

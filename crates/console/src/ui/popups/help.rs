@@ -64,7 +64,8 @@ fn of_window(hints: &[(&str, &str)]) -> Vec<Told> {
 
 /// What belongs to the screen comes first.
 fn of_screen(state: &State) -> Vec<Told> {
-    let hidden = |entry: &&Entry| state.settings.read_only && entry.changes;
+    let hidden =
+        |entry: &&Entry| state.settings.read_only && entry.changes || !crate::app::tour::knows(state, entry.verb);
     let bound = |entry: &&Entry| state.settings.keymap.of(entry, state.screen).next().is_some() && !hidden(entry);
     let (own, all): (Vec<&Entry>, Vec<&Entry>) = VERBS.iter().filter(bound).partition(|entry| !entry.on.is_empty());
     own.into_iter().chain(all).map(|entry| of_entry(state, entry)).collect()
