@@ -13,7 +13,7 @@ pub const LONGEST_HEAD: u32 = 64 << 10;
 pub const LONGEST_PAYLOAD: u32 = 64 << 20;
 
 /// Bytes before the head.
-const LENGTHS: usize = 8;
+const LENGTHS: u32 = 8;
 
 /// Writes one frame; the caller flushes.
 ///
@@ -21,7 +21,7 @@ const LENGTHS: usize = 8;
 /// [`PipeError::TooLong`] before anything is written, [`PipeError::Broken`] where the other side is gone.
 pub fn send<T: Serialize>(to: &mut impl Write, head: &T, payload: &[u8]) -> Result<(), PipeError> {
     let head = serde_json::to_vec(head).map_err(|error| PipeError::Head(error.to_string()))?;
-    let mut lengths = [0; LENGTHS];
+    let mut lengths = [0; LENGTHS as usize];
     lengths[..4].copy_from_slice(&checked("head", head.len() as u64, LONGEST_HEAD)?.to_le_bytes());
     lengths[4..].copy_from_slice(&checked("payload", payload.len() as u64, LONGEST_PAYLOAD)?.to_le_bytes());
     to.write_all(&lengths)?;
@@ -36,12 +36,12 @@ pub fn send<T: Serialize>(to: &mut impl Write, head: &T, payload: &[u8]) -> Resu
 /// [`PipeError::TooLong`] before memory is taken, [`PipeError::Cut`] within a frame, [`PipeError::Head`] for a head that
 /// is not a `T`, [`PipeError::Broken`] of the pipe itself.
 pub fn receive<T: DeserializeOwned>(from: &mut impl Read) -> Result<Option<(T, Vec<u8>)>, PipeError> {
-    let begin = exactly(from, LENGTHS as u32)?;
+    let begin = exactly(from, LENGTHS)?;
     if begin.is_empty() {
         return Ok(None);
     }
     let Some((head, payload)) =
-        begin.first_chunk::<4>().zip(begin.last_chunk::<4>()).filter(|_| begin.len() == LENGTHS)
+        begin.first_chunk::<4>().zip(begin.last_chunk::<4>()).filter(|_| begin.len() == LENGTHS as usize)
     else {
         return Err(PipeError::Cut);
     };

@@ -118,14 +118,14 @@ mod tests {
     fn message(id: usize, namespace: &str, name: &str) -> Vec<u8> {
         let mut bytes = vec![0, 1, 0, 0];
         let put_text = |bytes: &mut Vec<u8>, text: &str| {
-            while (bytes.len() - 4) % 4 != 0 {
+            while !(bytes.len() - 4).is_multiple_of(4) {
                 bytes.push(0);
             }
             bytes.extend(u32::try_from(text.len() + 1).expect("short").to_le_bytes());
             bytes.extend(text.bytes().chain([0]));
         };
         let put_ids = |bytes: &mut Vec<u8>, ids: &[u8]| {
-            while (bytes.len() - 4) % 4 != 0 {
+            while !(bytes.len() - 4).is_multiple_of(4) {
                 bytes.push(0);
             }
             bytes.extend(u32::try_from(ids.len()).expect("few").to_le_bytes());

@@ -36,8 +36,10 @@ pub struct Certificate {
 /// What its extensions say.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(super) struct Uses {
-    /// It may issue others, with so many between it and the last at most.
-    pub issuer: Option<Option<u64>>,
+    /// It may issue others.
+    pub issuer: bool,
+    /// So many issuers may come between it and the last, where it says.
+    pub most: Option<u64>,
     /// The first byte of keyUsage.
     pub key: Option<u8>,
     /// A critical extended key usage that names timeStamping and nothing else.
@@ -48,7 +50,7 @@ pub(super) struct Uses {
 
 impl Uses {
     pub fn may_issue(&self) -> bool {
-        self.issuer.is_some() && self.key.is_none_or(|bits| bits & MAY_SIGN_CERTIFICATES != 0)
+        self.issuer && self.key.is_none_or(|bits| bits & MAY_SIGN_CERTIFICATES != 0)
     }
 
     pub fn may_stamp(&self) -> bool {
@@ -162,7 +164,7 @@ impl Uses {
                 let issues = inner.next_tag() == Some(super::der::BOOLEAN) && inner.boolean()?;
                 let most = if inner.is_empty() { None } else { Some(inner.small()?) };
                 inner.end()?;
-                self.issuer = issues.then_some(most);
+                (self.issuer, self.most) = (issues, most.filter(|_| issues));
             }
             names::KEY_USAGE => {
                 let mut outer = Der::new(PART, value.content)?;

@@ -86,7 +86,7 @@ async fn a_flipped_bit_of_a_known_signers_signature_reads_tampered_and_its_neigh
         line.verify(8).await;
         assert_eq!(line.in_state(RecordState::Verified).len(), 8, "{name}: eight valid signatures make the table");
         // Every second one.
-        let flipped = |seq: u64| (seq % 2 == 0).then(|| BITS[usize::try_from(seq / 2 - 5).expect("small")]);
+        let flipped = |seq: u64| seq.is_multiple_of(2).then(|| BITS[usize::try_from(seq / 2 - 5).expect("small")]);
         (9..=24).for_each(|seq| line.keep(seq, flipped(seq)));
         line.verify(16).await;
         assert_eq!(line.in_state(RecordState::Tampered), (10..=24).step_by(2).collect::<Vec<_>>(), "{name}");

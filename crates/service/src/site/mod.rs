@@ -198,8 +198,8 @@ impl Site {
         let rings = Arc::new(Rings::new(usize::try_from(config.capture_memory).unwrap_or(usize::MAX)));
         let losses = Arc::new(Losses::default());
         let (recorder, judges) = recorder(&parts, &rings, &losses);
-        let remote = config.site.as_ref().map(|site| Remote::new(site, &parts.home, plant.provider)).transpose()?;
-        let remote = remote.map(Arc::new);
+        let remote =
+            config.site.as_ref().map(|site| Remote::new(site, &parts.home, plant.provider)).transpose()?.map(Arc::new);
         let of = &parts;
         let ros = Arc::new(RosSide::new(of, &recorder, needs.ros));
         let sealer = Arc::new(SealerThread::new(of, &rings, &losses));

@@ -101,15 +101,17 @@ impl TimeStamps {
     fn begin(&self, at_once: bool) -> Result<u64, Failure> {
         let newest = self.plant.ledger.stamp_counts()?.newest;
         let due = newest.is_none_or(|newest| Timestamp::now().0.saturating_sub(newest.0) >= nanoseconds(PERIOD));
+        if !at_once && !due {
+            return Ok(0);
+        }
         let mut roots = 0;
-        while at_once || due {
+        loop {
             let more = self.plant.ledger.begin_stamp(MOST_ROOTS)?;
             roots += more;
             if more < MOST_ROOTS as u64 {
-                break;
+                return Ok(roots);
             }
         }
-        Ok(roots)
     }
 
     /// Stamps now what is not stamped yet.

@@ -50,7 +50,7 @@ fn incidents_outlive_the_process_and_are_of_one_owner() {
     let rows = ledger.incidents(OWNER).expect("read");
     assert_eq!(rows.len(), 1);
     let row = ledger.incident(OWNER, &name("crash")).expect("read").expect("there");
-    assert_eq!(rows, [row.clone()]);
+    assert_eq!(rows, std::slice::from_ref(&row));
     assert_eq!((row.name.as_str(), row.span, row.closed_at), ("crash", span(5, Some(9), &["/odom", "/scan"]), None));
     let notes: Vec<&str> = row.notes.iter().map(|note| note.text.as_str()).collect();
     assert_eq!(notes, ["a\u{1b}b", "second"]);
