@@ -5,8 +5,8 @@ use crate::app::tour::text::TEXT;
 use crate::app::tour::{Cast, Tour};
 use crate::app::{Key, Settings, Tag};
 use crate::model::ProfileName;
-use crate::service::Reply;
 use crate::service::reply::{GrantState, Provenance};
+use crate::service::{Part, Reply};
 
 fn profile(name: &str) -> ProfileName {
     name.parse().expect("a name")
@@ -49,10 +49,12 @@ fn each_step_waits_for_its_deed() {
     assert_eq!(step(&robot), 3, "it was asked for, and has not come");
     let id = robot.state.row_key().expect("a record");
     let shown: Provenance = fixtures::provenance(1_000);
+    no_grant_is_active(&mut robot);
     robot.is_answered(&Tag::Show(id), Ok(Reply::Provenance(shown)));
     assert_eq!(step(&robot), 4, "the fixtures' record is verified, and nothing is granted");
     robot.presses(Key::Escape);
     robot.types("5");
+    robot.hears_of(Part::Grants);
     robot.site_answers(true);
     assert_eq!(step(&robot), 5, "the fixtures have an active grant");
     robot.types(":profile cura-b");

@@ -13,7 +13,7 @@ use crate::ui::theme::Role;
 use crate::ui::topics::empty;
 
 /// Columns of a name.
-const NAME: u16 = 18;
+const NAME: u16 = 15;
 /// Columns of an address, whole.
 const ADDRESS: u16 = 43;
 /// The widest the list grows.
@@ -61,5 +61,5 @@ fn draw_row(canvas: &mut Canvas, line: Rect, contact: &ContactRow, here: bool) {
         "differs" => Role::Bad,
         _ => Role::Dim,
     };
-    canvas.put(right_of(rest, if whole { ADDRESS } else { 15 }), &format!("key {}", clean(&contact.state, 20)), role);
+    canvas.put(right_of(rest, if whole { ADDRESS } else { 15 }), &clean(&contact.state, 20), role);
 }
