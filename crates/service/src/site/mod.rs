@@ -194,13 +194,12 @@ impl Site {
 
     /// The features over the shared parts, each with the ones that it asks.
     fn assemble(parts: Parts, reserve: Arc<Reserve>, lock: SiteLock, needs: Needs) -> Result<Self, Failure> {
-        let (config, plant) = (Arc::clone(&parts.config), parts.plant.clone());
+        let (of, config, plant) = (&parts, Arc::clone(&parts.config), parts.plant.clone());
         let rings = Arc::new(Rings::new(usize::try_from(config.capture_memory).unwrap_or(usize::MAX)));
         let losses = Arc::new(Losses::default());
         let (recorder, judges) = recorder(&parts, &rings, &losses);
         let remote =
             config.site.as_ref().map(|site| Remote::new(site, &parts.home, plant.provider)).transpose()?.map(Arc::new);
-        let of = &parts;
         let ros = Arc::new(RosSide::new(of, &recorder, needs.ros));
         let sealer = Arc::new(SealerThread::new(of, &rings, &losses));
         let lanes = Arc::new(Lanes::new(of));
