@@ -135,8 +135,11 @@ fn expect_known_gap(network: &Network, topic: &str, flag: &str, harm: impl Fn(&s
     harm(&reader);
     assert_ne!(reader_of(&site), reader, "another one was started");
     assert_eq!(count(&talker.sent(30), "sent"), 6000);
-    let summary = capture.wait(240).expect_code(0).document();
+    let outcome = capture.wait(240);
+    let summary = outcome.document();
     let (captured, verified, lost) = figures(&summary);
+    // What was lost is also told by the exit code.
+    assert_eq!(outcome.code, Some(if lost > 0 { 8 } else { 0 }), "{outcome}");
     assert_eq!((captured + lost, captured - verified), (6000, 0), "{summary}");
     assert!(captured > 1000, "capture went on: {summary}");
     let said = site.stderr() + &site.stdout();
