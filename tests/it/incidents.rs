@@ -77,7 +77,7 @@ fn an_incident_is_held_found_exported_carried_by_a_backup_and_let_go() {
     assert_eq!(authros.records(&["uploads", "list", "--incident", "crash", "--until", "10m"]).len(), 0);
     authros.fails(INPUT, &["uploads", "list", "--incident", "none"]);
 
-    let keeps = authros.with_variable("AUTHROS_RETENTION", "1s");
+    let keeps = authros.with_variable("AUTHROS_RETENTION", "/robot*/odom=1s");
     let site = keeps.serve(&home);
     wait_until(120, "what no incident holds is deleted", || is_deleted(&keeps, OTHER).then_some(()));
     assert!(named(&keeps).iter().all(|topic| topic == OTHER), "retention names nothing of the incident");

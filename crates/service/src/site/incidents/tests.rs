@@ -95,7 +95,7 @@ fn bounds_are_held_before_anything_is_written() {
         of(10, Some(10), &[], None),
         of(10, Some(9), &[], None),
         of(10, None, &[], Some(&long)),
-        of(10, None, &[], Some(" \u{1b}\n ")),
+        of(10, None, &[], Some(" \n  ")),
     ] {
         assert_eq!(bad.map(drop).expect_err("refused").kind, ErrorKind::Input);
     }
