@@ -32,7 +32,7 @@ fn names_and_ids_are_completed_a_topic_has_its_coverage_and_a_home_its_identitie
     let before = files();
     assert_eq!(words(&home, "topic", "/ro"), [TOPIC]);
     assert_eq!(words(&home, "contact", ""), ["bob"]);
-    assert_eq!(words(&home, "record", &record[..5]), [record.clone()]);
+    assert_eq!(words(&home, "record", &record[..5]), std::slice::from_ref(&record));
     assert_eq!(words(&home, "profile", "de"), ["default"]);
     assert!(words(&home, "record", "zz").is_empty() && words(&home, "topic", "/none").is_empty());
     assert_eq!(files(), before, "looking leaves nothing behind");

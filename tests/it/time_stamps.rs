@@ -181,8 +181,9 @@ fn by_hand(folder: &Path, bundle: &Path) {
     let script = "import sys, zipfile\nfor n in zipfile.ZipFile(sys.argv[1]).namelist():\n    print(n)\n";
     let names = Command::new("python3").args(["-c", script]).arg(bundle).output().expect("python3").stdout;
     let names = String::from_utf8(names).expect("text");
-    let tokens: Vec<&str> =
-        names.lines().filter(|name| name.starts_with("stamps/") && name.ends_with(".der")).collect();
+    let is_token =
+        |name: &&str| name.starts_with("stamps/") && Path::new(name).extension().is_some_and(|of| of == "der");
+    let tokens: Vec<&str> = names.lines().filter(is_token).collect();
     assert!(!tokens.is_empty(), "{names}");
     for name in tokens {
         let imprint = name.split('/').nth(1).expect("a folder");

@@ -109,6 +109,7 @@ pub struct ListArguments {
 
 /// `uploads …`
 #[derive(Debug, Subcommand)]
+#[allow(clippy::large_enum_variant, reason = "there is one in a process")]
 pub enum UploadsVerb {
     /// List own records
     List(ListArguments),

@@ -63,6 +63,7 @@ pub enum Action {
 
 /// What the outside must do next. None of it may block `update`.
 #[derive(Debug)]
+#[allow(clippy::large_enum_variant, reason = "a handful at a time, and gone at once")]
 pub enum Effect {
     /// Send a command; its answer comes back under the tag.
     Send(Command, Tag),
