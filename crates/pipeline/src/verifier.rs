@@ -1,5 +1,5 @@
-//! The last step: re-reads confirmed records from the vault and checks digest and signature, some at a time on as many
-//! cores as it pays.
+//! The last step: re-reads confirmed records from the vault and checks digest and signature, a few at a time on as many
+//! cores as is worthwhile.
 
 use std::time::Instant;
 
@@ -20,15 +20,15 @@ const PIECE: u64 = 4 << 20;
 enum ReadBack {
     /// Its stored bytes, and the key that could sign it.
     Bytes(Vec<u8>, PublicKey),
-    /// Nothing is to be checked: whether that is as it should be.
+    /// Nothing to check: whether that is as it should be.
     Decided(bool),
     /// Its signer had no right at the anchoring block: that anchor does not count, a later one may.
     PassedOver(NoRight),
-    /// The vault has just been given it anew: the next round tells.
+    /// The vault has just been given it again: the next round decides.
     Later,
 }
 
-/// What a page of records came to.
+/// The outcome of a page of records.
 #[derive(Default)]
 struct Outcome<'a> {
     good: Vec<&'a RecordRow>,
@@ -40,14 +40,14 @@ struct Outcome<'a> {
 /// Checks up to [`ROUND`] confirmed records; returns how many it decided about.
 ///
 /// # Errors
-/// Of vault and ledger; a vault that does not answer decides nothing.
+/// Errors of vault and ledger; a vault that does not answer decides nothing.
 pub fn verify_round(plant: &Plant, network: &Network) -> Result<usize, PipelineError> {
     let mut after = None;
     loop {
         let state = Some(RecordState::Confirmed);
         let page = plant.ledger.list(&RecordQuery { state, limit: ROUND, after, ..RecordQuery::default() })?;
         let decided = verify_page(plant, network, &page.rows)?;
-        // Where a part of the vault is gone, the records behind it are not kept waiting.
+        // If a part of the vault is down, later records are not kept waiting.
         match page.next {
             Some(next) if decided == 0 => after = Some(next),
             _ => return Ok(decided),
@@ -115,7 +115,7 @@ impl<'a> Outcome<'a> {
         Ok(())
     }
 
-    /// Where only a part of the vault is gone, what lies there waits; any other failure ends the round.
+    /// If only a part of the vault is down, what is there waits; any other failure ends the round.
     fn note(
         &mut self,
         plant: &Plant,
@@ -155,7 +155,7 @@ fn read_back(plant: &Plant, network: &Network, row: &RecordRow) -> Result<ReadBa
     if let Some(blob) = plant.vault.get(row.digest)? {
         return Ok(ReadBack::Bytes(blob, signer));
     }
-    // The vault lost it since it was looked at; as long as there is a copy, nothing is gone.
+    // The vault lost it since it was checked; as long as there is a copy, nothing is gone.
     if let Some(copy) = plant.ledger.local_copy(row.digest)? {
         plant.vault.put(&[(row.digest, &copy)])?;
         return Ok(ReadBack::Later);
@@ -163,7 +163,7 @@ fn read_back(plant: &Plant, network: &Network, row: &RecordRow) -> Result<ReadBa
     is_sound_without(plant, network, row, &signer).map(ReadBack::Decided)
 }
 
-/// After a reorganisation a record is verified again that retention has given up meanwhile.
+/// After a reorganisation a record is verified again that retention has deleted meanwhile.
 fn is_sound_without(
     plant: &Plant,
     network: &Network,

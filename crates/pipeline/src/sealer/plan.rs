@@ -1,5 +1,5 @@
-//! What a round of messages becomes, settled in their order before anything is sealed: keys, numbers, definitions that
-//! go first, and what is tried to be compressed. What is settled here no longer depends on who seals what when.
+//! The plan of a round of messages, made in order before anything is sealed: keys, numbers, definitions that go first,
+//! and what to try compressing. The result no longer depends on which thread seals what when.
 
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
@@ -10,31 +10,31 @@ use crate::pipeline::packing::{Packing, Try};
 use crate::pipeline::recorder::CapturedMessage;
 use crate::pipeline::{PipelineError, Plant};
 
-/// Definitions whose hash is remembered at most.
+/// The most definition hashes remembered.
 const MOST_HASHES: usize = 1024;
 
-/// Whose numbers, on which topic.
+/// The author and topic of a sequence.
 pub type Stream = (Address, TopicId);
 
 /// What is sealed of a message.
 pub enum Content {
     /// Its definition, with the ledger's name for it.
     Definition(String),
-    /// Itself; compressed, where that is tried and pays.
+    /// The message itself; compressed, if that is tried and pays.
     Message(Option<Try>),
 }
 
-/// One record that is to be sealed.
+/// One record to be sealed.
 pub struct Task<'a> {
     /// The message.
     pub item: &'a CapturedMessage,
-    /// What of it.
+    /// Which part of it.
     pub content: Content,
-    /// Under which keys.
+    /// The epoch's keys.
     pub keys: Arc<EpochKeys>,
-    /// Those of its topic.
+    /// The topic's keys.
     pub topic: Arc<TopicKeys>,
-    /// Its number.
+    /// Its seq.
     pub seq: u64,
     /// SM3 of the message's definition.
     pub definition: Digest,
@@ -46,7 +46,7 @@ impl Task<'_> {
         matches!(self.content, Content::Message(_))
     }
 
-    /// The ledger's name for the definition that it is, if it is one.
+    /// The ledger's name for the definition, if it is one.
     pub fn definition_name(self) -> Option<String> {
         match self.content {
             Content::Definition(name) => Some(name),
@@ -55,27 +55,27 @@ impl Task<'_> {
     }
 }
 
-/// A round's records in their order.
+/// A round's records in order.
 #[derive(Default)]
 pub struct Plan<'a> {
     /// What is to be sealed.
     pub tasks: Vec<Task<'a>>,
     /// Messages for which there is no key.
     pub keyless: Vec<&'a CapturedMessage>,
-    /// Numbers given, the last of each stream.
+    /// Numbers assigned, the last of each stream.
     pub seqs: HashMap<Stream, u64>,
     /// Names of the definitions among the tasks.
     definitions: HashSet<String>,
 }
 
-/// What is known from the rounds before.
+/// What is known from earlier rounds.
 pub struct Planner {
-    /// The last number of each stream that is stored.
+    /// The last stored number of each stream.
     pub seqs: HashMap<Stream, u64>,
     /// Names of definitions that are stored.
     pub definitions: HashSet<String>,
     hashes: HashMap<Arc<str>, Digest>,
-    /// `None` = messages are sealed as they are.
+    /// `None` = messages are sealed uncompressed.
     pub packing: Option<Packing>,
 }
 
@@ -90,10 +90,10 @@ impl Planner {
         }
     }
 
-    /// The round for these messages. Numbers count only once [`Self::seqs`] has them.
+    /// The plan for these messages. Numbers count only once [`Self::seqs`] has them.
     ///
     /// # Errors
-    /// Of the ledger.
+    /// Errors of the ledger.
     pub fn plan<'a>(&mut self, plant: &Plant, items: &'a [CapturedMessage]) -> Result<Plan<'a>, PipelineError> {
         let mut plan = Plan::default();
         for item in items {
@@ -119,7 +119,7 @@ impl Planner {
         Ok(plan)
     }
 
-    /// The ledger's name for the message's definition, where that is not stored yet and not in the plan.
+    /// The ledger's name for the message's definition, if that is not stored yet and not in the plan.
     fn unsent(
         &mut self,
         plant: &Plant,
@@ -127,7 +127,7 @@ impl Planner {
         item: &CapturedMessage,
         (keys, topic, digest): (&EpochKeys, TopicId, Digest),
     ) -> Result<Option<String>, PipelineError> {
-        // A quarantined definition is none for those who may never see it.
+        // A quarantined definition is no use to readers who may never see it.
         let held = if item.doubt.is_some() { ":quarantined" } else { "" };
         let name = format!("definition:{}:{}:{}:{topic}:{digest}{held}", keys.domain, item.author.address, keys.epoch);
         if plan.definitions.contains(&name) || self.definitions.contains(&name) {
@@ -152,7 +152,7 @@ impl Planner {
         digest
     }
 
-    /// The next number of a stream; the plan has it from now on.
+    /// The next number of a stream, which the plan then contains.
     fn next_seq(&self, plant: &Plant, stream: Stream, plan: &mut Plan<'_>) -> Result<u64, PipelineError> {
         let seq = match plan.seqs.get(&stream).or_else(|| self.seqs.get(&stream)) {
             Some(last) => last + 1,
