@@ -1,4 +1,4 @@
-//! `authros bench all`: every bench, one after the other, short enough for some minutes; one set of figures and plots.
+//! `authros bench all`: every bench, one after the other, shortened to a few minutes; one set of figures and plots.
 
 use std::time::Instant;
 
@@ -19,7 +19,7 @@ use authros_model::Consensus;
 use authros_output::table;
 use authros_service::Failure;
 
-/// What becomes of one bench of the set.
+/// The outcome of one bench of the set.
 #[derive(Debug, Serialize)]
 struct Entry {
     bench: &'static str,
@@ -31,7 +31,7 @@ struct Entry {
     error: Option<String>,
 }
 
-/// Every bench in its order, with what it measures in this set.
+/// Every bench in order, with what it measures in this set.
 const PLAN: [(BenchName, &str, &str); 11] = [
     (BenchName::Sm3, "sm3", "digests of 1 KB to 800 KB beside libsm, libgcrypt and the paper"),
     (BenchName::Sm4, "sm4", "sealing and opening of 1 KB to 800 KB beside the crates, libsm and libgcrypt"),
@@ -46,10 +46,10 @@ const PLAN: [(BenchName, &str, &str); 11] = [
     (BenchName::Growth, "growth", "a record, a page and a frame with 10^3 to 10^5 records there"),
 ];
 
-/// Runs all that is not skipped; the exit code is the first one that is not 0.
+/// Runs everything not skipped; the exit code is the first one that is not 0.
 ///
 /// # Errors
-/// None of its own: what a bench says is told, and the next one begins.
+/// None of its own: a bench's error is reported, and the next one begins.
 pub async fn run(
     global: Global<'_>,
     arguments: AllArguments,
@@ -121,7 +121,7 @@ fn show_plan(plan: &[(BenchName, &'static str, &'static str)], outlet: &Outlet) 
     outlet.tell(&json!(report), || table(&["bench", "what"], &rows));
 }
 
-/// Results of all, each with its bench; and what each bench says of itself.
+/// All results, each with its bench; and each bench's description of itself.
 fn document(entries: &[Entry], reports: &[Value], seconds: f64) -> Value {
     let mut results = Vec::new();
     let mut benches = Vec::new();

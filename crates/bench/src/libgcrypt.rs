@@ -1,5 +1,5 @@
-//! libgcrypt as a yardstick: a small C program, built here with the system's compiler, that does a piece of work
-//! when it is told to. So its runs and ours take turns and share whatever else the machine does.
+//! libgcrypt as a yardstick: a small C program, built here with the system's compiler, that does a piece of work on
+//! request. Its runs and ours thus take turns and share the load on the machine.
 
 use std::io::{BufRead as _, BufReader, Write as _};
 use std::path::Path;
@@ -8,7 +8,7 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use authros_model::clean;
 
 const SOURCE: &str = include_str!("../../../benches/libgcrypt.c");
-/// What to do where it cannot be built.
+/// What to do if it cannot be built.
 const ADVICE: &str = "for its figures install a C compiler and libgcrypt's headers (Debian: gcc, libgcrypt20-dev)";
 
 /// The running program.
@@ -23,7 +23,7 @@ pub struct Libgcrypt {
 }
 
 impl Libgcrypt {
-    /// Builds and starts it, or says why that cannot be.
+    /// Builds and starts it, or says why it cannot.
     pub fn start() -> Result<Self, String> {
         Self::built().map_err(|why| format!("libgcrypt was not timed: {}; {ADVICE}", clean(&why, 300)))
     }
@@ -41,7 +41,7 @@ impl Libgcrypt {
         Ok(Self { child, questions, answers, version, _directory: directory })
     }
 
-    /// How long `work` (sm3, seal or open) on so many bytes took it, microseconds.
+    /// How long it took for `work` (sm3, seal or open) on this many bytes, microseconds.
     pub fn time(&mut self, work: &str, bytes: usize) -> Result<f64, String> {
         writeln!(self.questions, "{work} {bytes}").map_err(|error| error.to_string())?;
         let nanoseconds = answer(&mut self.answers)?;
@@ -51,7 +51,7 @@ impl Libgcrypt {
 
 impl Drop for Libgcrypt {
     fn drop(&mut self) {
-        // It ends with its input anyway; this only collects it.
+        // It ends with its input anyway; this only reaps it.
         drop(self.child.kill());
         drop(self.child.wait());
     }

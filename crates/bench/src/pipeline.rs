@@ -1,5 +1,5 @@
-//! `authros bench pipeline`: the whole line of a throw-away site at a held rate, publishers included, through real
-//! TCPROS. ROS master, chain and vault are embedded, or those that --ros-master, --chain and --vault name.
+//! `authros bench pipeline`: the whole line of a throw-away site at a constant rate, publishers included, through real
+//! TCPROS. ROS master, chain and vault are embedded, or those given by --ros-master, --chain and --vault.
 
 mod host;
 mod plots;
@@ -20,9 +20,9 @@ use authros_output::table;
 use authros_pipeline::stages::{Milestone, Stages};
 use authros_service::Failure;
 
-/// Bytes of a picture, as in DESIGN section 10.
+/// Bytes of a picture, as in docs/format.md, section 10.
 const PICTURE: usize = 58 * 1024;
-/// Pictures a second of each publisher.
+/// Pictures a second per publisher.
 const PICTURES: u32 = 30;
 
 const NOTES: [&str; 5] = [
@@ -47,11 +47,11 @@ struct Row {
     paper: Option<f64>,
 }
 
-/// Runs the loads one after the other, each in a home of its own; exit code 8 where a message was lost or the law did
-/// not hold.
+/// Runs the loads one after the other, each in its own home; exit code 8 if a message was lost or the conservation law
+/// did not hold.
 ///
 /// # Errors
-/// Where the site cannot be opened, or a part that was named does not answer.
+/// If the site cannot be opened, or a given part does not answer.
 pub async fn run(global: Global<'_>, arguments: PipelineArguments, outlet: &Outlet) -> Result<u8, Failure> {
     let length = authros_model::positive_span(&arguments.length)
         .map_err(|error| Failure::new(ErrorKind::Input, error.to_string()))?;

@@ -1,4 +1,4 @@
-//! Records for a ledger, and how long a record more takes.
+//! Records for a ledger, and how long another record takes.
 
 use std::time::{Duration, Instant};
 
@@ -9,37 +9,37 @@ use authros_model::{Address, Digest, FilterId, RecordKind, RecordState, Signatur
 use authros_service::Failure;
 use authros_store::{Ledger, NewRecord};
 
-/// Whose records they are.
+/// The owner of the records.
 pub(super) const OWNER: Address = Address([1; 20]);
-/// The filter id of records of one topic in twenty.
+/// The filter id of the records of one topic in twenty.
 pub(super) const RARE: FilterId = FilterId([1; 8]);
-/// Topics that they are of; all of them are there at every level.
+/// Their topics, all of which exist at every level.
 const TOPICS: u64 = 500;
-/// Length of a message: an odometry's.
+/// Length of a message, that of an odometry message.
 pub(super) const MESSAGE: u64 = 728;
-/// When the first was captured; each is a millisecond after the one before it.
+/// When the first was captured; each is a millisecond after the one before.
 pub(super) const BEGIN: u64 = 1_700_000_000_000_000_000;
-/// Records in a commit that is timed, as in the pipeline.
+/// Records in a timed commit, as in the pipeline.
 const COMMIT: u64 = 256;
-/// Records that are appended before they are verified in one batch: a second of a busy site.
+/// Records appended before they are verified in one batch: a second of a busy site.
 const BATCH: u64 = 1_024;
-/// Batches that make one figure: so many that each has its share of checkpoints.
+/// Batches per figure: enough for each to have its share of checkpoints.
 const WINDOW: u64 = 4;
-/// Figures taken of one ledger, at most.
+/// The most figures taken per ledger.
 pub(super) const FIGURES: u64 = 5;
-/// Records in a commit, and in a batch, that is not timed.
+/// Records in an untimed commit or batch.
 const BULK: u64 = 5_000;
 
 /// Microseconds per record, figure by figure.
 #[derive(Debug, Default)]
 pub(super) struct Costs {
-    /// Of acknowledging it.
+    /// Acknowledging it.
     pub append: Vec<f64>,
-    /// Of its steps to verified.
+    /// Its steps to verified.
     pub life: Vec<f64>,
 }
 
-/// The record of that number.
+/// The record with that number.
 pub(super) fn record(number: u64) -> NewRecord {
     let topic = number % TOPICS;
     let mut digest = [0; 32];
@@ -73,8 +73,8 @@ pub(super) fn name(topic: u64) -> String {
     format!("/robot{}/sensor{}/data", topic / 20, topic % 20)
 }
 
-/// Appends so many records to an empty ledger and verifies them; adds what one of the last ones took to `costs`. The
-/// first of each topic is not timed.
+/// Appends this many records to an empty ledger and verifies them; adds the cost of one of the last ones to `costs`.
+/// The first of each topic is not timed.
 pub(super) fn fill(ledger: &Ledger, wanted: u64, costs: &mut Costs, mut done: impl FnMut(u64)) -> Result<(), Failure> {
     let timed_from = wanted.saturating_sub(FIGURES * WINDOW * BATCH).max(TOPICS.min(wanted));
     let (mut life, mut there) = (Life::default(), 0);

@@ -1,4 +1,4 @@
-//! A throw-away site with one registered profile, in a directory that goes with it.
+//! A throw-away site with one registered profile, in a directory removed with it.
 
 use std::sync::Arc;
 
@@ -18,17 +18,17 @@ use authros_store::{SiteLock, files};
 
 /// The site.
 pub struct Host {
-    /// Speaks for its only profile.
+    /// A client for its only profile.
     pub client: Client,
     site: Arc<Site>,
     _directory: Directory,
 }
 
 impl Host {
-    /// Opens it with the settings that flags and environment name, without robots, and registers its profile.
+    /// Opens it with the settings from flags and environment, without robots, and registers its profile.
     ///
     /// # Errors
-    /// Where a setting is not usable, nothing can be written, or a part that was named does not answer.
+    /// If a setting is invalid, nothing can be written, or a given part does not answer.
     pub async fn open(global: Global<'_>, output: Output) -> Result<Self, Failure> {
         let directory = Directory::new()?;
         let home = Home::new(directory.path().join("home"));
@@ -58,12 +58,12 @@ impl Host {
     /// The ROS master in use.
     ///
     /// # Errors
-    /// Where it does not answer.
+    /// If it does not answer.
     pub async fn master(&self) -> Result<String, Failure> {
         self.site.ros_uri().await
     }
 
-    /// Times of the line.
+    /// The line's timings.
     pub fn stages(&self) -> &Stages {
         self.site.stages()
     }
@@ -71,7 +71,7 @@ impl Host {
     /// Health and counts.
     ///
     /// # Errors
-    /// The site's.
+    /// Errors of the site.
     pub async fn status(&self) -> Result<SiteView, Failure> {
         self.client.ask(SiteStatus).await
     }

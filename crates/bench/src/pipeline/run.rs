@@ -1,4 +1,4 @@
-//! One load through the line: publishers at a held rate, the counts asked each second, and everything verified
+//! One load through the line: publishers at a constant rate, the counts read each second, and everything verified
 //! before the figures are read.
 
 use std::time::{Duration, Instant};
@@ -19,21 +19,21 @@ use authros_service::reply::LifeLine;
 
 /// How long subscribing may take.
 const PATIENCE: Duration = Duration::from_secs(20);
-/// How long the line may take for what is still on its way at the end.
+/// How long the line may take at the end for what is still in flight.
 const REST: Duration = Duration::from_secs(180);
-/// How often the counts are asked.
+/// How often the counts are read.
 const TICK: Duration = Duration::from_secs(1);
 /// The longest bar, characters.
 const LONGEST_BAR: f64 = 50.0;
 
-/// What is published.
+/// The load.
 #[derive(Debug, Clone, Copy)]
 pub struct Load {
     /// Its name.
     pub name: &'static str,
     /// Bytes of a message.
     pub bytes: usize,
-    /// Messages a second, of all publishers together.
+    /// Total messages a second of all publishers.
     pub per_second: f64,
     /// Publishers.
     pub publishers: u16,
@@ -44,13 +44,13 @@ pub struct Load {
 struct Busy {
     stage: &'static str,
     seconds: f64,
-    /// Of the load's time.
+    /// Share of the load's time.
     share: f64,
     /// Microseconds for each message.
     per_message: f64,
 }
 
-/// What one load showed.
+/// The result of one load.
 #[derive(Debug, Serialize)]
 pub struct Summary {
     /// Its name.
@@ -82,7 +82,7 @@ pub struct Summary {
 /// Runs a load for `length`.
 ///
 /// # Errors
-/// Where the publishers cannot start, nobody subscribes, or not all is verified in time.
+/// If the publishers cannot start, nobody subscribes, or not everything is verified in time.
 pub async fn run(host: &Host, load: &Load, length: Duration) -> Result<Summary, Failure> {
     let master = host.master().await?;
     let mut publishers = block_in_place(|| Publishers::start(&master, load.publishers))?;
@@ -146,7 +146,7 @@ fn count(number: u64) -> f64 {
     crate::spread::number(number)
 }
 
-/// What is asked each second.
+/// The counts read each second.
 struct Watch {
     begun: Instant,
     processor: f64,
@@ -197,7 +197,7 @@ impl Watch {
         Ok(())
     }
 
-    /// Waits until all that was sent is captured, or lost, and nothing is pending.
+    /// Waits until everything sent is captured or lost, and nothing is pending.
     async fn settle(&mut self, host: &Host, sent: u64) -> Result<LifeLine, Failure> {
         let (begun, mut last) = (Instant::now(), (0, Instant::now()));
         loop {
@@ -205,7 +205,7 @@ impl Watch {
             if life.captured != last.0 {
                 last = (life.captured, Instant::now());
             }
-            // What has not arrived three seconds after the last one that did, never will.
+            // What has not arrived three seconds after the last arrival never will.
             let arrived = life.captured >= sent || last.1.elapsed() > 3 * TICK;
             if arrived && life.pending == 0 {
                 return Ok(life);
@@ -230,7 +230,7 @@ fn whole(number: f64) -> usize {
 }
 
 impl Summary {
-    /// Each stage's word, and percent of the load's time that it was busy.
+    /// Each stage's name, and the per cent of the load's time that it was busy.
     pub fn shares(&self) -> Vec<(&'static str, f64)> {
         self.stages.iter().map(|busy| (busy.stage, busy.share * 100.0)).collect()
     }
@@ -250,7 +250,7 @@ impl Summary {
         "memory MiB",
     ];
 
-    /// Whether every message published was verified, and the law always held.
+    /// Whether every message published was verified, and the conservation law always held.
     pub fn is_whole(&self) -> bool {
         self.published == self.verified && self.law_broken == 0
     }
@@ -274,7 +274,7 @@ impl Summary {
         ]
     }
 
-    /// A bar for each stage, and the law.
+    /// A bar for each stage, and the conservation law.
     pub fn bars(&self) -> Vec<String> {
         let bar = |busy: &Busy| {
             let length = whole((busy.share * LONGEST_BAR).ceil()).min(whole(LONGEST_BAR));
