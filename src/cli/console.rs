@@ -17,7 +17,7 @@ use crate::term::{self, ExitReason};
 /// Runs the console until it is left; the exit code is the terminal's.
 ///
 /// # Errors
-/// Without a terminal, or where the profile's console is open already.
+/// Without a terminal, or if the profile's console is open already.
 pub fn run(runtime: &tokio::runtime::Runtime, context: Context, arguments: ConsoleArguments) -> Result<u8, Failure> {
     if !arguments.plain && !term::is_interactive() {
         return Err(Failure::new(
@@ -31,7 +31,7 @@ pub fn run(runtime: &tokio::runtime::Runtime, context: Context, arguments: Conso
     let (calls, waiting) = mpsc::unbounded_channel();
     let client = Client::new(context.profile.clone(), calls, events.clone());
     let site = Arc::new(OnceLock::new());
-    // The first frame does not wait for the site: calls are answered as soon as it is there.
+    // The first frame does not wait for the site: calls are answered as soon as it is ready.
     runtime.spawn(serve(context, Arc::clone(&site), waiting, events));
     let run = if plain { term::plain::run } else { term::run };
     let ended = run(client, runtime.handle(), &options);
@@ -94,7 +94,7 @@ async fn relay(site: Client, mut calls: Calls, events: broadcast::Sender<Event>)
     }
 }
 
-/// Opens the keyring by itself where its passphrase was given or lies beside it.
+/// Opens the keyring automatically if its passphrase was given or is stored beside it.
 async fn unlock(context: Context, client: Client) {
     if !context.home.keyring(&context.profile).exists() {
         return;
