@@ -1,5 +1,5 @@
 //! Wants to stand still a chain that it does not own: frames of a hundred bytes, through the gateway's line to it, that
-//! take the chain's only thread for seconds and its memory for ever.
+//! take the chain's only thread for seconds and its memory forever.
 
 use std::time::{Duration, Instant};
 

@@ -53,7 +53,7 @@ impl Served {
         self.site.id()
     }
 
-    /// The answer to a body, or nothing where none comes in time.
+    /// The answer to a body, or nothing if none comes in time.
     pub fn post(&self, body: &Value) -> Option<Value> {
         let body = body.to_string();
         let mut stream = TcpStream::connect(self.address).ok()?;

@@ -325,7 +325,7 @@ fn expect_every_column(ledger: &rusqlite::Connection) {
     }
 }
 
-/// What an export to a bag holds of the topic, without the callers; nothing where the edit leaves nothing to export.
+/// What an export to a bag holds of the topic, without the callers; nothing if the edit leaves nothing to export.
 fn exported(authros: &Authros, home: &Home) -> Option<Vec<Value>> {
     support::system_program("rosbag")?;
     let bag = home.root().join("exported.bag");

@@ -33,7 +33,7 @@ const FIELDS: [&str; 12] = [
     "twist.covariance.0",
 ];
 
-/// As [`at`], with numbers for places in arrays.
+/// See [`at`], with numbers for places in arrays.
 fn field(message: &Value, path: &str) -> f64 {
     let pointer = format!("/{}", path.replace('.', "/"));
     message.pointer(&pointer).and_then(Value::as_f64).unwrap_or_else(|| panic!("no number '{path}' in {message}"))

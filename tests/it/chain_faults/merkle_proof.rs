@@ -24,7 +24,7 @@ fn sm3(directory: &Path, parts: &[&[u8]]) -> Vec<u8> {
     sm3_of_file(&path)
 }
 
-/// The root that a leaf's path leads to (RFC 9162, section 2.1.3.2); `None` where the path's length is wrong.
+/// The root that a leaf's path leads to (RFC 9162, section 2.1.3.2); `None` if the path's length is wrong.
 fn root_of(directory: &Path, leaf: &[u8], index: u64, count: u64, path: &[Vec<u8>]) -> Option<Vec<u8>> {
     let (mut place, mut last, mut hash) = (index, count.checked_sub(1)?, leaf.to_vec());
     for sibling in path {

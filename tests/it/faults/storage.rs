@@ -80,7 +80,7 @@ pub struct Shim {
 }
 
 impl Shim {
-    /// Compiles it; nothing where there is no compiler.
+    /// Compiles it; nothing if there is no compiler.
     pub fn compile() -> Option<Self> {
         let compiler = system_program("cc")?;
         let directory = tempfile::tempdir().expect("a temporary directory");

@@ -24,7 +24,7 @@ impl Load {
         Self::start_with("", options, variables, topics)
     }
 
-    /// As [`Load::start`], with a `config.toml`.
+    /// See [`Load::start`], with a `config.toml`.
     pub fn start_with(config: &str, options: &[&str], variables: &[(&str, &str)], topics: &[&str]) -> Self {
         let home = Home::new();
         if !config.is_empty() {
