@@ -1,5 +1,5 @@
-//! Wants to stand still a chain that it does not own: frames of a hundred bytes, through the gateway's line to it, that
-//! take the chain's only thread for seconds and its memory forever.
+//! To stall a chain that the attacker does not own: frames of a hundred bytes, through the gateway's connection to it,
+//! that occupy the chain's only thread for seconds and its memory forever.
 
 use std::time::{Duration, Instant};
 
@@ -16,10 +16,10 @@ use super::support::{hex, long, unhex};
 use super::{Outcome, judge};
 
 const NAME: &str = "brick_the_chain_through_the_gateway";
-/// Enough to be noticed, and little enough to end on the build that takes it.
+/// Enough to be noticed, and little enough to finish on a build that accepts it.
 const GAS: u64 = 30_000_000;
 
-/// Creation code that burns what it is given.
+/// Creation code that burns all its gas.
 fn payloads(gas: u64) -> [(&'static str, Vec<u8>); 3] {
     // A call gets 63 of 64 parts.
     let rounds = u32::try_from(gas / 64 * 60).unwrap_or(u32::MAX).to_be_bytes();
@@ -40,7 +40,7 @@ fn signed(key: &LocalWallet, chain: u64, nonce: u64, gas: u64, code: &[u8]) -> S
     format!("0x{}", hex(&typed.rlp_signed(&signature)))
 }
 
-/// Which payloads the gateway passed on, and the words with which it refused the last.
+/// Which payloads the gateway passed on, and its words when it refused the last.
 async fn send_all(client: &mut Client, chain: u64, gas: u64) -> (Vec<&'static str>, String) {
     let (mut passed, mut refusal) = (Vec::new(), String::new());
     for (name, code) in payloads(gas) {
@@ -98,8 +98,8 @@ async fn visitors_and_registered_accounts_send_what_never_ends() {
     }
 }
 
-/// Three addresses for a minute, each frame with all the gas there is or with as much as is admitted, two of visitors
-/// and one of a registered robot, while another robot uploads.
+/// Three addresses for a minute, each frame with all available gas or with as much as is admitted, two of visitors and
+/// one of a registered robot, while another robot uploads.
 #[tokio::test(flavor = "multi_thread")]
 async fn three_addresses_for_a_minute_while_a_robot_uploads() {
     if !long() {
@@ -143,7 +143,7 @@ async fn three_addresses_for_a_minute_while_a_robot_uploads() {
     let (mut sent, mut refused, held) = (0, Vec::new(), gate.held());
     let (mut block, mut since, mut longest) = (String::new(), Instant::now(), Duration::ZERO);
     while Instant::now() < end {
-        // Anchors of what is uploaded wait all the time, so that a block is due all the time.
+        // Anchors of the uploads wait all the time, so that a block is always due.
         if let Ok(Relayed::Result(newest)) = eyes.relay("eth_blockNumber", &json!([])).await
             && newest != block
         {

@@ -1,4 +1,4 @@
-//! To wear out the disk and the memory of everybody who reads the chain: two throw-away accounts, one of which grants the
+//! To exhaust the disk and memory of everyone who reads the chain: two throw-away accounts, one of which grants the
 //! other an envelope and revokes it, over and over.
 
 use authros::chain::Call;
@@ -13,12 +13,12 @@ use crate::{Outcome, judge};
 const NAME: &str = "grow_the_directory";
 /// The attacker, and the account it grants to.
 const STRANGERS: [u8; 2] = [41, 42];
-/// Rounds whose transactions are handed in together.
+/// Rounds whose transactions are sent together.
 const TOGETHER: u64 = 8;
-/// How many times as much a round may cost at the end as at the beginning: the same process seals the chain, whose trees
-/// deepen with each token, and a log that goes into its file falls into one part.
+/// How many times as expensive a round may be at the end as at the beginning: the same process seals the chain, whose
+/// trees deepen with each token, and a log that is checkpointed falls into one part.
 const FACTOR: u64 = 4;
-/// How much memory may grow over all rounds, MiB: what the chain keeps at hand of its newest blocks.
+/// How much memory may grow over all rounds, MiB: what the chain caches of its newest blocks.
 const ROOM: u64 = 64;
 
 /// The site under attack, and the contract.
@@ -37,7 +37,7 @@ impl Field {
         Token([self.tokens.to_be_bytes(); 4].concat().try_into().expect("32 bytes"))
     }
 
-    /// One of the strangers makes calls, all of which must do what they say.
+    /// One of the strangers makes calls, all of which must succeed.
     fn calls(&mut self, stranger: usize, calls: &[Call]) {
         let mut batch = Vec::new();
         for call in calls {

@@ -1,6 +1,7 @@
-//! What attackers want, one file each, named after the wish. Every attack is made from outside: by the program's command
-//! line, its files, or a second client of its protocols. It ends in [`Outcome::Refused`] with the refusal that was read, or
-//! in [`Outcome::Succeeded`] with what was reached; `tests/attacks/against BINARY` makes them on another build.
+//! The goals of attackers, one file each, named after the goal. Every attack is made from outside: through the
+//! program's command line, its files, or a second client of its protocols. It ends in [`Outcome::Refused`] with the
+//! refusal that was read, or in [`Outcome::Succeeded`] with what was achieved; `tests/attacks/against BINARY` runs them
+//! on another build.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 #![allow(clippy::print_stdout, reason = "what an attack reached is told")]
 
@@ -39,9 +40,9 @@ mod use_a_gateway_uninvited;
 /// How an attack ended.
 #[derive(Debug)]
 pub enum Outcome {
-    /// It reached nothing; this is the refusal that was read.
+    /// It achieved nothing; this is the refusal that was read.
     Refused(String),
-    /// It reached what it wanted.
+    /// It achieved its goal.
     Succeeded(String),
 }
 

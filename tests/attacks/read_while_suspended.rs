@@ -1,5 +1,5 @@
-//! A reader whom the administrator has suspended wants to go on reading: by the subscription that was open before, and by
-//! new questions in the same session.
+//! A reader whom the administrator has suspended wants to keep reading: through the subscription opened before, and by
+//! new requests in the same session.
 
 use std::time::Duration;
 
@@ -13,7 +13,7 @@ use crate::{Outcome, judge};
 
 const TOPIC: &str = "/robot7/log";
 
-/// Sends one more line of the owner's, and waits until it is verified.
+/// Sends another of the owner's lines, and waits until it is verified.
 async fn send(owner: &Member, robot: &mut Client, seq: u64) -> Digest {
     let record = owner.record(&owner.keyring.signing, TOPIC, seq, b"a line");
     let digest = Digest(owner.provider().sm3(&[&record.blob]));

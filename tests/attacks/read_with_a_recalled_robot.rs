@@ -1,4 +1,4 @@
-//! The thief of a robot goes on reading after its owner has recalled it: lists, records, live ones, notices.
+//! The thief of a robot keeps reading after its owner has recalled it: lists, records, live ones, notices.
 
 use std::time::Duration;
 
@@ -8,7 +8,7 @@ use authros::model::{Digest, RecordKind};
 use crate::enrolled_robot::{Robot, Scene, all_of, of, session};
 use crate::{Outcome, judge};
 
-/// What the thief reaches, or the refusal that he reads.
+/// What the thief gets, or the refusal he reads.
 async fn reaches(client: &mut Client, robot: &authros::crypto::Enrolment, known: Digest) -> Result<String, String> {
     let notices =
         Selection { topic_id: Some(robot.notice_id), kind: Some(RecordKind::Key), ..Selection::all(robot.owner) };
@@ -41,7 +41,7 @@ async fn read_with_a_recalled_robot() {
     let records = scene.alice.records(&["uploads", "list"]);
     let known: Digest = crate::support::text(&records[0], "digest").parse().expect("a digest");
     let mut client = session(&stolen).await.expect("it is not recalled yet");
-    // Opened before, on all that he may have.
+    // Opened before, on everything he may have.
     let notices =
         Selection { topic_id: Some(stolen.notice_id), kind: Some(RecordKind::Key), ..Selection::all(stolen.owner) };
     let mut listening = session(&stolen).await.expect("it is not recalled yet");
@@ -65,7 +65,7 @@ async fn read_with_a_recalled_robot() {
         Ok(mut client) => reaches(&mut client, &stolen, known).await,
         Err(error) => Err(format!("a new session: {error}")),
     };
-    // A subscription that only has nothing to tell is open still.
+    // A subscription that merely has nothing to report is still open.
     let cut = !matches!(ended, GatewayError::TimedOut);
     let outcome = match (early, live, anew) {
         (Err(early), 0, Err(anew)) if cut => {

@@ -1,4 +1,4 @@
-//! The embedded chain through `chain serve`, and strangers who sign for it with keys of their own.
+//! The embedded chain through `chain serve`, and strangers who sign for it with their own keys.
 
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
@@ -14,10 +14,10 @@ use crate::support::{Home, Running, text};
 /// How long an answer may take.
 const PATIENCE: Duration = Duration::from_secs(20);
 
-/// What a call of the contract has, more than it needs.
+/// Gas for a call of the contract beyond what it needs.
 const CALL_GAS: u64 = 1_000_000;
 
-/// The account of a stranger who is a number.
+/// The account of a numbered stranger.
 pub fn account_of(stranger: u8) -> H160 {
     use ethers::signers::Signer as _;
     LocalWallet::from_bytes(&[stranger; 32]).expect("a key").address()
@@ -43,7 +43,7 @@ impl Served {
         served
     }
 
-    /// Where it answers.
+    /// Its address.
     pub fn url(&self) -> String {
         format!("http://{}", self.address)
     }
@@ -69,7 +69,7 @@ impl Served {
         serde_json::from_str(answer.split_once("\r\n\r\n")?.1).ok()
     }
 
-    /// One request: its result, or the words of the refusal.
+    /// One request: its result, or the text of the refusal.
     pub fn ask(&self, method: &str, parameters: Value) -> Result<Value, String> {
         let body = json!({ "jsonrpc": "2.0", "id": 1, "method": method, "params": parameters });
         let answer = self.post(&body).ok_or("no answer")?;
@@ -90,7 +90,7 @@ impl Served {
         receipt.get("blockNumber").map(number)
     }
 
-    /// A creation by `code`, or without it a plain transfer, of a stranger who is a number, at price 0.
+    /// A creation with `code`, or without it a plain transfer, by a numbered stranger, at price 0.
     pub fn signed(&self, stranger: u8, nonce: u64, gas: u64, code: Option<&[u8]>) -> String {
         let request = TransactionRequest::new().nonce(nonce).gas(gas);
         self.sign(
