@@ -1,4 +1,4 @@
-//! An exported record and its Merkle proof are checked by OpenSSL and the chain's own log, without the program.
+//! An exported record and its Merkle proof are checked with OpenSSL and the chain's own log, without the program.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -109,7 +109,7 @@ fn openssl_and_the_chains_log_confirm_exported_records_of_batches() {
     let records = field.expect_settled(&node, 60);
     let anchors = field.anchors(&node);
     assert!(anchors.len() < records.len(), "records share transactions");
-    // Every leaf of the widest batch, whatever its shape, up to a bound.
+    // Every leaf of the widest batch, whatever its shape, up to a limit.
     let widest = anchors.iter().max_by_key(|anchor| match &anchor.what {
         Anchored::Root { count, .. } => *count,
         Anchored::Digest(_) => 0,

@@ -1,4 +1,4 @@
-//! Peers that are slow or go away, disks that refuse now and then, clocks that jump: the work waits and goes on.
+//! Peers that are slow or go away, disks that refuse now and then, clocks that jump: the work waits and continues.
 
 use std::fs;
 use std::path::PathBuf;
@@ -24,7 +24,7 @@ fn unwatch(authros: &Authros, robots: usize) {
     }
 }
 
-/// All that was captured is verified, nothing was dropped, and the law held.
+/// Everything captured is verified, nothing was dropped, and the law held.
 fn settle(authros: &Authros, robots: usize, observer: Conservation, seconds: u64) -> u64 {
     unwatch(authros, robots);
     let life = wait_until(seconds, "everything is verified", || {
@@ -56,7 +56,7 @@ fn a_chain_that_answers_after_half_a_minute_costs_neither_memory_nor_messages() 
     proxy.spoil(EVERY, Spoil::Delay(Duration::from_secs(30)), u64::MAX);
     let length = Duration::from_secs(if long() { 600 } else { 60 });
     let (begun, before) = (Instant::now(), observer.seen().life.map_or(0, |life| life.captured));
-    // Caches of SQLite and the first batches are not counted against it.
+    // Caches of SQLite and the first batches are not counted.
     let warm = Duration::from_secs(20);
     let (mut least, mut most) = (u64::MAX, 0);
     while begun.elapsed() < length {
@@ -77,7 +77,7 @@ fn a_chain_that_answers_after_half_a_minute_costs_neither_memory_nor_messages() 
     println!("slow chain: all {captured} verified");
 }
 
-/// Waits until records are verified that were captured after now; how long that takes.
+/// Waits until records captured from now on are verified; returns how long that takes.
 fn heals(observer: &Conservation, what: &str) {
     let begun = Instant::now();
     let life = || observer.seen().life.expect("a site that answers");
@@ -89,7 +89,7 @@ fn heals(observer: &Conservation, what: &str) {
     wait_until(60, &format!("what waited for {what} is verified"), || {
         (life().verified >= verified + owed).then_some(())
     });
-    // Ten seconds are the promise; a busy machine is given more.
+    // The target is ten seconds; a busy machine gets more.
     println!(
         "{what} is back: first record verified after {first:?}, all {owed} that waited after {:?}",
         begun.elapsed()
@@ -122,7 +122,7 @@ fn redis_and_the_chain_come_back_and_nobody_needs_to_do_anything() {
     let mut again = None;
     let _anvil = anvil.end_and_start_again(&state, || {
         more(80, "the chain");
-        // A site that is started without its chain captures all the same.
+        // A site started without its chain captures all the same.
         site.stop("TERM", 30).expect_code(0);
         again = Some(authros.serve(&home));
         more(80, "the chain, in a new site");
@@ -159,7 +159,7 @@ fn a_disk_that_refuses_now_and_then_holds_messages_up_and_loses_none() {
     site.stop("TERM", 30).expect_code(0);
 }
 
-/// libfiu, on the real program: a tenth of all fsyncs fails.
+/// libfiu, on the real program: a tenth of all fsyncs fail.
 #[test]
 fn fsyncs_that_fail_by_libfiu_lose_nothing() {
     let (Some(run), Some(control)) = (system_program("fiu-run"), system_program("fiu-ctrl")) else {
@@ -194,7 +194,7 @@ fn faketime() -> Option<PathBuf> {
     places.iter().map(|place| PathBuf::from(place).join("faketime/libfaketimeMT.so.1")).find(|path| path.exists())
 }
 
-/// List, contract and reader say the same of a grant that a jump of the clock has ended; a new one is given at once.
+/// List, contract and reader agree about a grant that a jump of the clock has ended; a new one is given at once.
 fn expect_agreement(authros: &Authros, reader: &Authros, address: &str) {
     let states = || -> Vec<String> {
         let rows = authros.json(&["grants", "list"])["grants"].as_array().cloned().unwrap_or_default();
@@ -222,7 +222,7 @@ fn a_clock_that_jumps_by_a_day_and_back_breaks_nothing() {
             .with_variable("LD_PRELOAD", library.to_str().expect("UTF-8"))
             .with_variable("FAKETIME_TIMESTAMP_FILE", &offset)
             .with_variable("FAKETIME_NO_CACHE", "1")
-            // As a real clock that is set: what counts durations goes on.
+            // As when a real clock is set: durations are not affected.
             .with_variable("FAKETIME_DONT_FAKE_MONOTONIC", "1")
             .with_variable("DONT_FAKE_MONOTONIC", "1")
     };
@@ -249,7 +249,7 @@ fn a_clock_that_jumps_by_a_day_and_back_breaks_nothing() {
     };
     wait_until(60, "the jump is told", || clock("s ahead"));
     let day = |record: &serde_json::Value| text(record, "captured_at")[..10].to_owned();
-    // Some may be sealed before the site has looked at the clock.
+    // Some may be sealed before the site has read the clock.
     let of_tomorrow = |record: &serde_json::Value| day(record) > day(&first) && record["epoch"] != first["epoch"];
     let later = wait_until(120, "records of tomorrow are verified", || newest().filter(of_tomorrow));
     // The grant has ended: what is captured from now on is not for the reader.
