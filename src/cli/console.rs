@@ -64,7 +64,7 @@ async fn serve(context: Context, site: Arc<OnceLock<Arc<Site>>>, waiting: Calls,
 
 async fn refuse(mut waiting: Calls, failure: &Failure) {
     while let Some(Call { answer, .. }) = waiting.recv().await {
-        // A console that no longer waits is no fault.
+        // The console may have stopped waiting.
         drop(answer.send(Err(failure.clone())));
     }
 }
@@ -77,7 +77,7 @@ async fn relay(site: Client, mut calls: Calls, events: broadcast::Sender<Event>)
                 let Some(Call { request, answer }) = call else { return };
                 let site = site.for_profile(request.profile);
                 tokio::spawn(async move {
-                    // A console that no longer waits is no fault.
+                    // The console may have stopped waiting.
                     drop(answer.send(site.send(request.command).await.unwrap_or_else(|_| Err(site_gone()))));
                 });
             }

@@ -128,7 +128,7 @@ impl Keyring {
         Ok(epoch)
     }
 
-    /// Records that the chain confirmed an epoch's token.
+    /// Notes that the chain confirmed an epoch's token.
     ///
     /// # Errors
     /// [`CryptoError::NoEpoch`] if the keyring lacks the epoch.

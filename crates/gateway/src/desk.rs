@@ -171,7 +171,7 @@ pub trait Desk: Send + Sync + 'static {
     /// transport key. What may pass is decided by [`crate::chain::relay::examine`].
     async fn relay(&self, caller: Option<&Caller>, method: &str, parameters: &Value) -> Result<Value, RelayError>;
 
-    /// Records that the caller's name belongs to a device whose public key, a point of the curve, was signed by d_C:
+    /// Notes that the caller's name belongs to a device whose public key, a point of the curve, was signed by d_C:
     /// both are stored durably, so that [`Self::signer`] can return the key as long as the device is lent, and the name
     /// ends with the loan. `Signature` if the chain has no such loan.
     async fn device(&self, caller: &Caller, notice: &DeviceNotice) -> Result<(), Refusal>;

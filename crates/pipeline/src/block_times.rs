@@ -28,7 +28,7 @@ impl Default for BlockTimes {
 }
 
 impl BlockTimes {
-    /// Records the time of a block that an event included.
+    /// Notes the time of a block that an event included.
     pub(super) fn note(&self, at: &EventAt) {
         if let Some(time) = at.timestamp {
             self.keep(at.block, Timestamp::from_seconds(time));

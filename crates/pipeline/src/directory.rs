@@ -138,7 +138,7 @@ impl Directory {
         Self { domain, provider, state: RwLock::default(), head_time: AtomicU64::new(0) }
     }
 
-    /// Records the time of the newest block, seconds.
+    /// Notes the time of the newest block, seconds.
     pub fn saw_head_of(&self, seconds: u64) {
         self.head_time.store(seconds, Ordering::Release);
     }

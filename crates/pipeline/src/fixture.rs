@@ -14,7 +14,7 @@ use crate::model::{Digest, Hash, RecordKind, RecordState, Signature, SignerId, T
 use crate::ros::{Message, Origin};
 use crate::store::{Anchors, Ledger, NewRecord, open_vault};
 
-/// Records what is reported.
+/// Keeps what is reported.
 #[derive(Default)]
 pub struct Notes(Mutex<Vec<(bool, String)>>);
 

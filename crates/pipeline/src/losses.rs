@@ -86,7 +86,7 @@ impl Losses {
         self.cause.store(reason.code(), Ordering::Release);
     }
 
-    /// Records a loss; quick, and never fails.
+    /// Notes a loss; quick, and never fails.
     pub fn note(&self, author: &Arc<Author>, lost: Lost<'_>, reason: LossReason) {
         let now = Timestamp::now();
         let mut noted = lock(&self.noted);

@@ -49,7 +49,7 @@ impl Pace {
         if idle { latest.min(early) } else { latest }
     }
 
-    /// Records that a batch of `leaves` was closed at `now`: the next is twice as wide if the second had not passed,
+    /// Notes that a batch of `leaves` was closed at `now`: the next is twice as wide if the second had not passed,
     /// half as wide if it was not half full.
     pub fn closed(&mut self, leaves: usize, now: Instant) {
         let early = self.closed.is_some_and(|before| now.saturating_duration_since(before) < LONGEST_WAIT);

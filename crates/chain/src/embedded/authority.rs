@@ -141,7 +141,7 @@ impl Authority {
         found.ok_or("it is not sealed by a signer of the chain")
     }
 
-    /// Records a block that is on the chain.
+    /// Notes a block that is on the chain.
     pub fn sealed(&mut self, number: u64, signer: usize) {
         if self.difficulty(number, signer) == OUT_OF_TURN {
             self.out_of_turn.push(number);

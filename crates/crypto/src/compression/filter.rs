@@ -32,7 +32,7 @@ impl Shape {
         }
     }
 
-    /// Bytes, or wider numbers, in a row of the given length in bytes.
+    /// How many bytes, or else wider numbers, there are in a row of the given length.
     fn widths(&self, row: usize) -> (usize, usize) {
         if self.sample == 1 { (row, 0) } else { (0, row / self.sample) }
     }

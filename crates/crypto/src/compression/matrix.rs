@@ -76,7 +76,7 @@ impl Matrix {
         Some(head)
     }
 
-    /// The layout byte, including whether green was subtracted from the other colours.
+    /// Reads the layout; also returns whether green was subtracted from the other colours.
     fn read(reader: &mut Reader<'_>) -> Result<(Self, bool), WireError> {
         let number = |reader: &mut Reader<'_>| -> Result<usize, WireError> {
             usize::try_from(reader.u32("matrix")?).map_err(|_| WireError::Value("matrix"))

@@ -36,7 +36,7 @@ impl Notice {
     /// From the body of a record.
     ///
     /// # Errors
-    /// [`WireError`] if it is none.
+    /// [`WireError`] if it is malformed.
     pub fn parse(body: &[u8]) -> Result<Self, WireError> {
         match body.split_first() {
             Some((&Self::KEYS, _)) | None => IssuedKeys::parse(body).map(Self::Keys),

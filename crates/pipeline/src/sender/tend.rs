@@ -53,7 +53,7 @@ impl Memory {
         }
     }
 
-    /// Records that bytes were just handed in.
+    /// Notes that bytes were just handed in.
     pub fn sent(&mut self, hash: Hash) {
         self.sent.insert(hash, Instant::now());
     }
@@ -63,7 +63,7 @@ impl Memory {
         self.sent.get(&hash).is_none_or(|at| at.elapsed() >= length)
     }
 
-    /// Records the newest block; returns for how long it has been the newest.
+    /// Notes the newest block; returns for how long it has been the newest.
     pub fn see_head(&mut self, number: u64) -> Duration {
         if self.head.0 != number {
             self.head = (number, Instant::now());
@@ -71,7 +71,7 @@ impl Memory {
         self.head.1.elapsed()
     }
 
-    /// Records the first waiting transaction; returns for how many blocks and how long it has been the first.
+    /// Notes the first waiting transaction; returns for how many blocks and how long it has been the first.
     pub fn see_front(&mut self, hash: Hash, block: u64) -> (u64, Duration) {
         match self.front {
             Some((front, since, at)) if front == hash => (block.saturating_sub(since), at.elapsed()),

@@ -162,7 +162,7 @@ impl Work {
     }
 }
 
-/// Records a topic's publishers and starts a reader for each new one.
+/// Takes note of a topic's publishers and starts a reader for each new one.
 fn meet(shared: &Arc<Shared>, topic: &Arc<Topic>, uris: &[String], asked_at: Instant) {
     let refuse = |publisher: &str, reason: &str| {
         if topic.first_complaint(publisher) {

@@ -32,7 +32,7 @@ pub struct Findings {
 }
 
 impl Findings {
-    /// Records a damaged place.
+    /// Notes a damaged place.
     pub(crate) fn note(&mut self, position: u64, text: &str) {
         if self.damages.len() < MOST_DAMAGES {
             self.damages.push(Damage { position, text: clean(text, 300) });

@@ -163,7 +163,7 @@ impl Ledger {
         })
     }
 
-    /// Records roots found on the chain: pending records of the batch are now mined, with this transaction and block;
+    /// Takes in roots found on the chain: pending records of the batch are now mined, with this transaction and block;
     /// those in a block individually stay there. A root already in a block keeps that block: the earliest counts. Roots
     /// of other ledgers, or over another number of leaves, are skipped. Returns how many records changed; seeing the
     /// same again changes none.

@@ -221,7 +221,7 @@ impl Ledger {
         })
     }
 
-    /// Records where a stored record was anchored by another ledger: its place in the batch, and the block of the root
+    /// Notes where a stored record was anchored by another ledger: its place in the batch, and the block of the root
     /// on the chain. From then on it counts as if anchored from here. Returns whether anything changed.
     ///
     /// # Errors

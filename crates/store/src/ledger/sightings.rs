@@ -48,7 +48,7 @@ struct Standing {
 }
 
 impl Ledger {
-    /// Records anchors found on the chain: whatever a pending record's state was, it is now mined, with this
+    /// Takes in anchors found on the chain: whatever a pending record's state was, it is now mined, with this
     /// transaction and block. A mined record moves to the block seen last; a tampered one only notes its block. Digests
     /// of other ledgers are skipped. Returns how many records changed; seeing the same again changes none.
     ///

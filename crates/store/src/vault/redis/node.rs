@@ -16,7 +16,7 @@ const TIMEOUT: Duration = Duration::from_secs(3);
 /// How long an unresponsive server is left alone: callers meanwhile get the previous error at once, so nobody waits a
 /// second time for the same silence.
 const REST: Duration = Duration::from_secs(1);
-/// An answer slower than this counts as waited for.
+/// A failure that took longer than this counts as silence.
 const SILENCE: Duration = Duration::from_secs(1);
 /// How often the server's configuration is checked, and whether it accepts writes.
 const LOOK: Duration = Duration::from_secs(2);
@@ -72,7 +72,7 @@ impl Link {
         self.resting.as_ref().filter(|(until, _)| Instant::now() < *until).map(|(_, why)| why.clone())
     }
 
-    /// Records that the server does not answer. It is left alone if that took long since `begun`; one that refuses at
+    /// Notes that the server does not answer. It is left alone if that took long since `begun`; one that refuses at
     /// once may be tried again at once.
     fn rest(&mut self, why: &StoreError, begun: Instant) {
         self.connection = None;
