@@ -1,4 +1,5 @@
-//! A gateway, an owner and her robots, and a thief who has a robot's enrolment with its passphrase, but nothing of hers.
+//! A gateway, an owner and her robots, and a thief who has a robot's enrolment with its passphrase, but nothing of
+//! hers.
 
 use std::path::Path;
 use std::time::Duration;

@@ -127,8 +127,8 @@ impl Enrolment {
         Ok(())
     }
 
-    /// Version 2: count of gateways (1), each address || fingerprint (32) || K_T (32), || N || owner (20) || P_C (64) ||
-    /// device secret (32) || 0, or 1 || IK (32), || topic id of the notices (16) || notice key (32) || token (32).
+    /// Version 2: count of gateways (1), each address || fingerprint (32) || K_T (32), || N || owner (20) || P_C (64)
+    /// || device secret (32) || 0, or 1 || IK (32), || topic id of the notices (16) || notice key (32) || token (32).
     fn put_secrets_2(&self, out: &mut Vec<u8>) {
         let gateways = &self.gateways[..self.gateways.len().min(MOST_GATEWAYS)];
         out.push(u8::try_from(gateways.len()).unwrap_or(0));

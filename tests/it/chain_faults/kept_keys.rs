@@ -147,7 +147,8 @@ impl Kept {
         })
     }
 
-    /// Fails unless the keys open all records up to `granted_until` captured since `granted_from`, and none from `ended` on.
+    /// Fails unless the keys open all records up to `granted_until` captured since `granted_from`, and none from
+    /// `ended` on.
     fn expect_shut_out(&self, granted_from: Timestamp, granted_until: Timestamp, ended: Timestamp) {
         let records = self.records();
         let between = |row: &&RecordRow| row.captured_at >= granted_from && row.captured_at < granted_until;

@@ -120,8 +120,8 @@ impl Ledger {
         })
     }
 
-    /// How many stored records that an account anchors (its own, and those it keeps for others) wait for a batch, and when the first captured of them was
-    /// acknowledged.
+    /// How many stored records that an account anchors (its own, and those it keeps for others) wait for a batch, and
+    /// when the first captured of them was acknowledged.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
@@ -141,7 +141,8 @@ impl Ledger {
         })
     }
 
-    /// Up to `limit` stored records that an account anchors, its own and those it keeps for others, as leaves, topic by topic in the order of capture.
+    /// Up to `limit` stored records that an account anchors, its own and those it keeps for others, as leaves, topic by
+    /// topic in the order of capture.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.

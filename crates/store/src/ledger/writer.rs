@@ -82,7 +82,8 @@ pub(super) struct Writer {
 }
 
 impl Writer {
-    /// Starts the thread that owns `connection` from now on; `closed` says whether the file is marked as cleanly closed.
+    /// Starts the thread that owns `connection` from now on; `closed` says whether the file is marked as cleanly
+    /// closed.
     pub(super) fn start(connection: Connection, path: &Path, closed: bool) -> Result<Self, StoreError> {
         let (messages, inbox) = mpsc::channel();
         let thread = thread::Builder::new()
